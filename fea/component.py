@@ -16,7 +16,7 @@ from wrenchbook.fea.mesh.io.temperature_field import shape_on
 from wrenchbook.fea.mesh.mapping import cell_problems
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.spec.material import AnyMaterial
-from wrenchbook.fea.spec.problems import BundleError, BundleProblem
+from wrenchbook.fea.spec.problems import BundleError, BundleProblem, point_text
 from wrenchbook.fea.spec.schema import (
     ACCELERATIONS,
     FREEDOMS,
@@ -68,14 +68,14 @@ class ComponentModel:
     fixed_nodes: Array  # sorted nodes that do not move, shape (k,), int64
     interfaces: tuple[AttachedInterface, ...]  # in the order of their loads and displacements
     analysis: Analysis
-    # Nodes that slide, none of them fixed or tied to an interface, sorted, shape (k,), and
+    # Nodes that slide, none of them fixed or coupled to an interface, sorted, shape (k,), and
     # projectors on the directions in which each is held, in the mesh's axes, shape (k, 3, 3).
     sliding: tuple[Array, Array] = (np.empty(0, dtype=np.int64), np.empty((0, 3, 3)))
     # Each with its stiffness, shape (6, 6); no node is in two, in a section, or fixed
     bushings: tuple[tuple[AttachedInterface, Array], ...] = ()
     further: tuple[ScalarInput, ...] = ()  # the inputs behind the loads
     # Shape (n,): the part of the temperature's rise at each node; None for 1 everywhere
-    warmth: Array | None = None
+    temperature_rise: Array | None = None
 
     @property
     def temperature(self) -> ScalarInput | None:
@@ -96,8 +96,8 @@ class ComponentModel:
     def warming(self, inputs: Array) -> float:
         """Return the temperature among inputs, shape (k,), K from the reference; 0 if none is."""
         warm = self.temperature
-        place = len(FREEDOMS) * len(self.interfaces)
-        return 0.0 if warm is None else float(inputs[place] - warm.reference)
+        index = len(FREEDOMS) * len(self.interfaces)
+        return 0.0 if warm is None else float(inputs[index] - warm.reference)
 
     @property
     def supported_nodes(self) -> Array:
@@ -131,7 +131,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     if bundle.mesh is None or bundle.interface is None or not supported:
         message = "missing; a component without a [mesh] is a table and cannot be solved"
         if bundle.deck is not None:
-            message = "missing; the [deck] is solved by its own command, and nothing is meshed here"
+            message = "missing; the [deck] is solved by its command, and nothing is meshed here"
         raise BundleError([BundleProblem("mesh", message)])
     mesh = mesh_of(bundle.mesh) if mesh is None else mesh
     problems = cell_problems(mesh) + first_order_problems(mesh)
@@ -153,7 +153,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
             problems.append(BundleProblem(key, message))
         for block, chosen in zip(material_of_cells, cells, strict=True):
             block[chosen] = i
-    _fill_the_rest(material_of_cells, bundle.materials, problems)
+    _fill_unnamed(material_of_cells, bundle.materials, problems)
     supports = bundle.supports or Supports()
     fixed = _fixed_nodes(mesh, supports, problems)
     # The nodes that slide and the projectors on what holds each; fixed ones are none.
@@ -174,8 +174,8 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
         _attach(mesh, f"supports.bushing[{i}].group", source, problems) for i, source in holds
     ]
     for hold in (*interfaces, *springs):
-        sliding = _left_sliding(mesh, sliding, hold, problems)
-    _check_apart(mesh, fixed, [*interfaces, *springs], problems)
+        sliding = _free_sliding(mesh, sliding, hold, problems)
+    _check_disjoint(mesh, fixed, [*interfaces, *springs], problems)
     if problems:
         raise BundleError(problems)
     heated = any(scalar.name == TEMPERATURE for scalar in bundle.further)
@@ -183,7 +183,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     fields = (
         (scalar.field, scalar.reference) for scalar in bundle.further if scalar.field is not None
     )
-    warmths = (shape_on(mesh.points, field, reference) for field, reference in fields)
+    shapes = (shape_on(mesh.points, field, reference) for field, reference in fields)
     return ComponentModel(
         bundle=bundle,
         mesh=mesh,
@@ -197,7 +197,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
             zip(springs, (attached.stiffness for attached in supports.bushings), strict=True)
         ),
         further=bundle.further,
-        warmth=next(warmths, None),
+        temperature_rise=next(shapes, None),
     )
 
 
@@ -216,15 +216,15 @@ def mesh_of(source: MeshSource) -> Mesh:
     return mesh if source.order is None else second_order(mesh)
 
 
-def _fill_the_rest(
+def _fill_unnamed(
     numbers: tuple[Array, ...], materials: tuple[AnyMaterial, ...], problems: list[BundleProblem]
 ) -> None:
     general = [i for i, material in enumerate(materials) if material.region == "all"]
     if len(general) > 1:
         problems.append(BundleProblem(f"material[{general[1]}].region", '"all" is there twice'))
-    left = sum(int((block < 0).sum()) for block in numbers)
-    if left and not general:
-        message = f'{left} cells have no material; name their region or add one for "all"'
+    count = sum(int((block < 0).sum()) for block in numbers)
+    if count and not general:
+        message = f'{count} cells have no material; name their region or add one for "all"'
         problems.append(BundleProblem("material", message))
     for block in numbers:
         block[block < 0] = general[0] if general else 0
@@ -267,16 +267,16 @@ def _attach(
     )
 
 
-def _left_sliding(
+def _free_sliding(
     mesh: Mesh,
     sliding: tuple[Array, Array],
     attached: AttachedInterface,
     problems: list[BundleProblem],
 ) -> tuple[Array, Array]:
-    """Return the sliding nodes less those that a rigid coupling ties.
+    """Return the sliding nodes less those of a rigid coupling.
 
     It is a problem if locked freedoms do not hold a rigid section's sliding nodes, or if all nodes
-    of a distributed one slide, so that their mean is not free.
+    of a distributed section slide, so that their mean is not free.
     """
     nodes, projectors = sliding
     shared = np.isin(nodes, attached.section.node_ids)
@@ -298,7 +298,7 @@ def _left_sliding(
     return nodes[~shared], projectors[~shared]
 
 
-def _check_apart(
+def _check_disjoint(
     mesh: Mesh, fixed: Array, interfaces: list[AttachedInterface], problems: list[BundleProblem]
 ) -> None:
     for interface in interfaces:
@@ -309,11 +309,10 @@ def _check_apart(
     for first, second in combinations(interfaces, 2):
         nodes = np.intersect1d(first.section.node_ids, second.section.node_ids)
         if nodes.size:
-            place = ", ".join(f"{x:.4g}" for x in mesh.points[nodes[0]])
             message = (
                 f'"{second.name or second.key}" shares {nodes.size} nodes with '
-                f'"{first.name or first.key}", such as the one at ({place}) m; a node can follow '
-                "one interface only, so take sections apart"
+                f'"{first.name or first.key}", such as the one at '
+                f"{point_text(mesh.points[nodes[0]])} m; a node can follow one interface only"
             )
             problems.append(BundleProblem(second.where, message))
 

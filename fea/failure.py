@@ -19,7 +19,7 @@ class SolveFailed(Exception):  # noqa: N818 - an outcome with a name, not a prog
     # The part of the wrench at which the part snaps through or buckles, where it was found
     load_factor: float | None = None
     # The last converged state: its load factor, and the displacement of each mesh point in the
-    # mesh's own axes, shape (n, 3), m; None if there is none.
+    # mesh's axes, shape (n, 3), m; None if there is none.
     last: tuple[float, Any] | None = None
 
     def __init__(self, kind: str, message: str, remedy: str) -> None:
@@ -112,7 +112,7 @@ def locking_material(message: str) -> SolveFailed:
 
 
 def yields(message: str) -> SolveFailed:
-    """Return the failure of a part of which a share, named in the message, yields."""
+    """Return the failure of a part of which a fraction, named in the message, yields."""
     return SolveFailed(
         "yields",
         message,
@@ -124,7 +124,7 @@ def yields(message: str) -> SolveFailed:
 def rotation_too_large(degrees: float, limit: float, load_factor: float = 1.0) -> SolveFailed:
     """Return the failure of an interface that rotates further than tables cover.
 
-    degrees, limit: its rotation, and the largest allowed one.
+    degrees, limit: its rotation, and the largest allowed.
     load_factor: the part of the wrench under which it does.
     """
     under = f" under {load_factor:.3g} of this wrench already" if load_factor < 1.0 else ""

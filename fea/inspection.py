@@ -35,8 +35,8 @@ from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.mesh.facets import EDGES, FACES, corners_of, facets_within, outer_surface
 from wrenchbook.fea.mesh.mapping import extreme_determinants
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
-from wrenchbook.fea.mesh.reference_cell import node_places
-from wrenchbook.fea.spec.problems import BundleProblem
+from wrenchbook.fea.mesh.reference_cell import node_coordinates
+from wrenchbook.fea.spec.problems import BundleProblem, point_text
 
 Array = np.ndarray
 
@@ -57,12 +57,12 @@ class Measure:
 def scaled_jacobian(points: Array, block: CellBlock) -> Array:
     """Return the least scaled Jacobian of each cell's corners, shape (m,)."""
     # For each corner itself and its three neighbours, right-handed, and the ideal.
-    places = node_places(block.kind)
+    coordinates = node_coordinates(block.kind)
     pairs = EDGES[block.kind]
     triples = []
     for corner in range(int(np.max(pairs)) + 1):
         ends = [b if a == corner else a for a, b in pairs if corner in (a, b)]
-        edges = places[ends] - places[corner]
+        edges = coordinates[ends] - coordinates[corner]
         triples.append([corner, *(ends if np.linalg.det(edges) > 0 else ends[::-1])])
     ideal = {"tet": 0.5**0.5, "wed": 0.75**0.5, "hex": 1.0}[block.kind[:3]]
     at = points[block.nodes]
@@ -114,7 +114,7 @@ MEASURES = (
 
 
 def quality(mesh: Mesh) -> dict[str, dict[str, Any]]:
-    """Return each measure's worst value, the place of that cell (m), and how many are bad."""
+    """Return each measure's worst value, the centre of that cell (m), and how many are bad."""
     return {measure.name: _worst(mesh, measure) for measure in MEASURES}
 
 
@@ -124,12 +124,11 @@ def quality_warnings(measured: dict[str, dict[str, Any]]) -> list[str]:
     for measure in MEASURES:
         worst = measured[measure.name]
         if worst["bad"]:
-            place = ", ".join(f"{x:.4g}" for x in worst["at"])
             warnings.append(
                 f"{worst['bad']} cells are {measure.description} ({measure.name.replace('_', ' ')} "
                 f"{'over' if measure.larger_is_worse else 'under'} {measure.limit:g}; the worst, a "
-                f"{worst['kind']} near ({place}) m, has {worst['worst']:.3g}); stresses and "
-                "stiffness there are not to be trusted"
+                f"{worst['kind']} near {point_text(worst['at'])} m, has {worst['worst']:.3g}); "
+                "stresses and stiffness there are not to be trusted"
             )
     return warnings
 
@@ -137,25 +136,25 @@ def quality_warnings(measured: dict[str, dict[str, Any]]) -> list[str]:
 def _worst(mesh: Mesh, measure: Measure) -> dict[str, Any]:
     sign = 1.0 if measure.larger_is_worse else -1.0
     bad = 0
-    worst, kind, place = -np.inf, "", np.zeros(3)
+    worst, kind, centre = -np.inf, "", np.zeros(3)
     for block in mesh.blocks:
         values = sign * measure.of(mesh.points, block)
         bad += int((values > sign * measure.limit).sum())
         if len(values) and values.max() > worst:
             cell = int(values.argmax())
             worst, kind = float(values[cell]), block.kind
-            place = mesh.points[block.nodes[cell]].mean(axis=0)
+            centre = mesh.points[block.nodes[cell]].mean(axis=0)
     return {
         "worst": sign * worst,
-        "at": place.tolist(),
+        "at": centre.tolist(),
         "kind": kind,
         "bad": bad,
         "limit": measure.limit,
     }
 
 
-_SAME_PLACE = 1e-2
-"""Fraction of the shortest edge within which two nodes count as in one place."""
+_COINCIDENT = 1e-2
+"""Fraction of the shortest edge within which two nodes count as coincident."""
 
 _OPPOSITE = np.array([(0, 1), (2, 4), (3, 5)])
 """Opposite faces of a hexahedron, in the order of `fea.mesh.facets.FACES`."""
@@ -163,9 +162,9 @@ _OPPOSITE = np.array([(0, 1), (2, 4), (3, 5)])
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
-    """Cells that hang together by whole faces."""
+    """Cells that hang together by faces."""
 
-    count: int  # how many bodies there are; numbered from the one with the most cells
+    count: int  # how many bodies there are; numbered from the body with the most cells
     cells: Array  # number of cells of each, shape (count,), int64, dimensionless
     nodes: list[Array]  # the nodes of each, shape (k,), int64: indices, ascending
 
@@ -232,14 +231,14 @@ def stacked_singly(mesh: Mesh) -> Array:
 
 
 def coincident_nodes(mesh: Mesh) -> Array:
-    """Return pairs of surface nodes in one place: joined to the eye only.
+    """Return pairs of coincident surface nodes, which share no unknowns.
 
     Shape (k, 2), int64: indices of nodes.
     """
     surface = outer_surface(mesh.blocks).node_ids
     shortest = min(float(edge_lengths(mesh.points, b).min()) for b in mesh.blocks if len(b))
     tree = KDTree(mesh.points[surface])
-    pairs = tree.query_pairs(_SAME_PLACE * shortest, output_type="ndarray")
+    pairs = tree.query_pairs(_COINCIDENT * shortest, output_type="ndarray")
     return np.sort(surface[pairs], axis=1) if len(pairs) else np.empty((0, 2), dtype=np.int64)
 
 
@@ -267,7 +266,7 @@ def warnings_of(component: ComponentModel) -> list[BundleProblem]:
 
 def set_up_warnings(component: ComponentModel) -> list[BundleProblem]:
     """Return warnings on what the bundle attaches to the mesh: sections, supports and units."""
-    problems = place_warnings(component) + support_warnings(component) + unit_warnings(component)
+    problems = section_warnings(component) + support_warnings(component) + unit_warnings(component)
     for number, material in enumerate(component.bundle.materials if component.bundle else ()):
         if material.thermal_expansion is not None and component.temperature is None:
             message = "counts for nothing without [inputs.temperature]"
@@ -278,7 +277,7 @@ def set_up_warnings(component: ComponentModel) -> list[BundleProblem]:
 def stack_problems(component: ComponentModel) -> list[BundleProblem]:
     """Return a problem if hex20 cells of reduced integration follow each other singly.
 
-    Such a stack is a mechanism (hourglass) where it is straight. A curved one is held by its
+    Such a stack is a mechanism (hourglass) where it is straight. A curved stack is held by its
     curvature alone: an arch of 40 cells turned 24 times too far and buckled at 4e-5 of its load.
     """
     if component.analysis.integration != "reduced":
@@ -295,10 +294,10 @@ def stack_problems(component: ComponentModel) -> list[BundleProblem]:
 
 
 def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> list[BundleProblem]:
-    """Return a warning for the unmerged nodes of each two bodies, and of slits within one.
+    """Return a warning for the unmerged nodes of each two bodies, and of slits within a body.
 
     mesh, bodies: a mesh, and what it falls into.
-    pairs: shape (k, 2), int64: indices of nodes in one place
+    pairs: shape (k, 2), int64: indices of coincident nodes
     (`fea.inspection.coincident_nodes`).
     """
     owner = np.zeros(len(mesh.points), dtype=np.int64)
@@ -322,7 +321,7 @@ def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> list[Bundl
     return problems
 
 
-def place_warnings(component: ComponentModel) -> list[BundleProblem]:
+def section_warnings(component: ComponentModel) -> list[BundleProblem]:
     """Return warnings on where the section and the supports are."""
     mesh, constrained = component.mesh, component.fixed_nodes
     surface = outer_surface(mesh.blocks).node_ids
@@ -398,8 +397,3 @@ def unit_warnings(component: ComponentModel) -> list[BundleProblem]:
         )
         problems.append(BundleProblem(f"{interface.key}.point", message))
     return problems
-
-
-def point_text(place: Array) -> str:
-    """Write a place, shape (3,), in m, to four digits."""
-    return "(" + ", ".join(f"{x:.4g}" for x in place) + ")"

@@ -1,7 +1,7 @@
 """Readers of the interface's motion in the files of an outside solver.
 
 Built in are "calculix-dat", of what ``*NODE PRINT`` writes into the .dat file of ccx, and
-"numbers", of six numbers in a file. A new one is a small class with the members of `DeckReader`,
+"numbers", of six numbers in a file. A new reader is a small class with the members of `DeckReader`,
 offered under the entry point group "wrenchbook.deck_readers":
 
     [project.entry-points."wrenchbook.deck_readers"]
@@ -48,7 +48,7 @@ class Reading:
 
 @dataclass(frozen=True)
 class Complaint:
-    """An error that a solver reports: its own words, and whether it found no equilibrium."""
+    """An error that a solver reports: its text, and whether it found no equilibrium."""
 
     quoted: str
     not_converged: bool = False
@@ -139,9 +139,9 @@ class CalculixDat:
         times = {time for time, _ in last.values()}
         if len(times) > 1:
             raise OutputError(f"{name} ends with the two sets at different times: {sorted(times)}.")
-        (_, place), (_, rotation) = last["point"], last["rotation"]
+        (_, translation), (_, rotation) = last["point"], last["rotation"]
         counts = _UNKNOWNS.findall(_text(run.printed))
-        return Reading((*place, *rotation), int(counts[-1]) if counts else 0)
+        return Reading((*translation, *rotation), int(counts[-1]) if counts else 0)
 
     def complaint(self, run: DeckRun) -> Complaint | None:
         """Return the messages of ccx after ``*ERROR``; it may end with exit code 0 all the same."""
@@ -151,8 +151,8 @@ class CalculixDat:
         quoted = "; ".join(dict.fromkeys(errors))
         if len(quoted) > _MAX_QUOTED:
             quoted = quoted[:_MAX_QUOTED] + " ..."
-        apart = any(phrase in error for error in errors for phrase in _NO_EQUILIBRIUM)
-        return Complaint(quoted, apart)
+        no_equilibrium = any(phrase in error for error in errors for phrase in _NO_EQUILIBRIUM)
+        return Complaint(quoted, no_equilibrium)
 
     def stage(self, run: DeckRun) -> tuple[float, str] | None:
         """Return the last line of the .sta file: the increment and the time within the step."""

@@ -37,9 +37,9 @@ class Solution:
     # are zero. NaN where it is unknown: a nonlinear deck.
     compliance: Array
     strain_energy: float  # J, of the stresses. NaN where it is unknown: a nonlinear deck
-    # J. Linear: that of all loads at their full size, without heat twice the strain energy.
-    # Nonlinear: the external work, and that of heat, along the load path by quadrature over the
-    # converged load steps, of fourth order. On the path it equals the strain energy (with heat but
+    # J. Linear: that of all loads at their full size, without temperature twice the strain energy.
+    # Nonlinear: the external work, and the thermal work, along the load path by quadrature over the
+    # converged load steps, of fourth order. It equals the strain energy (with a temperature but
     # for a part of the thermal strain's size), so that their difference measures the steps, not the
     # answer. NaN for a nonlinear deck.
     work: float
@@ -48,7 +48,7 @@ class Solution:
     seconds: float
     # The iterations, in order; empty for a linear solve and a zero wrench
     history: tuple[Iteration, ...]
-    # Shape (n, 3), m: displacement of each mesh point, in the mesh's own axes; none for a deck
+    # Shape (n, 3), m: displacement of each mesh point, in the mesh's axes; none for a deck
     nodes: Array
     notes: tuple[str, ...] = ()  # what an engineer should know about how the answer was found
     # Shape (n, 3, k), m per unit of each input: change of `nodes` with them; None for a deck
@@ -70,7 +70,7 @@ Loads = Sequence[float] | Array | Mapping[str, float | Sequence[float] | Array]
 def checked_wrench(
     wrench: Loads, names: Sequence[str] = ("",), further: Sequence[str] = ()
 ) -> Array:
-    """Return all inputs as an array of its own, shape (6 i + f,): N and N·m, then f others.
+    """Return all inputs as a new array, shape (6 i + f,): N and N·m, then f others.
 
     Parameters
     ----------

@@ -28,9 +28,9 @@ from wrenchbook.fea.mesh.mesh import CellBlock
 from wrenchbook.fea.mesh.reference_cell import reference_element
 from wrenchbook.fea.recovery.fields import SolveFields, fields_of
 from wrenchbook.fea.recovery.stress import (
+    body_force_of,
     material_of_parts,
     most_used,
-    pull_of,
     small_stress,
     stress_of,
     yielding,
@@ -119,7 +119,7 @@ class Solver:
         self._system = system_of(self.component, self._active)
 
     def inputs(self, wrench: Loads) -> Array:
-        """Return the inputs of `solve` as an array of its own, shape (k,).
+        """Return the inputs of `solve` as a new array, shape (k,).
 
         Raises
         ------
@@ -157,8 +157,8 @@ class Solver:
         return linear_response(self._system)
 
     @cached_property
-    def rest(self) -> Equilibrium:
-        """The nonlinear equilibrium under own weight alone; raises SolveFailed as `solve` does."""
+    def unloaded(self) -> Equilibrium:
+        """The nonlinear equilibrium under self-weight alone; raises SolveFailed as `solve` does."""
         self._system.undeformed.release()  # for `notes`, while no other factor is in memory
         return hang(self._system, lambda balance: _require_small_rotation(balance.state.interface))
 
@@ -197,7 +197,7 @@ class Solver:
     def craig_bampton(self, modes: int) -> CraigBampton:
         """Return the part's stiffness and mass, of its frames and some modes, unloaded.
 
-        The first frame is the held interface's, or else the mesh's own, for the supports.
+        The first frame is the held interface's, or else the mesh's axes, for the supports.
 
         Raises
         ------
@@ -280,8 +280,8 @@ class Solver:
         Raises
         ------
         ValueError
-            If the wrench is not six finite numbers an interface, names an unknown one, or lacks
-            a further input.
+            If the wrench is not six finite numbers an interface, names an unknown interface, or
+            lacks a further input.
         SolveFailed
             If there is no answer that can be trusted; its `kind` says why, its `remedy` what to do.
         """
@@ -342,10 +342,10 @@ class Solver:
         self, wrench: Array, acting: Array, progress: Progress | None, start: CoupledState | None
     ) -> Solution:
         weight = self._system.weight
-        rest = None if weight is None else self.rest
-        if rest is not None and not acting.any():
-            return self._solution(wrench, rest, rest.balance.energy, ())
-        path, largest = LoadPath(self._system, acting, progress, rest), np.abs(acting).argmax()
+        unloaded = None if weight is None else self.unloaded
+        if unloaded is not None and not acting.any():
+            return self._solution(wrench, unloaded, unloaded.balance.energy, ())
+        path, largest = LoadPath(self._system, acting, progress, unloaded), np.abs(acting).argmax()
 
         def check(balance: Balance) -> None:
             load_factor = float(balance.wrench[largest] / acting[largest])
@@ -359,9 +359,9 @@ class Solver:
             failure.last = factor, nodes @ self.component.axes
             raise
         work = path.work
-        if weight is not None and rest is not None:
-            sunk = equilibrium.balance.state.nodes - rest.balance.state.nodes
-            work += rest.balance.energy + float(np.vdot(weight, sunk))
+        if weight is not None and unloaded is not None:
+            sunk = equilibrium.balance.state.nodes - unloaded.balance.state.nodes
+            work += unloaded.balance.energy + float(np.vdot(weight, sunk))
         return self._solution(wrench, equilibrium, work, tuple(path.history))
 
     def _solution(
@@ -373,7 +373,7 @@ class Solver:
             displacement=balance.state.interface,
             compliance=equilibrium.tangent.compliance,
             strain_energy=balance.energy,
-            work=work + self._system.heat_energy(balance),
+            work=work + self._system.thermal_energy(balance),
             unknowns=self.unknowns,
             seconds=0.0,
             history=history,
@@ -413,40 +413,38 @@ def system_of(component: ComponentModel, active: Array) -> System:
     sections: list[tuple[SectionCoupling, Array, Array | None]] = []
     for attached in (*component.interfaces, *(bushing for bushing, _ in component.bushings)):
         nodes = attached.section.node_ids
-        places = ((component.mesh.points - attached.point) @ attached.axes.T)[nodes]
+        points = ((component.mesh.points - attached.point) @ attached.axes.T)[nodes]
         rigid = attached.coupling == "rigid"
-        holds = Rigid(places) if rigid else Distributed(places, attached.section.weights)
+        holds = Rigid(points) if rigid else Distributed(points, attached.section.weights)
         same = np.array_equal(attached.axes, component.axes)
         sections.append((holds, nodes, None if same else attached.axes @ component.axes.T))
     springs = [stiffness for _, stiffness in component.bushings]
     coupling = Coupling(len(mesh.points), sections, active, _anchors(component), springs)
     free = np.ones(len(mesh.points), dtype=bool)
     free[component.fixed_nodes] = False
-    free[coupling.tied] = False
+    free[coupling.constrained] = False
     materials, numbers = component.materials, component.material_of_cells
     integration = component.analysis.integration
     frame = component.axes, component.interfaces[0].point
     filled = filled_cells(mesh, materials, numbers, integration, *frame)
-    if component.warmth is not None:
-        warmth = component.warmth
-        filled = [(block, _warmed(block, part, warmth, integration)) for block, part in filled]
+    if component.temperature_rise is not None:
+        rise = component.temperature_rise
+        filled = [(block, _warmed(block, part, rise, integration)) for block, part in filled]
     nodes, held = component.sliding
     body = ElasticBody(mesh, filled, free, (nodes, component.axes @ held @ component.axes.T))
-    gravity, weight, pull = component.analysis.gravity, None, None
+    gravity, weight, body_force = component.analysis.gravity, None, None
     if gravity is not None or component.accelerated:
-        pull = pull_of(component, body)
-        weight = None if gravity is None else pull @ np.array(gravity)
-    pull = pull if component.accelerated else None
-    return System(body, coupling, component.mesh.points, weight, pull)
+        body_force = body_force_of(component, body)
+        weight = None if gravity is None else body_force @ np.array(gravity)
+    body_force = body_force if component.accelerated else None
+    return System(body, coupling, component.mesh.points, weight, body_force)
 
 
-def _warmed(
-    block: CellBlock, cells: CellStiffness, warmth: Array, integration: str
-) -> CellStiffness:
+def _warmed(block: CellBlock, cells: CellStiffness, rise: Array, integration: str) -> CellStiffness:
     """Return cells that expand by the part of the temperature's rise at each point, (nodes,)."""
     values = reference_element(block.kind, integration).values
     assert cells.expansion is not None
-    part = warmth[block.nodes] @ values.T
+    part = rise[block.nodes] @ values.T
     return replace(cells, expansion=part[:, :, None, None] * cells.expansion)
 
 

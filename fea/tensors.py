@@ -79,7 +79,7 @@ def rotation_derivatives(vector: Array) -> list[Array]:
             term = X @ terms[order]
             if order:
                 inner = units.reshape(3, *[1] * (order - 1), 3, 3) @ terms[order - 1]
-                term += sum(np.moveaxis(inner, 0, place) for place in range(order))
+                term += sum(np.moveaxis(inner, 0, axis) for axis in range(order))
             terms[order] = term / n
             sums[order] += terms[order]
     return sums

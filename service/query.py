@@ -28,7 +28,7 @@ from wrenchbook.service.tables.mapped import (
     ROW_DETAIL,
     ServedTable,
     TableBehindError,
-    others_in_words,
+    note_on_other_rows,
     row_table,
 )
 from wrenchbook.service.workspace import Workspace
@@ -37,7 +37,7 @@ from wrenchbook.surrogate.kernel.explain import explain
 from wrenchbook.surrogate.kernel.replies import Replies, Reply
 from wrenchbook.surrogate.solver_error import UNKNOWN
 from wrenchbook.surrogate.table.merging import RowIndex
-from wrenchbook.surrogate.table.rows import Rows, Tolerance, acting_one, why_beyond
+from wrenchbook.surrogate.table.rows import Rows, Tolerance, acting_wrench, why_beyond
 
 Floats = NDArray[np.float64]
 Wanted = OnThin | Literal["solve"]
@@ -186,7 +186,7 @@ def answered(workspace: Workspace, name: str, query: Query) -> Outcome:
     reply = answer(table, query)
     elapsed_us = (perf_counter_ns() - started) / 1e3
     if reply.coverage != "covered" and table.other_wrenches:
-        reply = reply._replace(reason=_also(reply.reason, others_in_words(name, table)))
+        reply = reply._replace(reason=_also(reply.reason, note_on_other_rows(name, table)))
     outcome = Outcome(name, table, reply, elapsed_us)
     if query.derivatives or query.detail:
         _describe(workspace, query, outcome)
@@ -205,7 +205,7 @@ def answered_at_once(workspace: Workspace, name: str, query: Query) -> tuple[Out
     if query.on_thin != "estimate" or table.needs_compliance or not table.row_count:
         return outcome, False
     component = workspace.library.as_read(name)
-    wrench = tuple(acting_one(query.wrench, component.idle))
+    wrench = tuple(acting_wrench(query.wrench, component.idle))
     workspace.query_counts.note(name, component.load_range, wrench, coverage)
     return outcome, True
 
@@ -243,7 +243,7 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
         workspace.surrogate(name)  # has its solves queued
     component = workspace.library[name]
     # Jobs and statistics leave out the loads on locked freedoms.
-    query = query._replace(wrench=tuple(acting_one(query.wrench, component.idle)))
+    query = query._replace(wrench=tuple(acting_wrench(query.wrench, component.idle)))
     wrench = np.array([query.wrench])
     if query.on_thin != "solve":
         rows = _uncovered(workspace, component, query, outcome)
@@ -365,7 +365,7 @@ def answer_many(name: str, table: ServedTable, wrenches: Floats, query: Query) -
     elapsed_us = (perf_counter_ns() - started) / 1e3
     method = table.packed.answers_by(query.method)
     outcome = BatchOutcome(name, table, replies, elapsed_us, method, began)
-    if table.bars_are_whole:
+    if table.bars_are_complete:
         outcome.tolerance = query.tolerance or table.tolerance
     if query.derivatives:
         outcome.derivatives = table.packed.derivatives(wrenches, *options)
@@ -474,7 +474,7 @@ def _rows_at(component: Component, rows: Rows, wrenches: Floats) -> list[Rows | 
     """Return the row at each wrench (k, inputs), within 1e-6 of the range in each load."""
     if not len(rows):
         return [None] * len(wrenches)
-    places = RowIndex(rows.wrench, component.load_range.scale).places(wrenches)
+    places = RowIndex(rows.wrench, component.load_range.scale).indices(wrenches)
     return [None if place < 0 else rows.take([place]) for place in places.tolist()]
 
 

@@ -33,8 +33,8 @@ from .kriging import (
     why_too_large,
 )
 from .methods import MethodChoice, choose, full_needed, interaction_of
-from .solver_error import SolverError, bars_are_whole
-from .table.axes import OffAxis, count_full
+from .solver_error import SolverError, bars_are_complete
+from .table.axes import OffAxis, count_multi_axis
 from .table.compliance import ComplianceFit, fit_compliance
 from .table.merging import RowIndex, merge, row_conflicts
 from .table.rows import Floats, LoadRange, Rows, Tolerance
@@ -100,7 +100,7 @@ class Group:
         self.linear, self.locked = linear, tuple(locked)
         self._off_axis: OffAxis = off_axis
         self.merged = merge(rows, load_range)
-        self.used, self.members, self._readings = self.merged.usable()
+        self.used, self.members, self._observations = self.merged.usable()
         self.fit: ComplianceFit = fit_compliance(self.used, load_range, linear=linear)
         self.too_large = "" if linear else why_too_large(self.used, load_range)
         self._earlier_axes: Axes | None = vars(before).get("axes") if before is not None else None
@@ -119,7 +119,7 @@ class Group:
             self.choice = replace(self.choice, reason=f"{self.choice.reason}; {thinning}")
         # Without axes the kriging's error bars hold unknown interaction; loads of a
         # linear component act by themselves.
-        self.full_wrenches = count_full(self.used, load_range) if self.has_axes else 0
+        self.full_wrenches = count_multi_axis(self.used, load_range) if self.has_axes else 0
         self.full_needed = full_needed(self.used) if self.has_axes else 0
         self.knows_interaction = linear or self.full_wrenches >= self.full_needed
         self.zero_unknown = self.by_axes and not linear and not self.axes.at_zero.known
@@ -173,7 +173,7 @@ class Group:
         if self.linear or self.too_large:
             return None
         try:
-            return Kriging.build(self.used, self.load_range, observations=self._readings)
+            return Kriging.build(self.used, self.load_range, observations=self._observations)
         except (TooFewRowsError, SingularCovarianceError):
             return None
 
@@ -242,7 +242,7 @@ class Table:
     locked : tuple of int
         Indices, in `LOADS`, of the loads on locked freedoms: every call sets them to zero first.
     solver_error : SolverError or None
-        Error of the solver: in no error bar here; `bars_are_whole` says whether it is known.
+        Error of the solver: in no error bar here; `bars_are_complete` says whether it is known.
     packed : surrogate.kernel.binding.PackedTable or None
         The same table packed; None until it is made.
     """
@@ -255,7 +255,7 @@ class Table:
     version: int
     locked: tuple[int, ...]
     solver_error: SolverError | None
-    bars_are_whole: bool
+    bars_are_complete: bool
     packed: Any = None
 
     @cached_property
@@ -345,7 +345,7 @@ def build(
         version,
         tuple(locked),
         None if solver_error is None else solver_error.grown(rows, load_range),
-        bars_are_whole(rows, solver_error),
+        bars_are_complete(rows, solver_error),
     )
 
 

@@ -1,9 +1,9 @@
 """Which wrenches to solve next: a first design, then where the error bar is largest.
 
-The kriging tells a bar without a solve, also the one that will be left once pending wrenches are
+The kriging gives a bar without a solve, also the one that remains once pending wrenches are
 solved (Sacks, Welch, Mitchell and Wynn 1989: sequential design by the posterior deviation). So a
 round is chosen one after another, each counted as solved for those after it. The largest bar is the
-whole criterion: on `plate_thin`, with 30 / 54 / 120 solves, the worst output's error is
+only criterion: on `plate_thin`, with 30 / 54 / 120 solves, the worst output's error is
 
     largest bar                       0.037  0.014  0.0034 % of its range
     largest mean reduction of bars    0.033  0.014  0.0042 %
@@ -28,7 +28,7 @@ from .answer import allowed_by
 from .build import Table, build
 from .packed.writer import packed_of
 from .table.axes import AXES
-from .table.rows import CLEAN, LONGEST, Floats, LoadRange, Rows, Tolerance
+from .table.rows import LONGEST, ZERO_LOAD, Floats, LoadRange, Rows, Tolerance
 from .table.spread import sample_of, spread_wrenches, weakest
 
 SAMPLE = 256  # wrenches at which error bars are compared with the tolerance: 95 % of them are 243
@@ -36,7 +36,7 @@ ENOUGH = 0.95  # of the sample within the tolerance ends a fill, as bars hold 95
 CANDIDATES = 384  # wrenches to choose from: more differ by less than a row changes the bars
 AXIS_CANDIDATES = 32  # of each axis by itself, where a table brings no tangents
 # Each fourth wrench is one of an even spread, as later queries are: where the bar is
-# largest is at the ends of the range, and rows left out there say little of the rest. Over five
+# largest is at the ends of the range, and rows left out there say little of its inside. Over five
 # made-up responses, 39 solves, the worst output's part inside its bar rises from 89 to 93 % by it,
 # and errors stay the same.
 EVENLY = 4
@@ -44,12 +44,10 @@ EVENLY = 4
 # for a joint allows. A stiff freedom asks more of its bar than the tolerance does.
 FORCE_ERROR = 0.05
 FAR = 10_000  # into the sequence, so that the even ones are none of the sample's
-# Candidates chosen between two looks at the bars that they will leave: a look costs as much.
+# Candidates chosen between two checks of the bars that remain: a check costs as much.
 BETWEEN_CHECKS = 3
 MAX_SOLVES = 1e6  # of an estimate; beyond that no number says more than that
-RECOMPUTED = (
-    16  # candidates computed anew at once: the largest is nearly always among the first few
-)
+RECOMPUTED = 16  # candidates computed anew at once: the largest is nearly always among the first
 
 # Signs of eight corners: the third of the 2^(6-3) fractions, in which no load's effect is another's
 # (Box and Hunter 1961): the last three are the products of two of the first three.
@@ -73,7 +71,7 @@ class Known:
 
     def _key(self, wrench: Floats) -> tuple[int, ...]:
         with np.errstate(over="ignore"):
-            steps = np.round(wrench / self.scale / CLEAN)
+            steps = np.round(wrench / self.scale / ZERO_LOAD)
         return tuple(np.clip(steps, -_FAR, _FAR).astype(np.int64).tolist())
 
     def new(self, wrenches: Floats) -> Floats:
@@ -96,29 +94,29 @@ def first_count(span: LoadRange, rows: Rows) -> int:
     Fewer as long as all `rows` of the table bring second derivatives.
     """
     vary = int((span.high > span.low).sum())
-    bent = not len(rows) or (rows.curvature.shape[1] and np.isfinite(rows.curvature).all())
-    return (PER_LOAD_CURVED if bent else PER_LOAD) * vary + FURTHER if vary else 1
+    has_curvature = not len(rows) or (rows.curvature.shape[1] and np.isfinite(rows.curvature).all())
+    return (PER_LOAD_CURVED if has_curvature else PER_LOAD) * vary + FURTHER if vary else 1
 
 
 def first_design(span: LoadRange, known: Known, count: int) -> Floats:
     """Return new wrenches of the first design within a span, shape (count, 6), N and N·m.
 
-    Zero load, corners of a fraction that keeps the loads' effects apart, then an additive
+    Zero load, corners of a fraction that separates the loads' effects, then an additive
     recurrence (Roberts 2018, the R sequence). A load that the span holds at one value keeps it.
     Fewer come from a span so narrow that there are not as many different wrenches in it.
     """
     middle, half = (span.low + span.high) / 2, (span.high - span.low) / 2
-    at_rest = np.clip(span.space.zero, span.low, span.high)
+    zero_load = np.clip(span.space.zero, span.low, span.high)
     signs = CORNERS if span.space.is_default else np.empty((0, len(half)))
     corners = middle + OUT * signs * half
-    chosen = list(known.new(np.concatenate((at_rest[None], corners))))
-    # A place of the sequence is refused only if it is known already. So many refusals mean that
-    # the whole span is.
+    chosen = list(known.new(np.concatenate((zero_load[None], corners))))
+    # A wrench of the sequence is refused only if it is known already. So many refusals mean that
+    # all wrenches of the span are.
     last = count + len(known.keys) if half.any() else 0
-    for place in range(1, last + 1):
+    for number in range(1, last + 1):
         if len(chosen) >= count:
             break
-        chosen.extend(known.new(spread_wrenches(span, 1, place)))
+        chosen.extend(known.new(spread_wrenches(span, 1, number)))
     return np.array(chosen[:count]).reshape(-1, len(half))
 
 
@@ -151,7 +149,7 @@ def next_wrenches(
     """Return at most `budget` wrenches that lower the error most, none of them known or pending.
 
     A linear component needs but one solve, which brings its compliance. Without a tolerance (the
-    table's own if None) the refinement has no end.
+    table's if None) the refinement has no end.
 
     Parameters
     ----------
@@ -172,7 +170,7 @@ def next_wrenches(
     # Of outputs that some rows lack, those that the fewest rows hold are the worst known.
     surrogate = table.groups[0]
     if surrogate.linear:
-        # One wrench, since any solve of a linear component brings the whole compliance. Where
+        # One wrench, since any solve of a linear component brings all of its compliance. Where
         # solves bring none (an expert's deck), the single loads, of those that the span has if it
         # is a part of the load range.
         if surrogate.fit.complete:
@@ -185,8 +183,8 @@ def next_wrenches(
                 known.pending[:0], "met", "the compliance is known in all loads that occur"
             )
         high, low = surrogate.load_range.high, surrogate.load_range.low
-        full = np.where(high > 0, high, low)
-        single = np.diag(np.where(full != 0, full, 1.0))[needed]
+        amounts = np.where(high > 0, high, low)
+        single = np.diag(np.where(amounts != 0, amounts, 1.0))[needed]
         if not len(surrogate.rows):
             single = single[:1]
         fresh = known.new(single)
@@ -197,18 +195,18 @@ def next_wrenches(
         )
     if not (span.high > span.low).any():
         return _first(known.new(span.low[None])[:budget], "the scene has one wrench")
-    left = first_count(span, surrogate.used) - len(surrogate.used) - len(known.pending)
-    if left > 0:
-        more = first_design(span, known, min(budget, left))
+    remaining = first_count(span, surrogate.used) - len(surrogate.used) - len(known.pending)
+    if remaining > 0:
+        more = first_design(span, known, min(budget, remaining))
         return _first(
-            more, f"the first design needs {left} solves; their error bars place the next ones"
+            more, f"the first design needs {remaining} solves; their error bars place the next ones"
         )
     if surrogate.kriging is None:
         more = first_design(span, known, budget)
         return _first(more, "too few rows for error bars: these wrenches are evenly spread")
     limit = tolerance or surrogate.tolerance
-    places = np.delete(np.arange(len(outputs)), surrogate.locked) if for_joint else None
-    return _Refinement(table, known, limit, span, list(outputs), places).design(budget)
+    indices = np.delete(np.arange(len(outputs)), surrogate.locked) if for_joint else None
+    return _Refinement(table, known, limit, span, list(outputs), indices).design(budget)
 
 
 def _first(wrenches: Floats, reason: str) -> Design:
@@ -231,7 +229,7 @@ class _Refinement:
         outputs: list[int],
         joint: NDArray[np.intp] | None = None,
     ) -> None:
-        """Take, for a joint, also the places of the loads and outputs that its part moves by."""
+        """Take, for a joint, also the indices of the loads and outputs that its part moves by."""
         self.table, surrogate = table, table.groups[0]
         assert surrogate.kriging is not None
         self.surrogate, self.kriging, self.known = surrogate, surrogate.kriging, known
@@ -250,7 +248,7 @@ class _Refinement:
     def design(self, budget: int) -> Design:
         """Return the next round, or none where the tolerance is met once all pending is solved."""
         sample, pending = spread_wrenches(self.span, SAMPLE), self.known.pending
-        losses = self._losses(sample) * self._left(pending, sample)
+        losses = self._losses(sample) * self._reduction(pending, sample)
         # Where errors are not known nothing is covered, however small the deviation is.
         known = np.isfinite(self.kriging.answer_many(sample)[1]).all(axis=1)
         within = float(((losses <= 1.0) & (known | (len(pending) > 0))).mean())
@@ -283,39 +281,39 @@ class _Refinement:
         only those that may still be the largest are computed anew (Minoux 1978).
         """
         # Evenly spread, and moved on with each row. Where rows bring no tangents, wrenches of one
-        # axis are worth as much as full ones.
+        # axis are worth as much as multi-axis ones.
         start = 1 + CANDIDATES + len(self.surrogate.rows)
         parts = [self.indefinite, spread_wrenches(self.span, CANDIDATES, start)]
         has_tangents = np.isfinite(self.surrogate.used.compliance).all(axis=(1, 2)).any()
         if self.surrogate.has_axes and not has_tangents:
-            at_rest = np.clip(self.span.space.zero, self.span.low, self.span.high)
+            zero_load = np.clip(self.span.space.zero, self.span.low, self.span.high)
             single = spread_wrenches(self.span, AXIS_CANDIDATES, start)
             parts += [
-                np.where(np.isin(np.arange(6), axis.inputs), single, at_rest) for axis in AXES
+                np.where(np.isin(np.arange(6), axis.inputs), single, zero_load) for axis in AXES
             ]
         candidates = self.known.new(np.concatenate(parts))
         losses, pending = self._losses(candidates), self.known.pending
-        if not np.isfinite(losses).all():  # the kriging's own error bars order them all the same
-            own = self.kriging.answer_many(candidates)[1] / self.allowed
-            losses = own[:, self.outputs].max(axis=1)
-        left, now = losses * self._left(pending, candidates), self._losses(sample)
+        if not np.isfinite(losses).all():  # the kriging's error bars order them all the same
+            errors = self.kriging.answer_many(candidates)[1] / self.allowed
+            losses = errors[:, self.outputs].max(axis=1)
+        expected, now = losses * self._reduction(pending, candidates), self._losses(sample)
         first, before = len(pending), len(pending) + len(self.surrogate.used)
         while (count := len(pending) - first) < min(budget, len(candidates)):
             if self.may_end and count and count % BETWEEN_CHECKS == 0:
-                within = now * self._left(pending, sample) <= 1.0
+                within = now * self._reduction(pending, sample) <= 1.0
                 if float(within.mean()) >= ENOUGH:
                     break
             number = before + count
             even = spread_wrenches(self.span, 1, FAR + number // EVENLY)
             fresh = self.known.new(even) if number % EVENLY == 0 else even[:0]
             if not len(fresh):
-                computed = np.zeros(len(left), dtype=bool)
-                while not computed[best := int(np.argmax(left))]:
-                    top = np.argsort(-left)[:RECOMPUTED]
+                computed = np.zeros(len(expected), dtype=bool)
+                while not computed[best := int(np.argmax(expected))]:
+                    top = np.argsort(-expected)[:RECOMPUTED]
                     top = top[~computed[top]]
-                    left[top] = losses[top] * self._left(pending, candidates[top])
+                    expected[top] = losses[top] * self._reduction(pending, candidates[top])
                     computed[top] = True
-                losses[best] = left[best] = -1.0
+                losses[best] = expected[best] = -1.0
                 fresh = candidates[best : best + 1]
             pending = np.concatenate((pending, fresh))
         return pending[first:]
@@ -362,8 +360,8 @@ class _Refinement:
         slopes = packed.derivatives(wrenches, method="kriging", without_rows=True)
         return slopes[:, self.joint][:, :, self.joint]
 
-    def _left(self, solved: Floats, wrenches: Floats) -> Floats:
-        """Return the part of their bars (n,) that is left at wrenches (n, 6) once others are."""
+    def _reduction(self, solved: Floats, wrenches: Floats) -> Floats:
+        """Return which part of the bars (n,) at wrenches (n, 6) remains once others are solved."""
         if not len(solved):
             return np.ones(len(wrenches))
         now = self.kriging.sigma_with(solved[:0], wrenches).sum(axis=1)

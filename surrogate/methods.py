@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from .axes.axes import Axes
 from .axes.axis_table import AxisTable
 from .kriging import Kriging, SingularCovarianceError, TooFewRowsError
-from .table.axes import AXES, LoadAxis, clean_rows, count_full
+from .table.axes import AXES, LoadAxis, count_multi_axis, single_axis_rows
 from .table.compliance import ComplianceFit
 from .table.rows import ROUNDING, Floats, LoadRange, Rows
 from .table.space import LOADS, OUTPUTS
@@ -66,7 +66,7 @@ def axes_errors(rows: Rows, axes: Axes) -> AxesErrors:
     clean = np.zeros(len(rows), dtype=bool)
     for table in axes.tables:
         if table is not None:
-            clean[[group[0] for group in table.rows.members]] |= table.rows.clean
+            clean[[group[0] for group in table.rows.members]] |= table.rows.single_axis
     # A moment alone belongs to two axes, each of which counts half.
     fraction = np.where(clean[known], 1.0 / np.maximum(used.sum(axis=0), 1), 1.0)
     additive = composed.additive - compared.displacement + fraction[:, None] * deviation.sum(axis=0)
@@ -183,9 +183,9 @@ def _choose_by_errors(
         return MethodChoice(method, f"{reason}; {why}", {})
     of_axes = _scores(errors, np.ptp(rows.displacement, axis=0))
     needed = full_needed(rows)
-    unknown = needed == ENOUGH_FULL and count_full(rows, load_range) < needed
+    unknown = needed == ENOUGH_FULL and count_multi_axis(rows, load_range) < needed
     # Pushes beside a point have loads of one axis alone, and no moment alone for the other axes.
-    clean = clean_rows(rows, load_range)
+    clean = single_axis_rows(rows, load_range)
     moments_alone = bool((clean.sum(axis=1) == 2).any())
     pushes = clean.all(axis=0).any() and rows.wrench[:, 3:].any() and not moments_alone
     interpolator = kriging() if not too_large and (pushes or not unknown) else None
@@ -223,7 +223,7 @@ def _of_the_axes(
     `griddata` takes a translation from its axis alone. The rows of the other axes show the
     neglected part: it must be within the error bars of the axis.
     """
-    clean = clean_rows(rows, load_range)
+    clean = single_axis_rows(rows, load_range)
     size = float(np.abs(rows.displacement[:, :3]).max(initial=0.0))
     rows_elsewhere = False
     for index, (axis, table) in enumerate(zip(AXES, axes.tables, strict=True)):
@@ -286,7 +286,7 @@ def interaction_of(rows: Rows, load_range: LoadRange, axes: Axes) -> Kriging | N
 
     None where such wrenches are too few, or contradict each other.
     """
-    full = np.flatnonzero(~clean_rows(rows, load_range).any(axis=1))
+    full = np.flatnonzero(~single_axis_rows(rows, load_range).any(axis=1))
     tables = [table for table in axes.tables if table is not None]
     taken = [row for table in tables for group in table.rows.members for row in group]
     free = np.setdiff1d(full, taken)

@@ -8,7 +8,7 @@ errs one way at all wrenches alike, nothing of it averages out.
 A mesh that is too coarse is too stiff. With D what it adds to the stiffness at small loads, that is
 K0 dC K0 of a compliance 1/K0 that is dC short, a displacement u with the tangent T lacks T D u:
 dC w for small w, more where a part softens (a column at 0.8 of its buckling load: 25 times), and
-something in outputs of second order. Every solved row brings T and u, so rows tell by how much.
+something in outputs of second order. Every solved row brings T and u, so rows show by how much.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from .table.rows import Floats, LoadRange, Rows
 from .table.space import PER_INTERFACE
 
 _MAX_BY_SQUARE = 1.0
-"""Of the share at small loads, at the full range: up to it growth follows the load's square,
-which at most doubles a bar and needs nothing else; beyond it by each answer's own tangent."""
+"""Of the error at small loads, at the full range: up to it growth follows the load's square,
+which at most doubles a bar and needs nothing else; beyond it by each answer's tangent."""
 
 _NEGLIGIBLE = 1e-6
-"""Of a bar at full load, below which a load's share of it is left out: an estimate has 1 digit."""
+"""Of a bar at full load, below which a load's part of it is left out: an estimate has 1 digit."""
 
 UNKNOWN = (
     "nothing has told how far the solver's own mesh is off; the next solve of this component "
@@ -68,19 +68,19 @@ class SolverError:
             stiffness = _shaped(values["mesh_stiffness"], (n, m), "mesh_stiffness")
             self.stiffness = None if "linearity" in values else stiffness
         matrix = np.zeros((m, n)) if self.mesh is None else self.mesh
-        shares = matrix * loads
-        small = shares <= _NEGLIGIBLE * shares.sum(axis=1, keepdims=True)
+        components = matrix * loads
+        small = components <= _NEGLIGIBLE * components.sum(axis=1, keepdims=True)
         self._matrix = np.where(small, 0.0, matrix)
         self._square = self.growth + (0.0 if self.linearity is None else self.linearity)
         self._loads = np.where(loads > 0, loads, np.inf)
         self.needs_tangent = self.stiffness is not None and bool(
             (self.growth > _MAX_BY_SQUARE * (self._matrix @ loads)).any()
         )
-        self._one_over = 1.0 / self._loads
+        self._inverse_loads = 1.0 / self._loads
 
     @property
     def can_grow(self) -> bool:
-        """Whether rows can tell how the discretisation error grows, or there is nothing to tell.
+        """Whether rows can show how the discretisation error grows, or need not.
 
         False of what was estimated before ``mesh_stiffness`` was stored.
         """
@@ -88,7 +88,7 @@ class SolverError:
 
     @property
     def packed(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-        """The arrays that the kernel computes the share of an answer from.
+        """The arrays from which the kernel computes the solver's error of an answer.
 
         Shape (6, 6), SI; (6,), m and rad; one over the largest loads (6,), 1/N and 1/(N·m); what
         the mesh adds to the stiffness (6, 6), N/m and so on; whether answers' tangents are needed
@@ -97,7 +97,7 @@ class SolverError:
         asks = 0.0 if self.stiffness is None else 1.0 + self.needs_tangent
         none = np.zeros(self._matrix.T.shape)
         stiffness = none if self.stiffness is None else self.stiffness
-        return self._matrix, self._square, self._one_over, stiffness, np.array([asks])
+        return self._matrix, self._square, self._inverse_loads, stiffness, np.array([asks])
 
     @classmethod
     def read(cls, values: Mapping[str, Any] | None) -> SolverError | None:
@@ -105,10 +105,10 @@ class SolverError:
         return None if values is None else cls(values)
 
     def grown(self, rows: Rows, load_range: LoadRange | None = None) -> SolverError:
-        """Return this with what solved rows tell of the discretisation error beyond small loads.
+        """Return this with the growth of the discretisation error that solved rows show.
 
         ``mesh_growth`` is the least that, growing with the square of the largest load over its
-        range, makes the share at each row T D u or more. The square is the first term that linear
+        range, makes the error at each row T D u or more. The square is the first term that linear
         answers lack. Where it more than doubles bars (`needs_tangent`) it stands only for what has
         no tangent: it would be hundreds of times the truth at loads that do not push.
 
@@ -116,27 +116,27 @@ class SolverError:
         ----------
         rows : Rows
             Of one version of a table; those without tangents or outputs, measured ones and those
-            beyond the range tell nothing.
+            beyond the range have no effect.
         load_range : LoadRange, optional
             The table's. Without it a row is beyond the range where a load is larger than the
             largest of either sign.
         """
         if self.mesh is None or self.linearity is not None or "mesh_stiffness" not in self.values:
             return self
-        # Wrenches (n, 6), displacements (n, 6) and tangents (n, 6, 6) of rows solved whole.
-        whole = (
+        # Wrenches (n, 6), displacements (n, 6) and tangents (n, 6, 6) of complete solves.
+        complete = (
             (rows.source == "fea")
             & np.isfinite(rows.displacement).all(axis=1)
             & np.isfinite(rows.compliance).all(axis=(1, 2))
         )
         wrench, moved, tangent = (
-            rows.wrench[whole],
-            rows.displacement[whole],
-            rows.compliance[whole],
+            rows.wrench[complete],
+            rows.displacement[complete],
+            rows.compliance[complete],
         )
-        one_over = self._one_over
+        inverse_loads = self._inverse_loads
         size = np.abs(wrench - self.zero)
-        part = (size * one_over).max(axis=1, initial=0.0)
+        part = (size * inverse_loads).max(axis=1, initial=0.0)
         inside = (part > 0.0) & (part <= 1.0 + _NEGLIGIBLE)
         if load_range is not None:
             inside &= ~load_range.exceeded(wrench).any(axis=1)
@@ -150,16 +150,16 @@ class SolverError:
         growth = np.maximum(growth, self.growth)
         return SolverError({**self.values, "mesh_growth": growth.tolist()})
 
-    def share(self, wrench: Floats) -> Floats:
-        """Return the whole share of an error bar at a wrench (6,), N and N·m: (6,), m and rad."""
-        return np.sum(self._shares(wrench), axis=0)
+    def total(self, wrench: Floats) -> Floats:
+        """Return the solver's error at a wrench (6,), N and N·m: (6,), m and rad."""
+        return np.sum(self._components(wrench), axis=0)
 
     def parts(self, wrench: Sequence[float]) -> dict[str, list[float] | None]:
-        """Return each cause's share of a bar, (6,), m and rad, at a wrench (6,), N and N·m.
+        """Return each cause's component of a bar, (6,), m and rad, at a wrench (6,), N and N·m.
 
         Of ``mesh``, and of a linear component ``linearity``; None where it is not known.
         """
-        small, more = self._shares(np.array(wrench, dtype=float))
+        small, more = self._components(np.array(wrench, dtype=float))
         if "linearity" not in self.values:
             return {"mesh": None if self.mesh is None else (small + more).tolist()}
         return {
@@ -167,10 +167,10 @@ class SolverError:
             "linearity": None if self.linearity is None else more.tolist(),
         }
 
-    def _shares(self, wrench: Floats) -> tuple[Floats, Floats]:
+    def _components(self, wrench: Floats) -> tuple[Floats, Floats]:
         """Return what grows with the loads, and with the square of the largest of them."""
         sizes = np.abs(wrench - self.zero)
-        most = (sizes * self._one_over).max(initial=0.0)
+        most = (sizes * self._inverse_loads).max(initial=0.0)
         return self._matrix @ sizes, self._square * (most * most)
 
     def at_full_range(self) -> dict[str, list[float] | None]:
@@ -180,21 +180,21 @@ class SolverError:
 
 
 def _numbers(value: Any, shape: tuple[int, ...], name: str) -> Floats:
-    found = _shaped(value, shape, name)
-    if not (found >= 0).all():
+    array = _shaped(value, shape, name)
+    if not (array >= 0).all():
         raise ValueError(f"{name} of a solver's error must not be negative")
-    return found
+    return array
 
 
 def _shaped(value: Any, shape: tuple[int, ...], name: str) -> Floats:
-    found = np.array(value, dtype=float)
-    if found.shape != shape or not np.isfinite(found).all():
+    array = np.array(value, dtype=float)
+    if array.shape != shape or not np.isfinite(array).all():
         raise ValueError(f"{name} of a solver's error must be of shape {shape}, finite")
-    return found
+    return array
 
 
-def bars_are_whole(rows: Rows, error: SolverError | None) -> bool:
-    """Tell whether bars hold all that rows may be wrong by: solved ones need their solver's share.
+def bars_are_complete(rows: Rows, error: SolverError | None) -> bool:
+    """Whether error bars have all components: those of solved rows need their solver's error.
 
     Where the solver's error was never estimated, or is lost, bars are of the table alone.
     """

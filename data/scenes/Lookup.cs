@@ -9,7 +9,7 @@ using System.Text;
 internal static unsafe class Native
 {
     private const string Library = "wrenchbook";
-    internal const int Most = 64, MostReasons = 32; // WB_MOST, WB_MOST_REASONS
+    internal const int Max = 64, MaxReasons = 32; // WB_MAX, WB_MAX_REASONS
 
     // wb_options
     [StructLayout(LayoutKind.Sequential)]
@@ -41,16 +41,16 @@ internal static unsafe class Native
         public int unknown;
         public int unused;
         public long row;
-        public long place;
+        public long index;
         public ulong missing;
-        public fixed double inputs[Most];
-        public fixed double outputs[Most];
-        public fixed double error[Most];
-        public fixed double interpolation[Most];
-        public fixed double discretisation[Most];
-        public fixed double linearity[Most];
-        public fixed double measurement[Most];
-        public fixed byte reason[MostReasons * 32];
+        public fixed double inputs[Max];
+        public fixed double outputs[Max];
+        public fixed double error[Max];
+        public fixed double interpolation[Max];
+        public fixed double discretisation[Max];
+        public fixed double linearity[Max];
+        public fixed double measurement[Max];
+        public fixed byte reason[MaxReasons * 32];
         public ulong solved;
     }
 

@@ -92,7 +92,7 @@ def straight_edges(solver_error: Mapping[str, Any]) -> list[BundleProblem]:
 
 
 def _worst(errors: Array, allowed: Array) -> tuple[float, str]:
-    """Return the largest ratio of error (6 i,) to tolerance (6,), and that in words."""
+    """Return the largest ratio of error (6 i,) to tolerance (6,), and its text."""
     ratios = errors / np.resize(allowed, errors.shape)
     output = int(ratios.argmax())
     interface, freedom = divmod(output, len(_OUTPUTS))

@@ -1,8 +1,8 @@
-"""Convergence of a component's compliance with smaller cells, and the error of its own mesh.
+"""Convergence of a component's compliance with smaller cells, and the error of its mesh.
 
 Two or three meshes give the change; three also give the order p at which it shrinks, and with it
 the value at cells without size (Richardson 1911; Roache 1994). A linear problem is enough: the
-mesh's error at small loads is the one that the bars take (`fea.accuracy.estimate`). `coarser` and
+mesh's error at small loads is the error that the bars take (`fea.accuracy.estimate`). `coarser` and
 `finer` make the second mesh.
 """
 
@@ -28,7 +28,7 @@ from wrenchbook.fea.spec.schema import Bundle
 Array = np.ndarray
 
 _COARSER = (0.5, 2 / 3)
-"""Cells along each direction of the second mesh, over those of the first; the next where one fails.
+"""Cells along each direction of the second mesh, over the first's; the next where that fails.
 
 A linear solve of it takes a sixth of the first's (generators) to a half (STEP parts).
 """
@@ -93,7 +93,7 @@ MIN_RATIO = 1.1
 
 
 class Study(NamedTuple):
-    """Compliances on meshes from the component's own to the finest."""
+    """Compliances on meshes from the component's to the finest."""
 
     nodes: list[int]  # of each mesh
     sizes: list[float]  # of the cells, the cube root of their mean volume, m
@@ -102,7 +102,7 @@ class Study(NamedTuple):
 
     @property
     def lacking(self) -> Array:
-        """Error of the component's own mesh, shape (6 i, k).
+        """Error of the component's mesh, shape (6 i, k).
 
         The finest is taken to lack what an error of first order would still, the slowest: it rules
         where stresses are singular, at clamped and at re-entrant edges.
@@ -112,7 +112,7 @@ class Study(NamedTuple):
 
     @property
     def order(self) -> Array:
-        """Observed order of each response to its own load, (6 i,).
+        """Observed order of each freedom's response to the load on it, (6 i,).
 
         It is NaN with two meshes, and where changes differ in sign or do not shrink.
         """
@@ -127,7 +127,7 @@ class Study(NamedTuple):
 
     @property
     def extrapolated(self) -> Array:
-        """The responses to their own loads at cells without size, (6 i,); NaN without an order."""
+        """Freedoms' responses to their loads at cells without size, (6 i,); NaN without order."""
         values = np.diagonal(self.compliance, axis1=1, axis2=2)
         ratio = self.sizes[-2] / self.sizes[-1]
         return values[-1] + (values[-1] - values[-2]) / (ratio**self.order - 1)
@@ -149,12 +149,12 @@ def _order(change: float, first: float, second: float, third: float) -> float:
 
 
 def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
-    """Solve the component on its own and on finer meshes.
+    """Solve the component on its mesh and on finer meshes.
 
     Parameters
     ----------
     finer_meshes
-        One or two files with the bundle's groups, in the unit of its mesh, each finer than the one
+        One or two files with the bundle's groups, in the unit of its mesh, each finer than that
         before. Without them cells are halved, twice where that makes at most `MAX_UNKNOWNS`.
 
     Raises
@@ -223,7 +223,7 @@ def write(bundle: Bundle, study: Study) -> Path:
 
 
 def names_of(bundle: Bundle) -> list[str]:
-    """Return the names of the responses to their own loads, such as tool.uz/Fz; (6 i,)."""
+    """Return the names of freedoms' responses to the loads on them, such as tool.uz/Fz; (6 i,)."""
     prefixes = [f"{interface.name}." if bundle.others else "" for interface in bundle.interfaces]
     return [f"{name}{response}" for name in prefixes for response in _RESPONSES]
 
@@ -250,4 +250,4 @@ def stored_error(bundle: Bundle | None, shape: tuple[int, ...]) -> tuple[Array, 
     if error.shape != shape or not np.isfinite(error).all():
         raise ValueError(f"{FILE} is not of this component; run wrenchbook converge again")
     meshes = " and ".join(map(str, others))
-    return error, f"finer meshes of {meshes} nodes beside this one of {first}, at six unit loads"
+    return error, f"finer meshes of {meshes} nodes beside this mesh of {first}, at six unit loads"

@@ -35,7 +35,7 @@ from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, DeclaredRange
 Array = np.ndarray
 
 _PARTS = (1.0, 0.5, 0.25)
-"""Of the largest wrench to be tried, in turn: a smaller one shows as much where a larger fails."""
+"""Of the largest wrench to be tried, in turn: a smaller shows as much where a larger fails."""
 
 _STEEP = 1.25
 """Buckling factor below which the corner itself is not tried: half the buckling load is."""
@@ -128,11 +128,11 @@ _MARGIN = 1.25
 
 
 def accuracy_of(solver: Solver) -> dict[str, Any]:
-    """Return the estimated error of a component's own answers.
+    """Return the estimated error of a component's answers.
 
     What `fea.accuracy.convergence` found of this setup is taken as it is. Else a second mesh is
-    made: of a small mesh a finer one, of a large one a coarser one where one can be made. What the
-    two differ by shows the first one's error as one of first order, the slowest, at the ratio of
+    made: of a small mesh a finer mesh, of a large mesh a coarser mesh where possible. What the
+    two differ by shows the first mesh's error as of first order, the slowest, at the ratio of
     cell sizes that the meshes really have where the error is
     (`fea.accuracy.mesh_error.RecoveredError.coarsening`). Beside a coarser mesh the error is the
     mean, entry by entry, of that and of what stresses recovered on the first mesh lack, with a
@@ -140,9 +140,9 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
     that is coarser where the error is, the error is not known: ``mesh`` is None.
     On nineteen STEP parts with holes and fillets this holds 99 % of the errors of single loads; the
     same mean without the ratio 95 %, and with cells left as they are round small holes 82 %
-    (`make bench NAME=mesh_error`). The finer mesh costs about a second, the coarser one and the
+    (`make bench NAME=mesh_error`). The finer mesh costs about a second, the coarser mesh and the
     stresses 0.2 to 1.1 of a linear solve (`make bench NAME=check`); a linear component costs two
-    nonlinear solves besides, on the coarser mesh if there is one. What straight edges of a mesh
+    nonlinear solves besides, on the coarser mesh if there is any. What straight edges of a mesh
     file change on round surfaces is added (`roundness`): no refinement and no stress shows it.
 
     Returns
@@ -150,11 +150,11 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
     dict
         ``mesh``: shape (6 i, k) for i interfaces and k inputs, as lists, not negative, m/N,
         m/(N·m), rad/N, rad/(N·m): the bar at a wrench is this times the size of each input, from
-        ``zero`` (k numbers, where one is not 0). ``mesh_stiffness``: shape (k, 6 i), the inverse
+        ``zero`` (k numbers, where any is not 0). ``mesh_stiffness``: shape (k, 6 i), the inverse
         units: what the mesh adds to the stiffness, signed. ``mesh_basis``, in words.
         ``rounded``, of a mesh file with straight edges across round surfaces: these' part of
         ``mesh`` (``mesh``), its largest share of a compliance (``share``) and ``basis``, in words.
-        ``cell_size``: the middle one of all edges' lengths, m. ``loads``: the largest of the range,
+        ``cell_size``: the median of all edges' lengths, m. ``loads``: the largest of the range,
         k numbers, SI, 0 on locked freedoms: the guide takes these. Of a linear component also
         ``linearity`` (six numbers, m and rad, or None)
         and ``buckling`` (or None): see `fea.accuracy.estimate`; ``linearity_basis``.
@@ -201,17 +201,17 @@ def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:
     errors.append(_ROUND * round_.change)
     # What straight edges across round surfaces change, and the cells round for 1 %.
     diagonal = np.diag(compliance)
-    share = float(np.abs(np.diag(round_.change)[diagonal > 0] / diagonal[diagonal > 0]).max())
+    ratio = float(np.abs(np.diag(round_.change)[diagonal > 0] / diagonal[diagonal > 0]).max())
     cause = (
-        f"straight edges across round surfaces, which turn by up to {np.degrees(round_.turn):.3g} "
-        f"degrees a cell, change it by {100 * share:.2g} %"
+        f"straight edges across round surfaces, which turn by up to {np.degrees(round_.angle):.3g} "
+        f"degrees a cell, change it by {100 * ratio:.2g} %"
     )
-    if share > FINE:
-        # The change grows with the square of the turn.
-        cells = int(np.ceil(2 * np.pi / (round_.turn * np.sqrt(FINE / share))))
+    if ratio > FINE:
+        # The change grows with the square of the angle.
+        cells = int(np.ceil(2 * np.pi / (round_.angle * np.sqrt(FINE / ratio))))
         cause = f"{cause}; with {cells} cells round it is 1 %"
     report = _report(compliance, np.array(errors), f"{basis}; {cause}")
-    rounded = {"mesh": np.abs(errors[-1]).tolist(), "share": share, "basis": cause}
+    rounded = {"mesh": np.abs(errors[-1]).tolist(), "share": ratio, "basis": cause}
     return report | {"rounded": rounded}
 
 
@@ -245,7 +245,7 @@ def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[Array], str]:
     change = (compliance - second.linear.compliance) * np.outer(scale[: len(lacks)], scale)
     basis = (
         f"a {'finer' if fine else 'coarser'} mesh of {len(second.component.mesh.points)} nodes "
-        f"beside this one of {len(solver.component.mesh.points)}, cells in the ratio "
+        f"beside this mesh of {len(solver.component.mesh.points)}, cells in the ratio "
         f"{np.median(ratio):.2g} where the error is"
     )
     if fine:
@@ -254,13 +254,13 @@ def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[Array], str]:
 
 
 _MIXED = 0.02
-"""Of the root of the product of two responses' own errors, which no error of the two together can
+"""Of the root of the product of the errors of two responses, which no error of the two together can
 exceed (Cauchy and Schwarz: the error's energy is not negative): what one other mesh shows of an
-entry near zero, such as one that symmetry makes so, is chance. Of single loads on STEP parts it
+entry near zero, such as an entry of symmetry, is chance. Of single loads on STEP parts it
 raises the outputs inside from 50 to 76 % to over 90 %."""
 
 _ROUND = 1.1
-"""On what bending the edges changes: the bow leaves out the fourth power of the turn, 2 % of the
+"""On what bending the edges changes: the bow leaves out the fourth power of the angle, 2 % of the
 change at 30 degrees and 4 % at 40."""
 
 
@@ -300,15 +300,15 @@ def accuracy_or_why(solver: Solver) -> dict[str, Any]:
 
 def unknown_of_deck(bundle: Bundle) -> dict[str, Any]:
     """Return the same of a component that an outside solver answers for: nothing is known."""
-    why = "an outside solver's own mesh: the deck's author knows how far it is off"
+    why = "an outside solver's mesh: the deck's author knows how far it is off"
     return {"mesh": None, "mesh_basis": why, **_largest(bundle)}
 
 
 def _largest(bundle: Bundle | None) -> dict[str, list[float]]:
     """Return ``loads``, the largest of each input in the range, 0 where a guide takes it.
 
-    And ``zero``, from where inputs count, if one is not 0. An error that grows with the square of
-    the largest load must not grow with one that is not felt.
+    And ``zero``, from where inputs count, if any is not 0. An error that grows with the square of
+    the largest load must not grow with a load without effect.
     """
     if bundle is None:
         return {"loads": [1.0] * len(FREEDOMS)}

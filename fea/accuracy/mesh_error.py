@@ -9,10 +9,10 @@ between those corners stands for the exact field. The solver's points and no oth
 points of a hex20 with reduced integration the strains of a thin plate are thirty times too large.
 
 Midside nodes that a first-order mesh is given, here or by another program, lie in the middle of
-straight edges. Where the facets of the surface turn little from one to the next they approximate a
-round one, whose normal at a corner is about the mean of the facets' there. An edge of length L
+straight edges. Where the angles between facets of the surface are small they approximate a
+round surface, whose normal at a corner is about the mean of the facets' there. An edge of length L
 between corners with normals m and n then bows out by L/8 (n - m) . d, d the edge's direction: the
-sagitta of a circle to the third order of the turn (Nagata 2005, "Simple local interpolation of
+sagitta of a circle to the third order of the angle (Nagata 2005, "Simple local interpolation of
 surfaces using normal vectors").
 """
 
@@ -31,21 +31,21 @@ from wrenchbook.fea.assembly.body import gather
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.facets import EDGES, corners_of, outer_surface
 from wrenchbook.fea.mesh.mesh import NODES_PER_CELL, Mesh
-from wrenchbook.fea.mesh.reference_cell import node_places, reference_element, tabulate
+from wrenchbook.fea.mesh.reference_cell import node_coordinates, reference_element, tabulate
 from wrenchbook.fea.solve import Solver
 
 Array = np.ndarray
 
 SMOOTH = np.radians(40.0)
-"""Turn between neighbouring facets from which an edge is one of the part; nine cells round a hole
-turn by 40 degrees each."""
+"""Angle between neighbouring facets from which an edge is an edge of the part; nine cells round a
+hole are at 40 degrees to each other."""
 
 STRAIGHT = 1e-3
 """Of an edge's length: a midside node nearer to its middle has been put there, in files with few
 digits too; across a round surface that turns by 0.5 degrees it bows out by as much."""
 
 _PARTS = (1.0, 0.5, 0.25, 0.125)
-"""Of the bow, in turn: in flat cells the whole one can turn a cell inside out, and the compliance
+"""Of the bow, in turn: in flat cells the full bow can turn a cell inside out, and the compliance
 changes in proportion."""
 
 
@@ -54,7 +54,7 @@ class Roundness(NamedTuple):
 
     # Shape (6 i, k): the compliance with straight edges, less that with bent ones, in its units
     change: Array
-    turn: float  # the largest turn from facet to facet that was taken for a round surface, rad
+    angle: float  # the largest between facets that were taken for a round surface, rad
 
 
 def roundness(solver: Solver) -> Roundness | None:
@@ -68,7 +68,7 @@ def roundness(solver: Solver) -> Roundness | None:
     source = component.bundle and component.bundle.mesh
     if not source or source.file is None or source.geometry is not None:
         return None
-    bows, turn = bows_of(component.mesh)
+    bows, angle = bows_of(component.mesh)
     if not bows.any():
         return None
     for part in _PARTS:
@@ -79,12 +79,12 @@ def roundness(solver: Solver) -> Roundness | None:
             if part == _PARTS[-1]:
                 raise
             continue
-        return Roundness((solver.linear.compliance - curved) / part, turn)
+        return Roundness((solver.linear.compliance - curved) / part, angle)
     raise AssertionError("the last part raises")
 
 
 def bows_of(mesh: Mesh) -> tuple[Array, float]:
-    """Return how far each node moves to the round surface, (n, 3), m, and the largest turn, rad.
+    """Return how far each node moves to the round surface, (n, 3), m, and the largest angle, rad.
 
     None moves if any midside node of the surface is off its edge's middle: then they are where the
     geometry has them.
@@ -97,16 +97,16 @@ def bows_of(mesh: Mesh) -> tuple[Array, float]:
         count = corners_of(kind)
         if nodes.shape[1] < 2 * count:
             continue
-        places = np.minimum(np.arange(4), count - 1)
-        corners.append(nodes[:, places])
+        indices = np.minimum(np.arange(4), count - 1)
+        corners.append(nodes[:, indices])
         # The side from the last corner to the first is the last; a triangle's third has no length.
         sides = np.array([0, 1, 2, 3] if count == 4 else [0, 1, 1, 2])
         middles.append(nodes[:, count : 2 * count][:, sides])
     empty = np.empty((0, 4), dtype=np.int64)
     corners, middles = np.concatenate([empty, *corners]), np.concatenate([empty, *middles])
     points = mesh.points[corners]
-    # The surface's normal at each facet's corners, (f, 4, 3), and the facet's largest turn: the
-    # mean of the normals of the facets there that turn little from this one, by their angles there.
+    # The surface's normal at each facet's corners, (f, 4, 3), and the facet's largest angle: the
+    # mean of the normals of the facets there at small angles to this facet, by their angles there.
     normal = np.cross(points[:, 2] - points[:, 0], points[:, 3] - points[:, 1])
     triangle = corners[:, 2] == corners[:, 3]
     of_triangle = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
@@ -123,14 +123,14 @@ def bows_of(mesh: Mesh) -> tuple[Array, float]:
     angles[triangle, 2:] /= 2
     facet, corner = np.divmod(np.argsort(corners, axis=None, kind="stable"), 4)
     ends = np.append(np.flatnonzero(np.diff(corners[facet, corner])) + 1, len(facet))
-    normals, turn, start = np.empty_like(points), np.zeros(len(corners)), 0
+    normals, facet_angle, start = np.empty_like(points), np.zeros(len(corners)), 0
     for end in ends.tolist():
         at, of = facet[start:end], corner[start:end]
         cosines = np.clip(normal[at] @ normal[at].T, -1.0, 1.0)
         near = cosines > np.cos(SMOOTH)
         mean = (near * angles[at, of]) @ normal[at]
         normals[at, of] = mean / np.linalg.norm(mean, axis=1, keepdims=True)
-        np.maximum.at(turn, at, np.arccos(np.where(near, cosines, 1.0).min(axis=1)))
+        np.maximum.at(facet_angle, at, np.arccos(np.where(near, cosines, 1.0).min(axis=1)))
         start = end
     for side in range(corners.shape[1]):
         ends = [side, (side + 1) % corners.shape[1]]
@@ -140,8 +140,10 @@ def bows_of(mesh: Mesh) -> tuple[Array, float]:
         rise = np.einsum("fi,fi->f", second - first, way)[:, None] / 8
         outward = first + second
         bow = rise * outward / np.linalg.norm(outward, axis=1, keepdims=True)
-        apart = np.linalg.norm(mesh.points[middles[:, side]] - points[:, ends].mean(axis=1), axis=1)
-        if (apart > STRAIGHT * length[:, 0]).any():
+        height = np.linalg.norm(
+            mesh.points[middles[:, side]] - points[:, ends].mean(axis=1), axis=1
+        )
+        if (height > STRAIGHT * length[:, 0]).any():
             return np.zeros_like(bows), 0.0
         size = np.linalg.norm(bow, axis=1)
         curved = np.flatnonzero(size > STRAIGHT * length[:, 0])
@@ -150,7 +152,7 @@ def bows_of(mesh: Mesh) -> tuple[Array, float]:
         nodes = middles[curved, side]
         curved = curved[size[curved] > np.linalg.norm(bows[nodes], axis=1)]
         bows[middles[curved, side]] = bow[curved]
-        largest = max(largest, float(turn[curved].max(initial=0.0)))
+        largest = max(largest, float(facet_angle[curved].max(initial=0.0)))
     return bows, largest
 
 
@@ -182,7 +184,7 @@ class RecoveredError(NamedTuple):
     sizes: Array
 
     def coarsening(self, other: Mesh) -> Array:
-        """Cell sizes of another mesh over those of this one where each input's error is, (k,).
+        """Cell sizes of another mesh over those of this mesh where each input's error is, (k,).
 
         A mesher that is given twice the size keeps cells at short edges smaller than that.
         """
@@ -196,7 +198,7 @@ class RecoveredError(NamedTuple):
 def recovered_error(solver: Solver) -> RecoveredError:
     """Return about what responses to unit inputs lack for the mesh.
 
-    A strain of heat is the same in both fields that are compared, and cancels.
+    A thermal strain is the same in both fields that are compared, and cancels.
 
     Raises SolveFailed as `Solver.linear` does.
     """
@@ -212,8 +214,8 @@ def recovered_error(solver: Solver) -> RecoveredError:
         volume = volumes.setdefault(piece.material, np.zeros(nodes))
         volumes_of_cells = piece.weights.sum(axis=1)
         fit = np.linalg.pinv(piece.functions)
-        cells, places = piece.weights.shape
-        by_cell = piece.fields.transpose(2, 3, 0, 1, 4, 5).reshape(cells, places, -1)
+        cells, points_per_cell = piece.weights.shape
+        by_cell = piece.fields.transpose(2, 3, 0, 1, 4, 5).reshape(cells, points_per_cell, -1)
         recovered = (fit @ by_cell) * volumes_of_cells[:, None, None]  # at each cell's corners
         count = piece.corners.size
         entries = (np.ones(count), (piece.corners.ravel(), np.arange(count)))
@@ -242,10 +244,10 @@ def recovered_error(solver: Solver) -> RecoveredError:
 
 def _centres_and_diameters(points: Array, blocks: list[Array]) -> tuple[Array, Array]:
     """Return the centres and the largest distances between corners of cells, by their corners."""
-    places = [points[corners] for corners in blocks]
-    apart = [np.linalg.norm(place[:, :, None] - place[:, None], axis=-1) for place in places]
-    centres = np.concatenate([place.mean(axis=1) for place in places])
-    return centres, np.concatenate([distances.max(axis=(1, 2)) for distances in apart])
+    cells = [points[corners] for corners in blocks]
+    spans = [np.linalg.norm(cell[:, :, None] - cell[:, None], axis=-1) for cell in cells]
+    centres = np.concatenate([cell.mean(axis=1) for cell in cells])
+    return centres, np.concatenate([distances.max(axis=(1, 2)) for distances in spans])
 
 
 def _pieces(solver: Solver) -> Iterator[_Piece]:
@@ -276,8 +278,8 @@ def _pieces(solver: Solver) -> Iterator[_Piece]:
 @cache
 def _corner_functions(kind: str, integration: str) -> Array:
     """Return the linear shape functions of a cell's corners at its points, (points, corners)."""
-    places = reference_element(kind, integration).values @ node_places(kind)
-    functions = tabulate(_FIRST_ORDER[kind[:3]], places)[0]
+    points = reference_element(kind, integration).values @ node_coordinates(kind)
+    functions = tabulate(_FIRST_ORDER[kind[:3]], points)[0]
     assert functions.shape[1] == int(np.max(EDGES[kind])) + 1
     return functions
 

@@ -52,8 +52,8 @@ def filled_cells(
         if projected:
             modes = volume_modes(mesh.points, part, gradients.weights, integration)
         values = reference_element(part.kind, integration).values
-        places = values @ mesh.points[part.nodes] @ frame + start
-        filled.append((part, _stiffness(law, gradients, cell_materials, modes, (frame, places))))
+        points = values @ mesh.points[part.nodes] @ frame + start
+        filled.append((part, _stiffness(law, gradients, cell_materials, modes, (frame, points))))
     return filled
 
 
@@ -117,10 +117,10 @@ def _directions(
 ) -> list[tuple[AnyMaterial, Array, Array]]:
     """Return each material, its cells (k,) and its directions there, (k, points or 1, 3, 3).
 
-    `where` is the frame of the result, (3, 3), and the integration points' places in the bundle's
+    `where` is the frame of the result, (3, 3), and the integration points in the bundle's
     axes, (cells, points, 3), m. Directions that are everywhere the same stand once a cell.
     """
-    frame, places = where
+    frame, points = where
     groups = []
     for chosen in {id(material): material for material in materials}.values():
         cells = np.array([k for k, material in enumerate(materials) if material is chosen])
@@ -128,7 +128,7 @@ def _directions(
         if orthotropic is None:
             directions = np.broadcast_to(np.eye(3), (len(cells), 1, 3, 3))
         else:
-            at = places[cells] if orthotropic.cylinder else places[cells, :1]
+            at = points[cells] if orthotropic.cylinder else points[cells, :1]
             directions = orthotropic.directions(at) @ frame.T
         groups.append((chosen, cells, directions))
     return groups

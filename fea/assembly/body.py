@@ -44,8 +44,8 @@ class Movable:
         self.free = free
         chosen = free[held[0]]
         self._nodes, self._held = held[0][chosen], held[1][chosen]
-        self._place = np.full(free.size, -1)
-        self._place[self._nodes] = np.arange(self._nodes.size)
+        self._held_index = np.full(free.size, -1)
+        self._held_index[self._nodes] = np.arange(self._nodes.size)
 
     def released(self, fields: Array) -> Array:
         """Return fields (n, 3, ...) without what acts on, or moves, held nodes and directions."""
@@ -54,19 +54,19 @@ class Movable:
             free[self._nodes] -= np.einsum("nij,nj...->ni...", self._held, free[self._nodes])
         return free
 
-    def apart(self, matrices: Array, nodes: Array) -> Array:
-        """Return cells' matrices (m, 3 s, 3 s), N/m, of nodes (m, s), with held directions apart.
+    def decoupled(self, matrices: Array, nodes: Array) -> Array:
+        """Return cells' matrices (m, 3 s, 3 s), N/m, of nodes (m, s), held directions decoupled.
 
         A row of a cell's matrix is a component and a node, the node running faster.
         """
-        places = self._place[nodes]
-        touched = np.flatnonzero((places >= 0).any(axis=1))
+        held_index = self._held_index[nodes]
+        touched = np.flatnonzero((held_index >= 0).any(axis=1))
         if not touched.size:
             return matrices
         local, size = matrices[touched], matrices.shape[1]
         held = np.zeros((touched.size, 3, nodes.shape[1], 3, nodes.shape[1]))
-        cells, corners = np.nonzero(places[touched] >= 0)
-        held[cells, :, corners, :, corners] = self._held[places[touched][cells, corners]]
+        cells, corners = np.nonzero(held_index[touched] >= 0)
+        held[cells, :, corners, :, corners] = self._held[held_index[touched][cells, corners]]
         held = held.reshape(local.shape)
         free = np.eye(size) - held
         stiffness = np.abs(np.trace(local, axis1=1, axis2=2)) / size
@@ -115,7 +115,7 @@ class ElasticBody:
         other.parts = [part.at(temperature, finite) for part in self.parts]
         return other
 
-    def heat(self, displacement: Array, temperature: float = 0.0) -> tuple[Array, float]:
+    def thermal_rates(self, displacement: Array, temperature: float = 0.0) -> tuple[Array, float]:
         """Return the change per kelvin at a displacement, shape (n, 3), m, and a temperature, K.
 
         Of the internal forces, shape (n, 3), N/K, and of the strain energy, J/K; by differences
@@ -147,7 +147,7 @@ class ElasticBody:
         ]
 
     def leaves_from(self, number: int) -> list[int]:
-        """Return the numbers of some leaves from one on, enough to be worth making at once."""
+        """Return the numbers of some leaves from `number` on, enough to be worth making at once."""
         counts = self._leaf_cells
         first = int(np.searchsorted(counts[0], number))
         last = int(np.searchsorted(counts[1], counts[1][first] + _AT_A_TIME))
@@ -189,11 +189,11 @@ class ElasticBody:
         """Return the tangent stiffness.
 
         displacement: shape (n, 3), m; None for the undeformed state.
-        step: of Newton's method, the last one: the displacement it aimed at and the change, both
-        linear in the unknowns, shape (n, 3), m. Then the stress in the tangent is the one
+        step: of Newton's method, the last: the displacement it aimed at and the change, both
+        linear in the unknowns, shape (n, 3), m. Then the stress in the tangent is that
         extrapolated linearly from the state before that step: the iteration of Magisano, Leonetti
         and Garcea ("mixed integration points", 2017). Slender parts need several times fewer
-        iterations with it, as a large step's false membrane strain no longer stiffens the next one.
+        iterations with it, as a large step's false membrane strain no longer stiffens the next.
         The two tangents agree as the steps vanish.
         """
         return Tangent(self, displacement, step)
@@ -286,10 +286,10 @@ class Tangent:
         sums = np.zeros_like(scale)
         for number, scatter in enumerate(self._body.scatter):
             for cells in _batches(np.arange(len(scatter.diagonal))):
-                places = scatter.diagonal[cells]
+                unknowns = scatter.diagonal[cells]
                 sizes = self._cells(number, cells)
-                scaled = (np.abs(sizes, out=sizes) @ scale[places][..., None])[..., 0]
-                sums += np.bincount(places.ravel(), scaled.ravel(), minlength=sums.size)
+                scaled = (np.abs(sizes, out=sizes) @ scale[unknowns][..., None])[..., 0]
+                sums += np.bincount(unknowns.ravel(), scaled.ravel(), minlength=sums.size)
         return float((scale * sums).max(initial=1.0))
 
     def _cells(self, number: int, cells: Array) -> Array:
@@ -297,7 +297,7 @@ class Tangent:
         nodes = self._body.cells[number][cells]
         moved = None if self._displacement is None else gather(self._displacement, nodes)
         matrices = self._body.parts[number].tangent(moved, _gather_pair(self._step, nodes), cells)
-        return self._body.movable.apart(matrices, nodes)
+        return self._body.movable.decoupled(matrices, nodes)
 
     def _leaf(self, number: int) -> Array:
         """Return the matrix of one leaf; a few leaves are made at once."""

@@ -29,8 +29,8 @@ class Balance:
     # shape (border,), N and N·m for interface freedoms, m and m^2 for constraints.
     nodal: Array
     border: Array
-    # Norm of the nodal forces, N, and the energy, J, that heat alone has in a body held all over
-    heat: tuple[float, float] = (0.0, 0.0)
+    # Norm of the nodal forces, N, and the energy, J, of the temperature in a body held all over
+    thermal: tuple[float, float] = (0.0, 0.0)
 
     @property
     def norm(self) -> float:
@@ -39,8 +39,8 @@ class Balance:
 
     @property
     def scale(self) -> float:
-        """Euclidean norm of all nodal forces, those of supports, interface and heat too, N."""
-        return float(np.linalg.norm(self.forces)) + self.heat[0]
+        """Euclidean norm of all nodal forces: supports, interface and temperature too, N."""
+        return float(np.linalg.norm(self.forces)) + self.thermal[0]
 
 
 class Linearisation:
@@ -49,7 +49,7 @@ class Linearisation:
     With the body's stiffness K, the border's columns C and block D, it solves
     [[K, C], [C^T, D]] by the Schur complement S = D - C^T K^-1 C.
 
-    `interface_ratio` is what elimination left of the border's stiffness, relative to its own; near
+    `interface_ratio` is what elimination left of the border's stiffness, relative to it; near
     roundoff nothing holds the interface.
     """
 
@@ -59,20 +59,20 @@ class Linearisation:
         coupling: Coupling,
         balance: Balance,
         tangent: Tangent,
-        pull: Array,
+        body_force: Array,
     ) -> None:
         self._body = body
         self._coupling = coupling
         self.state = balance.state
         self.tangent = tangent
-        self._pull = pull
+        self._body_force = body_force
         first = coupling.freedoms
         loads, self._temperature, _ = np.split(balance.wrench, [first, first + body.expands])
         self.border = coupling.bordered(balance.state, balance.forces, loads)
-        pushed = tangent.times(self.border.ties, coupling.tied)
+        pushed = tangent.times(self.border.constraint, coupling.constrained)
         columns = pushed + self.border.columns
         self._columns = body.movable.released(columns)
-        self._block = contract(self.border.ties, pushed) + self.border.block
+        self._block = contract(self.border.constraint, pushed) + self.border.block
 
     @cached_property
     def _solved(self) -> Array:
@@ -93,14 +93,14 @@ class Linearisation:
 
     @property
     def interface_ratio(self) -> float:
-        """Least eigenvalue of the condensed stiffness, scaled by the border's own diagonal."""
+        """Least eigenvalue of the condensed stiffness, scaled by the border's diagonal."""
         return self._softest_interface[0]
 
     @property
     def softest_interface_energy(self) -> float:
         """Strain energy of the interface's softest motion, relative to that of the border alone."""
         border = self._softest_interface[1]
-        field = self.border.ties @ border - self._solved @ border
+        field = self.border.constraint @ border - self._solved @ border
         energy = self._body.strain_energy_products(field[:, :, None])[0, 0]
         energy += self._coupling.spring_energies(border[:, None])[0, 0]
         return float(energy / (border @ (np.diagonal(self._block) * border)))
@@ -178,16 +178,16 @@ class Linearisation:
         if not further.shape[2]:
             return nodal, border
         released = self._body.movable.released(further)
-        border = np.hstack([border, contract(self.border.ties, further)])
+        border = np.hstack([border, contract(self.border.constraint, further)])
         return np.concatenate([nodal, released], axis=2), border
 
     @cached_property
     def further(self) -> Array:
         """Change of nodal forces with the inputs behind the loads, (n, 3, k - 6 i), N/K and kg."""
         if not self._body.expands:
-            return self._pull
-        heat = self._body.heat(self.state.nodes, *self._temperature)[0][:, :, None]
-        return np.concatenate([-heat, self._pull], axis=2)
+            return self._body_force
+        thermal = self._body.thermal_rates(self.state.nodes, *self._temperature)[0][:, :, None]
+        return np.concatenate([-thermal, self._body_force], axis=2)
 
     @cached_property
     def _alone(self) -> Array:
@@ -206,7 +206,7 @@ class Linearisation:
     @property
     def nodal_response(self) -> Array:
         """Change of all nodes per change of the inputs, shape (n, 3, k), m per unit of each."""
-        moved = (self.border.ties - self._solved) @ self.border_response
+        moved = (self.border.constraint - self._solved) @ self.border_response
         if self.further.shape[2]:
             moved[:, :, self._coupling.freedoms :] += self._alone
         return moved

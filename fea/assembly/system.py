@@ -13,6 +13,7 @@ from wrenchbook.fea.assembly.body import ElasticBody, Tangent
 from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
 from wrenchbook.fea.coupling import CoupledState, Coupling
 from wrenchbook.fea.failure import SolveFailed, ill_conditioned, mechanism
+from wrenchbook.fea.spec.problems import point_text
 
 Array = np.ndarray
 
@@ -23,11 +24,11 @@ _MIN_PIVOT = 1e-13
 class System:
     """The equations of one component.
 
-    body: the cells; its free nodes are those neither fixed nor tied by the coupling.
+    body: the cells; its free nodes are those neither fixed nor constrained by the coupling.
     coupling: how the wrench gets in.
-    places: shape (n, 3), m: where the nodes are in the mesh's own axes, for messages.
-    weight: shape (n, 3), N: the nodal forces of the body's own weight; None for none.
-    pull: shape (n, 3, p), N: nodal forces per unit of each acceleration that is an input; None for
+    points: shape (n, 3), m: the nodes' coordinates in the mesh's axes, for messages.
+    weight: shape (n, 3), N: the nodal forces of self-weight; None for none.
+    body_force: shape (n, 3, p), N: nodal forces per unit of each input acceleration; None for
     none. Those and the weight keep their direction: `Balance.forces` are the internal forces less
     these.
     """
@@ -36,20 +37,20 @@ class System:
         self,
         body: ElasticBody,
         coupling: Coupling,
-        places: Array | None = None,
+        points: Array | None = None,
         weight: Array | None = None,
-        pull: Array | None = None,
+        body_force: Array | None = None,
     ) -> None:
-        self._places = body.points if places is None else places
+        self._points = body.points if points is None else points
         self.body = body
         self.coupling = coupling
         self.weight = weight
-        self.pull = np.zeros((body.size, 3, 0)) if pull is None else pull
+        self.body_force = np.zeros((body.size, 3, 0)) if body_force is None else body_force
 
     @property
     def inputs(self) -> int:
         """Number of loads, six an interface, temperature if the body expands, accelerations."""
-        return self.coupling.freedoms + self.body.expands + self.pull.shape[2]
+        return self.coupling.freedoms + self.body.expands + self.body_force.shape[2]
 
     def temperature(self, inputs: Array) -> float:
         """Return the temperature among inputs, shape (k,), K from the reference."""
@@ -74,7 +75,7 @@ class System:
 
     def dead_forces(self, inputs: Array) -> Array:
         """Return the nodal forces of weight and acceleration, (n, 3), N, of inputs (k,)."""
-        pulled = self.pull @ inputs[self.coupling.freedoms + self.body.expands :]
+        pulled = self.body_force @ inputs[self.coupling.freedoms + self.body.expands :]
         return pulled if self.weight is None else pulled + self.weight
 
     def reload(self, balance: Balance, wrench: Array) -> Balance:
@@ -103,7 +104,7 @@ class System:
                 balance, forces=self._forces(balance.state.nodes, balance.wrench, step)[0]
             )
         tangent = body.tangent(balance.state.nodes, step)
-        return Linearisation(self.body, self.coupling, balance, tangent, self.pull)
+        return Linearisation(self.body, self.coupling, balance, tangent, self.body_force)
 
     @cached_property
     def undeformed(self) -> Linearisation:
@@ -112,16 +113,16 @@ class System:
         Raises SolveFailed: ``mechanism`` if the supports leave a motion free, ``ill_conditioned``
         if roundoff does.
         """
+        tangent = self.body.tangent(None)
         start = Linearisation(
-            self.body, self.coupling, self.balance_at_rest, self.body.tangent(None), self.pull
+            self.body, self.coupling, self.balance_at_rest, tangent, self.body_force
         )
         factor = start.tangent.factor
         if factor.pivot_ratio < _MIN_PIVOT:
             energy = softest_energy(self.body, start.tangent)
             weakest = factor.weakest
             node = self.body.dissection.nodes[weakest // 3] if weakest >= 0 else 0
-            place = ", ".join(f"{x:.4g}" for x in self._places[node])
-            raise unheld(f"Near ({place}) m the mesh", energy)
+            raise unheld(f"Near {point_text(self._points[node])} m the mesh", energy)
         if not np.isfinite(start.compliance).all():
             raise unheld("The interface", 0.0)
         if start.interface_ratio < _MIN_PIVOT:
@@ -141,8 +142,8 @@ class System:
         state = self.coupling.start()
         return self._balance(state, np.zeros(self.inputs), np.zeros_like(state.nodes), 0.0, 1.0)
 
-    def heat_energy(self, balance: Balance) -> float:
-        """Return the strain energy less that of the same displacement without heat, J."""
+    def thermal_energy(self, balance: Balance) -> float:
+        """Return the strain energy less that of the same displacement without temperature, J."""
         if not self.body.expands:
             return 0.0
         cold = balance.wrench.copy()
@@ -150,8 +151,8 @@ class System:
         return balance.energy - self.balance(balance.state, cold).energy
 
     @cached_property
-    def _heat(self) -> tuple[float, float]:
-        """`Balance.heat` of one kelvin: the norm, N, and the energy, J, which grows squared."""
+    def _per_kelvin(self) -> tuple[float, float]:
+        """`Balance.thermal` of one kelvin: the norm, N, and the energy, J, which grows squared."""
         forces, energy, _ = self.body.at(1.0, finite=False).forces(np.zeros((self.body.size, 3)))
         return float(np.linalg.norm(forces)), energy
 
@@ -160,10 +161,11 @@ class System:
     ) -> Balance:
         nodal, border = self.coupling.residual(state, forces, wrench[: self.coupling.freedoms])
         nodal = self.body.movable.released(nodal)
-        heat, temperature = (0.0, 0.0), self.temperature(wrench)
+        thermal, temperature = (0.0, 0.0), self.temperature(wrench)
         if temperature:
-            heat = abs(temperature) * self._heat[0], temperature**2 * self._heat[1]
-        return Balance(state, wrench, forces, energy, least, nodal, border, heat)
+            norm, energy_per_kelvin = self._per_kelvin
+            thermal = abs(temperature) * norm, temperature**2 * energy_per_kelvin
+        return Balance(state, wrench, forces, energy, least, nodal, border, thermal)
 
 
 ROUNDOFF = float(np.finfo(float).eps)

@@ -246,7 +246,7 @@ class _Reader:
         return interfaces
 
     def range(self, several: list[Any]) -> DeclaredRange | None:
-        """Return ``[range]``, or the ranges of several interfaces one behind the other."""
+        """Return ``[range]``, or the ranges of several interfaces in their order."""
         if "range" in self.table and several:
             self.wrong(
                 "range", "each [[interface]] has its own; write range = {force, moment} there"
@@ -270,7 +270,7 @@ class _Reader:
         return DeclaredRange(low, high)
 
     def analysis(self, mesh: MeshSource | None) -> Analysis | None:
-        """Return ``[analysis]``; a component without one claims nothing, so: nonlinear.
+        """Return ``[analysis]``; a component without it claims nothing, so: nonlinear.
 
         The integration of an input deck's 20-node hexahedra is the default of its component.
         """

@@ -1,4 +1,4 @@
-"""The whole ``component.toml`` as one model: the tables of `fea.spec.schema` and the generators."""
+"""``component.toml`` as a model: the tables of `fea.spec.schema` and the generators."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ MaterialTable = Annotated[AnyMaterial, union(_kind_of_material, Material, Orthot
 
 @table
 class ComponentFile:
-    """A whole ``component.toml``."""
+    """A ``component.toml``."""
 
     name: Name = key("", '"bracket"')
     """a folder's and URL's name: a-z, 0-9, _ and -, at most 64"""

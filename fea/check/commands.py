@@ -90,7 +90,7 @@ def converge(options: argparse.Namespace) -> Reply:
     study = json.loads(file.read_text(encoding="utf-8"))
     if options.plot is not None:
         write_plot(study, options.plot)
-    # A line a mesh, the order, and what the component's own mesh lacks of each response.
+    # A line a mesh, the order, and what the component's mesh lacks of each response.
     rows = [("response, SI", study["outputs"])]
     for count, size, values in zip(study["nodes"], study["sizes"], study["values"], strict=True):
         rows.append((f"{count} nodes, {1e3 * size:.4g} mm", [f"{value:.6g}" for value in values]))

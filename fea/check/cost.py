@@ -32,7 +32,7 @@ _MAX_CELLS = 100_000
 """Beyond this many cells the operations are guessed from the unknowns, as of a cube."""
 
 _NONLINEAR = 2.5  # times the work of a linear solve
-_PROJECTED = 2.0  # times that where pressure is an unknown of its own: more, and larger, matrices
+_PROJECTED = 2.0  # times that where pressure is a separate unknown: more, and larger, matrices
 
 
 def estimate(component: ComponentModel) -> dict[str, Any]:
@@ -58,7 +58,7 @@ def estimate(component: ComponentModel) -> dict[str, Any]:
         operations, numbers = 37e9 * (unknowns / 34611) ** 2, 28e6 * (unknowns / 34611) ** (4 / 3)
     count = sum(len(block) for block in mesh.blocks)
     work = 7.2e-8 * entries + 1e-5 * count * np.log2(count + 1) + operations / 19e9
-    # Some cells take the pressure for an unknown of its own.
+    # Some cells take the pressure as a separate unknown.
     kinds = {"hex20", "hex27"} & set(mesh.cell_counts)
     ratios = [
         material.poisson_ratio for material in component.materials if material.law != "orthotropic"

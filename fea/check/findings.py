@@ -8,10 +8,10 @@ moves a node at x by
     N(x) q = t + theta x (x - centre).
 
 Supports say N q = 0, nodes that two bodies share say N q_1 = N q_2, a rigid coupling says the same
-of section and interface, a distributed one that the interface moves as the section does in the
+of section and interface, a distributed coupling that the interface moves as the section does in the
 mean (least squares), and locked freedoms hold the interface; each of several likewise. A bushing is
-tied to its group as an interface is, and held where its spring resists. What satisfies all of this
-is the null space of a small dense matrix.
+coupled to its group as an interface is, and held where its spring resists. What satisfies all of
+this is the null space of a small dense matrix.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.fea.component import AttachedInterface, ComponentModel
-from wrenchbook.fea.inspection import Bodies, gap, point_text
+from wrenchbook.fea.inspection import Bodies, gap
 from wrenchbook.fea.mesh.deck_content import CoupledGroup, DeckContent, HeldGroup, in_si
 from wrenchbook.fea.mesh.facets import group_nodes
 from wrenchbook.fea.mesh.mesh import Mesh
-from wrenchbook.fea.spec.problems import BundleProblem
+from wrenchbook.fea.spec.problems import BundleProblem, point_text
 from wrenchbook.fea.spec.schema import FREEDOMS
 
 Array = np.ndarray
@@ -53,7 +53,7 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
     """Return a problem for each body that supports and coupling do not hold.
 
     component, bodies: what is looked at, and the bodies it falls into.
-    pairs: shape (k, 2), int64: indices of nodes in one place
+    pairs: shape (k, 2), int64: indices of coincident nodes
     (`fea.inspection.coincident_nodes`).
     """
     if bodies.count > _MAX_BODIES:
@@ -154,7 +154,7 @@ def free_motions(component: ComponentModel, bodies: Bodies) -> list[Array]:
 
 
 def describe(motion: Array, centre: Array, extent: float) -> str:
-    """Return a motion of `free_motions` in words.
+    """Return a motion of `free_motions` as text.
 
     The motion has shape (6,), m, the mesh's centre (3,), m; the mesh's size is in m.
     """
@@ -164,7 +164,7 @@ def describe(motion: Array, centre: Array, extent: float) -> str:
     square = rotation @ rotation
     at = centre + np.cross(rotation, shift) / square
     pitch = shift @ rotation / square
-    line = f"turn about the line through {_place(at)} m along {_direction(rotation)}"
+    line = f"turn about the line through {point_text(at)} m along {_direction(rotation)}"
     return line if abs(pitch) < 1e-6 * extent else f"{line}, sliding along it"
 
 
@@ -261,10 +261,10 @@ class _Equations:
     def _moves(self, nodes: Array) -> Array:
         return self._moves_of(self.component.mesh.points[nodes])
 
-    def _moves_of(self, places: Array) -> Array:
-        """Return N of each place, stacked, shape (3 k, 6)."""
-        x, y, z = ((places - self.centre) / self.extent).T
-        moves = np.zeros((len(places), 3, 6))
+    def _moves_of(self, points: Array) -> Array:
+        """Return N of each point, stacked, shape (3 k, 6)."""
+        x, y, z = ((points - self.centre) / self.extent).T
+        moves = np.zeros((len(points), 3, 6))
         moves[:, :, :3] = np.eye(3)
         moves[:, 0, 4], moves[:, 0, 5] = z, -y
         moves[:, 1, 3], moves[:, 1, 5] = -z, x
@@ -297,15 +297,11 @@ def size_of(points: Array) -> float:
 def _direction(vector: Array) -> str:
     unit = vector / np.linalg.norm(vector)
     largest = unit[np.abs(unit).argmax()]
-    return _place(np.round(unit * np.sign(largest), 4) + 0.0)
-
-
-def _place(place: Array) -> str:
-    return "(" + ", ".join(f"{x:.4g}" for x in np.where(np.abs(place) < 1e-9, 0.0, place)) + ")"
+    return point_text(np.round(unit * np.sign(largest), 4) + 0.0)
 
 
 _SAME = 1e-3  # relative: decks write constants to three digits and more
-_NEAR = 1e-6  # of the mesh's size: two places are one
+_NEAR = 1e-6  # of the mesh's size: two points coincide
 _SOLID = re.compile(r"(C3D\d+)([A-Z]*)")
 _COMPARED = ("youngs_modulus", "poisson_ratio", "density", "thermal_expansion", "yield_strength")
 
@@ -325,7 +321,7 @@ def listing(deck: DeckContent) -> dict[str, Any]:
 
 
 def _instead(name: str) -> str:
-    """Return the element solved in place of a deck's, in words; empty where it is the same."""
+    """Name the element solved in place of a deck's; empty where it is the same."""
     solid = _SOLID.fullmatch(name)
     if solid is None:
         return ""

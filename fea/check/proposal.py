@@ -50,14 +50,14 @@ _FORCE, _LEVER = 100.0, 0.1  # N and m, where the deck has no load
 
 
 class _Proposal:
-    """The lines of a component, and what is open: `decide` and `left`, in words."""
+    """The lines of a component, and what is open: `decide` and `skipped`, as text."""
 
     def __init__(self, mesh: Mesh, unit: str, case: str | None) -> None:
         self.mesh, self.unit = mesh, unit
         self.deck = mesh.deck or DeckContent()
         self.groups = {*mesh.facet_groups, *mesh.node_groups}
         self.decide: list[str] = []
-        self.left: list[str] = []
+        self.skipped: list[str] = []
         self.case = self.chosen(case)
 
     def chosen(self, name: str | None) -> LoadCase:
@@ -157,7 +157,7 @@ class _Proposal:
         """Return each coupling that is free, else the group with forces, as an interface."""
         groups = [coupled for coupled in self.case.couplings if coupled.group in self.groups]
         sections = {coupled.group for coupled in groups} or set(list(self.case.loads)[:1])
-        self.left += [
+        self.skipped += [
             f'forces on "{group}", which is no interface'
             for group, loads in self.case.loads.items()
             if any(loads) and group not in sections
@@ -183,11 +183,11 @@ class _Proposal:
         return lines
 
     def interface(self, group: CoupledGroup) -> list[str]:
-        place = ", ".join(f"{x * UNITS[self.unit]:.9g}" for x in group.point)
+        at = ", ".join(f"{x * UNITS[self.unit]:.9g}" for x in group.point)
         locked = ", ".join(_text(FREEDOMS[i]) for i in sorted(group.held))
         return [
             f"section = {_text(group.group)}",
-            *([f"point = [{place}]"] if place else []),
+            *([f"point = [{at}]"] if at else []),
             f"coupling = {_text(group.kind)}",
             *([f"locked = [{locked}]"] if locked else []),
         ]
@@ -236,7 +236,7 @@ def propose(
     """
     if (folder / FILE_NAME).exists():
         raise BundleError([BundleProblem(str(folder), f"has a {FILE_NAME}; name a new folder")])
-    text, left, decide = _deck_text(file)
+    text, skipped, decide = _deck_text(file)
     deck = folder / f"{file.stem}.inp"
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -262,12 +262,14 @@ def propose(
         proposal.decide.append(f"unit: a deck names none{why}{pounds} (--unit)")
         proposal.unit = unit
     lines = proposal.lines(_name(file.stem), deck.name)
-    left += proposal.left + [f"{where} {note}" for where, note in proposal.deck.missing.items()]
+    skipped += proposal.skipped + [
+        f"{where} {note}" for where, note in proposal.deck.missing.items()
+    ]
     notes = [f"# DECIDE: {note}" for note in proposal.decide]
-    notes += [f"# not taken over: {note}" for note in left]
+    notes += [f"# not taken over: {note}" for note in skipped]
     (folder / FILE_NAME).write_text("\n".join([*lines, "", *notes, ""]), encoding="utf-8")
     files = [str(folder / FILE_NAME), str(deck)]
-    return {"files": files, "left": left, "decide": proposal.decide, "check": report(folder)}
+    return {"files": files, "left": skipped, "decide": proposal.decide, "check": report(folder)}
 
 
 def _deck_text(file: Path) -> tuple[str, list[str], list[str]]:
@@ -279,8 +281,8 @@ def _deck_text(file: Path) -> tuple[str, list[str], list[str]]:
                 where = f"line {text.count(chr(10), 0, include.start()) + 1}: {include[0].strip()}"
                 raise MeshFileError(f"{where} is not read; paste that file's lines in its place")
             translated = translate(text)
-            left = [f"{what} ({count})" for what, count in translated.left.items() if count]
-            return "\n".join(translated.lines()), left, translated.decide
+            skipped = [f"{what} ({count})" for what, count in translated.skipped.items() if count]
+            return "\n".join(translated.lines()), skipped, translated.decide
         if file.suffix.lower() != ".inp":
             raise MeshFileError(f"is no .inp, {', '.join(_TRANSLATORS)}; write [mesh] by hand")
         return text, [], []

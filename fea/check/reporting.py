@@ -263,15 +263,15 @@ def _source(report: Mapping[str, Any]) -> Iterator[str]:
         return
     yield "bodies:  number  volume cm^3  middle m"
     for body in report["bodies"][:_MAX_LINES]:
-        yield f"  {body['number']:>13}  {1e6 * body['volume']:>11.5g}  {_place(body['centre'])}"
+        yield f"  {body['number']:>13}  {1e6 * body['volume']:>11.5g}  {_vector(body['centre'])}"
     yield "faces:   number  area mm^2    middle m                      what"
     for face in report["faces"][:_MAX_LINES]:
         shape = str(face["kind"]).lower()
         if face["normal"] is not None:
-            shape = f"plane, normal {_place(face['normal'])}"
+            shape = f"plane, normal {_vector(face['normal'])}"
         elif face["radius"] is not None:
             shape = f"cylinder, radius {1e3 * face['radius']:.5g} mm"
-        head = f"  {face['number']:>13}  {1e6 * face['area']:>11.5g}  {_place(face['centre']):<28}"
+        head = f"  {face['number']:>13}  {1e6 * face['area']:>11.5g}  {_vector(face['centre']):<28}"
         yield f"{head}  {shape}"
     if (more := len(report["faces"]) - _MAX_LINES) > 0:
         yield f"  and {more} more"
@@ -286,7 +286,7 @@ def _mesh(report: Mapping[str, Any]) -> Iterator[str]:
         size = " x ".join(f"{1e3 * x:.4g}" for x in part["size"])
         yield (
             f"  part {part['part']}: {part['cells']} cells, {size} mm, middle at "
-            f"{_place(part['middle'])} m"
+            f"{_vector(part['middle'])} m"
         )
     if file := report.get("mesh_file"):
         for key, label in (("read", "read or compared"), ("ignored", "ignored")):
@@ -300,8 +300,8 @@ def _mesh(report: Mapping[str, Any]) -> Iterator[str]:
         yield f"groups of {kind}: {listed}"
     for name, worst in report.get("quality", {}).items():
         bad = f", {worst['bad']} beyond {worst['limit']:g}" if worst["bad"] else ""
-        place = _place(worst["at"])
-        yield f"worst {name.replace('_', ' ')}: {worst['worst']:.3g} near {place} m{bad}"
+        at = _vector(worst["at"])
+        yield f"worst {name.replace('_', ' ')}: {worst['worst']:.3g} near {at} m{bad}"
 
 
 def _set_up(report: Mapping[str, Any]) -> Iterator[str]:
@@ -327,7 +327,7 @@ def _set_up(report: Mapping[str, Any]) -> Iterator[str]:
     if warm := report.get("temperature"):
         yield f"temperature: {warm['low']:g} to {warm['high']:g}, reference {warm['reference']:g}"
     if largest := report.get("acceleration"):
-        yield f"acceleration: up to {_place(largest)} m/s^2 along the mesh's axes"
+        yield f"acceleration: up to {_vector(largest)} m/s^2 along the mesh's axes"
     for section in report.get("sections", [report.get("section")]):
         area = "no area" if section["area"] is None else f"{1e6 * section['area']:.5g} mm^2"
         locked = f", locked {', '.join(section['locked'])}" if section["locked"] else ""
@@ -335,7 +335,7 @@ def _set_up(report: Mapping[str, Any]) -> Iterator[str]:
         name = f" {section['name']}" if "name" in section else ""
         yield (
             f"interface{name}: {section['nodes']} nodes, {area}, {section['coupling']}{locked}, "
-            f"point at {_place(section['point'])} m"
+            f"point at {_vector(section['point'])} m"
         )
 
 
@@ -353,9 +353,9 @@ def _trial(report: Mapping[str, Any]) -> Iterator[str]:
     for name, sag in _by_interface(report, trial["sag"]) if "sag" in trial else ():
         moved, turned = _vectors(sag, ".3g")
         yield (
-            f"own weight moves {name or 'it'} by {moved} m and turns it by {turned} rad, linearly, "
-            "in the interface frame: the answer at zero load. Displacements are relative to the "
-            "part of the mesh without its weight"
+            f"self-weight moves {name or 'it'} by {moved} m and turns it by {turned} rad, "
+            "linearly, in the interface frame: the answer at zero load. Displacements "
+            "are relative to the part of the mesh without its weight"
         )
     for key, when in (
         ("deflection", "at full range, linearly,"),
@@ -385,8 +385,8 @@ def _estimates(report: Mapping[str, Any]) -> Iterator[str]:
         carried = f"with {swing['riding_mass']:g} kg on it" if swing["riding_mass"] else "by itself"
         mass = "not known" if swing["mass"] is None else f"{swing['mass']:.4g} kg"
         moves = "; ".join(
-            f"{name or 'interface'} moves along {_place(motion[:3])}, turns about "
-            f"{_place(motion[3:])}"
+            f"{name or 'interface'} moves along {_vector(motion[:3])}, turns about "
+            f"{_vector(motion[3:])}"
             for name, motion in _by_interface(report, swing["motion"])
         )
         yield (
@@ -398,14 +398,14 @@ def _estimates(report: Mapping[str, Any]) -> Iterator[str]:
         of_yield = "" if used is None else f", {100 * used:.3g} % of its yield strength"
         order = " to first order (--nonlinear solves)" if stress["first_order"] else ""
         loads = "; ".join(
-            f"{name and name + ' '}force {_place(load[:3])} N, moment {_place(load[3:])} N·m"
+            f"{name and name + ' '}force {_vector(load[:3])} N, moment {_vector(load[3:])} N·m"
             for name, load in _by_interface(report, stress["wrench"])
         )
         warm = f" at {stress['temperature']:g}" if "temperature" in stress else ""
-        pulled = _place([stress[axis] for axis in ACCELERATIONS]) if "ax" in stress else ""
+        pulled = _vector([stress[axis] for axis in ACCELERATIONS]) if "ax" in stress else ""
         yield (
             f"largest von Mises stress of {stress['region']} under the full range{order}: "
-            f"{stress['largest'] / 1e6:.4g} MPa{of_yield}, near {_place(stress['at'])} m under "
+            f"{stress['largest'] / 1e6:.4g} MPa{of_yield}, near {_vector(stress['at'])} m under "
             f"{loads}{warm}{pulled and f', acceleration {pulled}'}"
         )
     if cost := report.get("estimate"):
@@ -430,10 +430,10 @@ def _vectors(values: list[float], digits: str) -> tuple[str, str]:
     return f"({', '.join(texts[:3])})", f"({', '.join(texts[3:])})"
 
 
-def _place(place: Any) -> str:
-    """Write a place or direction; what is 12 digits below the largest is roundoff."""
-    least = 1e-12 * max(1.0, *map(abs, place))
-    return "(" + ", ".join(f"{x if abs(x) > least else 0.0:.5g}" for x in place) + ")"
+def _vector(vector: Any) -> str:
+    """Write a point or direction; what is 12 digits below the largest is roundoff."""
+    least = 1e-12 * max(1.0, *map(abs, vector))
+    return "(" + ", ".join(f"{x if abs(x) > least else 0.0:.5g}" for x in vector) + ")"
 
 
 def _time(seconds: float) -> str:

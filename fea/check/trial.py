@@ -9,7 +9,7 @@ import numpy as np
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.coupling.coupling import each_interface, largest_rotation
 from wrenchbook.fea.failure import SolveFailed
-from wrenchbook.fea.recovery.stress import nodal_masses, places_of, small_stress
+from wrenchbook.fea.recovery.stress import integration_points, nodal_masses, small_stress
 from wrenchbook.fea.solve import MAX_DEGREES, Solver
 from wrenchbook.fea.solver.vibration import Riding
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
@@ -39,7 +39,7 @@ def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Bu
     solver: the component's.
     cost: as `fea.check.cost.estimate` has it: what takes too long is not tried.
     Returns result: ``size`` (three numbers, m), ``volume`` (m^3), ``mass`` (kg; None where a
-    material tells no density), ``sag``: the interfaces' displacement under own weight, where
+    material tells no density), ``sag``: the interfaces' displacement under self-weight, where
     ``gravity`` is given; ``deflection``: the largest of each output over the load range by the
     linear compliance, six numbers an interface, m and rad; None where it was not tried or
     ``failed`` (then true). ``by_temperature`` and ``by_acceleration``: the same of these alone,
@@ -76,7 +76,7 @@ def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Bu
 
 
 def largest(compliance: Array, low: Array, high: Array) -> Array:
-    """Return max |C w| over a box of inputs, each output's own, shape (6 i,), m and rad."""
+    """Return max |C w| over a box of inputs, for each output, shape (6 i,), m and rad."""
     ends = np.stack([compliance * low, compliance * high])
     most, least = ends.max(axis=0).sum(axis=1), ends.min(axis=0).sum(axis=1)
     return np.maximum(np.abs(most), np.abs(least))
@@ -85,7 +85,7 @@ def largest(compliance: Array, low: Array, high: Array) -> Array:
 def deflection_warnings(
     component: ComponentModel, deflection: list[float] | None
 ) -> list[BundleProblem]:
-    """Return warnings where the whole load range moves the part by nothing, or by too much."""
+    """Return warnings where the full load range moves the part by nothing, or by too much."""
     if deflection is None:
         return []
     moved, problems = np.array(deflection), []
@@ -170,7 +170,7 @@ def sag_per_gravity(solver: Solver) -> Array:
 
 
 def weight_warnings(solver: Solver) -> list[BundleProblem]:
-    """Return a warning where own weight without ``gravity`` moves more than the tolerance."""
+    """Return a warning where self-weight without ``gravity`` moves more than the tolerance."""
     component = solver.component
     limit = component.bundle.tolerance
     known = all(material.density is not None for material in component.materials)
@@ -184,7 +184,7 @@ def weight_warnings(solver: Solver) -> list[BundleProblem]:
     down = -np.sign(direction[np.abs(direction).argmax()]) * direction * _STANDARD_GRAVITY
     gravity = ", ".join(f"{number + 0.0:.3g}" for number in np.round(down, 6))
     message = (
-        f"is not given: own weight at 9.81 m/s^2 moves the interface by up to {moved:.2g} m and "
+        f"is not given: self-weight at 9.81 m/s^2 moves the interface by up to {moved:.2g} m and "
         f"{turned:.2g} rad, with [{gravity}] m/s^2 in the mesh's axes, more than the "
         "tolerance; answers leave it out. If the part hangs in one direction, write it: "
         "gravity = [0, 0, -9.81] under [analysis]; if it turns, take [inputs.acceleration]"
@@ -200,7 +200,7 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], lis
     """Return the largest stress of each material under the load range, and what to know of it.
 
     To first order stresses are linear in the wrench, and the von Mises stress is a norm of them:
-    no wrench of the range has a larger one than the worst of its corners.
+    no wrench of the range has a larger stress than the worst of its corners.
 
     solver: Nothing is made of a component whose bundle tells no `yield_strength`.
     nonlinear: whether a nonlinear component is solved at that corner; else its stresses stay first
@@ -224,7 +224,7 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], lis
             sag = small_stress(solver.body, solver.linear.sag[:, :, None])
             unit = np.concatenate((unit, sag), axis=2)
             loads = np.column_stack((corners, np.ones(len(corners))))
-        places, numbers = places_of(component, component.mesh.points)
+        coordinates, numbers = integration_points(component, component.mesh.points)
         stresses = []
         for number in np.unique(numbers):
             points = np.flatnonzero(numbers == number)
@@ -235,7 +235,7 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], lis
                 {
                     "region": material.region,
                     "largest": largest,
-                    "at": places[points[point]].tolist(),
+                    "at": coordinates[points[point]].tolist(),
                     "wrench": corners[corner][:count].tolist(),
                     **{scalar.name: value + scalar.reference for scalar, value in pairs},
                     "yield_strength": material.yield_strength,
@@ -255,7 +255,7 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], lis
 def _worst(unit: Array, corners: Array) -> tuple[float, int, int]:
     """Return the largest stress, Pa, and the first corner and point (of `unit`) that have it.
 
-    The sum of the loads' own stresses bounds that of all: most points need not be looked at.
+    The sum of single loads' stresses bounds that of all: most points need not be looked at.
     """
     loads = np.abs(corners).max(axis=0)
     bound = sum(load * von_mises(unit[:, :, i]) for i, load in enumerate(loads))
@@ -276,7 +276,7 @@ def _at_large(
 ) -> list[BundleProblem]:
     """Put the nonlinear stresses at the worst corners in place of the first-order ones."""
     regions = [material.region for material in component.materials]
-    places, numbers = places_of(component, component.mesh.points)
+    coordinates, numbers = integration_points(component, component.mesh.points)
     for row in stresses:
         worst = [*row["wrench"], *(row[scalar.name] for scalar in component.further)]
         try:
@@ -288,7 +288,7 @@ def _at_large(
         point = int(equivalent.argmax())
         row |= {
             "largest": float(equivalent[point]),
-            "at": places[point].tolist(),
+            "at": coordinates[point].tolist(),
             "first_order": False,
         }
     return []

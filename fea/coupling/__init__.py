@@ -6,7 +6,7 @@ last, by its Schur complement, which is also where the tangent compliance comes 
 interface.
 
 The body is in the undeformed frame of the first interface, its origin at that interface's point;
-each interface's displacement and wrench are in its own.
+each interface's displacement and wrench in the interface's.
 """
 
 from wrenchbook.fea.coupling.coupling import Border, CoupledState, Coupling

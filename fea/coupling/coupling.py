@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wrenchbook.fea.element.cell_state import every_place
+from wrenchbook.fea.element.cell_state import symmetrised
 from wrenchbook.fea.spec.schema import FREEDOMS
 from wrenchbook.fea.tensors import rotation_derivatives
 
@@ -44,13 +44,13 @@ class CoupledState:
 class Border(NamedTuple):
     """How the border joins the body's tangent K at one state.
 
-    With ties T, columns c and block d the whole tangent is
+    With the constraint T, columns c and block d the bordered tangent is
     [[K, K T + c], [(K T + c)^T, T^T K T + d]].
     """
 
     # Shape (n, 3, border): how nodes that are no unknowns move with the border; dimensionless for
     # translations, m/rad for rotations.
-    ties: Array
+    constraint: Array
     # Shape (n, 3, border): the border's forces on free nodes, N over the unit of each unknown
     columns: Array
     # Shape (border, border): J over the units of both unknowns, so N/m, N and N·m for interface
@@ -61,15 +61,15 @@ class Border(NamedTuple):
 class SectionCoupling(ABC):
     """How one interface holds its section: the base class of `Rigid` and `Distributed`.
 
-    All is in the interface's own frame, from its point: `places` of the section's nodes, (s, 3), m,
+    All is in the interface's frame, from its point: `points` of the section's nodes, (s, 3), m,
     undeformed. States, forces and fields are those of these nodes alone; the border is six
     freedoms, locked ones too, and the `multipliers`.
     """
 
     multipliers = 0
 
-    def __init__(self, places: Array) -> None:
-        self.places = places
+    def __init__(self, points: Array) -> None:
+        self.points = points
 
     def placed(self, interface: Array) -> Array | None:
         """Return where an interface at (6,), m and rad, puts the nodes, (s, 3), m; or None."""
@@ -114,16 +114,16 @@ class SectionCoupling(ABC):
 
 
 class _Attachment(NamedTuple):
-    """One section's place in the body and in the border.
+    """A section's indices in the body and in the border.
 
-    `turn` times a vector of the body is the interface's, None if equal; `freedoms` are those of
-    this interface among all; `chosen` are the unknowns among the section's own border, and `border`
-    where they are in the whole one. `spring` is a bushing's stiffness, (6, 6); it has no wrench.
+    `rotation` times a vector of the body is the interface's, None if equal; `freedoms` are those of
+    this interface among all; `chosen` are the unknowns among the section's border, and `border`
+    where these are in the body's. `spring` is a bushing's stiffness, (6, 6), without a wrench.
     """
 
     section: SectionCoupling
     nodes: Array
-    turn: Array | None
+    rotation: Array | None
     freedoms: slice
     chosen: Array
     border: Array
@@ -132,23 +132,25 @@ class _Attachment(NamedTuple):
     def inwards(self, field: Array) -> Array:
         """Take a nodal field (n, 3, ...) of the body to the section: (s, 3, ...), in its axes."""
         local = field[self.nodes]
-        return local if self.turn is None else np.einsum("ij,sj...->si...", self.turn, local)
+        return (
+            local if self.rotation is None else np.einsum("ij,sj...->si...", self.rotation, local)
+        )
 
     def outwards(self, field: Array) -> Array:
         """Turn a field of the section, (s, 3) or (s, 3, k), into the body's axes."""
-        if self.turn is None:
+        if self.rotation is None:
             return field
-        return np.einsum("ji,sj...->si...", self.turn, field)
+        return np.einsum("ji,sj...->si...", self.rotation, field)
 
 
 class Coupling:
     """Interfaces and bushings: one border of their freedoms, of anchors, and of multipliers.
 
-    Nodes and forces are in the body's frame, each interface's displacement and wrench in its own.
+    Nodes and forces are in the body's frame, displacements and wrenches in the interfaces'.
     A bushing moves by q, translation and rotation vector, and stores q^T K q / 2: its force, and
     the moment that works on the rotation vector, are K q, and K is its tangent at any rotation.
     A body that only multipliers hold has no definite stiffness. Three anchors, nodes of which the
-    border moves all components, leave one that has.
+    border moves all components, leave a stiffness that is.
 
     size: number of the body's nodes.
     sections: for each interface its coupling, its section's nodes, shape (s,), and its axes in
@@ -180,7 +182,7 @@ class Coupling:
         forced = [np.empty(0, dtype=int)]
         self.border = self.motions
         spring_of = [*[None] * (len(sections) - len(springs)), *springs]
-        for number, (section, nodes, turn) in enumerate(sections):
+        for number, (section, nodes, rotation) in enumerate(sections):
             first = PER_INTERFACE * number
             chosen_freedoms = np.flatnonzero((active >= first) & (active < first + PER_INTERFACE))
             more = np.arange(section.multipliers)
@@ -189,14 +191,14 @@ class Coupling:
             freedoms = slice(first, first + PER_INTERFACE)
             spring = spring_of[number]
             self._attachments.append(
-                _Attachment(section, nodes, turn, freedoms, chosen, border, spring)
+                _Attachment(section, nodes, rotation, freedoms, chosen, border, spring)
             )
             forced.append(first + more)
             self.border += len(more)
         self._forced = np.concatenate(forced)
 
     @property
-    def tied(self) -> Array:
+    def constrained(self) -> Array:
         """Nodes that follow an interface and are no unknowns, shape (k,), int64, indices."""
         zero = np.zeros(PER_INTERFACE)
         following = [
@@ -275,7 +277,7 @@ class Coupling:
         wrench: shape (6 i,), N and N·m.
         """
         # Field by field in memory, as the factorisation takes them.
-        ties, columns = np.moveaxis(np.zeros((2, self.border, self._size, 3)), 1, 3)
+        constraint, columns = np.moveaxis(np.zeros((2, self.border, self._size, 3)), 1, 3)
         block = np.zeros((self.border, self.border))
         loads = np.append(wrench, np.zeros(self._sprung))
         for attached, local in self._parts(state):
@@ -285,7 +287,7 @@ class Coupling:
             if attached.spring is not None:
                 joined.block[:PER_INTERFACE, :PER_INTERFACE] += attached.spring
             at = np.ix_(attached.nodes, np.arange(3), attached.border)
-            ties[at] = attached.outwards(joined.ties[:, :, attached.chosen])
+            constraint[at] = attached.outwards(joined.constraint[:, :, attached.chosen])
             columns[at] = attached.outwards(joined.columns[:, :, attached.chosen])
             block[np.ix_(attached.border, attached.border)] = joined.block[
                 np.ix_(attached.chosen, attached.chosen)
@@ -293,8 +295,8 @@ class Coupling:
         pushed = columns[self._anchors].reshape(len(self._anchored), self.border)
         block[self._anchored] += pushed
         block[:, self._anchored] += pushed.T
-        ties[self._anchors[:, None], np.arange(3), self._anchored.reshape(-1, 3)] = 1.0
-        return Border(ties, columns, block)
+        constraint[self._anchors[:, None], np.arange(3), self._anchored.reshape(-1, 3)] = 1.0
+        return Border(constraint, columns, block)
 
     def wrench_columns(self, state: CoupledState) -> Array:
         """Return minus the derivative of the border's residual by the wrench.
@@ -318,7 +320,7 @@ class Coupling:
 
         state: the configuration.
         forces: Shapes (n, 3), N, and (n, 3, k): internal nodal forces less dead ones, and their
-        change with the inputs at the nodes that are `tied`.
+        change with the inputs at the nodes that are `constrained`.
         fields, border: Shapes (n, 3, k), m per unit of each input, and (border, k): change with the
         inputs.
         Result: shape (k, k, k), J over the units of three inputs.
@@ -367,4 +369,4 @@ def _third_of_rotation(
     twice = np.einsum("ijxy,xyc,ia,jb->abc", slopes[1], changes, turned, turned, optimize=True)
     arms = np.einsum("ijkxy,xy->ijk", slopes[2], moments)
     thrice = np.einsum("ijk,ia,jb,kc->abc", arms, turned, turned, turned, optimize=True)
-    return thrice + every_place(once + twice)
+    return thrice + symmetrised(once + twice)

@@ -30,7 +30,7 @@ class Rigid(SectionCoupling):
     def placed(self, interface: Array) -> Array:
         """Return where an interface at (6,), m and rad, puts the nodes, (s, 3), m."""
         R_minus_I = rotation_less_identity(interface[3:])
-        return interface[:3] + self.places @ R_minus_I.T
+        return interface[:3] + self.points @ R_minus_I.T
 
     def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
         """Return nothing for the nodes, (s, 3), N, and what is out of balance, (6,), N and N·m.
@@ -43,7 +43,7 @@ class Rigid(SectionCoupling):
         return np.zeros_like(forces), border
 
     def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
-        """Return the ties, and what turning the arms adds to the moment.
+        """Return the constraint, and what turning the arms adds to the moment.
 
         Forces have shape (s, 3), N, the wrench shape (6,), N and N·m.
         """
@@ -53,10 +53,10 @@ class Rigid(SectionCoupling):
         excess = np.cross(arms, forces).sum(axis=0) - wrench[3:]
         block = np.zeros((PER_INTERFACE, PER_INTERFACE))
         block[3:, 3:] = spin.T @ turning @ spin + spin_slope(state.interface[3:], excess)
-        ties = np.zeros((len(arms), 3, PER_INTERFACE))
-        ties[:, :, :3] = np.eye(3)
-        ties[:, :, 3:] = -skew(arms) @ spin
-        return Border(ties, np.zeros_like(ties), block)
+        constraint = np.zeros((len(arms), 3, PER_INTERFACE))
+        constraint[:, :, :3] = np.eye(3)
+        constraint[:, :, 3:] = -skew(arms) @ spin
+        return Border(constraint, np.zeros_like(constraint), block)
 
     def wrench_columns(self, state: CoupledState) -> Array:
         """Return minus the derivative of the border's residual by the wrench.
@@ -75,11 +75,11 @@ class Rigid(SectionCoupling):
         The forces f have shapes (s, 3), N, and (s, 3, k). The second is zero: the body's own third
         derivatives have it.
         """
-        moments, changes = (np.einsum("si...,sj->ij...", force, self.places) for force in forces)
+        moments, changes = (np.einsum("si...,sj->ij...", force, self.points) for force in forces)
         return moments, changes, np.zeros((3, 3, border.shape[1], border.shape[1]))
 
     def _turned(self, state: CoupledState) -> Array:
-        return self.places + self.places @ rotation_less_identity(state.interface[3:]).T
+        return self.points + self.points @ rotation_less_identity(state.interface[3:]).T
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,7 @@ def section_of_facets(
     weights = np.zeros(len(ids))
     weights[np.searchsorted(ids, covered)] = areas
     area = float(areas.sum())
-    # Isoparametric facets: the integral of x is the weighted sum of the nodes' places.
+    # Isoparametric facets: the integral of x is the weighted sum of the nodes' coordinates.
     centre = areas @ points[covered] / area
     return InterfaceSection(ids, weights, area, centre, by_area=True)
 
@@ -138,17 +138,17 @@ class Distributed(SectionCoupling):
     Both are linear in u. Two multipliers l, m enforce them; node i then feels w_i (l + m x b_i).
     The interface displacement and the multipliers are the border.
 
-    places: shape (s, 3), m: the section's nodes, from the interface point.
+    points: shape (s, 3), m: the section's nodes, from the interface point.
     weights: shape (s,): area weights, of any scale.
     """
 
     multipliers = PER_INTERFACE
 
-    def __init__(self, places: Array, weights: Array) -> None:
-        super().__init__(places)
+    def __init__(self, points: Array, weights: Array) -> None:
+        super().__init__(points)
         self._weights = weights / weights.sum()
-        self._centre = self._weights @ places
-        self._arms = places - self._centre
+        self._centre = self._weights @ points
+        self._arms = points - self._centre
 
     def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
         """Return the forces of the multipliers, and the forces out of balance under a wrench (6,).
@@ -163,29 +163,29 @@ class Distributed(SectionCoupling):
             self._weights @ state.nodes
             - state.interface[:3]
             - rotation_less_identity(state.interface[3:]) @ self._centre,
-            self._weights @ np.cross(turned.arms, turned.places),
+            self._weights @ np.cross(turned.arms, turned.points),
         ]
         return nodal, np.concatenate([-turned.force - wrench[:3], turning, *gaps])
 
     def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
-        """Return the derivatives of the residual by the border; nothing is tied.
+        """Return the derivatives of the residual by the border; no node is constrained.
 
         Forces have shape (s, 3), N, the wrench shape (6,), N and N·m.
         """
         turned = _Turned(self, state)
         weighted_arms = self._weights[:, None, None] * skew(turned.arms)
-        columns = np.zeros((len(self.places), 3, 2 * PER_INTERFACE))
+        columns = np.zeros((len(self.points), 3, 2 * PER_INTERFACE))
         columns[:, :, 3:6] = -skew(turned.moment) @ weighted_arms @ turned.spin
         columns[:, :, 6:9] = self._weights[:, None, None] * np.eye(3)
         columns[:, :, 9:] = -weighted_arms
         block = np.zeros((2 * PER_INTERFACE, 2 * PER_INTERFACE))
-        # Write the border's own derivatives, less those of the spin itself.
+        # Write the border's derivatives, less those of the spin itself.
         centre = skew(turned.centre) @ turned.spin
         inertia = turned.inertia()
         turning = -skew(turned.force) @ skew(turned.centre) + np.einsum(
             "i,iab,ibc->ac",
             self._weights,
-            skew(np.cross(turned.places, turned.moment)),
+            skew(np.cross(turned.points, turned.moment)),
             skew(turned.arms),
         )
         block[3:6, 3:6] = turned.spin.T @ turning @ turned.spin
@@ -218,10 +218,10 @@ class Distributed(SectionCoupling):
         force, moment = border[6:9], skew(border[9:].T)
         couple = skew(state.multipliers[3:])
         arms = self._weights[:, None] * self._arms
-        places = (self.places + state.nodes).T @ arms
+        Q = (self.points + state.nodes).T @ arms
         moved = np.einsum("sik,sj->kij", fields, arms)
-        moments = -np.outer(state.multipliers[:3], self._centre) - couple @ places
-        changes = -force.T[:, :, None] * self._centre - moment @ places - couple @ moved
+        moments = -np.outer(state.multipliers[:3], self._centre) - couple @ Q
+        changes = -force.T[:, :, None] * self._centre - moment @ Q - couple @ moved
         second = moment[:, None] @ moved
         second = -(second + second.swapaxes(0, 1))
         return moments, np.moveaxis(changes, 0, 2), np.moveaxis(second, (0, 1), (2, 3))
@@ -235,13 +235,13 @@ class _Turned:
         self.spin = spin_per_vector(state.interface[3:])
         self.arms = coupling._arms + coupling._arms @ R_minus_I.T
         self.centre = coupling._centre + R_minus_I @ coupling._centre
-        self.places = coupling.places + state.nodes
+        self.points = coupling.points + state.nodes
         self.weights = coupling._weights
         self.force, self.moment = state.multipliers[:3], state.multipliers[3:]
 
     def inertia(self) -> Array:
         """Return sum w (x b^T - (b . x) I), shape (3, 3)."""
-        outer = (self.places * self.weights[:, None]).T @ self.arms
+        outer = (self.points * self.weights[:, None]).T @ self.arms
         return outer - np.trace(outer) * np.eye(3)
 
     def carried_moment(self) -> Array:

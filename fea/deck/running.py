@@ -42,7 +42,7 @@ def missing_placeholders(deck: bytes) -> list[str]:
 def filled(deck: bytes, loads: Sequence[float]) -> bytes:
     """Return a deck's text with six numbers in place of the placeholders.
 
-    A number has 20 characters at the most, which is all that CalculiX reads of one.
+    A number has 20 characters at the most, which is all that CalculiX reads.
 
     Raises SolveFailed: ``bad_deck`` if a placeholder is missing: its load would have no effect.
     """
@@ -128,7 +128,7 @@ def _ending(code: int) -> str:
 
 
 _GRACE = 2.0  # seconds between asking to end and killing; engines wait 5 s for us
-_LOOK_EVERY = 0.25  # seconds
+_POLL_EVERY = 0.25  # seconds
 # Reads until this program writes a line (all is well) or is gone, even by SIGKILL.
 _GUARD = 'read -r _ || kill -s KILL -- "-$0"'
 
@@ -144,7 +144,7 @@ def run_command(
     timeout: float,
     watch: Callable[[], None] | None = None,
 ) -> int:
-    """Run a program in `folder` and return its exit code, minus the signal if one ended it.
+    """Run a program in `folder` and return its exit code, minus the signal that ended it.
 
     The environment (OMP_NUM_THREADS and the like) is passed on as it is. When this returns or
     raises, whatever it raises, the program and all that it started in its process group are gone;
@@ -173,7 +173,7 @@ def run_command(
                 if remaining <= 0.0:
                     raise OutOfTime
                 with contextlib.suppress(subprocess.TimeoutExpired):
-                    return child.wait(min(remaining, _LOOK_EVERY))
+                    return child.wait(min(remaining, _POLL_EVERY))
                 if watch is not None:
                     watch()
     finally:
@@ -194,7 +194,7 @@ def _guarded(group: int) -> Iterator[None]:
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        start_new_session=True,  # what ends our own process group must not end the guard
+        start_new_session=True,  # what ends our process group must not end the guard
     )
     try:
         yield
@@ -256,8 +256,8 @@ def deck_report(deck: Deck) -> tuple[dict[str, Any], list[BundleProblem]]:
 
 
 _PACKAGES = {"ccx": "CalculiX: on Debian and Ubuntu, apt-get install calculix-ccx"}
-_LOOK = (
-    "The deck as it was run and all that the solver wrote are in {place} of the attempt's files."
+_FILES_HINT = (
+    "The deck as it was run and all that the solver wrote are in {folder} of the attempt's files."
 )
 
 
@@ -284,7 +284,7 @@ def timed_out(program: str, seconds: float) -> SolveFailed:
 def solver_failed(program: str, ending: str, quoted: str, folder: Path) -> SolveFailed:
     """Return the failure that a program reports, by its exit code or in its output."""
     return SolveFailed(
-        "solver_failed", f'"{program}" {ending}. It printed: {quoted}', _look(folder)
+        "solver_failed", f'"{program}" {ending}. It printed: {quoted}', _files_hint(folder)
     )
 
 
@@ -300,7 +300,7 @@ def not_converged(program: str, quoted: str) -> SolveFailed:
 
 def bad_output(message: str, folder: Path) -> SolveFailed:
     """Return the failure of output in which the interface's motion cannot be found."""
-    return SolveFailed("bad_output", message, _look(folder))
+    return SolveFailed("bad_output", message, _files_hint(folder))
 
 
 def bad_deck(message: str, remedy: str) -> SolveFailed:
@@ -312,7 +312,7 @@ def moment_unsettled(runs: int, gap: float) -> SolveFailed:
     """Return the failure of the search for the conjugate moment."""
     return SolveFailed(
         "not_converged",
-        f"After {runs} runs the deck's moment is still {gap:.1e} off the required one.",
+        f"After {runs} runs the deck's moment is still {gap:.1e} off the required moment.",
         'If the deck takes moments about fixed axes, say moment = "spatial" in [deck]; else the '
         "part turns too much for its moment.",
     )
@@ -339,6 +339,6 @@ def not_reciprocal(message: str) -> SolveFailed:
     )
 
 
-def _look(folder: Path) -> str:
-    # Not the whole path: it goes to clients, whom the server's folders do not concern.
-    return _LOOK.format(place=f"{folder.parent.name}/{folder.name}")
+def _files_hint(folder: Path) -> str:
+    # Not the full path: it goes to clients, whom the server's folders do not concern.
+    return _FILES_HINT.format(folder=f"{folder.parent.name}/{folder.name}")

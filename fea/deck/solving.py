@@ -19,10 +19,10 @@ from wrenchbook.fea.tensors import spin_per_vector
 Array = np.ndarray
 
 FOLDER = "deck"
-"""Subfolder of the work folder; below it each run of the command has a folder of its own."""
+"""Subfolder of the work folder; below it each run of the command has a separate folder."""
 
 _MOMENT_GAP = 1e-5
-"""Largest relative difference between the moment that acted and the required one."""
+"""Largest relative difference between the moment that acted and the required moment."""
 
 _MAX_RUNS = 12  # 20 degrees take half of them
 _LINEAR_GAP = 1e-5  # CalculiX prints seven digits
@@ -40,7 +40,7 @@ def solve_deck(
     """Solve a component for one wrench with its deck.
 
     A linear component runs the deck seven times: for the wrench, and for six single loads, which
-    make its compliance and show whether the deck is linear at all. A nonlinear one runs it once
+    make its compliance and show whether the deck is linear at all. A nonlinear deck runs it once
     where it takes spatial moments, else until the conjugate moment fits the rotation (two or three
     times for small rotations); its compliance and strain energy are unknown: NaN.
 
@@ -54,7 +54,7 @@ def solve_deck(
     progress
         Called with the fraction done and a message.
     folder
-        Where the files of every run stay, below ``deck``; without one they are deleted.
+        Where the files of every run stay, below ``deck``; without it they are deleted.
     accept
         Raises if a displacement (shape (6,), m and rad) is beyond what may be answered.
 
@@ -71,9 +71,9 @@ def solve_deck(
     if bundle.deck is None:
         raise ValueError("the bundle has no deck")
     report = progress or (lambda fraction, message: None)
-    with _work_folder(folder) as place:
+    with _work_folder(folder) as work_folder:
         # Run the deck as often as it takes, and gather what is known.
-        runs = _Runs(bundle.deck, place, report, accept)
+        runs = _Runs(bundle.deck, work_folder, report, accept)
         if bundle.analysis.nonlinear:
             displacement, compliance = _nonlinear(runs, loads), np.full((6, 6), np.nan)
             work = np.nan
@@ -188,14 +188,14 @@ def _nonlinear(runs: _Runs, wrench: Array) -> Array:
 
 @contextlib.contextmanager
 def _work_folder(folder: Path | None) -> Iterator[Path]:
-    """Make the folder of this solve; a number is added if an earlier one is there."""
+    """Make the folder of this solve; a number is added if it exists."""
     if folder is None:
         with tempfile.TemporaryDirectory(prefix="wrenchbook-deck-") as temporary:
             yield Path(temporary)
         return
-    place, number = Path(folder) / FOLDER, 1
-    while place.exists():
+    path, number = Path(folder) / FOLDER, 1
+    while path.exists():
         number += 1
-        place = Path(folder) / f"{FOLDER}-{number}"
-    place.mkdir(parents=True)
-    yield place.resolve()
+        path = Path(folder) / f"{FOLDER}-{number}"
+    path.mkdir(parents=True)
+    yield path.resolve()

@@ -102,12 +102,12 @@ class CellState(ABC):
 
         The fields have shape (k, cells, 3, nodes), m. With E_a = sym(F^T grad a) and
         E_ab = sym(grad a^T grad b) the derivatives are the integral of
-        E_ab : C : E_c + E_bc : C : E_a + E_ca : C : E_b, and of the law's own part.
+        E_ab : C : E_c + E_bc : C : E_a + E_ca : C : E_b, and of the law's part.
         """
         dF, dE, wdS = self.changes(fields)
         rows = _by_field(dF)
         products = [_by_field(dF @ stress) @ rows.T for stress in wdS]  # grad a (C : E_c) : grad b
-        return every_place(np.stack(products, axis=2)) + self.third_of_law(fields, dE)
+        return symmetrised(np.stack(products, axis=2)) + self.third_of_law(fields, dE)
 
     def third_of_law(self, fields: Array, strain: Array) -> Array:
         """Return what C's change adds to `third`, J: shape (k, k, k), or 0 of a constant C.
@@ -149,8 +149,8 @@ def green_strain(H: Array) -> Array:
     return 0.5 * (H + H.swapaxes(-1, -2) + H.swapaxes(-1, -2) @ H)
 
 
-def every_place(product: Array) -> Array:
-    """Sum products symmetric in their first two indices over the third's three places: (k, k, k).
+def symmetrised(product: Array) -> Array:
+    """Sum products symmetric in their first two indices over the positions of the third: (k, k, k).
 
     The unit stays what it is.
     """

@@ -33,8 +33,8 @@ from wrenchbook.fea.element.cell_state import (
     CellState,
     DenseState,
     Which,
-    every_place,
     green_strain,
+    symmetrised,
 )
 from wrenchbook.fea.element.st_venant_kirchhoff import Stiffness, projected_gram, weighted
 from wrenchbook.fea.tensors import COLUMNS, ROWS
@@ -76,7 +76,7 @@ class _State(DenseState):
         """Replace the stress and the pressure by their linear extrapolations.
 
         The pressure in the moduli too: with the true forces this is Newton's method for
-        displacement and pressure as unknowns of their own, the pressure condensed. The pressure of
+        displacement and pressure as separate unknowns, the pressure condensed. The pressure of
         the new state itself is off by kappa times the square of the step, which at a ratio of
         0.4999 takes the iteration ten times as many steps.
         """
@@ -107,7 +107,7 @@ class _State(DenseState):
         alone = _times(8.0 * (pressed - third), XX).reshape(count, count, -1) @ rows.T
         pairs = np.stack([t[:, None] * t, p]).reshape(2, count, count, -1)
         sums = pairs @ np.stack([along, twice]).reshape(2, 1, count, -1).swapaxes(-1, -2)
-        return alone + every_place(np.asarray(sums.sum(axis=0)))
+        return alone + symmetrised(np.asarray(sums.sum(axis=0)))
 
     def _pressure(self, growth: Array) -> Array:
         """Return the pressure of J - 1, shape (..., cells, points), times the weights."""

@@ -8,9 +8,9 @@ projection onto those functions (Hughes, "Generalization of selective integratio
 anisotropic and nonlinear media", 1980). The unknowns stay displacements and the stiffness positive
 definite.
 
-The linear functions are those of the place, not of the reference coordinates: that keeps the order
-of convergence on distorted cells (Boffi and Gastaldi, "On the quadrilateral Q2-P1 element for the
-Stokes problem", 2002).
+The linear functions are those of the point in space, not of the reference coordinates: that keeps
+the order of convergence on distorted cells (Boffi and Gastaldi, "On the quadrilateral Q2-P1 element
+for the Stokes problem", 2002).
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ NEARLY_INCOMPRESSIBLE = 0.4
 """Poisson's ratio above which the volumetric strain is projected."""
 
 PRESSURES = {"hex20": 4, "hex27": 4}
-"""Kinds of cells that project, and how many functions their pressure has: 1 and the place."""
+"""Kinds of cells that project, and their number of pressure functions: 1 and the coordinates."""
 
 ROUNDING = 1e-9
-"""Of a Poisson's ratio: one that was computed, 0.49 and a rounding error, is at its limit."""
+"""Of a Poisson's ratio: a computed ratio, 0.49 and a rounding error, is at its limit."""
 
 LARGEST_RATIO = {
     "hex8": 0.4,
@@ -54,7 +54,7 @@ singular), hex20 by 10 % with the projection, and full integration of any kind b
 
 
 def locking(block: CellBlock, poisson: Array) -> str:
-    """Return which cells of a block would lock, in words; an empty string if none would.
+    """Return which cells of a block would lock, as text; an empty string if none would.
 
     block: the cells.
     poisson: shape (cells,), dimensionless: their Poisson's ratios.
@@ -94,7 +94,7 @@ def pressure_notes(parts: Sequence[CellStiffness]) -> tuple[str, ...]:
         return ()
     return (
         f"{cells} cells of a nearly incompressible material (Poisson's ratio over "
-        f"{NEARLY_INCOMPRESSIBLE:g}) have a linear pressure of their own.",
+        f"{NEARLY_INCOMPRESSIBLE:g}) have a separate linear pressure.",
     )
 
 
@@ -108,10 +108,10 @@ def volume_modes(points: Array, block: CellBlock, weights: Array, integration: s
     Result: shape (cells, points, modes), m^1.5: w_p q_pi with sum_p w_p q_pi q_pj = delta_ij.
     """
     element = reference_element(block.kind, integration)
-    places = element.values @ points[block.nodes]
-    places -= places.mean(axis=1, keepdims=True)
-    places /= np.abs(places).max(axis=(1, 2), keepdims=True)
-    functions = np.concatenate([np.ones_like(places[..., :1]), places], axis=-1)
+    coordinates = element.values @ points[block.nodes]
+    coordinates -= coordinates.mean(axis=1, keepdims=True)
+    coordinates /= np.abs(coordinates).max(axis=(1, 2), keepdims=True)
+    functions = np.concatenate([np.ones_like(coordinates[..., :1]), coordinates], axis=-1)
     functions = functions[..., : PRESSURES[block.kind]]
     root = np.sqrt(weights)[..., None]
     orthonormal, _ = np.linalg.qr(root * functions)

@@ -10,7 +10,7 @@ of isotropic cells is
 Cells of a nearly incompressible material have `volume_modes`
 (`fea.element.pressure_projection`): tr(E) in the energy is then its projection onto them.
 
-Orthotropic cells have S = C : E with nine constants in directions of their own, which at large
+Orthotropic cells have S = C : E with nine constants in material directions, which at large
 rotations rotate with the material, since E and S stand in the undeformed axes.
 """
 
@@ -192,7 +192,7 @@ class _OrthotropicState(DenseState):
 def turned_elasticity(elasticity: Array, directions: Array) -> Array:
     """Return an elasticity in other axes.
 
-    elasticity: shape (6, 6), Pa: in the material's own directions, as in `OrthotropicStiffness`.
+    elasticity: shape (6, 6), Pa: in the material's directions, as in `OrthotropicStiffness`.
     directions: shape (..., 3, 3): row i is the material's direction i in the target axes.
     Result: shape (..., 6, 6), Pa.
     """

@@ -82,7 +82,7 @@ def deck_of(component: ComponentModel, comments: Iterable[str] = ()) -> str:
         if bushing.coupling != "rigid":
             message = 'a deck has no spring on a mean motion; write it with coupling = "rigid"'
             problems.append(BundleProblem(f"{bushing.key}.coupling", message))
-    if component.warmth is not None:
+    if component.temperature_rise is not None:
         message = "a deck has one temperature; write *TEMPERATURE there, without a field"
         problems.append(BundleProblem("inputs.temperature.field", message))
     for block in component.mesh.blocks:
@@ -102,9 +102,9 @@ def _body(component: ComponentModel) -> Iterator[str]:
     yield "*NODE, NSET=ALL"
     yield from (f"{i}, {_numbers(point)}" for i, point in enumerate(points, start=1))
     for i, interface in enumerate(component.interfaces):
-        place = _numbers(component.axes @ interface.point)
-        yield f"*NODE, NSET={_set('REF', interface)}\n{len(points) + 2 * i + 1}, {place}"
-        yield f"*NODE, NSET={_set('ROT', interface)}\n{len(points) + 2 * i + 2}, {place}"
+        at = _numbers(component.axes @ interface.point)
+        yield f"*NODE, NSET={_set('REF', interface)}\n{len(points) + 2 * i + 1}, {at}"
+        yield f"*NODE, NSET={_set('ROT', interface)}\n{len(points) + 2 * i + 2}, {at}"
     yield from _elements(component)
     yield from _materials(component)
     if component.fixed_nodes.size:
@@ -116,20 +116,20 @@ def _body(component: ComponentModel) -> Iterator[str]:
     node = len(component.mesh.points) + 2 * len(component.interfaces) + 1
     element = sum(len(block) for block in component.mesh.blocks) + 1
     for i, (bushing, stiffness) in enumerate(component.bushings):
-        ref, place = node, _numbers(component.axes @ bushing.point)
-        yield f"*NODE\n{ref}, {place}\n{ref + 1}, {place}\n*NSET, NSET=BUSHING{i}"
+        ref, at = node, _numbers(component.axes @ bushing.point)
+        yield f"*NODE\n{ref}, {at}\n{ref + 1}, {at}\n*NSET, NSET=BUSHING{i}"
         yield from _rows(bushing.section.node_ids + 1)
         yield f"*RIGID BODY, NSET=BUSHING{i}, REF NODE={ref}, ROT NODE={ref + 1}"
         node += 2
-        turn = np.kron(np.eye(2), bushing.axes @ component.axes.T)
+        rotation = np.kron(np.eye(2), bushing.axes @ component.axes.T)
         sizes, motions = np.linalg.eigh(stiffness)
         for size, motion in zip(sizes, motions.T, strict=True):
             if size <= 0:
                 continue
-            terms = [(ref + j // 3, j % 3 + 1, x) for j, x in enumerate(motion @ turn)]
+            terms = [(ref + j // 3, j % 3 + 1, x) for j, x in enumerate(motion @ rotation)]
             terms = [term for term in terms if abs(term[2]) > _ROUNDOFF]
             rows = [f"{at}, {axis}, {_numbers([x])}" for at, axis, x in [(node, 1, -1.0), *terms]]
-            yield f"*NODE\n{node}, {place}\n*BOUNDARY\n{node}, 2, 3\n*EQUATION\n{len(rows)}"
+            yield f"*NODE\n{node}, {at}\n*BOUNDARY\n{node}, 2, 3\n*EQUATION\n{len(rows)}"
             yield from (", ".join(rows[j : j + 4]) for j in range(0, len(rows), 4))
             yield f"*ELEMENT, TYPE=SPRING1, ELSET=K{element}\n{element}, {node}"
             yield f"*SPRING, ELSET=K{element}\n1\n{_numbers([size])}"
@@ -146,7 +146,7 @@ def _body(component: ComponentModel) -> Iterator[str]:
     if component.fixed_nodes.size:
         yield "FIXED, 1, 3"
     for interface in component.interfaces:
-        yield from (f"{_place(name, interface)}, {_axis(name)}" for name in interface.locked)
+        yield from (f"{_freedom_set(name, interface)}, {_axis(name)}" for name in interface.locked)
 
 
 def _materials(component: ComponentModel) -> Iterator[str]:
@@ -176,11 +176,11 @@ def _materials(component: ComponentModel) -> Iterator[str]:
             kind, count = ("", 1) if material.orthotropic is None else (", TYPE=ORTHO", 3)
             yield f"*EXPANSION, ZERO={component.temperature.reference:.12e}{kind}"
             yield _numbers(values[:count])
-        place = ""
+        orientation = ""
         if material.orthotropic is not None:
             yield from _orientation(i, material.orthotropic, component.axes)
-            place = f", ORIENTATION=O{i}"
-        yield f"*SOLID SECTION, ELSET=E{i}, MATERIAL=M{i}{place}"
+            orientation = f", ORIENTATION=O{i}"
+        yield f"*SOLID SECTION, ELSET=E{i}, MATERIAL=M{i}{orientation}"
 
 
 def _set(kind: str, interface: AttachedInterface) -> str:
@@ -241,7 +241,7 @@ def _step(component: ComponentModel) -> Iterator[str]:
             if name in interface.locked:
                 yield f"** {placeholder} acts on a freedom that is held"
             else:
-                yield f"{_place(name, interface)}, {_axis(name)}, {placeholder}"
+                yield f"{_freedom_set(name, interface)}, {_axis(name)}, {placeholder}"
     if component.temperature is not None:
         yield f"*TEMPERATURE\nALL, {further_placeholder(TEMPERATURE)}"
     for attached in component.interfaces:
@@ -268,7 +268,7 @@ def _pulls(component: ComponentModel) -> Iterator[str]:
 
 
 def placeholders(name: str) -> tuple[str, ...]:
-    """Return where the wrench of an interface goes, its name empty if it is the only one."""
+    """Return where the wrench of an interface goes, its name empty if it is the only interface."""
     return tuple(f"${name}.{word[1:]}" if name else word for word in PLACEHOLDERS)
 
 
@@ -277,7 +277,7 @@ def further_placeholder(name: str) -> str:
     return f"${name.upper()}"
 
 
-def _place(freedom: str, interface: AttachedInterface) -> str:
+def _freedom_set(freedom: str, interface: AttachedInterface) -> str:
     return _set("REF" if freedom.startswith("u") else "ROT", interface)
 
 
@@ -291,7 +291,7 @@ def _numbers(values: Iterable[float]) -> str:
 
 
 def _rows(numbers: Iterable[int], more: bool = False) -> Iterator[str]:
-    """Yield whole numbers, some a line; with `more` a comma says that a line goes on."""
+    """Yield integers, some a line; with `more` a comma says that a line goes on."""
     texts = [str(number) for number in numbers]
     lines = [", ".join(texts[i : i + _PER_LINE]) for i in range(0, len(texts), _PER_LINE)]
     for i, line in enumerate(lines):
@@ -303,7 +303,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="python -m wrenchbook.fea.export.calculix", description=__doc__
     )
-    parser.add_argument("bundle", type=Path, help="a bundle's folder, or a .toml file like its own")
+    parser.add_argument(
+        "bundle", type=Path, help="a bundle's folder, or a .toml file like its component.toml"
+    )
     path = parser.parse_args(arguments).bundle
     try:
         if path.is_dir():

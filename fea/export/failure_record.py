@@ -62,7 +62,7 @@ def write_state(path: Path, component: ComponentModel, displacements: Array) -> 
 
     path: ends in ``.vtu``.
     component: its mesh, materials, supports and section.
-    displacements: shape (n, 3), m, in the mesh's own axes. "Warp by vector" shows the part
+    displacements: shape (n, 3), m, in the mesh's axes. "Warp by vector" shows the part
     displaced.
     Raises OSError if the file cannot be written.
     """

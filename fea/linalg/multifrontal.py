@@ -70,9 +70,9 @@ class Condensed(NamedTuple):
 class Route(NamedTuple):
     """Where what a child hands on goes in its parent."""
 
-    places: Array  # shape (n,), ascending: of the child's unknowns among the m + b of the parent
+    indices: Array  # shape (n,), ascending: of the child's unknowns among the m + b of the parent
     pivots: int  # how many of them are eliminated in the parent
-    # First, last + 1 and place of the first: unknowns whose places have no gap, in one block column
+    # First, last + 1 and index of the first: unknowns with consecutive indices, in one block column
     # of the child and one of the parent, in their order.
     stretches: list[tuple[int, int, int]]
 
@@ -107,22 +107,22 @@ def products(left: Array, right: Array, square: Callable[[Array], Array] | None)
 
 
 def add_leaf(target: Condensed, matrix: Array) -> None:
-    """Take a leaf's own stiffness of its boundary, shape (n, n), N/m, from minus the condensed."""
+    """Take a leaf's stiffness of its boundary, shape (n, n), N/m, from minus the condensed."""
     for (a, b), block in zip(pairwise(target.starts), target.blocks, strict=True):
         block -= matrix[a:, a:b]
 
 
-def route(part: Condensed, places: Array, eliminated: int, boundary: int) -> Route:
-    """Return where a child's unknowns go: `places`, indices, shape (n,), in its parent's m + b."""
-    pivots = int(places.searchsorted(eliminated))
-    gaps = np.flatnonzero(places[1:] - places[:-1] != 1) + 1
+def route(part: Condensed, indices: Array, eliminated: int, boundary: int) -> Route:
+    """Return where a child's unknowns go: `indices`, shape (n,), in its parent's m + b."""
+    pivots = int(indices.searchsorted(eliminated))
+    gaps = np.flatnonzero(indices[1:] - indices[:-1] != 1) + 1
     bounds = {*gaps.tolist(), *part.starts, pivots}
     columns = columns_of(boundary)
     if len(columns) > 2:
-        bounds.update(places.searchsorted([eliminated + column for column in columns]).tolist())
+        bounds.update(indices.searchsorted([eliminated + column for column in columns]).tolist())
     ordered = sorted(bounds)
-    firsts = places[ordered[:-1]].tolist()
-    return Route(places, pivots, list(zip(ordered, ordered[1:], firsts, strict=False)))
+    firsts = indices[ordered[:-1]].tolist()
+    return Route(indices, pivots, list(zip(ordered, ordered[1:], firsts, strict=False)))
 
 
 def add_to_pivots(A: Array, B: Array, part: Condensed, way: Route) -> None:
@@ -135,7 +135,7 @@ def add_to_pivots(A: Array, B: Array, part: Condensed, way: Route) -> None:
     B: shape (m, b), N/m: the same with the boundary.
     part, way: of the child.
     """
-    places, count, stretches = way
+    indices, count, stretches = way
     across = [
         (slice(low - count, high - count), slice(to - len(A), to - len(A) + high - low))
         for low, high, to in stretches
@@ -147,7 +147,7 @@ def add_to_pivots(A: Array, B: Array, part: Condensed, way: Route) -> None:
         a, block = part.holding(low)
         target = slice(to, to + high - low)
         update = block[low - a :, low - a : high - a]
-        A[places[low:count], target] -= update[: count - low]
+        A[indices[low:count], target] -= update[: count - low]
         below = update[count - low :]
         for source, column in across:
             B[target, column] -= below[source].T
@@ -162,7 +162,7 @@ def add_to_boundary(total: Condensed, part: Condensed, way: Route, eliminated: i
         first, target = total.holding(to - eliminated)
         shift = eliminated + first
         columns = slice(to - shift, to - shift + high - low)
-        target[way.places[low:] - shift, columns] += block[low - a :, low - a : high - a]
+        target[way.indices[low:] - shift, columns] += block[low - a :, low - a : high - a]
 
 
 class NotDefinite(ArithmeticError):  # noqa: N818 - a finding about the matrix
@@ -271,7 +271,7 @@ class _LUFront:
     def __init__(self, A: Array, B: Array) -> None:
         self.A = A = np.tril(A) + np.tril(A, -1).T
         self.lu, self.swaps, info = _getrf(A)
-        if info > 0:  # exactly singular: the factor is of use for naming the place only
+        if info > 0:  # exactly singular: the factor is of use for naming the node only
             pivots = np.einsum("ii->i", self.lu)
             pivots[pivots == 0] = np.finfo(float).tiny
         self.B = B
@@ -306,7 +306,7 @@ class _LUFront:
 def _eliminate(dissection: Dissection, leaf: Leaf, kind: type) -> tuple[list, Array]:
     """Factorise front by front; a condensed part is dropped once its parent has taken it.
 
-    Returns the fronts and the diagonal of the whole matrix.
+    Returns the fronts and the diagonal of the matrix.
     """
     diagonal = np.zeros(dissection.unknowns)
     fronts: list = []
@@ -358,12 +358,12 @@ def _branch(
 ) -> tuple[Any, Condensed]:
     """Return the front of a branch and what it hands on; what its parts did is dropped.
 
-    Places ascend, so lower triangles stay lower.
+    Indices ascend, so lower triangles remain lower.
     """
     eliminated, boundary = part.eliminated, part.boundary.size
     ways = [
-        route(condensed[child], places, eliminated, boundary)
-        for child, places in zip(part.children, part.places, strict=True)
+        route(condensed[child], indices, eliminated, boundary)
+        for child, indices in zip(part.children, part.indices, strict=True)
     ]
     front = _EMPTY
     if eliminated:

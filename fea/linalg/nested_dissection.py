@@ -11,7 +11,7 @@ A cut leaves few shared nodes and halves of about the same size. What the halves
 last and fills in densely: with s shared nodes its front takes s^3 operations, so s decides (George,
 "Nested dissection of a regular finite element mesh", 1973; coordinate bisection by several
 directions: Heath and Raghavan 1995). Along each of some directions the cells are put in order, and
-at every place of a window round the middle the nodes that lie on both sides are counted at once,
+at every position of a window round the middle the nodes that lie on both sides are counted at once,
 from the first and the last cell of each node in that order. Measured against one cut across the
 longest extent at the widest gap: a flange of 39,000 unknowns takes 3.7 instead of 15.0 thousand
 million multiply-adds, a block with 25 bubbles 34 instead of 50, regular plates and blocks 3 % less.
@@ -27,7 +27,7 @@ import numpy as np
 Array = np.ndarray
 
 _LEAF_NODES = 256
-"""Of its cells, each counting its own: 12 hex20 or 25 tet10.
+"""Summed over its cells: 12 hex20 or 25 tet10.
 
 Fewer make more fronts, whose calls then take longer than their arithmetic (half of a flange of
 tetrahedra at 12); more fill in (the factor holds a fifth more at 32 hex20).
@@ -103,7 +103,7 @@ class Cutter:
     def _best(self, cells: Array, pairs: Incidence) -> Array:
         """Return which cells lie beyond the cheapest cut, shape (c,), bool."""
         count = cells.size
-        places = self._centres[cells]
+        centres = self._centres[cells]
         # Without the nodes of one cell, which no cut can share; `starts` is where each node begins.
         same = pairs.nodes[1:] == pairs.nodes[:-1]
         several = np.append(same, False) | np.append(False, same)
@@ -117,8 +117,8 @@ class Cutter:
         sizes = np.arange(low, max(count - low, low) + 1)  # of the first half
         dearer = 1.0 + _UNEVEN * (2.0 * sizes / count - 1.0) ** 2
         best, chosen = np.inf, np.arange(count) >= count // 2
-        for direction in _directions(places):
-            order = np.argsort(places @ direction, kind="stable")
+        for direction in _directions(centres):
+            order = np.argsort(centres @ direction, kind="stable")
             rank = np.empty(count, dtype=np.int64)
             rank[order] = np.arange(count)
             self._rank[cells] = rank
@@ -129,13 +129,13 @@ class Cutter:
         return chosen
 
 
-def _directions(places: Array) -> Array:
-    """Return unit directions to cut across, shape (k, 3), of cells at places, shape (c, 3)."""
-    if len(places) <= _FEW_CELLS:
+def _directions(centres: Array) -> Array:
+    """Return unit directions to cut across, shape (k, 3), of cells at centres, shape (c, 3)."""
+    if len(centres) <= _FEW_CELLS:
         return _AXES
-    spread = places - places.mean(axis=0)
+    spread = centres - centres.mean(axis=0)
     principal = np.linalg.eigh(spread.T @ spread)[1].T
-    if len(places) < _MANY_CELLS:
+    if len(centres) < _MANY_CELLS:
         return np.concatenate([_AXES, principal])
     return np.concatenate([_AXES, principal, _DIAGONALS])
 
@@ -163,9 +163,9 @@ class Substructure:
     stop: int = 0
     # Shape (b,), int64: ascending positions of the unknowns handed on to the parent
     boundary: Array = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    # For each child, shape (b of the child,), int64: where its boundary lies among this one's
+    # For each child, shape (b of the child,), int64: where its boundary lies among this part's
     # unknowns (eliminated first, then the boundary).
-    places: tuple[Array, ...] = ()
+    indices: tuple[Array, ...] = ()
 
     @property
     def eliminated(self) -> int:
@@ -191,7 +191,7 @@ class Dissection:
 
     substructures: tuple[Substructure, ...]  # all nodes of the tree
     nodes: Array  # shape (free nodes,): indices of mesh nodes in the order of elimination
-    # Shape (mesh nodes,): place of each mesh node in that order, -1 for nodes that are not free
+    # Shape (mesh nodes,): index of each mesh node in that order, -1 for nodes that are not free
     positions: Array
 
     @property
@@ -266,7 +266,7 @@ class _Builder:
             part.start, part.stop = start, start + 3 * eliminated.size
             part.boundary = unknowns_of(np.sort(positions[boundary])).ravel()
             start = part.stop
-            part.places = tuple(part.find(self.parts[c].boundary) for c in part.children)
+            part.indices = tuple(part.find(self.parts[c].boundary) for c in part.children)
         return Dissection(tuple(self.parts), order, positions)
 
 

@@ -1,6 +1,6 @@
 """Content of an input deck besides its mesh: materials, sections, and load cases.
 
-All numbers are in the deck's own units, which no deck names; `in_si` takes its length unit and the
+All numbers are in the deck's units, which no deck names; `in_si` takes its length unit and the
 forces that go with it.
 """
 

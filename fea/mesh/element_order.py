@@ -58,28 +58,31 @@ def second_order(mesh: Mesh) -> Mesh:
     are in it.
     """
     # The edges of the first-order cells as sorted pairs, and their middle nodes or -1.
-    pairs = [np.empty((0, 2), dtype=np.int64)]
+    unknown = [np.empty((0, 2), dtype=np.int64)]
     known = [np.empty((0, 3), dtype=np.int64)]
     for block in mesh.blocks:
         edges = block.nodes[:, EDGES[block.kind]]
         if block.kind in SECOND:
-            pairs.append(np.sort(edges.reshape(-1, 2), axis=1))
+            unknown.append(np.sort(edges.reshape(-1, 2), axis=1))
         else:
             corners = int(np.max(EDGES[block.kind])) + 1
             middle = block.nodes[:, corners : corners + edges.shape[1], None]
             ends = np.sort(edges, axis=2)
             known.append(np.concatenate([ends, middle], axis=2).reshape(-1, 3))
-    unique = np.unique(np.concatenate(pairs), axis=0)
-    middles = np.full(len(unique), -1, dtype=np.int64)
+    pairs = np.unique(np.concatenate(unknown), axis=0)
+    middles = np.full(len(pairs), -1, dtype=np.int64)
     there = np.concatenate(known)
-    place, is_known = _find(unique, there[:, :2])
-    middles[place[is_known]] = there[is_known, 2]
-    pairs = unique
-    points = np.concatenate([mesh.points, 0.5 * mesh.points[pairs[middles < 0]].sum(axis=1)])
-    middles = middles.copy()
+    index, is_known = _find(pairs, there[:, :2])
+    middles[index[is_known]] = there[is_known, 2]
     new = middles < 0
+    points = np.concatenate([mesh.points, 0.5 * mesh.points[pairs[new]].sum(axis=1)])
     middles[new] = len(mesh.points) + np.arange(int(new.sum()))
-    blocks = tuple(_raised(block, pairs, middles) for block in mesh.blocks)
+    blocks = list(mesh.blocks)
+    for i, block in enumerate(blocks):
+        if block.kind in SECOND:
+            edges = np.sort(block.nodes[:, EDGES[block.kind]].reshape(-1, 2), axis=1)
+            added = middles[_find(pairs, edges)[0]].reshape(len(block), -1)
+            blocks[i] = CellBlock(SECOND[block.kind], np.hstack([block.nodes, added]))
     finder = FaceFinder(blocks)
     groups = {}
     for name, group in mesh.facet_groups.items():
@@ -87,7 +90,7 @@ def second_order(mesh: Mesh) -> Mesh:
         groups[name] = FacetGroup(tuple(FacetBlock(kind, nodes) for kind, nodes in faces))
     return Mesh(
         points,
-        blocks,
+        tuple(blocks),
         mesh.regions,
         groups,
         {
@@ -98,21 +101,11 @@ def second_order(mesh: Mesh) -> Mesh:
     )
 
 
-def _raised(block: CellBlock, pairs: Array, middles: Array) -> CellBlock:
-    if block.kind not in SECOND:
-        return block
-    edges = np.sort(block.nodes[:, EDGES[block.kind]].reshape(-1, 2), axis=1)
-    place, _ = _find(pairs, edges)
-    return CellBlock(
-        SECOND[block.kind], np.hstack([block.nodes, middles[place].reshape(len(block), -1)])
-    )
-
-
 def _find(pairs: Array, queries: Array) -> tuple[Array, Array]:
     """Return where `queries` pairs are among sorted unique `pairs`, and whether they are."""
     if not len(pairs):
         return np.zeros(len(queries), dtype=np.int64), np.zeros(len(queries), dtype=bool)
     base = max(int(pairs.max()), int(queries.max(initial=0))) + 1
     keys, query_keys = pairs @ [base, 1], queries @ [base, 1]
-    place = np.minimum(np.searchsorted(keys, query_keys), len(keys) - 1)
-    return place, keys[place] == query_keys
+    index = np.minimum(np.searchsorted(keys, query_keys), len(keys) - 1)
+    return index, keys[index] == query_keys

@@ -78,7 +78,7 @@ def disc(radius: float, core: int) -> PlaneMesh:
 
     Its outline is 4 `core` parabolas, whose nodes all lie on one circle. That circle is a little
     larger than `radius` (0.6 % for ``core = 1``, 0.04 % for ``core = 2``), so that the section has
-    the area of the true one; with its nodes on the true circle 5 quadrilaterals would have 2.4 %
+    the true circle's area; with its nodes on the true circle 5 quadrilaterals would have 2.4 %
     less stiffness in torsion.
 
     radius: m.
@@ -172,7 +172,7 @@ def directions(angles: Array) -> Array:
     return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
 
-Place = Callable[[Array, Array], Array]
+PointMap = Callable[[Array, Array], Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,19 +219,19 @@ class Sweep:
         return FacetGroup((FacetBlock("quad8", _each_layer(columns, stride, self.layers)),))
 
 
-def sweep(section: PlaneMesh, layers: int, place: Place) -> Sweep:
+def sweep(section: PlaneMesh, layers: int, to_space: PointMap) -> Sweep:
     """Draw `section` out into `layers` layers of cells.
 
     section: Counter-clockwise about the direction of drawing.
     layers: number of layers.
-    place: from section points, shape (k, 2), and the fraction of the way, shape (k,) and from 0 to
+    to_space: from section points, shape (k, 2), and the fraction of the way, shape (k,), from 0 to
     1, to points in space, shape (k, 3). Called once, so that any line will do.
     """
     stride, between = _stride(section), len(section.points)
     level_of = np.concatenate([np.zeros(between), np.ones(section.corners)])
     flat = np.concatenate([section.points, section.points[: section.corners]])
     levels = (level_of + 2.0 * np.arange(layers + 1)[:, None]).ravel()
-    points = place(np.tile(flat, (layers + 1, 1)), levels / (2.0 * layers))
+    points = to_space(np.tile(flat, (layers + 1, 1)), levels / (2.0 * layers))
     quads = section.quads
     columns = [
         *quads[:, :4].T,
@@ -287,10 +287,10 @@ class Bar(Generator):
         half = np.linspace(-0.5, 0.5, self.cells_across + 1)
         section = rectangle(self.width * half, self.height * half)
 
-        def place(flat: Array, fraction: Array) -> Array:
+        def to_space(flat: Array, fraction: Array) -> Array:
             return np.column_stack([self.length * fraction, flat])
 
-        swept = sweep(section, self.cells_along, place)
+        swept = sweep(section, self.cells_along, to_space)
         groups = {"start": swept.start(), "end": swept.end(), "side": swept.side()}
         return Mesh(swept.points, (swept.cells,), facet_groups=groups)
 
@@ -374,10 +374,10 @@ class Plate(Generator):
         section = quadratic(points, np.concatenate([disc_quads, *rings, number[frame]]))
         bend_circle(section, self.cells)
 
-        def place(flat: Array, fraction: Array) -> Array:
+        def to_space(flat: Array, fraction: Array) -> Array:
             return np.column_stack([flat, self.thickness * fraction])
 
-        plate = sweep(section, self.layers, place)
+        plate = sweep(section, self.layers, to_space)
         on_patch = np.arange(self.cells**2 + 4 * self.cells)
         middle = np.abs(section.points[section.quads[:, :4]].mean(axis=1))
         edge = np.array([self.length, self.width]) / 2.0 - self.corner
@@ -443,11 +443,11 @@ class Spring(Generator):
     def mesh(self) -> Mesh:
         """Return the mesh, of 20-node hexahedra."""
         layers = int(np.ceil(self.cells_per_turn * self.active_turns - 1e-9))
-        wire = sweep(disc(self.wire_diameter / 2.0, self.core), layers, self._place)
+        wire = sweep(disc(self.wire_diameter / 2.0, self.core), layers, self._to_space)
         groups = {"bottom": wire.start(), "top": wire.end(), "side": wire.side()}
         return Mesh(wire.points, (wire.cells,), facet_groups=groups)
 
-    def _place(self, flat: Array, fraction: Array) -> Array:
+    def _to_space(self, flat: Array, fraction: Array) -> Array:
         """Put section points onto the cuts square to the helix.
 
         A section's first coordinate runs along the helix's normal (towards its axis), the second

@@ -8,13 +8,13 @@ import numpy as np
 
 from wrenchbook.fea.failure import inverted_elements
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetGroup, Mesh
-from wrenchbook.fea.mesh.reference_cell import node_places, reference_element, tabulate
-from wrenchbook.fea.spec.problems import BundleProblem
+from wrenchbook.fea.mesh.reference_cell import node_coordinates, reference_element, tabulate
+from wrenchbook.fea.spec.problems import BundleProblem, point_text
 
 Array = np.ndarray
 
 _FLAT = 1e-9
-"""Of the largest determinant of a cell: what is below is flat but for roundoff of its places."""
+"""Of the largest determinant of a cell: below it a cell is flat but for roundoff."""
 
 
 def determinants(points: Array, block: CellBlock) -> Array:
@@ -33,7 +33,7 @@ def extreme_determinants(points: Array, block: CellBlock) -> tuple[Array, Array]
 
     Returns least, largest: each of shape (m,), m^3: the least, and the largest in size.
     """
-    _, slopes = tabulate(block.kind, node_places(block.kind))
+    _, slopes = tabulate(block.kind, node_coordinates(block.kind))
     at_nodes = np.linalg.det(np.einsum("mad,qai->mqdi", points[block.nodes], slopes, optimize=True))
     every = np.concatenate([determinants(points, block), at_nodes], axis=1)
     return every.min(axis=1), np.abs(every).max(axis=1)
@@ -60,15 +60,15 @@ def right_way_round(points: Array, block: CellBlock) -> CellBlock:
 
     Points have shape (n, 3), in m or any other unit.
 
-    Only a whole block is turned: a few cells inside out among others are a fault of the mesh.
+    Only a complete block is turned: a few cells inside out among others are a fault of the mesh.
     """
     if not len(block) or not (determinants(points, block) < 0.0).all():
         return block
-    places = node_places(block.kind)
-    mirrored = places[:, [1, 0, 2]] if block.kind.startswith("tet") else places * [1, 1, -1]
+    reference = node_coordinates(block.kind)
+    mirrored = reference[:, [1, 0, 2]] if block.kind.startswith("tet") else reference * [1, 1, -1]
     if not block.kind.startswith("tet"):
         mirrored[:, 2] += 1.0
-    distance = np.abs(mirrored[:, None, :] - places[None, :, :]).max(axis=2)
+    distance = np.abs(mirrored[:, None, :] - reference[None, :, :]).max(axis=2)
     return CellBlock(block.kind, block.nodes[:, distance.argmin(axis=1)])
 
 
@@ -78,11 +78,10 @@ def cell_problems(mesh: Mesh) -> list[BundleProblem]:
     for block in mesh.blocks:
         bad = folded_cells(mesh.points, block)
         if bad.size:
-            middle = mesh.points[block.nodes[bad[0]]].mean(axis=0)
-            at = ", ".join(f"{place:.6g}" for place in middle)
+            at = point_text(mesh.points[block.nodes[bad[0]]].mean(axis=0))
             message = (
                 f"{bad.size} of {len(block)} {block.kind} cells are turned inside out or flat at a "
-                f"node or within, one of them near ({at}) m; mesh that place more finely, put its "
+                f"node or within, one of them near {at} m; mesh more finely there, put its "
                 "nodes in the file format's order or its midside nodes on the middle of their "
                 "edges, and write collapsed cells as wedges or tetrahedra"
             )

@@ -55,7 +55,7 @@ class FacetBlock(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FacetGroup:
-    """A named part of the surface; each facet has its own nodes, so nothing looks up its cell."""
+    """A named part of the surface; each facet lists its nodes, so nothing looks up its cell."""
 
     blocks: tuple[FacetBlock, ...]
 

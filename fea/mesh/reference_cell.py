@@ -1,8 +1,8 @@
 """Reference elements: shape functions and quadrature, in VTK node order.
 
 The shape functions and points are scikit-fem's. They are tabulated once for each kind and rule, in
-the node order of `fea.mesh.mesh`; the map to the real cell is then the isoparametric one of the
-cell's own nodes (`fea.mesh.mapping`), which sets neither the sign of a determinant nor the place
+the node order of `fea.mesh.mesh`; the map to the real cell is then the isoparametric map of the
+cell's nodes (`fea.mesh.mapping`), which sets neither the sign of a determinant nor the position
 of a midside node by convention.
 """
 
@@ -25,8 +25,8 @@ _QUAD_CORNERS = "00 10 11 01"
 _QUAD_EDGES = "50 15 51 05"
 _TRI_EDGES = "50 55 05"
 
-# Reference places of the nodes in VTK order; the digit 5 stands for one half.
-_PLACES = {
+# Reference coordinates of the nodes in VTK order; the digit 5 stands for one half.
+_COORDINATES = {
     "hex8": _HEX_CORNERS,
     "hex20": f"{_HEX_CORNERS} {_HEX_EDGES}",
     "hex27": f"{_HEX_CORNERS} {_HEX_EDGES} 055 155 505 515 550 551 555",
@@ -87,31 +87,31 @@ def reference_element(kind: str, integration: str = "full") -> ReferenceElement:
     """
     if kind in _GAUSS_POINTS:
         count = 2 if (kind == "hex20" and integration == "reduced") else _GAUSS_POINTS[kind]
-        dimension = node_places(kind).shape[1]
-        place, weight = _gauss(count)
-        grid = np.stack(np.meshgrid(*[place] * dimension, indexing="ij"), axis=-1)
+        dimension = node_coordinates(kind).shape[1]
+        positions, weight = _gauss(count)
+        grid = np.stack(np.meshgrid(*[positions] * dimension, indexing="ij"), axis=-1)
         products = np.stack(np.meshgrid(*[weight] * dimension, indexing="ij"), axis=-1)
         points, weights = grid.reshape(-1, dimension), products.prod(axis=-1).ravel()
     else:
         mass = integration == "mass"
         if kind in _SIMPLEX_DEGREES:
             degrees = _MASS_SIMPLEX_DEGREES if mass else _SIMPLEX_DEGREES
-            points, weights = _simplex(node_places(kind).shape[1], degrees[kind])
+            points, weights = _simplex(node_coordinates(kind).shape[1], degrees[kind])
         else:
             points, weights = _wedge(*(_MASS_WEDGE_RULES if mass else _WEDGE_RULES)[kind])
     values, slopes = tabulate(kind, points)
     return ReferenceElement(kind, values, slopes, weights)
 
 
-def node_places(kind: str) -> Array:
+def node_coordinates(kind: str) -> Array:
     """Return the reference coordinates of the nodes in VTK order.
 
     Shape (nodes, dimension), dimensionless.
     """
-    digits = [[int(digit) for digit in place] for place in _PLACES[kind].split()]
-    places = np.array(digits, dtype=float)
-    places[places == 5] = 0.5
-    return places
+    digits = [[int(digit) for digit in node] for node in _COORDINATES[kind].split()]
+    coordinates = np.array(digits, dtype=float)
+    coordinates[coordinates == 5] = 0.5
+    return coordinates
 
 
 def tabulate(kind: str, points: Array) -> tuple[Array, Array]:
@@ -139,11 +139,11 @@ def tabulate(kind: str, points: Array) -> tuple[Array, Array]:
         values, slopes = zip(*both, strict=True)
         return np.stack(values, axis=1), np.stack(slopes, axis=1)
     element = getattr(skfem, _SKFEM_NAMES[kind])()
-    # Find for each node place in VTK order the number scikit-fem gives it.
-    places = node_places(kind)
-    distance = np.abs(places[:, None, :] - np.asarray(element.doflocs)[None, :, :]).max(axis=2)
+    # Find for each node in VTK order the number scikit-fem gives it.
+    coordinates = node_coordinates(kind)
+    distance = np.abs(coordinates[:, None, :] - np.asarray(element.doflocs)[None, :, :]).max(axis=2)
     order = distance.argmin(axis=1)
-    if distance.min(axis=1).max() > 1e-12 or len(set(order.tolist())) != len(places):
+    if distance.min(axis=1).max() > 1e-12 or len(set(order.tolist())) != len(coordinates):
         raise AssertionError("scikit-fem moved the nodes of a reference element")
     values, slopes = zip(*(element.lbasis(points.T, int(i)) for i in order), strict=True)
     return np.stack(values, axis=1), np.moveaxis(np.stack(slopes), (0, 1, 2), (1, 2, 0)).copy()
@@ -151,8 +151,8 @@ def tabulate(kind: str, points: Array) -> tuple[Array, Array]:
 
 def _gauss(count: int) -> tuple[Array, Array]:
     """Gauss points and weights on [0, 1]."""
-    place, weight = np.polynomial.legendre.leggauss(count)
-    return (place + 1) / 2, weight / 2
+    positions, weight = np.polynomial.legendre.leggauss(count)
+    return (positions + 1) / 2, weight / 2
 
 
 def _simplex(dimension: int, degree: int) -> tuple[Array, Array]:
@@ -162,8 +162,8 @@ def _simplex(dimension: int, degree: int) -> tuple[Array, Array]:
 
 def _wedge(degree: int, count: int) -> tuple[Array, Array]:
     flat, flat_weights = _simplex(2, degree)
-    place, weight = _gauss(count)
-    points = [[*point, height] for height in place for point in flat]
+    positions, weight = _gauss(count)
+    points = [[*point, height] for height in positions for point in flat]
     return np.array(points), (weight[:, None] * flat_weights[None, :]).ravel()
 
 

@@ -1,7 +1,7 @@
 """A coarser or finer mesh: made again from a generator or geometry, or its cells halved.
 
-Each cell becomes eight, each facet four. The new nodes lie on the cell's own isoparametric map, so
-curved edges keep their shape and the finer mesh holds every field of the coarser one.
+Each cell becomes eight, each facet four. The new nodes lie on the cell's isoparametric map, so
+curved edges keep their shape and the finer mesh holds every field of the coarser mesh.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from wrenchbook.fea.mesh.facets import FaceFinder
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
-from wrenchbook.fea.mesh.reference_cell import node_places, tabulate
+from wrenchbook.fea.mesh.reference_cell import node_coordinates, tabulate
 from wrenchbook.fea.spec.schema import Bundle, Generator, GeometryFile
 
 Array = np.ndarray
@@ -76,42 +76,42 @@ _DENOMINATOR = 64
 class _Pattern(NamedTuple):
     """How one kind splits."""
 
-    children: Array  # shape (children, nodes): places by number
+    children: Array  # shape (children, nodes): indices of points
     # Shape (corners, points), uint64: of the corners at each point, in parts of `_DENOMINATOR`. Two
     # cells that meet have the same corners' weights at a common point.
     weights: Array
-    values: Array  # shape (places, nodes): the parent's shape functions
+    values: Array  # shape (points, nodes): the parent's shape functions
 
 
 @cache
 def _pattern(kind: str) -> _Pattern:
     linear = _CORNERS[kind]
-    inside = tabulate(linear, node_places(kind))[0]
+    inside = tabulate(linear, node_coordinates(kind))[0]
     every = np.array([inside @ corners for corners in _children(linear)])
-    places, numbers = np.unique(every.reshape(-1, every.shape[2]), axis=0, return_inverse=True)
-    weights = np.rint(_DENOMINATOR * tabulate(linear, places)[0].T).astype(np.uint64)
-    return _Pattern(numbers.reshape(every.shape[:2]), weights, tabulate(kind, places)[0])
+    points, numbers = np.unique(every.reshape(-1, every.shape[2]), axis=0, return_inverse=True)
+    weights = np.rint(_DENOMINATOR * tabulate(linear, points)[0].T).astype(np.uint64)
+    return _Pattern(numbers.reshape(every.shape[:2]), weights, tabulate(kind, points)[0])
 
 
 def _children(linear: str) -> list[Array]:
     """Return the corners of each child, shape (corners, dimension), in the parent's coordinates."""
-    places = node_places(linear)
+    points = node_coordinates(linear)
     if linear in ("hex8", "quad4"):
-        return [0.5 * (places + corner) for corner in places]
+        return [0.5 * (points + corner) for corner in points]
     if linear == "wedge6":
-        layers = 0.5 * (places[[0, 3], 2])
-        flat = [_between(places[:3, :2], patterns) for patterns in _OF_TRIANGLE]
+        layers = 0.5 * (points[[0, 3], 2])
+        flat = [_between(points[:3, :2], patterns) for patterns in _OF_TRIANGLE]
         return [
             np.vstack([np.column_stack([three, np.full(3, z)]) for z in (low, low + 0.5)])
             for low in layers
             for three in flat
         ]
     patterns = _OF_TRIANGLE if linear == "tri3" else _OF_TETRAHEDRON
-    return [_between(places, word) for word in patterns]
+    return [_between(points, word) for word in patterns]
 
 
-def _between(places: Array, pattern: str) -> Array:
-    return np.array([0.5 * (places[int(a)] + places[int(b)]) for a, b in pattern.split()])
+def _between(points: Array, pattern: str) -> Array:
+    return np.array([0.5 * (points[int(a)] + points[int(b)]) for a, b in pattern.split()])
 
 
 def halved(mesh: Mesh) -> Mesh:
@@ -121,7 +121,7 @@ def halved(mesh: Mesh) -> Mesh:
     all of whose nodes it has.
     """
     # A sum of random 64-bit numbers of the corners names a point, whichever cell it is seen from:
-    # of a million points two share one with a probability of 3e-8.
+    # of a million points two share a number with a probability of 3e-8.
     names = np.random.default_rng(0).integers(2**64, size=len(mesh.points), dtype=np.uint64)
     parents = [(block.nodes, _pattern(block.kind)) for block in mesh.blocks]
     keys = [_keys(names, nodes, pattern) for nodes, pattern in parents]
@@ -157,7 +157,7 @@ def halved(mesh: Mesh) -> Mesh:
 
 
 def _keys(names: Array, nodes: Array, pattern: _Pattern) -> Array:
-    """Return the names of the places of each cell, (cells, places), uint64."""
+    """Return the names of the points of each cell, (cells, points), uint64."""
     return names[nodes[:, : len(pattern.weights)]] @ pattern.weights
 
 
@@ -177,6 +177,6 @@ def _split_facets(group: FacetGroup, faces: FaceFinder, names: Array, known: Arr
 
 
 def _all_of(member: Array, pattern: _Pattern) -> Array:
-    """Return at which places, (cells, places), all nodes that count are members, (cells, nodes)."""
+    """Return at which points, (cells, points), all nodes that count are members, (cells, nodes)."""
     counts = np.abs(pattern.values) > 1e-9  # shape functions are multiples of 1/64
     return (~member).astype(int) @ counts.T.astype(int) == 0

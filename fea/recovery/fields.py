@@ -10,7 +10,12 @@ from wrenchbook.fea.assembly.body import ElasticBody
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.mesh.facets import outer_surface
 from wrenchbook.fea.mesh.mesh import Mesh
-from wrenchbook.fea.recovery.stress import cauchy_stress, places_of, small_stress, stress_of
+from wrenchbook.fea.recovery.stress import (
+    cauchy_stress,
+    integration_points,
+    small_stress,
+    stress_of,
+)
 from wrenchbook.fea.solution import Solution
 from wrenchbook.fea.tensors import von_mises
 
@@ -24,7 +29,7 @@ MAX_POINTS = 20_000
 class SolveFields:
     """Surface and stresses of one solve, in the undeformed frame of the first interface."""
 
-    # Whether the slopes are the whole answer: fields = slopes @ inputs, a temperature among them
+    # Whether the slopes are the complete answer: fields = slopes @ inputs, a temperature among them
     # from its reference.
     linear: bool
     # vertices, triangles: shape (v, 3), m, undeformed, and (t, 3), int32
@@ -44,11 +49,11 @@ class SolveFields:
     materials: Array
     regions: tuple[str, ...]  # the materials' regions
     # largest, largest_at, largest_region: the largest von Mises stress over all integration points,
-    # Pa, its place, m, and region.
+    # Pa, its point, m, and region.
     largest: float
     largest_at: tuple[float, float, float]
     largest_region: str
-    weight: bool = False  # whether the component's own weight acts
+    weight: bool = False  # whether self-weight acts
 
 
 def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) -> SolveFields:
@@ -62,8 +67,8 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
     nodes = solution.nodes @ axes.T
     assert solution.tangents is not None
     slopes = np.einsum("ij,njk->nik", axes, solution.tangents)
-    places, materials = places_of(component, body.points)
-    shown = slice(None) if len(places) <= MAX_POINTS else slice(0)
+    points, materials = integration_points(component, body.points)
+    shown = slice(None) if len(points) <= MAX_POINTS else slice(0)
     stress, changes = _stresses(component, body, solution, slopes, shown)
     regions = tuple(material.region for material in component.materials)
     equivalent = von_mises(stress)
@@ -78,11 +83,11 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
         displacement_slopes=slopes[surface.nodes],
         stress=stress[shown],
         stress_slopes=changes[shown] if shown.stop is None else changes[:0],
-        places=places[shown],
+        places=points[shown],
         materials=materials[shown],
         regions=regions,
         largest=float(equivalent[worst]),
-        largest_at=(float(places[worst, 0]), float(places[worst, 1]), float(places[worst, 2])),
+        largest_at=(float(points[worst, 0]), float(points[worst, 1]), float(points[worst, 2])),
         largest_region=regions[int(materials[worst])],
         weight=hangs,
     )

@@ -16,20 +16,20 @@ from wrenchbook.fea.tensors import COLUMNS, ROWS, von_mises
 Array = np.ndarray
 
 
-def places_of(component: ComponentModel, points: Array) -> tuple[Array, Array]:
-    """Return places and materials of the integration points, in the order of `ElasticBody.parts`.
+def integration_points(component: ComponentModel, points: Array) -> tuple[Array, Array]:
+    """Return points and materials of the integration, in the order of `ElasticBody.parts`.
 
     component: its mesh's cells and their materials.
     points: shape (n, 3), m: the mesh's points, in the frame of the result.
-    Returns places: shape (p, 3), m, undeformed. materials: shape (p,), int32: index of each point's
-    material.
+    Returns coordinates: shape (p, 3), m, undeformed. materials: shape (p,), int32: index
+    of each point's material.
     """
-    places, materials = [], []
+    coordinates, materials = [], []
     for kind, nodes, numbers in _parts(component):
         element = reference_element(kind, component.analysis.integration)
-        places.append((element.values @ points[nodes]).reshape(-1, 3))
+        coordinates.append((element.values @ points[nodes]).reshape(-1, 3))
         materials.append(np.repeat(numbers, len(element.values)))
-    return np.concatenate(places), np.concatenate(materials).astype(np.int32)
+    return np.concatenate(coordinates), np.concatenate(materials).astype(np.int32)
 
 
 def small_stress(body: ElasticBody, fields: Array, loads: int | None = None) -> Array:
@@ -62,7 +62,7 @@ def cauchy_stress(
     displacement: shape (n, 3), m.
     tangents: shape (n, 3, k): its change with the inputs, m per unit of each.
     temperature: K from the reference.
-    loads: how many inputs there are before the temperature, where that is one.
+    loads: how many inputs there are before the temperature, where that is an input.
     Returns stresses: shape (p, 6), Pa: xx, yy, zz, xy, xz, yz. changes: shape (p, 6, k), Pa per
     unit of each.
     """
@@ -75,7 +75,7 @@ def cauchy_stress(
         changes.append(np.moveaxis(_six(slopes), 0, -1))
     stress_field, slopes = np.concatenate(stresses), np.concatenate(changes)
     none = tangents[:, :, :0]
-    if body.expands and slopes.shape[2]:  # the temperature has a stress of its own
+    if body.expands and slopes.shape[2]:  # the temperature alone has a stress
         warmer, cooler = (
             cauchy_stress(body, displacement, none, temperature + step)[0] for step in (0.5, -0.5)
         )
@@ -107,14 +107,14 @@ def _parts(component: ComponentModel) -> Iterator[tuple[str, Array, Array]]:
 
 
 def most_used(component: ComponentModel, body: ElasticBody, fields: Array) -> Array:
-    """Return the largest shares of the yield strength under unit loads (k,), each of one over it.
+    """Return the largest fractions of the yield strength under unit loads (k,), each over it.
 
     `fields` has shape (n, 3, k), m over each unit, in the body's axes. The von Mises stress is a
     seminorm, so that of a sum of loads is at most the sum of theirs (triangle inequality).
     """
     if not np.isfinite(_strengths(component)).any():
         return np.zeros(fields.shape[2])
-    strengths = _strengths(component)[places_of(component, body.points)[1]]
+    strengths = _strengths(component)[integration_points(component, body.points)[1]]
     parts = np.split(fields, fields.shape[2], axis=2)  # one at a time: stresses take much memory
     used = [(von_mises(small_stress(body, part)[:, :, 0]) / strengths).max() for part in parts]
     return np.array(used)
@@ -125,7 +125,7 @@ def _strengths(component: ComponentModel) -> Array:
 
 
 def yielding(component: ComponentModel, body: ElasticBody, solution: Solution) -> str:
-    """Return which share of the part's volume yields, in words; none if nothing does.
+    """Return which fraction of the part's volume yields, as text; none if nothing does.
 
     By the von Mises stress at the integration points. Materials here do not yield, so the answer
     is too stiff beyond that.
@@ -133,7 +133,7 @@ def yielding(component: ComponentModel, body: ElasticBody, solution: Solution) -
     strengths = _strengths(component)
     if not np.isfinite(strengths).any():
         return ""
-    materials = places_of(component, body.points)[1]
+    materials = integration_points(component, body.points)[1]
     used = von_mises(stress_of(component, body, solution)) / strengths[materials]
     worst = int(used.argmax())
     if not used[worst] > 1.0:
@@ -150,7 +150,7 @@ def yielding(component: ComponentModel, body: ElasticBody, solution: Solution) -
 
 def material_of_parts(component: ComponentModel, body: ElasticBody) -> list[Array]:
     """Return for each of the body's parts its cells' material numbers, shape (cells,)."""
-    materials, first, by_part = places_of(component, body.points)[1], 0, []
+    materials, first, by_part = integration_points(component, body.points)[1], 0, []
     for part in body.parts:
         weights = part.gradients.weights
         by_part.append(materials[first : first + weights.size : weights.shape[1]])
@@ -169,7 +169,7 @@ def nodal_masses(component: ComponentModel, body: ElasticBody) -> Array:
     return total
 
 
-def pull_of(component: ComponentModel, body: ElasticBody) -> Array:
+def body_force_of(component: ComponentModel, body: ElasticBody) -> Array:
     """Return the nodal forces per unit of acceleration along the mesh's axes, (n, 3, 3), kg.
 
     They are in the interface frame, as the body is.

@@ -33,12 +33,12 @@ _MIN_COSINE = 0.7  # cosine of a path that bends no more than it should in one s
 class Ending(NamedTuple):
     """Why the path was not followed further."""
 
-    # ``"reached"``: the whole load, by stable states all along; ``"limit"``: the load has a maximum
+    # ``"reached"``: the full load, by stable states all along; ``"limit"``: the load has a maximum
     # on the path; ``"bifurcation"``: the states become unstable while the load still grows;
     # ``"lost"``: no equilibrium was found further on.
     kind: str
     factor: float  # of the load: the greatest that was found to have a stable state on this path
-    equilibrium: Equilibrium  # the last state found, beyond the whole load if it was reached
+    equilibrium: Equilibrium  # the last state found, beyond the full load if it was reached
 
 
 class _Point(NamedTuple):
@@ -55,7 +55,7 @@ class ArcPath:
 
     system: the equations.
     direction: shape (k,): the inputs per unit of the size.
-    whole: the size of the full load.
+    full: the size of the full load.
     start: a stable equilibrium at the load factor `factor`, with its tangent.
     step: Change of the load factor to begin with.
     report: called with a load factor; returns a function that is called after each iteration.
@@ -82,9 +82,9 @@ class ArcPath:
         self._length = self._first
 
     def follow(self, accept: Callable[[Equilibrium, float], None]) -> Ending:
-        """Step until the whole load is reached or cannot be.
+        """Step until the full load is reached or cannot be.
 
-        accept: called with each stable state below the whole load, and its factor.
+        accept: called with each stable state below the full load, and its factor.
         """
         for _ in range(_MAX_STEPS):
             ahead = self._step()
@@ -108,13 +108,13 @@ class ArcPath:
                     middle = 0.5 * (self._point.size + ahead.size) / self._full
                     return Ending("bifurcation", middle, self._point.equilibrium)
                 length = float(np.linalg.norm(self._between(ahead)))
-                place = np.linspace(0.0, 1.0, 201)
+                s = np.linspace(0.0, 1.0, 201)
                 start, end = length / self._point.speed, -length / ahead.speed
                 cubic = (
-                    self._point.size * (1 + 2 * place) * (1 - place) ** 2
-                    + start * place * (1 - place) ** 2
-                    + ahead.size * place**2 * (3 - 2 * place)
-                    + end * place**2 * (place - 1)
+                    self._point.size * (1 + 2 * s) * (1 - s) ** 2
+                    + start * s * (1 - s) ** 2
+                    + ahead.size * s**2 * (3 - 2 * s)
+                    + end * s**2 * (s - 1)
                 )
                 return Ending("limit", float(cubic.max()) / self._full, self._point.equilibrium)
             if ahead.size >= self._full:
@@ -163,9 +163,9 @@ class ArcPath:
             tangent = system.linearise(balance, None if proper else step.aim)
             moved, edge = tangent.correction(balance)
             rate = self._rate(tangent)
-            ties = tangent.border.ties
-            along = float(np.vdot(normal, moved + ties @ edge))
-            shift = -along / float(np.vdot(normal, rate[0] + ties @ rate[1]))
+            constraint = tangent.border.constraint
+            along = float(np.vdot(normal, moved + constraint @ edge))
+            shift = -along / float(np.vdot(normal, rate[0] + constraint @ rate[1]))
             nodes, border, more = moved + shift * rate[0], edge + shift * rate[1], shift
             size += more
         return None
@@ -178,11 +178,11 @@ class ArcPath:
 
     def _point_at(self, size: float, equilibrium: Equilibrium) -> _Point:
         rate = self._rate(equilibrium.tangent)
-        field = rate[0] + equilibrium.tangent.border.ties @ rate[1]
+        field = rate[0] + equilibrium.tangent.border.constraint @ rate[1]
         return _Point(size, equilibrium, rate, float(np.linalg.norm(field)))
 
     def _field(self, point: _Point) -> Array:
-        return point.rate[0] + point.equilibrium.tangent.border.ties @ point.rate[1]
+        return point.rate[0] + point.equilibrium.tangent.border.constraint @ point.rate[1]
 
     def _between(self, ahead: _Point) -> Array:
         return ahead.equilibrium.balance.state.nodes - self._point.equilibrium.balance.state.nodes

@@ -26,7 +26,7 @@ class LinearResponse:
     # rad per N, N·m, K and m/s^2. That of the loads is symmetric. Locked freedoms are zero.
     compliance: Array
     # Shape (k, k): twice the energies of pairs of unit inputs, from the strains: of loads equal to
-    # `compliance` but for roundoff, and in its units; J/K^2. With own weight (k + 1, k + 1), the
+    # `compliance` but for roundoff, and in its units; J/K^2. With self-weight (k + 1, k + 1), the
     # last that of the weight, J.
     energies: Array
     # Shape (n, 3, k): nodal displacements per unit of each input, m per N, N·m, K and m/s^2
@@ -36,7 +36,7 @@ class LinearResponse:
     # difference from `energies`: both relative to sqrt(C_ii C_jj).
     asymmetry: float
     energy_gap: float
-    # Shape (n, 3), m: nodal displacements under the component's own weight; zero without
+    # Shape (n, 3), m: nodal displacements under self-weight; zero without
     sag: Array
     sag_displacement: Array  # shape (6 i,), m and rad: the interfaces' under it
 
@@ -46,7 +46,7 @@ def linear_response(system: System) -> LinearResponse:
 
     Raises SolveFailed: ``mechanism``; ``ill_conditioned`` if the compliance is not symmetric, or
     not equal to its strain energies, by more than 1e-6, or corrections do not get small. The
-    condition alone does not decide: a plate of 1:100 has one of 1e11, and the corrections bring its
+    condition alone does not decide: that of a plate of 1:100 is 1e11, and the corrections bring its
     answer to full accuracy.
     """
     fields, border, correction = _refined(system, system.undeformed)
@@ -71,7 +71,7 @@ def linear_response(system: System) -> LinearResponse:
         compliance = np.hstack([compliance, displacements[:, loads:inputs]])
     if system.body.expands:
         at_rest = np.zeros((system.body.size, 3))
-        conjugate = contract(system.body.heat(at_rest)[0][:, :, None], fields)[0]
+        conjugate = contract(system.body.thermal_rates(at_rest)[0][:, :, None], fields)[0]
         energies[loads] += conjugate
         energies[:, loads] += conjugate
         energies[loads, loads] += 2 * system.body.at(1.0, finite=False).forces(at_rest)[1]
@@ -94,14 +94,14 @@ def _refined(system: System, start: Linearisation) -> tuple[Array, Array, float]
     if system.weight is not None:
         weight = system.weight[:, :, None]
         acting = np.concatenate([acting, system.body.movable.released(weight)], axis=2)
-        loads = np.hstack([loads, contract(border.ties, weight)])
+        loads = np.hstack([loads, contract(border.constraint, weight)])
     nodes, moved = start.solve(acting, loads)
     size, first = 0.0, system.coupling.freedoms
     for _ in range(_MAX_CORRECTIONS):
-        fields = nodes + border.ties @ moved
+        fields = nodes + border.constraint @ moved
         forces = system.body.small_strain_forces(fields)
         nodal = system.body.movable.released(forces + border.columns @ moved) - acting
-        border_residual = contract(border.ties, forces) + contract(border.columns, nodes)
+        border_residual = contract(border.constraint, forces) + contract(border.columns, nodes)
         border_residual += border.block @ moved - loads
         more_nodes, more = start.solve(nodal, border_residual)
         nodes, moved = nodes - more_nodes, moved - more
@@ -111,7 +111,7 @@ def _refined(system: System, start: Linearisation) -> tuple[Array, Array, float]
         )
         if size <= _SMALL:
             break
-    return nodes + border.ties @ moved, moved, size
+    return nodes + border.constraint @ moved, moved, size
 
 
 def _relative(change: Array, fields: Array) -> float:

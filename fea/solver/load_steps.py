@@ -33,7 +33,7 @@ Array = np.ndarray
 FIRST_STEP = 1.0
 """Load factor tried first."""
 GROWTH = 2.0
-"""How much longer the next step is after one that converged quickly."""
+"""How much longer the next step is after a step that converged quickly."""
 
 _MIN_STEP = 1.0 / 32
 _FEW_ITERATIONS = 8
@@ -50,17 +50,17 @@ class _Refused(Exception):  # noqa: N818 - load control gives up; the path's len
 class LoadPath:
     """Follows one wrench from nothing to its full size.
 
-    The first step tries the whole load: with the tangents of `fea.solver.newton` most parts
+    The first step tries the full load: with the tangents of `fea.solver.newton` most parts
     converge at once. A step is taken back and halved if Newton's method gets stuck, if the state
     it finds is unstable or turned inside out, or if the tangents at both its ends do not explain
     how far it went: a load step that jumps onto another branch of equilibria moves further than
     either tangent says. Where no step is short enough the path is followed by its length
-    (`fea.solver.arc_length`), to the whole load or to the load at which the part gives way.
+    (`fea.solver.arc_length`), to the full load or to the load at which the part gives way.
 
     system: the equations.
     wrench: shape (k,): the inputs, as of `Balance.wrench`; not zero.
     progress: called with the fraction done and a message.
-    rest: the equilibrium at no wrench, under the component's own weight (`hang`); None without.
+    unloaded: the equilibrium at no wrench, under self-weight (`hang`); None without.
     history: all iterations, those of steps taken back as well.
     work: External work so far, J.
     """
@@ -70,7 +70,7 @@ class LoadPath:
         system: System,
         wrench: Array,
         progress: Progress | None = None,
-        rest: Equilibrium | None = None,
+        unloaded: Equilibrium | None = None,
     ) -> None:
         self._system = system
         self._wrench = wrench
@@ -81,8 +81,8 @@ class LoadPath:
         self.work = 0.0
         self._factor = 0.0
         self._step = FIRST_STEP
-        self._balance = system.balance_at_rest if rest is None else rest.balance
-        self._tangent = system.undeformed if rest is None else rest.tangent
+        self._balance = system.balance_at_rest if unloaded is None else unloaded.balance
+        self._tangent = system.undeformed if unloaded is None else unloaded.tangent
 
     def follow(
         self, check: Callable[[Balance], None], guess: CoupledState | None = None
@@ -90,8 +90,8 @@ class LoadPath:
         """Step to the full wrench.
 
         check: called with each converged balance; raises SolveFailed to stop.
-        guess: a state near the one sought, such as that of a nearby wrench. What it leads to must
-        pass as one step from no load to the whole; else it is as if there were no guess.
+        guess: a state near the equilibrium, such as that of a nearby wrench. What it leads to must
+        pass as one step from no load to the full; else it is as if there were no guess.
         Raises SolveFailed: ``not_converged``, ``snap_through`` or ``ill_conditioned``, or what
         `check` raises; with the history and the last state.
         """
@@ -153,7 +153,7 @@ class LoadPath:
         raise gave_way(ending.kind, ending.factor) or refused
 
     def _settle(self, beyond: Equilibrium) -> Equilibrium | None:
-        """Go back from a state just beyond the whole load to the whole load."""
+        """Go back from a state just beyond the full load to the full load."""
         start = self._system.reload(beyond.balance, self._wrench)
         try:
             equilibrium = find_equilibrium(self._system, start, beyond.tangent, self._reporter(1.0))
@@ -241,10 +241,10 @@ class LoadPath:
         if self._system.body.expands:
             both, body = (self._balance, equilibrium.balance), self._system.body
             middle = 0.5 * sum(self._system.temperature(motion.wrench) for motion in both)
-            before, after = (body.heat(motion.state.nodes, middle)[1] for motion in both)
+            before, after = (body.thermal_rates(motion.state.nodes, middle)[1] for motion in both)
             advance.append(np.array([before - after]))
         moved = equilibrium.balance.state.nodes - self._balance.state.nodes
-        advance.append(contract(self._system.pull, moved[:, :, None])[:, 0])
+        advance.append(contract(self._system.body_force, moved[:, :, None])[:, 0])
         return float(self._direction @ np.concatenate(advance))
 
     def _reporter(self, target: float) -> Report:
@@ -258,21 +258,25 @@ class LoadPath:
 
 
 def hang(system: System, check: Callable[[Balance], None]) -> Equilibrium:
-    """Return the equilibrium under the component's own weight and no wrench.
+    """Return the equilibrium under self-weight and no wrench.
 
     system: with its weight.
     check: as of `LoadPath.follow`.
     Raises SolveFailed as `LoadPath.follow` does, the weight in place of the wrench.
     """
     assert system.weight is not None
-    growing = System(system.body, system.coupling, pull=system.weight[:, :, None])
+    growing = System(system.body, system.coupling, body_force=system.weight[:, :, None])
     try:
         equilibrium = LoadPath(growing, np.eye(growing.inputs)[-1]).follow(check)
     except SolveFailed as failure:
-        message = f"Under its own weight alone, which grows in place of a wrench: {failure.message}"
+        message = f"Under self-weight alone, which grows in place of a wrench: {failure.message}"
         raise SolveFailed(failure.kind, message, failure.remedy) from None
     balance = system.balance(equilibrium.balance.state, np.zeros(system.inputs))
     tangent = Linearisation(
-        system.body, system.coupling, balance, equilibrium.tangent.tangent, system.pull
+        system.body,
+        system.coupling,
+        balance,
+        equilibrium.tangent.tangent,
+        system.body_force,
     )
     return Equilibrium(balance, tangent, equilibrium.iterations)

@@ -40,7 +40,7 @@ On that spring a tangent changes by 500 times the correction: this leaves 5e-8 o
 MAX_ITERATIONS = 16
 
 _NEARLY = 1e-3
-_MAX_CHORDS = 3  # by when one that shrinks tenfold is below what a new tangent needs
+_MAX_CHORDS = 3  # by when a correction that shrinks tenfold is below what a new tangent needs
 _CHORD_GAIN = 0.1  # a correction that shrinks less says that the tangent has changed
 _MAX_IDLE = 3
 _FAR_ROTATION = 2.0  # rad: a rotation vector is of no use near half a turn
@@ -134,7 +134,7 @@ def find_equilibrium(
         proper = step.nearly
         balance = _settled(system, step, tangent) if proper else balance
         if iteration == 1:
-            tangent.release()  # the caller keeps it: its factor would be there with each next one
+            tangent.release()  # the caller keeps it: its factor would be there with each next
         tangent = system.linearise(balance, None if proper else step.aim)
     raise Stuck(f"no equilibrium after {most} iterations")
 
@@ -144,20 +144,20 @@ def correct(
 ) -> Correction:
     """Apply a correction and measure it.
 
-    balance: the state before, under the wrench of the new one.
+    balance: the state before, under the wrench of the new state.
     tangent: what gave the correction.
     nodes, border: Shapes (n, 3), m, and (border,): the correction of the free nodes and of the
     border.
     Raises Stuck if it is not finite, or a thousand times as large as the part.
     """
-    change = nodes + tangent.border.ties @ border
+    change = nodes + tangent.border.constraint @ border
     largest = np.abs(change).max(initial=0.0)
     if not (np.isfinite(border).all() and largest < _FAR * system.body.extent):
         raise Stuck("the iteration ran away")
     state = system.coupling.moved(balance.state, nodes, border)
     after = system.balance(state, balance.wrench)
     work = abs(float(np.vdot(balance.nodal, nodes) + balance.border @ border))
-    energy = np.sqrt(_quotient(work, 2 * (after.energy + after.heat[1])))
+    energy = np.sqrt(_quotient(work, 2 * (after.energy + after.thermal[1])))
     size = _quotient(np.abs(change).max(initial=0.0), np.abs(state.nodes).max(initial=0.0))
     return Correction(after, (balance.state.nodes + change, change), size, energy)
 

@@ -14,7 +14,7 @@ from wrenchbook.fea.assembly.linearisation import Balance, Linearisation, contra
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.coupling import Coupling
 from wrenchbook.fea.coupling.coupling import PER_INTERFACE
-from wrenchbook.fea.element.cell_state import CellState, every_place
+from wrenchbook.fea.element.cell_state import CellState, symmetrised
 from wrenchbook.fea.tensors import spin_per_vector, spin_slope
 
 Array = np.ndarray
@@ -42,8 +42,8 @@ def packed(tensor: Array) -> Array:
 
     p = k (k + 1) (k + 2) / 6, in the order of `itertools.combinations_with_replacement`.
     """
-    places = np.array(list(combinations_with_replacement(range(len(tensor)), 3)))
-    return tensor[tuple(places.T)]
+    indices = np.array(list(combinations_with_replacement(range(len(tensor)), 3)))
+    return tensor[tuple(indices.T)]
 
 
 def load_rates(coupling: Coupling, balance: Balance, compliance: Array) -> Array:
@@ -71,7 +71,7 @@ def third_derivatives(system: System, balance: Balance, tangent: Linearisation) 
     system: the equations.
     balance, tangent: a state in balance, and the tangent there.
     Result: shape (k, k, k): m and rad over the units of two inputs where an index is a load's; zero
-    where one is that of a locked freedom.
+    where an index is that of a locked freedom.
     """
     state, inputs, coupling = balance.state, balance.wrench, system.coupling
     active = np.append(coupling.active, np.arange(coupling.freedoms, len(inputs)))
@@ -83,12 +83,12 @@ def third_derivatives(system: System, balance: Balance, tangent: Linearisation) 
     fields = tangent.nodal_response[:, :, active] @ per_load
     border = tangent.border_response[:, active] @ per_load
     body = system.body.at(system.temperature(inputs))
-    changes = tangent.tangent.times(fields, coupling.tied)
+    changes = tangent.tangent.times(fields, coupling.constrained)
     changes[:, :, coupling.active.size :] -= tangent.further
     body_part = body.derivatives(CellState.third, state.nodes, fields)
     body_part += coupling.third(state, (balance.forces, changes), fields, border)
     if body.expands:
-        # The strain energy's derivatives by the temperature, input number `place`.
+        # The strain energy's derivatives by the temperature, the input behind the loads.
         nodes, temperature = balance.state.nodes, system.temperature(balance.wrench)
         steps = _WARMER * np.arange(-2, 3)
         near = [system.body.at(temperature + step).forces(nodes) for step in steps]
@@ -100,10 +100,10 @@ def third_derivatives(system: System, balance: Balance, tangent: Linearisation) 
         once[:, :, coupling.active.size] = np.imag(ahead) / _COMPLEX_STEP
         bend = np.tensordot(_BEND / _WARMER**2, forces, 1)
         twice[coupling.active.size, coupling.active.size] = contract(bend[:, :, None], fields)[0]
-        heat = every_place(once + twice)
-        heat[coupling.active.size, coupling.active.size, coupling.active.size] += (
+        thermal = symmetrised(once + twice)
+        thermal[coupling.active.size, coupling.active.size, coupling.active.size] += (
             _JERK @ energies / _WARMER**3
         )
-        body_part += heat
+        body_part += thermal
     tensor[np.ix_(active, active, active)] = -body_part
     return tensor

@@ -2,9 +2,9 @@
 
 A rigid mass may ride on the interface. The frames of the reduced part (Craig and Bampton 1968) are
 the base, which the supports or the held interface stand on, and the other interfaces; each has six
-freedoms, a translation and a rotation vector in its own axes. Unit motions of a frame while the
+freedoms, a translation and a rotation vector in its axes. Unit motions of a frame while the
 others stand still are the static shapes; to them come the lowest modes of the part with all frames
-held, of unit mass each. The base's shapes are rigid motions of the whole part less what these move
+held, of unit mass each. The base's shapes are rigid motions of the part less what these move
 of the interfaces, so that rigid motions cost no energy.
 
 Linear buckling asks at how many times a load the straight part has a second equilibrium:
@@ -12,8 +12,8 @@ K x = -f G x with the stiffness K of the undeformed part and its stiffness G und
 that load, G_ia,kb = delta_ik integral of dN_a . sigma dN_b (Zienkiewicz and Taylor, volume 2,
 section 11.6). The largest eigenvalues of K^-1 (-G) are 1/f; the same modes with the opposite sign
 are those of the opposite load. They come of a subspace iteration (Bathe 1996, section 11.6), K^-1
-by the factor that solves are made with. A rigid link's own second-order motion is left out: exact
-for an interface point in its section, not for one on a long lever.
+by the factor that solves are made with. A rigid link's second-order motion is left out: exact
+for an interface point in its section, not for a point on a long lever.
 """
 
 from __future__ import annotations
@@ -76,16 +76,16 @@ class Riding:
         Raises ValueError if there are other than none, three or six moments, or as the class does.
         """
         moments = np.zeros(3) if inertia is None else np.asarray(inertia, dtype=float)
-        place = np.zeros(3) if centre is None else np.asarray(centre, dtype=float)
+        position = np.zeros(3) if centre is None else np.asarray(centre, dtype=float)
         if moments.shape not in ((3,), (6,)):
             raise ValueError("the inertia is three numbers (xx, yy, zz) or six (.., xy, xz, yz)")
-        if place.shape != (3,):
+        if position.shape != (3,):
             raise ValueError("the centre of mass is three numbers, m")
         tensor = np.diag(moments[:3])
         if len(moments) == 6:
             xy, xz, yz = moments[3:]
             tensor = tensor + np.array([[0, xy, xz], [xy, 0, yz], [xz, yz, 0]])
-        return cls(float(mass), tensor, place)
+        return cls(float(mass), tensor, position)
 
     @property
     def matrix(self) -> Array:
@@ -208,7 +208,7 @@ class Inertia:
         self._movable = system.body.movable
         self._nodes = system.body.size
         self._motions = system.coupling.motions
-        self._ties = self._start.border.ties[:, :, : self._motions]
+        self._constraint = self._start.border.constraint[:, :, : self._motions]
         self._multipliers = system.coupling.border - self._motions
         self.first = 3 * self._free.size
         self.size = self.first + self._motions
@@ -216,7 +216,7 @@ class Inertia:
     def fields(self, x: Array) -> tuple[Array, Array]:
         """Return all nodes' motion (n, 3), m, and the interfaces' (6 i,), m and rad."""
         border = x[self.first :]
-        nodes = self._ties @ border
+        nodes = self._constraint @ border
         moved = np.zeros_like(nodes)
         moved[self._free] = x[: self.first].reshape(-1, 3)
         nodes += self._movable.released(moved)
@@ -225,14 +225,14 @@ class Inertia:
         return nodes, interface
 
     def border(self, x: Array) -> Array:
-        """Return the whole border's motion, shape (border, 1); its multipliers are zero."""
+        """Return the full border's motion, shape (border, 1); its multipliers are zero."""
         return np.append(x[self.first :], np.zeros(self._multipliers))[:, None]
 
     def times(self, x: Array) -> Array:
         """Multiply by the mass matrix: shape (size,) to (size,), kg times the unit given."""
         nodes, interface = self.fields(np.asarray(x).reshape(-1))
         forces = np.asarray(self._mass @ nodes)
-        border = contract(self._ties, forces[:, :, None])[:, 0]
+        border = contract(self._constraint, forces[:, :, None])[:, 0]
         border[: self.active.size] += (self.interface_mass @ interface)[self.active]
         return np.concatenate([self._movable.released(forces)[self._free].ravel(), border])
 
@@ -273,7 +273,7 @@ def consistent_mass(mesh: Mesh, density: Sequence[Array]) -> csr_array:
 
     mesh: the cells, in any frame.
     density: for each block of the mesh, shape (cells,), kg/m^3.
-    Returns csr_array: shape (n, n), kg; the sum of its entries is the whole mass.
+    Returns csr_array: shape (n, n), kg; the sum of its entries is the total mass.
     """
     count = len(mesh.points)
     total = csr_array((count, count))
@@ -287,8 +287,8 @@ def consistent_mass(mesh: Mesh, density: Sequence[Array]) -> csr_array:
         entries = (weights @ products.reshape(len(products), -1)).reshape(len(block), size, size)
         rows = np.repeat(block.nodes, block.nodes.shape[1], axis=1)
         columns = np.tile(block.nodes, (1, block.nodes.shape[1]))
-        places = rows.ravel(), columns.ravel()
-        total = total + coo_array((entries.ravel(), places), shape=(count, count)).tocsr()
+        indices = rows.ravel(), columns.ravel()
+        total = total + coo_array((entries.ravel(), indices), shape=(count, count)).tocsr()
     return csr_array(total)
 
 
@@ -342,7 +342,7 @@ def craig_bampton(
         raise ValueError(f"there are 1 to {inertia.size - freedoms - 1} modes, not {modes}")
     shapes, compliance = static_shapes(inertia)
     squares, motions = _held_modes(inertia, shapes, modes)
-    # Each frame's motion (6, 6), in its own axes, by that of the first frame.
+    # Each frame's motion (6, 6), in its axes, by that of the first frame.
     turned = np.hstack([np.zeros((3, 3)), axes.T])
     motions_of = [
         np.vstack([eigenvalues @ _rigid((point - origin)[None], axes)[0], eigenvalues @ turned])
@@ -455,8 +455,8 @@ def geometric_stiffness(body: ElasticBody, fields: Array) -> csr_array:
         entries.append((gradients @ pulled.reshape(cells, 3 * points, count)).ravel())
         rows.append(np.repeat(nodes, count, axis=1).ravel())
         columns.append(np.tile(nodes, (1, count)).ravel())
-    places = np.concatenate(rows), np.concatenate(columns)
-    return csr_array(coo_array((np.concatenate(entries), places), (body.size, body.size)))
+    indices = np.concatenate(rows), np.concatenate(columns)
+    return csr_array(coo_array((np.concatenate(entries), indices), (body.size, body.size)))
 
 
 def _factor(value: float) -> float:

@@ -1,7 +1,7 @@
 """Keys of ``component.toml`` as fields of models: their types, units, texts and refusals.
 
 A table of the file is a class under `table`, whose fields are made by `key`. `validated` returns an
-instance or notes every mistake in the words of `_sentence`.
+instance or notes every mistake as text of `_sentence`.
 """
 
 from __future__ import annotations
@@ -61,9 +61,9 @@ def key(
     unit, example
         As the reference shows them; `example` is TOML.
     default
-        A value, or a function that makes it; the key must be there without one.
+        A value, or a function that makes it; the key must be there without it.
     absent
-        The reference's words for a default that no value shows.
+        The reference's text for a default that no value shows.
     name
         The key, where the attribute has another name.
     write
@@ -317,7 +317,7 @@ def keys_of(cls: type) -> dict[str, FieldInfo]:
 
 
 def tables_in(kind: Any) -> Iterator[type]:
-    """Yield the classes under `table` that a type has at one place."""
+    """Yield the classes under `table` that a type has at one path."""
     if isinstance(kind, type) and is_dataclass(kind):
         yield kind
     for each in get_args(kind) if get_origin(kind) is not Literal else ():

@@ -152,15 +152,15 @@ class Orthotropic(Solid):
         """`isotropic_ratio`, which tells cells that would lock."""
         return self.isotropic_ratio
 
-    def directions(self, places: Array) -> Array:
-        """Return the directions 1, 2 and 3 at places (..., 3), m: shape (..., 3, 3), in rows.
+    def directions(self, points: Array) -> Array:
+        """Return the directions 1, 2 and 3 at points (..., 3), m: shape (..., 3, 3), in rows.
 
-        Places and directions are in the mesh's axes. On the axis itself any radial one will do.
+        Points and directions are in the mesh's axes. On the axis any radial direction will do.
         """
         if self.cylinder is None:
-            return np.broadcast_to(self.axes, (*places.shape[:-1], 3, 3))
+            return np.broadcast_to(self.axes, (*points.shape[:-1], 3, 3))
         point, axial = np.array(self.cylinder.point), np.array(self.cylinder.axis)
-        off = places - point
+        off = points - point
         off = off - (off @ axial)[..., None] * axial
         size = np.linalg.norm(off, axis=-1, keepdims=True)
         any_radial = np.cross(axial, np.eye(3)[np.abs(axial).argmin()])

@@ -36,3 +36,8 @@ def suggest(word: str, known: Iterable[str]) -> str:
     lower = {name.lower(): name for name in known}  # RIM and rim are near
     near = get_close_matches(word.lower(), list(lower), n=1, cutoff=0.6)
     return f'; did you mean "{lower[near[0]]}"?' if near else ""
+
+
+def point_text(point: Iterable[float]) -> str:
+    """Write a point or a direction to four digits; below 1e-9 there is only roundoff."""
+    return "(" + ", ".join(f"{x if abs(x) >= 1e-9 else 0.0:.4g}" for x in point) + ")"

@@ -193,17 +193,17 @@ class GeometryMeshing:
         "", "{steel = {bodies = [1]}}", default=dict, absent="none"
     )
     """STEP: named cell groups, each `[mesh.regions.NAME]`"""
-    # Least number of cells round a full circle, however small; 7 is gmsh's own. It is for coarser
-    # and finer meshes of a bundle; its name in the file is one that nobody writes.
+    # Least number of cells round a full circle, however small; 7 is gmsh's default. For coarser and
+    # finer meshes of a bundle; nobody writes its name in a file.
     circle: SkipJsonSchema[int] = key(default=7, name="\0circle", exclude=True)
 
 
 @table
 class GeometryFile(GeometryMeshing):
-    """A geometry file, which holds its own length unit."""
+    """A geometry file, which holds its length unit."""
 
     unit, generator, parameters = "m", None, None
-    refused: ClassVar = {"unit": "a STEP file holds its own length unit; leave this key out"}
+    refused: ClassVar = {"unit": "a STEP file holds its length unit; leave this key out"}
     file: BundleFile = key("", '"bracket.step"', kw_only=True)
     """a STEP file"""
     order: Order | None = key("", "2", default=None, kw_only=True)
@@ -558,9 +558,9 @@ class Analysis:
     gravity: Annotated[Three | None, AfterValidator(_no_weight)] = key(
         "m/s^2", "[0, 0, -9.81]", default=None
     )
-    """own weight as a constant load, in the mesh's axes; each material needs `density`"""
+    """self-weight as a constant load, in the mesh's axes; each material needs `density`"""
     on_yield: Literal["warn", "fail"] = key("", '"fail"', default="warn")
-    """where a `yield_strength` is exceeded: a note with the share of the volume beyond it, or a
+    """where a `yield_strength` is exceeded: a note with the fraction of the volume beyond it, or a
     failed solve and no row"""
 
 
@@ -568,7 +568,7 @@ class Analysis:
 class DeclaredRange:
     """The loads expected."""
 
-    # low, high: each of shape (6 i,), N and N·m, of i interfaces; zero for one that is held
+    # low, high: each of shape (6 i,), N and N·m, of i interfaces; zero for a held interface
     low: Array
     high: Array
 

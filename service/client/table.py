@@ -74,7 +74,7 @@ class Table:
         scene: Scene | None = None,
     ) -> None:
         self._now = packed, etag  # replaced as one: threads read it
-        self.name: str = name or packed.words["provenance"]["component"]
+        self.name: str = name or packed.meta["provenance"]["component"]
         self._client, self._scene = client, scene
         self._fetching = threading.Lock()
 
@@ -115,12 +115,12 @@ class Table:
     @property
     def version(self) -> int:
         """The table's version, the server's `table_version`."""
-        return self.packed.words["provenance"]["version"]
+        return self.packed.meta["provenance"]["version"]
 
     @property
     def method(self) -> str:
         """The method that answers if none is given."""
-        return self.packed.words["summary"]["method"]
+        return self.packed.meta["summary"]["method"]
 
     @property
     def space(self) -> Space:
@@ -137,7 +137,7 @@ class Table:
     @property
     def plan(self) -> ComponentPlan | None:
         """The scene plan that a scene's table follows; None of a whole table."""
-        scene = self.packed.words.get("scene")
+        scene = self.packed.meta.get("scene")
         return (
             None if scene is None else ComponentPlan.read({**scene["plan"], "component": self.name})
         )
@@ -314,7 +314,7 @@ class Table:
             errors=replies.errors,
             coverage=np.array(COVERAGE)[replies.coverage],
             jobs={},
-            table_version=packed.words["provenance"]["version"],
+            table_version=packed.meta["provenance"]["version"],
             elapsed_us=elapsed_us,
             method=packed.answers_by(method),
             within_tolerance=None if allowed is None else bars_within(replies.errors, allowed),
@@ -373,7 +373,7 @@ class Table:
             bar is the table's. Empty where there is no such part.
         """
         packed = self.packed
-        error = packed.words["solver_error"] or {}
+        error = packed.meta["solver_error"] or {}
         reply = packed.answer(self._values(force, moment, loads, inputs)[0])
         parts = {"mesh": reply.discretisation} if error else {}
         if "linearity" in error:
@@ -425,7 +425,7 @@ class Table:
             if a or b
         ]
         units = ["N", "N·m", *dict.fromkeys(load.unit for load in self.space.scalars)]
-        rows, size = self.packed.words["provenance"]["rows"], self.packed.size
+        rows, size = self.packed.meta["provenance"]["rows"], self.packed.size
         return (
             f"<Table {self.name!r}, version {self.version}: {rows} rows, method {self.method}, "
             f"range {', '.join(spans)} ({', '.join(units)}), {size / 1e6:.3g} MB>"
@@ -433,7 +433,7 @@ class Table:
 
     def _repr_html_(self) -> str:
         low, high = self.packed.arrays["space/range"]
-        rows = self.packed.words["provenance"]["rows"]
+        rows = self.packed.meta["provenance"]["rows"]
         return html_table(
             f"{self.name}, table version {self.version}: {rows} rows, method {self.method}",
             ["", *_columns(self.space.inputs)],

@@ -251,17 +251,17 @@ def make_fmu(
     """
     if method is not None and method not in METHODS:
         raise UnknownMethodError(method)
-    if not table.words["provenance"]["rows"]:
+    if not table.meta["provenance"]["rows"]:
         raise NotExportableError("the table has no rows: fill or import it first, then export it")
     low, high = table.arrays["space/ends"]
-    rows = [table.arrays[f"g{k}/row/wrench"] for k in range(len(table.words["groups"]))]
+    rows = [table.arrays[f"g{k}/row/wrench"] for k in range(len(table.meta["groups"]))]
     if not all(((low <= loads) & (loads <= high)).all(axis=1).any() for loads in rows):
         raise NotExportableError(
             "all rows of the table are outside its load range: nothing answers within it"
         )
     table.answer(table.space.zero.tolist(), None, method)  # by this method, or not at all
-    used = ", ".join(dict.fromkeys(method or group["method"] for group in table.words["groups"]))
-    facts, space, identifier = table.words["provenance"], table.space, identifier_of(component)
+    used = ", ".join(dict.fromkeys(method or group["method"] for group in table.meta["groups"]))
+    facts, space, identifier = table.meta["provenance"], table.space, identifier_of(component)
     summary = f"table version {facts['version']}, {facts['rows']} rows, method {used}"
     zeros = " ".join(f"{load.zero:.17g}" for load in space.inputs)
     number = -1 if method is None else METHODS.index(method)

@@ -104,7 +104,7 @@ class Options:
         """Return the options as JSON values."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         span = self.load_range
-        ends = [span.low.tolist(), span.high.tolist(), span.space.words()] if span else None
+        ends = [span.low.tolist(), span.high.tolist(), span.space.as_json()] if span else None
         values["load_range"] = ends
         return values | {"mapping": dict(self.mapping), "ignore": list(self.ignore)}
 

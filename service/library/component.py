@@ -200,8 +200,8 @@ def interface_of(component: Component) -> dict[str, Any] | None:
 
     It has ``section``, ``point`` (shape (3,), m; None for the section's area centre, until a check
     has found it), ``axes`` (shape (3, 3), one axis a row), ``coupling``, ``locked`` and ``moment``,
-    a text. With own weight or further inputs ``displacement`` says what a displacement is relative
-    to; with own weight there is ``gravity`` (shape (3,), m/s^2, in the mesh's axes).
+    a text. With self-weight or further inputs ``displacement`` says what a displacement is relative
+    to; with self-weight there is ``gravity`` (shape (3,), m/s^2, in the mesh's axes).
     """
     interfaces = interfaces_of(component)
     return next(iter(interfaces.values())) if len(interfaces) == 1 else None

@@ -29,8 +29,8 @@ def disagreement(
     """Compare each measured row of a component's setup with a table of the solved rows alone.
 
     `error` is what the solver may be wrong by, nothing where that is not known; `locked` are the
-    places of loads on locked freedoms. In the result ``outside`` counts rows with an output outside
-    of both error bars, the solves' and its own; ``outputs`` has of each how many are outside and
+    indices of loads on locked freedoms. In the result ``outside`` counts rows with an output out
+    of the error bars of both, row and solves; ``outputs`` has of each how many are outside and
     the mean difference, m or rad, which shows an offset; ``rows`` are the worst first.
     """
     solved = rows.source == FEA
@@ -46,8 +46,8 @@ def disagreement(
     table = build(
         of_solves, span, solver_error=known, tolerance=tolerance, linear=linear, locked=locked
     )
-    places = np.flatnonzero(within)
-    measured = rows.take(places[:: max(1, -(-len(places) // MAX_ROWS))])
+    indices = np.flatnonzero(within)
+    measured = rows.take(indices[:: max(1, -(-len(indices) // MAX_ROWS))])
     expected = packed_of(table).batch(measured.wrench)
     off = measured.displacement - expected.outputs
     uncertainty = np.where(np.isfinite(measured.uncertainty), measured.uncertainty, 0.0)

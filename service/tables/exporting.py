@@ -19,7 +19,7 @@ from wrenchbook.service.formats import (
 from wrenchbook.service.ledger import Ledger, TableAt
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.rows import (
-    CONTRACT_WORDS,
+    CONTRACT_TEXT,
     ExportRows,
     table_meta,
 )
@@ -70,7 +70,7 @@ def export_table(
             if not space.is_default:
                 members |= {"inputs": space.input_names, "outputs": space.output_names}
             with path.open("w", encoding="utf-8") as file:
-                file.writelines(json_text(pieces, members | {"contract": CONTRACT_WORDS}))
+                file.writelines(json_text(pieces, members | {"contract": CONTRACT_TEXT}))
         else:
             _write_columns(path, pieces, component, table, request)
         return table.version
@@ -102,17 +102,17 @@ def _write_columns(
         space=component.space,
         curvature=curvature,
     )
-    about = {
+    properties = {
         "component": component.name,
         "title": component.title,
         "table_version": str(table.version),
         "fingerprint": component.fingerprint,
-        "contract": CONTRACT_WORDS,
+        "contract": CONTRACT_TEXT,
     }
     if request.format == "csv":
-        comments = [f"{key}: {text}" for key, text in about.items() if request.comments]
+        comments = [f"{key}: {text}" for key, text in properties.items() if request.comments]
         with path.open("w", encoding="utf-8", newline="") as file:
             file.writelines(csv_text(pieces, columns, comments))
     else:
         write = write_xlsx if request.format == "xlsx" else write_parquet
-        write(path, pieces, columns, about)
+        write(path, pieces, columns, properties)

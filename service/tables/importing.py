@@ -41,8 +41,10 @@ def import_files(
     on; ``loaded`` is whether rows were loaded. Raises SandboxBusyError, ImportRunningError,
     LedgerUnavailableError or OSError if nothing could be read or written now.
     """
-    own = replace(options, load_range=component.load_range, fingerprint=component.fingerprint)
-    read = read_untrusted(files, own, preview)
+    component_options = replace(
+        options, load_range=component.load_range, fingerprint=component.fingerprint
+    )
+    read = read_untrusted(files, component_options, preview)
     report = dict(read.report)
     refused = report.pop("whole") or bool(report["errors"] and not partial)
     report.pop("converted")
@@ -67,7 +69,8 @@ def import_files(
             some = piece.take(np.isin(piece.seq, rows_of_findings))
             key_of |= zip(some.seq.tolist(), (key.hex() for key in keys(some)), strict=True)
         stored = [
-            {**one, "rows": [], "keys": [key_of[row] for row in one["rows"]]} for one in findings
+            {**finding, "rows": [], "keys": [key_of[row] for row in finding["rows"]]}
+            for finding in findings
         ]
         about = replace(about, format=report["format"], rig=options.rig)
         about = replace(about, findings=json.dumps(stored))
@@ -101,7 +104,7 @@ def solved_compliance(component: Component, table: ServedTable) -> list[list[flo
 def _with_stored_numbers(
     ledger: Ledger, component: Component, read: ReadResult
 ) -> Iterator[ParsedTable]:
-    """Yield the rows of a file; numbers from other units that agree with a stored row are its own.
+    """Yield the rows of a file; numbers that agree with a stored row become its numbers.
 
     Factors of units round. A row whose numbers all agree with those of a stored row to `SAME` gets
     that row's bits, so that an export in any unit comes back as known rows.
@@ -117,9 +120,9 @@ def _with_stored_numbers(
     for piece in read.pieces():
         columns = piece.wrench, piece.displacement, piece.uncertainty
         numbers = np.hstack(columns)
-        own, size = _sums(numbers, len(space.inputs))
-        first = np.searchsorted(sums, own - 2.0 * SAME * size)
-        end = np.searchsorted(sums, own + 2.0 * SAME * size, side="right")
+        total, size = _sums(numbers, len(space.inputs))
+        first = np.searchsorted(sums, total - 2.0 * SAME * size)
+        end = np.searchsorted(sums, total + 2.0 * SAME * size, side="right")
         open_ = np.flatnonzero(first < end)
         for step in range(_MAX_TRIED):
             candidates = stored[order[first[open_] + step]]
@@ -138,7 +141,7 @@ def _sums(numbers: np.ndarray, inputs: int) -> tuple[np.ndarray, np.ndarray]:
     """Return a weighted sum of numbers (n, k), SI, and the same sum of their sizes, (n,) each.
 
     Two rows of one sum are the same but by chance: weights are drawn, so that loads of
-    both signs differ in it, and displacements count a million times, so that repeated readings of
+    both signs differ in it, and displacements count a million times, so that repeated values of
     a wrench do.
     """
     columns = np.arange(numbers.shape[1])

@@ -50,7 +50,7 @@ START_S = 30.0  # for a start to wait for the builder: a table that comes later 
 SWITCH_S = 0.0005
 ROW = "row"  # the method of an answer by one row
 ROW_DETAIL = "the displacement that a row of the table has at this wrench"
-_ALL_PARTS = 4  # the place in the solver's flags of whether error bars have all their parts
+_ALL_PARTS = 4  # the index in the solver's flags of whether error bars have all their parts
 
 
 class TableBehindError(Exception):
@@ -71,7 +71,7 @@ class ServedTable:
 
     `sources` has the number of rows of each source, `default` the method that answers without a
     choice of the caller's, `interfaces` the names where there are several, `needs_compliance`
-    whether solves of a linear component's 6x6 compliance are missing, and `bars_are_whole` whether
+    whether solves of a linear component's 6x6 compliance are missing, `bars_are_complete` whether
     error bars have all their parts. `other_rows` are rows of another setup of the component, and
     `other_wrenches` their wrenches that no row here has.
     """
@@ -89,25 +89,25 @@ class ServedTable:
         self.packed, self._rows_of, self.built = packed, rows_of, built
         self._rows = None if built is None else built.rows
         self.used, self._lock = time.monotonic(), threading.Lock()
-        provenance, self.summary = packed.words["provenance"], packed.words["summary"]
+        provenance, self.summary = packed.meta["provenance"], packed.meta["summary"]
         self.version: int = provenance["version"]
         self.row_count: int = provenance["rows"]
         self.sources: dict[str, int] = provenance["sources"]
         self.linear: bool = provenance["linear"]
-        self.default: str = packed.words["groups"][0]["method"]
+        self.default: str = packed.meta["groups"][0]["method"]
         self.needs_compliance = self.linear and not self.fit.complete
-        self.bars_are_whole = bool(packed.arrays["solver/flags"][_ALL_PARTS])
+        self.bars_are_complete = bool(packed.arrays["solver/flags"][_ALL_PARTS])
         low, high = packed.arrays["space/range"]
-        self.load_range = LoadRange(low, high, Space.read(packed.words["space"]))
+        self.load_range = LoadRange(low, high, Space.read(packed.meta["space"]))
         self.locked = tuple(np.flatnonzero(packed.arrays["space/locked"]).tolist())
         self.interfaces = self.load_range.space.several
         limit = packed.arrays["space/tolerance"][[0, 3]].tolist()
         self.tolerance = Tolerance(*limit) if np.isfinite(limit).all() else None
-        self.solver_error = SolverError.read(packed.words["solver_error"])
+        self.solver_error = SolverError.read(packed.meta["solver_error"])
         # The server's method answers where the table's inputs have it.
         if method is not None and (self.load_range.space.is_default or method not in BY_AXES):
             self.packed.method = self.default = method
-        packed.answer([0.0] * len(packed.words["space"]["inputs"]))  # reads pages: 0.1 ms
+        packed.answer([0.0] * len(packed.meta["space"]["inputs"]))  # reads pages: 0.1 ms
 
     @property
     def rows(self) -> Rows:
@@ -162,7 +162,7 @@ class ServedTable:
         """The largest change of each output over half the load range, (6,), m and rad."""
         arrays = self.packed.arrays
         steepest = np.zeros(len(self.load_range.space.outputs))
-        for group in range(len(self.packed.words["groups"])):
+        for group in range(len(self.packed.meta["groups"])):
             outputs = arrays[f"g{group}/outputs"].astype(bool)
             steepest[outputs] = arrays[f"g{group}/row/steepest"][outputs]
         return steepest
@@ -171,18 +171,18 @@ class ServedTable:
     def hyperparameters(self) -> Hyperparameters | None:
         """Those of the first outputs that have a kriging, None without one."""
         arrays = self.packed.arrays
-        for group in range(len(self.packed.words["groups"])):
+        for group in range(len(self.packed.meta["groups"])):
             if f"g{group}/kriging/rates" in arrays:
                 weights = arrays[f"g{group}/kriging/terms"][:, -1]
                 groups = self.load_range.space.kriging_groups
-                stated = arrays.get(f"g{group}/kriging/smoothness", [Hyperparameters.smoothness])
+                order = arrays.get(f"g{group}/kriging/smoothness", [Hyperparameters.smoothness])
                 rates = arrays[f"g{group}/kriging/rates"]
-                return Hyperparameters(rates, weights, groups, int(stated[0]))
+                return Hyperparameters(rates, weights, groups, int(order[0]))
         return None
 
     def method_detail(self, method: str) -> str:
         """How a method answers, or why it is the one that does, in the group of the fewest rows."""
-        group = self.packed.words["groups"][0]
+        group = self.packed.meta["groups"][0]
         if method == ROW:
             return ROW_DETAIL
         if method == "kriging" and group["kriging"]:
@@ -387,7 +387,7 @@ class MappedTables:
 
 def _mark(table: ServedTable) -> list[int | str]:
     """Return a table's version, and the setup that its file was built from."""
-    return [table.version, table.packed.words["provenance"]["origin"].get("setup", "")]
+    return [table.version, table.packed.meta["provenance"]["origin"].get("setup", "")]
 
 
 def row_table(
@@ -411,7 +411,7 @@ def row_table(
     return ServedTable(PackedTable.from_bytes(packed_bytes(built, component)), built=built)
 
 
-def others_in_words(name: str, table: ServedTable) -> str:
+def note_on_other_rows(name: str, table: ServedTable) -> str:
     """Return how many rows belong to another setup and what to do; empty if nothing is to do."""
     if not table.other_wrenches:
         return ""
@@ -423,9 +423,9 @@ def others_in_words(name: str, table: ServedTable) -> str:
 
 
 def warning_of(component: Component, table: ServedTable) -> str:
-    """As `others_in_words`, also of a component that nothing can be solved for."""
+    """As `note_on_other_rows`, also of a component that nothing can be solved for."""
     if component.has_fea or not table.other_rows:
-        return others_in_words(component.name, table)
+        return note_on_other_rows(component.name, table)
     return (
         f"{table.other_rows} rows belong to another setup of {component.name!r} and are not in its "
         "table: it has no finite-element setup now. Put its files back, or export the rows and "

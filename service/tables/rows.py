@@ -19,7 +19,7 @@ from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import Floats, Rows, joined
 
-CONTRACT_WORDS = " ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.items())
+CONTRACT_TEXT = " ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.items())
 
 
 class ExportRows:
@@ -54,7 +54,7 @@ def iso_time(seconds: float) -> str:
 
 
 def table_meta(component: Component, version: int, error: SolverError | None = None) -> TableMeta:
-    """Return the metadata of an HDF5 export: contract, range, and the solver's own error."""
+    """Return the metadata of an HDF5 export: contract, range, and the solver's error."""
     return TableMeta(
         component=component.name,
         last_seq=version,
@@ -65,7 +65,7 @@ def table_meta(component: Component, version: int, error: SolverError | None = N
         linear=component.linear,
         solver_error=error and error.values,
         locked=component.idle,
-        contract=CONTRACT_WORDS,
+        contract=CONTRACT_TEXT,
     )
 
 
@@ -76,8 +76,8 @@ def followed(ledger: Ledger, component: Component, rows: Rows, after: int) -> tu
     while True:
         changes = ledger.row_changes(component.name, after, **setup)
         if changes.gone:
-            kept = joined(fresh)
-            fresh = [kept.take(~np.isin(kept.seq, list(changes.gone)))]
+            earlier = joined(fresh)
+            fresh = [earlier.take(~np.isin(earlier.seq, list(changes.gone)))]
         fresh.append(changes.rows)
         after = changes.last_seq
         if changes.whole:

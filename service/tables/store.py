@@ -243,7 +243,7 @@ class TableStore:
             named = content[1].component
             if named == component.name:
                 return content
-            # Tables without a setup have the same fingerprint: the name tells them apart.
+            # Tables without a setup have the same fingerprint: the name separates them.
             why: object = f"the file is the table of {named!r}"
         except FileNotFoundError:
             return None
@@ -290,7 +290,7 @@ class TableStore:
 
 def is_of(packed: PackedTable, name: str, origin: dict[str, str]) -> bool:
     """Whether a packed table is of a component and of this origin."""
-    provenance = packed.words.get("provenance", {})
+    provenance = packed.meta.get("provenance", {})
     built = provenance.get("origin") or {"setup": None}
     return provenance.get("component") == name and built.items() <= origin.items()
 

@@ -33,13 +33,13 @@ from scipy.spatial import ConvexHull, QhullError
 
 from ..table.axes import (
     AXES,
-    CLEAN,
+    ZERO_LOAD,
     AxisRows,
     LoadAxis,
     OffAxis,
     axis_rows,
-    clean_rows,
     evenly_chosen,
+    single_axis_rows,
 )
 from ..table.compliance import ComplianceFit
 from ..table.rows import Floats, LoadRange, Rows
@@ -92,14 +92,14 @@ def _axis_table(
 ) -> AxisTable | None:
     clean = axis_rows(rows, load_range, axis, fit, "exclude")
     table = _thinned(clean, load_range, before) if len(clean.points) else None
-    if off_axis == "exclude" or clean_rows(rows, load_range).any(axis=1).all():
+    if off_axis == "exclude" or single_axis_rows(rows, load_range).any(axis=1).all():
         return table
     chosen = axis_rows(rows, load_range, axis, fit, off_axis)
     if off_axis == "correct" and table is not None:
         chosen = _worth_joining(chosen, table)
     if not len(chosen.points):
         return None
-    if table is not None and chosen.clean.all():
+    if table is not None and chosen.single_axis.all():
         return table
     return _thinned(chosen, load_range, before)
 
@@ -123,7 +123,7 @@ def _worth_joining(rows: AxisRows, table: AxisTable) -> AxisRows:
         return rows
     simplices = table.triangulation.locate(rows.points)
     between = (simplices >= 0) & (table.shape_state[simplices] == SOUND)
-    return rows.take(rows.clean | ~between)
+    return rows.take(rows.single_axis | ~between)
 
 
 def answer_at_zero(rows: Rows, load_range: LoadRange, tables: Sequence[AxisTable | None]) -> AtZero:
@@ -132,7 +132,7 @@ def answer_at_zero(rows: Rows, load_range: LoadRange, tables: Sequence[AxisTable
     Of several axes that is the mean, with half their spread in the bar (measured tables
     have offsets). Without any the answer is zero and not known: its bar is the rows' size.
     """
-    unloaded = (np.abs(rows.wrench) <= CLEAN * load_range.scale).all(axis=1)
+    unloaded = (np.abs(rows.wrench) <= ZERO_LOAD * load_range.scale).all(axis=1)
     if unloaded.any():
         at_rows = rows.displacement[unloaded]
         uncertainty = np.nan_to_num(rows.uncertainty[unloaded]).max(axis=0)
@@ -238,7 +238,7 @@ class Axes:
     def evaluate(self, wrenches: Floats) -> Composed:
         """Compose the answers to wrenches, shape (n, 6), N and N·m."""
         count = len(wrenches)
-        loaded = np.abs(wrenches) > CLEAN * self.scale
+        loaded = np.abs(wrenches) > ZERO_LOAD * self.scale
         total = _Total(self.at_zero, count)
         acting = [np.flatnonzero(loaded[:, moment + 3]) for moment in range(3)]
         alone = [self._alone(m, wrenches[rows, m + 3]) for m, rows in enumerate(acting)]
@@ -276,7 +276,7 @@ class Axes:
         result = table.read(x)
         state = np.where(result.inside, table.state[result.simplices], OFF_HULL)
         if not table.shows_multi_load:
-            several = (np.abs(x) > CLEAN).sum(axis=1) > 1
+            several = (np.abs(x) > ZERO_LOAD).sum(axis=1) > 1
             state = np.where(several, np.maximum(state, WEAK), state)
         part = _Part(result.outputs, result.error + np.abs(result.stepped), state)
         outside = np.flatnonzero(~result.inside)
@@ -289,7 +289,7 @@ class Axes:
             basis = table.triangulation.basis
             off = step - step @ basis.T @ basis
             # Of each wrench by itself: batches change nothing.
-            leaves = np.abs(off).max(axis=1) > CLEAN
+            leaves = np.abs(off).max(axis=1) > ZERO_LOAD
             if leaves.any():
                 rows, off = rows[leaves], off[leaves]
                 loads = off * table.scale
@@ -297,7 +297,7 @@ class Axes:
                 part.error[rows] += (
                     np.abs(loads) @ np.abs(self.fit.matrix[:, inputs]).T + self.fit.error
                 )
-                unknown = (np.abs(off) > CLEAN) & ~self.fit.known[inputs]
+                unknown = (np.abs(off) > ZERO_LOAD) & ~self.fit.known[inputs]
                 part.error[rows[unknown.any(axis=1)]] = np.nan
         return part
 
@@ -482,7 +482,7 @@ def _axis_summary(axis: LoadAxis, table: AxisTable | None) -> dict[str, Any]:
         "axis": axis.name,
         "inputs": inputs,
         "rows": len(points),
-        "corrected": int((~table.rows.clean).sum()),
+        "corrected": int((~table.rows.single_axis).sum()),
         "dimensions": shape.dimension,
         "spans": {
             load: [float(points[:, column].min()), float(points[:, column].max())]
@@ -562,7 +562,7 @@ class PureMomentCut:
             self.unit_errors[stretches],
         )
         unit = np.maximum(unit[:, 0] + y[:, 0] * (unit[:, 1] + y[:, 0] * unit[:, 2]), 0.0)
-        beyond = (along < self.stations[0] - CLEAN) | (along > self.stations[-1] + CLEAN)
+        beyond = (along < self.stations[0] - ZERO_LOAD) | (along > self.stations[-1] + ZERO_LOAD)
         return _Part(
             outputs[:, 0] + y * outputs[:, 1],
             self.table.law.bars(unit) + uncertainty[:, 0] + y * uncertainty[:, 1],

@@ -1,1 +1,1 @@
-"""Systematic errors of measured rows: their causes, found from the rows alone."""
+"""Systematic errors of measured rows and their causes, estimated from the rows alone."""

@@ -22,7 +22,7 @@ ROUNDING = 1e-9  # of the displacements' variance: smaller residuals are written
 PEAKS = 5  # of the correlation that are fitted: turned by half a period, a load correlates as well
 EXPLAINED = 0.5  # of the displacements' variance: with less the logs do not belong together
 INTERPOLATED = 0.02  # of the loads' interval: exact logs of 0.1 to 4 Hz showed lags within 1.1 %
-INSIDE = 0.9  # of the reach of a search: an optimum beyond it may be the bound
+INSIDE = 0.9  # of a search's width: an optimum beyond it may be the bound
 MIN_EXPLAINED = 0.2  # of the residual's variance at the applied lag that another lag must explain
 AVERAGED = 0.5  # of the residual's variance: between two loads interpolation averages their noise
 DEVIATIONS = 4.0  # of the estimate: residuals that are near in time are not independent
@@ -94,37 +94,38 @@ def estimate_lag(logs: Logs, applied: float = 0.0) -> Lag | None:
     if not known.any() or not loads.any() or np.ptp(logs.when) <= 0:
         return None
     moved = _clipped(logs.displacement[:, known])
-    own = Logs(logs.time, logs.wrench[:, loads], logs.when, moved)
+    logs = Logs(logs.time, logs.wrench[:, loads], logs.when, moved)
     # The step of the time grid, s, and the lags of the largest correlations, s. The part of the
     # displacements' variance that loads explain is c' inv(G) c, with c their cross-correlations
     # and G the covariance of the loads.
-    duration = float(np.ptp(own.when))
-    reach = PART * duration
-    interval = min(float(np.median(np.diff(one))) for one in (own.time, np.sort(own.when)))
-    step = max(interval, (duration + 2 * reach) / GRID, duration * 1e-9)
-    grid = np.arange(own.when.min() - reach, own.when.max() + reach, step)
-    order = np.argsort(own.when, kind="stable")
-    x = _on_grid(grid + applied, own.time, own.wrench)
-    y = _on_grid(grid, own.when[order], own.displacement[order])
+    duration = float(np.ptp(logs.when))
+    longest = PART * duration
+    interval = min(float(np.median(np.diff(times))) for times in (logs.time, np.sort(logs.when)))
+    step = max(interval, (duration + 2 * longest) / GRID, duration * 1e-9)
+    grid = np.arange(logs.when.min() - longest, logs.when.max() + longest, step)
+    order = np.argsort(logs.when, kind="stable")
+    x = _on_grid(grid + applied, logs.time, logs.wrench)
+    y = _on_grid(grid, logs.when[order], logs.displacement[order])
     size = 2 * len(grid)
     shape = np.fft.rfft(x, size, axis=0), np.conj(np.fft.rfft(y, size, axis=0))
-    cross = np.stack([np.fft.irfft(shape[0] * one[:, None], size, axis=0) for one in shape[1].T])
-    shifts = np.arange(-int(reach / step), int(reach / step) + 1)
+    products = (shape[0] * spectrum[:, None] for spectrum in shape[1].T)
+    cross = np.stack([np.fft.irfft(product, size, axis=0) for product in products])
+    shifts = np.arange(-int(longest / step), int(longest / step) + 1)
     inverse = np.linalg.pinv(x.T @ x, rcond=1e-6)
     explained = np.einsum("ksi,ij,ksj->s", cross[:, shifts], inverse, cross[:, shifts])
     inner = explained[1:-1]
     peaks = 1 + np.flatnonzero((inner >= explained[:-2]) & (inner >= explained[2:]))
     peaks = peaks[np.argsort(-explained[peaks])[:PEAKS]]
     starts = [applied, *(applied + step * shifts[peaks]).tolist()]
-    fits = [fit for start in starts if (fit := _fitted(own, (applied, start), step))]
+    fits = [fit for start in starts if (fit := _fitted(logs, (applied, start), step))]
     if not fits:
         return None
     # Periodic loads fit as well a period later: the lag that is nearest to the applied one then.
     sizes = [max(float(fit.residual(lag).mean()), SMALL**2) for lag, fit in fits]
     alike = [fits[at] for at, size in enumerate(sizes) if AVERAGED * size <= min(sizes)]
-    alike.sort(key=lambda one: abs(one[0] - applied))
+    alike.sort(key=lambda fit_at: abs(fit_at[0] - applied))
     fit = alike[0][1]
-    (best, error), *more = (one.vertex(lag) for lag, one in alike)
+    (best, error), *more = (fit_at.vertex(lag) for lag, fit_at in alike)
     others = tuple(
         lag
         for lag, wide in more
@@ -178,9 +179,9 @@ def _clipped(moved: Floats) -> Floats:
     """Return displacements (m, k) in deviations, NaN at the mean, sentinels near the others."""
     low, high = np.nanpercentile(moved, [1, 99], axis=0)
     tail = TAIL * np.maximum(high - low, np.finfo(float).tiny)
-    found = np.clip(moved, low - tail, high + tail)
-    found = np.nan_to_num(found - np.nanmean(found, axis=0))
-    return found / np.maximum(found.std(axis=0), np.finfo(float).tiny)
+    clipped = np.clip(moved, low - tail, high + tail)
+    clipped = np.nan_to_num(clipped - np.nanmean(clipped, axis=0))
+    return clipped / np.maximum(clipped.std(axis=0), np.finfo(float).tiny)
 
 
 def _fitted(logs: Logs, lags: tuple[float, float], step: float) -> tuple[float, _Fit] | None:
@@ -189,40 +190,40 @@ def _fitted(logs: Logs, lags: tuple[float, float], step: float) -> tuple[float, 
     The fit holds the displacements that both lags have loads for. A search that ends at its bound
     has found nothing and starts again there, with twice the reach.
     """
-    reach, most = 2 * step, PART * float(np.ptp(logs.when))
-    while reach < most:
-        fit = _Fit(logs, lags, step, reach + step)
+    width, most = 2 * step, PART * float(np.ptp(logs.when))
+    while width < most:
+        fit = _Fit(logs, lags, step, width + step)
         if len(fit.logs.when) < MIN_DISPLACEMENTS:
             return None
         start = lags[1]
-        found: Any = minimize_scalar(
+        result: Any = minimize_scalar(
             fit.size,
-            bounds=(start - reach, start + reach),
+            bounds=(start - width, start + width),
             options={"xatol": 0.05 * step},
         )
-        if abs(found.x - start) < INSIDE * reach:
-            return float(found.x), fit
-        lags, reach = (lags[0], float(found.x)), 2 * reach
+        if abs(result.x - start) < INSIDE * width:
+            return float(result.x), fit
+        lags, width = (lags[0], float(result.x)), 2 * width
     return None
 
 
 def _on_grid(grid: Floats, time: Floats, values: Floats) -> Floats:
     """Return columns (n, k) in deviations at the grid's times, zero outside the log."""
-    found = np.stack([np.interp(grid, time, one) for one in values.T], axis=1)
+    sampled = np.stack([np.interp(grid, time, column) for column in values.T], axis=1)
     inside = (grid >= time[0]) & (grid <= time[-1])
-    found -= found[inside].mean(axis=0) if inside.any() else 0.0
-    return np.where(inside[:, None], found, 0.0) / np.maximum(found.std(axis=0), 1e-300)
+    sampled -= sampled[inside].mean(axis=0) if inside.any() else 0.0
+    return np.where(inside[:, None], sampled, 0.0) / np.maximum(sampled.std(axis=0), 1e-300)
 
 
 class _Fit:
     """Residuals of the response over the lag, on displacements that all lags have loads for."""
 
-    def __init__(self, logs: Logs, lags: tuple[float, float], step: float, reach: float) -> None:
-        low, high = min(lags) - reach, max(lags) + reach
+    def __init__(self, logs: Logs, lags: tuple[float, float], step: float, width: float) -> None:
+        low, high = min(lags) - width, max(lags) + width
         inside = (logs.when + low >= logs.time[0]) & (logs.when + high <= logs.time[-1])
-        places = np.flatnonzero(inside)
-        places = places[:: -(-len(places) // MAX_DISPLACEMENTS) or 1]
-        self.logs = logs._replace(when=logs.when[places], displacement=logs.displacement[places])
+        indices = np.flatnonzero(inside)
+        indices = indices[:: -(-len(indices) // MAX_DISPLACEMENTS) or 1]
+        self.logs = logs._replace(when=logs.when[indices], displacement=logs.displacement[indices])
         self._scale, self._step = np.abs(logs.wrench).max(axis=0), step
 
     def _terms(self, lag: float | Floats) -> Floats:
@@ -230,11 +231,11 @@ class _Fit:
 
     def _loads(self, lag: float | Floats) -> Floats:
         time, when = self.logs.time, self.logs.when + lag
-        return np.stack([np.interp(when, time, one) for one in self.logs.wrench.T], axis=1)
+        return np.stack([np.interp(when, time, load) for load in self.logs.wrench.T], axis=1)
 
     def residual(self, lag: float | Floats) -> Floats:
         """Return the mean square that each output's response leaves, (k,), of its variance."""
-        return self._left(self._terms(lag), self.logs.displacement)
+        return self._unexplained(self._terms(lag), self.logs.displacement)
 
     def size(self, lag: float) -> float:
         """Return the sum of `residual` over the outputs."""
@@ -244,19 +245,19 @@ class _Fit:
         """Return `residual` of a response with one more term: the direction of the motion."""
         terms, y = self._terms(lag), self.logs.displacement
         after, before = self._loads(lag + self._step), self._loads(lag - self._step)
-        found = np.linalg.lstsq(self._loads(lag), y, rcond=1e-9)[0]
-        signs = np.sign((after - before) @ found)
+        coefficients = np.linalg.lstsq(self._loads(lag), y, rcond=1e-9)[0]
+        signs = np.sign((after - before) @ coefficients)
         return np.concatenate(
             [
-                self._left(np.column_stack((terms, sign)), one[:, None])
-                for sign, one in zip(signs.T, y.T, strict=True)
+                self._unexplained(np.column_stack((terms, sign)), column[:, None])
+                for sign, column in zip(signs.T, y.T, strict=True)
             ]
         )
 
     def vertex(self, lag: float) -> tuple[float, float]:
         """Return the lag of the least residual near a lag, and its error, s.
 
-        Of a parabola through lags that are an interval of the loads apart: between two loads
+        Of a parabola through lags at the distance of an interval of the loads: between two loads
         interpolation averages their noise, which bends the residual at smaller steps.
         """
         step = float(np.median(np.diff(self.logs.time)))
@@ -268,8 +269,10 @@ class _Fit:
                 return lag, np.inf
             lag += step * float(np.clip((low - high).sum() / curvature.sum() / 2, -1, 1))
         terms, y = self._terms(lag), self.logs.displacement
-        left = y - terms @ np.linalg.lstsq(terms, y, rcond=1e-9)[0]
-        near = (left[1:] * left[:-1]).sum(axis=0) / np.maximum((left**2).sum(axis=0), 1e-300)
+        residual = y - terms @ np.linalg.lstsq(terms, y, rcond=1e-9)[0]
+        near = (residual[1:] * residual[:-1]).sum(axis=0) / np.maximum(
+            (residual**2).sum(axis=0), 1e-300
+        )
         near = near.clip(0.0, 1 - 1 / len(y))
         free = max(len(y) - terms.shape[1], 1) * (1 - near) / (1 + near)
         # As if all outputs erred together: the noise of the loads is in all of them.
@@ -285,14 +288,14 @@ class _Fit:
             shifted = lag + x[0] * self._step + x[1] * unit * (self.logs.when - middle)
             return self.residual(shifted)
 
-        found: Any = minimize(
+        result: Any = minimize(
             lambda x: residual(x).sum(),
             np.zeros(2),
             method="Nelder-Mead",
             options={"initial_simplex": [[0, 0], [1, 0], [0, 2]], "xatol": 0.1, "fatol": 1e-3},
         )
-        return float(found.x[1]) * unit, residual(found.x)
+        return float(result.x[1]) * unit, residual(result.x)
 
-    def _left(self, terms: Floats, y: Floats) -> Floats:
-        left = y - terms @ np.linalg.lstsq(terms, y, rcond=1e-9)[0]
-        return np.asarray((left**2).mean(axis=0) / np.maximum((y**2).mean(axis=0), 1e-300))
+    def _unexplained(self, terms: Floats, y: Floats) -> Floats:
+        residual = y - terms @ np.linalg.lstsq(terms, y, rcond=1e-9)[0]
+        return np.asarray((residual**2).mean(axis=0) / np.maximum((y**2).mean(axis=0), 1e-300))

@@ -1,4 +1,4 @@
-"""Breaks of the wrench contract that a whole file shares: signs, units, reference points."""
+"""Breaks of the wrench contract in all rows of a file: signs, units, reference points."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..table.rows import CLEAN, Floats, LoadRange, Rows
+from ..table.rows import ZERO_LOAD, Floats, LoadRange, Rows
 from ..table.space import LOADS, OUTPUTS
 from .response import RigFinding, RobustFit
 
@@ -16,7 +16,7 @@ DEVIATIONS = 6.0  # of a fitted entry: surely not zero
 TIE = 0.1  # of a logarithm: factors of two quantities that explain the same
 SCALE = 1.5  # times: a calibration is wrong by more, finite elements by less
 FAR = 3.0  # times: units differ by more, parts of one kind by less
-AGREE = 1.6  # times: how far the entries of one wrong unit may be apart
+AGREE = 1.6  # times: how far entries may differ that have one wrong unit
 BETTER = 3.0  # times the asymmetry that a lever must explain
 ASYMMETRY = 0.05  # as `table.physics_checks`: rotations make tangents unsymmetric by as much
 UNEXPLAINED = 0.1  # of the largest energy: noise of 1 % and rotations make less
@@ -44,7 +44,7 @@ class Fit(NamedTuple):
     sure : ndarray of bool, shape (6, 6)
         Which entries surely are not zero, and are not small beside others of their kind.
     loads : ndarray of bool, shape (6,)
-        The loads that the rows tell.
+        The loads that the rows determine.
     """
 
     matrix: Floats
@@ -55,7 +55,7 @@ class Fit(NamedTuple):
 def linear_fit(rows: Rows, load_range: LoadRange, response: RobustFit) -> Fit:
     """Return the linear part of the rows' response, with constant, cubic and other terms beside."""
     scaled = rows.wrench / load_range.scale
-    used = np.abs(scaled).max(axis=0) > CLEAN
+    used = np.abs(scaled).max(axis=0) > ZERO_LOAD
     terms = response.terms
     matrix, sure = np.zeros((6, 6)), np.zeros((6, 6), dtype=bool)
     first = terms[:, : 1 + used.sum()]
@@ -64,20 +64,20 @@ def linear_fit(rows: Rows, load_range: LoadRange, response: RobustFit) -> Fit:
         known = np.isfinite(response.expected[:, output])
         if not known.any():
             continue
-        # Coefficients (t,), their errors from the misfit, and which the rows tell.
+        # Coefficients (t,), their errors from the misfit, and which the rows determine.
         x = first[known]
         y = response.expected[known, output]
         _, sizes, axes = np.linalg.svd(x, full_matrices=False)
         spanned = axes[sizes > 1e-6 * sizes[0]]
         sure_terms = (spanned**2).sum(axis=0) > 1 - 1e-6
-        found = np.linalg.lstsq(x, y, rcond=1e-6)[0]
-        misfit = float(np.sqrt(((y - x @ found) ** 2).mean()))
+        coefficients = np.linalg.lstsq(x, y, rcond=1e-6)[0]
+        misfit = float(np.sqrt(((y - x @ coefficients) ** 2).mean()))
         spread = np.sqrt(np.diag(np.linalg.pinv(x.T @ x, rcond=1e-12)).clip(0.0))
         error = misfit * spread
         noise = response.deviation[output] / np.sqrt(known.sum())
-        matrix[output, used] = found[1:]
+        matrix[output, used] = coefficients[1:]
         sure[output, used] = sure_terms[1:] & (
-            np.abs(found[1:]) > DEVIATIONS * np.hypot(error, noise)[1:]
+            np.abs(coefficients[1:]) > DEVIATIONS * np.hypot(error, noise)[1:]
         )
         loads[used] |= sure_terms[1:]
     return Fit(matrix / load_range.scale, sure & _is_large(matrix), loads)
@@ -90,25 +90,25 @@ def solved_fit(compliance: Floats, load_range: LoadRange) -> Fit:
 
 
 def _is_large(moved: Floats) -> NDArray[np.bool_]:
-    """Return which displacements by full loads (6, 6) are not small beside others of their kind."""
+    """Return which displacements by loads (6, 6) are not small beside others of their kind."""
     size = np.abs(moved)
     blocks = size.reshape(2, 3, 2, 3).max(axis=(1, 3)) * SIGNIFICANT
     return np.asarray(size > np.kron(blocks, np.ones((3, 3))))
 
 
 def sign_findings(fit: Fit) -> list[RigFinding]:
-    """Return a finding where loads do negative work on their own displacements."""
+    """Return a finding where loads do negative work on their displacements."""
     diagonal = np.diag(fit.matrix)
     work = np.diag(fit.sure) & fit.loads
     wrong = np.flatnonzero(work & (diagonal < 0))
     if not len(wrong):
         return []
     names = ", ".join(f"{LOADS[k]} on {OUTPUTS[k]}" for k in wrong)
-    whole = len(wrong) == work.sum()
+    all_wrong = len(wrong) == work.sum()
     what = (
         "all loads, or all displacements, have the wrong sign. The wrench acts ON the component: "
         "turn the signs of readings of the opposite wrench, with a mapping such as Fz=-fz [N]"
-        if whole and len(wrong) > 1
+        if all_wrong and len(wrong) > 1
         else "these loads, or these displacements, have the wrong sign or the axes of another "
         "frame (turn one of the two with a mapping such as Fz=-fy [N]; --frame turns both), or "
         "another reference point (--load-point, --displacement-point)"
@@ -128,36 +128,36 @@ def turned_findings(fit: Fit, solved: Fit | None) -> list[RigFinding]:
         wrong = (count > 0) & (count == both.sum(axis=axis))
         if not wrong.any() or count[wrong].sum() < turned.sum():
             continue
-        found = [names[k] for k in np.flatnonzero(wrong)]
-        whole = wrong.sum() == both.any(axis=axis).sum()
-        what = "all loads, or all displacements," if whole else ", ".join(found)
+        wrong_names = [names[k] for k in np.flatnonzero(wrong)]
+        all_wrong = wrong.sum() == both.any(axis=axis).sum()
+        what = "all loads, or all displacements," if all_wrong else ", ".join(wrong_names)
         message = (
             f"{what} have the opposite sign of the solves: the wrench acts ON the component, in "
             "the interface's axes. Turn the sign with a mapping such as Fz=-fz [N]"
         )
-        return [RigFinding("sign", message, (), {"quantities": found})]
+        return [RigFinding("sign", message, (), {"quantities": wrong_names})]
     return []
 
 
 def range_findings(rows: Rows, load_range: LoadRange) -> list[RigFinding]:
     """Return findings of forces and moments of another size than the load range."""
-    found = []
+    findings = []
     for name, part in (("forces", slice(0, 3)), ("moments", slice(3, 6))):
         ends = np.abs(load_range.ends[:, part]).max(axis=0)
         largest = np.abs(rows.wrench[:, part]).max(axis=0)
-        loaded = (largest > 0) & (ends > CLEAN * np.abs(load_range.ends).max())
+        loaded = (largest > 0) & (ends > ZERO_LOAD * np.abs(load_range.ends).max())
         if not loaded.any():
             continue
-        share = float((largest[loaded] / ends[loaded]).max())
-        if SMALL <= share <= LARGE:
+        ratio = float((largest[loaded] / ends[loaded]).max())
+        if SMALL <= ratio <= LARGE:
             continue
-        unit = named_unit(1.0 / share if share < 1 else share)
+        unit = named_unit(1.0 / ratio if ratio < 1 else ratio)
         message = (
-            f"the largest of the {name} is {share:.3g} times the end of the load range: check "
+            f"the largest of the {name} is {ratio:.3g} times the end of the load range: check "
             f"their unit{unit}, or the component's range"
         )
-        found.append(RigFinding("unit", message, (), {"quantity": name, "factor": share}))
-    return found
+        findings.append(RigFinding("unit", message, (), {"quantity": name, "factor": ratio}))
+    return findings
 
 
 def size_findings(rows: Rows, response: RobustFit) -> list[RigFinding]:
@@ -210,23 +210,23 @@ def _against_solves(fit: Fit, solved: Fit, least: float) -> list[RigFinding]:
     quantities = {"translations": 1.0, "rotations": 1.0, "forces": -1.0, "moments": -1.0}
     best = []
     for quantity, power in quantities.items():
-        own = [value for name, value in blocks.items() if quantity in name]
-        if not own:
+        matching = [value for name, value in blocks.items() if quantity in name]
+        if not matching:
             continue
-        factor = float(np.mean(own)) * power
-        left = [
+        factor = float(np.mean(matching)) * power
+        residuals = [
             value - (factor * power if quantity in name else 0.0) for name, value in blocks.items()
         ]
-        best.append((float(np.abs(left).max()), quantity, float(np.exp(factor))))
-    missed, quantity, factor = min(best)
+        best.append((float(np.abs(residuals).max()), quantity, float(np.exp(factor))))
+    residual, quantity, factor = min(best)
     size = float(abs(np.log(factor)))
-    if size <= np.log(least) or missed > min(size / 3, np.log(FAR)):
+    if size <= np.log(least) or residual > min(size / 3, np.log(FAR)):
         return []
     what = "unit" if size > np.log(FAR) else "calibration"
     others = "".join(
         f", or the {name} {times:.3g} times"
         for far, name, times in best
-        if name != quantity and far - missed < TIE
+        if name != quantity and far - residual < TIE
     )
     message = (
         f"the {quantity} are {factor:.3g} times those of the solves{others}: check their "
@@ -236,21 +236,21 @@ def _against_solves(fit: Fit, solved: Fit, least: float) -> list[RigFinding]:
 
 
 def _common(first: Floats, second: Floats, least: float = FAR) -> float | None:
-    """Return the factor between two lists of numbers if all share it and it is far from one."""
+    """Return the factor between two lists of numbers if it is the same for all and far from 1."""
     if not len(first):
         return None
     logs = np.log(np.abs(first / second))
     factor = float(np.exp(np.median(logs)))
-    apart = np.exp(np.abs(logs - np.median(logs))).max()
-    return factor if apart < AGREE and max(factor, 1 / factor) >= least else None
+    deviation = np.exp(np.abs(logs - np.median(logs))).max()
+    return factor if deviation < AGREE and max(factor, 1 / factor) >= least else None
 
 
 def named_unit(factor: float) -> str:
     """Return " (probably ...)" for a factor near that of two units, else nothing."""
     size = max(factor, 1 / factor)
-    for known, words in UNITS.items():
+    for known, description in UNITS.items():
         if abs(np.log(size / max(known, 1 / known))) < np.log(1.15):
-            return f" (a factor of {max(known, 1 / known):g}: {words}?)"
+            return f" (a factor of {max(known, 1 / known):g}: {description}?)"
     return ""
 
 
@@ -272,7 +272,7 @@ def lever_findings(fit: Fit, load_range: LoadRange) -> list[RigFinding]:
     after = _asymmetry(moved, load_range)
     if before <= ASYMMETRY or after * BETTER > before or (np.diag(moved) <= 0).any():
         return []
-    load_point, moved_point = (",".join(f"{one:.4g}" for one in sign * lever) for sign in (-1, 1))
+    load_point, moved_point = (",".join(f"{x:.4g}" for x in sign * lever) for sign in (-1, 1))
     message = (
         f"the compliance is unsymmetric by {before:.0%}; it is symmetric to {after:.1%} if the "
         f"point that the moments are about is {np.linalg.norm(lever):.4g} m from the one whose "

@@ -1,7 +1,7 @@
 """What rows show of the errors of their measurement: findings of an import, and `rig_error`.
 
-Hysteresis, drift and readings in two branches are hidden by their mean. More rows do not lower
-them, and a mean of both branches lies on neither. So error bars have a part of their own for them,
+Hysteresis, drift and observations in two branches are hidden by their mean. More rows do not lower
+them, and a mean of both branches lies on neither. So error bars have a separate part for them,
 and coverage does not depend on it, as for the discretisation error.
 """
 
@@ -51,25 +51,25 @@ def find(
     """
     if len(rows) < MIN_ROWS:
         return range_findings(rows, load_range) if len(rows) else []
-    rows = looked_at(rows)
+    rows = sampled(rows)
     response = response_of(rows, load_range)
     wrong = wrong_rows(rows, load_range, response)
-    found = single_row_findings(rows, response, wrong)
+    findings = single_row_findings(rows, response, wrong)
     good = rows.take(~wrong.any(axis=1))
     if len(good) < MIN_ROWS:
-        return found
+        return findings
     response = response_of(good, load_range)
     fit = linear_fit(good, load_range, response)
     units = [*range_findings(good, load_range), *size_findings(good, response)]
     known = None if solved is None else solved_fit(solved, load_range)
     units = units or unit_findings(fit, known, linear=linear)
-    # A lever can make a load's own work negative; a wrong sign or unit is no lever.
+    # A lever can make a load's work negative; a wrong sign or unit is no lever.
     contract = units or turned_findings(fit, known) or lever_findings(fit, load_range)
-    found += contract or sign_findings(fit) or asymmetry_findings(fit, load_range)
-    return [*found, *sequence_findings(good, response)]
+    findings += contract or sign_findings(fit) or asymmetry_findings(fit, load_range)
+    return [*findings, *sequence_findings(good, response)]
 
 
-def looked_at(rows: Rows) -> Rows:
+def sampled(rows: Rows) -> Rows:
     """Return the rows that are looked at, in their order."""
     return rows.take(np.arange(0, len(rows), -(-len(rows) // MAX_ROWS)))
 
@@ -78,7 +78,7 @@ def rig_error(rows: Rows, load_range: LoadRange) -> Floats:
     """Return how far from an answer the part may be besides, (6,), m and rad.
 
     A loop of hysteresis and a drift, as the order of the rows shows them, or the distance of two
-    branches of readings at one wrench. The whole of each: along a motion answers follow the branch
+    branches of observations at one wrench. All of each: along a motion answers follow the branch
     that was measured there, and the part may be on the other one.
 
     Parameters
@@ -93,7 +93,7 @@ def rig_error(rows: Rows, load_range: LoadRange) -> Floats:
     some = rows.take(measured & load_range.holds(rows.wrench))
     if len(some) < MIN_ROWS_IN_ORDER:
         return none
-    some = looked_at(some)
+    some = sampled(some)
     response = response_of(some, load_range)
     wrong, good = wrong_rows(some, load_range, response).any(axis=1), some
     if wrong.any():
@@ -101,39 +101,39 @@ def rig_error(rows: Rows, load_range: LoadRange) -> Floats:
         if len(good) < MIN_ROWS_IN_ORDER:
             return none
         response = response_of(good, load_range)
-    found = sequence_errors(good, response, probable=True)
-    return np.maximum(np.abs(found.drift) + found.loop, 2 * branches(good, load_range))
+    errors = sequence_errors(good, response, probable=True)
+    return np.maximum(np.abs(errors.drift) + errors.loop, 2 * branches(good, load_range))
 
 
 def error_of_a_reading(error: Floats, interpolation: Floats, noise: Floats) -> Floats:
-    """Return the error bars of one more reading at a wrench, (6,), m and rad.
+    """Return the error bars of one more observation at a wrench, (6,), m and rad.
 
     Parameters
     ----------
     error, interpolation, noise : ndarray, shape (6,), m and rad
-        The answer's error, its part by interpolation, and the 95 % noise of one reading.
+        The answer's error, its part by interpolation, and the 95 % noise of one observation.
     """
     return error - interpolation + np.hypot(interpolation, noise)
 
 
 def branches(rows: Rows, load_range: LoadRange) -> Floats:
-    """Return the deviation of readings of one wrench where it is no noise, (6,), m and rad.
+    """Return the deviation of observations at one wrench where it is no noise, (6,), m and rad.
 
-    Noise is normal: its kurtosis is 3, and shows to sqrt(24 / n) in n readings besides the first of
-    each wrench. Readings in two branches are all as far from their mean.
+    Noise is normal: its kurtosis is 3, and shows to sqrt(24 / n) in n values besides the first of
+    each wrench. Observations in two branches are all as far from their mean.
     """
     outputs = rows.displacement.shape[1]
-    groups, found = repeated(rows, load_range), np.zeros(outputs)
+    groups, half_widths = repeated(rows, load_range), np.zeros(outputs)
     for output in range(outputs):
         moved = rows.displacement[:, output]
         measured = np.isfinite(moved)
-        readings = [moved[places][measured[places]] for places in groups]
-        several = [own for own in readings if len(own) > 1]
-        deviations = np.concatenate([np.empty(0), *(own - own.mean() for own in several)])
+        groups_of_values = [moved[indices][measured[indices]] for indices in groups]
+        several = [values for values in groups_of_values if len(values) > 1]
+        deviations = np.concatenate([np.empty(0), *(values - values.mean() for values in several)])
         square = float((deviations**2).mean()) if several else 0.0
         if square <= 0:
             continue
         kurtosis = float((deviations**4).mean()) / square**2
         if kurtosis + 2 * math.sqrt(24 / (len(deviations) - len(several))) < NORMAL:
-            found[output] = math.sqrt(square)
-    return found
+            half_widths[output] = math.sqrt(square)
+    return half_widths

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from ..table.rows import CLEAN, Floats, LoadRange, Rows
+from ..table.rows import ZERO_LOAD, Floats, LoadRange, Rows
 from ..table.space import OUTPUTS
 
 ROUNDS = 30  # of reweighting: the weights are settled after 10 to 20
@@ -24,11 +24,11 @@ BIWEIGHT = 4.685  # deviations: 95 % efficient for normal errors (Holland and We
 NORMAL = 1.4826  # deviation over median absolute deviation, of normal errors
 ROWS_A_TERM = 5  # rows that a term of the polynomial needs at least
 EXACT = 1e-4  # of an output's range: residuals below it are no error worth a remark
-RANK = 1e-9  # of the largest: directions that the rows do not tell apart, and their ridge
+RANK = 1e-9  # of the largest: directions that the rows do not separate, and their ridge
 
 NEIGHBOURS = 8  # whose median residual is the local misfit of the response
 MIN_ROWS = 12  # rows: with fewer the others do not show what one of them should be
-DEVIATIONS = 12.0  # of a normal error one in 1e32 lies so far out; heavy tails of real rigs reach 6
+DEVIATIONS = 12.0  # of normal errors 1 in 1e32 lies so far out; heavy tails of real rigs reach 6
 TAIL = 14.0  # times what 90 % of the rows keep: a misfit of the response has no single rows
 PART = 0.05  # of the output's range: smaller errors do not spoil a table's error bars
 SENTINEL = 3.0  # ranges off: no response jumps so far at one row
@@ -98,9 +98,9 @@ class RobustFit(NamedTuple):
 
 def terms_of(scaled: Floats) -> Floats:
     """Return the polynomial's terms (n, t) at scaled loads (n, 6), as many as the rows allow."""
-    used = np.flatnonzero(np.abs(scaled).max(axis=0, initial=0.0) > CLEAN)
+    used = np.flatnonzero(np.abs(scaled).max(axis=0, initial=0.0) > ZERO_LOAD)
     loads, count = scaled[:, used], len(scaled)
-    found = [np.ones((count, 1)), loads]
+    parts = [np.ones((count, 1)), loads]
     for more in (
         loads**2,
         loads**3,
@@ -108,9 +108,9 @@ def terms_of(scaled: Floats) -> Floats:
         if len(used) > 1
         else np.empty((count, 0)),
     ):
-        if ROWS_A_TERM * (sum(part.shape[1] for part in found) + more.shape[1]) <= count:
-            found.append(more)
-    return np.concatenate(found, axis=1)
+        if ROWS_A_TERM * (sum(part.shape[1] for part in parts) + more.shape[1]) <= count:
+            parts.append(more)
+    return np.concatenate(parts, axis=1)
 
 
 def response_of(rows: Rows, load_range: LoadRange) -> RobustFit:
@@ -122,7 +122,9 @@ def response_of(rows: Rows, load_range: LoadRange) -> RobustFit:
     expected = np.stack([_fitted(basis, moved[:, output]) for output in range(6)], axis=1)
     residual = moved - expected
     known = [column[np.isfinite(column)] for column in expected.T]
-    ends = np.array([np.percentile(one, [2, 98]) if len(one) else (0.0, 0.0) for one in known]).T
+    ends = np.array(
+        [np.percentile(values, [2, 98]) if len(values) else (0.0, 0.0) for values in known]
+    ).T
     size = np.maximum(ends[1] - ends[0], np.finfo(float).tiny)
     deviation = np.maximum(
         np.array([_deviation(column[np.isfinite(column)]) for column in residual.T]), EXACT * size
@@ -137,17 +139,17 @@ def _fitted(basis: Floats, moved: Floats) -> Floats:
         return np.full(len(moved), np.nan)
     x, y = basis[known], moved[known]
     floor = EXACT * max(float(np.ptp(y)), np.finfo(float).tiny)
-    found = _solved(x, y, np.ones(len(y)))
+    coefficients = _solved(x, y, np.ones(len(y)))
     # Least absolute deviations first: from plain least squares, wrong rows keep their weight.
     for round_ in range(ROUNDS):
-        missed = np.abs(y - x @ found)
-        scale = max(NORMAL * float(np.median(missed)), floor)
+        residual = np.abs(y - x @ coefficients)
+        scale = max(NORMAL * float(np.median(residual)), floor)
         if round_ < ROUNDS // 2:
-            weights = scale / np.maximum(missed, scale / 10)
+            weights = scale / np.maximum(residual, scale / 10)
         else:
-            weights = np.clip(1.0 - (missed / (BIWEIGHT * scale)) ** 2, 0.0, None) ** 2
-        found = _solved(x, y, weights)
-    return basis @ found
+            weights = np.clip(1.0 - (residual / (BIWEIGHT * scale)) ** 2, 0.0, None) ** 2
+        coefficients = _solved(x, y, weights)
+    return basis @ coefficients
 
 
 def _solved(x: Floats, y: Floats, weights: Floats) -> Floats:
@@ -162,7 +164,7 @@ def _deviation(values: Floats) -> float:
 
 
 def wrong_rows(rows: Rows, load_range: LoadRange, response: RobustFit) -> NDArray[np.bool_]:
-    """Return which rows have a reading far from those around them, per output, (n, 6)."""
+    """Return which rows have an observation far from those around them, per output, (n, 6)."""
     if len(rows) < MIN_ROWS:
         return np.zeros((len(rows), 6), dtype=bool)
     local = local_residual(rows.wrench / load_range.scale, response.residual)
@@ -175,8 +177,8 @@ def wrong_rows(rows: Rows, load_range: LoadRange, response: RobustFit) -> NDArra
 def local_residual(scaled: Floats, residual: Floats) -> Floats:
     """Return residuals (n, 6) less the median residual of the nearest other rows."""
     count = min(NEIGHBOURS + 1, len(scaled))
-    found = KDTree(scaled).query(scaled, k=count)[1]
-    near: NDArray[np.intp] = np.asarray(found, dtype=np.intp).reshape(len(scaled), count)
+    neighbours = KDTree(scaled).query(scaled, k=count)[1]
+    near: NDArray[np.intp] = np.asarray(neighbours, dtype=np.intp).reshape(len(scaled), count)
     around = np.array(residual[near])
     around[near == np.arange(len(scaled)).reshape(-1, 1)] = np.nan  # its own
     around[~np.isfinite(around).any(axis=1, keepdims=True).repeat(count, axis=1)] = 0.0
@@ -187,8 +189,8 @@ def single_row_findings(
     rows: Rows, response: RobustFit, wrong: NDArray[np.bool_]
 ) -> list[RigFinding]:
     """Return a finding of sentinels and one of outliers, where `wrong` (n, 6) has some."""
-    missed: Floats = np.abs(np.nan_to_num(response.residual))
-    far = np.logical_and(wrong, missed > SENTINEL * response.range)
+    residual: Floats = np.abs(np.nan_to_num(response.residual))
+    far = np.logical_and(wrong, residual > SENTINEL * response.range)
     sentinels = np.zeros_like(wrong)
     for output in range(6):
         values = rows.displacement[:, output]
@@ -200,16 +202,16 @@ def single_row_findings(
 
 
 def _is_nines(value: float) -> bool:
-    """Whether the digits of a reading are nines, in whatever unit of length it was written."""
+    """Whether the digits of an observation are nines, in whatever unit of length it was written."""
     digits = f"{abs(value):.6e}".split("e")[0].replace(".", "").rstrip("0")
     return len(digits) >= NINES and set(digits) == {"9"}
 
 
-def _sentinels(rows: Rows, found: NDArray[np.bool_]) -> list[RigFinding]:
-    at = np.flatnonzero(found.any(axis=1))
+def _sentinels(rows: Rows, flagged: NDArray[np.bool_]) -> list[RigFinding]:
+    at = np.flatnonzero(flagged.any(axis=1))
     if not len(at):
         return []
-    output = int(np.argmax(found[at[0]]))
+    output = int(np.argmax(flagged[at[0]]))
     value = float(rows.displacement[at[0], output])
     message = (
         f"{len(at)} rows hold a value that a logger writes where it has none, such as "
@@ -218,17 +220,17 @@ def _sentinels(rows: Rows, found: NDArray[np.bool_]) -> list[RigFinding]:
     return [RigFinding("sentinel", message, tuple(rows.seq[at].tolist()), {"value": value})]
 
 
-def _outliers(rows: Rows, response: RobustFit, found: NDArray[np.bool_]) -> list[RigFinding]:
-    at = np.flatnonzero(found.any(axis=1))
+def _outliers(rows: Rows, response: RobustFit, flagged: NDArray[np.bool_]) -> list[RigFinding]:
+    at = np.flatnonzero(flagged.any(axis=1))
     if not len(at):
         return []
-    missed = np.abs(np.nan_to_num(response.residual)) / response.range
-    worst = np.where(found, missed, 0.0)
+    residual = np.abs(np.nan_to_num(response.residual)) / response.range
+    worst = np.where(flagged, residual, 0.0)
     order = at[np.argsort(-worst[at].max(axis=1), kind="stable")]
-    place, output = order[0], int(np.argmax(worst[order[0]]))
+    row, output = order[0], int(np.argmax(worst[order[0]]))
     message = (
         f"{len(at)} of {len(rows)} rows are far from those around them; the worst is row "
-        f"{rows.seq[place]}: {OUTPUTS[output]} is off by {missed[place, output]:.0%} of its range. "
+        f"{rows.seq[row]}: {OUTPUTS[output]} is off by {residual[row, output]:.0%} of its range. "
         "Look at these rows, and withdraw those that are wrong: each widens the error bars "
         "everywhere"
     )

@@ -46,10 +46,10 @@ class SequenceErrors(NamedTuple):
 
 def sequence_findings(rows: Rows, response: RobustFit) -> list[RigFinding]:
     """Return findings of drift and hysteresis; rows are in the order of measurement."""
-    found, findings = sequence_errors(rows, response), list[RigFinding]()
+    errors, findings = sequence_errors(rows, response), list[RigFinding]()
     causes: tuple[tuple[Cause, str, Floats], ...] = (
-        ("drift", "drift", found.drift),
-        ("hysteresis", "loop", found.loop),
+        ("drift", "drift", errors.drift),
+        ("hysteresis", "loop", errors.loop),
     )
     for cause, entry, sizes in causes:
         over = np.flatnonzero(np.abs(sizes) > PART * response.range)  # worth a remark
@@ -68,9 +68,9 @@ def sequence_errors(rows: Rows, response: RobustFit, *, probable: bool = False) 
 
     `probable` ones too, or only those that are sure.
     """
-    found = SequenceErrors(np.zeros(6), np.zeros(6))
+    errors = SequenceErrors(np.zeros(6), np.zeros(6))
     if len(rows) < MIN_ROWS:
-        return found
+        return errors
     time = np.linspace(-0.5, 0.5, len(rows))
     limits = (PROBABLE_EXPLAINED, PROBABLE_DEVIATIONS) if probable else (MIN_EXPLAINED, DEVIATIONS)
     for output in range(6):
@@ -85,8 +85,8 @@ def sequence_errors(rows: Rows, response: RobustFit, *, probable: bool = False) 
             np.stack((time, sign), axis=1)[known],
             *limits,
         )
-        found.drift[output], found.loop[output] = effects[0], abs(2.0 * effects[1])
-    return found
+        errors.drift[output], errors.loop[output] = effects[0], abs(2.0 * effects[1])
+    return errors
 
 
 def directions(expected: Floats) -> Floats:
@@ -97,32 +97,33 @@ def directions(expected: Floats) -> Floats:
 
 
 def effects_of(
-    terms: Floats, residual: Floats, causes: Floats, share: float, deviations: float
+    terms: Floats, residual: Floats, causes: Floats, fraction: float, deviations: float
 ) -> Floats:
     """Return the coefficient of each cause (n, c) in the residuals (n,); 0 where none is sure.
 
     Each cause counts by what the loads and the other causes do not explain of it. It must explain a
-    share of the residuals' variance, and be so many of its own deviations.
+    fraction of the residuals' variance, and be so many of its standard deviations.
     """
-    found = np.zeros(causes.shape[1])
+    effects = np.zeros(causes.shape[1])
     clipped = np.clip(residual, -_limit(residual), _limit(residual))
-    for place in range(causes.shape[1]):
-        others = np.concatenate((terms, np.delete(causes, place, axis=1)), axis=1)
-        cause = causes[:, place]
+    for column in range(causes.shape[1]):
+        others = np.concatenate((terms, np.delete(causes, column, axis=1)), axis=1)
+        cause = causes[:, column]
         total = float(((cause - cause.mean()) ** 2).sum())
-        own = cause - others @ np.linalg.lstsq(others, cause, rcond=1e-9)[0]
-        left = clipped - others @ np.linalg.lstsq(others, clipped, rcond=1e-9)[0]
-        square = float(own @ own)
+        independent = cause - others @ np.linalg.lstsq(others, cause, rcond=1e-9)[0]
+        target = clipped - others @ np.linalg.lstsq(others, clipped, rcond=1e-9)[0]
+        square = float(independent @ independent)
         if total <= 0 or square < MIN_INDEPENDENT * total:
             continue
-        slope = float(own @ left) / square
-        rest = left - slope * own
-        explained = 1.0 - float(rest @ rest) / max(float(left @ left), np.finfo(float).tiny)
+        slope = float(independent @ target) / square
+        remainder = target - slope * independent
+        size = max(float(target @ target), np.finfo(float).tiny)
+        explained = 1.0 - float(remainder @ remainder) / size
         free = max(len(residual) - others.shape[1] - 1, 1)
-        error = np.sqrt(float(rest @ rest) / free / square)
-        if explained > share and abs(slope) > deviations * error:
-            found[place] = slope
-    return found
+        error = np.sqrt(float(remainder @ remainder) / free / square)
+        if explained > fraction and abs(slope) > deviations * error:
+            effects[column] = slope
+    return effects
 
 
 def _limit(residual: Floats) -> float:

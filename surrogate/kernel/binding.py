@@ -56,27 +56,27 @@ def kernel() -> Kernel:
         If it is not there and cannot be compiled.
     """
     path = str(ready_library())
-    found = Kernel(ctypes.PyDLL(path), ctypes.CDLL(path))
-    address, size, whole = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int
+    libraries = Kernel(ctypes.PyDLL(path), ctypes.CDLL(path))
+    address, size, integer = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int
     real = ctypes.c_double
     forms = {
         "wb_open_checked": (address, [address, size, address, size]),
         "wb_close": (None, [address]),
-        "wb_inputs": (whole, [address]),
-        "wb_outputs": (whole, [address]),
+        "wb_inputs": (integer, [address]),
+        "wb_outputs": (integer, [address]),
         "wb_scratch": (size, [address]),
-        "wb_answer": (whole, [address] * 5),
-        "wb_answer_many": (whole, [address, address, size, *[address] * 4, whole]),
-        "wb_derivative_many": (whole, [address, address, size, address, address, whole]),
-        "wb_inverse": (whole, [address] * 6),
-        "wb_joint_rate": (whole, [whole, address, address, real, real, address]),
-        "wb_axis": (whole, [address, address, whole, whole, address, address]),
+        "wb_answer": (integer, [address] * 5),
+        "wb_answer_many": (integer, [address, address, size, *[address] * 4, integer]),
+        "wb_derivative_many": (integer, [address, address, size, address, address, integer]),
+        "wb_inverse": (integer, [address] * 6),
+        "wb_joint_rate": (integer, [integer, address, address, real, real, address]),
+        "wb_axis": (integer, [address, address, integer, integer, address, address]),
     }
-    for library in found:
+    for library in libraries:
         for name, (result, arguments) in forms.items():
             function = getattr(library, name)
             function.restype, function.argtypes = result, arguments
-    return found
+    return libraries
 
 
 class _Options(ctypes.Structure):
@@ -124,7 +124,7 @@ class _Work:
         method: str | None,
         without_rows: bool = False,
     ) -> int | None:
-        """Take the options of a request and return their address, None for the component's own.
+        """Take the options of a request and return their address, None for the component's.
 
         The tolerance has m numbers, m and rad; with `without_rows` the method alone answers.
 
@@ -156,20 +156,20 @@ class PackedTable:
         How many there are: n and m.
     size : int
         Bytes of the file.
-    words : dict
+    meta : dict
         The table's JSON block: contract, space, interface, groups, sources, provenance.
     arrays : dict of str to ndarray
         Read-only views of the mapped file.
     method : str or None
-        What answers where no method is asked for; the table's own default if None.
+        What answers where no method is asked for; the table's default if None.
     """
 
     method: str | None = None
 
-    def __init__(self, handle: int, packed: Packed, kept: Floats | Path, size: int) -> None:
-        """Take an open handle, the file's views, and its words or path, and its bytes."""
-        self._handle, self._packed, self._kept, self.size = handle, packed, kept, size
-        self.arrays, self.words = packed.arrays, packed.words
+    def __init__(self, handle: int, packed: Packed, source: Floats | Path, size: int) -> None:
+        """Take an open handle, the file's views, and its buffer or path, and its bytes."""
+        self._handle, self._packed, self._source, self.size = handle, packed, source, size
+        self.arrays, self.meta = packed.arrays, packed.meta
         library = kernel().with_gil
         self._answer, self._release = library.wb_answer, library.wb_close
         self.inputs, self.outputs = library.wb_inputs(handle), library.wb_outputs(handle)
@@ -202,18 +202,18 @@ class PackedTable:
         PackedTableError
             As `open`.
         """
-        kept = np.zeros(len(content) // 8 + 1, dtype=np.float64)  # which aligns them
-        kept.view(np.uint8)[: len(content)] = np.frombuffer(content, dtype=np.uint8)
-        return cls._from_words(kept, len(content))
+        buffer = np.zeros(len(content) // 8 + 1, dtype=np.float64)  # which aligns them
+        buffer.view(np.uint8)[: len(content)] = np.frombuffer(content, dtype=np.uint8)
+        return cls._from_buffer(buffer, len(content))
 
     @classmethod
-    def _from_words(cls, kept: Floats, size: int) -> PackedTable:
+    def _from_buffer(cls, buffer: Floats, size: int) -> PackedTable:
         """Open a packed table of `size` bytes that lies in words of eight bytes."""
-        packed = read(kept.data.cast("B")[:size])
-        return cls._opened(packed, kept.ctypes.data, kept)
+        packed = read(buffer.data.cast("B")[:size])
+        return cls._opened(packed, buffer.ctypes.data, buffer)
 
     @classmethod
-    def _opened(cls, packed: Packed, address: int, kept: Floats | Path) -> PackedTable:
+    def _opened(cls, packed: Packed, address: int, source: Floats | Path) -> PackedTable:
         """Open the bytes at an address, whose checksum has been checked."""
         why = ctypes.create_string_buffer(_WHY)
         size = len(packed.content)
@@ -221,15 +221,15 @@ class PackedTable:
         if not handle:
             raise PackedTableError(why.value.decode(errors="replace"))
         try:
-            return cls(handle, packed, kept, size)
+            return cls(handle, packed, source, size)
         except (LookupError, TypeError, ValueError) as error:
             raise PackedTableError(f"the table's description is damaged: {error!r}") from error
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return what is pickled: the file's bytes, as one array."""
-        if isinstance(self._kept, np.ndarray):
-            return PackedTable._from_words, (self._kept, self.size)
-        return PackedTable.open, (self._kept,)
+        if isinstance(self._source, np.ndarray):
+            return PackedTable._from_buffer, (self._source, self.size)
+        return PackedTable.open, (self._source,)
 
     @property
     def content(self) -> bytes:
@@ -239,7 +239,7 @@ class PackedTable:
     @cached_property
     def space(self) -> Space:
         """The table's inputs and outputs: names, units, interfaces."""
-        return Space.read(self.words["space"])
+        return Space.read(self.meta["space"])
 
     @property
     def checksum(self) -> int:
@@ -257,9 +257,9 @@ class PackedTable:
         Parameters
         ----------
         tolerance
-            The largest error of each output, m and rad; the component's own without.
+            The largest error of each output, m and rad; the component's without.
         method
-            One of `METHODS`; the component's own without.
+            A name of `METHODS`; the component's default without.
 
         Raises
         ------
@@ -275,18 +275,18 @@ class PackedTable:
         wrong = self._answer(self._handle, options, inputs, reply, scratch)
         if wrong:
             raise mistake(wrong, method, self._packed)
-        found = self._read(work.reply)
+        reply = self._read(work.reply)
         self._idle.append(work)
-        return found
+        return reply
 
     def answers_by(self, method: str | None = None) -> str:
-        """Return the method that answers a query of a method or None, rows apart.
+        """Return the method that answers a query of a method or None, but for rows.
 
-        Without a kriging the table's default method answers in its place.
+        Without a kriging the table's default method answers.
         """
-        default = self.words["summary"]["method"]
+        default = self.meta["summary"]["method"]
         name = method or self.method or default
-        groups = range(len(self.words["groups"]))
+        groups = range(len(self.meta["groups"]))
         has_kriging = name != "kriging" or any(f"g{k}/kriging/x" in self.arrays for k in groups)
         return name if has_kriging else default
 
@@ -302,7 +302,7 @@ class PackedTable:
         """Answer many wrenches, shape (k, n), N and N·m, with the numbers of `answer`.
 
         The number of threads changes none of them. With `without_rows` the method answers also
-        where it does not cover a row's own wrench. Other parameters and errors are those of
+        where it does not cover the wrench of a row. Other parameters and errors are those of
         `answer`.
         """
         queries = self._many(wrenches)
@@ -344,16 +344,16 @@ class PackedTable:
         of `batch`.
         """
         queries = self._many(wrenches)
-        found = np.empty((len(queries), self.outputs, self.inputs))
+        derivatives = np.empty((len(queries), self.outputs, self.inputs))
         work = self._work()
         wrong = kernel().without_gil.wb_derivative_many(
             *(self._handle, work.options(tolerance, method or self.method, without_rows)),
-            *(len(queries), queries.ctypes.data, found.ctypes.data, threads),
+            *(len(queries), queries.ctypes.data, derivatives.ctypes.data, threads),
         )
         self._idle.append(work)
         if wrong:
             raise mistake(wrong, method, self._packed)
-        return found
+        return derivatives
 
     def tangent_at_zero(self) -> tuple[Floats, str]:
         """Return the compliance at zero load, and where it comes from.
@@ -369,24 +369,24 @@ class PackedTable:
             ``row``, a method, or ``none``.
         """
         arrays, locked = self.arrays, self.arrays["space/locked"] != 0
-        found = self.derivatives(np.zeros(self.inputs), without_rows=True)[0]
-        row = np.full_like(found, np.nan)
-        for group in range(len(self.words["groups"])):
-            own, name = arrays[f"g{group}/outputs"] != 0, f"g{group}/row/"
+        tangents = self.derivatives(np.zeros(self.inputs), without_rows=True)[0]
+        row = np.full_like(tangents, np.nan)
+        for group in range(len(self.meta["groups"])):
+            outputs, name = arrays[f"g{group}/outputs"] != 0, f"g{group}/row/"
             unknown = (arrays[f"g{group}/fit/known"] == 0) & ~locked
-            found[np.ix_(own, unknown)] = np.nan
-            apart = np.abs(arrays[f"{name}wrench"] / arrays["space/scale"]).max(axis=1)
-            if len(apart) and apart.min() <= NEAR:
-                nearest = np.flatnonzero(apart == apart.min())
-                place = nearest[arrays[f"{name}number"][nearest].argmin()]
-                tangent = arrays[f"{name}tangent_of"][place]
+            tangents[np.ix_(outputs, unknown)] = np.nan
+            distances = np.abs(arrays[f"{name}wrench"] / arrays["space/scale"]).max(axis=1)
+            if len(distances) and distances.min() <= NEAR:
+                nearest = np.flatnonzero(distances == distances.min())
+                index = nearest[arrays[f"{name}number"][nearest].argmin()]
+                tangent = arrays[f"{name}tangent_of"][index]
                 if tangent >= 0:
-                    row[own] = arrays[f"{name}tangent"][tangent][own]
+                    row[outputs] = arrays[f"{name}tangent"][tangent][outputs]
         row[:, locked] = np.where(np.isnan(row[:, locked]), np.nan, 0.0)
         known = np.isfinite(row)
         if known.any():
-            return np.where(known, row, found), "row"
-        return found, self.answers_by() if np.isfinite(found).any() else "none"
+            return np.where(known, row, tangents), "row"
+        return tangents, self.answers_by() if np.isfinite(tangents).any() else "none"
 
     def inverse(
         self,
@@ -410,26 +410,26 @@ class PackedTable:
             If no wrench has that displacement, or the derivative has no inverse.
         """
         target = np.ascontiguousarray(outputs, dtype=float)
-        found = np.zeros(self.inputs) if start is None else np.array(start, dtype=float)
-        if target.shape != (self.outputs,) or found.shape != (self.inputs,):
+        wrench = np.zeros(self.inputs) if start is None else np.array(start, dtype=float)
+        if target.shape != (self.outputs,) or wrench.shape != (self.inputs,):
             raise ValueError(f"a displacement of {self.outputs} and a wrench of {self.inputs}")
         shape = (self.inputs, self.outputs)
         stiffness = np.zeros(shape) if near is None else np.array(near, dtype=float).reshape(shape)
         work = self._work()
         wrong = kernel().with_gil.wb_inverse(
             *(self._handle, work.options(None, method or self.method), target.ctypes.data),
-            *(found.ctypes.data, stiffness.ctypes.data, work.at[2]),
+            *(wrench.ctypes.data, stiffness.ctypes.data, work.at[2]),
         )
         self._idle.append(work)
         if wrong:
             raise mistake(wrong, method, self._packed)
-        return found, stiffness
+        return wrench, stiffness
 
     weakest = staticmethod(weakest)
 
-    def sample(self, centre: Floats, places: NDArray[np.intp]) -> Floats:
+    def sample(self, centre: Floats, indices: NDArray[np.intp]) -> Floats:
         """Return the corners of the load range and wrenches within it: see `sample_of`."""
-        return sample_of(self.arrays["space/range"], centre, places)
+        return sample_of(self.arrays["space/range"], centre, indices)
 
     @staticmethod
     def joint_rate(stiffness: Floats, inverse_mass: Floats, dt: float, damping: float) -> Floats:
@@ -450,17 +450,17 @@ class PackedTable:
         ValueError
             If the inverse mass is not positive definite, or a number is not finite.
         """
-        found = np.empty_like(stiffness)
+        rates = np.empty_like(stiffness)
         wrong = kernel().with_gil.wb_joint_rate(
-            *(len(found), stiffness.ctypes.data, inverse_mass.ctypes.data),
-            *(dt, damping, found.ctypes.data),
+            *(len(rates), stiffness.ctypes.data, inverse_mass.ctypes.data),
+            *(dt, damping, rates.ctypes.data),
         )
         if wrong:
             raise ValueError(
                 "the inverse effective mass of the joint is not positive definite: a freedom "
                 "between base and tip moves no mass"
             )
-        return found
+        return rates
 
     def axis(
         self,
@@ -485,17 +485,17 @@ class PackedTable:
             return None
         if wrong:
             raise mistake(wrong, None, self._packed)
-        found = AXIS.unpack_from(reply)
-        reasons = [Reason(*found[20:])._replace(group=group)] if found[7] else []
+        values = AXIS.unpack_from(reply)
+        reasons = [Reason(*values[20:])._replace(group=group)] if values[7] else []
         locked = self.arrays["space/locked"].tolist()
         acting = [0.0 if idle else load for load, idle in zip(wrench, locked, strict=True)]
         return AxisPart(
-            outputs=found[8:14],
-            error=found[14:20],
-            coverage=NAMES[found[0]],
+            outputs=values[8:14],
+            error=values[14:20],
+            coverage=NAMES[values[0]],
             reason=text_of(reasons, acting, self._packed),
-            origin=found[1],
-            corners=found[3 : 3 + found[2]],
+            origin=values[1],
+            corners=values[3 : 3 + values[2]],
         )
 
     def close(self) -> None:

@@ -102,9 +102,9 @@ def compiler_command(target: str | None = None) -> list[str]:
         named = os.environ.get("CC", "").split()
         if named and shutil.which(named[0]):
             return named
-        found = next(filter(None, map(shutil.which, COMPILERS)), None)
-        if found is not None:
-            return [found]
+        compiler = next(filter(None, map(shutil.which, COMPILERS)), None)
+        if compiler is not None:
+            return [compiler]
     if importlib.util.find_spec("ziglang") is None:
         raise KernelBuildError(NO_COMPILER if target is None else NO_ZIGLANG)
     zig = [sys.executable, "-m", "ziglang", "cc"]
@@ -145,8 +145,8 @@ def compile_library(
             f"{library.name} cannot be compiled, since {library.parent} cannot be written; if that "
             f"is the installed wrenchbook, reinstall it ({error})"
         ) from error
-    made = Path(folder) / library.name
-    whole = [*command, *flags, "-shared", "-o", str(made), *map(str, files)]
+    built = Path(folder) / library.name
+    line = [*command, *flags, "-shared", "-o", str(built), *map(str, files)]
     # The linker's options for a library of this name.
     name = library.name
     system = target or sys.platform
@@ -154,17 +154,17 @@ def compile_library(
     more = ["-fPIC", "-lm", "-lpthread"] if apple or "win" not in system else []
     if apple:  # else the library holds the path that it is compiled at
         more.append(f"-Wl,-install_name,@rpath/{name}")
-    if target is not None or not apple:  # Apple's own linker strips no library
+    if target is not None or not apple:  # Apple's linker strips no library
         more.append("-s")  # symbols, lines and paths of the source are most of ziglang's library
-    whole += more
+    line += more
     try:
-        ran = subprocess.run(whole, capture_output=True, text=True, timeout=COMPILE_S, check=False)
-        if ran.returncode or not made.is_file():
+        ran = subprocess.run(line, capture_output=True, text=True, timeout=COMPILE_S, check=False)
+        if ran.returncode or not built.is_file():
             raise KernelBuildError(
                 f"{command[0]} could not compile {library.name}; name another compiler with "
                 f"CC=...\n{ran.stderr.strip()[-2000:]}"
             )
-        made.replace(library)
+        built.replace(library)
     except (OSError, subprocess.TimeoutExpired) as error:
         raise KernelBuildError(f"{command[0]} could not compile {library.name}: {error}") from error
     finally:

@@ -8,7 +8,7 @@ from typing import Any
 
 from .binding import PackedTable
 
-_USED = 5  # place among a group's ``flags``: see `packed.writer`
+_USED = 5  # index in a group's ``flags``: see `packed.writer`
 _AXES = tuple((axis, 3 + (axis + 1) % 3, 3 + (axis + 2) % 3) for axis in range(3))
 
 
@@ -28,32 +28,32 @@ def explain(
         ``axis``, ``inputs``, ``outputs``, ``error``, ``coverage``, ``reason`` and ``rows``, the
         numbers of the rows used. They are the compliance's if that answers, the axes' otherwise.
     """
-    own = table.arrays["space/tolerance"].tolist()
-    limit = tolerance or (None if any(map(math.isnan, own)) else own)
-    found = []
-    for number, group in enumerate(table.words["groups"]):
+    stored = table.arrays["space/tolerance"].tolist()
+    limit = tolerance or (None if any(map(math.isnan, stored)) else stored)
+    explanations = []
+    for number, group in enumerate(table.meta["groups"]):
         if (method or group["method"]) == "linear" and table.arrays[f"g{number}/flags"][_USED]:
             parts = _linear(table, number, wrench, tolerance)
         else:
             parts = [_axis(table, number, axis, wrench, limit) for axis in range(3)]
-        found += [part for part in parts if part is not None and part["outputs"]]
-    return found
+        explanations += [part for part in parts if part is not None and part["outputs"]]
+    return explanations
 
 
 def _named(
     table: PackedTable, group: int, axis: int, values: Sequence[float]
 ) -> dict[str, float] | None:
-    """Return an axis' own outputs of a group by name; None where one is not known."""
-    outputs = table.words["groups"][group]["outputs"]
-    names = [one["name"] for one in table.words["space"]["outputs"]]
-    own = {names[output]: values[output] for output in (axis, 3, 4, 5)}
-    if any(map(math.isnan, own.values())):
+    """Return an axis' outputs of a group by name; None where one is not known."""
+    outputs = table.meta["groups"][group]["outputs"]
+    names = [output["name"] for output in table.meta["space"]["outputs"]]
+    by_name = {names[output]: values[output] for output in (axis, 3, 4, 5)}
+    if any(map(math.isnan, by_name.values())):
         return None
-    return {name: value for name, value in own.items() if name in outputs}
+    return {name: value for name, value in by_name.items() if name in outputs}
 
 
 def _inputs(table: PackedTable, axis: int, wrench: Sequence[float]) -> dict[str, float]:
-    names = [one["name"] for one in table.words["space"]["inputs"]]
+    names = [entry["name"] for entry in table.meta["space"]["inputs"]]
     return {names[load]: float(wrench[load]) for load in _AXES[axis]}
 
 
@@ -88,7 +88,7 @@ def _linear(
     answer = table.answer(wrench, tolerance, "linear")
     matrix = table.arrays[f"g{group}/fit/matrix"]
     error = answer.interpolation or (math.nan,) * table.outputs
-    unknown = [math.nan if one is None else one for one in error]
+    unknown = [math.nan if value is None else value for value in error]
     parts = []
     for axis, loads in enumerate(_AXES):
         moved = (matrix[:, loads] @ [wrench[load] for load in loads]).tolist()

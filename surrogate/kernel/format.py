@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAGIC = b"\x89WBT\r\n\x1a\n"  # as PNG's: a transfer that changes line ends is noticed
-FORMAT = 4  # the only one that is read: the file is derived, and built again from the rows
+FORMAT = 5  # the only one that is read: the file is derived, and built again from the rows
 SUFFIX = ".wbt"
 ALIGNED = 64  # bytes: a cache line
 CHECKSUM = slice(16, 24)  # bytes of the header; the checksum is of all others
@@ -68,25 +68,25 @@ class Packed(NamedTuple):
     ----------
     arrays : dict of str to ndarray
         Read-only views of the file's bytes; `packed.arrays` says what each is.
-    words : dict
+    meta : dict
         The JSON block.
     content : memoryview
         The file's bytes.
     """
 
     arrays: dict[str, NDArray[Any]]
-    words: dict[str, Any]
+    meta: dict[str, Any]
     content: memoryview
 
 
-def pieces(arrays: Mapping[str, NDArray[Any]], words: Mapping[str, Any]) -> list[bytes]:
+def pieces(arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> list[bytes]:
     """Return the file of a packed table as pieces of bytes.
 
     Parameters
     ----------
     arrays
         Of float64, int32, int64 or uint8, of at most four dimensions.
-    words
+    meta
         What JSON can hold.
 
     Raises
@@ -94,7 +94,7 @@ def pieces(arrays: Mapping[str, NDArray[Any]], words: Mapping[str, Any]) -> list
     PackedTableError
         If an array has another type, too many dimensions or too long a name.
     """
-    text = json.dumps(words, sort_keys=True, ensure_ascii=False, allow_nan=False).encode() + b"\0"
+    text = json.dumps(meta, sort_keys=True, ensure_ascii=False, allow_nan=False).encode() + b"\0"
     names = sorted(arrays, key=str.encode)
     directory = np.zeros(len(names), dtype=_ENTRY)
     offset = _aligned(_HEADER.itemsize + directory.nbytes + len(text))
@@ -157,9 +157,9 @@ def read(content: bytes | bytearray | memoryview | mmap.mmap) -> Packed:
     PackedTableError
         If they are no packed table, damaged, or of another format.
     """
-    whole = memoryview(content)
-    _check(whole[: _HEADER.itemsize].tobytes(), len(whole), (whole[_HEADER.itemsize :],))
-    return _views(whole)
+    buffer = memoryview(content)
+    _check(buffer[: _HEADER.itemsize].tobytes(), len(buffer), (buffer[_HEADER.itemsize :],))
+    return _views(buffer)
 
 
 def map_file(path: str | os.PathLike[str]) -> Packed:
@@ -193,7 +193,7 @@ def _aligned(size: int) -> int:
     return -(-size // ALIGNED) * ALIGNED
 
 
-def _check(head: bytes, size: int, rest: Iterable[bytes | memoryview]) -> None:
+def _check(head: bytes, size: int, following: Iterable[bytes | memoryview]) -> None:
     if len(head) < _HEADER.itemsize:
         raise PackedTableError(f"this is not a packed table: {size} bytes")
     header = np.frombuffer(head, dtype=_HEADER)[0]
@@ -208,25 +208,25 @@ def _check(head: bytes, size: int, rest: Iterable[bytes | memoryview]) -> None:
         )
     if header["size"] != size:
         raise PackedTableError(f"the table is damaged: {size} of its {header['size']} bytes")
-    if _checksum(head, rest) != header["checksum"]:
+    if _checksum(head, following) != header["checksum"]:
         raise PackedTableError("the table is damaged: its checksum is wrong")
 
 
-def _views(whole: memoryview) -> Packed:
+def _views(buffer: memoryview) -> Packed:
     try:
-        header = np.frombuffer(whole, dtype=_HEADER, count=1)[0]
+        header = np.frombuffer(buffer, dtype=_HEADER, count=1)[0]
         at, count = int(header["directory"]), int(header["arrays"])
         arrays = {}
-        for entry in np.frombuffer(whole, dtype=_ENTRY, count=count, offset=at):
+        for entry in np.frombuffer(buffer, dtype=_ENTRY, count=count, offset=at):
             shape = tuple(entry["shape"][: entry["dimensions"]].tolist())
             dtype = _TYPES[int(entry["type"])]
             items = int(entry["bytes"]) // dtype.itemsize
-            view = np.frombuffer(whole, dtype=dtype, count=items, offset=int(entry["offset"]))
+            view = np.frombuffer(buffer, dtype=dtype, count=items, offset=int(entry["offset"]))
             arrays[entry["name"].decode()] = view.reshape(shape)
         start = int(header["json"])
-        words = json.loads(whole[start : start + int(header["json_size"])].tobytes())
+        meta = json.loads(buffer[start : start + int(header["json_size"])].tobytes())
         for view in arrays.values():
             view.flags.writeable = False
-        return Packed(arrays, words, whole)
+        return Packed(arrays, meta, buffer)
     except (LookupError, TypeError, ValueError) as error:
         raise PackedTableError("the table's directory is damaged") from error

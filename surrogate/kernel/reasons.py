@@ -1,6 +1,6 @@
 """The words of reason codes: why an answer is not covered.
 
-The kernel gives codes with numbers; the table's arrays and names tell the rest.
+The kernel gives codes with numbers; other numbers are in the table's arrays.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from ..table.rows import CLEAN
+from ..table.rows import ZERO_LOAD
 from .format import Packed
 
 EMPTY = "the table has no rows"
@@ -39,20 +39,20 @@ TOO_FAR = (
 
 
 class Reason(NamedTuple):
-    """A reason as the kernel gives it: `wb_reason` of wrenchbook.h, whose `index` is `place`."""
+    """A reason as the kernel gives it: `wb_reason` of wrenchbook.h, whose `index` is `item`."""
 
     code: int
     group: int
     axis: int
-    place: int
+    item: int
     value: float
     limit: float
 
 
 def text_of(reasons: Sequence[Reason], inputs: Sequence[float], packed: Packed) -> str:
     """Return reasons in words, each once, for one wrench of n inputs, N and N·m."""
-    words = [_WORDS[reason.code](reason, inputs, packed) for reason in reasons]
-    return "; ".join(dict.fromkeys(words))
+    texts = [_TEXTS[reason.code](reason, inputs, packed) for reason in reasons]
+    return "; ".join(dict.fromkeys(texts))
 
 
 Maker = Callable[[Reason, Sequence[float], Packed], str]
@@ -63,7 +63,7 @@ def _fixed(text: str) -> Maker:
 
 
 def _name(packed: Packed, index: int) -> tuple[str, str]:
-    load = packed.words["space"]["inputs"][index]
+    load = packed.meta["space"]["inputs"][index]
     return load["name"], load["unit"]
 
 
@@ -73,20 +73,20 @@ def _amount(packed: Packed, index: int, value: float) -> str:
 
 
 def _beyond(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    low, high = packed.arrays["space/range"][:, reason.place].tolist()
-    unit = _name(packed, reason.place)[1]
-    amount = _amount(packed, reason.place, reason.value)
+    low, high = packed.arrays["space/range"][:, reason.item].tolist()
+    unit = _name(packed, reason.item)[1]
+    amount = _amount(packed, reason.item, reason.value)
     return f"{amount} is outside the load range, {low:.6g}..{high:.6g} {unit}"
 
 
 def _not_in_scene(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    low, high = packed.arrays["scene/range"][:, reason.place].tolist()
-    amount, unit = _amount(packed, reason.place, reason.value), _name(packed, reason.place)[1]
+    low, high = packed.arrays["scene/range"][:, reason.item].tolist()
+    amount, unit = _amount(packed, reason.item, reason.value), _name(packed, reason.item)[1]
     return f"{amount} cannot occur in the scene: {low:.6g}..{high:.6g} {unit}"
 
 
 def _unknown_load(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    return f"no row tells the influence of {_name(packed, reason.place)[0]}"
+    return f"no row tells the influence of {_name(packed, reason.item)[0]}"
 
 
 def _axis_inputs(axis: int) -> tuple[int, int, int]:
@@ -94,8 +94,8 @@ def _axis_inputs(axis: int) -> tuple[int, int, int]:
 
 
 def _axis_amounts(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    own = _axis_inputs(reason.axis)
-    return ", ".join(_amount(packed, load, inputs[load]) for load in own if inputs[load])
+    loads = _axis_inputs(reason.axis)
+    return ", ".join(_amount(packed, load, inputs[load]) for load in loads if inputs[load])
 
 
 def _no_rows(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
@@ -105,23 +105,23 @@ def _no_rows(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
 
 def _off_hull(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
     """Say which loads leave the rows, and what the rows span."""
-    name, axes, found = "xyz"[reason.axis], f"g{reason.group}/axes/", []
+    name, axes, sentences = "xyz"[reason.axis], f"g{reason.group}/axes/", []
     span = packed.arrays[axes + "span"][reason.axis]
     floats = packed.arrays[axes + "floats"][reason.axis]
     for column, load in enumerate(_axis_inputs(reason.axis)):
         low, high = span[column].tolist()
-        slack = CLEAN * float(floats[column])  # of the scale: a load as near counts as on the hull
+        slack = ZERO_LOAD * float(floats[column])  # as near counts as on the hull
         if low - slack <= inputs[load] <= high + slack:
             continue
-        own, unit = _name(packed, load)
+        load_name, unit = _name(packed, load)
         if high - low <= slack:
             only = ", ".join(_name(packed, at)[0] for at in _axis_inputs(reason.axis))
-            where = f": the rows with {only} alone all hold {own} = {low:.6g} {unit}"
+            where = f": the rows with {only} alone all hold {load_name} = {low:.6g} {unit}"
         else:
             where = f" lies outside the rows, which span {low:.6g}..{high:.6g} {unit}"
-        found.append(f"{_amount(packed, load, inputs[load])}{where}")
-    if found:
-        return f"axis {name}: {', '.join(found)}"
+        sentences.append(f"{_amount(packed, load, inputs[load])}{where}")
+    if sentences:
+        return f"axis {name}: {', '.join(sentences)}"
     first = packed.arrays[axes + "point_first"]
     count = int(first[reason.axis + 1] - first[reason.axis])
     amounts = _axis_amounts(reason, inputs, packed)
@@ -140,7 +140,7 @@ def _degenerate(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
     return f"axis {'xyz'[reason.axis]}: the rows around this wrench lie almost in one plane or line"
 
 
-def _far_apart(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
+def _far_from_rows(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
     return (
         f"axis {'xyz'[reason.axis]}: the rows around this wrench are far apart, "
         f"{reason.value:.0%} of the load range lies between them (at most {reason.limit:.0%})"
@@ -167,13 +167,13 @@ def _several_at_once(reason: Reason, inputs: Sequence[float], packed: Packed) ->
 
 def _moment_alone(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
     return (
-        f"axis {'xyz'[reason.axis]}: {_amount(packed, reason.place, reason.value)} alone, from "
+        f"axis {'xyz'[reason.axis]}: {_amount(packed, reason.item, reason.value)} alone, from "
         "which the composition counts, lies outside the rows"
     )
 
 
 def _together(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    has_tangents = packed.words["groups"][reason.group]["has_tangents"]
+    has_tangents = packed.meta["groups"][reason.group]["has_tangents"]
     tangents = "" if has_tangents else " and no tangents"
     return UNKNOWN_TOGETHER.format(
         full=int(reason.value), tangents=tangents, needed=int(reason.limit)
@@ -181,7 +181,7 @@ def _together(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
 
 
 def _over(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    output = packed.words["space"]["outputs"][reason.place]
+    output = packed.meta["space"]["outputs"][reason.item]
     unit = output["unit"]
     axis = "" if reason.axis < 0 else f"axis {'xyz'[reason.axis]}: "
     return (
@@ -191,15 +191,15 @@ def _over(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
 
 
 def _beyond_span(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    low, high = packed.arrays[f"g{reason.group}/kriging/span_loads"][:, reason.place].tolist()
-    name, unit = _name(packed, reason.place)
+    low, high = packed.arrays[f"g{reason.group}/kriging/span_loads"][:, reason.item].tolist()
+    name, unit = _name(packed, reason.item)
     return (
         f"{name} = {reason.value:.6g} {unit} is further from the rows, which tell errors from "
         f"{low:.6g} to {high:.6g} {unit}"
     )
 
 
-_WORDS: dict[int, Maker] = {
+_TEXTS: dict[int, Maker] = {
     1: _fixed(EMPTY),
     2: _fixed(ONLY_BEYOND),
     3: _beyond,
@@ -208,7 +208,7 @@ _WORDS: dict[int, Maker] = {
     6: _off_hull,
     7: _few_rows,
     8: _degenerate,
-    9: _far_apart,
+    9: _far_from_rows,
     10: _moment_alone,
     11: _fixed(UNKNOWN_AT_ZERO_LOAD),
     12: _together,
@@ -231,7 +231,7 @@ FIXED = frozenset({1, 2, 11, 12, 15, 16, 17, 19, 22})
 
 def unmeasured_text(missing: int, packed: Packed) -> str:
     """Return which outputs no row holds, by the bits of a mask; empty if there are none."""
-    names = [one["name"] for one in packed.words["space"]["outputs"]]
-    read = packed.words.get("scene", {}).get("outputs", names)
-    found = [name for bit, name in enumerate(names) if missing >> bit & 1 and name in read]
-    return f"not measured in any row: {', '.join(found)}" if found else ""
+    names = [output["name"] for output in packed.meta["space"]["outputs"]]
+    read = packed.meta.get("scene", {}).get("outputs", names)
+    unmeasured = [name for bit, name in enumerate(names) if missing >> bit & 1 and name in read]
+    return f"not measured in any row: {', '.join(unmeasured)}" if unmeasured else ""

@@ -17,7 +17,7 @@ Buffer = ctypes.Array[ctypes.c_char]
 
 Floats = NDArray[np.float64]
 
-MAX_VALUES, MAX_REASONS = 64, 32  # WB_MOST and WB_MOST_REASONS of wrenchbook.h
+MAX_VALUES, MAX_REASONS = 64, 32  # WB_MAX and WB_MAX_REASONS of wrenchbook.h
 FIELDS = 7  # of MAX_VALUES doubles each: inputs, outputs, total error and its four parts
 HEAD, REASON = struct.Struct("=8i2qQ"), struct.Struct("=4i2d")
 REASONS_AT = HEAD.size + FIELDS * MAX_VALUES * 8
@@ -29,7 +29,7 @@ NO_METHOD = 2  # WB_NO_METHOD
 
 
 class InverseError(ArithmeticError):
-    """A displacement for which no wrench was found; the text says why."""
+    """No wrench has such a displacement; the text says why."""
 
 
 class Reply(NamedTuple):
@@ -38,7 +38,7 @@ class Reply(NamedTuple):
     Attributes
     ----------
     outputs, error : tuple of m floats or None
-        The displacement, and its total 95 % error. None where unknown, as a whole and in one place.
+        The displacement, and its total 95 % error. None where unknown, all of it or an entry.
     interpolation, discretisation, linearity, measurement : tuple of m floats or None
         The parts whose sum the error is, likewise.
     coverage : str
@@ -123,7 +123,7 @@ class ReplyReader:
 
     def __init__(self, packed: Packed, inputs: int, outputs: int) -> None:
         self._packed, self.outputs = packed, outputs
-        self._names = [one["name"] for one in packed.words["space"]["outputs"]]
+        self._names = [output["name"] for output in packed.meta["space"]["outputs"]]
         self._texts: dict[bytes, str] = {}
         self._loads = struct.Struct(f"={inputs}d").unpack_from
         gap = 8 * (MAX_VALUES - outputs)
@@ -132,30 +132,30 @@ class ReplyReader:
 
     def read(self, reply: Buffer) -> Reply:
         """Return the reply in a buffer."""
-        found = self._unpack(reply)
-        if not (found[0] or found[6] or found[10]) and found[2] < len(METHODS):
+        raw = self._unpack(reply)
+        if not (raw[0] or raw[6] or raw[10]) and raw[2] < len(METHODS):
             # A covered reply of a method in which nothing is unknown.
             m, first = self.outputs, VALUES
             return Reply(
-                found[first : first + m],
-                found[first + m : first + 2 * m],
-                found[first + 2 * m : first + 3 * m],
-                found[first + 3 * m : first + 4 * m],
-                found[first + 4 * m : first + 5 * m],
-                found[first + 5 * m :],
+                raw[first : first + m],
+                raw[first + m : first + 2 * m],
+                raw[first + 2 * m : first + 3 * m],
+                raw[first + 3 * m : first + 4 * m],
+                raw[first + 4 * m : first + 5 * m],
+                raw[first + 5 * m :],
                 "covered",
                 "",
-                WITHIN[found[1]],
-                ANSWERED[found[2]],
+                WITHIN[raw[1]],
+                ANSWERED[raw[2]],
                 None,
                 False,
                 None,
                 (),
             )
         # Any reply: what is unknown is None, reasons are words.
-        coverage, within, method, exact, count, group, unknown = found[:7]
-        row, place, missing = found[8:VALUES]
-        m, values = self.outputs, found[VALUES:]
+        coverage, within, method, exact, count, group, unknown = raw[:7]
+        row, index, missing = raw[8:VALUES]
+        m, values = self.outputs, raw[VALUES:]
         fields: list[Any] = [values[start : start + m] for start in range(0, 6 * m, m)]
         if unknown:
             fields = [known(field) for field in fields]
@@ -164,7 +164,10 @@ class ReplyReader:
         if missing:
             text = "; ".join(filter(None, (text, unmeasured_text(missing, self._packed))))
             names = tuple(name for bit, name in enumerate(self._names) if missing >> bit & 1)
-        by_row = place >= 0
+        by_row, source = index >= 0, None
+        if by_row:
+            number = int(self._packed.arrays[f"g{group}/row/source"][index])
+            source = ", ".join(self._packed.meta["sources"][number])
         return Reply(
             fields[0],
             fields[1],
@@ -178,40 +181,31 @@ class ReplyReader:
             ANSWERED[method],
             row if by_row else None,
             bool(exact) and by_row,
-            self._source_at(group, place) if by_row else None,
+            source,
             names,
         )
 
     def _text(self, reply: Buffer, count: int) -> str:
-        """Return a reply's reasons in words; those without loads in them are kept."""
+        """Return a reply's reasons in words; those without loads in them are cached."""
         content: bytes = reply[REASONS_AT : REASONS_AT + REASON.size * count]  # pyright: ignore[reportAssignmentType]
-        kept = self._texts.get(content)
-        if kept is not None:
-            return kept
-        reasons = reasons_in(content, count)
+        cached = self._texts.get(content)
+        if cached is not None:
+            return cached
+        reasons = [Reason(*REASON.unpack_from(content, REASON.size * k)) for k in range(count)]
         text = text_of(reasons, self._loads(reply, HEAD.size), self._packed)
         if all(reason.code in FIXED for reason in reasons):
             self._texts[content] = text
         return text
 
-    def _source_at(self, group: int, place: int) -> str:
-        number = int(self._packed.arrays[f"g{group}/row/source"][place])
-        return ", ".join(self._packed.words["sources"][number])
-
-
-def reasons_in(content: bytes, count: int) -> list[Reason]:
-    """Return the reasons in some bytes of a reply."""
-    return [Reason(*REASON.unpack_from(content, REASON.size * number)) for number in range(count)]
-
 
 def known(values: tuple[float, ...]) -> tuple[float | None, ...] | None:
-    """Return None for each number that is none, and in the place of all where none is one."""
-    found = tuple(None if value != value else value for value in values)
-    return None if all(value is None for value in found) else found
+    """Return numbers with None for NaN; None if all are NaN."""
+    entries = tuple(None if value != value else value for value in values)
+    return None if all(value is None for value in entries) else entries
 
 
 def method_code(method: str | None) -> int:
-    """Return a method's number, -1 for the component's own.
+    """Return a method's number, -1 for the component's default.
 
     Raises
     ------
@@ -228,12 +222,12 @@ def method_code(method: str | None) -> int:
 
 def mistake(code: int, method: str | None, packed: Packed) -> Exception:
     """Return what a code other than WB_OK means: see wrenchbook.h."""
-    if code == NO_METHOD and "scene" in packed.words:
-        own = packed.words["summary"]["method"]
+    if code == NO_METHOD and "scene" in packed.meta:
+        default = packed.meta["summary"]["method"]
         return UnknownMethodError(
             method or "(default)",
-            f"the table of a scene answers by its default method alone, {own}: download the whole "
-            "table for others",
+            f"the table of a scene answers by its default method alone, {default}: download the "
+            "whole table for others",
         )
     if code == NO_METHOD and method in METHODS:
         why = "the table has too few rows for it"

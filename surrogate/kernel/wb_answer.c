@@ -7,36 +7,36 @@
 /* The best estimate there is and its 95 % error. */
 static void refer(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
                   const wb_composed *c, double *best, double *error) {
-    double missed[WB_MOST], own[WB_MOST];
+    double residual[WB_MAX], residual_error[WB_MAX];
     if (g->reference & WB_REF_KRIGING) {
         wb_kriging_values(t, &g->kriging, work, w, best, error);
         return;
     }
     memcpy(best, c->moved, sizeof c->moved);
     memcpy(error, c->squares, sizeof c->squares);
-    if (g->reference & WB_REF_MISSED) {
-        wb_kriging_values(t, &g->missed, work, w, missed, own);
-        for (int q = 0; q < 6; q++) best[q] += missed[q], error[q] += own[q] * own[q];
+    if (g->reference & WB_REF_RESIDUAL) {
+        wb_kriging_values(t, &g->residual, work, w, residual, residual_error);
+        for (int q = 0; q < 6; q++) best[q] += residual[q], error[q] += residual_error[q] * residual_error[q];
     }
     for (int q = 0; q < 6; q++) error[q] = sqrt(error[q]);
 }
 
 /* |answer - reference| + error of the reference; off the hull at least the step's size. */
 static void by_axes(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
-                    int method, const wb_composed *c, wb_found *a) {
-    double best[WB_MOST], error[WB_MOST];
+                    int method, const wb_composed *c, wb_result *a) {
+    double best[WB_MAX], error[WB_MAX];
     int off = c->state >= WB_OFF_HULL;
     refer(t, g, work, w, c, best, error);
     a->coverage = off ? WB_OUTSIDE : c->state > 0 ? WB_THIN : WB_COVERED;
     for (int q = 0; q < 6; q++) {
-        double value = q > 2 || method == WB_ADDITIVE ? c->moved[q] : c->own[q];
+        double value = q > 2 || method == WB_ADDITIVE ? c->moved[q] : c->griddata[q];
         a->outputs[q] = value;
         a->error[q] = fabs(value - best[q]) + error[q];
         if (off) a->error[q] = wb_larger(sqrt(c->squares[q]), a->error[q]);
     }
 }
 
-static void reason_beyond(const wb_table *t, const double *w, wb_found *a) {
+static void reason_beyond(const wb_table *t, const double *w, wb_result *a) {
     for (int k = 0; k < t->inputs; k++) {
         double low = t->ends[k], high = t->ends[t->inputs + k];
         if (!(w[k] < low || w[k] > high)) continue;
@@ -45,10 +45,10 @@ static void reason_beyond(const wb_table *t, const double *w, wb_found *a) {
     }
 }
 
-/* Where the kriging is the reference its own error holds. */
+/* Where the kriging is the reference, its error holds. */
 static void by_kriging(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
-                       const wb_composed *c, wb_found *a) {
-    double best[WB_MOST], bars[WB_MOST];
+                       const wb_composed *c, wb_result *a) {
+    double best[WB_MAX], bars[WB_MAX];
     wb_kriging_values(t, &g->kriging, work, w, a->outputs, a->error);
     a->coverage = wb_is_beyond(t, w) ? WB_OUTSIDE : WB_COVERED;
     reason_beyond(t, w, a);
@@ -58,26 +58,26 @@ static void by_kriging(const wb_table *t, const wb_group *g, wb_work *work, cons
 }
 
 static void by_linear(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
-                      const wb_composed *c, wb_found *a) {
-    double best[WB_MOST], bars[WB_MOST];
+                      const wb_composed *c, wb_result *a) {
+    double best[WB_MAX], bars[WB_MAX];
     int n = t->inputs, m = t->outputs, unknown = -1;
     for (int k = n - 1; k >= 0; k--)
         if (!g->fit.known[k] && fabs(w[k]) > t->small[k]) unknown = k;
     for (int q = 0; q < m; q++) {
         const double *row = g->fit.matrix + n * q;
-        double size = 0.0, most = 0.0;
+        double size = 0.0, range_size = 0.0;
         a->outputs[q] = 0.0;
         for (int k = 0; k < n; k++) {
             a->outputs[q] += w[k] * row[k];
             size += fabs(w[k]) * fabs(row[k]);
-            most += t->scale[k] * fabs(row[k]);
+            range_size += t->scale[k] * fabs(row[k]);
         }
         if (g->fit.offset) {
             a->outputs[q] += g->fit.offset[q];
             size += fabs(g->fit.offset[q]);
         }
         a->error[q] = g->fit.bar[q] + WB_ROUNDING * size;
-        a->solved |= (uint64_t)(g->exact_fit && g->fit.bar[q] <= WB_ROUNDING * most) << q;
+        a->solved |= (uint64_t)(g->exact_fit && g->fit.bar[q] <= WB_ROUNDING * range_size) << q;
     }
     if (!g->exact_fit) {
         refer(t, g, work, w, c, best, bars);
@@ -102,18 +102,18 @@ static int loads_several(const wb_table *t, const double *w) {
     return 1;
 }
 
-static int is_at_rest(const wb_table *t, const double *w) {
+static int is_zero_load(const wb_table *t, const double *w) {
     for (int k = 0; k < t->inputs; k++)
         if (!(fabs(w[k]) <= t->small[k])) return 0;
     return 1;
 }
 
 /* Lower the coverage where rows do not show what is asked. */
-static void judge_interaction(const wb_table *t, const wb_group *g, const double *w, wb_found *a) {
+static void judge_interaction(const wb_table *t, const wb_group *g, const double *w, wb_result *a) {
     if (a->coverage != WB_COVERED) return;
-    if (g->rest_unknown && is_at_rest(t, w)) {
+    if (g->zero_unknown && is_zero_load(t, w)) {
         a->coverage = WB_OUTSIDE;
-        wb_add_reason(a, WB_REASON_REST_UNKNOWN);
+        wb_add_reason(a, WB_REASON_ZERO_UNKNOWN);
     } else if (!g->knows_interaction && loads_several(t, w)) {
         a->coverage = WB_THIN;
         wb_reason *reason = wb_add_reason(a, WB_REASON_INTERACTION);
@@ -122,15 +122,15 @@ static void judge_interaction(const wb_table *t, const wb_group *g, const double
 }
 
 /* Lower the coverage where an error is over what is allowed, or not known. */
-static void judge_error(const wb_table *t, const wb_group *g, const wb_options *o, wb_found *a) {
+static void judge_error(const wb_table *t, const wb_group *g, const wb_options *o, wb_result *a) {
     int over = 0, known = 1, output = -1, m = t->outputs;
     double worst = 1.0;
     for (int q = 0; q < m; q++) {
-        double most = wb_allowed(g, o, q);
+        double allowed = wb_allowed(g, o, q);
         if (!g->outputs[q]) continue;
-        over |= !(a->error[q] <= most);
+        over |= !(a->error[q] <= allowed);
         known &= isfinite(a->error[q]) != 0;
-        if (a->error[q] > worst * most) worst = a->error[q] / most, output = q;
+        if (a->error[q] > worst * allowed) worst = a->error[q] / allowed, output = q;
     }
     if (a->coverage == WB_COVERED && over) {
         a->coverage = WB_THIN;
@@ -146,7 +146,7 @@ static void judge_error(const wb_table *t, const wb_group *g, const wb_options *
 
 /* Judge what a method answered; take the row at the wrench where that is not covered. */
 static void finish(const wb_table *t, const wb_group *g, const wb_options *o, wb_work *work,
-                   const double *w, int with_reasons, wb_found *a) {
+                   const double *w, int with_reasons, wb_result *a) {
     a->row = -1, a->exact = 0;
     if (g->used) {
         judge_interaction(t, g, w, a);
@@ -168,7 +168,7 @@ static void finish(const wb_table *t, const wb_group *g, const wb_options *o, wb
 /* Answer one group of outputs. The axes may have been composed before, by the same calls as
  * `wb_compose`. */
 void wb_group_answer(const wb_table *t, const wb_group *g, const wb_options *o, wb_work *work,
-                     const double *w, const wb_composed *composed, int with_reasons, wb_found *a) {
+                     const double *w, const wb_composed *composed, int with_reasons, wb_result *a) {
     wb_composed c;
     a->method = wb_method_of(g, o), a->reasons = 0, a->solved = 0;
     if (!g->used) {

@@ -111,7 +111,7 @@ static const wb_array WB_AXES_ARRAYS[] = {
     {"fewest", WB_I4, 0, 1, {-3}, offsetof(wb_composition, fewest)},
     {"left_out", WB_I4, 0, 1, {-4}, offsetof(wb_composition, left_out)},
     {"largest", WB_F8, 0, 1, {-4}, offsetof(wb_composition, largest)},
-    {"rest_point", WB_F8, 0, 2, {-2, -6}, offsetof(wb_composition, rest_point)},
+    {"zero_load", WB_F8, 0, 2, {-2, -6}, offsetof(wb_composition, zero_load)},
     {"error", WB_F8, 0, 3, {-3, -2, -6}, offsetof(wb_composition, error)},
 };
 
@@ -141,21 +141,21 @@ static const wb_array WB_KRIGING_ARRAYS[] = {
     {"floor", WB_F8, 0, 1, {-1}, offsetof(wb_kriging, floor)},
     {"tangent", WB_F8, 0, 2, {WB_OF_M, WB_OF_N}, offsetof(wb_kriging, tangent)},
     {"span", WB_F8, 0, 2, {-2, WB_OF_N}, offsetof(wb_kriging, span)},
-    {"shares", WB_I4, 0, 1, {-1}, offsetof(wb_kriging, factors)},
+    {"factor_count", WB_I4, 0, 1, {-1}, offsetof(wb_kriging, factor_count)},
 };
 
-static const wb_array WB_SHARE_ARRAYS[] = {
-    {"outputs", WB_I4, 0, 1, {WB_OF_M}, offsetof(wb_share, outputs)},
-    {"number", WB_I4, 0, 1, {WB_OF_S}, offsetof(wb_share, number)},
-    {"places", WB_I4, 0, 2, {WB_OF_K, WB_OF_E}, offsetof(wb_share, places)},
-    {"panels", WB_F8, 0, 2, {WB_OF_K, WB_OF_D}, offsetof(wb_share, panels)},
-    {"unsettled", WB_F8, 0, 3, {WB_OF_K, WB_OF_N1, WB_OF_E}, offsetof(wb_share, unsettled)},
-    {"least", WB_F8, 0, 1, {WB_OF_S}, offsetof(wb_share, least)},
-    {"penalty", WB_F8, 0, 1, {WB_OF_S}, offsetof(wb_share, penalty)},
-    {"mean_covariance", WB_F8, 0, 2, {WB_OF_N1, WB_OF_N1}, offsetof(wb_share, mean_covariance)},
-    {"sigma", WB_F8, 0, 1, {WB_OF_L}, offsetof(wb_share, sigma)},
-    {"factors", WB_F8, 0, 2, {WB_OF_L, WB_OF_M}, offsetof(wb_share, factors)},
-    {"reach", WB_F8, 0, 1, {-1}, offsetof(wb_share, reach)},
+static const wb_array WB_FACTOR_ARRAYS[] = {
+    {"outputs", WB_I4, 0, 1, {WB_OF_M}, offsetof(wb_factor, outputs)},
+    {"number", WB_I4, 0, 1, {WB_OF_S}, offsetof(wb_factor, number)},
+    {"equations", WB_I4, 0, 2, {WB_OF_K, WB_OF_E}, offsetof(wb_factor, equations)},
+    {"panels", WB_F8, 0, 2, {WB_OF_K, WB_OF_D}, offsetof(wb_factor, panels)},
+    {"trend", WB_F8, 0, 3, {WB_OF_K, WB_OF_N1, WB_OF_E}, offsetof(wb_factor, trend)},
+    {"min_variance", WB_F8, 0, 1, {WB_OF_S}, offsetof(wb_factor, min_variance)},
+    {"penalty", WB_F8, 0, 1, {WB_OF_S}, offsetof(wb_factor, penalty)},
+    {"mean_covariance", WB_F8, 0, 2, {WB_OF_N1, WB_OF_N1}, offsetof(wb_factor, mean_covariance)},
+    {"sigma", WB_F8, 0, 1, {WB_OF_L}, offsetof(wb_factor, sigma)},
+    {"scale", WB_F8, 0, 2, {WB_OF_L, WB_OF_M}, offsetof(wb_factor, scale)},
+    {"max_sigma", WB_F8, 0, 1, {-1}, offsetof(wb_factor, max_sigma)},
 };
 
 #endif

@@ -8,8 +8,8 @@ static void inputs_of(int axis, int inputs[3]) {
     inputs[0] = axis, inputs[1] = 3 + (axis + 1) % 3, inputs[2] = 3 + (axis + 2) % 3;
 }
 
-/* The place in `shares` of a simplex' corner: that of the last one is 3. */
-static int share_at(int corner, int dimension) { return corner < dimension ? corner : 3; }
+/* The index in `weights` of a simplex' corner: that of the last corner is 3. */
+static int weight_at(int corner, int dimension) { return corner < dimension ? corner : 3; }
 
 /* A corner's point; the first point in place of an index that leads out of the table. */
 static int64_t point_of(const wb_composition *c, int simplex, int corner) {
@@ -18,22 +18,22 @@ static int64_t point_of(const wb_composition *c, int simplex, int corner) {
 }
 
 /* Outputs and errors at a point of a simplex. Linear interpolation of |x|^2 / 2 errs by
- * S = 1/2 sum of shares |x - x_v|^2, of a response by sqrt(A + C S^2) */
+ * S = 1/2 sum of weights |x - x_v|^2, of a response by sqrt(A + C S^2) */
 static void read_values(const wb_composition *c, int axis, int simplex, const double at[3],
-                        const double shares[4], wb_part *part) {
+                        const double weights[4], wb_part *part) {
     const double *error = c->error + 12 * axis;
     int dimension = c->ints[axis].dimension;
     double unit = 0.0;
     for (int corner = 0; corner <= dimension; corner++) {
         const wb_vertex *v = c->vertex + point_of(c, simplex, corner);
-        double share = shares[share_at(corner, dimension)];
-        for (int q = 0; q < 6; q++) part->outputs[q] += share * v->value[q];
-        for (int q = 0; q < 6; q++) part->rest[q] += share * v->uncertainty[q];
-        double a = at[0] - v->place[0], b = at[1] - v->place[1], d = at[2] - v->place[2];
-        unit += share * (a * a + b * b + d * d);
+        double weight = weights[weight_at(corner, dimension)];
+        for (int q = 0; q < 6; q++) part->outputs[q] += weight * v->value[q];
+        for (int q = 0; q < 6; q++) part->error[q] += weight * v->uncertainty[q];
+        double a = at[0] - v->position[0], b = at[1] - v->position[1], d = at[2] - v->position[2];
+        unit += weight * (a * a + b * b + d * d);
     }
     unit = unit > 0.0 ? 0.5 * unit : 0.0;
-    for (int q = 0; q < 6; q++) part->rest[q] += sqrt(error[q] + error[6 + q] * (unit * unit));
+    for (int q = 0; q < 6; q++) part->error[q] += sqrt(error[q] + error[6 + q] * (unit * unit));
 }
 
 /* Slopes by the scaled loads, within a simplex. */
@@ -75,7 +75,7 @@ static void add_off_span(const wb_composition *c, int axis, wb_part *part) {
         for (int j = 0; j < 3; j++) {
             double off = i == j ? 1.0 : 0.0;
             for (int k = 0; k < dimension; k++) off -= f->basis[3 * k + i] * f->basis[3 * k + j];
-            if (!(fabs(off) > WB_CLEAN)) continue;
+            if (!(fabs(off) > WB_ZERO_LOAD)) continue;
             for (int q = 0; q < 6; q++) {
                 double slope = f->scale[j] * c->fit->matrix[6 * q + inputs[j]];
                 part->slopes[q][i] += c->fit->known[inputs[j]] ? off * slope : NAN;
@@ -84,7 +84,7 @@ static void add_off_span(const wb_composition *c, int axis, wb_part *part) {
 }
 
 /* Slopes blended from the vertices: those along the hull's outside. */
-static void blend_slopes(const wb_composition *c, int axis, int simplex, const double shares[4],
+static void blend_slopes(const wb_composition *c, int axis, int simplex, const double weights[4],
                          wb_part *part) {
     int dimension = c->ints[axis].dimension;
     memset(part->slopes, 0, sizeof part->slopes);
@@ -92,7 +92,7 @@ static void blend_slopes(const wb_composition *c, int axis, int simplex, const d
         const double *slope = c->slopes + 18 * point_of(c, simplex, corner);
         for (int q = 0; q < 6; q++)
             for (int i = 0; i < 3; i++)
-                part->slopes[q][i] += shares[share_at(corner, dimension)] * slope[3 * q + i];
+                part->slopes[q][i] += weights[weight_at(corner, dimension)] * slope[3 * q + i];
     }
     keep_along(c, axis, part->slopes);
 }
@@ -102,7 +102,7 @@ static void step_off_plane(const wb_composition *c, int axis, const double step[
                            wb_part *part) {
     const wb_axis_floats *f = &c->floats[axis];
     int dimension = c->ints[axis].dimension, inputs[3], unknown = 0;
-    double off[3], along[3] = {0.0, 0.0, 0.0}, most = 0.0;
+    double off[3], along[3] = {0.0, 0.0, 0.0}, largest = 0.0;
     if (dimension == 3) return;
     inputs_of(axis, inputs);
     for (int j = 0; j < dimension; j++)
@@ -111,10 +111,10 @@ static void step_off_plane(const wb_composition *c, int axis, const double step[
         double in = 0.0;
         for (int j = 0; j < dimension; j++) in += along[j] * f->basis[3 * j + i];
         off[i] = step[i] - in;
-        most = fmax(most, fabs(off[i]));
-        unknown |= fabs(off[i]) > WB_CLEAN && !c->fit->known[inputs[i]];
+        largest = fmax(largest, fabs(off[i]));
+        unknown |= fabs(off[i]) > WB_ZERO_LOAD && !c->fit->known[inputs[i]];
     }
-    if (!(most > WB_CLEAN)) return;
+    if (!(largest > WB_ZERO_LOAD)) return;
     for (int q = 0; q < 6; q++) {
         const double *row = c->fit->matrix + 6 * q;
         double more = 0.0, size = 0.0;
@@ -124,7 +124,7 @@ static void step_off_plane(const wb_composition *c, int axis, const double step[
             size += fabs(load) * fabs(row[inputs[i]]);
         }
         part->outputs[q] += more;
-        part->rest[q] = unknown ? NAN : part->rest[q] + (size + c->fit->bar[q]);
+        part->error[q] = unknown ? NAN : part->error[q] + (size + c->fit->bar[q]);
     }
 }
 
@@ -134,7 +134,7 @@ static void step_off(const wb_composition *c, int axis, const double step[3], wb
         double moved = 0.0;
         for (int i = 0; i < 3; i++) moved += part->slopes[q][i] * step[i];
         part->outputs[q] += moved;
-        part->rest[q] += fabs(moved);
+        part->error[q] += fabs(moved);
     }
     step_off_plane(c, axis, step, part);
 }
@@ -152,52 +152,52 @@ static void guess(const wb_composition *c, int axis, const double wrench[6], wb_
             size += fabs(wrench[inputs[i]]) * fabs(row[inputs[i]]);
             part->slopes[q][i] = row[inputs[i]];
         }
-        part->outputs[q] = c->rest_point[q] + moved;
-        part->rest[q] = unknown ? NAN : size + c->fit->bar[q];
+        part->outputs[q] = c->zero_load[q] + moved;
+        part->error[q] = unknown ? NAN : size + c->fit->bar[q];
     }
     part->state = WB_NO_ROWS, part->simplex = -1;
 }
 
 /* Where an axis is read for a wrench: the simplex, or the nearest point of the hull. */
-void wb_axis_locate(const wb_composition *c, int axis, const double wrench[6], wb_place *place) {
+void wb_axis_locate(const wb_composition *c, int axis, const double wrench[6], wb_location *location) {
     int inputs[3];
-    place->simplex = -1, place->inside = 1;
+    location->simplex = -1, location->inside = 1;
     if (c->ints[axis].dimension < 0) return;
     const double *scale = c->floats[axis].scale;
     inputs_of(axis, inputs);
-    for (int i = 0; i < 3; i++) place->at[i] = place->x[i] = wrench[inputs[i]] / scale[i];
-    place->simplex = wb_locate(c, axis, place->x, place->shares);
-    place->inside = place->simplex >= 0;
-    if (!place->inside)
-        place->simplex = wb_nearest_on_hull(c, axis, place->x, place->at, place->shares);
+    for (int i = 0; i < 3; i++) location->at[i] = location->x[i] = wrench[inputs[i]] / scale[i];
+    location->simplex = wb_locate(c, axis, location->x, location->weights);
+    location->inside = location->simplex >= 0;
+    if (!location->inside)
+        location->simplex = wb_nearest_on_hull(c, axis, location->x, location->at, location->weights);
 }
 
 /* Whether several loads act where no rows show what several do at once. */
-static int is_untold_together(const wb_composition *c, int axis, const double x[3]) {
-    int loads = (fabs(x[0]) > WB_CLEAN) + (fabs(x[1]) > WB_CLEAN) + (fabs(x[2]) > WB_CLEAN);
+static int is_unknown_together(const wb_composition *c, int axis, const double x[3]) {
+    int loads = (fabs(x[0]) > WB_ZERO_LOAD) + (fabs(x[1]) > WB_ZERO_LOAD) + (fabs(x[2]) > WB_ZERO_LOAD);
     return loads > 1 && c->together[axis] < c->left_out[3];
 }
 
 /* All six outputs; slopes by the axis' loads, N and N·m. */
-void wb_axis_read(const wb_composition *c, int axis, const double wrench[6], const wb_place *place,
+void wb_axis_read(const wb_composition *c, int axis, const double wrench[6], const wb_location *location,
                   int with_slopes, wb_part *part) {
     double step[3];
-    int found = place->simplex;
-    memset(part, 0, with_slopes || !place->inside || found < 0 ? sizeof *part
+    int simplex = location->simplex;
+    memset(part, 0, with_slopes || !location->inside || simplex < 0 ? sizeof *part
                                                                : offsetof(wb_part, slopes));
-    if (found < 0) {
+    if (simplex < 0) {
         guess(c, axis, wrench, part);
         return;
     }
-    part->state = place->inside ? c->state[found] : WB_OFF_HULL, part->simplex = found;
-    if (part->state < WB_WEAK && is_untold_together(c, axis, place->x)) part->state = WB_WEAK;
-    read_values(c, axis, found, place->at, place->shares, part);
-    if (!place->inside) {
-        for (int i = 0; i < 3; i++) step[i] = place->x[i] - place->at[i];
-        blend_slopes(c, axis, found, place->shares, part);
+    part->state = location->inside ? c->state[simplex] : WB_OFF_HULL, part->simplex = simplex;
+    if (part->state < WB_WEAK && is_unknown_together(c, axis, location->x)) part->state = WB_WEAK;
+    read_values(c, axis, simplex, location->at, location->weights, part);
+    if (!location->inside) {
+        for (int i = 0; i < 3; i++) step[i] = location->x[i] - location->at[i];
+        blend_slopes(c, axis, simplex, location->weights, part);
         step_off(c, axis, step, part);
     } else if (with_slopes) {
-        read_slopes(c, axis, found, part);
+        read_slopes(c, axis, simplex, part);
     }
     if (with_slopes) add_off_span(c, axis, part);
     const double *scale = c->floats[axis].scale;
@@ -207,7 +207,7 @@ void wb_axis_read(const wb_composition *c, int axis, const double wrench[6], con
 
 void wb_axis_part(const wb_composition *c, int axis, const double wrench[6], int with_slopes,
                   wb_part *part) {
-    wb_place place;
-    wb_axis_locate(c, axis, wrench, &place);
-    wb_axis_read(c, axis, wrench, &place, with_slopes, part);
+    wb_location location;
+    wb_axis_locate(c, axis, wrench, &location);
+    wb_axis_read(c, axis, wrench, &location, with_slopes, part);
 }

@@ -1,8 +1,8 @@
 /* Three axes to one answer. MIT license.
  *
  * All six outputs are composed, u = u(0) + sum over axes of (axis - u(0)) - sum over moments of
- * (that moment alone - u(0)), their errors in quadrature; `own` keeps each translation of its own
- * axis alone, which is griddata's.
+ * (that moment alone - u(0)), their errors in quadrature; `griddata` has each translation of its
+ * axis alone, as that method answers.
  */
 #include "wb_internal.h"
 
@@ -11,7 +11,7 @@
 
 /* The answer to one moment alone: all six outputs. */
 typedef struct {
-    double outputs[6], rest[6], slopes[6];
+    double outputs[6], error[6], slopes[6];
     int state;
 } alone_part;
 
@@ -27,10 +27,10 @@ static int stretch_of(const wb_cut *cut, double along) {
     return low < 1 ? 0 : low > cut->stretches ? cut->stretches - 1 : low - 1;
 }
 
-static int state_at(const wb_cut *cut, double along, int found) {
-    if (along < cut->stations[0] - WB_CLEAN) return WB_OFF_HULL;
-    if (along > cut->stations[cut->stretches] + WB_CLEAN) return WB_OFF_HULL;
-    return cut->state[found];
+static int state_at(const wb_cut *cut, double along, int stretch) {
+    if (along < cut->stations[0] - WB_ZERO_LOAD) return WB_OFF_HULL;
+    if (along > cut->stations[cut->stretches] + WB_ZERO_LOAD) return WB_OFF_HULL;
+    return cut->state[stretch];
 }
 
 int wb_cut_state(const wb_cut *cut, double moment) {
@@ -39,17 +39,17 @@ int wb_cut_state(const wb_cut *cut, double moment) {
 }
 
 /* The answer in a stretch of a cut. */
-static void read_cut(const wb_cut *cut, double along, int found, int with_slopes,
+static void read_cut(const wb_cut *cut, double along, int stretch, int with_slopes,
                      alone_part *out) {
-    const double *o = cut->outputs + 12 * (int64_t)found;
-    const double *r = cut->stated + 12 * (int64_t)found, *s = cut->unit + 3 * (int64_t)found;
-    double y = along - cut->stations[found];
+    const double *o = cut->outputs + 12 * (int64_t)stretch;
+    const double *r = cut->stated + 12 * (int64_t)stretch, *s = cut->unit + 3 * (int64_t)stretch;
+    double y = along - cut->stations[stretch];
     double unit = s[0] + y * (s[1] + y * s[2]);
     unit = unit > 0.0 ? unit : 0.0;
     for (int q = 0; q < 6; q++) out->outputs[q] = o[q] + y * o[6 + q];
     for (int q = 0; q < 6; q++) {
-        out->rest[q] = r[q] + y * r[6 + q];
-        out->rest[q] += sqrt(cut->error[q] + cut->error[6 + q] * (unit * unit));
+        out->error[q] = r[q] + y * r[6 + q];
+        out->error[q] += sqrt(cut->error[q] + cut->error[6 + q] * (unit * unit));
     }
     for (int q = 0; with_slopes && q < 6; q++) out->slopes[q] = o[6 + q] / cut->scale;
 }
@@ -59,8 +59,8 @@ static void guess(const wb_composition *c, int load, double amount, alone_part *
     int unknown = amount != 0 && !c->fit->known[load];
     for (int q = 0; q < 6; q++) {
         double slope = c->fit->matrix[6 * q + load];
-        out->outputs[q] = c->rest_point[q] + amount * slope;
-        out->rest[q] = unknown ? NAN : fabs(amount) * fabs(slope) + c->fit->bar[q];
+        out->outputs[q] = c->zero_load[q] + amount * slope;
+        out->error[q] = unknown ? NAN : fabs(amount) * fabs(slope) + c->fit->bar[q];
         out->slopes[q] = slope;
     }
 }
@@ -70,7 +70,7 @@ static void read_alone(const wb_composition *c, int moment, double amount, int w
                        alone_part *out) {
     const wb_cut *best = NULL;
     double along = 0.0;
-    int found = 0;
+    int best_stretch = 0;
     out->state = WB_NO_ROWS;
     for (int k = 0; k < 2 && out->state >= WB_OFF_HULL; k++) {
         const wb_cut *cut = &c->cuts[moment][k];
@@ -79,21 +79,21 @@ static void read_alone(const wb_composition *c, int moment, double amount, int w
             if (WB_OFF_HULL < out->state) out->state = WB_OFF_HULL;
             continue;
         }
-        double own = amount / cut->scale;
-        int stretch = stretch_of(cut, own), state = state_at(cut, own, stretch);
-        if (state < out->state) out->state = state, best = cut, along = own, found = stretch;
+        double scaled = amount / cut->scale;
+        int stretch = stretch_of(cut, scaled), state = state_at(cut, scaled, stretch);
+        if (state < out->state) out->state = state, best = cut, along = scaled, best_stretch = stretch;
     }
     if (!best) guess(c, moment + 3, amount, out);
-    else read_cut(best, along, found, with_slopes, out);
+    else read_cut(best, along, best_stretch, with_slopes, out);
 }
 
 static int worse(int a, int b) { return a > b ? a : b; }
 
 /* Add an answer so many times. */
-static void add_part(const double outputs[6], const double rest[6], double times,
+static void add_part(const double outputs[6], const double error[6], double times,
                      wb_composed *out) {
     for (int q = 0; q < 6; q++) {
-        double wide = times * rest[q];
+        double wide = times * error[q];
         out->moved[q] += times * outputs[q];
         out->squares[q] += wide * wide;
     }
@@ -102,16 +102,16 @@ static void add_part(const double outputs[6], const double rest[6], double times
 
 void wb_compose_start(const wb_composition *c, wb_composed *out) {
     memset(out, 0, sizeof *out);
-    memcpy(out->own, c->rest_point, sizeof out->own);
+    memcpy(out->griddata, c->zero_load, sizeof out->griddata);
 }
 
 /* Add the answer at no load as often as the parts leave room for it. */
-static void add_rest(const wb_composition *c, wb_composed *out) {
-    double left = 1.0 - out->times;
-    if (left == 0.0) return;
+static void add_zero_load(const wb_composition *c, wb_composed *out) {
+    double remaining = 1.0 - out->times;
+    if (remaining == 0.0) return;
     for (int q = 0; q < 6; q++) {
-        double wide = left * c->rest_point[6 + q];
-        out->moved[q] += left * c->rest_point[q];
+        double wide = remaining * c->zero_load[6 + q];
+        out->moved[q] += remaining * c->zero_load[q];
         out->squares[q] += wide * wide;
     }
 }
@@ -124,8 +124,8 @@ int wb_needs_axis(const double small[6], const double wrench[6], int axis) {
 }
 
 void wb_add_axis(const wb_part *part, int axis, wb_composed *out) {
-    out->own[axis] = part->outputs[axis];
-    add_part(part->outputs, part->rest, 1.0, out);
+    out->griddata[axis] = part->outputs[axis];
+    add_part(part->outputs, part->error, 1.0, out);
     out->states[axis] = part->state;
 }
 
@@ -143,14 +143,14 @@ void wb_add_moments(const wb_composition *c, const double small[6], const double
             int other = 3 + (axis + 1 + !k) % 3; /* the axis' other moment */
             if (fabs(wrench[axis]) > small[axis] || fabs(wrench[other]) > small[other]) continue;
             times += 1.0;
-            out->own[axis] = alone.outputs[axis];
+            out->griddata[axis] = alone.outputs[axis];
             out->states[axis] = worse(out->states[axis], alone.state);
         }
         if (times == 0.0) continue;
-        add_part(alone.outputs, alone.rest, times, out);
+        add_part(alone.outputs, alone.error, times, out);
         out->states[base] = worse(out->states[base], alone.state);
     }
-    add_rest(c, out);
+    add_zero_load(c, out);
     out->state = worse(worse(out->states[0], out->states[1]), out->states[2]);
 }
 

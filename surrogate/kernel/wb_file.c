@@ -57,17 +57,17 @@ static uint32_t crc_of(uint32_t table[SLICES][256], uint32_t crc, const unsigned
 }
 
 /* Refuse what is not a whole table of this format. */
-static int check_header(const wb_header *head, uint64_t size, char *why, size_t most) {
+static int check_header(const wb_header *head, uint64_t size, char *why, size_t room) {
     if (memcmp(head->magic, MAGIC, 8))
-        return snprintf(why, most, "this is not a packed table of wrenchbook"), 0;
+        return snprintf(why, room, "this is not a packed table of wrenchbook"), 0;
     if (head->byte_order != 0x01020304u)
-        return snprintf(why, most, "the table has another byte order or is damaged"), 0;
+        return snprintf(why, room, "the table has another byte order or is damaged"), 0;
     if (head->format != WB_FORMAT)
-        return snprintf(why, most, "the table has format %u, this program reads format %u: %s",
+        return snprintf(why, room, "the table has format %u, this program reads format %u: %s",
                         (unsigned)head->format, (unsigned)WB_FORMAT,
                         head->format > WB_FORMAT ? "use a newer wrenchbook" : "download it again"), 0;
     if (head->size != size)
-        return snprintf(why, most, "the table is damaged: %llu of its %llu bytes",
+        return snprintf(why, room, "the table is damaged: %llu of its %llu bytes",
                         (unsigned long long)size, (unsigned long long)head->size), 0;
     return 1;
 }
@@ -79,40 +79,40 @@ static uint32_t crc_of_header(uint32_t table[SLICES][256], const wb_header *head
     return crc_of(table, crc_of(table, 0, bytes, before), bytes + after, sizeof *head - after);
 }
 
-static int check_sum(uint64_t found, const wb_header *head, char *why, size_t most) {
-    if (found == head->checksum) return 1;
-    return snprintf(why, most, "the table is damaged: its checksum is wrong"), 0;
+static int check_sum(uint64_t sum, const wb_header *head, char *why, size_t room) {
+    if (sum == head->checksum) return 1;
+    return snprintf(why, room, "the table is damaged: its checksum is wrong"), 0;
 }
 
-int wb_check_bytes(const unsigned char *bytes, size_t count, char *why, size_t most) {
+int wb_check_bytes(const unsigned char *bytes, size_t count, char *why, size_t room) {
     uint32_t table[SLICES][256];
     wb_header head;
     if (count < sizeof head)
-        return snprintf(why, most, "this is not a packed table: %llu bytes",
+        return snprintf(why, room, "this is not a packed table: %llu bytes",
                         (unsigned long long)count), 0;
     memcpy(&head, bytes, sizeof head);
-    if (!check_header(&head, count, why, most)) return 0;
+    if (!check_header(&head, count, why, room)) return 0;
     crc_tables(table);
     uint32_t sum = crc_of_header(table, &head);
     sum = crc_of(table, sum, bytes + sizeof head, count - sizeof head);
-    return check_sum(sum, &head, why, most);
+    return check_sum(sum, &head, why, room);
 }
 
-static int check_file(FILE *file, uint64_t size, char *why, size_t most) {
+static int check_file(FILE *file, uint64_t size, char *why, size_t room) {
     uint32_t table[SLICES][256], sum = 0;
     wb_header head;
     size_t got;
     if (fread(&head, 1, sizeof head, file) != sizeof head)
-        return snprintf(why, most, "this is not a packed table: %llu bytes",
+        return snprintf(why, room, "this is not a packed table: %llu bytes",
                         (unsigned long long)size), 0;
-    if (!check_header(&head, size, why, most)) return 0;
+    if (!check_header(&head, size, why, room)) return 0;
     unsigned char *block = malloc(BLOCK);
-    if (!block) return snprintf(why, most, "no memory"), 0;
+    if (!block) return snprintf(why, room, "no memory"), 0;
     crc_tables(table);
     sum = crc_of_header(table, &head);
     while ((got = fread(block, 1, BLOCK, file)) > 0) sum = crc_of(table, sum, block, got);
     free(block);
-    return check_sum(sum, &head, why, most);
+    return check_sum(sum, &head, why, room);
 }
 
 #ifdef _WIN32
@@ -176,16 +176,16 @@ static void unmap(const void *bytes, size_t size) { munmap((void *)bytes, size);
 
 #endif
 
-const unsigned char *wb_map(const char *path, size_t *count, char *why, size_t most) {
+const unsigned char *wb_map(const char *path, size_t *count, char *why, size_t room) {
     uint64_t size = 0;
     FILE *file = open_file(path, &size);
-    if (!file) return snprintf(why, most, "cannot open the table %s", path), NULL;
+    if (!file) return snprintf(why, room, "cannot open the table %s", path), NULL;
     setvbuf(file, NULL, _IONBF, 0); /* the blocks are large: no second copy */
-    int sound = check_file(file, size, why, most);
+    int sound = check_file(file, size, why, room);
     fclose(file);
     if (!sound) return NULL;
     const unsigned char *bytes = map_file(path, size);
-    if (!bytes) return snprintf(why, most, "cannot map the table %s", path), NULL;
+    if (!bytes) return snprintf(why, room, "cannot map the table %s", path), NULL;
     *count = (size_t)size;
     return bytes;
 }

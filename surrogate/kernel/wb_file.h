@@ -4,7 +4,7 @@
 
 #include "wb_internal.h"
 
-#define WB_FORMAT 4u /* the only one that is read */
+#define WB_FORMAT 5u /* the only one that is read */
 enum { WB_NAME = 64 };
 
 typedef struct {
@@ -21,7 +21,7 @@ typedef struct {
 } wb_entry;
 
 /* Check bytes, or map a file that has been checked; 0 or NULL, and a reason in `why`. */
-int wb_check_bytes(const unsigned char *bytes, size_t count, char *why, size_t most);
-const unsigned char *wb_map(const char *path, size_t *count, char *why, size_t most);
+int wb_check_bytes(const unsigned char *bytes, size_t count, char *why, size_t room);
+const unsigned char *wb_map(const char *path, size_t *count, char *why, size_t room);
 
 #endif

@@ -1,4 +1,4 @@
-/* What the files of the kernel share. MIT license, as all of wrenchbook.
+/* What the files of the kernel weight. MIT license, as all of wrenchbook.
  *
  * Arrays point into the mapped file; surrogate/packed/arrays.py names their shapes and units. The
  * order of all sums is fixed, so that one wrench, a batch and any number of threads give the same
@@ -11,30 +11,30 @@
 
 #include <math.h>
 
-/* Of the range, in each load: a smaller load is none, and one so little beyond an end is on it;
- * wrenches closer than this are one. Of an answer's size: what its computation loses. And how much
+/* Of the range, in each load: a smaller load is none, a load so little beyond an end is on it, and
+ * closer wrenches are the same. Of an answer's size: what its computation loses. And how much
  * more than in proportion a response may move. As in Python (tests/surrogate/kernel). */
-#define WB_CLEAN 1e-9
+#define WB_ZERO_LOAD 1e-9
 #define WB_NEAR 1e-6
 #define WB_ROUNDING 1e-12
 #define WB_STEEPER 2.0
 
 enum { WB_F8 = 1, WB_I4 = 2, WB_I8 = 3, WB_U1 = 4 }; /* types of arrays */
-/* What an axis' part of an answer rests on, from the best to the worst. */
+/* What an axis' part of an answer depends on, from the best to the worst. */
 enum { WB_SOUND = 0, WB_WEAK = 1, WB_DEGENERATE = 2, WB_OFF_HULL = 9, WB_NO_ROWS = 10 };
 /* The best estimate, from which the errors of other methods follow. */
-enum { WB_REF_ADDITIVE = 1, WB_REF_MISSED = 2, WB_REF_KRIGING = 4 };
+enum { WB_REF_ADDITIVE = 1, WB_REF_RESIDUAL = 2, WB_REF_KRIGING = 4 };
 enum { WB_PANEL = 16, WB_LANES = 8 }; /* rows of a triangle at once; partial sums of a product */
 
 /* 128 bytes, two cache lines: all that a step of a walk reads. */
 typedef struct {
     int32_t vertex[4], neighbour[4];
-    double map[9], anchor[3]; /* slopes of the barycentric coordinates, the last vertex' place */
+    double map[9], anchor[3]; /* slopes of the barycentric coordinates, position of the last vertex */
 } wb_simplex;
 
 /* 128 bytes: all that an answer reads of a point. */
 typedef struct {
-    double place[3], unused, value[6], uncertainty[6];
+    double position[3], unused, value[6], uncertainty[6];
 } wb_vertex;
 
 typedef struct {
@@ -63,7 +63,7 @@ typedef struct {
     int64_t points, simplices, cells;
     const wb_simplex *simplex;
     const wb_vertex *vertex;
-    const double *slopes, *rest_point, *error;
+    const double *slopes, *zero_load, *error;
     const unsigned char *state;
     const wb_axis_ints *ints;
     const wb_axis_floats *floats;
@@ -78,18 +78,18 @@ typedef struct {
 typedef struct {
     int padded; /* equations of a neighbourhood, a multiple of WB_PANEL */
     int64_t count, levels;
-    const int32_t *outputs, *number, *places;
-    const double *panels, *unsettled, *least, *penalty, *mean_covariance;
-    const double *sigma, *factors, *reach; /* of the calibration: (levels), (levels, m), (1) */
-} wb_share;
+    const int32_t *outputs, *number, *equations;
+    const double *panels, *trend, *min_variance, *penalty, *mean_covariance;
+    const double *sigma, *scale, *max_sigma; /* of the calibration: (levels), (levels, m), (1) */
+} wb_factor;
 
 typedef struct {
-    int stride, terms, shares; /* stride: rows, a multiple of WB_LANES */
-    int bent, readings; /* whether rows bring second derivatives; how many numbers one brings */
+    int stride, terms, factors; /* stride: rows, a multiple of WB_LANES */
+    int has_second, per_row; /* whether rows bring second derivatives; numbers of a row */
     const double *x, *term, *rates, *weights, *coefficients, *centre, *rate, *offset, *spread;
     const double *deviation, *lost, *floor, *tangent, *span;
-    const int32_t *smoothness, *factors; /* NULL without second derivatives; how many shares */
-    wb_share *share;
+    const int32_t *smoothness, *factor_count; /* smoothness: NULL without second derivatives */
+    wb_factor *factor;
 } wb_kriging;
 
 typedef struct {
@@ -101,14 +101,14 @@ typedef struct {
 
 /* The outputs that the same rows hold. */
 typedef struct {
-    int method, reference, knows_interaction, rest_unknown, exact_fit, used;
-    int full, needed, has_rows, has_composition, has_kriging, has_missed;
+    int method, reference, knows_interaction, zero_unknown, exact_fit, used;
+    int full, needed, has_rows, has_composition, has_kriging, has_residual;
     const int32_t *flags, *outputs;
     const double *allowed;
     wb_fit fit;
     wb_rows rows;
     wb_composition composition;
-    wb_kriging kriging, missed;
+    wb_kriging kriging, residual;
 } wb_group;
 
 typedef struct {
@@ -124,7 +124,7 @@ struct wb_table {
     const unsigned char *directory;
     uint64_t arrays;
     const char *json;
-    int inputs, outputs, groups, most_stride, most_flat, most_terms, most_padded;
+    int inputs, outputs, groups, max_stride, max_flat, max_terms, max_padded;
     int vectors; /* triples of outputs whose length is limited */
     const int32_t *sizes, *locked, *vector_first;
     const double *ends, *scale, *small, *tolerance, *limit, *vector_limit;
@@ -133,7 +133,7 @@ struct wb_table {
     const int32_t *scene_varying, *scene_slopes;
     wb_solver solver;
     wb_group *group;
-    wb_share *share;
+    wb_factor *factor;
 };
 
 /* Where one answer works; pointers into a scratch. */
@@ -141,43 +141,43 @@ typedef struct {
     double *apart, *flat, *first, *second, *chosen, *reduced, *wide;
 } wb_work;
 
-/* One group's answer, before the solver's share of the error. */
+/* One group's answer, before the solver's part of the error. */
 typedef struct {
-    double outputs[WB_MOST], error[WB_MOST];
+    double outputs[WB_MAX], error[WB_MAX];
     int coverage, method, exact, reasons, by_row;
-    int64_t row; /* place among the group's rows, or -1 */
+    int64_t row; /* index among the group's rows, or -1 */
     uint64_t solved; /* as in wb_reply */
-    wb_reason reason[WB_MOST_REASONS];
-} wb_found;
+    wb_reason reason[WB_MAX_REASONS];
+} wb_result;
 
-/* One axis' answer, all six outputs, its slopes by its own three loads (N and N·m). */
+/* One axis' answer, all six outputs, its slopes by its three loads (N and N·m). */
 typedef struct {
-    double outputs[6], rest[6], slopes[6][3];
+    double outputs[6], error[6], slopes[6][3];
     int state, simplex;
 } wb_part;
 
-/* Where an axis is read for a wrench: scaled loads, the point that is read, its shares. */
+/* Where an axis is read for a wrench: scaled loads, the point that is read, its barycentric weights. */
 typedef struct {
-    double x[3], at[3], shares[4];
+    double x[3], at[3], weights[4];
     int simplex, inside;
-} wb_place;
+} wb_location;
 
-/* Three axes together: `moved` adds all axes up, with the squared errors; `own` has each
- * translation of its own axis. `times`: how many parts there are, less those taken away. */
+/* Three axes together: `moved` adds all axes up, with the squared errors; `griddata` has
+ * each translation of its axis alone. `times`: how many parts there are, less those taken away. */
 typedef struct {
-    double moved[6], squares[6], own[3], times;
+    double moved[6], squares[6], griddata[3], times;
     int states[3], state;
 } wb_composed;
 
 /* numpy's maximum: what is not a number wins. */
 static inline double wb_larger(double a, double b) { return isnan(a) || a > b ? a : b; }
 
-/* The bucket of a number among ascending ones: start[bucket] to start[bucket + 1] bound its place.
+/* The bucket of a number among ascending ones: start[bucket] to start[bucket + 1] bound its index.
  * `buckets_of` in surrogate/packed/axes_arrays.py makes the starts. */
 static inline int64_t wb_bucket(double value, const double *bucket, int64_t buckets) {
-    double place = (value - bucket[0]) * bucket[1];
-    if (!(place > 0.0)) return 0;
-    return place >= (double)(buckets - 1) ? buckets - 1 : (int64_t)place;
+    double index = (value - bucket[0]) * bucket[1];
+    if (!(index > 0.0)) return 0;
+    return index >= (double)(buckets - 1) ? buckets - 1 : (int64_t)index;
 }
 
 /* Each file calls those above it alone (tests/surrogate/kernel/test_layers.py); wb_many.c,
@@ -190,18 +190,18 @@ void wb_unmap(wb_table *t);
 wb_work wb_work_of(const wb_table *t, void *scratch);
 
 /* wb_walk.c */
-int wb_locate(const wb_composition *c, int axis, const double x[3], double shares[4]);
+int wb_locate(const wb_composition *c, int axis, const double x[3], double weights[4]);
 int wb_hint(const wb_composition *c, int axis, const double x[3]);
 void wb_flat(const wb_composition *c, int axis, const double x[3], double flat[3]);
-void wb_shares(const wb_composition *c, int simplex, const double flat[3], double shares[4]);
+void wb_barycentric(const wb_composition *c, int simplex, const double flat[3], double weights[4]);
 int wb_nearest_on_hull(const wb_composition *c, int axis, const double x[3], double at[3],
-                       double shares[4]);
+                       double weights[4]);
 
 /* wb_axes.c */
 void wb_axis_part(const wb_composition *c, int axis, const double wrench[6], int with_slopes,
                   wb_part *part);
-void wb_axis_locate(const wb_composition *c, int axis, const double wrench[6], wb_place *place);
-void wb_axis_read(const wb_composition *c, int axis, const double wrench[6], const wb_place *place,
+void wb_axis_locate(const wb_composition *c, int axis, const double wrench[6], wb_location *location);
+void wb_axis_read(const wb_composition *c, int axis, const double wrench[6], const wb_location *location,
                   int with_slopes, wb_part *part);
 
 /* wb_compose.c */
@@ -217,14 +217,14 @@ void wb_compose_derivative(const wb_composition *c, const double wrench[6], int 
                            double derivative[36]);
 
 /* wb_rows.c */
-wb_reason *wb_add_reason(wb_found *a, int code);
+wb_reason *wb_add_reason(wb_result *a, int code);
 int wb_method_of(const wb_group *g, const wb_options *o);
 double wb_allowed(const wb_group *g, const wb_options *o, int q);
 int wb_is_beyond(const wb_table *t, const double *w);
 int wb_leaves_scene(const wb_table *t, const double *w);
 int64_t wb_find_row(const wb_table *t, const wb_group *g, const double *w);
 int wb_answer_by_row(const wb_table *t, const wb_group *g, const wb_options *o, const double *w,
-                     wb_found *a);
+                     wb_result *a);
 
 /* wb_kriging.c */
 int wb_anchor(const wb_table *t, const wb_kriging *k, const double *wrench, wb_work *work);
@@ -233,16 +233,16 @@ void wb_kriging_outputs(const wb_table *t, const wb_kriging *k, wb_work *work,
 void wb_kriging_values(const wb_table *t, const wb_kriging *k, wb_work *work,
                        const double *wrench, double *outputs, double *error);
 void wb_kriging_reasons(const wb_table *t, const wb_kriging *k, wb_work *work, const double *w,
-                        wb_found *a);
+                        wb_result *a);
 void wb_kriging_derivative(const wb_table *t, const wb_kriging *k, wb_work *work,
                            const double *wrench, double *derivative);
 
 /* wb_reason.c */
-void wb_axes_reasons(const wb_table *t, const wb_group *g, const double *w, wb_found *a);
+void wb_axes_reasons(const wb_table *t, const wb_group *g, const double *w, wb_result *a);
 
 /* wb_answer.c */
 void wb_group_answer(const wb_table *t, const wb_group *g, const wb_options *o, wb_work *work,
-                     const double *w, const wb_composed *composed, int with_reasons, wb_found *a);
+                     const double *w, const wb_composed *composed, int with_reasons, wb_result *a);
 void wb_group_slopes(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
                      int method, double *derivative);
 

@@ -4,11 +4,11 @@
 #include <math.h>
 #include <string.h>
 
-enum { MOST_STEPS = 40, MOST_HALVINGS = 12 };
+enum { MAX_STEPS = 40, MAX_HALVINGS = 12 };
 /* Of the load range: a step that no displacement of a table shows, and one below which rounding can
  * always keep the next from being shorter. */
 static const double SMALL_STEP = 1e-12, ROUNDING_STEP = 1e-9;
-/* How much shorter each step is while the matrix of another place is good enough. */
+/* How much shorter each step is while the matrix of another wrench is good enough. */
 static const double GAIN = 0.1;
 
 /* What the iteration works with: the free loads and the outputs of the same numbers. */
@@ -16,8 +16,8 @@ typedef struct {
     const wb_table *t;
     wb_options o;
     wb_work work;
-    int count, free[WB_MOST];
-    double matrix[WB_MOST * WB_MOST], size[WB_MOST];
+    int count, free[WB_MAX];
+    double matrix[WB_MAX * WB_MAX], size[WB_MAX];
 } solver;
 
 static int all_finite(const solver *s, const double *numbers, int stride) {
@@ -29,15 +29,15 @@ static int all_finite(const solver *s, const double *numbers, int stride) {
 
 /* The method's displacement, with no row and no limit in its place; 0 if it is not known. */
 static int outputs_at(solver *s, const double *w, double *outputs) {
-    wb_found found;
+    wb_result result;
     for (int i = 0; i < s->t->groups; i++) {
         const wb_group *g = &s->t->group[i];
         if (g->used && wb_method_of(g, &s->o) == WB_KRIGING)
-            wb_kriging_outputs(s->t, &g->kriging, &s->work, w, found.outputs);
+            wb_kriging_outputs(s->t, &g->kriging, &s->work, w, result.outputs);
         else
-            wb_group_answer(s->t, g, &s->o, &s->work, w, NULL, 0, &found);
+            wb_group_answer(s->t, g, &s->o, &s->work, w, NULL, 0, &result);
         for (int q = 0; q < s->t->outputs; q++)
-            if (g->outputs[q]) outputs[q] = found.outputs[q];
+            if (g->outputs[q]) outputs[q] = result.outputs[q];
     }
     return all_finite(s, outputs, 1);
 }
@@ -45,12 +45,12 @@ static int outputs_at(solver *s, const double *w, double *outputs) {
 /* Its slopes (m, n); 0 if they are not known. */
 static int slopes_at(solver *s, const double *w, double *slopes) {
     int n = s->t->inputs;
-    double own[WB_MOST * WB_MOST];
+    double group_slopes[WB_MAX * WB_MAX];
     for (int i = 0; i < s->t->groups; i++) {
         const wb_group *g = &s->t->group[i];
-        wb_group_slopes(s->t, g, &s->work, w, wb_method_of(g, &s->o), own);
+        wb_group_slopes(s->t, g, &s->work, w, wb_method_of(g, &s->o), group_slopes);
         for (int q = 0; q < s->t->outputs; q++)
-            if (g->outputs[q]) memcpy(slopes + n * q, own + n * q, (size_t)n * sizeof(double));
+            if (g->outputs[q]) memcpy(slopes + n * q, group_slopes + n * q, (size_t)n * sizeof(double));
     }
     return all_finite(s, slopes, n);
 }
@@ -97,19 +97,19 @@ static void scaled_matrix(solver *s, const double *slopes) {
 /* What the full range moves each output by its largest slope: sizes that make rows alike. */
 static void sizes_of(solver *s, const double *slopes) {
     for (int i = 0; i < s->count; i++) {
-        double most = 0;
+        double largest = 0;
         for (int j = 0; j < s->count; j++) {
             int load = s->free[j];
-            most = fmax(most, fabs(slopes[s->t->inputs * s->free[i] + load]) * s->t->scale[load]);
+            largest = fmax(largest, fabs(slopes[s->t->inputs * s->free[i] + load]) * s->t->scale[load]);
         }
-        s->size[i] = most > 0 ? most : 1.0;
+        s->size[i] = largest > 0 ? largest : 1.0;
     }
 }
 
 /* The inverse of du/dw (n, m) by this method; zero for locked inputs. */
 static int invert(solver *s, const double *w, double *stiffness) {
     int n = s->t->inputs, m = s->t->outputs, count = s->count;
-    double slopes[WB_MOST * WB_MOST], unit[WB_MOST * WB_MOST];
+    double slopes[WB_MAX * WB_MAX], unit[WB_MAX * WB_MAX];
     memset(stiffness, 0, (size_t)(n * m) * sizeof(double));
     memset(unit, 0, (size_t)(count * count) * sizeof(double));
     if (!slopes_at(s, w, slopes)) return WB_SINGULAR;
@@ -126,37 +126,37 @@ static int invert(solver *s, const double *w, double *stiffness) {
 }
 
 /* The step of the loads by a stiffness, over their scales; returns its largest. */
-static double step_by(const solver *s, const double *stiffness, const double *missed, double *step) {
-    double most = 0;
+static double step_by(const solver *s, const double *stiffness, const double *residual, double *step) {
+    double largest = 0;
     for (int i = 0; i < s->count; i++) {
         int load = s->free[i];
         step[i] = 0;
         for (int j = 0; j < s->count; j++)
-            step[i] += stiffness[s->t->outputs * load + s->free[j]] * missed[j];
+            step[i] += stiffness[s->t->outputs * load + s->free[j]] * residual[j];
         step[i] /= s->t->scale[load];
-        most = fmax(most, fabs(step[i]));
+        largest = fmax(largest, fabs(step[i]));
     }
-    return most;
+    return largest;
 }
 
-/* Try a share of a step: where it leads to, what is missed there, and the next step from there by
+/* Try a fraction of a step: where it leads to, the residual there, and the next step from there by
  * the same matrix; returns its largest, infinite if the method has no answer there. */
-static double try_step(solver *s, const double *target, const double *stiffness, double share,
+static double try_step(solver *s, const double *target, const double *stiffness, double fraction,
                        const double *w, const double *step, double *there, double *next) {
-    double outputs[WB_MOST], missed[WB_MOST];
+    double outputs[WB_MAX], residual[WB_MAX];
     memcpy(there, w, (size_t)s->t->inputs * sizeof(double));
     for (int i = 0; i < s->count; i++) {
         int load = s->free[i];
-        there[load] += share * step[i] * s->t->scale[load];
+        there[load] += fraction * step[i] * s->t->scale[load];
     }
     if (!outputs_at(s, there, outputs)) return INFINITY;
-    for (int i = 0; i < s->count; i++) missed[i] = target[s->free[i]] - outputs[s->free[i]];
-    return step_by(s, stiffness, missed, next);
+    for (int i = 0; i < s->count; i++) residual[i] = target[s->free[i]] - outputs[s->free[i]];
+    return step_by(s, stiffness, residual, next);
 }
 
 /* The largest step that rounding of the outputs can make: a kriging's sums lose more than others. */
 static double step_of_rounding(const solver *s, const double *stiffness) {
-    double most = ROUNDING_STEP, lost[WB_MOST] = {0};
+    double largest = ROUNDING_STEP, lost[WB_MAX] = {0};
     for (int i = 0; i < s->t->groups; i++) {
         const wb_group *g = &s->t->group[i];
         if (!g->used || wb_method_of(g, &s->o) != WB_KRIGING) continue;
@@ -168,37 +168,37 @@ static double step_of_rounding(const solver *s, const double *stiffness) {
         double step = 0;
         for (int j = 0; j < s->count; j++)
             step += fabs(stiffness[s->t->outputs * load + s->free[j]]) * lost[s->free[j]];
-        most = fmax(most, step / s->t->scale[load]);
+        largest = fmax(largest, step / s->t->scale[load]);
     }
-    return most;
+    return largest;
 }
 
 /* Newton's method with the natural monotonicity test (Deuflhard 2004): the next step by the same
  * matrix must be shorter. The matrix stays while each is shorter by GAIN. */
 static int iterate(solver *s, const double *target, double *w, double *stiffness, int fresh) {
-    static const double none[WB_MOST];
-    double step[WB_MOST], next[WB_MOST], there[WB_MOST];
-    double most = try_step(s, target, stiffness, 0.0, w, none, there, step);
-    for (int count = 0; count < MOST_STEPS; count++) {
-        if (!isfinite(most)) return WB_SINGULAR;
+    static const double none[WB_MAX];
+    double step[WB_MAX], next[WB_MAX], there[WB_MAX];
+    double largest = try_step(s, target, stiffness, 0.0, w, none, there, step);
+    for (int count = 0; count < MAX_STEPS; count++) {
+        if (!isfinite(largest)) return WB_SINGULAR;
         double floor = step_of_rounding(s, stiffness);
-        double share = 1.0, after = try_step(s, target, stiffness, share, w, step, there, next);
-        if (most <= SMALL_STEP || (most <= floor && !(after <= GAIN * most))) {
-            if (after <= most) memcpy(w, there, (size_t)s->t->inputs * sizeof(double));
+        double fraction = 1.0, after = try_step(s, target, stiffness, fraction, w, step, there, next);
+        if (largest <= SMALL_STEP || (largest <= floor && !(after <= GAIN * largest))) {
+            if (after <= largest) memcpy(w, there, (size_t)s->t->inputs * sizeof(double));
             return WB_OK;
         }
-        if (!fresh && !(after <= GAIN * most)) { /* a matrix of another place */
+        if (!fresh && !(after <= GAIN * largest)) { /* a matrix of another wrench */
             int wrong = invert(s, w, stiffness);
             if (wrong) return wrong;
-            most = try_step(s, target, stiffness, 0.0, w, none, there, step), fresh = 1;
+            largest = try_step(s, target, stiffness, 0.0, w, none, there, step), fresh = 1;
             continue;
         }
-        for (int half = 0; half < MOST_HALVINGS && !(after < most); half++)
-            after = try_step(s, target, stiffness, share *= 0.5, w, step, there, next);
-        if (!(after < most)) return most <= floor ? WB_OK : WB_NO_CONVERGENCE;
+        for (int half = 0; half < MAX_HALVINGS && !(after < largest); half++)
+            after = try_step(s, target, stiffness, fraction *= 0.5, w, step, there, next);
+        if (!(after < largest)) return largest <= floor ? WB_OK : WB_NO_CONVERGENCE;
         memcpy(w, there, (size_t)s->t->inputs * sizeof(double));
         memcpy(step, next, sizeof step);
-        most = after, fresh = 0;
+        largest = after, fresh = 0;
     }
     return WB_NO_CONVERGENCE;
 }
@@ -219,8 +219,8 @@ int wb_inverse(const wb_table *t, const wb_options *options, const double *outpu
     int known = 0;
     for (int k = 0; k < t->inputs * t->outputs; k++) known |= stiffness[k] != 0.0;
     if (!known && (wrong = invert(&s, inputs, stiffness))) return wrong;
-    int found = iterate(&s, outputs, inputs, stiffness, !known);
-    if (found == WB_SINGULAR) return found;
+    int result = iterate(&s, outputs, inputs, stiffness, !known);
+    if (result == WB_SINGULAR) return result;
     wrong = invert(&s, inputs, stiffness);
-    return found ? found : wrong;
+    return result ? result : wrong;
 }

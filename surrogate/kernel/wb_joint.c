@@ -4,7 +4,7 @@
 #include <math.h>
 #include <string.h>
 
-enum { FREEDOMS = 6, MOST_SWEEPS = 30 }; /* of Jacobi's method: it converges in about six */
+enum { FREEDOMS = 6, MAX_SWEEPS = 30 }; /* of Jacobi's method: it converges in about six */
 /* (omega dt)^2 up to which a mode is explicit: symplectic Euler is stable up to 4, and at 0.5 its
  * frequency is still within 2 %. */
 static const double EXPLICIT = 0.5;
@@ -34,29 +34,29 @@ static void rotate(double *a, double *modes, int n, int p, int q) {
     double t = (theta >= 0 ? 1 : -1) / (fabs(theta) + sqrt(theta * theta + 1));
     double c = 1 / sqrt(t * t + 1), s = t * c;
     for (int k = 0; k < n; k++) {
-        double one = a[n * k + p], other = a[n * k + q];
-        a[n * k + p] = c * one - s * other, a[n * k + q] = s * one + c * other;
+        double first = a[n * k + p], second = a[n * k + q];
+        a[n * k + p] = c * first - s * second, a[n * k + q] = s * first + c * second;
     }
     for (int k = 0; k < n; k++) {
-        double one = a[n * p + k], other = a[n * q + k];
-        a[n * p + k] = c * one - s * other, a[n * q + k] = s * one + c * other;
-        one = modes[n * k + p], other = modes[n * k + q];
-        modes[n * k + p] = c * one - s * other, modes[n * k + q] = s * one + c * other;
+        double first = a[n * p + k], second = a[n * q + k];
+        a[n * p + k] = c * first - s * second, a[n * q + k] = s * first + c * second;
+        first = modes[n * k + p], second = modes[n * k + q];
+        modes[n * k + p] = c * first - s * second, modes[n * k + q] = s * first + c * second;
     }
 }
 
 /* Eigenvalues on the diagonal of a, eigenvectors as columns: Jacobi's method (Golub and Van Loan
  * 2013, 8.5). */
 static void diagonalise(double *a, double *modes, int n) {
-    double most = 0;
+    double largest = 0;
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++) modes[n * i + j] = i == j;
-    for (int i = 0; i < n; i++) most = fmax(most, fabs(a[n * i + i]));
-    for (int sweep = 0; sweep < MOST_SWEEPS; sweep++) {
+    for (int i = 0; i < n; i++) largest = fmax(largest, fabs(a[n * i + i]));
+    for (int sweep = 0; sweep < MAX_SWEEPS; sweep++) {
         int turned = 0;
         for (int p = 0; p < n; p++)
             for (int q = p + 1; q < n; q++)
-                if (fabs(a[n * p + q]) > ROUNDING * most) rotate(a, modes, n, p, q), turned = 1;
+                if (fabs(a[n * p + q]) > ROUNDING * largest) rotate(a, modes, n, p, q), turned = 1;
         if (!turned) return;
     }
 }
@@ -103,10 +103,10 @@ int wb_joint_rate(int n, const double *stiffness, const double *inverse_mass, do
         double square = fmax(b[n * mode + mode], 0.0); /* rounding, or a part that buckles */
         double step = square * dt * dt;
         double implicit = step > EXPLICIT ? 1 - EXPLICIT / step : 0.0;
-        double own = dt * implicit * square + 2 * damping * sqrt(square);
+        double rate_of_mode = dt * implicit * square + 2 * damping * sqrt(square);
         for (int i = 0; i < n; i++)
             for (int j = 0; j < n; j++)
-                rate[n * i + j] += own * modes[n * i + mode] * modes[n * j + mode];
+                rate[n * i + j] += rate_of_mode * modes[n * i + mode] * modes[n * j + mode];
     }
     return WB_OK;
 }

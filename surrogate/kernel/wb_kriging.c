@@ -82,16 +82,16 @@ static void add_distances(const double *rates, int inputs, const double *restric
 }
 
 /* The nearest row over all loads that has a neighbourhood; of equally near ones the first. */
-WB_VECTORS static int nearest(const wb_kriging *k, const wb_share *share, int inputs, const double *apart,
+WB_VECTORS static int nearest(const wb_kriging *k, const wb_factor *factor, int inputs, const double *apart,
                    double *restrict distance) {
     double closest = INFINITY;
-    memcpy(distance, share->penalty, (size_t)k->stride * sizeof(double));
+    memcpy(distance, factor->penalty, (size_t)k->stride * sizeof(double));
     add_distances(k->rates, inputs, apart, k->stride, distance);
     for (int row = 0; row < k->stride; row++)
         closest = distance[row] < closest ? distance[row] : closest;
     for (int row = 0; row < k->stride; row++)
         if (distance[row] <= closest + TIE) return row;
-    return 0; /* a place that is not a number */
+    return 0; /* a wrench that is not a number */
 }
 
 /* Add slopes' part of one term's covariances: `second` is -2 times its derivative by q. */
@@ -123,7 +123,7 @@ WB_VECTORS static void add_covariances(const double *term, int inputs, const dou
 
 /* The same with the rows' second derivatives, by 9/2: the correlation is
  * (1 + a + 3/7 a^2 + 2/21 a^3 + a^4/105) exp(-a), a^2 = 9 q. `third` is 4 times its second derivative by q. */
-WB_VECTORS static void add_bent_covariances(const double *term, int inputs, const double *restrict apart,
+WB_VECTORS static void add_second_covariances(const double *term, int inputs, const double *restrict apart,
                                  int stride, double *restrict first, double *restrict second,
                                  double *restrict third, double *restrict flat) {
     double weight = term[inputs], *restrict out = flat + (int64_t)(1 + inputs) * stride;
@@ -139,11 +139,11 @@ WB_VECTORS static void add_bent_covariances(const double *term, int inputs, cons
     add_slopes(term, inputs, apart, stride, second, flat);
     for (int a = 0; a < inputs; a++)
         for (int b = a; b < inputs; b++, out += stride) {
-            const double *restrict one = apart + (int64_t)a * stride;
-            const double *restrict other = apart + (int64_t)b * stride;
+            const double *restrict by_a = apart + (int64_t)a * stride;
+            const double *restrict by_b = apart + (int64_t)b * stride;
             double rate = term[a], both = term[a] * term[b];
             if (!(both > 0)) continue;
-            for (int row = 0; row < stride; row++) out[row] += both * third[row] * one[row] * other[row];
+            for (int row = 0; row < stride; row++) out[row] += both * third[row] * by_a[row] * by_b[row];
             if (a != b) continue;
             for (int row = 0; row < stride; row++) out[row] -= rate * second[row];
         }
@@ -155,48 +155,48 @@ WB_VECTORS static void reduce(const double *restrict panel, const double *restri
     for (int top = 0; top < padded; top += WB_PANEL) {
         double sum[WB_PANEL] = {0};
         for (int column = 0; column < top + WB_PANEL; column++, panel += WB_PANEL) {
-            double one = chosen[column];
+            double factor = chosen[column];
 #pragma omp simd
-            for (int lane = 0; lane < WB_PANEL; lane++) sum[lane] += panel[lane] * one;
+            for (int lane = 0; lane < WB_PANEL; lane++) sum[lane] += panel[lane] * factor;
         }
         memcpy(reduced + top, sum, sizeof sum);
     }
 }
 
 /* sigma squared over the process variance, from the neighbourhood of a row. */
-static double squared_deviation(const wb_kriging *k, const wb_share *share, int inputs, int anchor,
+static double squared_deviation(const wb_kriging *k, const wb_factor *factor, int inputs, int anchor,
                                 const double *at, const wb_work *work) {
-    int padded = share->padded, terms = inputs + 1;
-    int64_t number = share->number[anchor], triangle = (int64_t)padded * (padded + WB_PANEL) / 2;
-    const int32_t *places = share->places + number * padded;
-    const double *unsettled = share->unsettled + number * terms * padded;
-    double left[WB_MOST + 1], loose = 0.0, prior = 0.0;
-    for (int i = 0; i < padded; i++) work->chosen[i] = work->flat[places[i]];
-    reduce(share->panels + number * triangle, work->chosen, padded, work->reduced);
+    int padded = factor->padded, terms = inputs + 1;
+    int64_t number = factor->number[anchor], triangle = (int64_t)padded * (padded + WB_PANEL) / 2;
+    const int32_t *equations = factor->equations + number * padded;
+    const double *trend_terms = factor->trend + number * terms * padded;
+    double mean_terms[WB_MAX + 1], trend = 0.0, prior = 0.0;
+    for (int i = 0; i < padded; i++) work->chosen[i] = work->flat[equations[i]];
+    reduce(factor->panels + number * triangle, work->chosen, padded, work->reduced);
     for (int a = 0; a < terms; a++)
-        left[a] = (a == 0 ? 1.0 : at[a - 1])
-                  - product(work->reduced, unsettled + (int64_t)a * padded, padded);
+        mean_terms[a] = (a == 0 ? 1.0 : at[a - 1])
+                  - product(work->reduced, trend_terms + (int64_t)a * padded, padded);
     for (int a = 0; a < terms; a++)
         for (int b = 0; b < terms; b++)
-            loose += left[a] * share->mean_covariance[terms * a + b] * left[b];
+            trend += mean_terms[a] * factor->mean_covariance[terms * a + b] * mean_terms[b];
     for (int term = 0; term < k->terms; term++) prior += k->term[terms * term + inputs];
-    double spent = product(work->reduced, work->reduced, padded);
-    return fmax(prior - spent, share->least[anchor]) + loose;
+    double explained = product(work->reduced, work->reduced, padded);
+    return fmax(prior - explained, factor->min_variance[anchor]) + trend;
 }
 
 /* The row whose neighbourhood gives sigma: wrenches of one anchor read the same memory. */
 int wb_anchor(const wb_table *t, const wb_kriging *k, const double *wrench, wb_work *work) {
-    double at[WB_MOST];
+    double at[WB_MAX];
     scale_loads(k, t->inputs, wrench, at, work->apart);
-    return nearest(k, k->share, t->inputs, work->apart, work->first);
+    return nearest(k, k->factor, t->inputs, work->apart, work->first);
 }
 
 /* What a deviation is multiplied by for a 95 % error; NaN where rows left out do
  * not show how large errors are. */
-static double factor_of(const wb_share *share, double sigma, int q, int outputs) {
-    int64_t last = share->levels - 1, n = 0;
-    const double *f = share->factors + q, *s = share->sigma;
-    if (!(sigma <= *share->reach) || last < 0) return NAN;
+static double scale_of(const wb_factor *factor, double sigma, int q, int outputs) {
+    int64_t last = factor->levels - 1, n = 0;
+    const double *f = factor->scale + q, *s = factor->sigma;
+    if (!(sigma <= *factor->max_sigma) || last < 0) return NAN;
     if (sigma >= s[last]) return f[outputs * last];
     if (sigma <= s[0] || last < 1) return f[0];
     while (n < last - 1 && s[n + 1] <= sigma) n++;
@@ -213,57 +213,57 @@ static int is_spanned(const wb_kriging *k, int inputs, const double *at) {
 
 /* The covariances of a value with all rows. */
 static void covary(const wb_kriging *k, int n, wb_work *work) {
-    memset(work->flat, 0, (size_t)(k->readings * k->stride) * sizeof(double));
+    memset(work->flat, 0, (size_t)(k->per_row * k->stride) * sizeof(double));
     for (int term = 0; term < k->terms; term++) {
-        const double *own = k->term + (n + 1) * term;
-        if (k->bent)
-            add_bent_covariances(own, n, work->apart, k->stride, work->first, work->second,
+        const double *parameters = k->term + (n + 1) * term;
+        if (k->has_second)
+            add_second_covariances(parameters, n, work->apart, k->stride, work->first, work->second,
                                  work->wide, work->flat);
         else
-            add_covariances(own, n, work->apart, k->stride, work->first, work->second, work->flat);
+            add_covariances(parameters, n, work->apart, k->stride, work->first, work->second, work->flat);
     }
 }
 
 /* The value of an output by these, over its spread. */
 static double value_of(const wb_table *t, const wb_kriging *k, const wb_work *work,
                        const double *at, int q) {
-    int n = t->inputs, m = t->outputs, count = k->readings * k->stride;
+    int n = t->inputs, m = t->outputs, count = k->per_row * k->stride;
     double value = product(work->flat, k->weights + (int64_t)q * count, count);
     value += k->coefficients[q];
     for (int a = 0; a < n; a++) value += at[a] * k->coefficients[m * (1 + a) + q];
     return value;
 }
 
-/* The scaled loads, values over their spreads, and sigma of each share over its process deviation;
+/* The scaled loads, values over their spreads, and sigma of each factor over its process deviation;
  * `values` or `sigma` may be NULL. */
 static void explore(const wb_table *t, const wb_kriging *k, wb_work *work, const double *wrench,
                     double *at, double *values, double *sigma) {
     int n = t->inputs;
     scale_loads(k, n, wrench, at, work->apart);
     covary(k, n, work);
-    for (int s = 0; s < k->shares; s++) {
-        const wb_share *share = &k->share[s];
+    for (int s = 0; s < k->factors; s++) {
+        const wb_factor *factor = &k->factor[s];
         for (int q = 0; values && q < t->outputs; q++)
-            if (share->outputs[q]) values[q] = value_of(t, k, work, at, q);
+            if (factor->outputs[q]) values[q] = value_of(t, k, work, at, q);
         if (!sigma) continue;
-        int anchor = nearest(k, share, n, work->apart, work->first);
-        sigma[s] = sqrt(squared_deviation(k, share, n, anchor, at, work));
+        int anchor = nearest(k, factor, n, work->apart, work->first);
+        sigma[s] = sqrt(squared_deviation(k, factor, n, anchor, at, work));
     }
 }
 
 /* Why the errors of an answer are not known. */
 void wb_kriging_reasons(const wb_table *t, const wb_kriging *k, wb_work *work, const double *w,
-                        wb_found *a) {
-    double at[WB_MOST], sigma[WB_MOST];
+                        wb_result *a) {
+    double at[WB_MAX], sigma[WB_MAX];
     int before = a->reasons, far = -1;
-    for (int s = 0; s < k->shares; s++)
-        if (!(*k->share[s].reach > 0)) {
+    for (int s = 0; s < k->factors; s++)
+        if (!(*k->factor[s].max_sigma > 0)) {
             wb_add_reason(a, WB_REASON_ERRORS_UNKNOWN);
             return;
         }
     explore(t, k, work, w, at, NULL, sigma);
-    for (int s = 0; s < k->shares; s++)
-        if (!(sigma[s] <= *k->share[s].reach)) far = s;
+    for (int s = 0; s < k->factors; s++)
+        if (!(sigma[s] <= *k->factor[s].max_sigma)) far = s;
     for (int load = 0; load < t->inputs; load++) {
         if (k->span[load] <= at[load] && at[load] <= k->span[t->inputs + load]) continue;
         wb_reason *reason = wb_add_reason(a, WB_REASON_BEYOND_SPAN);
@@ -271,13 +271,13 @@ void wb_kriging_reasons(const wb_table *t, const wb_kriging *k, wb_work *work, c
     }
     if (a->reasons > before || far < 0) return;
     wb_reason *reason = wb_add_reason(a, WB_REASON_TOO_FAR);
-    reason->value = sigma[far], reason->limit = *k->share[far].reach;
+    reason->value = sigma[far], reason->limit = *k->factor[far].max_sigma;
 }
 
 /* Outputs alone, m and rad. */
 void wb_kriging_outputs(const wb_table *t, const wb_kriging *k, wb_work *work,
                         const double *wrench, double *outputs) {
-    double at[WB_MOST];
+    double at[WB_MAX];
     memset(outputs, 0, (size_t)t->outputs * sizeof(double));
     explore(t, k, work, wrench, at, outputs, NULL);
     for (int q = 0; q < t->outputs; q++) outputs[q] = outputs[q] * k->spread[q] + k->offset[q];
@@ -287,24 +287,24 @@ void wb_kriging_outputs(const wb_table *t, const wb_kriging *k, wb_work *work,
 void wb_kriging_values(const wb_table *t, const wb_kriging *k, wb_work *work,
                          const double *wrench, double *outputs, double *error) {
     int n = t->inputs, m = t->outputs;
-    double at[WB_MOST], sigma[WB_MOST], values[WB_MOST] = {0}, wide[WB_MOST] = {0};
+    double at[WB_MAX], sigma[WB_MAX], values[WB_MAX] = {0}, wide[WB_MAX] = {0};
     explore(t, k, work, wrench, at, values, sigma);
     int spanned = is_spanned(k, n, at);
-    for (int s = 0; s < k->shares; s++)
+    for (int s = 0; s < k->factors; s++)
         for (int q = 0; q < m; q++)
-            if (k->share[s].outputs[q])
-                wide[q] = spanned ? sigma[s] * factor_of(&k->share[s], sigma[s], q, m) : NAN;
+            if (k->factor[s].outputs[q])
+                wide[q] = spanned ? sigma[s] * scale_of(&k->factor[s], sigma[s], q, m) : NAN;
     for (int q = 0; q < m; q++) {
         double value = values[q];
         outputs[q] = value * k->spread[q] + k->offset[q];
         double size = (fabs(value) + 1.0) * k->spread[q] + fabs(k->offset[q]);
-        double least = fmax(*k->floor * size, k->lost[q]), own = wide[q] * k->deviation[q];
-        error[q] = own < least ? least : own; /* what is not a number stays none */
+        double min_error = fmax(*k->floor * size, k->lost[q]), bar = wide[q] * k->deviation[q];
+        error[q] = bar < min_error ? min_error : bar; /* what is not a number stays none */
     }
 }
 
 /* One term's correlation: its two derivatives by the squared distance. */
-WB_VECTORS static void bend(const double *term, int inputs, const double *restrict apart, int stride,
+WB_VECTORS static void differentiate(const double *term, int inputs, const double *restrict apart, int stride,
                  double *restrict first, double *restrict second) {
     double weight = term[inputs];
     memset(first, 0, (size_t)stride * sizeof(double));
@@ -317,7 +317,7 @@ WB_VECTORS static void bend(const double *term, int inputs, const double *restri
 }
 
 /* The same of 9/2, with the third one. */
-WB_VECTORS static void bend_bent(const double *term, int inputs, const double *restrict apart, int stride,
+WB_VECTORS static void differentiate_second(const double *term, int inputs, const double *restrict apart, int stride,
                       double *restrict first, double *restrict second, double *restrict third) {
     double weight = term[inputs];
     memset(first, 0, (size_t)stride * sizeof(double));
@@ -335,11 +335,11 @@ WB_VECTORS static void add_slope(const double *term, int inputs, const double *r
                       const double *restrict first, const double *restrict second, int a,
                       double *restrict flat) {
     const double *restrict from = apart + (int64_t)a * stride;
-    double *restrict own = flat + (int64_t)(1 + a) * stride, twice = 2 * term[a];
+    double *restrict by_slope = flat + (int64_t)(1 + a) * stride, twice = 2 * term[a];
     if (!(term[a] > 0)) return;
     for (int row = 0; row < stride; row++) {
         flat[row] += twice * first[row] * from[row];
-        own[row] -= twice * first[row];
+        by_slope[row] -= twice * first[row];
     }
     for (int b = 0; b < inputs; b++) {
         const double *restrict other = apart + (int64_t)b * stride;
@@ -364,57 +364,57 @@ static inline void add_product(double factor, const double *restrict from, const
 /* Add one term's covariances of the slope by load c with the rows' second derivatives. With s_a =
  * t_a d_a that by loads a and b is 8 third s_a s_b s_c, and 4 second t_a times the s of the load
  * that is left for each two of the three loads that are one. */
-WB_VECTORS static void add_bent_slope(const double *term, int inputs, const double *restrict apart, int stride,
+WB_VECTORS static void add_second_slope(const double *term, int inputs, const double *restrict apart, int stride,
                            const double *second, const double *restrict third, int c,
                            double *restrict spare, double *flat) {
     const double *from = apart + (int64_t)c * stride;
     if (!(term[c] > 0)) return;
     for (int row = 0; row < stride; row++) spare[row] = 8 * term[c] * third[row] * from[row];
     for (int a = 0; a < inputs; a++) {
-        const double *one = apart + (int64_t)a * stride;
+        const double *by_a = apart + (int64_t)a * stride;
         double *restrict out = pair_of(flat, inputs, a, a, stride);
         if (!(term[a] > 0)) continue;
         add_product(4 * term[a] * term[c], second, from, stride, out);
         for (int b = a; b < inputs; b++, out += stride) {
-            const double *restrict other = apart + (int64_t)b * stride;
+            const double *restrict by_b = apart + (int64_t)b * stride;
             double both = term[a] * term[b];
             if (!(both > 0)) continue;
-            for (int row = 0; row < stride; row++) out[row] += both * spare[row] * one[row] * other[row];
+            for (int row = 0; row < stride; row++) out[row] += both * spare[row] * by_a[row] * by_b[row];
         }
         out = pair_of(flat, inputs, a, c, stride);
-        add_product((a == c ? 8 : 4) * term[a] * term[c], second, one, stride, out);
+        add_product((a == c ? 8 : 4) * term[a] * term[c], second, by_a, stride, out);
     }
 }
 
-/* Whether a share answers output q: a scene's table has those of the outputs that it reads. */
+/* Whether a factor answers output q: a scene's table has those of the outputs that it reads. */
 static int answers(const wb_kriging *k, int q) {
-    for (int s = 0; s < k->shares; s++)
-        if (k->share[s].outputs[q]) return 1;
+    for (int s = 0; s < k->factors; s++)
+        if (k->factor[s].outputs[q]) return 1;
     return 0;
 }
 
 /* The derivatives of the covariance's terms by the squared distance, to work->wide. */
-static void bend_terms(const wb_kriging *k, int n, const wb_work *work) {
-    int wide = k->bent ? 3 : 2;
+static void differentiate_terms(const wb_kriging *k, int n, const wb_work *work) {
+    int wide = k->has_second ? 3 : 2;
     for (int term = 0; term < k->terms; term++) {
-        const double *own = k->term + (n + 1) * term;
+        const double *parameters = k->term + (n + 1) * term;
         double *first = work->wide + (int64_t)wide * term * k->stride, *second = first + k->stride;
-        if (k->bent) bend_bent(own, n, work->apart, k->stride, first, second, second + k->stride);
-        else bend(own, n, work->apart, k->stride, first, second);
+        if (k->has_second) differentiate_second(parameters, n, work->apart, k->stride, first, second, second + k->stride);
+        else differentiate(parameters, n, work->apart, k->stride, first, second);
     }
 }
 
 /* The covariances of the slope by load a with all rows. */
 static void covary_slope(const wb_kriging *k, int n, int a, const wb_work *work) {
-    int wide = k->bent ? 3 : 2;
-    memset(work->flat, 0, (size_t)(k->readings * k->stride) * sizeof(double));
+    int wide = k->has_second ? 3 : 2;
+    memset(work->flat, 0, (size_t)(k->per_row * k->stride) * sizeof(double));
     for (int term = 0; term < k->terms; term++) {
-        const double *own = k->term + (n + 1) * term;
+        const double *parameters = k->term + (n + 1) * term;
         const double *first = work->wide + (int64_t)wide * term * k->stride;
         const double *second = first + k->stride;
-        add_slope(own, n, work->apart, k->stride, first, second, a, work->flat);
-        if (k->bent)
-            add_bent_slope(own, n, work->apart, k->stride, second, second + k->stride, a,
+        add_slope(parameters, n, work->apart, k->stride, first, second, a, work->flat);
+        if (k->has_second)
+            add_second_slope(parameters, n, work->apart, k->stride, second, second + k->stride, a,
                            work->first, work->flat);
     }
 }
@@ -422,11 +422,11 @@ static void covary_slope(const wb_kriging *k, int n, int a, const wb_work *work)
 /* du/dw (m, n), SI; by loads that take no part it is the rows' mean tangent. */
 void wb_kriging_derivative(const wb_table *t, const wb_kriging *k, wb_work *work,
                            const double *wrench, double *derivative) {
-    int n = t->inputs, m = t->outputs, count = k->readings * k->stride;
-    double at[WB_MOST];
+    int n = t->inputs, m = t->outputs, count = k->per_row * k->stride;
+    double at[WB_MAX];
     memset(derivative, 0, (size_t)(n * m) * sizeof(double));
     scale_loads(k, n, wrench, at, work->apart);
-    bend_terms(k, n, work);
+    differentiate_terms(k, n, work);
     for (int a = 0; a < n; a++) {
         covary_slope(k, n, a, work);
         for (int q = 0; q < m; q++) {

@@ -20,7 +20,7 @@ typedef HANDLE wb_thread;
 typedef pthread_t wb_thread;
 #endif
 
-enum { BLOCK = 2048, RUN = 32, LINE = 64, MOST_THREADS = 256, DIGIT = 11, DIGITS = 3 };
+enum { BLOCK = 2048, RUN = 32, LINE = 64, MAX_THREADS = 256, DIGIT = 11, DIGITS = 3 };
 
 /* Ask for bytes to be brought into the cache; harmless at any address. */
 static inline void wb_fetch(const void *at, size_t bytes) {
@@ -31,10 +31,10 @@ static inline void wb_fetch(const void *at, size_t bytes) {
 #endif
 }
 
-static const wb_options OWN = {WB_DEFAULT, NULL, 0};
+static const wb_options DEFAULTS = {WB_DEFAULT, NULL, 0};
 
 typedef struct {
-    uint32_t key, place;
+    uint32_t key, index;
 } entry;
 
 typedef struct {
@@ -81,8 +81,8 @@ static void sort(entry **order, entry **spare, size_t count) {
         for (size_t i = 0; i < count; i++) first[(*order)[i].key >> shift & ((1 << DIGIT) - 1)]++;
         if (first[(*order)[0].key >> shift & ((1 << DIGIT) - 1)] == count) continue; /* all alike */
         for (size_t d = 0; d < 1 << DIGIT; d++) {
-            size_t own = first[d];
-            first[d] = sum, sum += own;
+            size_t old = first[d];
+            first[d] = sum, sum += old;
         }
         for (size_t i = 0; i < count; i++)
             (*spare)[first[(*order)[i].key >> shift & ((1 << DIGIT) - 1)]++] = (*order)[i];
@@ -93,19 +93,19 @@ static void sort(entry **order, entry **spare, size_t count) {
 
 /* Read an axis for RUN wrenches: what is found is fetched while others are still looked up. */
 static void compose_run(const wb_composition *c, int axis, size_t first, size_t used, bench *b) {
-    wb_place place[RUN];
+    wb_location location[RUN];
     size_t count = used - first < RUN ? used - first : RUN;
     for (size_t i = 0; i < count; i++) {
-        const entry *own = &b->order[first + i];
-        if (first + i + RUN < used) wb_fetch(&c->simplex[own[RUN].key], sizeof *c->simplex);
-        wb_axis_locate(c, axis, b->inputs + 6 * (size_t)own->place, &place[i]);
-        for (int corner = 0; corner < 4 && place[i].simplex >= 0; corner++)
-            wb_fetch(&c->vertex[c->simplex[place[i].simplex].vertex[corner]], sizeof *c->vertex);
+        const entry *next = &b->order[first + i];
+        if (first + i + RUN < used) wb_fetch(&c->simplex[next[RUN].key], sizeof *c->simplex);
+        wb_axis_locate(c, axis, b->inputs + 6 * (size_t)next->index, &location[i]);
+        for (int corner = 0; corner < 4 && location[i].simplex >= 0; corner++)
+            wb_fetch(&c->vertex[c->simplex[location[i].simplex].vertex[corner]], sizeof *c->vertex);
     }
     for (size_t i = 0; i < count; i++) {
         wb_part part;
-        size_t at = b->order[first + i].place;
-        wb_axis_read(c, axis, b->inputs + 6 * at, &place[i], 0, &part);
+        size_t at = b->order[first + i].index;
+        wb_axis_read(c, axis, b->inputs + 6 * at, &location[i], 0, &part);
         wb_add_axis(&part, axis, &b->composed[at]);
     }
 }
@@ -122,7 +122,7 @@ static void compose_block(const wb_table *t, const wb_group *g, size_t count, be
             double x[3] = {w[axis] / scale[0], w[3 + (axis + 1) % 3] / scale[1],
                            w[3 + (axis + 2) % 3] / scale[2]};
             uint32_t key = c->ints[axis].dimension < 1 ? 0 : (uint32_t)wb_hint(c, axis, x);
-            b->order[used].key = key, b->order[used++].place = (uint32_t)i;
+            b->order[used].key = key, b->order[used++].index = (uint32_t)i;
         }
         if (used) sort(&b->order, &b->spare, used);
         for (size_t i = 0; i < used; i += RUN) compose_run(c, axis, i, used, b);
@@ -135,92 +135,92 @@ static void compose_block(const wb_table *t, const wb_group *g, size_t count, be
 static void order_block(const wb_table *t, const wb_kriging *k, size_t count, bench *b) {
     for (size_t i = 0; i < count; i++) {
         const double *w = b->inputs + (size_t)t->inputs * i;
-        b->order[i].place = (uint32_t)i;
+        b->order[i].index = (uint32_t)i;
         b->order[i].key = k ? (uint32_t)wb_anchor(t, k, w, &b->work) : 0;
     }
     if (k) sort(&b->order, &b->spare, count);
 }
 
 /* Answer a block, each wrench by the routine of single answers. */
-static void answer_block(const task *own, size_t start, size_t count, bench *b) {
-    const wb_table *t = own->t;
+static void answer_block(const task *job, size_t start, size_t count, bench *b) {
+    const wb_table *t = job->t;
     const wb_group *g = t->groups == 1 && t->group[0].used ? &t->group[0] : NULL;
-    int method = g ? wb_method_of(g, own->o) : WB_DEFAULT, axes = g && method <= WB_ADDITIVE;
+    int method = g ? wb_method_of(g, job->o) : WB_DEFAULT, axes = g && method <= WB_ADDITIVE;
     size_t n = (size_t)t->inputs, m = (size_t)t->outputs;
     const wb_kriging *k = NULL;
     if (g && method == WB_KRIGING) k = &g->kriging;
     else if (axes && g->reference & WB_REF_KRIGING) k = &g->kriging;
-    else if (axes && g->reference & WB_REF_MISSED) k = &g->missed;
+    else if (axes && g->reference & WB_REF_RESIDUAL) k = &g->residual;
     if (axes) compose_block(t, g, count, b);
     order_block(t, k, count, b);
     for (size_t i = 0; i < count; i++) {
-        size_t within = b->order[i].place, place = start + within;
+        size_t within = b->order[i].index, index = start + within;
         wb_reply reply;
-        wb_reply_of(t, own->o, &b->work, own->inputs + place * n,
+        wb_reply_of(t, job->o, &b->work, job->inputs + index * n,
                     axes ? &b->composed[within] : NULL, 0, &reply);
-        wb_conclude(t, own->o, &b->work, &reply);
-        memcpy(own->outputs + m * place, reply.outputs, m * sizeof(double));
-        memcpy(own->errors + m * place, reply.error, m * sizeof(double));
-        own->coverage[place] = (unsigned char)reply.coverage;
+        wb_conclude(t, job->o, &b->work, &reply);
+        memcpy(job->outputs + m * index, reply.outputs, m * sizeof(double));
+        memcpy(job->errors + m * index, reply.error, m * sizeof(double));
+        job->coverage[index] = (unsigned char)reply.coverage;
     }
 }
 
-static void run(task *own) {
-    const wb_table *t = own->t;
+static void run(task *job) {
+    const wb_table *t = job->t;
     size_t n = (size_t)t->inputs;
     bench b;
-    if ((own->wrong = open_bench(t, own->n, &b))) return;
-    for (size_t start = BLOCK * own->first; start < own->n; start += BLOCK * own->step) {
-        size_t count = own->n - start < BLOCK ? own->n - start : BLOCK;
-        for (size_t i = start; own->derivatives && i < start + count; i++)
-            wb_answer_slopes(t, own->o, &b.work, own->inputs + i * n,
-                             own->derivatives + i * n * (size_t)t->outputs);
-        if (own->derivatives) continue;
+    if ((job->wrong = open_bench(t, job->n, &b))) return;
+    for (size_t start = BLOCK * job->first; start < job->n; start += BLOCK * job->step) {
+        size_t count = job->n - start < BLOCK ? job->n - start : BLOCK;
+        for (size_t i = start; job->derivatives && i < start + count; i++)
+            wb_answer_slopes(t, job->o, &b.work, job->inputs + i * n,
+                             job->derivatives + i * n * (size_t)t->outputs);
+        if (job->derivatives) continue;
         for (size_t i = 0; i < count; i++)
             for (size_t k = 0; k < n; k++) {
-                double load = own->inputs[(start + i) * n + k];
+                double load = job->inputs[(start + i) * n + k];
                 b.inputs[i * n + k] = t->locked[k] ? 0.0 : load + 0.0;
             }
-        answer_block(own, start, count, &b);
+        answer_block(job, start, count, &b);
     }
     close_bench(&b);
 }
 
 #ifdef _WIN32
-static DWORD WINAPI enter(void *own) { return run(own), 0; }
-static int start_thread(wb_thread *thread, task *own) {
-    return (*thread = CreateThread(NULL, 0, enter, own, 0, NULL)) != NULL;
+static DWORD WINAPI enter(void *job) { return run(job), 0; }
+static int start_thread(wb_thread *thread, task *job) {
+    return (*thread = CreateThread(NULL, 0, enter, job, 0, NULL)) != NULL;
 }
 static void join_thread(wb_thread thread) {
     WaitForSingleObject(thread, INFINITE);
     CloseHandle(thread);
 }
 #else
-static void *enter(void *own) { return run(own), NULL; }
-static int start_thread(wb_thread *thread, task *own) {
-    return !pthread_create(thread, NULL, enter, own);
+static void *enter(void *job) { return run(job), NULL; }
+static int start_thread(wb_thread *thread, task *job) {
+    return !pthread_create(thread, NULL, enter, job);
 }
 static void join_thread(wb_thread thread) { pthread_join(thread, NULL); }
 #endif
 
 /* Share the blocks among threads; the calling one is the first of them. */
 static int run_all(const task *whole, int threads) {
-    task own[MOST_THREADS];
-    wb_thread thread[MOST_THREADS];
-    int started[MOST_THREADS] = {0}, wrong = WB_OK;
+    task jobs[MAX_THREADS];
+    wb_thread thread[MAX_THREADS];
+    int started[MAX_THREADS] = {0}, wrong = WB_OK;
     size_t blocks = (whole->n + BLOCK - 1) / BLOCK;
-    if (threads > MOST_THREADS) threads = MOST_THREADS;
+    if (threads > MAX_THREADS) threads = MAX_THREADS;
     if (threads < 1) threads = 1;
     if ((size_t)threads > blocks) threads = (int)blocks;
     for (int i = 0; i < threads; i++) {
-        own[i] = *whole, own[i].first = (size_t)i, own[i].step = (size_t)threads;
-        if (i) started[i] = start_thread(&thread[i], &own[i]);
+        jobs[i] = *whole, jobs[i].first = (size_t)i, jobs[i].step = (size_t)threads;
+        if (i) started[i] = start_thread(&thread[i], &jobs[i]);
     }
     for (int i = 0; i < threads; i++)
-        if (!started[i]) run(&own[i]); /* the first, and any that did not start */
+        if (!started[i]) run(&jobs[i]); /* the first, and any that did not start */
     for (int i = 0; i < threads; i++) {
         if (started[i]) join_thread(thread[i]);
-        if (own[i].wrong) wrong = own[i].wrong;
+        if (jobs[i].wrong) wrong = jobs[i].wrong;
     }
     return wrong;
 }
@@ -235,14 +235,14 @@ static int check_all(const task *whole) {
 
 int wb_answer_many(const wb_table *t, const wb_options *options, size_t n, const double *inputs,
                    double *outputs, double *errors, unsigned char *coverage, int threads) {
-    task whole = {t, options ? options : &OWN, n, 0, 1, inputs, outputs, errors, NULL, coverage, 0};
+    task whole = {t, options ? options : &DEFAULTS, n, 0, 1, inputs, outputs, errors, NULL, coverage, 0};
     int wrong = check_all(&whole);
     return wrong || !n ? wrong : run_all(&whole, threads);
 }
 
 int wb_derivative_many(const wb_table *t, const wb_options *options, size_t n,
                        const double *inputs, double *du_dw, int threads) {
-    task whole = {t, options ? options : &OWN, n, 0, 1, inputs, NULL, NULL, du_dw, NULL, 0};
+    task whole = {t, options ? options : &DEFAULTS, n, 0, 1, inputs, NULL, NULL, du_dw, NULL, 0};
     int wrong = check_all(&whole);
     return wrong || !n ? wrong : run_all(&whole, threads);
 }

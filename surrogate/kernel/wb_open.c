@@ -20,8 +20,8 @@ typedef struct {
 } reader;
 
 enum {
-    BENT_SMOOTHNESS = 4, /* p of Matern p + 1/2 that wb_kriging.c has for second derivatives */
-    MOST_EQUATIONS = 100000
+    SECOND_SMOOTHNESS = 4, /* p of Matern p + 1/2 that wb_kriging.c has for second derivatives */
+    MAX_EQUATIONS = 100000
 };
 
 /* Bytes: with a scratch 16 or 48 bytes off a line an answer from 60 rows with second derivatives
@@ -82,8 +82,8 @@ static const void *take(reader *r, const wb_array *array) {
 static int read_arrays(reader *r, const wb_array *arrays, size_t count, int first, void *target) {
     for (int k = first; k < WB_SIZES; k++) r->size[k] = -1;
     for (size_t k = 0; k < count && !*r->bad; k++) {
-        const void *found = take(r, &arrays[k]);
-        memcpy((char *)target + arrays[k].member, &found, sizeof found);
+        const void *bytes = take(r, &arrays[k]);
+        memcpy((char *)target + arrays[k].member, &bytes, sizeof bytes);
     }
     return !*r->bad;
 }
@@ -104,7 +104,7 @@ static void read_space(reader *r) {
     snprintf(r->block, sizeof r->block, "space/");
     const int32_t *sizes = take(r, &WB_SPACE_ARRAYS[0]); /* of which the other shapes are */
     if (!sizes) return;
-    within(r, "sizes", sizes, 3, 1, WB_MOST + 1);
+    within(r, "sizes", sizes, 3, 1, WB_MAX + 1);
     if (*r->bad) return;
     r->size[WB_OF_N] = t->inputs = sizes[0], r->size[WB_OF_M] = t->outputs = sizes[1];
     r->size[WB_OF_N1] = t->inputs + 1, t->groups = sizes[2];
@@ -155,19 +155,19 @@ static void read_cut(reader *r, wb_composition *c, int moment, int which) {
 
 /* Check one axis' frame: the sizes of its grid and its part of the points and simplices. */
 static void check_axis(reader *r, const wb_composition *c, int axis) {
-    const wb_axis_ints *own = &c->ints[axis];
+    const wb_axis_ints *ints = &c->ints[axis];
     int64_t size = 1;
     int32_t facets = c->facet_first[axis + 1] - c->facet_first[axis];
-    within(r, "ints", &own->dimension, 1, -1, 4);
-    if (*r->bad || own->dimension < 0) return;
+    within(r, "ints", &ints->dimension, 1, -1, 4);
+    if (*r->bad || ints->dimension < 0) return;
     if (c->simplex_first[axis + 1] <= c->simplex_first[axis]) fail(r, "simplex_first");
-    if (c->point_first[axis + 1] - c->point_first[axis] <= own->dimension)
+    if (c->point_first[axis + 1] - c->point_first[axis] <= ints->dimension)
         fail(r, "point_first");
-    if (own->first_cell < 0 || (own->dimension ? facets < 1 : facets > 0)) fail(r, "ints");
+    if (ints->first_cell < 0 || (ints->dimension ? facets < 1 : facets > 0)) fail(r, "ints");
     for (int k = 0; k < 3; k++) {
-        if (own->cells[k] < 1 || own->cells[k] > c->cells) fail(r, "ints");
-        size *= *r->bad ? 1 : own->cells[k];
-        if (own->first_cell + size > c->cells) fail(r, "ints");
+        if (ints->cells[k] < 1 || ints->cells[k] > c->cells) fail(r, "ints");
+        size *= *r->bad ? 1 : ints->cells[k];
+        if (ints->first_cell + size > c->cells) fail(r, "ints");
         if (*r->bad) return;
     }
 }
@@ -199,55 +199,55 @@ static void read_composition(reader *r, wb_composition *c, const char *group) {
     }
 }
 
-static void read_share(reader *r, const wb_kriging *k, wb_share *share) {
-    if (!READ(r, SHARE, WB_FACTOR, share)) return;
+static void read_factor(reader *r, const wb_kriging *k, wb_factor *factor) {
+    if (!READ(r, FACTOR, WB_FACTOR, factor)) return;
     int64_t e = r->size[WB_OF_E], panels = e / WB_PANEL;
-    share->count = r->size[WB_OF_K], share->levels = r->size[WB_OF_L], share->padded = (int)e;
-    require(r, "places", e % WB_PANEL == 0 && e <= MOST_EQUATIONS);
+    factor->count = r->size[WB_OF_K], factor->levels = r->size[WB_OF_L], factor->padded = (int)e;
+    require(r, "equations", e % WB_PANEL == 0 && e <= MAX_EQUATIONS);
     require(r, "panels", r->size[WB_OF_D] == WB_PANEL * WB_PANEL * panels * (panels + 1) / 2);
-    within(r, "number", share->number, k->stride, 0, share->count);
-    within(r, "places", share->places, share->count * e, 0, (int64_t)k->readings * k->stride);
-    if (!*r->bad && share->padded > r->t->most_padded) r->t->most_padded = share->padded;
+    within(r, "number", factor->number, k->stride, 0, factor->count);
+    within(r, "equations", factor->equations, factor->count * e, 0, (int64_t)k->per_row * k->stride);
+    if (!*r->bad && factor->padded > r->t->max_padded) r->t->max_padded = factor->padded;
 }
 
 /* A kriging, and the next of the table's factors; whether there is one. */
 static int read_kriging(reader *r, const char *group, const char *which, wb_kriging *k,
-                        wb_share **share) {
+                        wb_factor **factor) {
     wb_table *t = r->t;
     int n = t->inputs;
     snprintf(r->block, sizeof r->block, "%s%s/", group, which);
     if (*r->bad || !find(r, "x")) return 0;
     if (!READ(r, KRIGING, WB_BLOCK, k)) return 1;
     k->stride = (int)r->size[WB_OF_S], k->terms = (int)r->size[WB_OF_C];
-    k->bent = k->smoothness != NULL;
-    k->readings = n + 1 + (k->bent ? n * (n + 1) / 2 : 0);
+    k->has_second = k->smoothness != NULL;
+    k->per_row = n + 1 + (k->has_second ? n * (n + 1) / 2 : 0);
     require(r, "x", k->stride > 0 && k->stride % WB_LANES == 0);
-    require(r, "weights", r->size[WB_OF_W] == (int64_t)k->readings * k->stride);
-    if (k->bent) within(r, "smoothness", k->smoothness, 1, BENT_SMOOTHNESS, BENT_SMOOTHNESS + 1);
-    within(r, "shares", k->factors, 1, 1, t->outputs + 1);
+    require(r, "weights", r->size[WB_OF_W] == (int64_t)k->per_row * k->stride);
+    if (k->has_second) within(r, "smoothness", k->smoothness, 1, SECOND_SMOOTHNESS, SECOND_SMOOTHNESS + 1);
+    within(r, "factor_count", k->factor_count, 1, 1, t->outputs + 1);
     if (*r->bad) return 1;
-    k->shares = *k->factors, k->share = *share, *share += k->shares;
-    for (int s = 0; s < k->shares && !*r->bad; s++) {
-        snprintf(r->block, sizeof r->block, "%s%s/share%d/", group, which, s);
-        read_share(r, k, &k->share[s]);
+    k->factors = *k->factor_count, k->factor = *factor, *factor += k->factors;
+    for (int s = 0; s < k->factors && !*r->bad; s++) {
+        snprintf(r->block, sizeof r->block, "%s%s/factor%d/", group, which, s);
+        read_factor(r, k, &k->factor[s]);
     }
-    int flat = k->readings * k->stride; /* a dimension of `weights` */
-    if (k->stride > t->most_stride) t->most_stride = k->stride;
-    if (flat > t->most_flat) t->most_flat = flat;
-    if (k->terms > t->most_terms) t->most_terms = k->terms;
+    int flat = k->per_row * k->stride; /* a dimension of `weights` */
+    if (k->stride > t->max_stride) t->max_stride = k->stride;
+    if (flat > t->max_flat) t->max_flat = flat;
+    if (k->terms > t->max_terms) t->max_terms = k->terms;
     return 1;
 }
 
-/* Each output of a group is answered by one share: by none it would have no value and no error. */
+/* Each output of a group is answered by one factor: by none it would have no value and no error. */
 static void each_by_one(reader *r, const wb_group *g, const wb_kriging *k) {
     for (int q = 0; !*r->bad && q < r->t->outputs; q++) {
         int count = 0;
-        for (int s = 0; s < k->shares; s++) count += k->share[s].outputs[q] != 0;
-        if (g->outputs[q] && count != 1) fail(r, "share/outputs");
+        for (int s = 0; s < k->factors; s++) count += k->factor[s].outputs[q] != 0;
+        if (g->outputs[q] && count != 1) fail(r, "factor/outputs");
     }
 }
 
-static void read_group(reader *r, int number, wb_group *g, wb_share **share) {
+static void read_group(reader *r, int number, wb_group *g, wb_factor **factor) {
     char group[16];
     snprintf(group, sizeof group, "g%d/", number);
     snprintf(r->block, sizeof r->block, "%s", group);
@@ -258,27 +258,27 @@ static void read_group(reader *r, int number, wb_group *g, wb_share **share) {
     snprintf(r->block, sizeof r->block, "%srow/", group);
     read_rows(r, &g->rows);
     g->method = flags[0], g->reference = flags[1], g->knows_interaction = flags[2];
-    g->rest_unknown = flags[3], g->exact_fit = flags[4], g->used = flags[5];
+    g->zero_unknown = flags[3], g->exact_fit = flags[4], g->used = flags[5];
     g->full = flags[6], g->needed = flags[7], g->has_rows = flags[8];
     snprintf(r->block, sizeof r->block, "%saxes/", group);
     g->composition.fit = &g->fit;
     g->has_composition = find(r, "vertex") != NULL;
     if (!*r->bad && g->has_composition) read_composition(r, &g->composition, group);
-    g->has_kriging = read_kriging(r, group, "kriging", &g->kriging, share);
-    g->has_missed = read_kriging(r, group, "missed", &g->missed, share);
+    g->has_kriging = read_kriging(r, group, "kriging", &g->kriging, factor);
+    g->has_residual = read_kriging(r, group, "residual", &g->residual, factor);
     if (g->has_kriging) each_by_one(r, g, &g->kriging);
-    if (g->has_missed) each_by_one(r, g, &g->missed);
+    if (g->has_residual) each_by_one(r, g, &g->residual);
     within(r, "flags", flags, 1, 0, WB_METHODS);
     require(r, "flags", !g->used || g->has_composition || g->has_kriging || g->exact_fit);
     /* The reference of errors: none, the kriging, or the axes with or without what they miss. */
-    int mode = g->reference, missed = mode == (WB_REF_ADDITIVE | WB_REF_MISSED);
-    require(r, "flags", !mode || mode == WB_REF_KRIGING || mode == WB_REF_ADDITIVE || missed);
+    int mode = g->reference, residual = mode == (WB_REF_ADDITIVE | WB_REF_RESIDUAL);
+    require(r, "flags", !mode || mode == WB_REF_KRIGING || mode == WB_REF_ADDITIVE || residual);
     require(r, "flags", mode != WB_REF_KRIGING || g->has_kriging);
-    require(r, "flags", !missed || g->has_missed);
+    require(r, "flags", !residual || g->has_residual);
     require(r, "flags", !(mode & WB_REF_ADDITIVE) || g->has_composition);
 }
 
-/* The directory's and the JSON block's own place; 0 if they are not in the file. */
+/* The directory's and the JSON block's position; 0 if they are not in the file. */
 static int read_frame(wb_table *t) {
     wb_header head;
     memcpy(&head, t->bytes, sizeof head);
@@ -291,75 +291,75 @@ static int read_frame(wb_table *t) {
     return t->json[head.json_size] == 0;
 }
 
-static int read_all(wb_table *t, char *why, size_t most) {
+static int read_all(wb_table *t, char *why, size_t room) {
     reader r = {t, "", "", {0}};
-    if (!read_frame(t)) return snprintf(why, most, "the table's directory is damaged"), 0;
+    if (!read_frame(t)) return snprintf(why, room, "the table's directory is damaged"), 0;
     read_space(&r);
     read_solver(&r);
     if (!*r.bad) {
         size_t groups = (size_t)t->groups;
         t->group = calloc(groups, sizeof *t->group);
-        t->share = calloc(2 * groups * (size_t)t->outputs, sizeof *t->share);
-        if (!t->group || !t->share) return snprintf(why, most, "no memory"), 0;
+        t->factor = calloc(2 * groups * (size_t)t->outputs, sizeof *t->factor);
+        if (!t->group || !t->factor) return snprintf(why, room, "no memory"), 0;
     }
-    wb_share *share = t->share;
-    for (int i = 0; !*r.bad && i < t->groups; i++) read_group(&r, i, &t->group[i], &share);
+    wb_factor *factor = t->factor;
+    for (int i = 0; !*r.bad && i < t->groups; i++) read_group(&r, i, &t->group[i], &factor);
     if (!*r.bad) return 1;
-    return snprintf(why, most, "the table's array %s is missing or of another shape", r.bad), 0;
+    return snprintf(why, room, "the table's array %s is missing or of another shape", r.bad), 0;
 }
 
 static wb_table *make(const unsigned char *bytes, size_t size, size_t mapped, char *why,
-                      size_t most) {
+                      size_t room) {
     wb_table *t = calloc(1, sizeof *t);
-    if (!t) return snprintf(why, most, "no memory"), NULL;
+    if (!t) return snprintf(why, room, "no memory"), NULL;
     t->bytes = bytes, t->size = size, t->mapped = mapped;
-    if (read_all(t, why, most)) return t;
+    if (read_all(t, why, room)) return t;
     wb_close(t);
     return NULL;
 }
 
-wb_table *wb_open(const char *path, char *why, size_t most) {
+wb_table *wb_open(const char *path, char *why, size_t room) {
     size_t size = 0;
-    const unsigned char *bytes = wb_map(path, &size, why, most);
-    return bytes ? make(bytes, size, size, why, most) : NULL;
+    const unsigned char *bytes = wb_map(path, &size, why, room);
+    return bytes ? make(bytes, size, size, why, room) : NULL;
 }
 
-wb_table *wb_open_bytes(const void *bytes, size_t count, char *why, size_t most) {
+wb_table *wb_open_bytes(const void *bytes, size_t count, char *why, size_t room) {
     if ((uintptr_t)bytes % 8)
-        return snprintf(why, most, "the bytes of the table are not aligned to 8 bytes"), NULL;
-    return wb_check_bytes(bytes, count, why, most) ? make(bytes, count, 0, why, most) : NULL;
+        return snprintf(why, room, "the bytes of the table are not aligned to 8 bytes"), NULL;
+    return wb_check_bytes(bytes, count, why, room) ? make(bytes, count, 0, why, room) : NULL;
 }
 
-wb_table *wb_open_checked(const void *bytes, size_t count, char *why, size_t most) {
-    return make(bytes, count, 0, why, most);
+wb_table *wb_open_checked(const void *bytes, size_t count, char *why, size_t room) {
+    return make(bytes, count, 0, why, room);
 }
 
 void wb_close(wb_table *t) {
     if (!t) return;
     wb_unmap(t);
-    free(t->share);
+    free(t->factor);
     free(t->group);
     free(t);
 }
 
 wb_work wb_work_of(const wb_table *t, void *scratch) {
-    size_t n = (size_t)t->inputs, stride = (size_t)t->most_stride, e = (size_t)t->most_padded;
+    size_t n = (size_t)t->inputs, stride = (size_t)t->max_stride, e = (size_t)t->max_padded;
     double *all = (double *)(((uintptr_t)scratch + CACHE_LINE - 1) & ~(uintptr_t)(CACHE_LINE - 1));
     wb_work work;
     work.apart = all, all += n * stride;
-    work.flat = all, all += (size_t)t->most_flat;
+    work.flat = all, all += (size_t)t->max_flat;
     work.first = all, all += stride;
     work.second = all, all += stride;
-    work.wide = all, all += 3 * stride * (size_t)t->most_terms;
+    work.wide = all, all += 3 * stride * (size_t)t->max_terms;
     work.chosen = all, all += e;
     work.reduced = all;
     return work;
 }
 
 size_t wb_scratch(const wb_table *t) {
-    size_t n = (size_t)t->inputs, stride = (size_t)t->most_stride;
-    size_t rows = stride * (n + 2 + 3 * (size_t)t->most_terms) + (size_t)t->most_flat;
-    return (rows + 2 * (size_t)t->most_padded) * sizeof(double) + CACHE_LINE;
+    size_t n = (size_t)t->inputs, stride = (size_t)t->max_stride;
+    size_t rows = stride * (n + 2 + 3 * (size_t)t->max_terms) + (size_t)t->max_flat;
+    return (rows + 2 * (size_t)t->max_padded) * sizeof(double) + CACHE_LINE;
 }
 
 int wb_inputs(const wb_table *t) { return t->inputs; }

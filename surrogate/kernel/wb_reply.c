@@ -1,4 +1,4 @@
-/* From the answers of groups of outputs to a reply: the solver's share, limits. MIT license. */
+/* From the answers of groups of outputs to a reply: the solver's error, limits. MIT license. */
 #include "wb_internal.h"
 
 #include <math.h>
@@ -6,12 +6,12 @@
 
 static double larger(double a, double b) { return a > b ? a : b; }
 
-static const wb_options OWN = {WB_DEFAULT, NULL, 0};
+static const wb_options DEFAULTS = {WB_DEFAULT, NULL, 0};
 
 static void begin(const wb_table *t, const double *inputs, wb_reply *reply) {
     reply->coverage = WB_COVERED, reply->within = -1, reply->method = WB_ESTIMATE;
     reply->exact = reply->reasons = reply->group = 0;
-    reply->row = reply->place = -1, reply->missing = 0, reply->solved = 0;
+    reply->row = reply->index = -1, reply->missing = 0, reply->solved = 0;
     reply->unknown = reply->unused = 0;
     for (int k = 0; k < t->inputs; k++) /* no negative zeros; no loads on locked freedoms */
         reply->inputs[k] = t->locked[k] ? 0.0 : inputs[k] + 0.0;
@@ -29,56 +29,56 @@ static int is_of_group(int code) {
 
 static int is_reason_of(const wb_reply *reply, const wb_reason *reason, int group) {
     for (int i = 0; i < reply->reasons; i++) {
-        const wb_reason *one = &reply->reason[i];
-        if (one->group != group && is_of_group(reason->code)) continue;
-        if (one->code == reason->code && one->axis == reason->axis && one->index == reason->index
-            && one->value == reason->value && one->limit == reason->limit)
+        const wb_reason *known = &reply->reason[i];
+        if (known->group != group && is_of_group(reason->code)) continue;
+        if (known->code == reason->code && known->axis == reason->axis && known->index == reason->index
+            && known->value == reason->value && known->limit == reason->limit)
             return 1;
     }
     return 0;
 }
 
 /* Take a group's outputs. The worst group decides; an answer is a row's only if all are. */
-static void merge(const wb_table *t, const wb_group *g, const wb_found *found, wb_reply *reply,
+static void merge(const wb_table *t, const wb_group *g, const wb_result *result, wb_reply *reply,
                   int *worst) {
     int number = (int)(g - t->group);
     for (int q = 0; q < t->outputs; q++) {
         if (!g->outputs[q]) continue;
-        reply->outputs[q] = found->outputs[q], reply->interpolation[q] = found->error[q];
+        reply->outputs[q] = result->outputs[q], reply->interpolation[q] = result->error[q];
         reply->missing &= ~((uint64_t)1 << q);
-        reply->solved |= found->solved & (uint64_t)1 << q;
+        reply->solved |= result->solved & (uint64_t)1 << q;
     }
-    for (int i = 0; i < found->reasons; i++) {
-        if (reply->reasons == WB_MOST_REASONS || is_reason_of(reply, &found->reason[i], number))
+    for (int i = 0; i < result->reasons; i++) {
+        if (reply->reasons == WB_MAX_REASONS || is_reason_of(reply, &result->reason[i], number))
             continue;
-        reply->reason[reply->reasons] = found->reason[i];
+        reply->reason[reply->reasons] = result->reason[i];
         reply->reason[reply->reasons++].group = number;
     }
-    int rank = 2 * found->coverage + (found->method != WB_ROW);
+    int rank = 2 * result->coverage + (result->method != WB_ROW);
     if (rank <= *worst) return;
     *worst = rank;
-    reply->coverage = found->coverage, reply->method = found->method, reply->group = number;
-    reply->place = found->method == WB_ROW ? found->row : -1;
-    reply->row = reply->place < 0 ? -1 : g->rows.seq[reply->place];
-    reply->exact = found->exact;
+    reply->coverage = result->coverage, reply->method = result->method, reply->group = number;
+    reply->index = result->method == WB_ROW ? result->row : -1;
+    reply->row = reply->index < 0 ? -1 : g->rows.seq[reply->index];
+    reply->exact = result->exact;
 }
 
 /* du/dw of a reply: the interpolants', or the tangents of the rows that answer. */
 void wb_reply_derivative(const wb_table *t, const wb_options *o, wb_work *work,
                          const wb_reply *reply, double *derivative) {
     int n = t->inputs, m = t->outputs;
-    double own[WB_MOST * WB_MOST];
+    double group_slopes[WB_MAX * WB_MAX];
     for (int k = 0; k < n * m; k++) derivative[k] = NAN;
     for (int i = 0; i < t->groups; i++) {
         const wb_group *g = &t->group[i];
-        const double *slopes = own;
+        const double *slopes = group_slopes;
         if (reply->method == WB_ROW) {
             int64_t row = wb_find_row(t, g, reply->inputs);
-            int64_t place = row < 0 ? -1 : g->rows.tangent_of[row];
-            if (place < 0) continue;
-            slopes = g->rows.tangent + (int64_t)n * m * place;
+            int64_t index = row < 0 ? -1 : g->rows.tangent_of[row];
+            if (index < 0) continue;
+            slopes = g->rows.tangent + (int64_t)n * m * index;
         } else {
-            wb_group_slopes(t, g, work, reply->inputs, wb_method_of(g, o), own);
+            wb_group_slopes(t, g, work, reply->inputs, wb_method_of(g, o), group_slopes);
         }
         for (int q = 0; q < m; q++)
             if (g->outputs[q]) memcpy(derivative + n * q, slopes + n * q, (size_t)n * sizeof(double));
@@ -95,7 +95,7 @@ void wb_reply_derivative(const wb_table *t, const wb_options *o, wb_work *work,
 static int lacking_of(const wb_table *t, const wb_options *o, wb_work *work,
                       const wb_reply *reply, double *lacking) {
     int n = t->inputs, m = t->outputs;
-    double tangent[WB_MOST * WB_MOST], pushed[WB_MOST] = {0}, size = 0;
+    double tangent[WB_MAX * WB_MAX], pushed[WB_MAX] = {0}, size = 0;
     wb_reply_derivative(t, o, work, reply, tangent);
     for (int q = 0; q < m; q++)
         for (int k = 0; k < n; k++) pushed[k] += t->solver.stiffness[m * k + q] * reply->outputs[q];
@@ -110,7 +110,7 @@ static int lacking_of(const wb_table *t, const wb_options *o, wb_work *work,
     return 1;
 }
 
-/* No share of the solver's: measured rows, or rows whose solver's error is not known. */
+/* No error of a solver: measured rows, or rows whose solver's error is not known. */
 static void keep(const wb_table *t, wb_reply *reply) {
     const wb_solver *s = &t->solver;
     for (int q = 0; q < t->outputs; q++) {
@@ -123,18 +123,18 @@ static void keep(const wb_table *t, wb_reply *reply) {
 /* Add what the solver of the rows may itself be wrong by. */
 static void widen(const wb_table *t, const wb_options *o, wb_work *work, wb_reply *reply) {
     const wb_solver *s = &t->solver;
-    double most = 0, lacking[WB_MOST], size[WB_MOST];
+    double largest = 0, lacking[WB_MAX], size[WB_MAX];
     int by_row = reply->method == WB_ROW && wb_is_beyond(t, reply->inputs);
     int asks = s->asks > 1 || (s->asks > 0 && by_row);
-    int told = asks && lacking_of(t, o, work, reply, lacking);
+    int is_known = asks && lacking_of(t, o, work, reply, lacking);
     for (int k = 0; k < t->inputs; k++) {
         size[k] = fabs(reply->inputs[k] - (s->zero ? s->zero[k] : 0.0));
-        most = larger(size[k] * s->one_over[k], most);
+        largest = larger(size[k] * s->one_over[k], largest);
     }
     for (int q = 0; q < t->outputs; q++) {
-        double small = 0, more = s->square[q] * (most * most);
+        double small = 0, more = s->square[q] * (largest * largest);
         for (int k = 0; k < t->inputs; k++) small += s->mesh[t->inputs * q + k] * size[k];
-        if (told) more = larger(lacking[q] - small, 0);
+        if (is_known) more = larger(lacking[q] - small, 0);
         reply->error[q] = reply->interpolation[q] + small + more;
         if (!s->linear) small += more, more = 0;
         reply->discretisation[q] = s->mesh_known ? small : NAN;
@@ -144,16 +144,16 @@ static void widen(const wb_table *t, const wb_options *o, wb_work *work, wb_repl
 
 /* Whether the total error is within the tolerance; outputs without an error are left out. */
 static int within(const wb_table *t, const wb_options *o, const wb_reply *reply) {
-    int found = -1;
+    int known = -1;
     if (!t->solver.whole) return -1; /* a part of the error is not known */
     for (int q = 0; q < t->outputs; q++) {
-        double most = o->tolerance && !isnan(o->tolerance[q]) ? o->tolerance[q] : t->tolerance[q];
-        if (isnan(most)) return -1; /* no tolerance */
+        double allowed = o->tolerance && !isnan(o->tolerance[q]) ? o->tolerance[q] : t->tolerance[q];
+        if (isnan(allowed)) return -1; /* no tolerance */
         if (isnan(reply->error[q])) continue;
-        if (!(reply->error[q] <= most)) return 0;
-        found = 1;
+        if (!(reply->error[q] <= allowed)) return 0;
+        known = 1;
     }
-    return found;
+    return known;
 }
 
 /* Whether no table may hold such a displacement: 20 degrees, 10 m. */
@@ -181,7 +181,7 @@ static void judge_scene(const wb_table *t, wb_reply *reply) {
         reply->interpolation[q] = NAN;
         if (leaves > 1) reply->outputs[q] = NAN;
     }
-    for (int k = 0; k < n && reply->reasons < WB_MOST_REASONS; k++) {
+    for (int k = 0; k < n && reply->reasons < WB_MAX_REASONS; k++) {
         double load = reply->inputs[k], low = t->scene_ends[k], high = t->scene_ends[n + k];
         if (!(load < low || load > high)) continue;
         wb_reason *reason = &reply->reason[reply->reasons++];
@@ -191,7 +191,7 @@ static void judge_scene(const wb_table *t, wb_reply *reply) {
     }
 }
 
-/* Add the solver's and the rig's shares; take an estimate away that no table could hold. */
+/* Add the errors of solver and rig; take an estimate away that no table could hold. */
 void wb_conclude(const wb_table *t, const wb_options *o, wb_work *work, wb_reply *reply) {
     if (t->scene_ends) judge_scene(t, reply);
     if (t->solver.none) keep(t, reply);
@@ -207,10 +207,10 @@ void wb_conclude(const wb_table *t, const wb_options *o, wb_work *work, wb_reply
             reply->outputs[q] = reply->error[q] = reply->interpolation[q] = NAN;
             reply->discretisation[q] = reply->linearity[q] = reply->measurement[q] = NAN;
         }
-        int place = reply->reasons < WB_MOST_REASONS ? reply->reasons++ : WB_MOST_REASONS - 1;
-        memset(&reply->reason[place], 0, sizeof reply->reason[place]);
-        reply->reason[place].code = WB_REASON_BEYOND_LIMITS;
-        reply->reason[place].axis = reply->reason[place].index = -1;
+        int index = reply->reasons < WB_MAX_REASONS ? reply->reasons++ : WB_MAX_REASONS - 1;
+        memset(&reply->reason[index], 0, sizeof reply->reason[index]);
+        reply->reason[index].code = WB_REASON_BEYOND_LIMITS;
+        reply->reason[index].axis = reply->reason[index].index = -1;
     }
 }
 
@@ -223,8 +223,8 @@ int wb_check(const wb_table *t, const wb_options *o, const double *inputs) {
         const wb_group *g = &t->group[i];
         int method = wb_method_of(g, o);
         int exact = method == WB_LINEAR && g->exact_fit;
-        int own = method == WB_KRIGING && g->reference & WB_REF_KRIGING;
-        if (!g->used || own || exact) continue;
+        int reference = method == WB_KRIGING && g->reference & WB_REF_KRIGING;
+        if (!g->used || reference || exact) continue;
         if (!g->reference || (method <= WB_ADDITIVE && !g->has_composition)) return WB_NO_METHOD;
     }
     return WB_OK;
@@ -245,15 +245,15 @@ void wb_reply_of(const wb_table *t, const wb_options *o, wb_work *work, const do
     int worst = -1;
     begin(t, inputs, reply);
     for (int i = 0; i < t->groups; i++) {
-        wb_found found;
-        wb_group_answer(t, &t->group[i], o, work, reply->inputs, composed, with_reasons, &found);
-        merge(t, &t->group[i], &found, reply, &worst);
+        wb_result result;
+        wb_group_answer(t, &t->group[i], o, work, reply->inputs, composed, with_reasons, &result);
+        merge(t, &t->group[i], &result, reply, &worst);
     }
 }
 
 int wb_answer(const wb_table *t, const wb_options *options, const double *inputs, wb_reply *reply,
               void *scratch) {
-    const wb_options *o = options ? options : &OWN;
+    const wb_options *o = options ? options : &DEFAULTS;
     wb_work work = wb_work_of(t, scratch);
     int wrong = wb_check(t, o, inputs);
     if (wrong) return wrong;
@@ -279,7 +279,7 @@ void wb_answer_slopes(const wb_table *t, const wb_options *o, wb_work *work, con
 
 int wb_derivative(const wb_table *t, const wb_options *options, const double *inputs, double *du_dw,
                   void *scratch) {
-    const wb_options *o = options ? options : &OWN;
+    const wb_options *o = options ? options : &DEFAULTS;
     wb_work work = wb_work_of(t, scratch);
     int wrong = wb_check(t, o, inputs);
     if (!wrong) wb_answer_slopes(t, o, &work, inputs, du_dw);

@@ -4,8 +4,8 @@
 #include <math.h>
 #include <string.h>
 
-wb_reason *wb_add_reason(wb_found *a, int code) {
-    wb_reason *reason = &a->reason[a->reasons < WB_MOST_REASONS ? a->reasons++ : WB_MOST_REASONS - 1];
+wb_reason *wb_add_reason(wb_result *a, int code) {
+    wb_reason *reason = &a->reason[a->reasons < WB_MAX_REASONS ? a->reasons++ : WB_MAX_REASONS - 1];
     memset(reason, 0, sizeof *reason);
     reason->code = code, reason->axis = reason->index = -1;
     return reason;
@@ -34,11 +34,11 @@ int wb_is_beyond(const wb_table *t, const double *w) {
 /* Whether a table cut to a scene lacks a wrench: 1 beyond the range of a load that varies, 2 by a
  * load that the scene holds at another value. */
 int wb_leaves_scene(const wb_table *t, const double *w) {
-    int found = 0;
+    int leaves = 0;
     for (int k = 0; t->scene_ends && k < t->inputs; k++)
         if (w[k] < t->scene_ends[k] || w[k] > t->scene_ends[t->inputs + k])
-            found = found > 1 || !t->scene_varying[k] ? 2 : 1;
-    return found;
+            leaves = leaves > 1 || !t->scene_varying[k] ? 2 : 1;
+    return leaves;
 }
 
 /* The nearest row within WB_NEAR in each load, of equally near ones the first, or -1. */
@@ -48,7 +48,7 @@ int64_t wb_find_row(const wb_table *t, const wb_group *g, const double *w) {
     int n = t->inputs;
     if (!r->count || wb_leaves_scene(t, w)) return -1;
     for (int k = 0; k < n; k++) key += w[k] * r->rates[k];
-    int64_t bucket = wb_bucket(key - window, r->bucket, r->buckets), found = -1;
+    int64_t bucket = wb_bucket(key - window, r->bucket, r->buckets), row = -1;
     int64_t low = r->start[bucket], high = r->start[bucket + 1];
     while (low < high) {
         int64_t middle = low + (high - low) / 2;
@@ -60,18 +60,18 @@ int64_t wb_find_row(const wb_table *t, const wb_group *g, const double *w) {
         for (int k = 0; k < n; k++)
             apart = wb_larger(fabs(r->wrench[n * low + k] - w[k]) / t->scale[k], apart);
         if (!(apart <= closest)) continue;
-        if (apart == closest && found >= 0 && r->number[low] > r->number[found]) continue;
-        closest = apart, found = low;
+        if (apart == closest && row >= 0 && r->number[low] > r->number[row]) continue;
+        closest = apart, row = low;
     }
-    return found;
+    return row;
 }
 
 /* The largest of an output's kind, translations or rotations of one interface. */
-static double most_of_kind(const wb_table *t, const double *moved, int q) {
+static double largest_of_kind(const wb_table *t, const double *moved, int q) {
     int first = t->outputs % 3 ? q : q / 3 * 3, count = t->outputs % 3 ? 1 : 3;
-    double most = NAN;
-    for (int k = first; k < first + count; k++) most = fmax(fabs(moved[k]), most);
-    return most;
+    double largest = NAN;
+    for (int k = first; k < first + count; k++) largest = fmax(fabs(moved[k]), largest);
+    return largest;
 }
 
 /* How much each output may move without a tangent, over half the load range. */
@@ -83,7 +83,7 @@ static double slopes_without_tangent(const wb_table *t, const wb_group *g, int64
         far = wb_larger(fabs(g->rows.wrench[t->inputs * row + k] / t->scale[k]), far);
     for (int q = 0; q < t->outputs; q++) {
         slope[q] = g->rows.steepest[q];
-        if (far > 0) slope[q] = fmax(WB_STEEPER / far * most_of_kind(t, moved, q), slope[q]);
+        if (far > 0) slope[q] = fmax(WB_STEEPER / far * largest_of_kind(t, moved, q), slope[q]);
         steep = wb_larger(slope[q], steep);
     }
     return steep;
@@ -91,28 +91,28 @@ static double slopes_without_tangent(const wb_table *t, const wb_group *g, int64
 
 /* Take what the row at or near a wrench says, unless it is too far off. */
 int wb_answer_by_row(const wb_table *t, const wb_group *g, const wb_options *o, const double *w,
-                     wb_found *a) {
+                     wb_result *a) {
     int n = t->inputs, m = t->outputs;
     int64_t row = wb_find_row(t, g, w);
     if (row < 0) return 0;
-    const double *own = g->rows.wrench + n * row, *moved = g->rows.moved + m * row;
-    int64_t place = g->rows.tangent_of[row];
-    const double *tangent = place < 0 ? NULL : g->rows.tangent + n * m * place;
-    double step[WB_MOST], slope[WB_MOST], outputs[WB_MOST], error[WB_MOST], reach = 0;
+    const double *wrench = g->rows.wrench + n * row, *moved = g->rows.moved + m * row;
+    int64_t index = g->rows.tangent_of[row];
+    const double *tangent = index < 0 ? NULL : g->rows.tangent + n * m * index;
+    double step[WB_MAX], slope[WB_MAX], outputs[WB_MAX], error[WB_MAX], distance = 0;
     a->exact = 1;
     for (int k = 0; k < n; k++) {
-        step[k] = w[k] - own[k];
+        step[k] = w[k] - wrench[k];
         a->exact &= step[k] == 0;
-        reach = wb_larger(fabs(step[k] / t->scale[k]), reach);
+        distance = wb_larger(fabs(step[k] / t->scale[k]), distance);
     }
-    if (wb_is_beyond(t, w) != wb_is_beyond(t, own)) return 0;
+    if (wb_is_beyond(t, w) != wb_is_beyond(t, wrench)) return 0;
     double steep = slopes_without_tangent(t, g, row, slope);
     for (int q = 0; q < m; q++) {
-        double more = 0, growth = steep > 0 ? slope[q] * reach : NAN;
+        double more = 0, growth = steep > 0 ? slope[q] * distance : NAN;
         for (int k = 0; tangent && k < n; k++) more += tangent[n * q + k] * step[k];
         if (tangent && isfinite(more)) growth = fabs(more);
         else more = 0;
-        if (!(reach > 0) || isnan(moved[q])) more = growth = 0;
+        if (!(distance > 0) || isnan(moved[q])) more = growth = 0;
         if (!(growth <= wb_allowed(g, o, q))) return 0;
         outputs[q] = moved[q] + more;
         error[q] = g->rows.bar[m * row + q] + growth;

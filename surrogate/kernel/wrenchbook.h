@@ -27,7 +27,7 @@ extern "C" {
 #define WB_API
 #endif
 
-enum { WB_MOST = 64, WB_MOST_REASONS = 32 }; /* inputs, outputs; reasons of one answer */
+enum { WB_MAX = 64, WB_MAX_REASONS = 32 }; /* inputs, outputs; reasons of one answer */
 
 /* What a call returns. */
 enum {
@@ -37,7 +37,7 @@ enum {
     WB_NO_MEMORY = 3,
     WB_NOT_SQUARE = 4,   /* wb_inverse: a load an output is needed */
     WB_SINGULAR = 5,     /* wb_inverse: du/dw has no inverse, or is not known */
-    WB_NO_CONVERGENCE = 6 /* wb_inverse: `inputs` is the best that was found */
+    WB_NO_CONVERGENCE = 6 /* wb_inverse: `inputs` is the best wrench reached */
 };
 
 enum { WB_COVERED = 0, WB_THIN = 1, WB_OUTSIDE = 2 };
@@ -66,7 +66,7 @@ enum {
     WB_REASON_AXIS_DEGENERATE = 8,  /* axis */
     WB_REASON_AXIS_FAR_APART = 9,   /* axis; value: part of the load range; limit: most */
     WB_REASON_MOMENT_ALONE = 10,    /* axis; index: input; value: the moment */
-    WB_REASON_REST_UNKNOWN = 11,    /* what the component does without load */
+    WB_REASON_ZERO_UNKNOWN = 11,    /* what the component does without load */
     WB_REASON_INTERACTION = 12,     /* value: full wrenches; limit: full wrenches needed */
     WB_REASON_BEYOND_SPAN = 13,     /* index: input; value: the load; rows do not span it */
     WB_REASON_OVER_TOLERANCE = 14,  /* index: output; value: interpolation error; limit */
@@ -105,14 +105,14 @@ typedef struct {
     int32_t unknown;  /* how many of outputs and errors below are NaN */
     int32_t unused;
     int64_t row;      /* number (seq) of the row that answered, or -1 */
-    int64_t place;    /* its place among the group's rows, or -1 */
+    int64_t index;    /* its index among the group's rows, or -1 */
     uint64_t missing; /* bit q: no row of the table holds output q */
-    double inputs[WB_MOST]; /* as they were used: locked inputs are zero */
-    double outputs[WB_MOST];
-    double error[WB_MOST];
-    double interpolation[WB_MOST], discretisation[WB_MOST], linearity[WB_MOST];
-    double measurement[WB_MOST]; /* hysteresis and drift of the measured rows */
-    wb_reason reason[WB_MOST_REASONS];
+    double inputs[WB_MAX]; /* as they were used: locked inputs are zero */
+    double outputs[WB_MAX];
+    double error[WB_MAX];
+    double interpolation[WB_MAX], discretisation[WB_MAX], linearity[WB_MAX];
+    double measurement[WB_MAX]; /* hysteresis and drift of the measured rows */
+    wb_reason reason[WB_MAX_REASONS];
     uint64_t solved; /* bit q: output q is that of a row or an exact fit, not an interpolated one */
 } wb_reply;
 

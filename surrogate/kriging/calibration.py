@@ -21,7 +21,7 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import pdist
 
 from ..calibration import common_quantile, widening
-from ..table.axes import CLEAN, has_levels
+from ..table.axes import ZERO_LOAD, has_levels
 from ..table.rows import NEAR, Floats, LoadRange
 from ..table.spread import spread_wrenches
 from .correlation import block, numbers
@@ -205,7 +205,7 @@ def _factors(
 def full_rows(equations: Equations, scaling: Scaling) -> NDArray[np.bool_]:
     """Return which rows load more than one load group, shape (n,)."""
     at_rest = scaling.loads(np.zeros((1, equations.loads)))
-    loaded = np.abs(equations.x - at_rest) > CLEAN
+    loaded = np.abs(equations.x - at_rest) > ZERO_LOAD
     groups = equations.groups[:-1] > 0  # the last sees all loads
     return ~np.any([~loaded[:, ~group].any(axis=1) for group in groups], axis=0)
 

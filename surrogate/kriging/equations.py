@@ -7,8 +7,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..table.merging import Readings, close_groups
-from ..table.rows import CLEAN, Floats, LoadRange, RowError, Rows
+from ..table.merging import Observations, close_groups
+from ..table.rows import ZERO_LOAD, Floats, LoadRange, RowError, Rows
 from ..table.second_derivatives import second_derivatives
 from ..table.space import Space
 from .correlation import SECOND_SMOOTHNESS, SLOPES_SMOOTHNESS, Mask, derivative_count, indices
@@ -144,7 +144,7 @@ def indices_within(
     rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS
 ) -> NDArray[np.intp]:
     """Return the indices of the rows inside the load range, shape (k,), sorted by wrench."""
-    margin = CLEAN * load_range.scale
+    margin = ZERO_LOAD * load_range.scale
     inside = (rows.wrench >= load_range.low - margin) & (rows.wrench <= load_range.high + margin)
     indices = np.flatnonzero(inside.all(axis=1))
     columns = np.concatenate((rows.wrench[indices], rows.displacement[indices]), axis=1)
@@ -198,7 +198,7 @@ def _with_slopes(rows: Rows) -> Mask:
 
 
 def equations_of(
-    rows: Rows, scaling: Scaling, readings: Readings, settings: KrigingSettings = DEFAULTS
+    rows: Rows, scaling: Scaling, readings: Observations, settings: KrigingSettings = DEFAULTS
 ) -> Equations:
     """Return the equations of rows of distinct wrenches, and of the observations behind each."""
     with_slopes = _with_slopes(rows)

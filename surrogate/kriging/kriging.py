@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..table.merging import Readings, merge
+from ..table.merging import Observations, merge
 from ..table.rows import NEAR, Floats, LoadRange, Rows
 from .calibration import Calibration, calibrated
 from .correlation import Hyperparameters, Mask, block, covariance
@@ -98,13 +98,13 @@ class Kriging:
         rows: Rows,
         load_range: LoadRange,
         settings: KrigingSettings = DEFAULTS,
-        observations: Readings | None = None,
+        observations: Observations | None = None,
     ) -> Kriging:
         """Return the kriging of a table's rows inside the load range.
 
         Parameters
         ----------
-        observations : Readings, optional
+        observations : Observations, optional
             Behind each row, of rows of distinct wrenches; else rows at one wrench are merged.
 
         Raises

@@ -2,7 +2,7 @@
 
 `check` compares what is written with it. `python -m wrenchbook.surrogate.packed.arrays` writes
 surrogate/kernel/wb_arrays.h from it, by which wb_open.c checks what it opens. Numbers are SI: N,
-N·m, m and rad; scaled loads, flags and places have no unit. n inputs and m outputs are data.
+N·m, m and rad; scaled loads, flags and indices have no unit. n inputs and m outputs are data.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ SYMBOLS = {
 OUTER = 3  # the first symbols are those of the table; the others are those of a block
 SHARED = 4  # and `s`, which the factors of a kriging share with it
 
-_REACH = "of the load range"
+_RANGE = "of the load range"
 _BOUNDS = (
     Array("bucket", "f8", "2", "frame of buckets over ascending numbers: `buckets_of`"),
     Array("start", "i4", "b", "where each bucket begins among them, and the end"),
@@ -129,12 +129,12 @@ BLOCKS = {
         *_BOUNDS,
         Array("rates", "f8", "n", "weights of that sum"),
         Array("steepest", "f8", "m", "the most that an output moves over half the range"),
-        Array("number", "i4", "r", "place of the row in the table"),
+        Array("number", "i4", "r", "index of the row in the table"),
         Array("seq", "i8", "r", "number of the row in the ledger"),
         Array("wrench", "f8", "r n", "where it was solved or measured"),
         Array("moved", "f8", "r m", "its displacement, NaN where not measured"),
         Array("bar", "f8", "r m", "its uncertainty, NaN where not known"),
-        Array("tangent_of", "i4", "r", "place of its tangent, -1 without"),
+        Array("tangent_of", "i4", "r", "index of its tangent, -1 without"),
         Array("tangent", "f8", "t m n", "tangents"),
         Array("source", "i4", "r", "number of its sources in the JSON block", member="-"),
     )),
@@ -142,7 +142,7 @@ BLOCKS = {
         Array("simplex", "f8", "i 16", "wb_simplex: four vertices and four neighbours as 32-bit "
               "integers, slopes (3, 3) of all barycentric coordinates but the last, last vertex"),
         Array("state", "u1", "i", "how sound the simplex is: WB_SOUND, WB_WEAK, WB_DEGENERATE"),
-        Array("vertex", "f8", "p 16", "wb_vertex: place, nothing, outputs, uncertainty"),
+        Array("vertex", "f8", "p 16", "wb_vertex: position, nothing, outputs, uncertainty"),
         Array("slopes", "f8", "p 6 3", "of the outputs at the points, by the scaled loads"),
         Array("facets", "i4", "f 4", "three vertices of a hull's facet and the simplex behind"),
         Array("point_first", "i4", "4", "first point of each axis, and the end"),
@@ -154,9 +154,9 @@ BLOCKS = {
         Array("together", "i4", "3", "points of an axis with several loads at once"),
         Array("fewest", "i4", "3", "points that an axis needs"),
         Array("left_out", "i4", "4", "points left out of each axis, and how many are needed"),
-        Array("largest", "f8", "4", f"largest part {_REACH} of a simplex, by dimension"),
+        Array("largest", "f8", "4", f"largest part {_RANGE} of a simplex, by dimension"),
         Array("span", "f8", "3 3 2", "smallest and largest of an axis' loads", member="-"),
-        Array("rest_point", "f8", "2 6", "answer at no load and its error"),
+        Array("zero_load", "f8", "2 6", "answer at no load and its error"),
         Array("error", "f8", "3 2 6", "A and C of the interpolation error, sqrt(A + C S^2)"),
         Array("member_first", "i4", "p1", "first of `members` of each point", member="-"),
         Array("members", "i8", "x", "numbers of the rows behind each point", member="-"),
@@ -169,7 +169,7 @@ BLOCKS = {
         Array("unit", "f8", "k 3", "constant, straight and square part of the unit error S"),
         *_BOUNDS,
     )),
-    "kriging": Block(r"g\d+/(?:kriging|missed)/", "wb_kriging", (
+    "kriging": Block(r"g\d+/(?:kriging|residual)/", "wb_kriging", (
         Array("x", "f8", "n s", "scaled loads of the rows"),
         Array("terms", "f8", "c n1", "inverse squared lengths and weight of each term of the "
               "covariance", member="term"),
@@ -189,21 +189,21 @@ BLOCKS = {
         Array("tangent", "f8", "m n", "added to the derivative: by loads that take no part"),
         Array("span", "f8", "2 n", "scaled loads between which errors are known"),
         Array("span_loads", "f8", "2 n", "the same in N and N·m", member="-"),
-        Array("shares", "i4", "1", "number of factors", member="factors"),
+        Array("factor_count", "i4", "1", "number of factors"),
     )),
-    "share": Block(r"g\d+/(?:kriging|missed)/share\d+/", "wb_share", (
+    "factor": Block(r"g\d+/(?:kriging|residual)/factor\d+/", "wb_factor", (
         Array("outputs", "i4", "m", "outputs of the factor"),
         Array("number", "i4", "s", "neighbourhood of each row"),
-        Array("places", "i4", "k e", "where its equations stand among the w numbers"),
+        Array("equations", "i4", "k e", "where its equations stand among the w numbers"),
         Array("panels", "f8", "k d", "inverse factor T of each neighbourhood in panels of rows, "
               "columns first"),
-        Array("unsettled", "f8", "k n1 e", "T times the mean's terms"),
-        Array("least", "f8", "s", "smallest sigma squared but for the mean's"),
+        Array("trend", "f8", "k n1 e", "T times the mean's terms"),
+        Array("min_variance", "f8", "s", "smallest sigma squared but for the mean's"),
         Array("penalty", "f8", "s", "0; infinite for a row without a neighbourhood"),
         Array("mean_covariance", "f8", "n1 n1", "of the mean's coefficients"),
         Array("sigma", "f8", "l", "levels of the calibration"),
-        Array("factors", "f8", "l m", "by which sigma is multiplied at each level"),
-        Array("reach", "f8", "1", "largest sigma with known errors"),
+        Array("scale", "f8", "l m", "by which sigma is multiplied at each level"),
+        Array("max_sigma", "f8", "1", "largest sigma with known errors"),
     )),
 }  # fmt: skip
 
@@ -224,23 +224,25 @@ def check(arrays: Mapping[str, NDArray[Any]]) -> Mapping[str, NDArray[Any]]:
         blocks.setdefault(f"{start}/", set()).add(last)
     rows: dict[str, int] = {}
     for start, names in blocks.items():
-        block = next((own for own in BLOCKS.values() if re.fullmatch(own.names, start)), None)
+        block = next((entry for entry in BLOCKS.values() if re.fullmatch(entry.names, start)), None)
         described = {} if block is None else {array.name: array for array in block.arrays}
         lacking = {array.name for array in described.values() if not array.optional} - names
         if names - set(described) or lacking:
             raise PackedTableError(f"{start}: {sorted((names - set(described)) | lacking)}")
         sizes = dict(table)
         for name in names:
-            array, own = described[name], arrays[start + name]
+            array, values = described[name], arrays[start + name]
             dimensions = array.shape.split()
-            same = own.dtype == TYPES[array.type] and own.ndim == len(dimensions)
-            for symbol, size in zip(dimensions, own.shape, strict=False):
+            same = values.dtype == TYPES[array.type] and values.ndim == len(dimensions)
+            for symbol, size in zip(dimensions, values.shape, strict=False):
                 stated = int(symbol) if symbol.isdigit() else sizes.setdefault(symbol, size)
                 same &= symbol == "x" or stated == size
             if not same:
-                raise PackedTableError(f"array {start}{name}: {own.dtype} of shape {own.shape}")
+                raise PackedTableError(
+                    f"array {start}{name}: {values.dtype} of shape {values.shape}"
+                )
         # Factors have the rows of their kriging.
-        kriging = re.sub(r"share\d+/$", "", start)
+        kriging = re.sub(r"factor\d+/$", "", start)
         if "s" in sizes and rows.setdefault(kriging, sizes["s"]) != sizes["s"]:
             raise PackedTableError(f"{start}: of {sizes['s']} rows")
     return arrays

@@ -31,9 +31,9 @@ Array = NDArray[np.generic]
 Indices = NDArray[np.intp]
 
 # Numbers of a simplex' map: the slopes of all barycentric coordinates but the last (3 x 3), and the
-# place of the last vertex, where those are zero.
+# position of the last vertex, where those are zero.
 MAP = 12
-# Whole numbers of an axis: dimensions (-1 without a table), first cell of its grid, cells a side.
+# Integers of an axis: dimensions (-1 without a table), first cell of its grid, cells a side.
 DIMENSION, FIRST_CELL, CELLS, INTS = 0, 1, 2, 5
 # Numbers of an axis: load scale (3), origin (3), basis (3 x 3), how far off its plane or line a
 # point may lie, corner of the grid (3), cells per length (3).
@@ -53,7 +53,7 @@ def axes_arrays(axes: Axes, members: Sequence[tuple[int, ...]]) -> Iterator[tupl
     # Points, simplices and hulls, of all axes one after another.
     first_point = _first([0 if table is None else len(table.values) for table in tables])
     each = zip(tables, first_point, first_simplex, strict=False)
-    yield "simplex", _joined([_simplices(*one) for one in each], (0, SIMPLEX))
+    yield "simplex", _joined([_simplices(*axis) for axis in each], (0, SIMPLEX))
     states = [table.state[_order(table)[1]] for table in tables if table is not None]
     yield "state", _joined(states, (0,)).astype(np.uint8)
     yield "vertex", _joined([_vertices(table) for table in tables], (0, VERTEX))
@@ -87,11 +87,11 @@ def axes_arrays(axes: Axes, members: Sequence[tuple[int, ...]]) -> Iterator[tupl
         "fewest",
         np.array([0 if table is None else table.min_points for table in tables], np.int32),
     )
-    left_out = [0 if table is None else table.errors_shown for table in tables]
-    yield "left_out", np.array([*left_out, FEWEST], dtype=np.int32)
+    n_left_out = [0 if table is None else table.errors_shown for table in tables]
+    yield "left_out", np.array([*n_left_out, FEWEST], dtype=np.int32)
     yield "largest", np.array([LARGEST[dimension] for dimension in range(4)])
     yield "span", np.array([_span(table) for table in tables])
-    yield "rest_point", np.stack((axes.at_zero.displacement, axes.at_zero.error))
+    yield "zero_load", np.stack((axes.at_zero.displacement, axes.at_zero.error))
     yield "error", np.array([_error(table) for table in tables])
     for moment, cuts in enumerate(axes.cuts):
         for cut in cuts:
@@ -109,8 +109,8 @@ def axes_arrays(axes: Axes, members: Sequence[tuple[int, ...]]) -> Iterator[tupl
         if table is None:
             continue
         order = _order(table)[0]
-        point, place = _members_of(table.rows.members, order)
-        behind, row = _members_of(members, place)
+        point, entry = _members_of(table.rows.members, order)
+        behind, row = _members_of(members, entry)
         numbers.append(row[np.lexsort((row, point[behind]))])
         sizes.append(np.bincount(point[behind], minlength=len(order)))
     yield "member_first", np.cumsum(np.concatenate(sizes)).astype(np.int32)
@@ -151,9 +151,9 @@ def _vertices(table: AxisTable | None) -> Floats | None:
     if table is None:
         return None
     order = numbered_of(table.triangulation).point_order
-    place = table.triangulation.points[order]
+    position = table.triangulation.points[order]
     unused = np.zeros((len(order), 1))
-    return np.concatenate((place, unused, table.values[order], table.uncertainty[order]), axis=1)
+    return np.concatenate((position, unused, table.values[order], table.uncertainty[order]), axis=1)
 
 
 def _error(table: AxisTable | None) -> Floats:
@@ -168,10 +168,10 @@ def _facets(table: AxisTable | None) -> NDArray[np.intp]:
     if table is None or not table.triangulation.dimension:
         return np.zeros((0, 4), dtype=np.intp)
     shape, (points, simplices) = table.triangulation, _order(table)
-    found = np.zeros((len(shape.hull), 4), dtype=np.intp)
-    found[:, : shape.dimension] = np.argsort(points)[shape.hull]
-    found[:, 3] = np.argsort(simplices)[shape.behind_hull]
-    return found
+    facets = np.zeros((len(shape.hull), 4), dtype=np.intp)
+    facets[:, : shape.dimension] = np.argsort(points)[shape.hull]
+    facets[:, 3] = np.argsort(simplices)[shape.behind_hull]
+    return facets
 
 
 def _span(table: AxisTable | None) -> Floats:
@@ -185,7 +185,7 @@ def _span(table: AxisTable | None) -> Floats:
 def _members_of(
     groups: Sequence[tuple[int, ...]], which: NDArray[np.integer]
 ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-    """Return the members of some groups (k,): the place in `which` of each, and the member."""
+    """Return the members of some groups (k,): the index in `which` of each, and the member."""
     sizes = np.fromiter(map(len, groups), np.int64, len(groups))
     members = np.fromiter(chain.from_iterable(groups), np.int64, int(sizes.sum()))
     ends, counts = np.cumsum(sizes), sizes[which]
@@ -204,7 +204,7 @@ class Numbered(NamedTuple):
     grid : ndarray of int, shape (cells,)
         For each cell a simplex close by.
     floats, ints : ndarray, shape (FLOATS,) and (INTS,)
-        See the columns above; the load scale is left at one.
+        See the columns above; the load scale stays 1.
     simplex_order, point_order : ndarray of int, shape (m,) and (n,)
         The old number of each simplex and point.
     """
@@ -219,13 +219,13 @@ class Numbered(NamedTuple):
 
 
 _KNOWN: WeakKeyDictionary[Triangulation, Numbered] = WeakKeyDictionary()
-"""Of triangulations that are in use: versions of a table share those of unchanged axes."""
+"""Of triangulations in use: versions of a table have those of unchanged axes in common."""
 
 
 def numbered_of(shape: Triangulation) -> Numbered:
     """Return a triangulation laid out for walks."""
-    found = _KNOWN.get(shape)
-    if found is None:
+    numbered = _KNOWN.get(shape)
+    if numbered is None:
         flat, dimension = shape.flattened(shape.points), shape.dimension
         weights = shape.weights if dimension == 3 else shape.weights @ shape.basis.T
         points, way = curve_order(flat), curve_order(flat[shape.simplices].mean(axis=1))
@@ -236,19 +236,19 @@ def numbered_of(shape: Triangulation) -> Numbered:
         simplex[:, : dimension + 1] = new_point[shape.simplices[way]]
         simplex[:, 4:] = -1
         simplex[:, 4 : 5 + dimension] = new_simplex[shape.neighbours[way]]
-        place = np.zeros((len(flat), 3))
-        place[:, :dimension] = flat[points]
+        positions = np.zeros((len(flat), 3))
+        positions[:, :dimension] = flat[points]
         maps = np.zeros((len(way), MAP))
         for corner in range(dimension):
             maps[:, 3 * corner : 3 * corner + dimension] = weights[way, corner]
-        maps[:, 9:] = place[simplex[:, dimension]]
+        maps[:, 9:] = positions[simplex[:, dimension]]
         floats, ints = np.zeros(FLOATS), np.zeros(INTS, dtype=np.int32)
         floats[:3], ints[CELLS : CELLS + 3], ints[DIMENSION] = 1.0, 1, dimension
         floats[ORIGIN : ORIGIN + 3], floats[SLACK] = shape.origin, shape.slack
         floats[BASIS : BASIS + 3 * dimension] = shape.basis.ravel()
         grid = new_simplex[_grid(shape, flat, floats, ints)]
-        found = _KNOWN[shape] = Numbered(maps, simplex, grid, floats, ints, way, points)
-    return found
+        numbered = _KNOWN[shape] = Numbered(maps, simplex, grid, floats, ints, way, points)
+    return numbered
 
 
 def _grid(shape: Triangulation, flat: Floats, floats: Floats, ints: NDArray[np.int32]) -> Indices:
@@ -267,23 +267,23 @@ def _grid(shape: Triangulation, flat: Floats, floats: Floats, ints: NDArray[np.i
     width = np.maximum(high - low, np.finfo(float).tiny) / side
     floats[CORNER : CORNER + dimension], floats[DENSITY : DENSITY + dimension] = low, 1 / width
     ints[CELLS : CELLS + dimension] = side
-    places = np.stack(np.meshgrid(*[np.arange(side) + 0.5] * dimension, indexing="ij"), axis=-1)
-    middles = low + places.reshape(-1, dimension) * width
+    units = np.stack(np.meshgrid(*[np.arange(side) + 0.5] * dimension, indexing="ij"), axis=-1)
+    middles = low + units.reshape(-1, dimension) * width
     points = middles if dimension == 3 else shape.origin + middles @ shape.basis
-    found = shape.locate(points)
+    containing = shape.locate(points)
     sound = np.flatnonzero(~shape.degenerate)
-    lost = np.flatnonzero((found < 0) | shape.degenerate[found])
+    lost = np.flatnonzero((containing < 0) | shape.degenerate[containing])
     if len(sound) and len(lost):
         centres = shape.points[shape.simplices[sound]].mean(axis=1)
-        found[lost] = sound[KDTree(centres).query(points[lost])[1]]
-    return np.maximum(found, 0)
+        containing[lost] = sound[KDTree(centres).query(points[lost])[1]]
+    return np.maximum(containing, 0)
 
 
 def buckets_of(numbers: Floats) -> tuple[Floats, NDArray[np.int32]]:
     """Return the frame and the bounds of buckets over ascending numbers, shape (k,).
 
     A number's bucket is (number - frame[0]) frame[1], as `wb_bucket` of surrogate/kernel computes
-    it; those of bucket b have the places start[b] to start[b + 1]. Shapes (2,) and (b + 1,); the
+    it; those of bucket b have the indices start[b] to start[b + 1]. Shapes (2,) and (b + 1,); the
     frame has the numbers' unit and its inverse.
     """
     count = max(int(len(numbers) * PER_NUMBER), 1)
@@ -291,7 +291,7 @@ def buckets_of(numbers: Floats) -> tuple[Floats, NDArray[np.int32]]:
     density = count / (high - low) if high > low else 0.0
     if not np.isfinite(density):
         density = 0.0
-    places = np.clip((numbers - low) * density, 0, count - 1).astype(np.intp)
-    start = np.searchsorted(places, np.arange(count + 1)).astype(np.int32)
+    buckets = np.clip((numbers - low) * density, 0, count - 1).astype(np.intp)
+    start = np.searchsorted(buckets, np.arange(count + 1)).astype(np.int32)
     start[-1] = len(numbers)
     return np.array([low, density]), start

@@ -22,12 +22,12 @@ from ..kriging import Kriging
 from ..kriging.calibration import Calibration
 from ..kriging.factor import Neighbourhoods
 from ..methods import ENOUGH_FULL
-from ..table.rows import CLEAN, LONGEST, TRANSLATION_LIMIT, Floats
+from ..table.rows import LONGEST, TRANSLATION_LIMIT, ZERO_LOAD, Floats
 from .arrays import check
 from .axes_arrays import axes_arrays, buckets_of
 
 # Bits of a group's reference: WB_REF_... of surrogate/kernel/wb_internal.h.
-_ADDITIVE, _MISSED, _KRIGING = 1, 2, 4
+_ADDITIVE, _RESIDUAL, _KRIGING = 1, 2, 4
 
 LANES, PANEL = 8, 16  # WB_LANES and WB_PANEL of surrogate/kernel/wb_internal.h
 
@@ -52,7 +52,7 @@ def pack(
     contract, interface
         Meaning of loads and displacements, in words; stored as they are.
     origin
-        Digests of what the table is built from; kept as they are.
+        Digests of what the table is built from; stored as they are.
     """
     arrays = dict(_space_arrays(table, len(table.groups))) | dict(_solver_arrays(table))
     sources = _Sources(table)
@@ -62,12 +62,12 @@ def pack(
     # The gaps of each axis; None where the compliance answers, which needs no axes.
     first = table.groups[0]
     no_axes = not first.has_axes or (table.linear and first.fit.complete)
-    words = {
+    meta = {
         "contract": dict(contract or {}),
         "interface": dict(interface or {}),
-        "space": table.load_range.space.words(),
-        "groups": [_group_words(group) for group in table.groups],
-        "sources": sources.words,
+        "space": table.load_range.space.as_json(),
+        "groups": [_group_meta(group) for group in table.groups],
+        "sources": sources.lists,
         "solver_error": None if table.solver_error is None else table.solver_error.values,
         "summary": table.coverage_summary(),
         "gaps": None if no_axes else first.axes.gaps(table.load_range),
@@ -81,22 +81,22 @@ def pack(
             "linear": table.linear,
         },
     }
-    return pieces(check(arrays), _plain(words))
+    return pieces(check(arrays), _plain(meta))
 
 
 def packed_of(table: Table) -> PackedTable:
-    """Return the packed form of a built table, which is made at the first call and kept."""
+    """Return the packed form of a built table; cached."""
     if table.packed is None:
         table.packed = PackedTable.from_bytes(b"".join(pack(table)))
     return table.packed
 
 
 def _plain(value: Any) -> Any:
-    """Return what JSON can hold: None in the place of numbers that are not finite."""
+    """Return what JSON can hold: None for numbers that are not finite."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(one) for key, one in value.items()}
+        return {str(key): _plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple | np.ndarray):
-        return [_plain(one) for one in value]
+        return [_plain(entry) for entry in value]
     if isinstance(value, np.generic):
         value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value
@@ -110,7 +110,7 @@ def _space_arrays(table: Table, groups: int) -> Iterator[tuple[str, Array]]:
     yield "space/range", np.stack((span.low, span.high))
     yield "space/ends", span.ends
     yield "space/scale", span.scale
-    yield "space/small", CLEAN * span.scale
+    yield "space/small", ZERO_LOAD * span.scale
     yield "space/locked", np.isin(np.arange(inputs), table.locked).astype(np.int32)
     none = np.full(outputs, np.nan)
     limits = none if table.tolerance is None else allowed_by(table.tolerance, space)
@@ -124,22 +124,22 @@ def _space_arrays(table: Table, groups: int) -> Iterator[tuple[str, Array]]:
 
 
 def _solver_arrays(table: Table) -> Iterator[tuple[str, Array]]:
-    """Yield the solver's share of errors."""
+    """Yield the solver's part of errors."""
     error, shape = table.solver_error, table.groups[0].fit.matrix.shape
-    matrix, square, one_over = np.zeros(shape), np.zeros(shape[0]), np.zeros(shape[1])
+    matrix, square, inverse_loads = np.zeros(shape), np.zeros(shape[0]), np.zeros(shape[1])
     stiffness, asks = np.zeros(shape[::-1]), np.zeros(1)
-    known, linear, linearity_known = table.bars_are_whole, False, True
+    known, linear, linearity_known = table.bars_are_complete, False, True
     if error is not None:
-        matrix, square, one_over, stiffness, asks = error.packed
+        matrix, square, inverse_loads, stiffness, asks = error.packed
         known, linear = error.mesh is not None, "linearity" in error.values
         linearity_known = error.linearity is not None
         if error.zero.any():
             yield "solver/zero", error.zero
-    flags = [int(asks[0]), known, linear, linearity_known, table.bars_are_whole]
+    flags = [int(asks[0]), known, linear, linearity_known, table.bars_are_complete]
     yield "solver/flags", np.array(flags, dtype=np.int32)
     yield "solver/mesh", matrix
     yield "solver/square", square
-    yield "solver/one_over", one_over
+    yield "solver/one_over", inverse_loads
     yield "solver/stiffness", stiffness
 
 
@@ -147,38 +147,38 @@ class _Sources:
     """The sources of the rows at each wrench, as numbers of lists of words."""
 
     def __init__(self, table: Table) -> None:
-        self.words: list[list[str]] = []
+        self.lists: list[list[str]] = []
         self._numbers: dict[tuple[str, ...], int] = {}
         self._at: dict[bytes, list[str]] = {}
         sources = dict.fromkeys(table.rows.source.tolist())
-        self._one = list(sources) if len(sources) == 1 else None
-        if self._one:
+        self._single = list(sources) if len(sources) == 1 else None
+        if self._single:
             return
-        places = np.ascontiguousarray(table.rows.wrench)
-        for wrench, source in zip(places, table.rows.source.tolist(), strict=True):
-            found = self._at.setdefault(wrench.tobytes(), [])
-            if source not in found:
-                found.append(source)
+        wrenches = np.ascontiguousarray(table.rows.wrench)
+        for wrench, source in zip(wrenches, table.rows.source.tolist(), strict=True):
+            names = self._at.setdefault(wrench.tobytes(), [])
+            if source not in names:
+                names.append(source)
 
     def numbers(self, wrenches: Floats) -> NDArray[np.int32]:
         """Return the number of the sources of the rows at each wrench (r, 6), N and N·m, (r,)."""
-        if self._one:
-            self.words = [self._one]
+        if self._single:
+            self.lists = [self._single]
             return np.zeros(len(wrenches), dtype=np.int32)
-        found = [self._number(tuple(self._at[wrench.tobytes()])) for wrench in wrenches]
-        return np.array(found, dtype=np.int32)
+        numbers = [self._number(tuple(self._at[wrench.tobytes()])) for wrench in wrenches]
+        return np.array(numbers, dtype=np.int32)
 
     def _number(self, sources: tuple[str, ...]) -> int:
         if sources not in self._numbers:
-            self._numbers[sources] = len(self.words)
-            self.words.append(list(sources))
+            self._numbers[sources] = len(self.lists)
+            self.lists.append(list(sources))
         return self._numbers[sources]
 
 
 def _group_arrays(group: Group, sources: _Sources) -> Iterator[tuple[str, Array]]:
     """Yield what answers one group of outputs."""
     used, exact = group.can_answer, group.is_exact
-    mode, missed = _reference(group, exact) if used else (0, None)
+    mode, residual_kriging = _reference(group, exact) if used else (0, None)
     flags = [
         *(METHODS.index(group.default), mode, group.knows_interaction, group.zero_unknown),
         *(exact, used, group.full_wrenches, group.full_needed, len(group.used) > 0),
@@ -195,14 +195,14 @@ def _group_arrays(group: Group, sources: _Sources) -> Iterator[tuple[str, Array]
     members = group.members
     if group.fit.origin == "stored":
         sloped = np.flatnonzero(np.isfinite(group.used.compliance).all(axis=(1, 2)))
-        members = tuple(members[place] for place in sloped.tolist())
+        members = tuple(members[row] for row in sloped.tolist())
     yield "fit/rows", np.array(sorted(chain.from_iterable(members)), dtype=np.int64)
-    # The rows that answer at their own wrenches, in the order of a key.
+    # The rows that answer at their wrenches, in the order of a key.
     index, merged = group.row_index, group.merged.rows
     order = index.order
     owner = group.merged.owner[order]
     tangents = merged.compliance[owner]
-    has_one = np.isfinite(tangents).any(axis=(1, 2))
+    has_tangent = np.isfinite(tangents).any(axis=(1, 2))
     wrenches = np.ascontiguousarray(group.rows.wrench[order])
     bucket, start = buckets_of(index.keys)
     yield "row/key", index.keys
@@ -215,18 +215,18 @@ def _group_arrays(group: Group, sources: _Sources) -> Iterator[tuple[str, Array]
     yield "row/wrench", wrenches
     yield "row/moved", merged.displacement[owner]
     yield "row/bar", group.row_uncertainty[owner]
-    places = np.where(has_one, np.cumsum(has_one) - 1, -1)
-    yield "row/tangent_of", places.astype(np.int32)
-    yield "row/tangent", tangents[has_one]
+    tangent_rows = np.where(has_tangent, np.cumsum(has_tangent) - 1, -1)
+    yield "row/tangent_of", tangent_rows.astype(np.int32)
+    yield "row/tangent", tangents[has_tangent]
     yield "row/source", sources.numbers(wrenches)
     parts: list[tuple[str, Iterator[tuple[str, Array]]]] = []
     if used and group.has_axes:
         parts.append(("axes", axes_arrays(group.axes, group.members)))
-    for name, kriging in (("kriging", group.kriging), ("missed", missed)):
+    for name, kriging in (("kriging", group.kriging), ("residual", residual_kriging)):
         if kriging is not None:
             parts.append((name, _kriging_arrays(kriging)))
     for name, arrays in parts:
-        yield from ((f"{name}/{own}", array) for own, array in arrays)
+        yield from ((f"{name}/{array_name}", array) for array_name, array in arrays)
 
 
 def _reference(group: Group, exact: bool) -> tuple[int, Kriging | None]:
@@ -235,11 +235,11 @@ def _reference(group: Group, exact: bool) -> tuple[int, Kriging | None]:
         return _ADDITIVE if group.has_axes else 0, None
     if group.by_kriging:
         return _KRIGING, None
-    missed = group.interaction
-    return _ADDITIVE if missed is None else _ADDITIVE | _MISSED, missed
+    residual_kriging = group.interaction
+    return _ADDITIVE if residual_kriging is None else _ADDITIVE | _RESIDUAL, residual_kriging
 
 
-def _group_words(group: Group) -> dict[str, Any]:
+def _group_meta(group: Group) -> dict[str, Any]:
     kriging = group.kriging
     return {
         "outputs": [group.rows.space.output_names[output] for output in group.outputs],
@@ -262,13 +262,13 @@ def _kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     rows = len(kriging.equations)
     stride = -(-rows // LANES) * LANES
     x = np.pad(kriging.equations.x.T, ((0, 0), (0, stride - rows)))
-    weights_by_place = np.zeros((*kriging.weights.shape[:0:-1], stride))
-    weights_by_place[:, :, :rows] = kriging.weights.transpose(2, 1, 0)
+    padded_weights = np.zeros((*kriging.weights.shape[:0:-1], stride))
+    padded_weights[:, :, :rows] = kriging.weights.transpose(2, 1, 0)
     yield "x", x
     rates, weights = kriging.hyperparameters.terms
     yield "terms", np.concatenate((rates, weights[:, None]), axis=1)
     yield "rates", kriging.hyperparameters.inverse_squares
-    yield "weights", weights_by_place.reshape(len(weights_by_place), -1)
+    yield "weights", padded_weights.reshape(len(padded_weights), -1)
     if kriging.equations.n_derivatives > 1 + len(x):
         yield "smoothness", np.array([kriging.hyperparameters.smoothness], dtype=np.int32)
     yield "coefficients", kriging.coefficients
@@ -282,55 +282,53 @@ def _kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     yield "tangent", np.where(scaling.active, 0.0, kriging.tangent)
     yield "span", kriging.span
     yield "span_loads", scaling.wrenches(kriging.span)
-    yield "shares", np.array([len(kriging.neighbourhoods)], dtype=np.int32)
-    for number, (share, found) in enumerate(
-        zip(kriging.neighbourhoods, kriging.calibrations, strict=True)
-    ):
-        outputs, places = len(kriging.deviation), kriging.equations.n_derivatives
-        arrays = _share_arrays(share, stride, outputs, places), _levels(share, found, outputs)
-        for name, array in chain(*arrays):
-            yield f"share{number}/{name}", array
+    yield "factor_count", np.array([len(kriging.neighbourhoods)], dtype=np.int32)
+    factors = zip(kriging.neighbourhoods, kriging.calibrations, strict=True)
+    for number, (neighbourhoods, calibration) in enumerate(factors):
+        sizes = stride, len(kriging.deviation), kriging.equations.n_derivatives
+        for name, array in _factor_arrays(neighbourhoods, calibration, *sizes):
+            yield f"factor{number}/{name}", array
 
 
-def _levels(share: Neighbourhoods, found: Calibration, outputs: int) -> Iterator[tuple[str, Array]]:
-    """Yield the calibration of one factor."""
-    factors = np.zeros((len(found.sigma), outputs))
-    factors[:, share.factor.output_group.outputs] = found.factors.reshape(len(found.sigma), -1)
-    yield "sigma", found.sigma
-    yield "factors", factors
-    yield "reach", np.array([found.max_sigma])
-
-
-def _share_arrays(
-    share: Neighbourhoods, stride: int, outputs: int, places_of_row: int
+def _factor_arrays(
+    neighbourhoods: Neighbourhoods,
+    calibration: Calibration,
+    stride: int,
+    outputs: int,
+    derivatives: int,
 ) -> Iterator[tuple[str, Array]]:
-    """Yield what gives sigma for the outputs of one factor."""
-    count = len(share.local_factors)
-    most = max(len(local.columns) for local in share.local_factors)
+    """Yield what gives sigma and its calibration for the outputs of one factor."""
+    factor, local_factors = neighbourhoods.factor, neighbourhoods.local_factors
+    count = len(local_factors)
+    most = max(len(local.columns) for local in local_factors)
     padded = -(-most // PANEL) * PANEL
     number, least = np.zeros(stride, dtype=np.int32), np.full(stride, np.inf)
-    places = np.zeros((count, padded), dtype=np.int32)
+    columns = np.zeros((count, padded), dtype=np.int32)
     panels = np.zeros((count, PANEL * padded * (padded // PANEL + 1) // 2))
-    unsettled = np.zeros((count, share.local_factors[0].TF.shape[1], padded))
-    for place, (row, local) in enumerate(
-        zip(share.factor.output_group.rows, share.local_factors, strict=True)
-    ):
+    unsettled = np.zeros((count, local_factors[0].TF.shape[1], padded))
+    for k, (row, local) in enumerate(zip(factor.output_group.rows, local_factors, strict=True)):
         size = len(local.columns)
-        at_row, of_row = np.divmod(local.columns, places_of_row)
-        places[place, :size] = of_row * stride + at_row
+        at_row, of_row = np.divmod(local.columns, derivatives)
+        columns[k, :size] = of_row * stride + at_row
         # A lower triangle (e, e), dimensionless, in panels of rows, columns first.
-        whole = np.zeros((padded, padded))
-        whole[: len(local.T), : len(local.T)] = local.T
-        panels[place] = np.concatenate(
-            [whole[top : top + PANEL, : top + PANEL].T.ravel() for top in range(0, padded, PANEL)]
+        lower = np.zeros((padded, padded))
+        lower[: len(local.T), : len(local.T)] = local.T
+        panels[k] = np.concatenate(
+            [lower[top : top + PANEL, : top + PANEL].T.ravel() for top in range(0, padded, PANEL)]
         )
-        unsettled[place, :, :size] = local.TF.T
-        number[row], least[row] = place, local.min_variance
-    yield "outputs", np.isin(np.arange(outputs), share.factor.output_group.outputs).astype(np.int32)
+        unsettled[k, :, :size] = local.TF.T
+        number[row], least[row] = k, local.min_variance
+    is_output = np.isin(np.arange(outputs), factor.output_group.outputs)
+    yield "outputs", is_output.astype(np.int32)
     yield "number", number
-    yield "places", places
+    yield "equations", columns
     yield "panels", panels
-    yield "unsettled", unsettled
-    yield "least", least
+    yield "trend", unsettled
+    yield "min_variance", least
     yield "penalty", np.where(np.isfinite(least), 0.0, np.inf)
-    yield "mean_covariance", share.factor.mean_covariance
+    yield "mean_covariance", factor.mean_covariance
+    scale = np.zeros((len(calibration.sigma), outputs))
+    scale[:, factor.output_group.outputs] = calibration.factors.reshape(len(scale), -1)
+    yield "sigma", calibration.sigma
+    yield "scale", scale
+    yield "max_sigma", np.array([calibration.max_sigma])

@@ -21,10 +21,10 @@ Arrays = dict[str, NDArray[Any]]
 
 # Columns of the array ``flags`` of a group: see `packed.writer`.
 _METHOD, _REFERENCE, _EXACT = 0, 1, 4
-_BY_KRIGING, _BY_MISSED = 4, 2  # bits of the reference
+_BY_KRIGING, _BY_RESIDUAL = 4, 2  # bits of the reference
 
 
-def cut(whole: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -> list[bytes]:
+def cut(table: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -> list[bytes]:
     """Return the packed file of a table cut to a scene, as pieces of bytes.
 
     It answers by the table's default method. Left out are groups whose outputs the scene does not
@@ -35,41 +35,41 @@ def cut(whole: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -
     plan : mapping, optional
         The scene plan that the file carries, JSON-able.
     """
-    arrays = {name: array for name, array in whole.arrays.items() if name[0] != "g"}
+    arrays = {name: array for name, array in table.arrays.items() if name[0] != "g"}
     outputs = list(need.outputs)
     read = [
-        bool(whole.arrays[f"g{group}/outputs"][outputs].any())
-        for group in range(len(whole.words["groups"]))
+        bool(table.arrays[f"g{group}/outputs"][outputs].any())
+        for group in range(len(table.meta["groups"]))
     ]
     groups = np.flatnonzero(read).tolist() or [0]  # the first one says that nothing is measured
-    slopes = np.ones(whole.inputs, dtype=bool)
+    slopes = np.ones(table.inputs, dtype=bool)
     # The solver's error needs the derivative by all loads: all axes stay then.
-    has_solver_error = bool(whole.arrays["solver/flags"][0])
+    has_solver_error = bool(table.arrays["solver/flags"][0])
     for number, group in enumerate(groups):
         prefix = f"g{group}/"
-        own = {
+        group_arrays = {
             name.removeprefix(prefix): array
-            for name, array in whole.arrays.items()
+            for name, array in table.arrays.items()
             if name.startswith(prefix)
         }
-        own = _cut_group(own, need, has_solver_error, slopes)
-        arrays |= {f"g{number}/{name}": array for name, array in own.items()}
-    arrays |= _scene_arrays(whole, need, len(groups), slopes)
-    words = {
-        **whole.words,
-        "groups": [whole.words["groups"][group] for group in groups],
+        group_arrays = _cut_group(group_arrays, need, has_solver_error, slopes)
+        arrays |= {f"g{number}/{name}": array for name, array in group_arrays.items()}
+    arrays |= _scene_arrays(table, need, len(groups), slopes)
+    meta = {
+        **table.meta,
+        "groups": [table.meta["groups"][group] for group in groups],
         "scene": {"outputs": need.output_names(), "plan": plan or {}},
     }
-    return pieces(check(arrays), words)
+    return pieces(check(arrays), meta)
 
 
-def _scene_arrays(whole: PackedTable, need: Need, groups: int, slopes: Mask) -> Arrays:
+def _scene_arrays(table: PackedTable, need: Need, groups: int, slopes: Mask) -> Arrays:
     ends = np.stack((need.span.low, need.span.high))
-    sizes = whole.arrays["space/sizes"].copy()
+    sizes = table.arrays["space/sizes"].copy()
     sizes[2] = groups
-    locked = whole.arrays["space/locked"].copy()
+    locked = table.arrays["space/locked"].copy()
     locked[list(need.idle)] = 1
-    found = {
+    arrays = {
         "space/sizes": sizes,
         "space/locked": locked,
         "scene/range": ends,
@@ -78,130 +78,133 @@ def _scene_arrays(whole: PackedTable, need: Need, groups: int, slopes: Mask) -> 
         "scene/slopes": slopes.astype(np.int32),
     }
     if need.tolerance is not None:
-        found["space/tolerance"] = np.array(allowed_by(need.tolerance, need.span.space))
-    return found
+        arrays["space/tolerance"] = np.array(allowed_by(need.tolerance, need.span.space))
+    return arrays
 
 
-def _cut_group(own: Arrays, need: Need, asks_tangent: bool, slopes: Mask) -> Arrays:
+def _cut_group(group: Arrays, need: Need, asks_tangent: bool, slopes: Mask) -> Arrays:
     """Return a group's arrays; in `slopes` (n,) the loads without derivatives are crossed out."""
-    flags = own["flags"]
+    flags = group["flags"]
     by_kriging = METHODS[flags[_METHOD]] == "kriging" and flags[_REFERENCE] & _BY_KRIGING
     alone = by_kriging or (METHODS[flags[_METHOD]] == "linear" and flags[_EXACT])
-    kept = {name: array for name, array in own.items() if "/" not in name or name[:4] == "fit/"}
-    is_read = np.isin(np.arange(len(own["outputs"])), need.outputs)
-    kept["outputs"] = np.where(is_read, own["outputs"], 0).astype(np.int32)
-    kept |= _cut_rows(own, need)
+    arrays = {name: array for name, array in group.items() if "/" not in name or name[:4] == "fit/"}
+    is_read = np.isin(np.arange(len(group["outputs"])), need.outputs)
+    arrays["outputs"] = np.where(is_read, group["outputs"], 0).astype(np.int32)
+    arrays |= _cut_rows(group, need)
     if need.tolerance is not None:
-        kept["allowed"] = np.array(allowed_by(need.tolerance, need.span.space))
+        arrays["allowed"] = np.array(allowed_by(need.tolerance, need.span.space))
     if flags[_REFERENCE] & _BY_KRIGING:
-        kept |= _cut_kriging(own, "kriging/", need)
-    if flags[_REFERENCE] & _BY_MISSED:
-        kept |= _cut_kriging(own, "missed/", need)
-    if not alone and "axes/vertex" in own:
+        arrays |= _cut_kriging(group, "kriging/", need)
+    if flags[_REFERENCE] & _BY_RESIDUAL:
+        arrays |= _cut_kriging(group, "residual/", need)
+    if not alone and "axes/vertex" in group:
         loaded = np.array([need.occurring[list(axis.inputs)].any() for axis in AXES]) | asks_tangent
-        kept |= _cut_axes(own, loaded)
+        arrays |= _cut_axes(group, loaded)
         for axis, stays in zip(AXES, loaded, strict=True):
             slopes[list(axis.inputs)] &= stays
-    kept["flags"] = flags.copy()
+    arrays["flags"] = flags.copy()
     if alone and not by_kriging:
-        kept["flags"][_REFERENCE] = 0
-    return kept
+        arrays["flags"][_REFERENCE] = 0
+    return arrays
 
 
-def _cut_rows(own: Arrays, need: Need) -> Arrays:
+def _cut_rows(group: Arrays, need: Need) -> Arrays:
     """Return the rows whose loads can occur."""
-    kept = ~(need.beyond(own["row/wrench"]) & ~need.varying).any(axis=1)
-    found = {name: own[name] for name in ("row/rates", "row/steepest")}
+    possible = ~(need.beyond(group["row/wrench"]) & ~need.varying).any(axis=1)
+    arrays = {name: group[name] for name in ("row/rates", "row/steepest")}
     for name in ("key", "number", "seq", "wrench", "moved", "bar", "source"):
-        found[f"row/{name}"] = own[f"row/{name}"][kept]
-    found["row/bucket"], found["row/start"] = buckets_of(found["row/key"])
-    tangent = own["row/tangent_of"][kept]
-    has_one = tangent >= 0
-    found["row/tangent"] = own["row/tangent"][tangent[has_one]]
-    found["row/tangent_of"] = np.where(has_one, np.cumsum(has_one) - 1, -1).astype(np.int32)
-    return found
+        arrays[f"row/{name}"] = group[f"row/{name}"][possible]
+    arrays["row/bucket"], arrays["row/start"] = buckets_of(arrays["row/key"])
+    tangent = group["row/tangent_of"][possible]
+    known = tangent >= 0
+    arrays["row/tangent"] = group["row/tangent"][tangent[known]]
+    arrays["row/tangent_of"] = np.where(known, np.cumsum(known) - 1, -1).astype(np.int32)
+    return arrays
 
 
-def _cut_kriging(own: Arrays, name: str, need: Need) -> Arrays:
+def _cut_kriging(group: Arrays, name: str, need: Need) -> Arrays:
     """Return a kriging without the factors of outputs that the scene does not read."""
-    found = {
-        key: array for key, array in own.items() if key.startswith(name) and "/share" not in key
+    arrays = {
+        key: array for key, array in group.items() if key.startswith(name) and "/factor" not in key
     }
     factors = [
-        f"{name}share{number}/"
-        for number in range(int(own[f"{name}shares"][0]))
-        if own[f"{name}share{number}/outputs"][list(need.outputs)].any()
-    ] or [f"{name}share0/"]
-    found[f"{name}shares"] = np.array([len(factors)], dtype=np.int32)
+        f"{name}factor{number}/"
+        for number in range(int(group[f"{name}factor_count"][0]))
+        if group[f"{name}factor{number}/outputs"][list(need.outputs)].any()
+    ] or [f"{name}factor0/"]
+    arrays[f"{name}factor_count"] = np.array([len(factors)], dtype=np.int32)
     for number, factor in enumerate(factors):
-        arrays = {key: array for key, array in own.items() if key.startswith(factor)}
-        found |= {f"{name}share{number}/{key[len(factor) :]}": one for key, one in arrays.items()}
-    return found
+        arrays |= {
+            f"{name}factor{number}/{key[len(factor) :]}": array
+            for key, array in group.items()
+            if key.startswith(factor)
+        }
+    return arrays
 
 
-def _cut_axes(own: Arrays, loaded: Mask) -> Arrays:
-    """Return the axes that the scene loads; the triangulation of each stays whole."""
-    axes = {key[5:]: array for key, array in own.items() if key.startswith("axes/")}
+def _cut_axes(group: Arrays, loaded: Mask) -> Arrays:
+    """Return the axes that the scene loads; the triangulation of each stays complete."""
+    axes = {key[5:]: array for key, array in group.items() if key.startswith("axes/")}
     point, simplex = axes["point_first"], axes["simplex_first"]
-    points, simplices = _kept(point, loaded), _kept(simplex, loaded)
-    facets, cells = _kept(axes["facet_first"], loaded), _kept(_cells(axes), loaded)
-    members = _kept(axes["member_first"], points)
-    found = axes | {name: axes[name][points] for name in ("vertex", "slopes")}
+    points, simplices = _selected(point, loaded), _selected(simplex, loaded)
+    facets, cells = _selected(axes["facet_first"], loaded), _selected(_cells(axes), loaded)
+    members = _selected(axes["member_first"], points)
+    arrays = axes | {name: axes[name][points] for name in ("vertex", "slopes")}
     fewer_points, fewer_simplices = _fewer(point, loaded), _fewer(simplex, loaded)
-    found["state"] = axes["state"][simplices]
-    found["simplex"] = _renumbered(axes, simplices, fewer_points, fewer_simplices)
+    arrays["state"] = axes["state"][simplices]
+    arrays["simplex"] = _renumbered(axes, simplices, fewer_points, fewer_simplices)
     corners = axes["facets"][facets]
     axis_of = np.repeat(np.arange(3), np.diff(axes["facet_first"]))[facets]
     corners[:, :3] -= fewer_points[axis_of, None]
     corners[:, 3] -= fewer_simplices[axis_of]
     cell_axis = np.repeat(np.arange(3), np.diff(_cells(axes)))[cells]
-    found["facets"], found["grid"] = corners, axes["grid"][cells] - fewer_simplices[cell_axis]
+    arrays["facets"], arrays["grid"] = corners, axes["grid"][cells] - fewer_simplices[cell_axis]
     ints = axes["ints"].copy()
     ints[:, FIRST_CELL] -= _fewer(_cells(axes), loaded)
     ints[~loaded], ints[~loaded, DIMENSION] = 0, -1
-    found["ints"] = ints
+    arrays["ints"] = ints
     for name in ("point_first", "simplex_first", "facet_first"):
-        found[name] = _first(np.diff(axes[name]) * loaded)
-    found["fewest"] = axes["fewest"] * loaded
-    found["member_first"] = _first(np.diff(axes["member_first"])[points])
-    found["members"] = axes["members"][members]
+        arrays[name] = _first(np.diff(axes[name]) * loaded)
+    arrays["fewest"] = axes["fewest"] * loaded
+    arrays["member_first"] = _first(np.diff(axes["member_first"])[points])
+    arrays["members"] = axes["members"][members]
     for axis in np.flatnonzero(~loaded).tolist():
         for gone in (f"cut{(axis + 1) % 3}0/", f"cut{(axis + 2) % 3}1/"):
-            found = {name: one for name, one in found.items() if not name.startswith(gone)}
-    return {f"axes/{name}": np.asarray(one, axes[name].dtype) for name, one in found.items()}
+            arrays = {name: array for name, array in arrays.items() if not name.startswith(gone)}
+    return {f"axes/{name}": np.asarray(array, axes[name].dtype) for name, array in arrays.items()}
 
 
 def _renumbered(
     axes: Arrays, simplices: Mask, fewer_points: NDArray[Any], fewer_simplices: NDArray[Any]
 ) -> Floats:
-    """Return the kept simplices (s, 16) with the numbers of what is left."""
+    """Return the selected simplices (s, 16) with new numbers of points and neighbours."""
     axis_of = np.repeat(np.arange(3), np.diff(axes["simplex_first"]))[simplices]
-    kept = axes["simplex"][simplices]
-    ints = np.ascontiguousarray(kept[:, :4]).view(np.int32)
+    simplex_rows = axes["simplex"][simplices]
+    ints = np.ascontiguousarray(simplex_rows[:, :4]).view(np.int32)
     dimension = axes["ints"][axis_of, DIMENSION]
     corner = np.arange(4) <= dimension[:, None]
     ints[:, :4] -= np.where(corner, fewer_points[axis_of, None], 0).astype(np.int32)
     inner = ints[:, 4:] >= 0
     ints[:, 4:] -= np.where(inner, fewer_simplices[axis_of, None], 0).astype(np.int32)
-    kept[:, :4] = ints.view(np.float64)
-    return kept
+    simplex_rows[:, :4] = ints.view(np.float64)
+    return simplex_rows
 
 
 def _cells(axes: Arrays) -> NDArray[np.intp]:
     """Return where each axis' cells begin, and the end, shape (4,)."""
-    has_one = axes["ints"][:, DIMENSION] >= 0
-    return _first(np.where(has_one, axes["ints"][:, FIRST_CELL + 1 :].prod(axis=1), 0))
+    has_triangulation = axes["ints"][:, DIMENSION] >= 0
+    return _first(np.where(has_triangulation, axes["ints"][:, FIRST_CELL + 1 :].prod(axis=1), 0))
 
 
 def _first(counts: NDArray[Any]) -> NDArray[Any]:
     return np.concatenate(([0], np.cumsum(counts)))
 
 
-def _kept(first: NDArray[Any], kept: Mask) -> Mask:
-    """Return which entries belong to a kept part; part k has those from first[k] to first[k+1]."""
-    return np.repeat(kept, np.diff(first))
+def _selected(first: NDArray[Any], selected: Mask) -> Mask:
+    """Return which entries belong to a selected part; part k has first[k] to first[k+1]."""
+    return np.repeat(selected, np.diff(first))
 
 
-def _fewer(first: NDArray[Any], kept: Mask) -> NDArray[Any]:
+def _fewer(first: NDArray[Any], selected: Mask) -> NDArray[Any]:
     """Return how many entries before each part are left out."""
-    return _first(np.where(kept, 0, np.diff(first)))[:-1]
+    return _first(np.where(selected, 0, np.diff(first)))[:-1]

@@ -19,7 +19,7 @@ from ..design import Design, Known, first_count, first_design, next_wrenches
 from ..kernel.reasons import UNKNOWN_ERROR
 from ..packed.writer import packed_of
 from ..table.axes import AXES
-from ..table.rows import CLEAN, Floats, LoadRange, Tolerance
+from ..table.rows import ZERO_LOAD, Floats, LoadRange, Tolerance
 from ..table.space import LOADS
 from ..table.spread import spread_wrenches
 
@@ -50,7 +50,7 @@ class Need:
     outputs : tuple of int
         The outputs it reads, ascending.
     tolerance : Tolerance or None, m and rad
-        The scene's own, else the component's.
+        The scene's, else the component's.
     idle : tuple of int
         Loads on locked freedoms: whatever they are, nothing depends on them.
     slack : ndarray, shape (n,), N and N·m
@@ -88,14 +88,14 @@ class Need:
         An axis is composed if some of its loads can occur and one of its outputs is read. Tables
         of several interfaces or further inputs compose none.
         """
-        found: dict[str, dict[str, object]] = {}
+        axes: dict[str, dict[str, object]] = {}
         for axis in AXES if self.span.space.is_default else ():
             inputs = [load for load in axis.inputs if self.occurring[load]]
             if inputs and set(axis.outputs) & set(self.outputs):
                 names = [LOADS[load] for load in inputs]
                 dimensions = int(self.varying[list(axis.inputs)].sum())
-                found[axis.name] = {"inputs": names, "dimensions": dimensions}
-        return found
+                axes[axis.name] = {"inputs": names, "dimensions": dimensions}
+        return axes
 
     def output_names(self) -> list[str]:
         """Return the names of the outputs that are read."""
@@ -103,12 +103,12 @@ class Need:
 
 
 class NeedError(ValueError):
-    """A scene's loads that cannot be: each mistake by the place of its load.
+    """A scene's loads that cannot be: each mistake by the index of its load.
 
     Attributes
     ----------
     mistakes : list of (int, str)
-        Place of the load among the inputs, and what is wrong with its ends.
+        Index of the load among the inputs, and what is wrong with its ends.
     """
 
     def __init__(self, mistakes: list[tuple[int, str]]) -> None:
@@ -117,7 +117,7 @@ class NeedError(ValueError):
 
 
 def need_of(
-    whole: LoadRange,
+    limits: LoadRange,
     bounds: Floats | None = None,
     outputs: Sequence[int] | None = None,
     tolerance: Tolerance | None = None,
@@ -127,10 +127,10 @@ def need_of(
 
     Parameters
     ----------
-    whole : LoadRange
+    limits : LoadRange
         The component's load range, N and N·m; it is stretched to hold zero.
     bounds : ndarray, shape (n, 2), optional, N and N·m
-        Low and high end of each load; the component's own by default.
+        Low and high end of each load; the component's by default.
     outputs : sequence of int, optional
         Those that are read; all by default.
     idle : sequence of int
@@ -141,25 +141,25 @@ def need_of(
     NeedError
         If an end lies outside the component's load range, or the ends are the wrong way round.
     """
-    ends = np.column_stack((whole.low, whole.high)) if bounds is None else np.array(bounds, float)
-    slack = CLEAN * whole.scale
+    ends = np.column_stack((limits.low, limits.high)) if bounds is None else np.array(bounds, float)
+    slack = ZERO_LOAD * limits.scale
     mistakes = []
     for load, (low, high) in enumerate(ends.tolist()):
-        one = whole.space.inputs[load]
-        least, most = min(whole.low[load], one.zero), max(whole.high[load], one.zero)
+        entry = limits.space.inputs[load]
+        least, most = min(limits.low[load], entry.zero), max(limits.high[load], entry.zero)
         if low > high:
-            message = f"the low end of {one.name}, {low:g}, is above the high end, {high:g}"
+            message = f"the low end of {entry.name}, {low:g}, is above the high end, {high:g}"
             mistakes.append((load, message))
         elif load not in idle and (low < least - slack[load] or high > most + slack[load]):
-            within = f"{least:g} to {most:g} {one.unit}, the load range"
-            message = f"{one.name} must lie within {within}"
+            within = f"{least:g} to {most:g} {entry.unit}, the load range"
+            message = f"{entry.name} must lie within {within}"
             mistakes.append((load, message))
     if mistakes:
         raise NeedError(mistakes)
     ends[list(idle)] = 0.0
     ends += 0.0  # no minus zero
-    read = tuple(sorted(set(range(len(whole.space.outputs)) if outputs is None else outputs)))
-    span = LoadRange(ends[:, 0], ends[:, 1], whole.space)
+    read = tuple(sorted(set(range(len(limits.space.outputs)) if outputs is None else outputs)))
+    span = LoadRange(ends[:, 0], ends[:, 1], limits.space)
     return Need(span, read, tolerance, tuple(idle), slack)
 
 
@@ -174,12 +174,12 @@ class ScenePlan:
         Leave it out; one compliance answers; its table does.
     reason : str
     bound : ndarray, shape (m,), m and rad
-        What the displacement does not exceed within the scene; NaN where nothing tells it.
+        What the displacement does not exceed within the scene; NaN where nothing determines it.
     compliance : ndarray, shape (m, n), SI, or None
         With ``linear``, where it is known: the displacement is it times the wrench. Zero by loads
         that cannot occur.
     solves : tuple of (int, int)
-        Of the first design, from an empty table: for the whole load range, and for the scene.
+        Of the first design, from an empty table: for the full load range, and for the scene.
     """
 
     need: Need
@@ -225,9 +225,9 @@ def plan_of(table: Table, need: Need, *, solved: bool = True) -> ScenePlan:
         return ScenePlan(need, "linear", reason, bound, compliance, solves)
     if not space.is_default:
         return ScenePlan(need, "table", LOOKED_UP, bound, None, solves)
-    compliance, missed = _one_compliance(table, need)
+    compliance, why_not = _single_compliance(table, need)
     decision: Decision = "table" if compliance is None else "linear"
-    return ScenePlan(need, decision, why or missed, bound, compliance, solves)
+    return ScenePlan(need, decision, why or why_not, bound, compliance, solves)
 
 
 def design_of(
@@ -253,7 +253,7 @@ def design_of(
 def first_solves(table: Table, span: LoadRange) -> int:
     """Return how many solves the first design of a span has, from an empty table.
 
-    A solve of a linear component brings its whole compliance.
+    A solve of a linear component brings all of its compliance.
     """
     if table.linear:
         return 1
@@ -266,21 +266,21 @@ def _bound(table: Table, need: Need) -> tuple[Floats, str]:
     """Return what the displacement does not exceed, (m,), m and rad, and why it is not known.
 
     The larger of two: the answers with their errors at corners and wrenches of the scene; and the
-    compliance's sum over the loads with its error, which is one for the whole load range, or what
+    compliance's sum over the loads with its error, which is one for the full load range, or what
     the steepest slopes of the scene's wrenches allow, if that is less.
     """
     count = len(need.span.space.outputs)
     bound, why = np.full(count, np.nan), NO_ROWS
-    full = np.maximum(np.abs(need.span.low), np.abs(need.span.high))
+    largest_loads = np.maximum(np.abs(need.span.low), np.abs(need.span.high))
     solver = np.zeros(count)
     if table.solver_error is not None:  # it is largest where the loads are
-        solver = table.solver_error.share(full)
+        solver = table.solver_error.total(largest_loads)
     if not table.linear and not need.span.space.is_default:
-        return bound, LOOKED_UP  # corners of many inputs are too many to look at
+        return bound, LOOKED_UP  # many inputs have too many corners
     sample = _sample(need)
-    found = None if table.linear else packed_of(table).batch(sample)
+    answers = None if table.linear else packed_of(table).batch(sample)
     for surrogate in table.groups:
-        own, fit = list(surrogate.outputs), surrogate.fit
+        outputs, fit = list(surrogate.outputs), surrogate.fit
         if not len(surrogate.used):
             continue
         unknown = np.flatnonzero(need.occurring & ~fit.known)
@@ -288,19 +288,19 @@ def _bound(table: Table, need: Need) -> tuple[Floats, str]:
             names = [need.span.space.input_names[load] for load in unknown]
             why = f"no row tells the influence of {', '.join(names)}"
             continue
-        most = np.abs(fit.matrix) @ full + np.abs(fit.offset) + fit.error + solver
-        if found is not None:
-            if not found.coverage.any():  # slopes of a table that is thin here prove nothing
+        most = np.abs(fit.matrix) @ largest_loads + np.abs(fit.offset) + fit.error + solver
+        if answers is not None:
+            if not answers.coverage.any():  # slopes of a table that is thin here prove nothing
                 # The steepest slopes reach so far from the scene's middle to its ends (mean value
                 # theorem): where loads are small the component moves little, however far it bends
                 # from one compliance at its largest.
                 middle = (need.span.low + need.span.high) / 2
                 there = packed_of(table).batch(middle[None])
                 steepest = np.abs(packed_of(table).derivatives(sample)).max(axis=0)
-                reach = np.abs(there.outputs[0]) + steepest @ (need.span.high - middle)
-                most = np.fmin(most, reach + there.errors[0] + found.errors.max(axis=0))
-            most = np.maximum(most, (np.abs(found.outputs) + found.errors).max(axis=0))
-        bound[own], why = most[own], UNKNOWN_ERROR if np.isnan(most[own]).any() else ""
+                by_slopes = np.abs(there.outputs[0]) + steepest @ (need.span.high - middle)
+                most = np.fmin(most, by_slopes + there.errors[0] + answers.errors.max(axis=0))
+            most = np.maximum(most, (np.abs(answers.outputs) + answers.errors).max(axis=0))
+        bound[outputs], why = most[outputs], UNKNOWN_ERROR if np.isnan(most[outputs]).any() else ""
     return bound, why if np.isnan(bound[list(need.outputs)]).any() else ""
 
 
@@ -312,7 +312,7 @@ def _sample(need: Need) -> Floats:
     return np.concatenate((corners, inner))
 
 
-def _one_compliance(table: Table, need: Need) -> tuple[Floats | None, str]:
+def _single_compliance(table: Table, need: Need) -> tuple[Floats | None, str]:
     """Return the compliance (6, 6), SI, that answers within the tolerance, if one does, and why.
 
     The least-squares one through the answers at wrenches of the scene; it must miss each of them,
@@ -321,19 +321,19 @@ def _one_compliance(table: Table, need: Need) -> tuple[Floats | None, str]:
     if need.tolerance is None:
         return None, "its response is looked up; no tolerance says what may be left out"
     wrenches, read = _sample(need), list(need.outputs)
-    found = packed_of(table).batch(wrenches, allowed_by(need.tolerance))
+    answers = packed_of(table).batch(wrenches, allowed_by(need.tolerance))
     scale = table.load_range.scale
-    finite = np.asarray(np.isfinite(found.outputs).all(axis=0))
-    moved = np.where(finite, found.outputs, 0.0)
+    finite = np.asarray(np.isfinite(answers.outputs).all(axis=0))
+    moved = np.where(finite, answers.outputs, 0.0)
     columns = np.linalg.lstsq(wrenches / scale, moved, rcond=None)[0]
     matrix = np.where(finite[:, None], columns.T / scale, 0.0)
-    missed = np.abs(moved - wrenches @ matrix.T) + found.errors
-    share = (missed / np.array(allowed_by(need.tolerance)))[:, read]
-    if (share <= 1.0).all():
-        reason = f"over the scene's loads one compliance answers within {share.max():.2g} of the "
+    residual = np.abs(moved - wrenches @ matrix.T) + answers.errors
+    ratio = (residual / np.array(allowed_by(need.tolerance)))[:, read]
+    if (ratio <= 1.0).all():
+        reason = f"over the scene's loads one compliance answers within {ratio.max():.2g} of the "
         return np.where(need.occurring, matrix, 0.0), reason + "tolerance"
-    if not np.isfinite(share).all():
+    if not np.isfinite(ratio).all():
         return None, "its rows do not tell yet how its response bends over the scene's loads"
-    worst = need.output_names()[int(np.argmax(share.max(axis=0)))]
-    reason = f"one compliance would miss {worst} by {share.max():.3g} times the "
+    worst = need.output_names()[int(np.argmax(ratio.max(axis=0)))]
+    reason = f"one compliance would miss {worst} by {ratio.max():.3g} times the "
     return None, reason + "tolerance"

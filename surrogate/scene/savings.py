@@ -20,7 +20,7 @@ RUNS = 5  # of which the best counts: what interrupts a run only ever makes it l
 
 @dataclass(frozen=True)
 class Savings:
-    """What the scene's table needs less than the whole's.
+    """What the scene's table needs less than the component's.
 
     Attributes
     ----------
@@ -41,9 +41,9 @@ class Savings:
 
 
 def measured(table: Table, plan: ScenePlan) -> Savings:
-    """Return what the scene's table saves against the whole.
+    """Return what the scene's table saves against the component's.
 
-    A component that is rigid in the scene is left out: all of the whole is saved.
+    A component that is rigid in the scene needs no table: all is saved.
     """
     if not any(len(surrogate.used) for surrogate in table.groups):
         none = "not measured: there are no rows yet"
@@ -53,26 +53,22 @@ def measured(table: Table, plan: ScenePlan) -> Savings:
     low, high = plan.need.span.low, plan.need.span.high
     wrenches = low + np.random.default_rng(0).uniform(size=(ANSWERS, len(low))) * (high - low)
     packed = packed_of(table)
-    whole = built_s(table), packed.size, _us(packed, wrenches)
-    own = 0.0, 0, 0.0
+    built_s = sum(surrogate.build_s for surrogate in table.groups)
+    before = built_s, packed.size, _us(packed, wrenches)
+    after = 0.0, 0, 0.0
     if plan.decision != "rigid":
         started = thread_time()
         content = b"".join(cut(packed, plan.need))
         took = thread_time() - started
-        own = took, len(content), _us(PackedTable.from_bytes(content), wrenches)
+        after = took, len(content), _us(PackedTable.from_bytes(content), wrenches)
     origin = {
-        "build_s": f"measured, processor time: {whole[0]:.3g} s for the whole table when it was "
-        f"built, {own[0]:.3g} s for cutting the scene's from it now",
-        "memory_bytes": f"counted: {whole[1]} bytes in the whole table, {own[1]} in the scene's",
+        "build_s": f"measured, processor time: {before[0]:.3g} s for the whole table when it was "
+        f"built, {after[0]:.3g} s for cutting the scene's from it now",
+        "memory_bytes": f"counted: {before[1]} bytes in the whole table, {after[1]} in the scene's",
         "us_per_answer": f"measured now, best of {RUNS} runs of {ANSWERS} wrenches of the scene: "
-        f"{whole[2]:.3g} µs by the whole table, {own[2]:.3g} µs by the scene's",
+        f"{before[2]:.3g} µs by the whole table, {after[2]:.3g} µs by the scene's",
     }
-    return Savings(whole[0] - own[0], whole[1] - own[1], whole[2] - own[2], origin)
-
-
-def built_s(table: Table) -> float:
-    """Return the processor time, s, that building a table took."""
-    return sum(surrogate.build_s for surrogate in table.groups)
+    return Savings(before[0] - after[0], before[1] - after[1], before[2] - after[2], origin)
 
 
 def _us(table: PackedTable, wrenches: Floats) -> float:

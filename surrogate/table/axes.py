@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from .compliance import ComplianceFit
 from .merging import close_groups, merge
-from .rows import CLEAN, Floats, LoadRange, Rows
+from .rows import ZERO_LOAD, Floats, LoadRange, Rows
 
 OffAxis = Literal["correct", "ignore", "exclude"]
 
@@ -68,14 +68,14 @@ class AxisRows:
     points : ndarray, shape (n, 3), dimensionless
         Inputs over the load range's half widths.
     displacement : ndarray, shape (n, 6), m and rad
-        All six, off-axis part removed where the row is not clean; the mean of merged rows.
+        All six, off-axis part removed where the row is multi-axis; the mean of merged rows.
     uncertainty : ndarray, shape (n, 6), m and rad
         Stored uncertainty, or half the spread of merged rows where that is more; 0 if unknown.
     members : tuple of tuple of int
-        The places, in the table's rows, of the rows behind each point.
-    clean : ndarray of bool, shape (n,)
+        The indices, in the table's rows, of the rows behind each point.
+    single_axis : ndarray of bool, shape (n,)
     tangent : ndarray, shape (n, 6, 3), m and rad
-        Derivative of the displacement by the scaled inputs; NaN where unknown or not clean.
+        Derivative of the displacement by the scaled inputs; NaN where unknown or multi-axis.
     """
 
     axis: LoadAxis
@@ -83,12 +83,12 @@ class AxisRows:
     displacement: Floats
     uncertainty: Floats
     members: tuple[tuple[int, ...], ...]
-    clean: NDArray[np.bool_]
+    single_axis: NDArray[np.bool_]
     tangent: Floats
 
     def equals(self, other: AxisRows) -> bool:
         """Return whether all numbers are another's to the bit, wherever the rows behind are."""
-        columns = ("points", "displacement", "uncertainty", "clean", "tangent")
+        columns = ("points", "displacement", "uncertainty", "single_axis", "tangent")
         return self.axis == other.axis and all(
             getattr(self, name).tobytes() == getattr(other, name).tobytes() for name in columns
         )
@@ -100,18 +100,18 @@ class AxisRows:
             self.points[which],
             self.displacement[which],
             self.uncertainty[which],
-            tuple(self.members[place] for place in np.flatnonzero(which)),
-            self.clean[which],
+            tuple(self.members[point] for point in np.flatnonzero(which)),
+            self.single_axis[which],
             self.tangent[which],
         )
 
 
-# Which loads (6) are not an axis' own (3): a product with it tells whether any of them is there.
+# Which loads (6) are not an axis' inputs (3): a product with it shows whether any of them acts.
 _FOREIGN = np.array([[load in axis.others for axis in AXES] for load in range(6)])
 
 
-def clean_wrenches(
-    wrenches: Floats, load_range: LoadRange, least: float = CLEAN
+def single_axis_wrenches(
+    wrenches: Floats, load_range: LoadRange, least: float = ZERO_LOAD
 ) -> NDArray[np.bool_]:
     """Return, shape (n, 3), which wrenches (n, 6), N and N·m, load no axis but which one.
 
@@ -124,17 +124,17 @@ def clean_wrenches(
     return ~(loaded @ _FOREIGN)
 
 
-def count_full(rows: Rows, load_range: LoadRange) -> int:
+def count_multi_axis(rows: Rows, load_range: LoadRange) -> int:
     """Return how many rows load more than one axis, by more than a load cell scatters."""
-    return int((~clean_wrenches(rows.wrench, load_range, MIN_STEP).any(axis=1)).sum())
+    return int((~single_axis_wrenches(rows.wrench, load_range, MIN_STEP).any(axis=1)).sum())
 
 
-def clean_rows(rows: Rows, load_range: LoadRange) -> NDArray[np.bool_]:
-    """Return which rows are clean for which axis: no load but the axis' own.
+def single_axis_rows(rows: Rows, load_range: LoadRange) -> NDArray[np.bool_]:
+    """Return which rows load which axis alone: no load but the axis' inputs.
 
     Shape (n, 3), dimensionless.
     """
-    return clean_wrenches(rows.wrench, load_range)
+    return single_axis_wrenches(rows.wrench, load_range)
 
 
 def axis_rows(
@@ -142,48 +142,48 @@ def axis_rows(
 ) -> AxisRows:
     """Choose the rows of one axis, take the off-axis part out of them, and merge equal points.
 
-    A row clean for this axis is used as it is; one clean for another axis never is. One clean
-    for no axis follows `off_axis`: "correct" subtracts the fitted compliance times its off-axis
+    A row that loads this axis alone is used as it is; that of another axis never is. A row
+    of several axes follows `off_axis`: "correct" subtracts the fitted compliance times its off-axis
     loads (and leaves the row out if the fit does not know those loads), "ignore" uses it as it
     is, "exclude" leaves it out.
     """
-    clean = clean_rows(rows, load_range)
-    mine = clean[:, AXES.index(axis)]
-    joining = ~clean.any(axis=1) & (off_axis != "exclude")
+    single_axis = single_axis_rows(rows, load_range)
+    mine = single_axis[:, AXES.index(axis)]
+    joining = ~single_axis.any(axis=1) & (off_axis != "exclude")
     displacement = rows.displacement.copy() if joining.any() else rows.displacement
     if off_axis == "correct" and joining.any():
         loads = np.where(np.isin(np.arange(6), axis.others), rows.wrench, 0.0)
-        joining &= ~((np.abs(loads) > CLEAN * load_range.scale) & ~fit.known).any(axis=1)
+        joining &= ~((np.abs(loads) > ZERO_LOAD * load_range.scale) & ~fit.known).any(axis=1)
         displacement[joining] -= loads[joining] @ fit.matrix.T
-    # At the points of clean rows these alone count.
-    inputs, places = list(axis.inputs), np.flatnonzero(mine | joining)
+    # At the points of single-axis rows these alone count.
+    inputs, indices = list(axis.inputs), np.flatnonzero(mine | joining)
     if joining.any():
-        group = close_groups((rows.wrench[places] / load_range.scale)[:, inputs])
-        places = places[mine[places] | ~np.isin(group, group[mine[places]])]
-    # Full wrenches may have one point; a row's number is its place, so that these are the members.
+        group = close_groups((rows.wrench[indices] / load_range.scale)[:, inputs])
+        indices = indices[mine[indices] | ~np.isin(group, group[mine[indices]])]
+    # Multi-axis rows may have one point; `seq` is a row's index, so that these are the members.
     merged = merge(
         replace(
-            rows.take(places),
-            seq=places,
-            wrench=np.where(np.isin(np.arange(6), inputs), rows.wrench[places], 0.0),
-            displacement=displacement[places],
-            curvature=np.empty((len(places), 0)),
+            rows.take(indices),
+            seq=indices,
+            wrench=np.where(np.isin(np.arange(6), inputs), rows.wrench[indices], 0.0),
+            displacement=displacement[indices],
+            curvature=np.empty((len(indices), 0)),
         ),
         load_range,
     )
     # In an order that the rows' order cannot change.
     points = merged.rows.wrench[:, inputs] / load_range.scale[inputs] + 0.0
     order = np.lexsort(points.T[::-1])
-    found = merged.rows.take(order)
-    tangent = found.compliance[:, :, inputs] * load_range.scale[inputs]
-    tangent[~mine[found.seq]] = np.nan  # a full wrench's is not that of its axis' loads alone
+    ordered = merged.rows.take(order)
+    tangent = ordered.compliance[:, :, inputs] * load_range.scale[inputs]
+    tangent[~mine[ordered.seq]] = np.nan  # a multi-axis row's is not that of the axis' loads alone
     return AxisRows(
         axis=axis,
         points=points[order],
-        displacement=found.displacement,
-        uncertainty=np.nan_to_num(found.uncertainty),
-        members=tuple(merged.members[place] for place in order),
-        clean=mine[found.seq],
+        displacement=ordered.displacement,
+        uncertainty=np.nan_to_num(ordered.uncertainty),
+        members=tuple(merged.members[point] for point in order),
+        single_axis=mine[ordered.seq],
         tangent=tangent,
     )
 
@@ -191,15 +191,15 @@ def axis_rows(
 # A triangulation of n points in three dimensions has some 6.7 n tetrahedra: with what answers need
 # of each, 1.5 kB a point, and 45 µs a point to make. A table of a million rows would take gigabytes
 # and minutes, for neighbours that are closer than any response bends. So beyond a bound a half, a
-# quarter, ... of the points is triangulated, and the others tell whether its bars hold.
+# quarter, ... of the points is triangulated, and the others show whether its bars hold.
 #
 # Of one axis: three triangulations of as many stay below 300 MB and take some 10 s, and neighbours
-# are a fortieth of the range apart.
+# have a distance of a fortieth of the range.
 MAX_POINTS = 60_000
 # In each of these directions the outermost point stays, so that the hull does: 400 directions are
-# 10 degrees apart, and what a rounded hull loses between them is a part in 250.
+# at 10 degrees, and what a rounded hull loses between them is a part in 250.
 DIRECTIONS = 400
-CHUNK = 5000  # points at once: their places along all directions fit 20 MB
+CHUNK = 5000  # points at once: their coordinates along all directions fit 20 MB
 # Odd factors of Knuth's multiplicative hashing (The Art of Computer Programming 3, 6.4), one a
 # coordinate.
 _FACTORS = np.uint64(0x9E3779B97F4A7C15) * np.arange(1, 13, 2, dtype=np.uint64)
@@ -228,14 +228,14 @@ def evenly_chosen(points: Floats) -> NDArray[np.bool_]:
         (corners, np.column_stack((radius * np.cos(angle), radius * np.sin(angle), height)))
     )
     most = np.full(len(directions), -np.inf)
-    place = np.zeros(len(directions), dtype=np.intp)
+    outermost = np.zeros(len(directions), dtype=np.intp)
     for start in range(0, len(points), CHUNK):
         along = directions @ points[start : start + CHUNK].T
         best = along.argmax(axis=1)
         value = along[np.arange(len(best)), best]
         better = value > most
-        most[better], place[better] = value[better], start + best[better]
-    chosen[place] = True
+        most[better], outermost[better] = value[better], start + best[better]
+    chosen[outermost] = True
     return chosen
 
 

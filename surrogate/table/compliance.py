@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from ..calibration import conformal_factor
 from .rows import SMALLEST, Floats, LoadRange, Rows
 
-RANK = 1e-9  # relative singular value below which the rows do not tell a load
-LONE = 1e-6  # of a row's own weight in its prediction: with less to spare the others do not tell it
+RANK = 1e-9  # relative singular value below which the rows do not determine a load
+LONE = 1e-6  # of a row's weight in its prediction: below it the other rows do not determine it
 ROUNDING = 1e-15  # of the largest displacement of its kind: rounding, the least bar of any answer
 SAME_LINE = 1e-5  # a linear deck's gap to its compliance: fea/deck/solving.py refuses more
 
@@ -23,15 +23,15 @@ class ComplianceFit:
     Attributes
     ----------
     matrix : ndarray, shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m)
-        A column is zero where the rows do not tell the load's influence.
+        A column is zero where the rows do not determine the load's influence.
     known : ndarray of bool, shape (6,)
         Which loads' columns the rows determine.
     error : ndarray, shape (6,), m and rad
         95 % error bar of `matrix @ wrench` on the rows.
     origin : str
-        "stored" (mean of the rows' own compliances), "fitted" or "none".
+        "stored" (mean of the rows' compliances), "fitted" or "none".
     offset : ndarray, shape (6,), m and rad, or () for none
-        The displacement where all inputs are 0: that of the component's own weight, if a linear
+        The displacement where all inputs are 0: that of the component's weight, if a linear
         solve stored it, and of a reference temperature that is not 0.
     """
 
@@ -50,16 +50,16 @@ class ComplianceFit:
 def fit_compliance(rows: Rows, load_range: LoadRange, *, linear: bool) -> ComplianceFit:
     """Return the 6x6 compliance of the rows.
 
-    A linear component's stored compliances are its whole truth. A nonlinear one has another
-    tangent at each row, and what its rows share is the least-squares secant; tangents only fill
-    the columns of loads which no row tells.
+    A linear component's stored compliances determine it. A nonlinear one has another
+    tangent at each row, and common to its rows is the least-squares secant; tangents only fill
+    the columns of loads which no row determines.
     """
     fit = _fit(rows, load_range, linear=linear)
     if not len(rows):
         return fit
     # Rounding errs too: no bar is 0.
-    full = np.maximum(np.abs(load_range.low), np.abs(load_range.high))
-    moved = np.maximum(np.abs(rows.displacement).max(axis=0), np.abs(fit.matrix) @ full)
+    largest_loads = np.maximum(np.abs(load_range.low), np.abs(load_range.high))
+    moved = np.maximum(np.abs(rows.displacement).max(axis=0), np.abs(fit.matrix) @ largest_loads)
     kinds = load_range.space.largest_of_kind(moved)
     least = np.maximum(ROUNDING * kinds, SMALLEST)
     return replace(fit, error=np.maximum(fit.error, least))
@@ -96,7 +96,7 @@ def _fit(rows: Rows, load_range: LoadRange, *, linear: bool) -> ComplianceFit:
 
 
 def _from_rows(rows: Rows, load_range: LoadRange, *, linear: bool) -> ComplianceFit:
-    """Fit the columns that the rows tell, by least squares on scaled loads from their zeros."""
+    """Fit the columns that the rows determine: least squares on scaled loads from their zeros."""
     zero = load_range.space.zero
     scaled = (rows.wrench - zero) / load_range.scale
     if not scaled.any():
@@ -127,6 +127,6 @@ def _from_rows(rows: Rows, load_range: LoadRange, *, linear: bool) -> Compliance
         # others do not span shows nothing: there the bar is what the row moved.
         room = 1.0 - (basis**2).sum(axis=1)[:, None]
         alone = room < LONE
-        missed = np.where(alone, rows.displacement, residual / np.where(alone, 1.0, room))
-        error = conformal_factor(np.abs(missed)) + stored
+        deleted = np.where(alone, rows.displacement, residual / np.where(alone, 1.0, room))
+        error = conformal_factor(np.abs(deleted)) + stored
     return ComplianceFit(matrix, known, error, "fitted", offset)

@@ -62,9 +62,9 @@ class TableFileError(ValueError):
 def write_table(
     path: str | os.PathLike[str], rows: Rows, meta: TableMeta, notes: Sequence[str] = ()
 ) -> None:
-    """Write a table and put it in the place of the one before, all or nothing.
+    """Write a table and replace the file before, all or nothing.
 
-    `notes`, one text a row, are for an export; the store's own files have none.
+    `notes`, one text a row, are for an export; the store's files have none.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def write_table(
             _write_meta(file, meta)
             _write_rows(file, rows)
             if any(notes):
-                # Of their own lengths: one long note must not make every other as long.
+                # Each of its length: a long note must not make every other as long.
                 kind = h5py.string_dtype("utf-8")
                 file.create_dataset("rows/note", data=list(notes), dtype=kind)
         write_digest(draft)
@@ -148,7 +148,7 @@ def _write_meta(file: h5py.File, meta: TableMeta) -> None:
     names = meta.load_range.space.output_names
     file.attrs["locked"] = " ".join(names[load] for load in meta.locked)
     if not meta.load_range.space.is_default:
-        file.attrs["space"] = json.dumps(meta.load_range.space.words(), ensure_ascii=False)
+        file.attrs["space"] = json.dumps(meta.load_range.space.as_json(), ensure_ascii=False)
     if meta.tolerance is not None:
         file.attrs["tolerance"] = (meta.tolerance.translation, meta.tolerance.rotation)
     if meta.solver_error is not None:
@@ -173,9 +173,9 @@ def _write_rows(file: h5py.File, rows: Rows) -> None:
             _write_column(group, name, column).attrs["units"] = units
     for name in ("source", "fingerprint"):
         # Of one length, so that the checksum is over the words and not over where they are.
-        words = np.char.encode(getattr(rows, name).astype(str), "utf-8")
-        kind = h5py.string_dtype("utf-8", max(words.dtype.itemsize, 1))
-        _write_column(group, name, words.astype(kind))
+        encoded = np.char.encode(getattr(rows, name).astype(str), "utf-8")
+        kind = h5py.string_dtype("utf-8", max(encoded.dtype.itemsize, 1))
+        _write_column(group, name, encoded.astype(kind))
 
 
 def _write_column(group: h5py.Group, name: str, column: np.ndarray) -> h5py.Dataset:
@@ -204,7 +204,7 @@ def _attribute(file: h5py.File, name: str) -> Any:
 
 def _read_meta(file: h5py.File) -> TableMeta:
     low, high = (_numbers(file, f"load_range/{name}") for name in ("low", "high"))
-    space, words = _read_space(file), {word: word for word in get_args(OffAxis)}
+    space, off_axis_values = _read_space(file), {word: word for word in get_args(OffAxis)}
     tolerance: Any = file.attrs.get("tolerance")  # files of 0.1 say nothing of these three
     return TableMeta(
         component=str(_attribute(file, "component")),
@@ -217,7 +217,7 @@ def _read_meta(file: h5py.File) -> TableMeta:
         ledger=str(file.attrs.get("ledger", "")),
         tolerance=Tolerance(*map(float, tolerance)) if tolerance is not None else None,
         linear=bool(file.attrs.get("linear", False)),
-        off_axis=words[str(file.attrs.get("off_axis", "correct"))],
+        off_axis=off_axis_values[str(file.attrs.get("off_axis", "correct"))],
         edits=_read_edits(file),
         solver_error=json.loads(str(file.attrs.get("solver_error", "null"))),
         locked=tuple(map(space.output_names.index, str(file.attrs.get("locked", "")).split())),
@@ -225,23 +225,23 @@ def _read_meta(file: h5py.File) -> TableMeta:
 
 
 def _read_space(file: h5py.File) -> Space:
-    words = file.attrs.get("space")  # files of one interface without further inputs have none
-    return DEFAULT if words is None else Space.read(json.loads(str(words)))
+    text = file.attrs.get("space")  # files of one interface without further inputs have none
+    return DEFAULT if text is None else Space.read(json.loads(str(text)))
 
 
 def _read_edits(file: h5py.File) -> tuple[tuple[str, bool, float], ...] | None:
     if "edits" not in file:
         return None
-    keys = _words(file, "edits/key").tolist()
+    keys = _strings(file, "edits/key").tolist()
     gone = _numbers(file, "edits/withdrawn").astype(bool).tolist()
     return tuple(zip(keys, gone, _numbers(file, "edits/seconds").tolist(), strict=True))
 
 
 def _dataset(file: h5py.File, name: str) -> h5py.Dataset:
-    found = file[name]
-    if not isinstance(found, h5py.Dataset):
+    dataset = file[name]
+    if not isinstance(dataset, h5py.Dataset):
         raise KeyError(f"{name} is no dataset")
-    return found
+    return dataset
 
 
 _ALL = slice(None)
@@ -251,19 +251,19 @@ def _numbers(file: h5py.File, name: str, some: slice = _ALL) -> np.ndarray:
     return np.asarray(_dataset(file, name)[some])
 
 
-def _words(file: h5py.File, name: str, some: slice = _ALL) -> np.ndarray:
+def _strings(file: h5py.File, name: str, some: slice = _ALL) -> np.ndarray:
     return np.array(_dataset(file, name).asstr()[some], dtype=str)
 
 
 def _read_rows(file: h5py.File, some: slice = _ALL) -> Rows:
-    words = {name: _words(file, f"rows/{name}", some) for name in ("source", "fingerprint")}
+    strings = {name: _strings(file, f"rows/{name}", some) for name in ("source", "fingerprint")}
     names = [name for name in _UNITS if name != "curvature" or "rows/curvature" in file]
     numbers = {name: _numbers(file, f"rows/{name}", some) for name in ("seq", *names)}
     numbers.setdefault("curvature", np.empty((len(numbers["seq"]), 0)))
     for name in ("uncertainty", "compliance"):
         if np.isnan(numbers[name]).all():
             numbers[name] = unknown_column(*numbers[name].shape)
-    return Rows(**numbers, **words, space=_read_space(file))
+    return Rows(**numbers, **strings, space=_read_space(file))
 
 
 def foreign_tables(path: str | os.PathLike[str]) -> Iterator[tuple[Rows, list[str]]]:
@@ -305,26 +305,23 @@ def _check_contained(file: h5py.File) -> None:
         if not isinstance(group, h5py.Group):
             raise TableFileError(f"has no group {folder}: it is no wrenchbook table")
         for name in group:
-            found = (
+            dataset = (
                 group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
             )
-            if not isinstance(found, h5py.Dataset) or found.external or found.is_virtual:
+            if not isinstance(dataset, h5py.Dataset) or dataset.external or dataset.is_virtual:
                 raise TableFileError(
                     f"holds {folder}/{name} outside of itself or not as a dataset; send a file "
                     "that wrenchbook has written"
                 )
-            if found.chunks and np.prod(found.chunks, dtype=float) * found.dtype.itemsize > (
-                MAX_CHUNK_BYTES
-            ):
+            size = dataset.dtype.itemsize
+            if dataset.chunks and np.prod(dataset.chunks, dtype=float) * size > MAX_CHUNK_BYTES:
                 raise TableFileError(f"has chunks of more than {MAX_CHUNK_BYTES >> 20} MiB")
-            if name != "note" and (
-                found.dtype.hasobject or found.dtype.itemsize > MAX_STRING_BYTES
-            ):
+            if name != "note" and (dataset.dtype.hasobject or size > MAX_STRING_BYTES):
                 raise TableFileError(
                     f"holds texts in {folder}/{name} that a wrenchbook table does not have; send "
                     "a file that wrenchbook wrote"
                 )
-            room -= found.nbytes
+            room -= dataset.nbytes
     if room < 0:
         raise TableFileError(
             f"unpacks to more than {MAX_FOREIGN_BYTES >> 20} MiB; send the table in parts"
@@ -361,14 +358,14 @@ def foreign_columns(path: Path) -> Iterator[tuple[list[str], list[np.ndarray]]]:
     try:
         with h5py.File(path, "r") as file:
             columns = _named_columns(file)
-            lengths = {len(one) for _, one, _ in columns}
+            lengths = {len(dataset) for _, dataset, _ in columns}
             if len(lengths) != 1:
-                sizes = ", ".join(f"{name}: {len(one)}" for name, one, _ in columns[:8])
+                sizes = ", ".join(f"{name}: {len(dataset)}" for name, dataset, _ in columns[:8])
                 raise TableFileError(f"has no columns of one length ({sizes or 'no datasets'})")
             names = [name for name, _, _ in columns]
             for start in range(0, lengths.pop(), FOREIGN_PIECE):
                 some = slice(start, start + FOREIGN_PIECE)
-                yield names, [read(one[some]) for _, one, read in columns]
+                yield names, [read(dataset[some]) for _, dataset, read in columns]
     except TableFileError:
         raise
     except Exception as error:  # h5py has no base of what it raises on a file that is not sound
@@ -382,65 +379,66 @@ NamedColumn = tuple[str, Any, Callable[[np.ndarray], np.ndarray]]
 class _Vector:
     """A dataset of shape (1, n), as MATLAB writes a column, or (n, 1)."""
 
-    def __init__(self, one: h5py.Dataset) -> None:
-        self._one = one
+    def __init__(self, dataset: h5py.Dataset) -> None:
+        self._data = dataset
 
     def __len__(self) -> int:
-        return int(self._one.size or 0)
+        return int(self._data.size or 0)
 
     def __getitem__(self, some: slice) -> np.ndarray:
-        return np.asarray(self._one[0, some] if self._one.shape[0] == 1 else self._one[some, 0])
+        return np.asarray(self._data[0, some] if self._data.shape[0] == 1 else self._data[some, 0])
 
 
 def _named_columns(file: h5py.File) -> list[NamedColumn]:
     group: h5py.Group = file
-    inside = [one for name, one in file.items() if not name.startswith("#")]  # MATLAB's references
+    # MATLAB's references begin with #.
+    inside = [dataset for name, dataset in file.items() if not name.startswith("#")]
     if len(inside) == 1 and isinstance(inside[0], h5py.Group):
         group = inside[0]
     columns: list[NamedColumn] = []
     room = MAX_FOREIGN_BYTES
-    for name, one in group.items():
-        if not isinstance(one, h5py.Dataset) or one.ndim == 0:
+    for name, dataset in group.items():
+        if not isinstance(dataset, h5py.Dataset) or dataset.ndim == 0:
             continue
-        room -= one.nbytes
-        chunk = np.prod(one.chunks or (0,), dtype=float) * one.dtype.itemsize
+        room -= dataset.nbytes
+        chunk = np.prod(dataset.chunks or (0,), dtype=float) * dataset.dtype.itemsize
         if room < 0 or chunk > MAX_CHUNK_BYTES:
             raise TableFileError(
                 f"unpacks to more than {MAX_FOREIGN_BYTES >> 20} MiB, or has chunks of more than "
                 f"{MAX_CHUNK_BYTES >> 20} MiB; send the table in parts"
             )
-        columns += _columns_of(name, one)
+        columns += _columns_of(name, dataset)
     return columns
 
 
-def _columns_of(name: str, one: h5py.Dataset) -> list[NamedColumn]:
-    fields = one.dtype.names
-    if fields and one.ndim == 1:
-        labels = _labels(one, list(fields))
+def _columns_of(name: str, dataset: h5py.Dataset) -> list[NamedColumn]:
+    fields = dataset.dtype.names
+    if fields and dataset.ndim == 1:
+        labels = _labels(dataset, list(fields))
         return [
-            (label, one, _unpacking(one, name, field))
+            (label, dataset, _unpacking(dataset, name, field))
             for label, field in zip(labels, fields, strict=True)
         ]
-    titles = _texts(one, "columns", "names")
-    if one.ndim == 2 and len(titles) == one.shape[1]:
-        labels = _labels(one, titles)
-        parts = (_unpacking(one, name, (slice(None), place)) for place in range(len(labels)))
-        return [(label, one, part) for label, part in zip(labels, parts, strict=True)]
-    words = h5py.check_string_dtype(one.dtype) is not None
-    is_vector = one.ndim == 2 and 1 in one.shape and not words
-    if not (one.ndim == 1 or is_vector) or not (words or one.dtype.kind in "iufb"):
+    titles = _texts(dataset, "columns", "names")
+    if dataset.ndim == 2 and len(titles) == dataset.shape[1]:
+        labels = _labels(dataset, titles)
+        parts = (_unpacking(dataset, name, (slice(None), k)) for k in range(len(labels)))
+        return [(label, dataset, part) for label, part in zip(labels, parts, strict=True)]
+    is_text = h5py.check_string_dtype(dataset.dtype) is not None
+    is_vector = dataset.ndim == 2 and 1 in dataset.shape and not is_text
+    if not (dataset.ndim == 1 or is_vector) or not (is_text or dataset.dtype.kind in "iufb"):
         raise TableFileError(
-            f"holds {name} of shape {one.shape} and type {one.dtype}; a column is a dataset of one "
-            "dimension, of numbers or texts (data frames: use to_parquet or to_csv)"
+            f"holds {name} of shape {dataset.shape} and type {dataset.dtype}; a column is a "
+            "dataset of one dimension, of numbers or texts (data frames: use to_parquet or to_csv)"
         )
-    (label,) = _labels(one, [name])
-    column = one.asstr() if words else _Vector(one) if is_vector else one
-    return [(label, column, np.asarray if words else _unpacking(one, name, ...))]
+    (label,) = _labels(dataset, [name])
+    column = dataset.asstr() if is_text else _Vector(dataset) if is_vector else dataset
+    return [(label, column, np.asarray if is_text else _unpacking(dataset, name, ...))]
 
 
-def _labels(one: h5py.Dataset, names: list[str]) -> list[str]:
-    """Return names with the units of a dataset's attribute, unless they have their own."""
-    units = _texts(one, "units", "unit")
+def _labels(dataset: h5py.Dataset, names: list[str]) -> list[str]:
+    """Return names with the units of a dataset's attribute, unless they have units."""
+    units = _texts(dataset, "units", "unit")
     if len(units) != len(names):
         return names
     return [
@@ -449,10 +447,10 @@ def _labels(one: h5py.Dataset, names: list[str]) -> list[str]:
     ]
 
 
-def _texts(one: h5py.Dataset, *keys: str) -> list[str]:
+def _texts(dataset: h5py.Dataset, *keys: str) -> list[str]:
     """Return the texts of the first attribute there is, of one text or several."""
-    found: Any = next((one.attrs[key] for key in keys if key in one.attrs), ())
-    several = [found] if isinstance(found, str | bytes) else list(found)
+    value: Any = next((dataset.attrs[key] for key in keys if key in dataset.attrs), ())
+    several = [value] if isinstance(value, str | bytes) else list(value)
     return [
         text.decode(errors="replace") if isinstance(text, bytes) else str(text) for text in several
     ]
@@ -462,7 +460,7 @@ _PACKING = ("scale_factor", "add_offset", "_FillValue", "missing_value")
 _VALID = ("valid_min", "valid_max", "valid_range")
 
 
-def _unpacking(one: h5py.Dataset, name: str, part: Any) -> Callable[[np.ndarray], np.ndarray]:
+def _unpacking(dataset: h5py.Dataset, name: str, part: Any) -> Callable[[np.ndarray], np.ndarray]:
     """Return what takes a field or a column `part` of a piece of a dataset, unpacked.
 
     CF conventions 1.11, 2.5.1 and 8.1: a stored value that is ``_FillValue`` or ``missing_value``,
@@ -475,9 +473,11 @@ def _unpacking(one: h5py.Dataset, name: str, part: Any) -> Callable[[np.ndarray]
         If an attribute of these is no number, there are several of one, or integers are packed
         and their valid range is no integers.
     """
-    stored_type = one.dtype[part] if isinstance(part, str) else one.dtype
-    keys = [key for key in (*_PACKING, *_VALID, "_Unsigned") if key in one.attrs]
-    attributes: dict[str, np.ndarray] = {key: np.ravel(np.asarray(one.attrs[key])) for key in keys}
+    stored_type = dataset.dtype[part] if isinstance(part, str) else dataset.dtype
+    keys = [key for key in (*_PACKING, *_VALID, "_Unsigned") if key in dataset.attrs]
+    attributes: dict[str, np.ndarray] = {
+        key: np.ravel(np.asarray(dataset.attrs[key])) for key in keys
+    }
     packed = stored_type.kind in "iu" and not attributes.keys().isdisjoint(_PACKING[:2])
     for key, values in attributes.items():
         count = {"missing_value": len(values) or 1, "valid_range": 2}.get(key, 1)
@@ -516,9 +516,9 @@ def _unpacking(one: h5py.Dataset, name: str, part: Any) -> Callable[[np.ndarray]
 
 
 def leads_out(path: Path) -> bool:
-    """Tell whether an HDF5 file of any kind has something of it read from another file.
+    """Whether an HDF5 file of any kind refers to data in another file.
 
-    A mesh is such a file too; one of a stranger must not have this machine's files read as its own.
+    A mesh is such a file too; one of a stranger must not have this machine's files read.
 
     Raises
     ------
@@ -527,20 +527,20 @@ def leads_out(path: Path) -> bool:
     """
     if not h5py.is_hdf5(path):
         return False
-    found: list[str] = []
+    outside: list[str] = []
 
-    def look_at(name: str, thing: h5py.Group | h5py.Dataset) -> None:
+    def check(name: str, thing: h5py.Group | h5py.Dataset) -> None:
         if isinstance(thing, h5py.Dataset) and (thing.external or thing.is_virtual):
-            found.append(name)
+            outside.append(name)
 
-    def look_at_link(name: bytes, link: h5l.LinkInfo) -> None:
+    def check_link(name: bytes, link: h5l.LinkInfo) -> None:
         if link.type not in (h5l.TYPE_HARD, h5l.TYPE_SOFT):
-            found.append(name.decode(errors="replace"))
+            outside.append(name.decode(errors="replace"))
 
     try:
         with h5py.File(path, "r") as file:
-            file.id.links.visit(look_at_link, info=True)
-            file.visititems(look_at)
+            file.id.links.visit(check_link, info=True)
+            file.visititems(check)
     except Exception as error:
         raise TableFileError(f"is no HDF5 file that can be looked through ({error})") from error
-    return bool(found)
+    return bool(outside)

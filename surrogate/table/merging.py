@@ -1,7 +1,7 @@
 """Rows at the same wrench: which they are, their mean, and whether they contradict each other.
 
-A row beyond the load range answers its own wrench and nothing else: one row at 25 times the range
-makes simplices that take most of it, and bends every fit. Two rows that are almost one tell, by the
+A row beyond the load range answers its wrench and nothing else: one row at 25 times the range
+makes simplices that take most of it, and bends every fit. Two rows that are almost one show, by the
 little they differ, slopes and curvatures that are nothing but noise: they are one row, and what
 they differ by is its uncertainty.
 """
@@ -17,13 +17,13 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from .rows import CLEAN, NEAR, Floats, LoadRange, Rows
+from .rows import NEAR, ZERO_LOAD, Floats, LoadRange, Rows
 
 DIRECTIONS = 3  # each leaves about a tenth of 30,000 rows
 ALONG = 1 + 1e-6  # of a distance along a direction, whose ends are of size 1 (2e-16 over 1e-6)
 EQUAL = 12  # decimals of scaled loads to which rows are one before any distance is measured
 SOLVED = "fea"  # the source of a row that repeats exactly
-# Wrenches that are near each other are so along any direction; of those apart few are. The parts
+# Wrenches that are near each other are so along any direction; of others few are. The parts
 # are roots of primes, of which no two loads' steps cancel, and their sum is 1, so that what is
 # within `NEAR` in each load is so along it.
 _PRIMES = [k for k in range(2, 90) if all(k % part for part in range(2, k))]
@@ -33,8 +33,8 @@ AGREE = 1e-6  # of an output's range: what rounding in a file may do
 MAX_LISTED = 50
 
 
-class Readings(NamedTuple):
-    """Measured values of unstated uncertainty behind each row and output, shape (n, 6).
+class Observations(NamedTuple):
+    """Measured values of unknown uncertainty behind each row and output, shape (n, 6).
 
     Their scatter and the likelihood of a kriging show their noise.
 
@@ -49,9 +49,9 @@ class Readings(NamedTuple):
     number: Floats
     scatter: Floats
 
-    def take(self, which: NDArray[np.intp]) -> Readings:
+    def take(self, which: NDArray[np.intp]) -> Observations:
         """Return those of some rows, whose indices have shape (k,)."""
-        return Readings(self.number[which], self.scatter[which])
+        return Observations(self.number[which], self.scatter[which])
 
 
 class Merged(NamedTuple):
@@ -69,7 +69,7 @@ class Merged(NamedTuple):
         Which lie within the load range.
     owner : ndarray of int, shape (given rows,)
         The index, in these rows, of each row that was given.
-    readings : Readings
+    observations : Observations
         Behind each of these rows.
     """
 
@@ -77,15 +77,15 @@ class Merged(NamedTuple):
     members: tuple[tuple[int, ...], ...]
     within: NDArray[np.bool_]
     owner: NDArray[np.intp]
-    readings: Readings
+    observations: Observations
 
-    def usable(self) -> tuple[Rows, tuple[tuple[int, ...], ...], Readings]:
-        """Return the rows within the load range, their members and readings."""
+    def usable(self) -> tuple[Rows, tuple[tuple[int, ...], ...], Observations]:
+        """Return the rows within the load range, their members and observations."""
         if self.within.all():
-            return self.rows, self.members, self.readings
+            return self.rows, self.members, self.observations
         inside = np.flatnonzero(self.within)
-        members = tuple(self.members[place] for place in inside)
-        return self.rows.take(inside), members, self.readings.take(inside)
+        members = tuple(self.members[index] for index in inside)
+        return self.rows.take(inside), members, self.observations.take(inside)
 
 
 def merge(rows: Rows, load_range: LoadRange) -> Merged:
@@ -98,13 +98,14 @@ def merge(rows: Rows, load_range: LoadRange) -> Merged:
     several = np.flatnonzero(sizes > 1)
     present = np.isfinite(rows.displacement)
     solved = (rows.source == SOLVED) | np.isfinite(rows.compliance).all(axis=(1, 2))
-    stated = present & ((rows.uncertainty > 0) | solved[:, None])
-    readings = Readings(np.where(present & ~stated, 1.0, 0.0), np.zeros_like(rows.displacement))
+    is_known = present & ((rows.uncertainty > 0) | solved[:, None])
+    number = np.where(present & ~is_known, 1.0, 0.0)
+    observations = Observations(number, np.zeros_like(number))
     if not len(several):
-        return Merged(rows, tuple(zip(rows.seq.tolist(), strict=True)), within, owner, readings)
-    # The wrench is that of the row with the fewest loads, so that a clean row stays clean and the
+        return Merged(rows, tuple(zip(rows.seq.tolist(), strict=True)), within, owner, observations)
+    # The wrench is that of the row with the fewest loads: a single-axis row stays so, and the
     # row at no load at no load; then of the outermost, so that the hull does not shrink.
-    loaded = (np.abs(scaled) > CLEAN).sum(axis=1)
+    loaded = (np.abs(scaled) > ZERO_LOAD).sum(axis=1)
     order = np.lexsort((rows.seq, -(scaled**2).sum(axis=1), loaded, owner))
     first = order[np.cumsum(sizes) - sizes]
     order, starts = _several(owner)
@@ -126,21 +127,22 @@ def merge(rows: Rows, load_range: LoadRange) -> Merged:
     for name, values in columns.items():
         merged[name][several] = values
     members = list(zip(rows.seq[first].tolist(), strict=True))
-    for place, group in zip(several.tolist(), np.split(part.seq, starts[1:]), strict=True):
-        members[place] = tuple(group.tolist())
-    apart = np.where(present, part.displacement - mean.repeat(sizes[several], axis=0), 0.0)
-    unstated = ~np.logical_or.reduceat(stated[order], starts)
-    readings = readings.take(first)
-    readings.number[several] = np.where(unstated, np.add.reduceat(present, starts, dtype=float), 0)
-    readings.scatter[several] = np.where(unstated, np.add.reduceat(apart**2, starts), 0.0)
-    kept = replace(rows.take(first), **merged)
-    return Merged(kept, tuple(members), within[first], owner, readings)
+    for index, group in zip(several.tolist(), np.split(part.seq, starts[1:]), strict=True):
+        members[index] = tuple(group.tolist())
+    deviations = np.where(present, part.displacement - mean.repeat(sizes[several], axis=0), 0.0)
+    unknown = ~np.logical_or.reduceat(is_known[order], starts)
+    observations = observations.take(first)
+    number = np.add.reduceat(present, starts, dtype=float)
+    observations.number[several] = np.where(unknown, number, 0)
+    observations.scatter[several] = np.where(unknown, np.add.reduceat(deviations**2, starts), 0.0)
+    merged_rows = replace(rows.take(first), **merged)
+    return Merged(merged_rows, tuple(members), within[first], owner, observations)
 
 
 class RowIndex:
     """The nearest row of each wrench, if that is within 1e-6 of the range in each load.
 
-    Rows as near as that are one (`merging`): a rounding error beside a row is the row's own place.
+    Rows as near as that are one (`merging`): a rounding error beside a row is the row.
     Of several rows of one wrench the first counts.
 
     Parameters
@@ -172,20 +174,20 @@ class RowIndex:
         self.order: NDArray[np.intp] = order[first]
         self.keys: Floats = keys[self.order]
 
-    def places(self, wrenches: Floats) -> NDArray[np.intp]:
+    def indices(self, wrenches: Floats) -> NDArray[np.intp]:
         """Return the row of each wrench (k, 6), N and N·m, shape (k,); -1 where none is near."""
-        found = np.full(len(wrenches), -1, dtype=np.intp)
+        indices = np.full(len(wrenches), -1, dtype=np.intp)
         with np.errstate(over="ignore", invalid="ignore"):  # a load may be 1e300
             keys = wrenches @ self.rates
             first = np.searchsorted(self.keys, keys - WINDOW)
             last = np.searchsorted(self.keys, keys + WINDOW, side="right")
-        for place in np.flatnonzero(first < last).tolist():
-            rows = np.sort(self.order[first[place] : last[place]])
-            apart = (np.abs(self._wrenches[rows] - wrenches[place]) / self._scale).max(axis=1)
-            nearest = np.argmin(apart)  # of equally near rows the first
-            if apart[nearest] <= NEAR:
-                found[place] = rows[nearest]
-        return found
+        for index in np.flatnonzero(first < last).tolist():
+            rows = np.sort(self.order[first[index] : last[index]])
+            distances = (np.abs(self._wrenches[rows] - wrenches[index]) / self._scale).max(axis=1)
+            nearest = np.argmin(distances)  # of equally near rows the first
+            if distances[nearest] <= NEAR:
+                indices[index] = rows[nearest]
+        return indices
 
 
 def repeated(rows: Rows, load_range: LoadRange) -> list[NDArray[np.intp]]:
@@ -202,24 +204,24 @@ def row_conflicts(rows: Rows, load_range: LoadRange) -> dict[str, Any]:
     """
     groups = repeated(rows, load_range)
     size = AGREE * np.abs(np.nan_to_num(rows.displacement)).max(axis=0, initial=0.0)
-    names, found = rows.space.output_names, []
-    for places in groups:
-        moved = rows.displacement[places]
+    names, conflicts = rows.space.output_names, []
+    for indices in groups:
+        moved = rows.displacement[indices]
         spread = np.fmax.reduce(moved) - np.fmin.reduce(moved)  # NaN where none is measured
-        allowed = 2 * np.nan_to_num(rows.uncertainty[places]).max(axis=0) + size
+        allowed = 2 * np.nan_to_num(rows.uncertainty[indices]).max(axis=0) + size
         over = np.flatnonzero(spread > allowed)
         if len(over):
-            wrench = rows.wrench[places[0]].tolist()
-            found.append(
+            wrench = rows.wrench[indices[0]].tolist()
+            conflicts.append(
                 {
-                    "rows": rows.seq[places].tolist(),
+                    "rows": rows.seq[indices].tolist(),
                     "wrench": dict(zip(rows.space.input_names, wrench, strict=True)),
                     "spread": {names[output]: float(spread[output]) for output in over},
                 }
             )
     return {
-        "conflicts": found[:MAX_LISTED],
-        "conflicting_wrenches": len(found),
+        "conflicts": conflicts[:MAX_LISTED],
+        "conflicting_wrenches": len(conflicts),
         "repeated_wrenches": len(groups),
     }
 
@@ -239,9 +241,9 @@ def close_groups(points: Floats) -> NDArray[np.intp]:
     """
     if not len(points):
         return np.empty(0, dtype=np.intp)
-    # + 0.0 turns -0.0 into 0.0, which a byte-wise comparison would keep apart
+    # + 0.0 turns -0.0 into 0.0, which a byte-wise comparison would separate
     keys = np.round(points, EQUAL) + 0.0
-    # The distinct points in lexical order, and the place of each given one in them. As
+    # The distinct points in lexical order, and the index of each given point in them. As
     # `numpy.unique` along an axis does, which compares bytes and keeps all other threads waiting.
     order = np.lexsort(keys.T[::-1])
     ordered = keys[order]
@@ -251,18 +253,18 @@ def close_groups(points: Floats) -> NDArray[np.intp]:
     group[order] = np.cumsum(new) - 1
     distinct = ordered[new]
     # The points that another one may be near to, by what they are along a few directions. Points
-    # that are near each other are so along any direction; of points apart few are.
-    left = np.arange(len(distinct))
+    # that are near each other are so along any direction; of others few are.
+    remaining = np.arange(len(distinct))
     directions = np.random.default_rng(0).uniform(0.5, 1.0, (DIRECTIONS, distinct.shape[1]))
     for direction in directions:
-        along = distinct[left] @ direction
+        along = distinct[remaining] @ direction
         order = np.argsort(along)
         close = np.diff(along[order]) <= NEAR * direction.sum() * ALONG
-        kept = np.zeros(len(left), dtype=bool)
-        kept[order[1:][close]] = True
-        kept[order[:-1][close]] = True
-        left = left[kept]
-    near = left
+        is_close = np.zeros(len(remaining), dtype=bool)
+        is_close[order[1:][close]] = True
+        is_close[order[:-1][close]] = True
+        remaining = remaining[is_close]
+    near = remaining
     pairs = near[KDTree(distinct[near]).query_pairs(NEAR, p=np.inf, output_type="ndarray")]
     size = len(distinct)
     links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(size, size))
@@ -281,9 +283,9 @@ def _several(owner: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp
     return order[sizes[owner[order]] > 1], np.cumsum(several) - several
 
 
-def _means(values: Floats, starts: NDArray[np.intp], whole: tuple[int, ...]) -> Floats:
-    """Return each group's mean, (k, ...), of entries that are known along `whole`; else NaN."""
-    known = np.asarray(np.isfinite(values).all(axis=whole, keepdims=True))
+def _means(values: Floats, starts: NDArray[np.intp], axes: tuple[int, ...]) -> Floats:
+    """Return each group's mean, (k, ...), of entries that are known along `axes`; else NaN."""
+    known = np.asarray(np.isfinite(values).all(axis=axes, keepdims=True))
     count = np.add.reduceat(known, starts, dtype=float)
     total = np.add.reduceat(np.where(known, values, 0.0), starts)
     return np.where(count > 0, total / np.maximum(count, 1.0), np.nan)

@@ -43,7 +43,7 @@ class TableMeta:
     load_range : LoadRange
         N and N·m.
     fingerprint : str
-        Of the component's present set-up; each row carries its own.
+        Of the component's present set-up; each row has its own.
     title : str
     schema_version : int
     contract : str
@@ -53,20 +53,20 @@ class TableMeta:
     linear : bool
         Whether the component is linear.
     off_axis : {"correct", "ignore", "exclude"}
-        What becomes of rows that are clean for no axis.
+        What becomes of multi-axis rows.
     ledger : str
         Digest of the ledger's rows up to `last_seq`: a file that another ledger wrote, or this
         one before it lost rows, is recognised by it.
     edits : tuple of (str, bool, float), or None
         The newest withdrawal or restoring of each row that had one: the row's content key in
         hexadecimal, whether it is withdrawn, when (seconds since the epoch). Withdrawn rows are
-        not among the file's rows, so nothing else tells a ledger that was put back from an older
+        not among the file's rows, so nothing else shows a ledger that was put back from an older
         copy. None if they were not known.
     solver_error : mapping or None
         What the solver of the rows may be wrong by, as `surrogate.solver_error` reads it; None if
         no solve has estimated it.
     locked : tuple of int
-        Places, in `LOADS`, of the loads on locked freedoms: answers leave these loads out. The file
+        Indices in `LOADS` of the loads on locked freedoms: answers leave these loads out. The file
         has the names of the freedoms; a file of an older version has none, and no load is locked.
     """
 
@@ -99,7 +99,7 @@ def is_as_written(path: Path) -> bool:
         if head.startswith(_DIGEST_MARK):
             return head[len(_DIGEST_MARK) :].rstrip(b"\0") == _digest(file)
     # Files of the first schema begin with HDF5's mark and have no digest. So do other programs'
-    # files; without either mark nothing tells what the bytes are.
+    # files; without either mark nothing shows what the bytes are.
     return head.startswith(_HDF5_MARK)
 
 
@@ -124,8 +124,8 @@ def sync(path: Path) -> None:
 
 def _digest(file: BinaryIO) -> bytes:
     file.seek(USER_BLOCK)
-    whole = blake2b(digest_size=32)
+    digest = blake2b(digest_size=32)
     while piece := file.read(PIECE):
-        whole.update(piece)
+        digest.update(piece)
     file.seek(0)
-    return whole.hexdigest().encode()
+    return digest.hexdigest().encode()

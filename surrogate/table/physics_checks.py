@@ -1,7 +1,7 @@
 """What physics asks of a table, whatever the component: rows that break it are named.
 
 Zero at zero load. A compliance that is symmetric (Maxwell and Betti) and positive. Work done by a
-load on its own displacement that is positive, and grows from row to row along a ray and between
+load on its displacement that is positive, and grows from row to row along a ray and between
 neighbours. Tangents that lead from a row to its neighbour. Of several interfaces these hold for all
 their loads together; the laws of work are for tables without further inputs, since heat works too.
 """
@@ -14,11 +14,11 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from .compliance import ComplianceFit
-from .rows import CLEAN, Floats, LoadRange, Rows, Tolerance
+from .rows import ZERO_LOAD, Floats, LoadRange, Rows, Tolerance
 from .second_derivatives import symmetric_tangents
 from .space import Space
 
-# Shares of an output's largest value: what passes for zero, for equal, for linear.
+# Of an output's largest value: what passes for zero, for equal, for linear.
 ZERO, LINEAR = 1e-3, 1e-2
 ASYMMETRY = 5e-2  # turning loads make tangents unsymmetric by as much as the rotation
 # Of a solve's tangent by (F, mu): at the ends of their ranges the shipped components' are symmetric
@@ -39,27 +39,27 @@ def check_physics(
     Deviations below the uncertainty of a row, and below the tolerance, break no law: by default
     the tolerance is `ZERO` of the largest translation or rotation.
     """
-    whole = rows.take(np.isfinite(rows.displacement).all(axis=1))
-    if not len(whole):
+    complete = rows.take(np.isfinite(rows.displacement).all(axis=1))
+    if not len(complete):
         return {"rows_checked": 0, "ok": None, "checks": {}}
     space = load_range.space
     # Deviations that are no evidence, (m,), m and rad.
     if tolerance is None:
-        noise = ZERO * space.largest_of_kind(np.abs(whole.displacement).max(axis=0))
+        noise = ZERO * space.largest_of_kind(np.abs(complete.displacement).max(axis=0))
     else:
         noise = np.where(space.is_rotation, tolerance.rotation, tolerance.translation)
-    stored = np.nan_to_num(whole.uncertainty) + noise
+    stored = np.nan_to_num(complete.uncertainty) + noise
     checks = {
-        "zero_at_zero_load": _zero(whole, load_range, stored),
-        "symmetric": _symmetric(whole, load_range, fit),
-        "positive": _positive(whole, load_range, fit),
-        "linear": _linear(whole, space, fit),
-        "work": _work(whole, load_range, stored),
-        "tangents": _tangents(whole, load_range, stored),
+        "zero_at_zero_load": _zero(complete, load_range, stored),
+        "symmetric": _symmetric(complete, load_range, fit),
+        "positive": _positive(complete, load_range, fit),
+        "linear": _linear(complete, space, fit),
+        "work": _work(complete, load_range, stored),
+        "tangents": _tangents(complete, load_range, stored),
     }
     # Being nonlinear breaks no law.
     broken = [check for name, check in checks.items() if name != "linear" and check["ok"] is False]
-    return {"rows_checked": len(whole), "ok": not broken, "checks": checks}
+    return {"rows_checked": len(complete), "ok": not broken, "checks": checks}
 
 
 def _sizes(rows: Rows, space: Space) -> Floats:
@@ -75,7 +75,7 @@ def _named(rows: Rows, wrong: np.ndarray) -> list[int]:
 
 def _zero(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, Any]:
     space = load_range.space
-    unloaded = (np.abs(rows.wrench - space.zero) <= CLEAN * load_range.scale).all(axis=1)
+    unloaded = (np.abs(rows.wrench - space.zero) <= ZERO_LOAD * load_range.scale).all(axis=1)
     if not unloaded.any():
         return {"ok": None, "reason": "no row at zero load", "rows": []}
     over = (np.abs(rows.displacement) > ZERO * _sizes(rows, space) + stored).any(axis=1)
@@ -89,7 +89,7 @@ def _zero(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, Any]:
 
 
 def _energies(matrices: Floats, load_range: LoadRange) -> Floats:
-    """Return compliances (..., m, n) in units of energy: what each pair of full loads does.
+    """Return compliances (..., m, n) in units of energy: what each pair of loads does.
 
     Shape (..., m, m): loads, of which there are as many as outputs, stand before other inputs.
     """
@@ -99,19 +99,19 @@ def _energies(matrices: Floats, load_range: LoadRange) -> Floats:
 
 def _asymmetry(energies: Floats) -> Floats:
     largest = np.abs(energies).max(axis=(-2, -1))
-    apart = np.abs(energies - np.swapaxes(energies, -2, -1)).max(axis=(-2, -1))
-    return apart / np.maximum(largest, np.finfo(float).tiny)
+    differences = np.abs(energies - np.swapaxes(energies, -2, -1)).max(axis=(-2, -1))
+    return differences / np.maximum(largest, np.finfo(float).tiny)
 
 
 def _solved_asymmetry(rows: Rows, load_range: LoadRange) -> Floats:
     """Return the asymmetry of solves' tangents by the loads that are an energy's, (n,).
 
     Those are (F, mu) of a nonlinear solve and (F, M) of a linear one, in which rotations are small
-    and mu is M. A row does not tell which it is; a wrong tangent is symmetric in neither.
+    and mu is M. A row does not say which it is; a wrong tangent is symmetric in neither.
     """
     turned = symmetric_tangents(rows.wrench, rows.displacement, rows.compliance, load_range.space)
-    found = (_asymmetry(_energies(one, load_range)) for one in (rows.compliance, turned))
-    return np.fmin(*found)
+    energies = (_energies(tangent, load_range) for tangent in (rows.compliance, turned))
+    return np.fmin(*map(_asymmetry, energies))
 
 
 def _symmetric(rows: Rows, load_range: LoadRange, fit: ComplianceFit) -> dict[str, Any]:
@@ -166,19 +166,19 @@ def _linear(rows: Rows, space: Space, fit: ComplianceFit) -> dict[str, Any]:
     known = ((rows.wrench == space.zero) | fit.known).all(axis=1)
     if not known.any() or fit.origin == "none":
         return {"ok": None, "reason": "the rows tell no compliance", "rows": []}
-    missed = np.abs(rows.displacement - rows.wrench @ fit.matrix.T - fit.offset) / _sizes(
+    residual = np.abs(rows.displacement - rows.wrench @ fit.matrix.T - fit.offset) / _sizes(
         rows, space
     )
-    missed = np.where(known[:, None], missed, 0.0)
-    index = float(missed.max())
-    farthest = np.argsort(-missed.max(axis=1))[:5]
+    residual = np.where(known[:, None], residual, 0.0)
+    index = float(residual.max())
+    farthest = np.argsort(-residual.max(axis=1))[:5]
     ok = index <= LINEAR
     matrix = "a 6x6" if space.is_default else "one matrix"
     word = "suffices" if ok else "does not suffice"
     return {
         "ok": ok,
         "index": index,
-        "per_output": dict(zip(space.output_names, missed.max(axis=0).tolist(), strict=True)),
+        "per_output": dict(zip(space.output_names, residual.max(axis=0).tolist(), strict=True)),
         "says": f"{matrix} {word} for this component: max nonlinearity {index:.2%}",
         "rows": [] if ok else rows.seq[farthest].tolist(),
     }
@@ -219,35 +219,35 @@ def _tangents(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, An
     pairs = _neighbours(some, load_range) if len(there) > 1 else np.empty((0, 2), dtype=int)
     if not len(pairs):
         return {"ok": None, "reason": "fewer than two rows bring a tangent", "rows": []}
-    apart = some.wrench[pairs[:, 1]] - some.wrench[pairs[:, 0]]
-    near = np.linalg.norm(apart / load_range.scale, axis=1) <= NEAR
+    steps = some.wrench[pairs[:, 1]] - some.wrench[pairs[:, 0]]
+    near = np.linalg.norm(steps / load_range.scale, axis=1) <= NEAR
     if not near.any():
         return {"ok": None, "reason": "no two rows with a tangent are neighbours", "rows": []}
-    (first, second), step = pairs[near].T, apart[near]
+    (first, second), step = pairs[near].T, steps[near]
     mean = (some.compliance[first] + some.compliance[second]) / 2
     moved = some.displacement[second] - some.displacement[first]
-    missed = np.abs(moved - np.einsum("pij,pj->pi", mean, step))
+    residual = np.abs(moved - np.einsum("pij,pj->pi", mean, step))
     sizes = _sizes(some, load_range.space)
     allowed = TANGENT * np.abs(moved) + 0.05 * sizes
     allowed += stored[there][first] + stored[there][second]
-    over = (missed > allowed).any(axis=1)
+    over = (residual > allowed).any(axis=1)
     blamed = np.bincount(pairs[near][over].reshape(-1), minlength=len(some))
     wrong = blamed > 1 if (blamed > 1).any() else blamed > 0
     return {
         "ok": not over.any(),
-        "largest_miss": float((missed / sizes).max()),
+        "largest_miss": float((residual / sizes).max()),
         "rows": _named(some, wrong),
     }
 
 
 def _neighbours(rows: Rows, load_range: LoadRange) -> np.ndarray:
-    """Return pairs of places (p, 2): each row with the three nearest of another wrench."""
+    """Return pairs of indices (p, 2): each row with the three nearest of another wrench."""
     if len(rows) < 2:
         return np.empty((0, 2), dtype=int)
     scaled = rows.wrench / load_range.scale
     count = min(4, len(rows))
     far, near = KDTree(scaled).query(scaled, k=count)
     first = np.repeat(np.arange(len(rows)), count)
-    apart = np.asarray(far).reshape(-1) > CLEAN
-    pairs = np.sort(np.stack((first, np.asarray(near).reshape(-1)), axis=1)[apart], axis=1)
+    distinct = np.asarray(far).reshape(-1) > ZERO_LOAD
+    pairs = np.sort(np.stack((first, np.asarray(near).reshape(-1)), axis=1)[distinct], axis=1)
     return np.unique(pairs, axis=0)

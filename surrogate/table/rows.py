@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from .space import DEFAULT, Floats, Space
 
 # Of the range, in each load. The C kernel has the same numbers in wb_internal.h.
-CLEAN = 1e-9  # a smaller load counts as none, and one as little beyond an end as on it (rounding)
+ZERO_LOAD = 1e-9  # a smaller load counts as none, and as little beyond an end as on it (rounding)
 NEAR = 1e-6  # wrenches closer than this are one
 ROUNDING = 1e-12  # of a number's size: what its computation loses; no error bar is smaller
 SMALLEST = 1e-30  # m and rad: an error bar where nothing moves at all; its square is a number
@@ -86,7 +86,7 @@ class LoadRange:
         """
         half = (self.high - self.low) / 2
         size = np.maximum(np.abs(self.low), np.abs(self.high))
-        # An array that nobody changes by mistake: it is kept and handed out again.
+        # Read-only, since it is cached and returned again.
         array = np.where(half > 0, half, np.where(size > 0, size, 1.0))
         array.flags.writeable = False
         return array
@@ -94,7 +94,7 @@ class LoadRange:
     @cached_property
     def ends(self) -> Floats:
         """The range stretched to hold no load, and by what rounding may add, (2, n)."""
-        slack, zero = CLEAN * self.scale, self.space.zero
+        slack, zero = ZERO_LOAD * self.scale, self.space.zero
         return np.stack((np.minimum(self.low, zero) - slack, np.maximum(self.high, zero) + slack))
 
     def exceeded(self, wrenches: ArrayLike) -> NDArray[np.bool_]:
@@ -119,16 +119,16 @@ def acting(wrenches: ArrayLike, locked: Sequence[int]) -> Floats:
     Parameters
     ----------
     locked : sequence of int
-        Places, in `LOADS`, of the loads on locked freedoms.
+        Indices, in `LOADS`, of the loads on locked freedoms.
     """
     if not len(locked):
         return np.asarray(wrenches, dtype=float)
-    found = np.array(wrenches, dtype=float)
-    found[..., list(locked)] = 0.0
-    return found
+    copy = np.array(wrenches, dtype=float)
+    copy[..., list(locked)] = 0.0
+    return copy
 
 
-def acting_one(wrench: Sequence[float], locked: Sequence[int]) -> Sequence[float]:
+def acting_wrench(wrench: Sequence[float], locked: Sequence[int]) -> Sequence[float]:
     """Return `acting` of one wrench (6,), N and N·m; without an array, for single answers."""
     if not locked:
         return wrench
@@ -281,14 +281,14 @@ class Rows:
             "source": (np.full(n, "", dtype=object), str),
             "fingerprint": (np.full(n, "", dtype=object), str),
         }
-        rest = {
+        filled = {
             name: np.array(columns[name]).astype(kind, copy=False) if name in columns else blank
             for name, (blank, kind) in unknown.items()
         }
         for name in ("source", "fingerprint"):
-            rest[name] = rest[name].astype(str)
+            filled[name] = filled[name].astype(str)
         moved = np.array(displacement, dtype=float).reshape(-1, outputs)
-        return cls(wrench=wrenches, displacement=moved, space=space, **rest)
+        return cls(wrench=wrenches, displacement=moved, space=space, **filled)
 
 
 def rotation_angles(displacements: Floats) -> Floats:
@@ -326,25 +326,28 @@ def joined(parts: Sequence[Rows]) -> Rows:
     some = [part for part in parts if len(part)]
     if len(some) < 2:
         return some[0] if some else parts[0]
-    found: dict[str, NDArray[Any]] = {}
+    merged: dict[str, NDArray[Any]] = {}
     for name in _COLUMNS:
         columns = [getattr(part, name) for part in some]
         # NaN stands for a curvature, (n, p), that some have and others, (n, 0), have not.
         width = max(column.shape[1:] for column in columns)
         if all(map(_is_unknown, columns)):
-            found[name] = unknown_column(sum(map(len, columns)), *width)
+            merged[name] = unknown_column(sum(map(len, columns)), *width)
             continue
         blank = [unknown_column(len(column), *width) for column in columns]
         pairs = zip(columns, blank, strict=True)
-        found[name] = np.concatenate([own if own.shape[1:] == width else no for own, no in pairs])
-    return Rows(**found, space=some[0].space)
+        merged[name] = np.concatenate(
+            [column if column.shape[1:] == width else no for column, no in pairs]
+        )
+    return Rows(**merged, space=some[0].space)
 
 
 def why_beyond(load_range: LoadRange, wrench: Floats) -> str:
     """Return which loads of a wrench (6,), N and N·m, lie outside the load range, if any do."""
-    found = []
+    sentences = []
     for load in np.flatnonzero(load_range.exceeded(wrench)).tolist():
-        low, high, one = load_range.low[load], load_range.high[load], load_range.space.inputs[load]
-        unit, amount = one.unit, f"{one.name} = {wrench[load]:.10g} {one.unit}"
-        found.append(f"{amount} is outside the load range, {low:.6g}..{high:.6g} {unit}")
-    return "; ".join(found)
+        low, high = load_range.low[load], load_range.high[load]
+        name, unit = load_range.space.inputs[load].name, load_range.space.inputs[load].unit
+        amount = f"{name} = {wrench[load]:.10g} {unit}"
+        sentences.append(f"{amount} is outside the load range, {low:.6g}..{high:.6g} {unit}")
+    return "; ".join(sentences)

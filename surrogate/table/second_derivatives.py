@@ -12,7 +12,6 @@ from math import factorial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .space import PER_INTERFACE, Floats, Space
 
@@ -58,16 +57,16 @@ def moment_map(rotation: Floats, moment: Floats) -> MomentMap:
     total = MomentMap(*map(np.copy, term))
     for order in range(1, TERMS):
         value, first, second = term
-        bent = -(_CROSS.reshape(9, 3) @ first).reshape(second.shape)  # [i, a, b]: -e_a x v_,b
+        mixed = -(_CROSS.reshape(9, 3) @ first).reshape(second.shape)  # [i, a, b]: -e_a x v_,b
         term = MomentMap(
             (cross @ value[..., None])[..., 0],
             cross @ first - np.einsum("iak,...k->...ia", _CROSS, value),
             (cross @ second.reshape(*lead, 3, 9)).reshape(second.shape)
-            + bent
-            + np.swapaxes(bent, -1, -2),
+            + mixed
+            + np.swapaxes(mixed, -1, -2),
         )
-        for whole, part in zip(total, term, strict=True):
-            whole += part / factorial(order + 1)
+        for result, part in zip(total, term, strict=True):
+            result += part / factorial(order + 1)
     return total
 
 
@@ -110,16 +109,16 @@ def load_change(
     by_motion = np.zeros_like(np.swapaxes(compliance, 1, 2))
     bend = np.zeros((*free.shape, inputs, inputs))
     for first in range(PER_INTERFACE // 2, len(space.outputs), PER_INTERFACE):
-        own, turned = slice(first, first + 3), compliance[:, first : first + 3]
+        r, turned = slice(first, first + 3), compliance[:, first : first + 3]
         # [n, k, i] is J^T's column k: J itself; its slope times the moment is S.
-        unit = moment_map(displacement[:, None, own], np.eye(3))
-        by_load[:, own, own] = np.swapaxes(unit.value, 1, 2)
-        by_motion[:, own, own] = np.einsum("nk,nkia->nia", acting[:, own], unit.by_rotation)
-        second = np.einsum("nk,nkiab->niab", acting[:, own], unit.second)
-        bend[:, own] += np.einsum("niab,nav,nbw->nivw", second, turned, turned, optimize=True)
-        mixed = np.zeros_like(bend[:, own])
-        mixed[:, :, own] = np.einsum("nkia,naw->nikw", unit.by_rotation, turned)
-        bend[:, own] += mixed + np.swapaxes(mixed, 2, 3)
+        unit = moment_map(displacement[:, None, r], np.eye(3))
+        by_load[:, r, r] = np.swapaxes(unit.value, 1, 2)
+        by_motion[:, r, r] = np.einsum("nk,nkia->nia", acting[:, r], unit.by_rotation)
+        second = np.einsum("nk,nkiab->niab", acting[:, r], unit.second)
+        bend[:, r] += np.einsum("niab,nav,nbw->nivw", second, turned, turned, optimize=True)
+        mixed = np.zeros_like(bend[:, r])
+        mixed[:, :, r] = np.einsum("nkia,naw->nikw", unit.by_rotation, turned)
+        bend[:, r] += mixed + np.swapaxes(mixed, 2, 3)
     held = np.logical_not(free)
     locked = held[:, :, None] | held[:, None, :]
     by_load = np.where(locked, np.eye(inputs), by_load)
@@ -165,19 +164,15 @@ def second_derivatives(
     """
     inputs, outputs = len(space.inputs), len(space.outputs)
     change = load_change(wrench, displacement, compliance, space)
-    third = curvature[:, _places(inputs)][:, :outputs]
-    by_loads = symmetric_tangents(wrench, displacement, compliance, space)
-    found = np.einsum("noab,nav,nbw->novw", third, change.along, change.along, optimize=True)
-    found += np.einsum("noa,navw->novw", by_loads, change.bend)
-    # Solved for d2y/dw2, which S gives a part of.
-    left = np.eye(outputs) - by_loads @ change.by_motion
-    return np.linalg.solve(left, found.reshape(len(found), outputs, -1)).reshape(found.shape)
-
-
-def _places(inputs: int) -> NDArray[np.intp]:
-    """Return where T[a, b, c] stands among the numbers of a row, shape (I, I, I)."""
-    found = np.zeros((inputs,) * 3, dtype=np.intp)
-    for place, index in enumerate(combinations_with_replacement(range(inputs), 3)):
+    # Where T[a, b, c] stands among the numbers of a row.
+    positions = np.zeros((inputs,) * 3, dtype=np.intp)
+    for position, index in enumerate(combinations_with_replacement(range(inputs), 3)):
         for order in permutations(index):
-            found[order] = place
-    return found
+            positions[order] = position
+    third = curvature[:, positions][:, :outputs]
+    by_loads = symmetric_tangents(wrench, displacement, compliance, space)
+    second = np.einsum("noab,nav,nbw->novw", third, change.along, change.along, optimize=True)
+    second += np.einsum("noa,navw->novw", by_loads, change.bend)
+    # Solved for d2y/dw2, which S gives a part of.
+    matrix = np.eye(outputs) - by_loads @ change.by_motion
+    return np.linalg.solve(matrix, second.reshape(len(second), outputs, -1)).reshape(second.shape)

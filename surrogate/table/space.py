@@ -33,7 +33,7 @@ _UNNAMED = "the component has one interface, without a name: give its wrench as 
 
 
 class SpaceError(ValueError):
-    """Inputs that are not those of a space; `mistakes` has the place and the text of each."""
+    """Inputs that are not those of a space; `mistakes` has the field and the text of each."""
 
     def __init__(self, mistakes: Sequence[tuple[str, str]]) -> None:
         super().__init__("; ".join(f"{place}: {text}" for place, text in mistakes))
@@ -95,22 +95,22 @@ class Space:
     @cached_property
     def input_names(self) -> tuple[str, ...]:
         """The names of the inputs."""
-        return tuple(one.name for one in self.inputs)
+        return tuple(entry.name for entry in self.inputs)
 
     @cached_property
     def output_names(self) -> tuple[str, ...]:
         """The names of the outputs."""
-        return tuple(one.name for one in self.outputs)
+        return tuple(output.name for output in self.outputs)
 
     @cached_property
     def interfaces(self) -> tuple[str, ...]:
         """The names of the interfaces in their order; an empty one where there is one."""
-        return tuple(dict.fromkeys(one.interface for one in self.outputs))
+        return tuple(dict.fromkeys(output.interface for output in self.outputs))
 
     @cached_property
     def scalars(self) -> tuple[Input, ...]:
         """The inputs that are no loads, which stand behind the loads."""
-        return tuple(one for one in self.inputs if one.kind == "scalar")
+        return tuple(entry for entry in self.inputs if entry.kind == "scalar")
 
     @cached_property
     def several(self) -> tuple[str, ...]:
@@ -125,12 +125,12 @@ class Space:
     @cached_property
     def zero(self) -> Floats:
         """The inputs that have no effect, shape (n,), in their units: no load."""
-        return np.array([one.zero for one in self.inputs])
+        return np.array([entry.zero for entry in self.inputs])
 
     @cached_property
     def is_rotation(self) -> NDArray[np.bool_]:
         """Which outputs are rotations, shape (m,)."""
-        return np.array([one.unit == "rad" for one in self.outputs])
+        return np.array([output.unit == "rad" for output in self.outputs])
 
     @cached_property
     def kriging_groups(self) -> Floats:
@@ -140,16 +140,16 @@ class Space:
         influence); several have one an interface and one a pair. Scalars are in every term: what a
         load does depends on the temperature.
         """
-        scalars = {place for place, one in enumerate(self.inputs) if one.kind == "scalar"}
-        own = [
-            {place for place, one in enumerate(self.inputs) if one.interface == name} - scalars
+        scalars = {index for index, entry in enumerate(self.inputs) if entry.kind == "scalar"}
+        by_interface = [
+            {index for index, entry in enumerate(self.inputs) if entry.interface == name} - scalars
             for name in self.interfaces
         ]
-        if len(own) == 1:
+        if len(by_interface) == 1:
             terms = [{i, 3 + (i + 1) % 3, 3 + (i + 2) % 3} for i in range(3)]
         else:
-            pairs = combinations(own, 2) if len(own) > 2 else ()
-            terms = [*own, *(one | other for one, other in pairs)]
+            pairs = combinations(by_interface, 2) if len(by_interface) > 2 else ()
+            terms = [*by_interface, *(first | second for first, second in pairs)]
         seen = [*(term | scalars for term in terms), set(range(len(self.inputs)))]
         return np.array([[float(k in term) for k in range(len(self.inputs))] for term in seen])
 
@@ -171,16 +171,16 @@ class Space:
             If a name is unknown, or a further input is missing.
         """
         known = ", ".join(filter(None, self.interfaces))
-        names = [one.name for one in self.scalars]
+        names = [scalar.name for scalar in self.scalars]
         no_interface = f"no such interface; there is {known}" if known else _UNNAMED
         no_input = f"no such input; there is {', '.join(names) or 'none'}"
         mistakes = [
             *((f"loads.{name}", no_interface) for name in loads if name not in self.interfaces),
             *((f"inputs.{name}", no_input) for name in further if name not in names),
             *(
-                (f"inputs.{one.name}", f"missing; give its value in {one.unit}")
-                for one in self.scalars
-                if one.name not in further
+                (f"inputs.{scalar.name}", f"missing; give its value in {scalar.unit}")
+                for scalar in self.scalars
+                if scalar.name not in further
             ),
         ]
         if mistakes:
@@ -203,32 +203,32 @@ class Space:
             for name, k in zip(self.interfaces, range(0, len(inputs), PER_INTERFACE), strict=False)
         }
         first = len(self.inputs) - len(self.scalars)
-        further = dict(zip((one.name for one in self.scalars), inputs[first:], strict=True))
-        words: dict[str, Any] = {"loads": loads} if self.several else loads[self.interfaces[0]]
-        return words | ({"inputs": further} if further else {})
+        further = dict(zip((scalar.name for scalar in self.scalars), inputs[first:], strict=True))
+        result: dict[str, Any] = {"loads": loads} if self.several else loads[self.interfaces[0]]
+        return result | ({"inputs": further} if further else {})
 
     def largest_of_kind(self, values: Floats) -> Floats:
         """Return, for each output, the largest of its kind, translations or rotations.
 
         Values and result have shape (m,), in the outputs' units.
         """
-        rotation, found = self.is_rotation, np.empty(len(self.outputs))
+        rotation, largest = self.is_rotation, np.empty(len(self.outputs))
         for kind in (rotation, ~rotation):
-            found[kind] = values[kind].max(initial=-np.inf)
-        return found
+            largest[kind] = values[kind].max(initial=-np.inf)
+        return largest
 
-    def words(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, Any]:
         """Return the space as JSON, which `read` takes."""
         return {
-            "inputs": [_filled(asdict(one)) for one in self.inputs],
-            "outputs": [_filled(asdict(one)) for one in self.outputs],
+            "inputs": [_filled(asdict(entry)) for entry in self.inputs],
+            "outputs": [_filled(asdict(output)) for output in self.outputs],
         }
 
     @classmethod
-    def read(cls, words: Mapping[str, Any]) -> Space:
+    def read(cls, description: Mapping[str, Any]) -> Space:
         """Return the space of its JSON."""
-        inputs = tuple(Input(**one) for one in words["inputs"])
-        return cls(inputs, tuple(Output(**one) for one in words["outputs"]))
+        inputs = tuple(Input(**entry) for entry in description["inputs"])
+        return cls(inputs, tuple(Output(**entry) for entry in description["outputs"]))
 
 
 def _filled(entries: dict[str, Any]) -> dict[str, Any]:
@@ -248,10 +248,10 @@ def space_of(interfaces: Sequence[str] = ("",), scalars: Sequence[Input] = ()) -
     outputs: list[Output] = []
     for name in interfaces:
         front = f"{name}." if name else ""
-        for place in range(PER_INTERFACE):
-            kind: InputKind = "force" if place < 3 else "moment"
-            inputs.append(Input(front + LOADS[place], LOAD_UNITS[place], kind, name))
-            outputs.append(Output(front + OUTPUTS[place], OUTPUT_UNITS[place], name))
+        for index in range(PER_INTERFACE):
+            kind: InputKind = "force" if index < 3 else "moment"
+            inputs.append(Input(front + LOADS[index], LOAD_UNITS[index], kind, name))
+            outputs.append(Output(front + OUTPUTS[index], OUTPUT_UNITS[index], name))
     return Space((*inputs, *scalars), tuple(outputs))
 
 

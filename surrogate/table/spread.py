@@ -34,16 +34,16 @@ def spread_wrenches(span: LoadRange, count: int, start: int = 1) -> Floats:
     return wrenches
 
 
-def sample_of(ends: Floats, centre: Floats, places: NDArray[np.intp]) -> Floats:
+def sample_of(ends: Floats, centre: Floats, indices: NDArray[np.intp]) -> Floats:
     """Return the corners of a load range, shape (2, n), and wrenches within it, shape (m, n).
 
-    Inputs at other places are those of `centre`, shape (n,).
+    Inputs at other indices are those of `centre`, shape (n,).
     """
-    (low, high), count = ends, len(places)
+    (low, high), count = ends, len(indices)
     corners = np.array(list(product((0.0, 1.0), repeat=count)))
     loads = np.tile(centre, (len(corners) + INSIDE, 1))
     within = np.vstack([corners, _spread(INSIDE, count)])
-    loads[:, places] = low[places] + within * (high - low)[places]
+    loads[:, indices] = low[indices] + within * (high - low)[indices]
     return loads
 
 
@@ -59,6 +59,6 @@ def weakest(compliances: Floats, scale: Floats) -> tuple[Floats, Floats]:
     values, vectors = np.linalg.eigh(0.5 * (energy + energy.transpose(0, 2, 1)))
     rounding = np.abs(values[:, 0]) <= SLOPE_ROUNDING * np.abs(values).max(axis=1, initial=0.0)
     least[known] = np.where(rounding, 0.0, values[:, 0])
-    own = vectors[:, :, 0]
-    loads[known] = own / np.take_along_axis(own, np.abs(own).argmax(axis=1)[:, None], axis=1)
+    mode = vectors[:, :, 0]
+    loads[known] = mode / np.take_along_axis(mode, np.abs(mode).argmax(axis=1)[:, None], axis=1)
     return least, loads

@@ -100,7 +100,7 @@ class Asked:
     @cached_property
     def rows(self) -> np.ndarray:
         """The wrenches of its rows, (r, 6), N and N·m."""
-        groups = range(len(self.packed.words["groups"]))
+        groups = range(len(self.packed.meta["groups"]))
         return np.concatenate([self.packed.arrays[f"g{one}/row/wrench"] for one in groups])
 
     @cached_property
@@ -115,7 +115,7 @@ class Asked:
     def law(self) -> BuiltTable:
         """What numpy has made of its rows."""
         rows, meta = read_table(self.folder / "rows.h5")
-        told, own = self.packed.words["solver_error"], self.table.tolerance
+        told, own = self.packed.meta["solver_error"], self.table.tolerance
         linear, known = self.packed.arrays["solver/flags"][[2, 4]].tolist()
         table = build(
             rows,
@@ -125,7 +125,7 @@ class Asked:
             solver_error=SolverError.read(told),
             locked=np.flatnonzero(self.packed.arrays["space/locked"]).tolist(),
         )
-        assert table.bars_are_whole == known
+        assert table.bars_are_complete == known
         return table
 
     def question(self, chosen: list[Place], tolerance=None, method=None) -> Question:

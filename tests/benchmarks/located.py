@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
-from wrenchbook.fea.mesh.reference_cell import node_places, tabulate
+from wrenchbook.fea.mesh.reference_cell import node_coordinates, tabulate
 
 NEAR = 24  # cells tried for a place, the nearest first
 INSIDE = 1e-6  # of a cell: a place so little outside is in it
@@ -47,7 +47,7 @@ class Located:
 
 def within(kind, corners, places):
     """Return shape functions (k, nodes) at places (k, 3), and how far outside these lie, (k,)."""
-    xi = np.tile(node_places(kind).mean(axis=0), (len(places), 1))
+    xi = np.tile(node_coordinates(kind).mean(axis=0), (len(places), 1))
     for _ in range(STEPS):
         values, slopes = tabulate(kind, xi)
         rest = places - np.einsum("kn,knd->kd", values, corners)

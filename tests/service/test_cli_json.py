@@ -240,7 +240,7 @@ def test_a_condensed_part_tells_its_frames(run, tmp_path):
         (("condense", "bar", "nowhere/bar.npz"), "there is no folder"),
         (("converge", "bar", "--plot", "errors.png"), "the page is an .html file"),
         (("converge", "bar", "--plot", "nowhere/errors.html"), "there is no folder"),
-        (("converge", "plate_ccx"), "the [deck] is solved by its own command"),
+        (("converge", "plate_ccx"), "the [deck] is solved by its command"),
     ],
 )
 def test_a_file_that_cannot_be_written_is_refused_before_anything_is_solved(

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth, table
-from wrenchbook.surrogate.table.axes import AXES, axis_rows, clean_rows
+from wrenchbook.surrogate.table.axes import AXES, axis_rows, single_axis_rows
 from wrenchbook.surrogate.table.compliance import fit_compliance
 from wrenchbook.surrogate.table.rows import Rows
 
@@ -27,7 +27,7 @@ def test_each_axis_has_its_force_and_the_two_other_moments() -> None:
 def test_a_pure_moment_is_clean_for_two_axes_and_no_load_for_all() -> None:
     wrench = np.diag(HIGH)
     wrench = np.concatenate((wrench, np.zeros((1, 6)), np.ones((1, 6))))
-    clean = clean_rows(Rows.of(wrench, np.zeros((8, 6))), RANGE)
+    clean = single_axis_rows(Rows.of(wrench, np.zeros((8, 6))), RANGE)
     assert clean[:3].tolist() == np.eye(3, dtype=bool).tolist()
     assert clean[3:6].tolist() == (~np.eye(3, dtype=bool)).tolist()
     assert clean[6].all()
@@ -36,7 +36,7 @@ def test_a_pure_moment_is_clean_for_two_axes_and_no_load_for_all() -> None:
 
 def test_loads_below_a_billionth_of_the_range_do_not_spoil_a_row() -> None:
     wrench = np.array([[100.0, 1e-10, 0, 0, 0, 0], [100.0, 1e-3, 0, 0, 0, 0]])
-    clean = clean_rows(Rows.of(wrench, np.zeros((2, 6))), RANGE)
+    clean = single_axis_rows(Rows.of(wrench, np.zeros((2, 6))), RANGE)
     assert clean.tolist() == [[True, False, False], [False, False, False]]
 
 
@@ -57,7 +57,7 @@ def test_full_wrenches_join_all_three_axes_with_their_linear_off_axis_part_remov
         alone = np.zeros((len(chosen.points), 6))
         alone[:, list(axis.inputs)] = chosen.points
         assert len(chosen.points) == 25
-        assert chosen.clean.sum() == 20
+        assert chosen.single_axis.sum() == 20
         np.testing.assert_allclose(chosen.displacement, linear(alone), rtol=0, atol=1e-15)
 
 

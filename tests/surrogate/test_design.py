@@ -19,7 +19,7 @@ from wrenchbook.surrogate.design import (
     next_wrenches,
     spread_wrenches,
 )
-from wrenchbook.surrogate.table.axes import clean_rows
+from wrenchbook.surrogate.table.axes import single_axis_rows
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 from wrenchbook.surrogate.table.spread import sample_of, weakest
 
@@ -35,7 +35,7 @@ def test_the_first_design_is_no_load_then_corners_then_an_even_spread() -> None:
     np.testing.assert_allclose(np.abs(scaled[1:9]), 0.8)
     assert (np.abs(scaled) <= 1).all()
     assert len(np.unique(scaled, axis=0)) == 15
-    assert not clean_rows(Rows.of(FIRST[1:], FIRST[1:]), RANGE).any()
+    assert not single_axis_rows(Rows.of(FIRST[1:], FIRST[1:]), RANGE).any()
 
 
 def test_solves_that_bring_second_derivatives_have_a_first_design_of_nine() -> None:

@@ -136,8 +136,8 @@ def test_of_rows_close_together_the_nearest_is_found_and_of_equally_near_ones_th
     wrenches = np.concatenate((base, base + 5e-7 * HIGH, base))
     index = RowIndex(wrenches, RANGE.scale)
     asked = base + 2e-7 * HIGH
-    assert index.places(asked).tolist() == list(range(300))
-    assert index.places(base + 4e-7 * HIGH).tolist() == list(range(300, 600))
-    assert (index.places(base - 1.1e-6 * HIGH) == -1).all()
-    assert index.places(np.full((1, 6), 1e300)).tolist() == [-1]
-    assert index.places(np.full((1, 6), 1e308)).tolist() == [-1]
+    assert index.indices(asked).tolist() == list(range(300))
+    assert index.indices(base + 4e-7 * HIGH).tolist() == list(range(300, 600))
+    assert (index.indices(base - 1.1e-6 * HIGH) == -1).all()
+    assert index.indices(np.full((1, 6), 1e300)).tolist() == [-1]
+    assert index.indices(np.full((1, 6), 1e308)).tolist() == [-1]

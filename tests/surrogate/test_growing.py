@@ -165,5 +165,5 @@ def test_the_first_of_rows_with_one_wrench_is_found_and_zero_has_no_sign() -> No
     wrenches = np.array([[1.0, 0, 0, 0, 0, 0], [0.0] * 6, [1.0, 0, 0, 0, 0, 0], [2.0] * 6])
     index = RowIndex(wrenches, np.ones(6))
     asked = np.array([[1.0, -0.0, 0, 0, 0, 0], [-0.0] * 6, [3.0] * 6, [2.0] * 6])
-    assert index.places(asked).tolist() == [0, 1, -1, 3]
-    assert RowIndex(np.empty((0, 6)), np.ones(6)).places(asked).tolist() == [-1] * 4
+    assert index.indices(asked).tolist() == [0, 1, -1, 3]
+    assert RowIndex(np.empty((0, 6)), np.ones(6)).indices(asked).tolist() == [-1] * 4

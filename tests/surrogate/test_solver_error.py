@@ -192,4 +192,4 @@ def test_bars_of_solved_rows_are_whole_only_with_what_the_solver_may_be_wrong_by
 ):
     rows = Rows.of(0.5 * np.eye(6), 1e-3 * np.eye(6), source=["measured"] * 5 + [source])
     table = build(rows, LoadRange(-np.ones(6), np.ones(6)), solver_error=told and SolverError(told))
-    assert table.bars_are_whole is whole
+    assert table.bars_are_complete is whole

@@ -132,7 +132,7 @@ def test_a_file_holds_the_space(space: Space, tmp_path: Path):
     found, meta = read_table(tmp_path / "t.h5")
     assert found.space == meta.load_range.space == space
     np.testing.assert_array_equal(found.compliance, rows.compliance)
-    assert Space.read(json.loads(json.dumps(space.words()))) == space
+    assert Space.read(json.loads(json.dumps(space.as_json()))) == space
 
 
 @pytest.mark.parametrize("space", SPACES.values(), ids=SPACES)
@@ -172,7 +172,7 @@ def test_one_interface_alone_is_the_default_space():
     assert space_of() == DEFAULT
     assert DEFAULT.is_default
     assert not WARM.is_default
-    assert DEFAULT.words()["outputs"][0] == {"name": "ux", "unit": "m"}
+    assert DEFAULT.as_json()["outputs"][0] == {"name": "ux", "unit": "m"}
 
 
 def test_inputs_by_name_are_those_that_vector_takes():

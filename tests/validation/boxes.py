@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
-from wrenchbook.fea.mesh.reference_cell import node_places, tabulate
+from wrenchbook.fea.mesh.reference_cell import node_coordinates, tabulate
 
 # Corner cells as doubled reference places: a cube cut into six tetrahedra or two wedges.
 _KUHN = [(0, 1, 2), (1, 2, 0), (2, 0, 1), (1, 0, 2), (0, 2, 1), (2, 1, 0)]
@@ -38,7 +38,7 @@ def box(kind="hex20", divisions=(2, 2, 2), lengths=(1.0, 1.0, 1.0), warp=None, c
 
 def _straighten(points, block):
     corner_kind = {"hex": "hex8", "tet": "tet4", "wed": "wedge6"}[block.kind[:3]]
-    values, _ = tabulate(corner_kind, node_places(block.kind))
+    values, _ = tabulate(corner_kind, node_coordinates(block.kind))
     corners = points[block.nodes[:, : values.shape[1]]]
     points = points.copy()
     points[block.nodes] = values @ corners
@@ -48,7 +48,7 @@ def _straighten(points, block):
 def _cells(kind, divisions, shape):
     corners = np.stack(np.meshgrid(*[2 * np.arange(n) for n in divisions], indexing="ij"), -1)
     corners = corners.reshape(-1, 3)
-    places = np.concatenate(_local(kind)).reshape(-1, len(node_places(kind)), 3)
+    places = np.concatenate(_local(kind)).reshape(-1, len(node_coordinates(kind)), 3)
     nodes = (corners[:, None, None, :] + places[None]).reshape(-1, places.shape[1], 3)
     ids = np.ravel_multi_index(tuple(np.moveaxis(nodes, -1, 0)), shape)
     return ids, lambda grid, renumber: _facets(kind, divisions, shape, grid, renumber, ids)
@@ -56,7 +56,7 @@ def _cells(kind, divisions, shape):
 
 def _local(kind):
     """Node places of the cells within one doubled cube, each (nodes, 3) of 0, 1, 2."""
-    places = 2 * node_places(kind)
+    places = 2 * node_coordinates(kind)
     if kind.startswith("hex"):
         return [places.astype(int)]
     cut = []
@@ -104,7 +104,7 @@ def _facet_kind(kind, count):
 def _ordered(nodes, where, axis, facet_kind):
     """Put the nodes of one facet in VTK order by matching the flat places of its kind."""
     flat = np.delete(where[nodes], axis, axis=1).astype(float)
-    places = node_places(facet_kind)
+    places = node_coordinates(facet_kind)
     if facet_kind.startswith("quad"):
         low = flat.min(axis=0)
         target = low + 2 * places

@@ -3,7 +3,7 @@
 A bundle names the file, the cell size, and groups by face::
 
     [mesh]
-    file = "bracket.step"          # holds its own length unit; cells are tet10
+    file = "bracket.step"          # holds its length unit; cells are tet10
     size = 0.004                   # edge length of the cells, m
     curvature = 16                 # least cells round a full turn; optional
     [mesh.groups]                  # facet groups; several ways in one group add up

@@ -99,7 +99,7 @@ def _meshed(
     if not optimise:
         gmsh.option.setNumber("Mesh.HighOrderOptimize", 0)
     gmsh.model.mesh.generate(3)
-    tags, places, _ = gmsh.model.mesh.getNodes()
+    tags, points, _ = gmsh.model.mesh.getNodes()
     row = np.full(int(tags.max()) + 1, -1, dtype=np.int64)
     row[tags.astype(np.int64)] = np.arange(len(tags))
     faces = sorted({number for numbers in groups.values() for number in numbers})
@@ -112,7 +112,7 @@ def _meshed(
         chosen += [n in groups.get(name, ()) for n in faces]
         sets[name] = np.flatnonzero(chosen).tolist()
     content = {str(i): nodes for i, nodes in enumerate(blocks)}
-    return {"sets": sets}, {"points": places.reshape(-1, 3)} | content
+    return {"sets": sets}, {"points": points.reshape(-1, 3)} | content
 
 
 def _cells(gmsh: Any, kind: int, entity: int, row: Array) -> Array:
@@ -166,9 +166,9 @@ def opened(path: Path) -> Iterator[Any]:
 
 _AXES = "xyz"
 _NEAR = 1e-3
-"""Fraction of the cell size within which a place counts as the given one."""
+"""Fraction of the cell size within which two points count as equal."""
 
-Place = tuple[float, float, float]
+Point = tuple[float, float, float]
 
 
 def choose_faces(
@@ -195,8 +195,8 @@ def choose_faces(
             square = [f for f in faces if f.normal is not None and abs(f.normal[axis]) > 1 - 1e-9]
             on_plane = [f.number for f in square if abs(f.centre[axis] - at) < _NEAR * size]
             if not on_plane:
-                places = sorted({round(f.centre[axis], 9) for f in square})
-                listed = ", ".join(f"{place:g}" for place in places) or "none anywhere"
+                positions = sorted({round(f.centre[axis], 9) for f in square})
+                listed = ", ".join(f"{position:g}" for position in positions) or "none anywhere"
                 message = f"no plane face at {_AXES[axis]} = {at:g} m (there are at: {listed})"
                 problems.append(BundleProblem(f"{where}.plane", message))
             numbers += on_plane
@@ -255,7 +255,7 @@ def _by_number(
 def _nearest(
     gmsh: Any,
     shapes: Sequence[Face] | Sequence[Solid],
-    point: Place,
+    point: Point,
     where: str,
     size: float,
     problems: list[BundleProblem],
@@ -264,8 +264,8 @@ def _nearest(
     kind, dimension = ("face", 2) if isinstance(shapes[0], Face) else ("body", 3)
     # Distances from a point, m, of all the shapes that can be nearest.
     margin = _NEAR * size
-    place = np.array(point)
-    offs = {s.number: np.maximum(np.array(s.low) - place, place - s.high) for s in shapes}
+    at = np.array(point)
+    offs = {s.number: np.maximum(np.array(s.low) - at, at - s.high) for s in shapes}
     bound = {number: float(np.linalg.norm(np.maximum(0.0, off))) for number, off in offs.items()}
     distances: dict[int, float] = {}
     vertex = gmsh.model.occ.addPoint(*(x / METRES for x in point))

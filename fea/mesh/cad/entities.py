@@ -83,8 +83,8 @@ def _box(gmsh: Any, dimension: int, number: int) -> tuple[Any, Any]:
     return _metres(box[:3]), _metres(box[3:])
 
 
-def _metres(place: Any) -> tuple[float, float, float]:
-    x, y, z = (float(each) * METRES for each in place)
+def _metres(point: Any) -> tuple[float, float, float]:
+    x, y, z = (float(each) * METRES for each in point)
     return x, y, z
 
 
@@ -115,9 +115,9 @@ def _point_on(gmsh: Any, number: int) -> Array:
     """Return a point within the edges of a face (its centre may lie in a hole), mm."""
     low, high = gmsh.model.getParametrizationBounds(2, number)
     for fraction in _FRACTIONS:
-        place = [a + s * (b - a) for a, b, s in zip(low, high, fraction, strict=True)]
-        if gmsh.model.isInside(2, number, place, parametric=True):
-            return np.array(gmsh.model.getValue(2, number, place))
+        parameters = [a + s * (b - a) for a, b, s in zip(low, high, fraction, strict=True)]
+        if gmsh.model.isInside(2, number, parameters, parametric=True):
+            return np.array(gmsh.model.getValue(2, number, parameters))
     return np.array(gmsh.model.occ.getCenterOfMass(2, number))
 
 

@@ -25,7 +25,7 @@ from wrenchbook.fea.spec.schema import GeometryMeshing
 
 _ATTEMPTS: Final = ((True, 1.0), (False, 1.0), (True, 0.97), (True, 1.03))
 """Optimisation of curved cells, and times the cell size. The optimiser aborts where it cannot turn
-a single cell back; another size places the cells otherwise."""
+a single cell back; another size puts the cells elsewhere."""
 
 
 class _GmshError(BundleError):
@@ -36,7 +36,7 @@ def mesh_geometry(path: Path, geometry: GeometryMeshing) -> Mesh:
     """Mesh the bodies of a geometry file.
 
     The same file and keys give the same nodes, in whatever process, with the same version of gmsh
-    and its geometry kernel; another version may place them differently, within what a mesh of that
+    and its geometry kernel; another version may put them elsewhere, within what a mesh of that
     size leaves open anyway. Where gmsh fails, or leaves cells inside out, `_ATTEMPTS` follow.
 
     Raises BundleError if the file cannot be read or meshed, or a group or region names nothing.

@@ -28,7 +28,7 @@ STRIDE = 10**12
 
 @dataclass(frozen=True)
 class Frame:
-    """An instance of a part: its name, its number from 1, and its place in the assembly.
+    """An instance of a part: its name, its number from 1, and its position in the assembly.
 
     A deck without parts and the assembly itself have no name and the number 0. `rotation` are
     nine numbers row by row, no unit; `shift` is in the deck's length unit.
@@ -50,7 +50,7 @@ class Frame:
         """Return a set's name in the deck: capitals, as solvers compare names."""
         return (f"{self.name}.{name}" if self.name else name).upper()
 
-    def place(self, point: list[float]) -> list[float]:
+    def transformed(self, point: list[float]) -> list[float]:
         """Return where a point of the part is in the assembly, shape (3,), the deck's unit."""
         if not self.shift:
             return point
@@ -74,7 +74,7 @@ class Keyword:
 
 
 def read_keywords(text: str) -> Iterator[Keyword]:
-    """Yield the blocks of a deck in the assembly, those of a part where an instance places it.
+    """Yield the blocks of a deck in the assembly, those of a part where an instance puts it.
 
     Raises MeshFileError if an instance is of no part, a part comes twice, or parts have no
     instances.
@@ -240,15 +240,15 @@ def parsed(path: Path, take: Callable[[Deck, Keyword], None]) -> Deck:
 
 def _take_nodes(deck: Deck, keyword: Keyword) -> None:
     if keyword.options.get("SYSTEM", "R").upper() != "R":
-        raise MeshFileError("is in a system of its own; give global Cartesian coordinates")
+        raise MeshFileError("is in a local system; give global Cartesian coordinates")
     deck.node_lines.append((len(deck.nodes), keyword.line))
     labels = []
     for row in keyword.rows:
         label = keyword.frame.label(row[0])
-        point = keyword.frame.place([float(x or 0.0) for x in (*row[1:4], "", "", "")[:3]])
+        point = keyword.frame.transformed([float(x or 0.0) for x in (*row[1:4], "", "", "")[:3]])
         if deck.nodes.setdefault(label, point) != point:
-            place = list(deck.nodes).index(label)
-            line = next(line for first, line in reversed(deck.node_lines) if first <= place)
+            index = list(deck.nodes).index(label)
+            line = next(line for first, line in reversed(deck.node_lines) if first <= index)
             here, there = (", ".join(f"{x:g}" for x in at) for at in (point, deck.nodes[label]))
             raise MeshFileError(
                 f"has node {row[0]} at ({here}), but the *NODE of line {line} has it at ({there}); "

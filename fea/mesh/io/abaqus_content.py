@@ -67,7 +67,7 @@ _MISSING = {
     "CREEP": "is not solved: an answer does not depend on time",
     "MODEL CHANGE": "is not solved: all elements and contacts are there in each step",
     "MASS": "is not solved: an interface is massless",
-    "DLOAD": "is not taken over; own weight is gravity under [analysis], else none acts",
+    "DLOAD": "is not taken over; self-weight is gravity under [analysis], else none acts",
     "DSLOAD": "is not taken over: only wrenches at interfaces act",
     "TEMPERATURE": "is not taken over; write [inputs.temperature]",
 }
@@ -98,7 +98,7 @@ class _Step:
     `name` is empty of what is no case, as of a step with load cases. `kind` is "general",
     "perturbation" or "load case". `motions` are (where, key of a set or empty, labels, freedoms
     held), `forces` the key and the load by label and freedom. `begun` has the words of the step's
-    keywords and the places of its forces.
+    keywords and the keys of its forces.
     """
 
     name: str = ""
@@ -318,14 +318,14 @@ def _take_force(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
         key, labels = _target(deck, target, keyword.frame)
         if not 1 <= int(freedom) <= 6:
             raise ValueError(f"{freedom} is no force or moment")
-        for place in ((label, int(freedom) - 1) for label in labels):
-            before = step.forces[place][1] if place in step.begun else 0.0  # a step's own add up
-            step.forces[place] = key, before + float(value)
-            step.begun.add(place)
+        for entry in ((label, int(freedom) - 1) for label in labels):
+            before = step.forces[entry][1] if entry in step.begun else 0.0  # a step's forces add up
+            step.forces[entry] = key, before + float(value)
+            step.begun.add(entry)
 
 
 def _take_step(reader: _Reader, _: Deck, keyword: Keyword) -> None:
-    """Begin a step where the last general one ends, or a load case where its step stands."""
+    """Begin a step where the last general step ends, or a load case where its step stands."""
     kinds, kind = ("general",), "perturbation" if "PERTURBATION" in keyword.options else "general"
     if keyword.word == "LOAD CASE":
         kinds, kind = ("general", "perturbation"), "load case"
@@ -402,7 +402,7 @@ def _directions(freedoms: set[int]) -> str:
 
 
 def _set_of(reader: _Reader, deck: Deck, labels: list[int], name: str) -> str:
-    """Return the key of the set of these nodes, a new one if the deck has none."""
+    """Return the key of the set of these nodes, a new key if the deck has none."""
     nodes = frozenset(labels)
     if nodes not in reader.sets:
         while name.upper() in deck.node_sets:
@@ -422,10 +422,10 @@ def _couplings(reader: _Reader, deck: Deck) -> list[CoupledGroup]:
         if coupled.ref in reader.points:
             reader.lack(coupled.keyword, "has the reference node of another; unite the two groups")
             continue
-        key, place = coupled.key, () if coupled.ref is None else tuple(deck.nodes[coupled.ref])
-        if place and math.isfinite(coupled.radius):
+        key, point = coupled.key, () if coupled.ref is None else tuple(deck.nodes[coupled.ref])
+        if point and math.isfinite(coupled.radius):
             labels = [n for n in _nodes_of(deck, key) if n in deck.nodes]
-            near = [n for n in labels if math.dist(deck.nodes[n], place) <= coupled.radius]
+            near = [n for n in labels if math.dist(deck.nodes[n], point) <= coupled.radius]
             if not near:
                 reader.lack(
                     coupled.keyword, f"reaches no node within its radius, {coupled.radius:g}"
@@ -434,7 +434,7 @@ def _couplings(reader: _Reader, deck: Deck) -> list[CoupledGroup]:
             key = _set_of(reader, deck, near, f"{deck.names[key]}_within_{coupled.radius:g}")
         numbers = ((coupled.ref, 0), (coupled.rot, 3))
         reader.points |= {n: (len(couplings), i) for n, i in numbers if n is not None}
-        couplings.append(CoupledGroup(_where(coupled.keyword), key, coupled.kind, place))
+        couplings.append(CoupledGroup(_where(coupled.keyword), key, coupled.kind, point))
     return couplings
 
 
@@ -445,6 +445,6 @@ def _nodes_of(deck: Deck, key: str) -> list[int]:
         block, row = deck.where[element]
         kind, cell = deck.kinds[block], deck.cells[block][row]
         corners = {int(c) - 1 for c in SOLID_FACES[kind.rstrip("0123456789")][int(face[1]) - 1]}
-        places = next(each for each in FACES[kind] if corners <= set(each))
-        labels |= dict.fromkeys(cell[i] for i in places)
+        indices = next(each for each in FACES[kind] if corners <= set(each))
+        labels |= dict.fromkeys(cell[i] for i in indices)
     return list(labels)

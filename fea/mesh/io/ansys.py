@@ -9,16 +9,16 @@ from dataclasses import dataclass, field
 from wrenchbook.fea.mesh.io.raw import Case, MeshFileError, Translated
 
 _HEX, _TET = ("45", "185", "95", "186"), ("92", "187", "285")
-_LEFT = {"CE", "CP", "SFE", "SF", "BF", "BFE", "TB", "ACEL", "RBE3", "CERIG", "OMEGA"}
-_LEFT |= {"DA", "DK", "DL", "FK", "SFA", "SFL", "SFGRAD", "BFA", "BFK", "BFL", "BFV", "BFUNIF"}
-_LEFT |= {"TUNIF", "CMACEL", "CMOMEGA", "DOMEGA", "INISTATE"}
-_LEFT |= {"CEINTF", "CPINTF", "DSYM", "EKILL", "FCUM", "DCUM", "FSCALE", "DSCALE", "NROTAT"}
+_SKIPPED = {"CE", "CP", "SFE", "SF", "BF", "BFE", "TB", "ACEL", "RBE3", "CERIG", "OMEGA"}
+_SKIPPED |= {"DA", "DK", "DL", "FK", "SFA", "SFL", "SFGRAD", "BFA", "BFK", "BFL", "BFV", "BFUNIF"}
+_SKIPPED |= {"TUNIF", "CMACEL", "CMOMEGA", "DOMEGA", "INISTATE"}
+_SKIPPED |= {"CEINTF", "CPINTF", "DSYM", "EKILL", "FCUM", "DCUM", "FSCALE", "DSCALE", "NROTAT"}
 _SELECTIONS = {"NSEL", "NSLE", "NSLA", "NSLL", "NSLK", "NSLV", "CMSEL", "ALLSEL"}
 _CONSTANTS = {"EX": "E", "NUXY": "NU", "PRXY": "NU", "DENS": "DENSITY", "ALPX": "EXPANSION"}
 _FREEDOMS = {"UX": "1", "UY": "2", "UZ": "3", "ROTX": "4", "ROTY": "5", "ROTZ": "6"}
 _FREEDOMS |= {"ALL": "123456", "FX": "1", "FY": "2", "FZ": "3", "MX": "4", "MY": "5", "MZ": "6"}
 
-# Places of a collapsed hexahedron's nodes, by which of its corners are one node.
+# Indices of a collapsed hexahedron's nodes, by which of its corners are one node.
 _WEDGE = [0, 1, 2, 4, 5, 6, 8, 9, 11, 12, 13, 15, 16, 17, 18]
 _TETRAHEDRON = [0, 1, 2, 4, 8, 9, 11, 16, 17, 18]
 
@@ -92,8 +92,8 @@ def _take_command(archive: _Archive, word: str, fields: list[str]) -> None:
         archive.end_step(f"LOAD STEP {len(archive.cases) + 1}")
     elif word in _SELECTIONS:
         archive.selected = word != "ALLSEL" and fields[:1] != ["ALL"]
-    elif word in _LEFT:
-        archive.left[word] += 1
+    elif word in _SKIPPED:
+        archive.skipped[word] += 1
 
 
 def _take_nodes(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
@@ -105,7 +105,7 @@ def _take_nodes(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
         values = [row[start + i * size : start + (i + 1) * size].strip() or "0" for i in range(6)]
         archive.nodes.append(f"{row[:width].strip()}, {', '.join(values[:3])}")
         if any(map(float, values[3:])):
-            archive.left["nodes with axes of their own"] += 1
+            archive.skipped["nodes with local axes"] += 1
 
 
 def _take_types(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
@@ -142,7 +142,7 @@ def _fixed(row: str, width: int) -> list[str]:
 def _take_cell(archive: Translated, kind: str, region: str, number: str, nodes: list[str]) -> None:
     name, _, full = kind.partition(" ")
     if name not in (*_HEX, *_TET):
-        archive.left[f"elements of type {name}"] += 1
+        archive.skipped[f"elements of type {name}"] += 1
         return
     archive.sections[region] = region
     if name in _HEX and nodes[4] == nodes[5] and nodes[2] != nodes[3]:
@@ -150,8 +150,8 @@ def _take_cell(archive: Translated, kind: str, region: str, number: str, nodes: 
             f"element {number} is a pyramid; mesh with hexahedra, wedges or tetrahedra"
         )
     if name in _HEX and nodes[2] == nodes[3]:
-        places = _TETRAHEDRON if nodes[4] == nodes[5] else _WEDGE
-        nodes = [nodes[i] for i in places if i < len(nodes)]
+        indices = _TETRAHEDRON if nodes[4] == nodes[5] else _WEDGE
+        nodes = [nodes[i] for i in indices if i < len(nodes)]
     if "0" in nodes:
         raise ValueError(f"element {number} lacks midside nodes; give it all, or none")
     integration = "R" if len(nodes) == 20 and not full else ""
@@ -165,7 +165,7 @@ def _take_component(archive: _Archive, fields: list[str], rows: Iterator[str]) -
     while len(numbers) < count:
         numbers += map(int, _fixed(next(rows), width))
     if not fields[1].startswith("NODE"):
-        archive.left[f"component {fields[0]} of elements"] += 1
+        archive.skipped[f"component {fields[0]} of elements"] += 1
         return
     members = archive.groups[fields[0]]
     for number in numbers:
@@ -183,20 +183,20 @@ def _take_constant(archive: _Archive, word: str, fields: list[str]) -> None:
         if word == "MP" or int(fields[4]) == 1:  # else a table's later rows
             constants[_CONSTANTS[label]] = value
         first = constants.get(_CONSTANTS[label], "")
-        archive.left[f"{label} at further temperatures"] += any(
+        archive.skipped[f"{label} at further temperatures"] += any(
             each != first for each in (value, *more) if each
         )
     elif label == "EY":
-        archive.left["orthotropic constants"] += 1
+        archive.skipped["orthotropic constants"] += 1
 
 
 def _take_on_nodes(archive: _Archive, word: str, fields: list[str]) -> None:
     """Set or remove (DDELE, FDELE) what acts on a node, on each from it to NEND, or on a group."""
     if archive.branches:
         raise ValueError("it stands within *IF; write what holds without a condition")
-    node, label, *rest = (*fields, *[""] * 9)
+    node, label, *values = (*fields, *[""] * 9)
     removes, acting = word.endswith("DELE"), archive.held if word[0] == "D" else archive.forces
-    last, step = rest[:2] if removes else rest[2:4]
+    last, step = values[:2] if removes else values[2:4]
     nodes = archive.groups.get(node, [])
     if node.isdigit():
         nodes = [str(i) for i in range(int(node), int(last or node) + 1, int(step or 1))]
@@ -204,15 +204,17 @@ def _take_on_nodes(archive: _Archive, word: str, fields: list[str]) -> None:
         nodes = [row.partition(",")[0] for row in archive.nodes]
     elif not nodes:
         raise ValueError(f"{node} names nodes that the file does not list; write their numbers")
-    labels = [label or "ALL", *filter(None, rest[4:] if word == "D" else ())]
-    archive.left[f"{word} of {', '.join(labels)}"] += any(each not in _FREEDOMS for each in labels)
+    labels = [label or "ALL", *filter(None, values[4:] if word == "D" else ())]
+    archive.skipped[f"{word} of {', '.join(labels)}"] += any(
+        each not in _FREEDOMS for each in labels
+    )
     ways = "".join(_FREEDOMS.get(each, "") for each in labels)
-    for place in ((each, way) for each in nodes for way in ways):
-        acting.pop(place, None)
+    for target in ((each, way) for each in nodes for way in ways):
+        acting.pop(target, None)
         if not removes:
-            acting[place] = float(rest[0] or 0)
-    moves = word == "D" and ways and float(rest[0] or 0) != 0.0
-    archive.left["D with a motion that is not 0"] += bool(moves)
+            acting[target] = float(values[0] or 0)
+    moves = word == "D" and ways and float(values[0] or 0) != 0.0
+    archive.skipped["D with a motion that is not 0"] += bool(moves)
 
 
 def _clear(archive: _Archive, fields: list[str], _: Iterator[str]) -> None:

@@ -52,15 +52,15 @@ class _Bulk(Translated):
 def read_nastran(text: str) -> Translated:
     """Return the content of a bulk data file: regions PSOLID_1, groups RBE2_7, a case a subcase.
 
-    Raises MeshFileError if a card cannot be read, or nodes are in a coordinate system of their own.
+    Raises MeshFileError if a card cannot be read, or nodes are in a local coordinate system.
     """
     control, *bulk = re.split(r"^\s*BEGIN[ \t,]+BULK.*$", text, maxsplit=1, flags=re.I | re.M)
     bulk, control = (bulk[0], control) if bulk else (control, "")
     data = _Bulk(nonlinear=_NONLINEAR.search(control) is not None)
     if factor := _MASS_FACTOR.search(text):
         data.mass_factor = _real(factor[1])
-    skipped = text.count("\n") - bulk.count("\n")
-    for number, name, fields in _cards(bulk.splitlines(), skipped):
+    lines_before = text.count("\n") - bulk.count("\n")
+    for number, name, fields in _cards(bulk.splitlines(), lines_before):
         if name == "ENDDATA":
             break
         taker = _TAKERS.get(name)
@@ -68,7 +68,7 @@ def read_nastran(text: str) -> Translated:
             if taker is not None:
                 taker(data, name, fields)
             elif name not in _QUIET:
-                data.left[name] += 1
+                data.skipped[name] += 1
         except (ValueError, LookupError) as error:
             raise MeshFileError(f"line {number}: {name} cannot be read ({error})") from None
     _take_cases(data, control)
@@ -84,7 +84,7 @@ def _take_cases(data: _Bulk, control: str) -> None:
         for factor, part in data.sums.get((kind, number), [(1.0, number)]):
             used.add((kind, part))
             if part and (kind, part) not in data.sets:
-                data.left[f"{kind} set {part}, of which nothing is read"] = 1
+                data.skipped[f"{kind} set {part}, of which nothing is read"] = 1
             for node, way, value in data.sets.get((kind, part), ()):
                 yield node, way, factor * value
 
@@ -94,13 +94,13 @@ def _take_cases(data: _Bulk, control: str) -> None:
             held[number] = []
             for node, way, value in (*rows("GRID", ""), *rows("SPC", number)):
                 held[number].append(f"{node}, {way}")
-                data.left["SPC with a motion that is not 0"] += value != 0.0
+                data.skipped["SPC with a motion that is not 0"] += value != 0.0
         loads = rows("LOAD", selected.get("LOAD", ""))
         loads = [f"{node}, {way}, {value:.9g}" for node, way, value in loads if value]
         data.cases.append(Case(name, held[number], loads))
     for (kind, number), unused in data.sets.items():
         if (kind, number) not in used:
-            data.left[f"{kind} set {number}, which no case selects"] += len(unused)
+            data.skipped[f"{kind} set {number}, which no case selects"] += len(unused)
 
 
 def _selections(data: _Bulk, control: str) -> dict[str, dict[str, str]]:
@@ -114,7 +114,7 @@ def _selections(data: _Bulk, control: str) -> dict[str, dict[str, str]]:
             if match[1] in ("SUBCASE", "SUBC", "SYM"):
                 cases[f"SUBCASE {match[2]}"] = current
             else:
-                data.left[f"{match[1]}, a combination of subcases"] += 1
+                data.skipped[f"{match[1]}, a combination of subcases"] += 1
         elif match := _SELECTION.match(line):
             current[match[1]] = match[2] if match[2].isdigit() else ""
     cases = cases or {"": common}
@@ -167,9 +167,9 @@ def _real(field: str) -> float:
 
 def _grid(data: _Bulk, _: str, fields: list[str]) -> None:
     if fields[1] not in ("", "0") or fields[5] not in ("", "0", "-1"):
-        raise ValueError("it has a coordinate system of its own; write the file in the basic one")
-    places = ", ".join(f"{_real(each):.12g}" for each in fields[2:5])
-    data.nodes.append(f"{fields[0]}, {places}")
+        raise ValueError("it is in a local coordinate system; write the file in the basic system")
+    coordinates = ", ".join(f"{_real(each):.12g}" for each in fields[2:5])
+    data.nodes.append(f"{fields[0]}, {coordinates}")
     _hold(data, ("GRID", ""), fields[0], fields[6])
 
 
@@ -237,7 +237,7 @@ def _sum(data: _Bulk, name: str, fields: list[str]) -> None:
 def _rigid(data: _Bulk, name: str, fields: list[str]) -> None:
     nodes = _listed([each for each in fields[3:] if "." not in each])  # less its expansion
     if not set("123") <= set(fields[2]):
-        data.left[f"{name} of some freedoms only"] += 1
+        data.skipped[f"{name} of some freedoms only"] += 1
         return
     data.tie(f"{name}_{fields[0]}", nodes, fields[1], "KINEMATIC")
 
@@ -247,10 +247,10 @@ def _mean(data: _Bulk, name: str, fields: list[str]) -> None:
     weights = [i for i, each in enumerate(fields) if i > 3 and "." in each]
     ways = [fields[i + 1] for i in weights]
     if len({fields[i] for i in weights}) > 1 or "UM" in fields:
-        data.left[f"{name} with several weights or UM"] += 1
+        data.skipped[f"{name} with several weights or UM"] += 1
         return
     if not all(set("123") <= set(each) for each in ways):
-        data.left[f"{name} of some freedoms only"] += 1
+        data.skipped[f"{name} of some freedoms only"] += 1
         return
     nodes = [
         e for i, e in enumerate(fields[6:], 6) if e and "." not in e and "." not in fields[i - 1]
@@ -260,7 +260,7 @@ def _mean(data: _Bulk, name: str, fields: list[str]) -> None:
 
 def _load(data: _Bulk, name: str, fields: list[str]) -> None:
     if fields[2] not in ("", "0"):
-        data.left[f"{name} in a coordinate system of its own"] += 1
+        data.skipped[f"{name} in a local coordinate system"] += 1
         return
     first, size = (1 if name == "FORCE" else 4), _real(fields[3])
     values = ((first + i, size * _real(each)) for i, each in enumerate(fields[4:7]))

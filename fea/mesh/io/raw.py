@@ -185,11 +185,11 @@ class Translated:
         Material by region.
     groups
         Nodes by name.
-    ties
+    couplings
         Lines of couplings.
     cases
         Each a step.
-    left
+    skipped
         How often each thing occurs that is not in the deck.
     decide
         What the file leaves open.
@@ -202,9 +202,9 @@ class Translated:
     constants: dict[str, dict[str, str]] = field(default_factory=lambda: defaultdict(dict))
     sections: dict[str, str] = field(default_factory=dict)
     groups: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
-    ties: list[str] = field(default_factory=list)
+    couplings: list[str] = field(default_factory=list)
     cases: list[Case] = field(default_factory=list)
-    left: Counter[str] = field(default_factory=Counter)
+    skipped: Counter[str] = field(default_factory=Counter)
     decide: list[str] = field(default_factory=list)
     nonlinear: bool = False
 
@@ -222,7 +222,7 @@ class Translated:
         known = {region for _, region in self.elements}
         pairs = ((region, name) for region, name in self.sections.items() if region in known)
         lines += [f"*SOLID SECTION, ELSET={region}, MATERIAL={name}" for region, name in pairs]
-        lines += self.ties
+        lines += self.couplings
         before = Case()
         for case in self.cases or [before]:
             lines.append(f"*STEP, NAME={case.name}" + ", NLGEOM" * self.nonlinear)
@@ -237,9 +237,11 @@ class Translated:
     def tie(self, name: str, nodes: list[str], reference: str, kind: str) -> None:
         """Let nodes follow a reference node ("KINEMATIC"), or it their mean ("DISTRIBUTING")."""
         self.groups[name] = nodes
-        self.ties += [f"*SURFACE, TYPE=NODE, NAME={name}", name]
-        self.ties += [f"*COUPLING, CONSTRAINT NAME={name}, SURFACE={name}, REF NODE={reference}"]
-        self.ties.append(f"*{kind}")
+        self.couplings += [f"*SURFACE, TYPE=NODE, NAME={name}", name]
+        self.couplings += [
+            f"*COUPLING, CONSTRAINT NAME={name}, SURFACE={name}, REF NODE={reference}"
+        ]
+        self.couplings.append(f"*{kind}")
 
 
 def _rows(texts: Iterable[str]) -> list[str]:

@@ -46,8 +46,8 @@ def read_mesh(path: Path, unit: str) -> Mesh:
     """Read the mesh file of a bundle.
 
     Groups are gmsh's physical groups (by their number where they have no name), the sets and
-    surfaces of a deck, and the integer arrays of a VTK file: one that is only 0 and 1 is a group
-    of its own name, another one makes the group ``<array>_<value>`` for each of its values.
+    surfaces of a deck, and the integer arrays of a VTK file: an array of 0 and 1 is a group
+    of its name, another array makes the group ``<array>_<value>`` for each of its values.
     Groups of surface cells become facet groups, groups of lines and points node groups.
 
     path: the file; its ending says what it is.
@@ -102,7 +102,7 @@ def _read_meshio(path: Path) -> RawMesh:
 
 def _quietly(path: Path) -> meshio.Mesh:
     """Let meshio read, which prints what it dislikes and may end the interpreter."""
-    # It knows this kind in every table but the one of dimensions, and fails on its files.
+    # It knows this kind in every table but that of dimensions, and fails on its files.
     _mesh.topological_dimension.setdefault("wedge15", 3)
     output = io.StringIO()
     try:

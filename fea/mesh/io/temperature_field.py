@@ -1,4 +1,4 @@
-"""Temperatures that differ from place to place, from a file of points.
+"""Temperatures that vary over the part, from a file of points.
 
 A thermal analysis gives temperatures at points. Their rise over the reference, as a part of the
 largest, is the shape of the field; the input is the temperature where the rise is the largest.

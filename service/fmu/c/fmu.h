@@ -27,7 +27,7 @@ enum { INSTANTIATED = 1, INITIALIZATION = 2, EVENT = 4, CONTINUOUS = 8, STEP = 1
 /* All that a state is: what fmi2GetFMUstate keeps and fmi2SerializeFMUstate writes. */
 typedef struct {
     char mark[8], guid[WB_GUID];
-    double wrench[WB_MOST], tolerance[2], time;
+    double wrench[WB_MAX], tolerance[2], time;
     int32_t mode, event_coverage, event_within;
 } fmu_state;
 
@@ -40,7 +40,7 @@ typedef struct {
     int inputs, outputs, method;
     fmu_references vr;
     char guid[WB_GUID]; /* of the table and the method: resources/model.txt */
-    double start[WB_MOST]; /* inputs without an effect: no load, the reference temperature */
+    double start[WB_MAX]; /* inputs without an effect: no load, the reference temperature */
     fmu_state state;
     wb_reply reply;
     double *derivative; /* outputs x inputs */

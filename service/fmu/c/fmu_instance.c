@@ -5,10 +5,10 @@
 #include <stdio.h>
 #include <string.h>
 
-enum { LONGEST = 4096 };
+enum { MAX_PATH_LENGTH = 4096 };
 
 fmi2Status fmu_say(fmu_instance *m, fmi2Status status, const char *text) {
-    char plain[LONGEST]; /* the message is a format, and not every tool fills in what it names */
+    char plain[MAX_PATH_LENGTH]; /* the message is a format, and not every tool fills in what it names */
     size_t at = 0;
     for (; *text && at + 2 < sizeof plain; text++) {
         if (*text == '%') plain[at++] = '%';
@@ -32,11 +32,11 @@ int fmu_allowed(fmu_instance *m, const char *call, int modes) {
 }
 
 void fmu_ask(fmu_instance *m, const double *wrench, wb_reply *reply) {
-    double tolerance[WB_MOST];
+    double tolerance[WB_MAX];
     wb_options options = {m->method, tolerance, 0};
     for (int q = 0; q < m->outputs; q++) {
-        double most = m->state.tolerance[q % AN_INTERFACE / TRANSLATIONS];
-        tolerance[q] = most > 0 ? most : NAN; /* zero: the component's own */
+        double limit = m->state.tolerance[q % AN_INTERFACE / TRANSLATIONS];
+        tolerance[q] = limit > 0 ? limit : NAN; /* zero: the component's own */
     }
     wb_answer(m->table, &options, wrench, reply, m->scratch);
 }
@@ -86,7 +86,7 @@ static int path_of(const char *uri, const char *file, char *path) {
     if (*uri != '/') return 0;
     if (strlen(uri) > 2 && uri[2] == ':') uri++; /* a drive: /C:/... */
     for (; *uri; uri++, at++) {
-        if (at + strlen(file) + 3 > LONGEST) return 0;
+        if (at + strlen(file) + 3 > MAX_PATH_LENGTH) return 0;
         if (*uri == '%' && digit(uri[1]) >= 0 && digit(uri[2]) >= 0) {
             path[at] = (char)(16 * digit(uri[1]) + digit(uri[2]));
             uri += 2;
@@ -103,11 +103,11 @@ static int path_of(const char *uri, const char *file, char *path) {
  * there. */
 static int read_model(fmu_instance *m, const char *path) {
     FILE *file = fopen(path, "rb");
-    int found = file && fscanf(file, "%39s %d", m->guid, &m->method) == 2;
-    for (int k = 0; found && k < WB_MOST; k++)
+    int read = file && fscanf(file, "%39s %d", m->guid, &m->method) == 2;
+    for (int k = 0; read && k < WB_MAX; k++)
         if (fscanf(file, "%lf", m->start + k) != 1) break;
     if (file) fclose(file);
-    return found;
+    return read;
 }
 
 /* Take the numbers of inputs and outputs from the table, and the value references from them. */
@@ -122,7 +122,7 @@ static void number_variables(fmu_instance *m) {
 
 /* Map the table of an instance; 0 after a report if that cannot be done. */
 static int open_table(fmu_instance *m, fmi2String guid, fmi2String location) {
-    char path[LONGEST], why[LONGEST + 128];
+    char path[MAX_PATH_LENGTH], why[MAX_PATH_LENGTH + 128];
     if (!path_of(location, "model.txt", path)) {
         snprintf(why, sizeof why, "fmuResourceLocation must be a file URI such as file:///tmp/plate"
                  "/resources, not %.200s", location ? location : "nothing");

@@ -7,7 +7,7 @@
 
 static const int ANY = INSTANTIATED | INITIALIZATION | EVENT | CONTINUOUS | STEP | TERMINATED;
 static const int SETTING = INSTANTIATED | INITIALIZATION | EVENT | CONTINUOUS | STEP;
-static const double STEP_SHARE = 1e-6; /* of the load range: between its rounding and its kinks */
+static const double STEP_FRACTION = 1e-6; /* of the load range: between its rounding and its kinks */
 
 static fmi2Status no_variable(fmu_instance *m, const char *call, fmi2ValueReference vr) {
     char text[160];
@@ -113,12 +113,12 @@ fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t 
 /* How the error bars change along a direction: by central differences, since bars have kinks. */
 static void bar_slopes(fmu_instance *m, const double *along, double *slopes) {
     const double *scale = m->table->scale;
-    double size = 0.0, to[WB_MOST], from[WB_MOST];
+    double size = 0.0, to[WB_MAX], from[WB_MAX];
     wb_reply high, low;
     for (int k = 0; k < m->inputs; k++) size = fmax(size, fabs(along[k]) / scale[k]);
     for (int q = 0; q < m->outputs; q++) slopes[q] = 0.0;
     if (!(size > 0)) return;
-    double step = STEP_SHARE / size;
+    double step = STEP_FRACTION / size;
     for (int k = 0; k < m->inputs; k++) {
         to[k] = m->state.wrench[k] + step * along[k];
         from[k] = m->state.wrench[k] - step * along[k];
@@ -131,7 +131,7 @@ static void bar_slopes(fmu_instance *m, const double *along, double *slopes) {
 /* The direction that the knowns span; 0 if one of them is no input. */
 static int direction_of(fmu_instance *m, const fmi2ValueReference known[], size_t count,
                         const fmi2Real by[], double *along) {
-    memset(along, 0, WB_MOST * sizeof(double));
+    memset(along, 0, WB_MAX * sizeof(double));
     for (size_t i = 0; i < count; i++) {
         if (known[i] >= m->vr.output) {
             no_variable(m, "fmi2GetDirectionalDerivative (knowns are the inputs)", known[i]);
@@ -146,7 +146,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
                                         size_t unknowns, const fmi2ValueReference known[],
                                         size_t knowns, const fmi2Real by[], fmi2Real out[]) {
     fmu_instance *m = c;
-    double along[WB_MOST], bars[WB_MOST];
+    double along[WB_MAX], bars[WB_MAX];
     int barred = 0, finite = 1;
     if (!fmu_allowed(m, "fmi2GetDirectionalDerivative", ANY)) return fmi2Error;
     if (!direction_of(m, known, knowns, by, along)) return fmi2Error;

@@ -6,7 +6,7 @@ static const char *COVERAGE[] = {"covered", "thin", "outside"};
 static const char *METHOD[] = {"griddata", "additive", "kriging", "linear", "row", "estimate"};
 int main(int count, char **words) {
     char why[256] = "give a table and its loads";
-    double loads[WB_MOST];
+    double loads[WB_MAX];
     wb_reply reply;
     wb_table *table = count > 1 ? wb_open(words[1], why, sizeof why) : NULL;
     if (!table || count != 2 + wb_inputs(table))

@@ -173,7 +173,7 @@ def component_body(workspace: Workspace, component: Component) -> dict[str, Any]
     table, limit = workspace.tables.surrogate(component.name), component.tolerance
     error = workspace.solver_error(component.name) if component.has_fea else None
     warnings = [*warnings_of(component.folder)]  # of its check
-    if not table.bars_are_whole:
+    if not table.bars_are_complete:
         warnings.append({"where": WHERE, "message": UNKNOWN})
     elif error is not None and limit is not None:  # the newest estimate takes the check's place
         warnings = [warning for warning in warnings if warning["where"] != WHERE]
@@ -230,7 +230,7 @@ def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
         "shipped": component.shipped,
         "range": load_range,
         # The inputs and outputs where they are not those of one wrench.
-        **({} if space.is_default else {"space": space.words()}),
+        **({} if space.is_default else {"space": space.as_json()}),
         "tolerance": limit and asdict(limit),
         "rows": table.row_count,
         "pending_rows": workspace.unbuilt(component.name, table)[0],

@@ -21,7 +21,7 @@ from wrenchbook.service.messages import Compliance
 from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.surrogate.table.axes import AXES, LoadAxis
 from wrenchbook.surrogate.table.physics_checks import check_physics
-from wrenchbook.surrogate.table.rows import CLEAN, Floats, LoadRange
+from wrenchbook.surrogate.table.rows import ZERO_LOAD, Floats, LoadRange
 
 router = APIRouter(prefix="/v1/components/{name}", tags=["components"], responses=refused(404, 422))
 MAX_ROWS = 5_000  # what a browser turns in 3-D without delay; the reply is then some 1 MB
@@ -41,7 +41,7 @@ Places = NDArray[np.intp]
     responses=answers(dict[str, Any], "hull and gaps"),
 )
 def coverage(name: str, table: Newest) -> Response:
-    gaps = table.packed.words["gaps"]
+    gaps = table.packed.meta["gaps"]
     if not table.load_range.space.is_default:
         gaps = []  # its table has no axes
     elif gaps is None:
@@ -102,7 +102,7 @@ def glance(name: str, workspace: Opened) -> Response:
         "whole": _shares(table, wrenches),
         "error": _median([reply.error for reply in replies]),
         "interpolation": _median([reply.interpolation for reply in replies]),
-        "bars_are_whole": table.bars_are_whole,
+        "bars_are_whole": table.bars_are_complete,
         # The share of wrenches that are covered and within the tolerance; a covered one that
         # cannot be compared leaves it unknown.
         "within_tolerance": None if None in within else sum(map(bool, within)) / SAMPLE,
@@ -167,7 +167,7 @@ def drawing(
 ) -> Response:
     require_one_wrench(name, table.load_range.space)
     rows, drawn = table.rows, next((every for every in AXES if every.name == axis), None)
-    loaded = np.abs(rows.wrench) > CLEAN * table.load_range.scale
+    loaded = np.abs(rows.wrench) > ZERO_LOAD * table.load_range.scale
     chosen = np.arange(len(rows))
     clean: NDArray[np.bool_] = np.zeros(len(rows), dtype=bool)
     if along is not None:
@@ -234,7 +234,7 @@ def response(
             "displacement": replies.outputs,
             "error": replies.errors,
             "interpolation": _six_each(each),
-            "bars_are_whole": table.bars_are_whole,
+            "bars_are_whole": table.bars_are_complete,
             "coverage": replies.coverage.tolist(),
         }
     )

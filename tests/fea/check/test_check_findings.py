@@ -16,7 +16,7 @@ from wrenchbook.fea.inspection import (
     scaled_jacobian,
 )
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
-from wrenchbook.fea.mesh.reference_cell import node_places
+from wrenchbook.fea.mesh.reference_cell import node_coordinates
 from wrenchbook.fea.solve import Solver
 
 
@@ -133,7 +133,7 @@ REGULAR = {
 def test_ideal_cells_measure_one_however_they_lie(kind):
     turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
-    points = node_places(kind) @ REGULAR[kind[:3]] @ turn
+    points = node_coordinates(kind) @ REGULAR[kind[:3]] @ turn
     block = CellBlock(kind, np.arange(len(points))[None])
     assert scaled_jacobian(points, block)[0] == pytest.approx(1.0, rel=1e-12)
     assert jacobian_ratio(points, block)[0] == pytest.approx(1.0, rel=1e-12)
@@ -143,7 +143,7 @@ def test_ideal_cells_measure_one_however_they_lie(kind):
 
 def test_flat_long_and_bent_cells_are_measured():
     block = CellBlock("hex20", np.arange(20)[None])
-    places = node_places("hex20")
+    places = node_coordinates("hex20")
     sheared = places + np.outer(places[:, 0], [0, 1.0, 0])  # corners of 45 degrees
     assert scaled_jacobian(sheared, block)[0] == pytest.approx(0.5**0.5, rel=1e-12)
     assert aspect_ratio(places * [5, 1, 1], block)[0] == pytest.approx(5.0)

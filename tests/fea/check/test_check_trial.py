@@ -86,7 +86,7 @@ def test_a_part_that_its_range_does_not_move_is_a_warning(tmp_path):
 
 
 def about_range(told):
-    """Return the warnings but for that of the own weight, 57 um here."""
+    """Return the warnings but for that of the self-weight, 57 um here."""
     return [one["message"] for one in told["warnings"] if one["where"] != "analysis.gravity"]
 
 

@@ -7,7 +7,7 @@ from tests.fea.boxes import box
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.mapping import area_weights, cell_gradients
 from wrenchbook.fea.mesh.mesh import NODES_PER_CELL, NODES_PER_FACET
-from wrenchbook.fea.mesh.reference_cell import node_places, reference_element
+from wrenchbook.fea.mesh.reference_cell import node_coordinates, reference_element
 
 ALL = [*NODES_PER_CELL, *NODES_PER_FACET]
 CELLS = list(NODES_PER_CELL)
@@ -16,7 +16,7 @@ CELLS = list(NODES_PER_CELL)
 @pytest.mark.parametrize("kind", ALL)
 def test_every_affine_field_is_reproduced_with_its_gradient(kind):
     element = reference_element(kind)
-    places = node_places(kind)
+    places = node_coordinates(kind)
     field = places @ [2.0, -3.0, 5.0][: places.shape[1]] + 7.0
     gradient = np.einsum("qad,a->qd", element.slopes, field)
     np.testing.assert_allclose(gradient, [[2.0, -3.0, 5.0][: places.shape[1]]] * len(gradient))
@@ -25,7 +25,7 @@ def test_every_affine_field_is_reproduced_with_its_gradient(kind):
 
 @pytest.mark.parametrize("kind", ["hex20", "hex27", "tet10", "wedge15", "quad8", "quad9", "tri6"])
 def test_second_order_kinds_reproduce_every_quadratic_field(kind):
-    element, places = reference_element(kind), node_places(kind)
+    element, places = reference_element(kind), node_coordinates(kind)
     points = element.values @ places
     for i in range(places.shape[1]):
         for j in range(i, places.shape[1]):

@@ -176,7 +176,7 @@ def changed(old, new):
         (DECK + "*NODE\n 12, 0., 0., 3.\n", "the *NODE of line 13 has it at (2, 1, 0)"),
         (changed(" 9, 2, 11, 12, 3", " 7, 2, 11, 12, 3"), "*ELEMENT of line 22 has it too"),
         (changed("TYPE=C3D8I", "TYPE=C3D27"), "C3D27 is not read"),
-        (changed("*NODE\n 11", "*NODE, SYSTEM=C\n 11"), "system of its own"),
+        (changed("*NODE\n 11", "*NODE, SYSTEM=C\n 11"), "local system"),
         (changed(" GRIP, 2,", " grab, 2"), 'a set "grab" that is not defined'),
         (changed(" Right, S4", " Right, SPOS"), 'face "SPOS"'),
         (changed(" Right, S4", " Right, S7"), "S7 of element 9"),

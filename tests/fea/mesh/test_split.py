@@ -9,14 +9,14 @@ from tests.fea.boxes import box
 from tests.fea.components import component
 from wrenchbook.fea.mesh.facets import outer_surface
 from wrenchbook.fea.mesh.mesh import NODES_PER_CELL, CellBlock, Mesh
-from wrenchbook.fea.mesh.reference_cell import node_places, reference_element
+from wrenchbook.fea.mesh.reference_cell import node_coordinates, reference_element
 from wrenchbook.fea.mesh.refine import halved
 from wrenchbook.fea.solve import Solver
 
 
 def bent_cell(kind):
     """One cell with all nodes moved, so that its edges are curved, in groups of each sort."""
-    places = node_places(kind)
+    places = node_coordinates(kind)
     points = places + 0.04 * np.random.default_rng(0).normal(size=places.shape)
     blocks = (CellBlock(kind, np.arange(len(points))[None]),)
     groups = {"skin": outer_surface(blocks)}

@@ -5,7 +5,7 @@ import pytest
 
 from tests.fea.boxes import box
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
-from wrenchbook.fea.mesh.reference_cell import node_places
+from wrenchbook.fea.mesh.reference_cell import node_coordinates
 from wrenchbook.fea.recovery.fields import surface_of
 
 KINDS = ["hex8", "hex20", "hex27", "tet4", "tet10", "wedge6", "wedge15"]
@@ -37,7 +37,7 @@ def test_each_edge_has_one_triangle_on_each_side(kind):
 
 
 def test_midside_nodes_are_vertices():
-    mesh = Mesh(node_places("hex20"), (CellBlock("hex20", np.arange(20)[None]),))
+    mesh = Mesh(node_coordinates("hex20"), (CellBlock("hex20", np.arange(20)[None]),))
     found = surface_of(mesh)
     assert found.nodes.tolist() == list(range(20))
     assert len(found.triangles) == 6 * 6

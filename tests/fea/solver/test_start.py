@@ -55,11 +55,11 @@ def snapped():
             path._length *= 0.5
             continue
         path._point, before = path._point_at(*found), point
-        moved = path._point.found.balance.state.nodes - before.found.balance.state.nodes
+        moved = path._point.equilibrium.balance.state.nodes - before.equilibrium.balance.state.nodes
         sign = np.sign(np.vdot(path._field(path._point), moved))
-        sunk = path._point.found.balance.state.interface[2]
-        path._length *= 1.4 if path._point.found.iterations < 6 else 1.0
-    far = path._point.found
+        sunk = path._point.equilibrium.balance.state.interface[2]
+        path._length *= 1.4 if path._point.equilibrium.iterations < 6 else 1.0
+    far = path._point.equilibrium
     far = find_equilibrium(
         system, system.reload(far.balance, 4000 * down), far.tangent, lambda *_: None
     )

@@ -93,7 +93,7 @@ OTHERS = {
         locked=["ux"],
     ),
     "acceleration": lambda: post(inputs=PULL),
-    "sliding, own weight": lambda: post(
+    "sliding, self-weight": lambda: post(
         supports={"fixed": ["z0"], "sliding": [SLIDING]},
         gravity=[3, 4, -9],
         locked=GUIDED,

@@ -192,6 +192,6 @@ def test_the_entry_points_of_the_example_in_csharp_are_those_of_the_header():
 
 def test_the_sizes_in_the_example_in_csharp_are_those_of_the_header():
     text = (SCENES / "Lookup.cs").read_text()
-    most, reasons = re.search(r"WB_MOST = (\d+), WB_MOST_REASONS = (\d+)", HEADER).groups()
-    assert f"Most = {most}, MostReasons = {reasons};" in text
-    assert "reason[MostReasons * 32]" in text  # 4 x int32 and 2 x double
+    most, reasons = re.search(r"WB_MAX = (\d+), WB_MAX_REASONS = (\d+)", HEADER).groups()
+    assert f"Max = {most}, MaxReasons = {reasons};" in text
+    assert "reason[MaxReasons * 32]" in text  # 4 x int32 and 2 x double

@@ -184,7 +184,7 @@ def test_whole_errors_are_judged_by_the_tolerance(kind):
     tolerance = Tolerance(translation, rotation)
     errors = by_numpy(table, asked, tolerance)[1]
     expected = within_tolerance_many(errors, tolerance)
-    if not table.bars_are_whole:
+    if not table.bars_are_complete:
         expected = [None] * len(asked)
     found = [packed_of(kind).answer(w, six(tolerance)).within_tolerance for w in asked.tolist()]
     assert found == expected

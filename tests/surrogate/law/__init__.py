@@ -25,7 +25,7 @@ from wrenchbook.surrogate.table.rows import (
     Floats,
     Tolerance,
     acting,
-    acting_one,
+    acting_wrench,
 )  # fmt: skip
 from wrenchbook.surrogate.table.space import LOAD_UNITS, LOADS, OUTPUTS
 
@@ -208,7 +208,7 @@ class GroupLaw:
         method: str | None = None,
     ) -> Answer:
         """Answer one wrench of six finite floats, N and N·m."""
-        wrench = acting_one(wrench, self.locked)
+        wrench = acting_wrench(wrench, self.locked)
         name = method or self.default
         if not len(self.used):
             check(name)

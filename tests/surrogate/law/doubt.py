@@ -10,8 +10,8 @@ import numpy as np
 from wrenchbook.surrogate.build import Group
 from wrenchbook.surrogate.kernel.reasons import UNKNOWN_AT_ZERO_LOAD, UNKNOWN_TOGETHER
 from wrenchbook.surrogate.methods import ENOUGH_FULL
-from wrenchbook.surrogate.table.axes import AXES, clean_wrenches
-from wrenchbook.surrogate.table.rows import CLEAN, Floats
+from wrenchbook.surrogate.table.axes import AXES, single_axis_wrenches
+from wrenchbook.surrogate.table.rows import ZERO_LOAD, Floats
 
 Mask = np.ndarray
 
@@ -35,7 +35,7 @@ class DoubtLaw:
         together = np.zeros(len(asked), dtype=bool)
         at_rest = np.zeros(len(asked), dtype=bool)
         if not self._evidence.knows_interaction:
-            together |= np.asarray(~clean_wrenches(asked, self._range).any(axis=1))
+            together |= np.asarray(~single_axis_wrenches(asked, self._range).any(axis=1))
         if self._evidence.zero_unknown:
             at_rest = np.asarray((np.abs(asked) <= self._least).all(axis=1))
         return together, at_rest
@@ -58,4 +58,4 @@ class DoubtLaw:
     @cached_property
     def _least(self) -> list[float]:
         """Loads up to which there is none, six of them, N and N·m."""
-        return (CLEAN * self._range.scale).tolist()
+        return (ZERO_LOAD * self._range.scale).tolist()

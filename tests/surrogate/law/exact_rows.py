@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tests.surrogate.law.answer import Answer, Batch, within
 from wrenchbook.surrogate.answer import COVERED
 from wrenchbook.surrogate.build import STEEPER, Group
-from wrenchbook.surrogate.table.rows import Floats, Rows, acting, acting_one
+from wrenchbook.surrogate.table.rows import Floats, Rows, acting, acting_wrench
 
 
 class Beside(NamedTuple):
@@ -65,14 +65,14 @@ class RowLaw:
         allowed : sequence of 6 floats, m and rad
             What the distance from the row may add to its bar.
         """
-        wrench = acting_one(wrench, self._locked)
+        wrench = acting_wrench(wrench, self._locked)
         place = self._place(wrench)
         return None if place < 0 else self._told_by(place, np.array(wrench, dtype=float), allowed)
 
     def put_into(self, asked: Floats, found: Batch, allowed: Sequence[float]) -> Batch:
         """Where wrenches (n, 6), N and N·m, are not covered, take the rows at or beside them."""
         doubtful, asked = np.flatnonzero(found.coverage != COVERED), acting(asked, self._locked)
-        rows = self.index.places(asked[doubtful])
+        rows = self.index.indices(asked[doubtful])
         for place, row in zip(doubtful[rows >= 0], rows[rows >= 0].tolist(), strict=True):
             if (told := self._told_by(row, asked[place], allowed)) is not None:
                 found.displacement[place], found.error[place] = told.displacement, told.error
@@ -80,20 +80,20 @@ class RowLaw:
         return found
 
     def _place(self, wrench: Sequence[float]) -> int:
-        return int(self.index.places(np.array([wrench], dtype=float))[0])
+        return int(self.index.indices(np.array([wrench], dtype=float))[0])
 
     def near(self, wrenches: Floats) -> NDArray[np.bool_]:
         """Return at or beside which wrenches (k, 6), N and N·m, there is a row, shape (k,)."""
-        return self.index.places(acting(wrenches, self._locked)) >= 0
+        return self.index.indices(acting(wrenches, self._locked)) >= 0
 
     def wrench_at(self, wrench: Sequence[float]) -> Floats | None:
         """Return the wrench (6,), N and N·m, of the row at or beside one, if there is one."""
-        place = self._place(acting_one(wrench, self._locked))
+        place = self._place(acting_wrench(wrench, self._locked))
         return None if place < 0 else self.wrenches[place]
 
     def tangent(self, wrench: Sequence[float]) -> Floats:
         """Return the tangent (6, 6), SI, of the row at or near a wrench (6,); NaN if none has."""
-        place = self._place(acting_one(wrench, self._locked))
+        place = self._place(acting_wrench(wrench, self._locked))
         if place < 0:
             return np.full(self.told.compliance.shape[1:], np.nan)
         found = self.told.compliance[self.owner[place]].copy()

@@ -12,7 +12,7 @@ from wrenchbook.surrogate.axes.axes import OFF_HULL, Axes, Composed
 from wrenchbook.surrogate.build import Group
 from wrenchbook.surrogate.kriging import Kriging
 from wrenchbook.surrogate.table.compliance import ComplianceFit
-from wrenchbook.surrogate.table.rows import CLEAN, ROUNDING, Floats, LoadRange, why_beyond
+from wrenchbook.surrogate.table.rows import ROUNDING, ZERO_LOAD, Floats, LoadRange, why_beyond
 from wrenchbook.surrogate.table.space import LOADS
 
 from .reasons import why_not
@@ -209,7 +209,7 @@ class Linear(Method):
         return why_beyond(self.load_range, wrench)
 
     def _unknown(self, wrenches: Floats) -> np.ndarray:
-        return ~self.fit.known & (np.abs(wrenches) > CLEAN * self.load_range.scale)
+        return ~self.fit.known & (np.abs(wrenches) > ZERO_LOAD * self.load_range.scale)
 
 
 def method_of(table: Any, name: str) -> Method:

@@ -9,7 +9,7 @@ import numpy as np
 from wrenchbook.surrogate.axes.axes import NO_ROWS, OFF_HULL, Axes, Composed
 from wrenchbook.surrogate.axes.axis_table import DEGENERATE, FEWEST, LARGEST, SOUND, AxisTable
 from wrenchbook.surrogate.table.axes import AXES, LoadAxis
-from wrenchbook.surrogate.table.rows import CLEAN, Floats
+from wrenchbook.surrogate.table.rows import ZERO_LOAD, Floats
 from wrenchbook.surrogate.table.space import LOAD_UNITS, LOADS
 
 
@@ -40,7 +40,7 @@ def look(composition: Axes, index: int, wrench: Floats) -> Look:
     axis = AXES[index]
     loads = np.where(np.isin(np.arange(6), axis.inputs), wrench, 0.0)[None]
     found = composition.evaluate(loads)
-    loaded = np.flatnonzero(np.abs(loads[0]) > CLEAN * composition.scale)
+    loaded = np.flatnonzero(np.abs(loads[0]) > ZERO_LOAD * composition.scale)
     table = composition.tables[index]
     if len(loaded) == 1 and loaded[0] >= 3:
         cuts = composition.cuts[loaded[0] - 3]
@@ -109,7 +109,7 @@ def _why_outside(axis: LoadAxis, table: AxisTable | None, wrench: Floats) -> str
     spans, found = table.rows.points * table.scale, []
     for column, load in enumerate(axis.inputs):
         low, high = float(spans[:, column].min()), float(spans[:, column].max())
-        slack, unit = CLEAN * table.scale[column], LOAD_UNITS[load]
+        slack, unit = ZERO_LOAD * table.scale[column], LOAD_UNITS[load]
         if low - slack <= wrench[load] <= high + slack:
             continue
         if high - low <= slack:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from tests.surrogate.law.answer import Answer, Batch
-from wrenchbook.surrogate.table.rows import ROUNDING, Floats, Tolerance, acting, acting_one
+from wrenchbook.surrogate.table.rows import ROUNDING, Floats, Tolerance, acting, acting_wrench
 
 from .derivative import derivative_at, derivatives_at, row_tangents
 from .solver_share import parts, widened, widened_many
@@ -29,13 +29,13 @@ def whole_bar(
         What was asked for.
     """
     error, bars = table.solver_error, answer.error
-    wrench = acting_one(wrench, table.locked)
+    wrench = acting_wrench(wrench, table.locked)
     if error is not None:
         bars = widened(error, bars, wrench, *_state(table, wrench, answer, method))
     if bars is not None:
         both = zip(bars, table.rig_error.tolist(), strict=True)
         bars = tuple(None if bar is None else bar + rig for bar, rig in both)
-    if bars is None or table.bars_are_whole:
+    if bars is None or table.bars_are_complete:
         return bars
     unknown = solved(table, wrench, None, method)
     found = tuple(None if own else bar for bar, own in zip(bars, unknown, strict=True))
@@ -54,7 +54,9 @@ def solved(
         told = part.estimate(wrench, tolerance, method).method
         bars = np.full(6, np.nan)
         if told == "row":
-            place = int(part.by_row.index.places(np.array([acting_one(wrench, table.locked)]))[0])
+            place = int(
+                part.by_row.index.indices(np.array([acting_wrench(wrench, table.locked)]))[0]
+            )
             bars = part.row_uncertainty[part.merged.owner[place]]
         elif told == "linear" and table.linear and part.fit.complete:
             most = np.abs(part.fit.matrix) @ table.load_range.scale
@@ -71,7 +73,7 @@ def solver_parts(
     error = table.solver_error
     if error is None:
         return {}
-    wrench = acting_one(wrench, table.locked)
+    wrench = acting_wrench(wrench, table.locked)
     return parts(error, wrench, *_state(table, wrench, answer, method))
 
 
@@ -87,7 +89,7 @@ def whole_bars(
     They are those of `whole_bar` to the last digit.
     """
     bars = _widened(table, wrenches, found, tolerance, method)
-    if not table.bars_are_whole:
+    if not table.bars_are_complete:
         bars = bars.copy()
         for place, wrench in enumerate(np.asarray(wrenches).tolist()):
             bars[place, solved(table, wrench, tolerance, method)] = np.nan

@@ -136,7 +136,7 @@ def test_any_scene_has_the_bits_of_the_whole_table(kind, ends, held, outputs) ->
 
 def test_the_file_carries_the_plan_and_the_outputs_that_are_read() -> None:
     part = scene_of(whole("kriging"), need(PLANAR, (2, 4)), {"decision": "table"})
-    assert part.words["scene"] == {"outputs": ["uz", "ry"], "plan": {"decision": "table"}}
+    assert part.meta["scene"] == {"outputs": ["uz", "ry"], "plan": {"decision": "table"}}
 
 
 def test_a_scene_of_one_axis_keeps_less_than_two_thirds_of_the_bytes() -> None:
