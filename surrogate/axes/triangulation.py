@@ -395,8 +395,8 @@ def recovered_slopes(triangulation: Triangulation, values: Floats) -> Floats:
         return mean_slopes(triangulation, values)
     slopes = np.empty((n, values.shape[1], 3))
     flat = triangulation.flattened(triangulation.points)
-    distances, near = map(np.asarray, KDTree(flat).query(flat, k=neighbours + 1))
-    distances, near = distances[:, 1:], near[:, 1:].astype(np.intp)
+    nearest = KDTree(flat).query(flat, k=neighbours + 1)
+    distances, near = np.asarray(nearest[0])[:, 1:], np.asarray(nearest[1], dtype=np.intp)[:, 1:]
     for start in range(0, n, CHUNK):
         some = slice(start, start + CHUNK)
         delta = flat[near[some]] - flat[some, None]
