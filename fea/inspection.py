@@ -114,7 +114,7 @@ MEASURES = (
 
 
 def quality(mesh: Mesh) -> dict[str, dict[str, Any]]:
-    """Return each measure's worst value, the centre of that cell (m), and how many are bad."""
+    """Return each measure's worst value, that cell's centre (m), and the number of bad cells."""
     return {measure.name: _worst(mesh, measure) for measure in MEASURES}
 
 
@@ -164,7 +164,7 @@ _OPPOSITE = np.array([(0, 1), (2, 4), (3, 5)])
 class Bodies:
     """Cells that hang together by faces."""
 
-    count: int  # how many bodies there are; numbered from the body with the most cells
+    count: int  # number of bodies; numbered from the body with the most cells
     cells: Array  # number of cells of each, shape (count,), int64, dimensionless
     nodes: list[Array]  # the nodes of each, shape (k,), int64: indices, ascending
 

@@ -76,7 +76,7 @@ def checked_wrench(
     ----------
     wrench
         Shape (6 i + f,); or six numbers by an interface's name, those that are left out have no
-        load, and each further input by its own.
+        load, and each further input by its name.
     names
         Of the i interfaces.
     further

@@ -237,7 +237,7 @@ class Solver:
         return stress_of(self.component, self.body, solution)
 
     def buckling(self, wrench: Loads) -> tuple[float, float]:
-        """Return how many times a wrench, and its opposite, the part carries before it buckles.
+        """Return the multiples of a wrench, and of its opposite, at which the part buckles.
 
         The wrench is as of `solve`. As linear buckling has it (`fea.solver.vibration`);
         infinite where it does not.

@@ -57,8 +57,8 @@ FINER_UNKNOWNS = 30_000
 """Of a finer mesh that an estimate may solve unasked: about a second."""
 
 
-def finer(solver: Solver, most: int | None = None, factor: float = 2.0) -> Solver | None:
-    """Return the component with smaller cells; None if that has over `most` unknowns.
+def finer(solver: Solver, max_unknowns: int | None = None, factor: float = 2.0) -> Solver | None:
+    """Return the component with smaller cells; None if that has over `max_unknowns`.
 
     Generators and geometries make the mesh anew with cells `factor` times as small; a mesh file's
     cells are halved, its edges kept as they are.
@@ -66,7 +66,7 @@ def finer(solver: Solver, most: int | None = None, factor: float = 2.0) -> Solve
     Raises BundleError if the mesh fails.
     """
     component = solver.component
-    bundle, limit = component.bundle, float("inf") if most is None else most
+    bundle, limit = component.bundle, float("inf") if max_unknowns is None else max_unknowns
     if bundle is None or bundle.mesh is None:
         return None
     again = refined(bundle, factor)
@@ -191,7 +191,7 @@ def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
             nodes = len(fine_solver.component.mesh.points)
             message = f"the mesh of {nodes} nodes has cells of {1e3 * fine:.4g} mm"
             raise ValueError(
-                f"{message}, the one before of {1e3 * coarse:.4g} mm: give one with cells at most "
+                f"{message}, the mesh before of {1e3 * coarse:.4g} mm: give one with cells at most "
                 "0.9 times as large"
             )
     compliance = np.array([solver.linear.compliance for solver in solvers])
@@ -232,7 +232,7 @@ def _or_null(values: Array) -> list[float | None]:
     return [float(value) if np.isfinite(value) else None for value in values]
 
 
-def stored_error(bundle: Bundle | None, shape: tuple[int, ...]) -> tuple[Array, str] | None:
+def stored(bundle: Bundle | None, shape: tuple[int, ...]) -> tuple[Array, str] | None:
     """Return the error kept for this setup, shape `shape`, and its basis; None if none was.
 
     Raises ValueError if the file is damaged.

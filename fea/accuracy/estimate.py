@@ -16,13 +16,7 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.fea.accuracy.advice import FINE
-from wrenchbook.fea.accuracy.convergence import (
-    FINER_UNKNOWNS,
-    MIN_RATIO,
-    coarser,
-    finer,
-    stored_error,
-)
+from wrenchbook.fea.accuracy.convergence import FINER_UNKNOWNS, MIN_RATIO, coarser, finer, stored
 from wrenchbook.fea.accuracy.mesh_error import recovered_error, roundness
 from wrenchbook.fea.coupling.coupling import PER_INTERFACE
 from wrenchbook.fea.failure import SolveFailed
@@ -81,8 +75,8 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
     size = np.linalg.norm(moved[:, :, 3:], axis=2).max(axis=1)
     if not size.max() > 0:
         size = np.linalg.norm(moved[:, :, :3], axis=2).max(axis=1)
-    most = int(size.argmax())
-    corners, zero = [corners[most], corners[len(corners) - 1 - most]], solver.component.at_rest
+    index = int(size.argmax())
+    corners, zero = [corners[index], corners[len(corners) - 1 - index]], solver.component.at_rest
     factors = list(solver.buckling(corners[0] + zero))
     if not np.allclose(corners[1], -corners[0]):
         factors[1] = solver.buckling(corners[1] + zero)[0]
@@ -106,10 +100,10 @@ class _Corner:
         self.deviation = np.full(len(linear.compliance), np.nan)
         self.factors: list[float] = []
         self.why = ""
-        most = 1.0
+        limit = 1.0
         if buckling < _STEEP:
-            most, self.why = 0.5 * buckling, f"it buckles at {buckling:.3g} of one"
-        for part in (most * part for part in _PARTS):
+            limit, self.why = 0.5 * buckling, f"it buckles at {buckling:.3g} of one"
+        for part in (limit * part for part in _PARTS):
             try:
                 solution = solver.solve(part * wrench + solver.component.at_rest)
             except SolveFailed as failure:
@@ -221,7 +215,7 @@ def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[Array], str]:
     There are no parts where the error is not known.
     """
     compliance, bundle = solver.linear.compliance, solver.component.bundle
-    study = stored_error(bundle, compliance.shape)
+    study = stored(bundle, compliance.shape)
     if study is not None:
         return [study[0]], study[1]
     recovered = recovered_error(solver)

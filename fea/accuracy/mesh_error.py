@@ -3,7 +3,7 @@
 The outputs being the loads, C - C_h of a compliance is the strain energy of the errors of the unit
 loads' fields, pair by pair: C_ij - C_h,ij = a(u_i - u_h,i, u_j - u_h,j). The error of a strain or
 stress is estimated by smoother ones (Zienkiewicz and Zhu 1987): in each cell those at the solver's
-own integration points, where they are most exact (Barlow 1976), are continued to the corners by
+integration points, where they are most exact (Barlow 1976), are continued to the corners by
 least squares and averaged there over the cells of one material by volume; what is interpolated
 between those corners stands for the exact field. The solver's points and no others: at the 27
 points of a hex20 with reduced integration the strains of a thin plate are thirty times too large.

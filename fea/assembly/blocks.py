@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from wrenchbook.fea.element.st_venant_kirchhoff import (
 from wrenchbook.fea.mesh.mapping import Gradients, cell_gradients
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
 from wrenchbook.fea.mesh.reference_cell import reference_element
-from wrenchbook.fea.spec.material import LAWS, AnyMaterial, Orthotropic
+from wrenchbook.fea.spec.material import LAWS, AnyMaterial
 
 Array = np.ndarray
 
@@ -93,15 +93,14 @@ def _stiffness(
         expansion = None
     else:
         expansion = _by_cell(
-            _directions(materials, where),
-            lambda material, rows: (
-                (rows.swapaxes(-1, -2) * np.array(material.thermal_expansion)) @ rows
-            ),
+            (cells, (rows.swapaxes(-1, -2) * np.array(material.thermal_expansion)) @ rows)
+            for material, cells, rows in _directions(materials, where)
         )
     if law == "orthotropic":
-        parts = _directions(materials, where)
         elasticity = _by_cell(
-            parts, lambda material, rows: turned_elasticity(_orthotropic(material).elasticity, rows)
+            (cells, turned_elasticity(material.orthotropic.elasticity, rows))
+            for material, cells, rows in _directions(materials, where)
+            if material.orthotropic is not None
         )
         return OrthotropicStiffness(gradients, elasticity, expansion=expansion)
     kind = NeoHookeanStiffness if law == "neo-hookean" else Stiffness
@@ -134,18 +133,11 @@ def _directions(
     return groups
 
 
-def _by_cell(
-    parts: list[tuple[AnyMaterial, Array, Array]], tensor: Callable[[AnyMaterial, Array], Array]
-) -> Array:
-    """Return a tensor of each material's directions, by cell, (cells, points or 1, ...)."""
-    tensors = [(cells, tensor(material, directions)) for material, cells, directions in parts]
-    points = max(tensor_of_cells.shape[1] for _, tensor_of_cells in tensors)
-    out = np.empty((sum(len(cells) for cells, _ in tensors), points, *tensors[0][1].shape[2:]))
-    for cells, tensor_of_cells in tensors:
-        out[cells] = tensor_of_cells
+def _by_cell(parts: Iterable[tuple[Array, Array]]) -> Array:
+    """Return tensors of some cells each as an array by cell, (cells, points or 1, ...)."""
+    parts = list(parts)
+    points = max(tensors.shape[1] for _, tensors in parts)
+    out = np.empty((sum(len(cells) for cells, _ in parts), points, *parts[0][1].shape[2:]))
+    for cells, tensors in parts:
+        out[cells] = tensors
     return out
-
-
-def _orthotropic(material: AnyMaterial) -> Orthotropic:
-    assert material.orthotropic is not None
-    return material.orthotropic

@@ -155,7 +155,7 @@ class ElasticBody:
 
     @cached_property
     def _leaf_cells(self) -> tuple[Array, Array]:
-        """The numbers of the leaves, and how many cells the leaves before each hold."""
+        """The numbers of the leaves, and the number of cells in the leaves before each."""
         parts = self.dissection.substructures
         numbers = np.array([i for i, part in enumerate(parts) if not part.children], dtype=int)
         starts = np.cumsum([0, *(parts[i].cells.size for i in numbers)])

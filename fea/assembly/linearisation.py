@@ -243,7 +243,7 @@ class Linearisation:
         return self._coupling.displacement_rows(self.border_response)
 
     def _solve_border(self, loads: Array) -> Array:
-        """Solve with S, its rows and columns scaled to one size: they mix m, rad, N and N·m."""
+        """Solve with S, its rows and columns scaled to unit size: they mix m, rad, N and N·m."""
         scale = self._border_scale
         try:
             scaled = np.linalg.solve(self.schur * scale[:, None] * scale, scale[:, None] * loads)

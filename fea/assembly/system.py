@@ -25,7 +25,7 @@ class System:
     """The equations of one component.
 
     body: the cells; its free nodes are those neither fixed nor constrained by the coupling.
-    coupling: how the wrench gets in.
+    coupling: the interfaces and bushings.
     points: shape (n, 3), m: the nodes' coordinates in the mesh's axes, for messages.
     weight: shape (n, 3), N: the nodal forces of self-weight; None for none.
     body_force: shape (n, 3, p), N: nodal forces per unit of each input acceleration; None for
@@ -202,7 +202,7 @@ def scaled_condition(tangent: Tangent) -> float:
 
 
 def softest_energy(body: ElasticBody, tangent: Tangent) -> float:
-    """Return the strain energy of the softest motion, relative to that of its nodes one by one.
+    """Return the strain energy of the softest motion, relative to that of its single nodes.
 
     The motion comes from the factor by inverse iteration, its energy from its strains: those of a
     mechanism are roundoff, so that their energy is the square of it, many digits below that of a

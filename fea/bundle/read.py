@@ -118,7 +118,7 @@ def bundle_of(table: Mapping[str, Any], folder: str | Path) -> Bundle:
 class _Reader:
     """A parsed file on its way to a bundle, with the mistakes met so far.
 
-    Tables are read one by one, so that what they lack of each other is noted although others have
+    Tables are read in turn, so that what they lack of each other is noted although others have
     mistakes.
     """
 
@@ -239,7 +239,7 @@ class _Reader:
             self.wrong("interface", message)
         valid = [interface for interface in interfaces if interface is not None]
         if len({interface.name for interface in valid}) < len(valid):
-            self.wrong("interface", "a name is there twice; each interface needs its own")
+            self.wrong("interface", "a name is there twice; give each interface another name")
         if sum(interface.held for interface in valid) > 1:
             message = "only one can be held: it is the reference of all displacements"
             self.wrong("interface", message)
@@ -248,9 +248,8 @@ class _Reader:
     def range(self, several: list[Any]) -> DeclaredRange | None:
         """Return ``[range]``, or the ranges of several interfaces in their order."""
         if "range" in self.table and several:
-            self.wrong(
-                "range", "each [[interface]] has its own; write range = {force, moment} there"
-            )
+            message = "is of each [[interface]]; write range = {force, moment} there"
+            self.wrong("range", message)
         if several:
             ranges = [interface and interface.range for interface in several]
         elif "range" in self.table:
@@ -282,9 +281,7 @@ class _Reader:
             return analysis
         of_deck = integrations(deck_text(file))
         if len(of_deck) > 1:
-            message = (
-                "missing; the deck has C3D20 (full) and C3D20R (reduced): one is for all cells"
-            )
+            message = "missing; the deck has C3D20 (full) and C3D20R (reduced): one for all cells"
             self.wrong("analysis.integration", message)
         elif of_deck and analysis is not None:
             return replace(analysis, integration=of_deck[0])
@@ -322,9 +319,7 @@ class _Reader:
             return
         interfaces = self.table.get("interface")
         several = isinstance(interfaces, list)
-        held = several and any(
-            isinstance(table, dict) and table.get("held") for table in interfaces
-        )
+        held = several and any(isinstance(i, dict) and i.get("held") for i in interfaces)
         for key in _SOLVER_TABLES:
             if "mesh" in self.table:
                 if key not in self.table and not (held and key == "supports"):
@@ -332,7 +327,7 @@ class _Reader:
                     more = _OR_HELD if key == "supports" and several else ""
                     self.wrong(key, f"missing; a component with a [mesh] needs {brackets}{more}")
             elif key in self.table and not (key == "interface" and several):
-                message = "needs a [mesh] as well; without one a component is a table only"
+                message = "needs a [mesh] as well; without it a component is a table only"
                 self.wrong(key, message)
 
     def check_deck(self, analysis: Analysis | None, interfaces: list[Interface | None]) -> None:
@@ -345,14 +340,10 @@ class _Reader:
             message = "a [deck] is not turned; write it in the interface frame and leave axes out"
             self.wrong("interface.axes", message)
         if interface is not None and interface.locked:
-            message = (
-                "a [deck] is not changed; hold these freedoms in the deck and leave locked out"
-            )
+            message = "a [deck] is not changed; hold these freedoms in it and leave locked out"
             self.wrong("interface.locked", message)
         if analysis is not None and analysis.gravity is not None:
-            message = (
-                "a [deck] is not changed; write *DLOAD with GRAV in the deck, leave gravity out"
-            )
+            message = "a [deck] is not changed; write *DLOAD with GRAV in it, leave gravity out"
             self.wrong("analysis.gravity", message)
 
     def check_inputs(
@@ -378,9 +369,7 @@ class _Reader:
                 message = "missing; with [inputs.temperature] every material needs it, in 1/K"
                 self.wrong(f"material[{i}].thermal_expansion", message)
             if material is not None and material.law == "neo-hookean":
-                message = (
-                    'takes no [inputs.temperature]; of small strains "isotropic" is the same law'
-                )
+                message = 'takes no [inputs.temperature]; at small strains "isotropic" is the same'
                 self.wrong(f"material[{i}].law", message)
         if ACCELERATIONS[0] in names:
             self.check_densities(materials, "[inputs.acceleration]")

@@ -44,8 +44,7 @@ def _tidy(part: Any) -> Any:
         return [_tidy(each) for each in part if each != {"type": "null"}]
     if not isinstance(part, dict):
         return part
-    described = {k: v for k, v in part.items() if k not in _OURS or isinstance(v, dict)}
-    tidy = {key: _tidy(value) for key, value in described.items()}
+    tidy = {k: _tidy(v) for k, v in part.items() if k not in _OURS or isinstance(v, dict)}
     if len(tidy.get("anyOf", ())) == 1:
         tidy |= tidy.pop("anyOf")[0]
     if part.get("default", ...) is None:
@@ -65,10 +64,8 @@ def descriptions(cls: type) -> dict[str, str]:
         (source,) = ast.parse(inspect.getsource(each)).body
         for entry, text in pairwise(getattr(source, "body", ())):
             match entry, text:
-                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(
-                    ast.Constant(str(documentation))
-                ):
-                    texts[name] = " ".join(documentation.split())
+                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(ast.Constant(str(note))):
+                    texts[name] = " ".join(note.split())
     names = {info.alias: name for name, info in vars(cls)["__pydantic_fields__"].items()}
     return {key: texts[names.get(key, key)] for key in keys_of(cls)}
 

@@ -102,7 +102,7 @@ def _motions_text(component: ComponentModel, motions: Array) -> str:
 
 
 def _neighbour(mesh: Mesh, bodies: Bodies, number: int, pairs: Array) -> str:
-    """Return how a free body touches the others: not at all, at shared or coincident nodes."""
+    """Describe the contact of a free body with the others: none, at shared or coincident nodes."""
     mine_nodes = bodies.nodes[number]
     others = [n for n in range(bodies.count) if n != number]
     shared = {n: len(np.intersect1d(mine_nodes, bodies.nodes[n])) for n in others}
@@ -110,7 +110,7 @@ def _neighbour(mesh: Mesh, bodies: Bodies, number: int, pairs: Array) -> str:
     if shared[joined]:
         return (
             f"It hangs on part {joined + 1} by {shared[joined]} nodes on one line or point only: "
-            "a hinge; join them by whole faces"
+            "a hinge; join them by faces"
         )
     mine = np.isin(pairs, mine_nodes)
     twins = int((mine[:, 0] != mine[:, 1]).sum())

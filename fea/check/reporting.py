@@ -101,7 +101,7 @@ def report(
         elif bundle.mesh is not None:
             if bundle.mesh.geometry is not None:
                 _list_geometry(bundle.mesh.file, summary)
-            _look_at_mesh(bundle, mesh_of(bundle.mesh), riding, nonlinear, summary)
+            _inspect_mesh(bundle, mesh_of(bundle.mesh), riding, nonlinear, summary)
     except BundleError as error:
         summary["problems"] = list(map(asdict, error.problems))
     summary["warnings"] = list(map(asdict, summary["warnings"]))
@@ -125,7 +125,7 @@ def _list_geometry(path: Path | None, summary: dict[str, Any]) -> None:
         summary["faces"], summary["bodies"] = list_shape(path)
 
 
-def _look_at_mesh(
+def _inspect_mesh(
     bundle: Bundle, mesh: Mesh, riding: Riding | None, nonlinear: bool, summary: dict[str, Any]
 ) -> None:
     facets = {
@@ -154,7 +154,7 @@ def _look_at_mesh(
         summary["mesh_file"] = listing(mesh.deck)
     component = build(bundle, mesh)
     warnings += contradictions(component)
-    _look_at_component(component, bodies, pairs, summary)
+    _inspect_component(component, bodies, pairs, summary)
     # Find what every solve would refuse, then how the part moves and swings.
     solver = solver_of(component)
     summary["trial"], problems = trial(solver, summary["estimate"])
@@ -182,7 +182,7 @@ def _look_at_mesh(
         warnings += over_tolerance(summary["solver_error"], limit.translation, limit.rotation)
 
 
-def _look_at_component(
+def _inspect_component(
     component: ComponentModel, bodies: Bodies, pairs: Any, summary: dict[str, Any]
 ) -> None:
     numbers = component.material_of_cells
@@ -418,7 +418,7 @@ def _estimates(report: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _by_interface(report: Mapping[str, Any], values: list[float]) -> list[tuple[str, list[float]]]:
-    """Return six values of each interface with its name, empty where there is one."""
+    """Return six values of each interface with its name, empty for a single interface."""
     names = [section["name"] for section in report.get("sections", [])] or [""]
     starts = range(0, len(values), _EACH)
     return [(name, values[i : i + _EACH]) for name, i in zip(names, starts, strict=True)]

@@ -220,7 +220,7 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], lis
             raise ValueError("the range of more than two interfaces has too many corners")
         unit = solver.unit_stresses()
         loads = corners
-        if component.analysis.gravity:  # one more load, which is always there
+        if component.analysis.gravity:  # a further load, which is always there
             sag = small_stress(solver.body, solver.linear.sag[:, :, None])
             unit = np.concatenate((unit, sag), axis=2)
             loads = np.column_stack((corners, np.ones(len(corners))))

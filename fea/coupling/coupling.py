@@ -158,7 +158,7 @@ class Coupling:
     active: shape (k,), int64: indices of the interfaces' freedoms that are not locked, ascending.
     anchors: shape (a,), int64: nodes that are in no rigid section.
     springs: the last sections are bushings: their stiffnesses, (6, 6), N/m, N/rad and N·m/rad.
-    freedoms, motions, border: how many: 6 i of i interfaces; unknowns of the border that move
+    freedoms, motions, border: numbers: 6 i of i interfaces; unknowns of the border that move
     something; all of them, the multipliers last.
     """
 

@@ -72,7 +72,7 @@ class Rigid(SectionCoupling):
     ) -> tuple[Array, Array, Array]:
         """Return sum f x^T, 3x3 and N·m, and its derivatives along k inputs.
 
-        The forces f have shapes (s, 3), N, and (s, 3, k). The second is zero: the body's own third
+        The forces f have shapes (s, 3), N, and (s, 3, k). The second is zero: the body's third
         derivatives have it.
         """
         moments, changes = (np.einsum("si...,sj->ij...", force, self.points) for force in forces)

@@ -334,7 +334,7 @@ def not_reciprocal(message: str) -> SolveFailed:
     return SolveFailed(
         "not_reciprocal",
         message,
-        "Check that each placeholder stands at its own freedom with a plus sign, that point and "
+        "Check that each placeholder stands at its freedom with a plus sign, that point and "
         "rotation name the sets the loads act on, and that unit is the deck's.",
     )
 

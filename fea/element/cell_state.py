@@ -75,7 +75,7 @@ class CellState(ABC):
     def changes(self, fields: Array) -> tuple[Array, Array, Array]:
         """Return the changes by fields, m, shape (k, cells, 3, nodes).
 
-        All fields' 3x3 matrices stand one below the other, so that each product is one for all.
+        All fields' 3x3 matrices are stacked, so that each product is one for all.
 
         Returns dF: shape (cells, points, 3 k, 3): the deformation gradient, dimensionless. dE, wdS:
         shape (k, cells, points, 3, 3): the strain, dimensionless, and `wS`, Pa times m^3.
@@ -158,13 +158,13 @@ def symmetrised(product: Array) -> Array:
 
 
 def _each_transposed(below: Array) -> Array:
-    """Transpose each of the 3x3 matrices that stand one below the other: (..., 3 k, 3)."""
+    """Transpose each of the stacked 3x3 matrices: (..., 3 k, 3)."""
     each = below.reshape(*below.shape[:2], below.shape[2] // 3, 3, 3)
     return each.swapaxes(3, 4).reshape(below.shape)
 
 
 def _by_field(below: Array) -> Array:
-    """Return 3x3 matrices that stand one below the other, (..., 3 k, 3), by number: (k, m)."""
+    """Return stacked 3x3 matrices, (..., 3 k, 3), by number: (k, m)."""
     each = below.reshape(-1, below.shape[-2] // 3, 9)
     return np.ascontiguousarray(each.swapaxes(0, 1)).reshape(each.shape[1], -1)
 

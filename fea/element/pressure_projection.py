@@ -1,6 +1,6 @@
 """Nearly incompressible materials: which cells project their volumetric strain, and onto what.
 
-With Poisson's ratio near one half the first Lame constant is thousands of times the shear modulus,
+With Poisson's ratio near 1/2 the first Lame constant is thousands of times the shear modulus,
 and cells whose shape functions cannot keep their volume at every quadrature point lock: they are
 too stiff by any factor and say nothing. The cure is a pressure of fewer functions than points,
 discontinuous between cells and condensed in each: tr(E) in the energy is replaced by its L2

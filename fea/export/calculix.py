@@ -203,7 +203,7 @@ def _sliding(component: ComponentModel) -> Iterator[str]:
 
 
 def _orientation(number: int, orthotropic: Orthotropic, axes: Array) -> Iterator[str]:
-    """Yield a material's directions by a point on its x-axis and one on its y-axis.
+    """Yield a material's directions by a point on its x-axis and a point on its y-axis.
 
     Those about a cylinder's axis by two points of it.
     """

@@ -57,7 +57,7 @@ In columns of 256 a flange whose largest is 705 takes 10 % longer, to save 2 MB 
 class Condensed(NamedTuple):
     """Minus the condensed stiffness of one boundary, N/m; above its diagonal nothing is meant."""
 
-    starts: list[int]  # first unknown of each block column, and after the last one
+    starts: list[int]  # first unknown of each block column, and after the last
     # For each block column from a to b of n unknowns, shape (n - a, b - a), in Fortran's order
     blocks: list[Array]
 
@@ -71,7 +71,7 @@ class Route(NamedTuple):
     """Where what a child hands on goes in its parent."""
 
     indices: Array  # shape (n,), ascending: of the child's unknowns among the m + b of the parent
-    pivots: int  # how many of them are eliminated in the parent
+    pivots: int  # number of those eliminated in the parent
     # First, last + 1 and index of the first: unknowns with consecutive indices, in one block column
     # of the child and one of the parent, in their order.
     stretches: list[tuple[int, int, int]]
@@ -245,7 +245,7 @@ class _CholeskyFront:
         self.L, _ = _trttf(L, uplo="L")
 
     def products(self, boundary: int) -> Condensed:
-        """Return by how much the boundary is less stiff for what is eliminated here."""
+        """Return the update of the boundary's stiffness by what is eliminated here."""
         return products(self.W, self.W, partial(_syrk, 1.0, trans=1, lower=1))
 
     def forward(self, x: Array, part: Substructure) -> None:

@@ -141,7 +141,7 @@ def _directions(centres: Array) -> Array:
 
 
 def _on_both_sides(ranks: Array, starts: Array, count: int) -> Array:
-    """Return how many nodes a cut before each rank leaves on both sides, shape (count + 1,)."""
+    """Return the number of nodes on both sides of a cut before each rank, shape (count + 1,)."""
     if not starts.size:
         return np.zeros(count + 1, dtype=np.int64)
     first, last = np.minimum.reduceat(ranks, starts), np.maximum.reduceat(ranks, starts)

@@ -77,12 +77,13 @@ def second_order(mesh: Mesh) -> Mesh:
     new = middles < 0
     points = np.concatenate([mesh.points, 0.5 * mesh.points[pairs[new]].sum(axis=1)])
     middles[new] = len(mesh.points) + np.arange(int(new.sum()))
-    blocks = list(mesh.blocks)
-    for i, block in enumerate(blocks):
+    raised = list(mesh.blocks)
+    for i, block in enumerate(mesh.blocks):
         if block.kind in SECOND:
             edges = np.sort(block.nodes[:, EDGES[block.kind]].reshape(-1, 2), axis=1)
             added = middles[_find(pairs, edges)[0]].reshape(len(block), -1)
-            blocks[i] = CellBlock(SECOND[block.kind], np.hstack([block.nodes, added]))
+            raised[i] = CellBlock(SECOND[block.kind], np.hstack([block.nodes, added]))
+    blocks = tuple(raised)
     finder = FaceFinder(blocks)
     groups = {}
     for name, group in mesh.facet_groups.items():
@@ -90,7 +91,7 @@ def second_order(mesh: Mesh) -> Mesh:
         groups[name] = FacetGroup(tuple(FacetBlock(kind, nodes) for kind, nodes in faces))
     return Mesh(
         points,
-        tuple(blocks),
+        blocks,
         mesh.regions,
         groups,
         {

@@ -107,7 +107,7 @@ class FaceFinder:
             self._by_corners[corners_of(kind)].append(FacetBlock(kind, nodes))
 
     def find(self, kind: str, nodes: Array) -> tuple[list[FacetBlock], int]:
-        """Return the faces with the corners of the facets `nodes`, and how many have none.
+        """Return the faces with the corners of the facets `nodes`, and the number without any.
 
         kind: kind of the facets.
         nodes: shape (f, k): indices of their nodes, corners first.
@@ -130,7 +130,7 @@ class FaceFinder:
 
 
 def corners_of(kind: str) -> int:
-    """Return how many corners a kind of facet has."""
+    """Return the number of corners of a kind of facet."""
     return 3 if kind.startswith("tri") else 4
 
 

@@ -246,7 +246,7 @@ def sweep(section: PlaneMesh, layers: int, to_space: PointMap) -> Sweep:
 
 
 def _stride(section: PlaneMesh) -> int:
-    """Return how many nodes lie between a node and its image one layer on."""
+    """Return the number of nodes between a node and its image in the next layer."""
     return len(section.points) + section.corners
 
 
@@ -279,8 +279,8 @@ class Bar(Generator):
 
     def mistakes(self) -> list[tuple[str, str]]:
         """Return (key, message) for what will not do: too many cells."""
-        most = "cells_along" if self.cells_along > self.cells_across else "cells_across"
-        return too_many(float(self.cells_along) * self.cells_across**2, most)
+        name = "cells_along" if self.cells_along > self.cells_across else "cells_across"
+        return too_many(float(self.cells_along) * self.cells_across**2, name)
 
     def mesh(self) -> Mesh:
         """Return the mesh, of 20-node hexahedra."""
@@ -427,9 +427,9 @@ class Spring(Generator):
 
     def mistakes(self) -> list[tuple[str, str]]:
         """Return (key, message) for what does not fit together, or makes too many cells."""
-        most = "cells_per_turn" if self.cells_per_turn > self.core else "core"
+        name = "cells_per_turn" if self.cells_per_turn > self.core else "core"
         layers = self.cells_per_turn * self.active_turns
-        problems = too_many(layers * (self.core**2 + 4.0 * self.core), most)
+        problems = too_many(layers * (self.core**2 + 4.0 * self.core), name)
         if self.wire_diameter >= self.mean_diameter:
             problems.append(
                 ("wire_diameter", "must be below mean_diameter, or the wire meets itself")

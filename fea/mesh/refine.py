@@ -162,7 +162,7 @@ def _keys(names: Array, nodes: Array, pattern: _Pattern) -> Array:
 
 
 def _nodes(numbers: Array, pattern: _Pattern) -> Array:
-    """Return the children's nodes, (8 cells, nodes), a parent's children one after another."""
+    """Return the children's nodes, (8 cells, nodes), a parent's children in a row."""
     return numbers[:, pattern.children].reshape(-1, pattern.children.shape[1])
 
 

@@ -134,8 +134,8 @@ class Surface:
     full_count: int  # nodes of the outer surface; more than the vertices if it was simplified
 
 
-def surface_of(mesh: Mesh, most: int = MAX_VERTICES) -> Surface:
-    """Return the outer surface, simplified if it has more than `most` vertices.
+def surface_of(mesh: Mesh, max_vertices: int = MAX_VERTICES) -> Surface:
+    """Return the outer surface, simplified if it has more than `max_vertices`.
 
     A simplified surface has fewer vertices, each a node of the mesh where it was, so that its
     displacement is the solver's; triangles that fall together are left out.
@@ -146,16 +146,16 @@ def surface_of(mesh: Mesh, most: int = MAX_VERTICES) -> Surface:
     )
     nodes, flat = np.unique(triangles, return_inverse=True)
     triangles, count = flat.reshape(-1, 3), len(nodes)
-    if count > most:
+    if count > max_vertices:
         # Merge the vertices in each box of a grid into the first of them: vertex clustering
-        # (Rossignac and Borrel 1993), of the finest grid that leaves `most`.
+        # (Rossignac and Borrel 1993), of the finest grid that leaves so many.
         points = mesh.points[nodes]
         span = np.ptp(points, axis=0).max()
-        few, many = 1, int(np.sqrt(most)) * 8  # boxes along the longest side
+        few, many = 1, int(np.sqrt(max_vertices)) * 8  # boxes along the longest side
         while few + 1 < many:
             middle = (few + many) // 2
             taken = np.unique(_boxes(points, span / middle), axis=0)
-            few, many = (middle, many) if len(taken) <= most else (few, middle)
+            few, many = (middle, many) if len(taken) <= max_vertices else (few, middle)
         _, first, box = np.unique(
             _boxes(points, span / few), axis=0, return_index=True, return_inverse=True
         )

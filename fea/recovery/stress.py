@@ -62,7 +62,7 @@ def cauchy_stress(
     displacement: shape (n, 3), m.
     tangents: shape (n, 3, k): its change with the inputs, m per unit of each.
     temperature: K from the reference.
-    loads: how many inputs there are before the temperature, where that is an input.
+    loads: the number of inputs before the temperature, where that is an input.
     Returns stresses: shape (p, 6), Pa: xx, yy, zz, xy, xz, yz. changes: shape (p, 6, k), Pa per
     unit of each.
     """
@@ -115,7 +115,7 @@ def most_used(component: ComponentModel, body: ElasticBody, fields: Array) -> Ar
     if not np.isfinite(_strengths(component)).any():
         return np.zeros(fields.shape[2])
     strengths = _strengths(component)[integration_points(component, body.points)[1]]
-    parts = np.split(fields, fields.shape[2], axis=2)  # one at a time: stresses take much memory
+    parts = np.split(fields, fields.shape[2], axis=2)  # in turn: stresses take much memory
     used = [(von_mises(small_stress(body, part)[:, :, 0]) / strengths).max() for part in parts]
     return np.array(used)
 

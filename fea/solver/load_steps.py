@@ -170,9 +170,9 @@ class LoadPath:
             target = 1.0
         try:
             start = self._system.reload(self._balance, target * self._wrench)
-            most = MAX_ITERATIONS if self._factor == 0 else _FEW_ITERATIONS + 1
+            max_iterations = MAX_ITERATIONS if self._factor == 0 else _FEW_ITERATIONS + 1
             equilibrium = find_equilibrium(
-                self._system, start, self._tangent, self._reporter(target), most
+                self._system, start, self._tangent, self._reporter(target), max_iterations
             )
         except Stuck as stuck:
             if stuck.at_roundoff:
@@ -272,11 +272,6 @@ def hang(system: System, check: Callable[[Balance], None]) -> Equilibrium:
         message = f"Under self-weight alone, which grows in place of a wrench: {failure.message}"
         raise SolveFailed(failure.kind, message, failure.remedy) from None
     balance = system.balance(equilibrium.balance.state, np.zeros(system.inputs))
-    tangent = Linearisation(
-        system.body,
-        system.coupling,
-        balance,
-        equilibrium.tangent.tangent,
-        system.body_force,
-    )
+    stiffness = equilibrium.tangent.tangent
+    tangent = Linearisation(system.body, system.coupling, balance, stiffness, system.body_force)
     return Equilibrium(balance, tangent, equilibrium.iterations)

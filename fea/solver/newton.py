@@ -64,7 +64,7 @@ class Equilibrium(NamedTuple):
     balance: Balance  # the state with its forces
     # The tangent proper at this state, to within a correction of `SAME_STATE`
     tangent: Linearisation
-    iterations: int  # how many it took
+    iterations: int  # their number
 
 
 class Correction(NamedTuple):
@@ -98,7 +98,7 @@ def find_equilibrium(
     balance: Balance,
     tangent: Linearisation,
     report: Report,
-    most: int = MAX_ITERATIONS,
+    max_iterations: int = MAX_ITERATIONS,
 ) -> Equilibrium:
     """Iterate from a state out of balance.
 
@@ -110,11 +110,11 @@ def find_equilibrium(
     tangent: a linearisation at, or near, that state; its factor is released after the first
     correction.
     report: called after each iteration.
-    most: Iterations after which to give up.
+    max_iterations: after which to give up.
     Raises Stuck if it does not converge.
     """
     proper, sizes = False, []
-    for iteration in range(1, most + 1):
+    for iteration in range(1, max_iterations + 1):
         step = correct(system, balance, tangent, *tangent.correction(balance))
         balance = step.balance
         report(iteration, balance.norm)
@@ -136,7 +136,7 @@ def find_equilibrium(
         if iteration == 1:
             tangent.release()  # the caller keeps it: its factor would be there with each next
         tangent = system.linearise(balance, None if proper else step.aim)
-    raise Stuck(f"no equilibrium after {most} iterations")
+    raise Stuck(f"no equilibrium after {max_iterations} iterations")
 
 
 def correct(

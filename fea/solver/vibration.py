@@ -121,7 +121,7 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     system: the equations, in the interface frame.
     mass: shape (n, n), kg, from `fea.solver.vibration`; without entries the component is massless.
     riding: what stands on the interface.
-    Raises ValueError if nothing has a mass, or what has one cannot move: locked freedoms hold it;
+    Raises ValueError if nothing has a mass, or what has a mass cannot move (locked freedoms);
     or if a mass stands on one of several interfaces. Raises SolveFailed: ``mechanism`` or
     ``ill_conditioned``.
     """
@@ -410,7 +410,7 @@ _BUCKLING_SEED = 20170726  # of the start vectors: the same bundle gives the sam
 def buckling_factors(
     system: System, fields: Array, temperature: float = 0.0
 ) -> tuple[float, float]:
-    """Return how many times a load, and the opposite load, the part carries before it buckles.
+    """Return the multiples of a load, and of its opposite, at which the part buckles.
 
     system: the equations, in the interface frame.
     fields: shape (n, 3), m: the small displacements under the load.

@@ -153,13 +153,15 @@ def _in_folder(value: object, handler: Any, info: ValidationInfo) -> Path:
     return path
 
 
-def counted(count: int) -> BeforeValidator:
-    """Check for a list of so many numbers."""
+def counted(count: int, message: str = "") -> BeforeValidator:
+    """Check for a list of so many numbers, or of what `message` says."""
 
     def check(value: object) -> object:
-        if not isinstance(value, list | tuple) or len(value) != count:
-            raise PydanticCustomError("count", "{count} numbers", {"count": count})
-        return value
+        if isinstance(value, list | tuple) and len(value) == count:
+            return value
+        if message:
+            raise ValueError(message)
+        raise PydanticCustomError("count", "{count} numbers", {"count": count})
 
     return BeforeValidator(check)
 
@@ -242,12 +244,6 @@ def _cross(a: Sequence[float], b: Sequence[float]) -> list[float]:
     return [a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)]
 
 
-def _three_directions(value: object) -> object:
-    if isinstance(value, list | tuple) and len(value) != 3:
-        raise ValueError("must be three directions, the frame's x, y and z")
-    return value
-
-
 def _orthonormal(rows: Sequence[Sequence[float]]) -> Array:
     """Return three directions exactly orthonormal, shape (3, 3), dimensionless."""
     axes = np.array(rows)
@@ -264,12 +260,10 @@ def _orthonormal(rows: Sequence[Sequence[float]]) -> Array:
     return np.array([x, unit_vector(_cross(z, x)), z])
 
 
-Axes = Annotated[
-    Array,
-    array_of(
-        Annotated[tuple[Three, Three, Three], BeforeValidator(_three_directions)], _orthonormal
-    ),
+_Directions = Annotated[
+    tuple[Three, Three, Three], counted(3, "must be three directions, the frame's x, y and z")
 ]
+Axes = Annotated[Array, array_of(_Directions, _orthonormal)]
 
 
 def mesh_axes() -> Array:
@@ -367,9 +361,8 @@ def unknown(name: str, cls: type) -> str:
     """Return the refusal of a key that a table does not have."""
     refused: Mapping[str, str] = getattr(cls, "refused", {})
     known = list(keys_of(cls))
-    return (
-        refused.get(name) or f"unknown key{suggest(name, known)} (known here: {', '.join(known)})"
-    )
+    listed = f"(known here: {', '.join(known)})"
+    return refused.get(name) or f"unknown key{suggest(name, known)} {listed}"
 
 
 _KINDS = {

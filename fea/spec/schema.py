@@ -83,7 +83,7 @@ def _listed(points: tuple[Any, ...]) -> tuple[Any, ...]:
 
 
 def _numbers(values: object) -> object:
-    """Refuse what is no list of different whole numbers from 1 up; return it sorted."""
+    """Refuse what is no list of different integers from 1 up; return it sorted."""
     numbers = values if isinstance(values, list | tuple) else ()
     if not numbers or any(type(value) is not int or value < 1 for value in numbers):
         raise ValueError(
@@ -435,11 +435,6 @@ class Supports:
     """groups on springs, each `[[supports.bushing]]`"""
 
 
-def _known_freedoms(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return locked freedoms in the order of `FREEDOMS`."""
-    return tuple(name for name in FREEDOMS if name in names)
-
-
 @array_table
 class Interface(Attached):
     """A section where a rigid side is attached."""
@@ -447,7 +442,7 @@ class Interface(Attached):
     refused = dict.fromkeys(
         ("name", "held", "range"), "is a key of each [[interface]] of several; leave it out"
     )
-    name = ""  # of several interfaces each has its own
+    name = ""  # each of several interfaces has another
     held = False  # whether it does not move: the others' displacements are relative to it
 
     section: Text = key("", '"tip"')
@@ -455,7 +450,7 @@ class Interface(Attached):
     locked: Annotated[
         tuple[Literal["ux", "uy", "uz", "rx", "ry", "rz"], ...],
         AfterValidator(different),
-        AfterValidator(_known_freedoms),
+        AfterValidator(lambda names: tuple(name for name in FREEDOMS if name in names)),
     ] = key("", '["ux", "rz"]', default=())
     """freedoms that a guide locks: ux uy uz rx ry rz"""
 
@@ -477,16 +472,13 @@ def _load(ends: float | tuple[float, float]) -> tuple[float, float]:
     )
 
 
-def _three_loads(value: object) -> object:
-    if isinstance(value, list | tuple) and len(value) != 3:
-        raise ValueError("must be three loads in {unit}, each a number or [low, high]")
-    return value
-
-
 _NotNegative = Annotated[Number, Field(ge=0)]
 _Ends = Annotated[Pair, AfterValidator(rising)]
 Load = Annotated[tuple[float, float], either(_NotNegative, _Ends), AfterValidator(_load)]
-Loads = Annotated[tuple[Load, Load, Load], BeforeValidator(_three_loads)]
+Loads = Annotated[
+    tuple[Load, Load, Load],
+    counted(3, "must be three loads in {unit}, each a number or [low, high]"),
+]
 
 
 @table
@@ -541,10 +533,6 @@ class NamedInterface(Interface):
             object.__setattr__(self, "locked", FREEDOMS)
 
 
-def _no_weight(gravity: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
-    return gravity if gravity and any(gravity) else None
-
-
 @table
 class Analysis:
     """How to solve."""
@@ -555,7 +543,7 @@ class Analysis:
         "", '"full"', default="reduced", absent='the deck\'s, else `"reduced"`'
     )
     """hex20: 2x2x2 points, or 3x3x3; a deck's C3D20 is full, its C3D20R reduced"""
-    gravity: Annotated[Three | None, AfterValidator(_no_weight)] = key(
+    gravity: Annotated[Three | None, AfterValidator(lambda g: g if g and any(g) else None)] = key(
         "m/s^2", "[0, 0, -9.81]", default=None
     )
     """self-weight as a constant load, in the mesh's axes; each material needs `density`"""

@@ -289,7 +289,7 @@ def _nearest(
 
 
 def _spans(numbers: list[int]) -> str:
-    """Return ``1 to 9`` for whole runs, else the numbers."""
+    """Return ``1 to 9`` for runs, else the numbers."""
     if len(numbers) > 2 and numbers == list(range(numbers[0], numbers[-1] + 1)):
         return f"{numbers[0]} to {numbers[-1]}"
     return ", ".join(map(str, numbers))

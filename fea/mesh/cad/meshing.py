@@ -65,7 +65,7 @@ def mesh_geometry(path: Path, geometry: GeometryMeshing) -> Mesh:
         return folded  # `fea.component.build` names its cells
     message = (
         f"{failure} with cells of {geometry.size:g} m, also without optimisation and with cells "
-        "3 % smaller and larger. Take another size, such as one a third smaller, or heal the "
+        "3 % smaller and larger. Take another size, such as a third smaller, or heal the "
         "geometry (tiny edges, faces that overlap) where it was drawn"
     )
     raise BundleError([BundleProblem("mesh.size", message)])

@@ -314,7 +314,7 @@ def _take_element_set(deck: Deck, keyword: Keyword) -> None:
 
 
 def _members(deck: Deck, sets: dict[str, list[int]], keyword: Keyword) -> list[int]:
-    """Return the numbers a set names: one by one, as start-end-step, or by other sets."""
+    """Return the numbers a set names: as a list, as start-end-step, or by other sets."""
     members: list[int] = []
     frame = keyword.frame
     if "INSTANCE" in keyword.options:

@@ -28,7 +28,7 @@ class _Archive(Translated):
     """A deck in the making, and the state of an archive that is read.
 
     `held` and `forces` are values by node and freedom; `selected` is whether nodes are selected
-    that the archive does not list, `branches` how many *IF are open.
+    that the archive does not list, `branches` the number of open *IF.
     """
 
     types: dict[str, str] = field(default_factory=dict)

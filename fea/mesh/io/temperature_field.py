@@ -45,15 +45,15 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
     if table.shape[1:] != (_COLUMNS,) or not table.size or not np.isfinite(table).all():
         raise _wrong("must have four finite numbers a line: x, y, z (m) and the temperature")
     points, rise = table[:, :3], table[:, 3] - reference
-    most = float(rise[np.abs(rise).argmax()])
-    if most == 0.0:
+    largest = float(rise[np.abs(rise).argmax()])
+    if largest == 0.0:
         raise _wrong("is at the reference everywhere: nothing is heated")
     order = np.lexsort(points.T)
     same = (points[order][1:] == points[order][:-1]).all(axis=1)
     if (rise[order][1:] != rise[order][:-1])[same].any():
         x, y, z = points[order][1:][same][0].tolist()
         raise _wrong(f"has the point ({x:g}, {y:g}, {z:g}) twice, with two temperatures")
-    values = rise / most
+    values = rise / largest
     distance, nearest = KDTree(points).query(nodes)
     shape, size = values[nearest], np.ptp(nodes, axis=0).max()
     if np.median(distance) > size:

@@ -7,7 +7,7 @@ import pytest
 
 from tests.fea.accuracy.test_rounded import tube
 from wrenchbook.fea.accuracy import convergence, estimate
-from wrenchbook.fea.accuracy.convergence import Study, finer, kept, studied, write
+from wrenchbook.fea.accuracy.convergence import Study, finer, stored, studied, write
 from wrenchbook.fea.accuracy.estimate import accuracy_of, accuracy_or_why
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
@@ -112,7 +112,7 @@ def test_a_kept_study_replaces_the_estimate_in_the_bars(tmp_path):
 def test_a_study_of_another_setup_is_not_taken(tmp_path):
     write(block(tmp_path), studied(block(tmp_path)))
     other = block(tmp_path, ratio=0.31)
-    assert kept(other, (6, 6)) is None
+    assert stored(other, (6, 6)) is None
 
 
 @pytest.mark.parametrize(

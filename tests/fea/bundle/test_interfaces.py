@@ -82,7 +82,7 @@ def test_a_section_that_is_fixed_or_missing_is_named_by_its_interface(tmp_path):
         ((RANGE, "held = true"), "interface", "only one can be held"),
         ((RANGE, ""), "interface[1].range", "missing"),
         (("held = true", "held = true\n" + RANGE), "interface[0].held", "leave it out"),
-        (("[analysis]", TOP_RANGE + "[analysis]"), "range", "has its own"),
+        (("[analysis]", TOP_RANGE + "[analysis]"), "range", "is of each"),
     ],
 )
 def test_what_several_interfaces_cannot_say_is_refused(tmp_path, change, where, words):

@@ -51,7 +51,7 @@ def test_a_node_within_is_no_vertex():
 
 def test_a_large_surface_is_simplified_and_says_so():
     mesh = box("hex20", (12, 12, 12), SIDES)
-    whole, found = surface_of(mesh), surface_of(mesh, most=500)
+    whole, found = surface_of(mesh), surface_of(mesh, max_vertices=500)
     assert found.full_count == len(whole.nodes) > 2000
     assert 200 < len(found.nodes) <= 500
     assert set(found.nodes.tolist()) <= set(whole.nodes.tolist())
@@ -65,7 +65,7 @@ def test_a_large_surface_is_simplified_and_says_so():
 
 def test_a_thin_plate_that_is_simplified_keeps_both_faces():
     mesh = box("hex8", (40, 40, 1), (0.4, 0.4, 0.004))
-    found = surface_of(mesh, most=500)
+    found = surface_of(mesh, max_vertices=500)
     points = mesh.points[found.nodes]
     assert len(points) <= 500
     assert np.unique(points[:, 2]).tolist() == [0.0, 0.004]
