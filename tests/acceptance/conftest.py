@@ -2,8 +2,10 @@
 
 import os
 import signal
+import socket
 import subprocess
 import sys
+from urllib.parse import urlsplit
 
 import pytest
 
@@ -17,7 +19,7 @@ class RealServer:
     def __init__(self, folder):
         self.folder = folder
         self.process = None
-        self.client = None
+        self.address = self.client = None
 
     def start(self, solvers=2, options=(), environment=None):
         command = [
@@ -32,8 +34,9 @@ class RealServer:
         command += options
         variables = dict(os.environ) | (environment or {})
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=variables)
-        address = self.process.stdout.readline().split()[-1]
-        self.client = Client(address, timeout=60)
+        url = self.process.stdout.readline().split()[-1]
+        self.address = urlsplit(url).hostname, urlsplit(url).port
+        self.client = Client(url, timeout=60)
         until(lambda: self.process.poll() is not None or self.client.is_ready())
         assert self.process.poll() is None
         return self.client
@@ -47,8 +50,16 @@ class RealServer:
             self.process.terminate()
             self._gone()
 
+    def _listens(self):
+        try:
+            socket.create_connection(self.address, timeout=5).close()
+        except OSError:
+            return False
+        return True
+
     def _gone(self):
         self.process.wait(60)
+        until(lambda: not self._listens())  # web workers notice the end of their supervisor
         self.process.stdout.close()
         self.client.close()
 
