@@ -21,7 +21,7 @@ ANSWERED = (*METHODS, "row", "estimate")  # what a reply may name
 WITHOUT_TOLERANCE = 0.01  # of an output's variation, where neither request nor component has one
 # Of the largest variation of its kind (translations, rotations): an output that varies by less is
 # rounding, and a hundredth of that would leave nothing covered.
-STILL = 1e-6
+MIN_VARIATION = 1e-6
 
 
 class UnknownMethodError(ValueError):
@@ -34,7 +34,7 @@ class UnknownMethodError(ValueError):
 def allowed_by(tolerance: Tolerance, space: Space = DEFAULT) -> tuple[float, ...]:
     """Return the largest error bar of each output, shape (m,), m and rad."""
     limits = {"m": tolerance.translation, "rad": tolerance.rotation}
-    return tuple(limits[one.unit] for one in space.outputs)
+    return tuple(limits[output.unit] for output in space.outputs)
 
 
 def six(tolerance: Tolerance | None) -> tuple[float, ...] | None:
@@ -45,8 +45,8 @@ def six(tolerance: Tolerance | None) -> tuple[float, ...] | None:
 def within_tolerance_many(bars: Floats, tolerance: Tolerance | None) -> list[bool | None] | None:
     """Return whether total error bars (n, m), m and rad, are within a tolerance, as the kernel.
 
-    An output without an error bar, NaN, counts for nothing; None where no output has one, and as a
-    whole without a tolerance.
+    An output without an error bar, NaN, counts for nothing; None where no output has an error
+    bar, and in place of the list without a tolerance.
     """
     if tolerance is None:
         return None
@@ -64,7 +64,7 @@ class Allowed:
     Attributes
     ----------
     tolerance : Tolerance or None, m and rad
-        The component's own.
+        Of the component.
     variation : ndarray, shape (m,), m and rad
         Largest less smallest value of each output over the rows.
     ranges : ndarray, shape (m,), m and rad
@@ -82,16 +82,16 @@ class Allowed:
 
     def of(self, tolerance: Tolerance | None) -> Sequence[float]:
         """Return the largest error of each output, shape (m,), m and rad, for a covered answer."""
-        limit = tolerance or self.tolerance
-        found = self._by_variation if limit is None else allowed_by(limit, self.space)
-        if len(self.outputs) == len(found):
-            return found
-        return [one if output in self.outputs else np.inf for output, one in enumerate(found)]
+        effective = tolerance or self.tolerance
+        limits = self._by_variation if effective is None else allowed_by(effective, self.space)
+        if len(self.outputs) == len(limits):
+            return limits
+        return [limit if output in self.outputs else np.inf for output, limit in enumerate(limits)]
 
     @cached_property
     def _by_variation(self) -> list[float]:
         largest = self.space.largest_of_kind(self.variation)
-        varies = np.maximum(self.variation, STILL * largest)
+        varies = np.maximum(self.variation, MIN_VARIATION * largest)
         # A kind of output that nothing moves has no variation to take a part of.
         return np.where(varies > 0, WITHOUT_TOLERANCE * varies, np.inf).tolist()
 
@@ -101,11 +101,11 @@ def allowed_of(rows: Rows, tolerance: Tolerance | None, outputs: tuple[int, ...]
 
     Of all outputs where none are named.
     """
-    moved, space = rows.displacement, rows.space
+    displacement, space = rows.displacement, rows.space
     count = len(space.outputs)
     outputs = outputs or tuple(range(count))
-    if not len(moved):
+    if not len(displacement):
         return Allowed(tolerance, np.zeros(count), np.zeros(count), outputs, space)
-    low, high = moved.min(axis=0), moved.max(axis=0)
+    low, high = displacement.min(axis=0), displacement.max(axis=0)
     ranges = np.maximum(high, 0.0) - np.minimum(low, 0.0)
     return Allowed(tolerance, high - low, ranges, outputs, space)

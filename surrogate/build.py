@@ -4,13 +4,13 @@ Rows may lack outputs, such as those of a test rig that measured only u_z. Outpu
 rows have make one group with the interpolators of just those rows, so no NaN enters one.
 
 Where a table does not cover a wrench, a row of it, or within 1e-6 of the range of it, does. Rows
-within 1e-6 of the range of each other are one row (`table.merging`), so a wrench as near to a row
+within 1e-6 of the range of each other merge (`table.merging`), so a wrench as near to a row
 is that row's: a queue rounds wrenches so, and a load that comes to rest is a rounding error off the
 wrench that was solved. The row's tangent leads from its wrench to that of the query; the bar grows
-by that step, from the row's own at the row itself. Where a row has no tangent its displacement
-stays, and the bar grows by twice what a response in proportion moves: to the range of each output
-over the load range, or to the row's own displacement (the largest of its translations, and of its
-rotations: a small load may move most) over its wrench, the steeper.
+by that step, from the row's uncertainty at the row itself. Where a row has no tangent its
+displacement stays, and the bar grows by twice what a response in proportion moves: to the range of
+each output over the load range, or to the row's own displacement (the largest of its translations,
+and of its rotations: a small load may move most) over its wrench, the steeper.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Group:
     Attributes
     ----------
     outputs : tuple of int
-        Places, in `OUTPUTS`, of the outputs it answers; the others are 0 and count for nothing.
+        Indices, in `OUTPUTS`, of the outputs it answers; the others are 0 and count for nothing.
     rows : Rows
         All rows that have them, in ascending order of `seq`.
     merged : Merged
@@ -60,16 +60,16 @@ class Group:
         The numbers (`seq`) of the rows behind each of `used`.
     fit : ComplianceFit
     too_large : str
-        Why one factor does not hold the rows: they have no kriging then. Empty if it does.
+        Why a factor does not hold the rows: they have no kriging then. Empty if it does.
     choice : MethodChoice
         The default method, and why.
     has_axes : bool
-        Whether straight direction influence is defined: of one interface without further inputs.
-    knows_interaction, rest_unknown : bool
-        Whether rows show what loads of several axes do together, and whether nothing tells what
-        the component does without load.
+        Whether straight direction influence is defined: one interface without further inputs.
+    knows_interaction, zero_unknown : bool
+        Whether rows show what loads of several axes do together, and whether the
+        displacement at zero load is unknown.
     full_wrenches, full_needed : int
-        How many rows load more than one axis, and how many must for `knows_interaction`.
+        Rows that load more than one axis, and how many `knows_interaction` needs.
     row_index : RowIndex
         Which of `rows` is at or next to a wrench.
     row_uncertainty : ndarray, shape (k, 6), m and rad
@@ -117,18 +117,18 @@ class Group:
             _ = self.interaction
         if self.by_axes and (thinning := self.axes.thinning):
             self.choice = replace(self.choice, reason=f"{self.choice.reason}; {thinning}")
-        # Without axes the kriging's own error bars tell what interaction is not known; loads of a
+        # Without axes the kriging's error bars hold unknown interaction; loads of a
         # linear component act by themselves.
         self.full_wrenches = count_multi_axis(self.used, load_range) if self.has_axes else 0
         self.full_needed = full_needed(self.used) if self.has_axes else 0
         self.knows_interaction = linear or self.full_wrenches >= self.full_needed
-        self.rest_unknown = self.by_axes and not linear and not self.axes.at_rest.known
+        self.zero_unknown = self.by_axes and not linear and not self.axes.at_zero.known
         self.row_index = RowIndex(rows.wrench, load_range.scale)
         self.steepest = STEEPER * self.ranges
-        # A solve repeats itself; how far a reading is off is not known where nobody stated it.
-        stated = self.merged.rows.uncertainty
-        unstated = np.where(self.merged.rows.source == SOLVED, 0.0, np.nan)[:, None]
-        self.row_uncertainty = np.where(np.isnan(stated), unstated, stated)
+        # A solve repeats itself; the uncertainty of an observation may be unknown.
+        uncertainty = self.merged.rows.uncertainty
+        if_unknown = np.where(self.merged.rows.source == SOLVED, 0.0, np.nan)[:, None]
+        self.row_uncertainty = np.where(np.isnan(uncertainty), if_unknown, uncertainty)
         self.build_s = thread_time() - started
 
     @property
@@ -144,19 +144,19 @@ class Group:
 
     @property
     def by_axes(self) -> bool:
-        """Whether the default method is one of the axes'."""
+        """Whether the default method is `griddata` or `additive`."""
         return len(self.used) > 0 and self.default in ("griddata", "additive")
 
     @property
     def observation_noise(self) -> Floats:
-        """Noise of one reading, 95 %, (6,), m and rad; NaN where it is not known."""
+        """Noise of an observation, 95 %, (6,), m and rad; NaN where it is not known."""
         if not self.by_kriging or self.kriging is None:
             return np.full(self.rows.displacement.shape[1], np.nan)
         return self.kriging.observation_noise
 
     @property
     def by_kriging(self) -> bool:
-        """Whether the kriging answers by default: then its own error bars hold."""
+        """Whether the kriging answers by default: then its error bars hold."""
         return self.default == "kriging" and self.kriging is not None
 
     @cached_property
@@ -166,7 +166,7 @@ class Group:
 
     @cached_property
     def kriging(self) -> Kriging | None:
-        """The kriging; None where one factor does not hold it.
+        """The kriging; None where a factor does not hold it.
 
         That is of linear components, and where rows are too few or too many, or contradict.
         """
@@ -179,7 +179,7 @@ class Group:
 
     @cached_property
     def allowed(self) -> Allowed:
-        """How large the bars of covered answers may be."""
+        """The largest error bars of covered answers."""
         return allowed_of(self.used, self.tolerance, self.outputs)
 
     @property
@@ -189,7 +189,7 @@ class Group:
 
     @property
     def is_exact(self) -> bool:
-        """Whether the compliance answers by itself, with its own error bars."""
+        """Whether the compliance answers alone, with its error bars."""
         by_compliance = self.linear or (not self.has_axes and self.default == "linear")
         return by_compliance and self.fit.complete
 
@@ -200,9 +200,9 @@ class Group:
         return len(self.used) > 0 and (by_axes_or_kriging or self.is_exact)
 
     def coverage_summary(self, *, axes: bool = True) -> dict[str, Any]:
-        """Return how the rows cover the load range, as JSON-able values; seconds for 100,000."""
+        """Return how the rows cover the load range, JSON-able; seconds for 100,000 rows."""
         fit, no_axes = self.fit, self.default == "linear" or not (self.has_axes and axes)
-        made = self.kriging if self.by_kriging else None
+        kriging = self.kriging if self.by_kriging else None
         return {
             "rows": len(self.rows),
             "beyond_range": int((~self.load_range.holds(self.rows.wrench)).sum()),
@@ -216,7 +216,7 @@ class Group:
             "axes": [] if no_axes else self.axes.summary(),
             "method": self.default,
             "method_reason": self.choice.reason,
-            "method_detail": self.too_large or (made.detail if made else ""),
+            "method_detail": self.too_large or (kriging.detail if kriging else ""),
             "errors_left_out": self.choice.errors,
             "full_wrench_rows": self.full_wrenches,
             "tells_full_wrenches": self.knows_interaction,
@@ -237,10 +237,10 @@ class Table:
         output is. An output that no row has is in no group.
     tolerance : Tolerance or None, m and rad
     linear : bool
-        Whether the component is linear, so that its 6x6 compliance is the whole truth.
+        Whether the component is linear, so that its 6x6 compliance is exact.
     version : int
     locked : tuple of int
-        Places, in `LOADS`, of the loads on locked freedoms: every call sets them to zero first.
+        Indices, in `LOADS`, of the loads on locked freedoms: every call sets them to zero first.
     solver_error : SolverError or None
         Error of the solver: in no error bar here; `bars_are_complete` says whether it is known.
     packed : surrogate.kernel.binding.PackedTable or None
@@ -265,19 +265,19 @@ class Table:
 
     @cached_property
     def observation_noise(self) -> Floats:
-        """Noise of one measured reading, 95 %, (6,), m and rad; NaN where it is not known."""
+        """Noise of an observation, 95 %, (6,), m and rad; NaN where it is not known."""
         noise = np.full(self.rows.displacement.shape[1], np.nan)
         for group in self.groups:
             noise[list(group.outputs)] = group.observation_noise[list(group.outputs)]
         return noise
 
     def coverage_summary(self, *, axes: bool = True) -> dict[str, Any]:
-        """Return how the table covers the load range, as JSON-able values, with axes or without."""
+        """Return the coverage of the load range by the table, as JSON-able values."""
         summary = self.groups[0].coverage_summary(axes=axes) | {
             "table_version": self.version,
             "rig_error": self.rig_error.tolist(),
             "noise_of_a_reading": [
-                None if one != one else one for one in self.observation_noise.tolist()
+                None if noise != noise else noise for noise in self.observation_noise.tolist()
             ],
         }
         if not self.rows.partial:
@@ -311,23 +311,30 @@ def build(
     ----------
     tolerance : Tolerance or None, m and rad
     linear : bool
-        Whether the component is linear, so that its 6x6 compliance is the whole truth.
+        Whether the component is linear, so that its 6x6 compliance is exact.
     off_axis : {"correct", "ignore", "exclude"}
         What becomes of rows that are clean for no axis.
     before : Table, optional
         Another version: axes with the same points are taken from it, to the last bit the same.
     solver_error : SolverError, optional
-        What the solver of those rows may be wrong by; in no error bar of the table itself.
+        Error of the solver of these rows; in no error bar of the table itself.
     locked : sequence of int
-        Places, in `LOADS`, of the loads on locked freedoms: answers leave these loads out.
+        Indices, in `LOADS`, of the loads on locked freedoms: answers leave these loads out.
     """
     if (np.diff(rows.seq) < 0).any():  # so that the order they come in changes nothing
         rows = rows.take(np.argsort(rows.seq, kind="stable"))
     known = {group.outputs: group for group in before.groups} if before is not None else {}
-    how: dict[str, Any] = {"tolerance": tolerance, "linear": linear, "off_axis": off_axis}
+    options: dict[str, Any] = {"tolerance": tolerance, "linear": linear, "off_axis": off_axis}
     groups = [
-        Group(own, load_range, before=known.get(outputs), outputs=outputs, locked=locked, **how)
-        for outputs, own in by_output(rows)
+        Group(
+            part,
+            load_range,
+            before=known.get(outputs),
+            outputs=outputs,
+            locked=locked,
+            **options,
+        )
+        for outputs, part in by_output(rows)
     ]
     return Table(
         rows,
@@ -343,7 +350,7 @@ def build(
 
 
 def by_output(rows: Rows) -> list[tuple[tuple[int, ...], Rows]]:
-    """Return which outputs the same rows have, and those rows, 0 in the place of all others.
+    """Return which outputs the same rows have, and those rows, 0 for all others.
 
     Those of the fewest rows come first.
     Their slopes are 0 too, and there are no third derivatives: those of a displacement that is not
@@ -352,22 +359,22 @@ def by_output(rows: Rows) -> list[tuple[tuple[int, ...], Rows]]:
     if not rows.partial:
         return [(tuple(range(rows.displacement.shape[1])), rows)]
     known = np.isfinite(rows.displacement)
-    every = np.arange(known.shape[1])
+    all_outputs = np.arange(known.shape[1])
     outputs_of: dict[bytes, list[int]] = {}
-    for output in every.tolist():
+    for output in all_outputs.tolist():
         outputs_of.setdefault(known[:, output].tobytes(), []).append(output)
     parts = []
     for outputs in outputs_of.values():
-        some = rows.take(known[:, outputs[0]])
-        if len(some):
-            own = np.isin(every, outputs)
-            moved = np.where(own, some.displacement, 0.0)
-            partly = ~np.isfinite(some.compliance).all(axis=(1, 2), keepdims=True)
-            slopes = np.where(own[:, None] | partly, some.compliance, 0.0)
+        group_rows = rows.take(known[:, outputs[0]])
+        if len(group_rows):
+            in_group = np.isin(all_outputs, outputs)
+            displacement = np.where(in_group, group_rows.displacement, 0.0)
+            partly = ~np.isfinite(group_rows.compliance).all(axis=(1, 2), keepdims=True)
+            slopes = np.where(in_group[:, None] | partly, group_rows.compliance, 0.0)
             changed = {
-                "displacement": moved,
+                "displacement": displacement,
                 "compliance": slopes,
-                "curvature": np.empty((len(some), 0)),
+                "curvature": np.empty((len(group_rows), 0)),
             }
-            parts.append((tuple(outputs), replace(some, **changed)))
+            parts.append((tuple(outputs), replace(group_rows, **changed)))
     return sorted(parts, key=lambda part: len(part[1]))

@@ -43,7 +43,7 @@ EVENLY = 4
 # Of each load's half range: the error of a joint's wrench, stiffness times error bars, that a fill
 # for a joint allows. A stiff freedom asks more of its bar than the tolerance does.
 FORCE_ERROR = 0.05
-FAR = 10_000  # into the sequence, so that the even ones are none of the sample's
+FAR = 10_000  # into the sequence, so that the even wrenches are not in the sample
 # Candidates chosen between two checks of the bars that remain: a check costs as much.
 BETWEEN_CHECKS = 3
 MAX_SOLVES = 1e6  # of an estimate; beyond that no number says more than that
@@ -57,7 +57,7 @@ CORNERS = np.concatenate((_SIGNS, _SIGNS[:, [0, 0, 1]] * _SIGNS[:, [1, 2, 2]]), 
 # its range at 0.8, 0.22 to 0.25 % at 1, and 0.18 to 0.30 % without corners; at 54 all are alike.
 OUT = 0.8
 # Wrenches of the first design: two for each load and three more, 15 of six loads; of solves that
-# bring second derivatives one for each load, 9 of six loads: no load and eight corners.
+# bring second derivatives 1 for each load, 9 of six loads: no load and eight corners.
 PER_LOAD, PER_LOAD_CURVED, FURTHER = 2, 1, 3
 _FAR = 2.0**62  # steps from no load, of what an int64 holds: no wrench of a query is out there
 
@@ -89,7 +89,7 @@ class Known:
 
 
 def first_count(span: LoadRange, rows: Rows) -> int:
-    """Return how many wrenches the first design of a span has; one where no load varies.
+    """Return how many wrenches the first design of a span has; 1 where no load varies.
 
     Fewer as long as all `rows` of the table bring second derivatives.
     """

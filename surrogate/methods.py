@@ -32,9 +32,9 @@ INTERACTION_UNKNOWN = (
 )
 LEFT_OUT = 0.95  # quantile of what griddata leaves out: as its error bars hold
 
-MOST_INTERACTION = 200  # full wrenches that tell what the axes miss: one quick factor
+MAX_INTERACTION = 200  # full wrenches of the interaction: the factor is quick
 
-MOST = 6000  # rows composed for this: three times what one axis leaves out
+MAX_COMPOSED = 6000  # rows composed for this: three times the left-out points of an axis
 
 
 class AxesErrors(NamedTuple):
@@ -45,46 +45,50 @@ class AxesErrors(NamedTuple):
 
 
 def axes_errors(rows: Rows, axes: Axes) -> AxesErrors:
-    """Return the errors at the rows that each axis they belong to was triangulated without.
+    """Return the errors at the rows that were left out of all their axes.
 
-    Composition is linear in what the axes answer: an answer without a row differs from that with
-    it by what its axes then miss at it. A full wrench that is no axis' own is in no answer anyway.
+    Composition is linear in the answers of the axes: an answer without a row differs from that with
+    it by the errors of its axes there. A full wrench that belongs to no axis is in no answer
+    anyway.
     """
-    deviation, used, left = np.zeros((3, len(rows), 6)), *np.zeros((2, 3, len(rows)), dtype=bool)
+    deviation, used, left_out = (
+        np.zeros((3, len(rows), 6)),
+        *np.zeros((2, 3, len(rows)), dtype=bool),
+    )
     for index, table in enumerate(axes.tables):
         if table is not None:
-            _put_deviations(table, deviation[index], used[index], left[index])
-    known = np.flatnonzero((left | ~used).all(axis=0))
-    if len(known) > MOST:
-        known = known[np.linspace(0, len(known) - 1, MOST).astype(np.intp)]
-    some, deviation, used = rows.take(known), deviation[:, known], used[:, known]
-    composed = axes.evaluate(some.wrench)
+            _put_deviations(table, deviation[index], used[index], left_out[index])
+    known = np.flatnonzero((left_out | ~used).all(axis=0))
+    if len(known) > MAX_COMPOSED:
+        known = known[np.linspace(0, len(known) - 1, MAX_COMPOSED).astype(np.intp)]
+    compared, deviation, used = rows.take(known), deviation[:, known], used[:, known]
+    composed = axes.evaluate(compared.wrench)
     clean = np.zeros(len(rows), dtype=bool)
     for table in axes.tables:
         if table is not None:
             clean[[group[0] for group in table.rows.members]] |= table.rows.single_axis
-    # A moment alone belongs to two axes, and both answer it once together.
-    often = np.where(clean[known], 1.0 / np.maximum(used.sum(axis=0), 1), 1.0)
-    additive = composed.additive - some.displacement + often[:, None] * deviation.sum(axis=0)
+    # A moment alone belongs to two axes, each of which counts half.
+    fraction = np.where(clean[known], 1.0 / np.maximum(used.sum(axis=0), 1), 1.0)
+    additive = composed.additive - compared.displacement + fraction[:, None] * deviation.sum(axis=0)
     griddata = additive.copy()
     for index, axis in enumerate(AXES):
-        own = axis.outputs[0]
-        griddata[:, own] = composed.griddata[:, own] - some.displacement[:, own]
-        griddata[:, own] += deviation[index, :, own]
+        output = axis.outputs[0]
+        griddata[:, output] = composed.griddata[:, output] - compared.displacement[:, output]
+        griddata[:, output] += deviation[index, :, output]
     return AxesErrors(griddata, additive)
 
 
 def _put_deviations(
-    table: AxisTable, deviation: Floats, used: NDArray[np.bool_], left: NDArray[np.bool_]
+    table: AxisTable, deviation: Floats, used: NDArray[np.bool_], left_out: NDArray[np.bool_]
 ) -> None:
-    """Fill, of all rows, what an axis misses them by, (n, 6), and which are its points, (n,)."""
+    """Fill in an axis' errors at its left-out rows, (n, 6), and which rows are its points, (n,)."""
     used[list(chain.from_iterable(table.rows.members))] = True
-    if table.others is not None:  # they are no points of the axis: its answers miss them anyway
+    if table.others is not None:  # left out of the triangulation already: answers have their errors
         return
-    groups = [table.rows.members[place] for place in table.left_out.places.tolist()]
+    groups = [table.rows.members[point] for point in table.left_out.indices.tolist()]
     rows = list(chain.from_iterable(groups))
     deviation[rows] = np.repeat(table.left_out.errors, [len(group) for group in groups], axis=0)
-    left[rows] = True
+    left_out[rows] = True
 
 
 @dataclass(frozen=True)
@@ -106,7 +110,7 @@ class MethodChoice:
 
 
 def full_needed(rows: Rows) -> int:
-    """Return how many full wrenches must show what loads of several axes do together.
+    """Return the number of full wrenches that show the interaction of several axes.
 
     Fewer where rows bring tangents: twenty of them, or half the rows of a smaller table.
     """
@@ -129,7 +133,7 @@ def choose(
 
     Solves with tangents are answered by a kriging that knows its errors: on 320 tables of nine
     made-up responses the axes had the smaller error at left-out rows in six, of single loads over a
-    kink, and at other wrenches the kriging still was 5 to 30 % nearer to the truth.
+    kink, and at other wrenches the kriging was 5 to 30 % nearer to the truth even there.
 
     Parameters
     ----------
@@ -138,7 +142,7 @@ def choose(
     linear : bool
         Whether the component is linear.
     too_large : str
-        Why one factor does not hold the rows; empty if it does.
+        Why a factor does not hold the rows; empty if it does.
     """
     has_axes = load_range.space.is_default
     if not len(rows):
@@ -146,13 +150,13 @@ def choose(
     if linear and fit.complete:
         return MethodChoice("linear", "the component is linear: its compliance is exact", {})
     solved = bool(np.isfinite(rows.compliance).all())
-    made = kriging() if solved or not has_axes else None
-    if not has_axes and made is None:
+    interpolator = kriging() if solved or not has_axes else None
+    if not has_axes and interpolator is None:
         reason = "there are too few rows for kriging: the compliance that fits them answers"
         return MethodChoice("linear", reason, {})
-    if made is not None and (made.knows_errors or not has_axes):
-        size = np.where(made.scaling.constant, 0.0, np.ptp(rows.displacement, axis=0))
-        error = _score(made.left_out(), size)
+    if interpolator is not None and (interpolator.knows_errors or not has_axes):
+        size = np.where(interpolator.scaling.constant, 0.0, np.ptp(rows.displacement, axis=0))
+        error = _score(interpolator.left_out(), size)
         scores = {} if np.isnan(error) else {"kriging": error}
         if not has_axes:
             reason = "griddata and additive are of one interface alone"
@@ -184,22 +188,24 @@ def _choose_by_errors(
     clean = single_axis_rows(rows, load_range)
     moments_alone = bool((clean.sum(axis=1) == 2).any())
     pushes = clean.all(axis=0).any() and rows.wrench[:, 3:].any() and not moments_alone
-    made = kriging() if not too_large and (pushes or not unknown) else None
-    if unknown and not (made and made.knows_errors):
+    interpolator = kriging() if not too_large and (pushes or not unknown) else None
+    if unknown and not (interpolator and interpolator.knows_errors):
         return MethodChoice(method, f"{INTERACTION_UNKNOWN}; {why}", of_axes)
     if too_large:
         return MethodChoice(method, f"{too_large}: kriging does not answer; {why}", of_axes)
-    if made is None:
+    if interpolator is None:
         return MethodChoice(method, f"there are too few rows for kriging; {why}", {})
-    size = np.where(made.scaling.constant, 0.0, np.ptp(rows.displacement, axis=0))
-    of_axes, error = _scores(errors, size), _score(made.left_out(), size)
+    size = np.where(interpolator.scaling.constant, 0.0, np.ptp(rows.displacement, axis=0))
+    of_axes, error = _scores(errors, size), _score(interpolator.left_out(), size)
     if np.isnan(error):
         return MethodChoice(method, f"kriging answers no row that is left out; {why}", of_axes)
     scores = {"kriging": error} | of_axes
     if not of_axes or len(rows) <= 1 + rows.wrench.shape[1]:
         # The axes' fitted compliance passes through so few rows, the left-out one too.
         return MethodChoice("kriging", "the axes have too few rows to leave one out", scores)
-    if made.knows_errors and not all(table is None or table.law.known for table in axes.tables):
+    if interpolator.knows_errors and not all(
+        table is None or table.law.known for table in axes.tables
+    ):
         reason = "the axes have too few rows to tell the error of answers"
         return MethodChoice("kriging", reason, scores)
     best = min(of_axes, key=lambda name: of_axes[name])
@@ -214,53 +220,57 @@ def _of_the_axes(
 ) -> tuple[str, str]:
     """Return `griddata` or `additive`, and why.
 
-    `griddata` takes a translation from its own axis alone. What that leaves out, the rows of the
-    other axes show: it must be within the error bars that the axis has anyway.
+    `griddata` takes a translation from its axis alone. The rows of the other axes show the
+    neglected part: it must be within the error bars of the axis.
     """
     clean = single_axis_rows(rows, load_range)
     size = float(np.abs(rows.displacement[:, :3]).max(initial=0.0))
-    shown = False
+    rows_elsewhere = False
     for index, (axis, table) in enumerate(zip(AXES, axes.tables, strict=True)):
-        others, own = clean.any(axis=1) & ~clean[:, index], axis.outputs[0]
+        others, output = clean.any(axis=1) & ~clean[:, index], axis.outputs[0]
         if not others.any():
             continue
-        shown = True
-        most = float(np.quantile(_left_out_by(axis, rows.take(others), axes), LEFT_OUT))
-        typical = np.nan if table is None else float(table.typical_error[own])
-        if most > ROUNDING * size and not most <= typical:
+        rows_elsewhere = True
+        influence = float(np.quantile(_left_out_by(axis, rows.take(others), axes), LEFT_OUT))
+        typical = np.nan if table is None else float(table.typical_error[output])
+        if influence > ROUNDING * size and not influence <= typical:
             loads = ", ".join(LOADS[load] for load in axis.others)
             return "additive", (
-                f"{loads} move {OUTPUTS[own]} by up to {most:.2g} m, and its error bars by "
+                f"{loads} move {OUTPUTS[output]} by up to {influence:.2g} m, and its error bars by "
                 f"{', '.join(LOADS[load] for load in axis.inputs)} are {typical:.2g} m"
             )
     scores = _scores(errors, np.ptp(rows.displacement, axis=0))
-    if not shown and scores and scores["additive"] < scores["griddata"]:
+    if not rows_elsewhere and scores and scores["additive"] < scores["griddata"]:
         return "additive", "at left-out rows all axes together err less than each by itself"
     return "griddata", "what loads of other axes move a translation by is within its error bars"
 
 
 def _left_out_by(axis: LoadAxis, rows: Rows, axes: Axes) -> Floats:
-    """Return how far rows of other axes, (k,), move an axis' translation beyond its error bar, m.
+    """Return by how much rows of other axes, (k,), move a translation beyond its error bar, m.
 
-    By other loads than those that such a row shares with the axis: one moment, or none.
+    By loads that such a row does not have in common with the axis.
     """
-    own = axis.outputs[0]
+    output = axis.outputs[0]
     shared = np.where(np.isin(np.arange(6), axis.inputs), rows.wrench, 0.0)
     alone = axes.evaluate(shared)
-    moved = np.abs(rows.displacement[:, own] - alone.griddata[:, own])
-    return np.maximum(moved - np.nan_to_num(alone.rest[:, own]), 0.0)
+    difference = np.abs(rows.displacement[:, output] - alone.griddata[:, output])
+    return np.maximum(difference - np.nan_to_num(alone.error[:, output]), 0.0)
 
 
 def _scores(errors: AxesErrors, size: Floats) -> dict[str, float]:
     """Return both methods' `_score`; none if no row could be left out."""
     known = len(errors.additive) > 0
-    return {name: _score(one, size) for name, one in errors._asdict().items()} if known else {}
+    return (
+        {name: _score(method_errors, size) for name, method_errors in errors._asdict().items()}
+        if known
+        else {}
+    )
 
 
 def _score(errors: Floats, size: Floats) -> float:
     """Return the root mean square of errors (k, 6) over the outputs' ranges (6,).
 
-    Of the outputs that vary: what a range of rounding, or none, is missed by says nothing. NaN
+    Of the outputs that vary: an error over a range of rounding, or none, has no meaning. NaN
     where no error is known.
     """
     known, varying = np.isfinite(errors).any(axis=1), size > 0
@@ -272,20 +282,20 @@ def _score(errors: Floats, size: Floats) -> float:
 
 
 def interaction_of(rows: Rows, load_range: LoadRange, axes: Axes) -> Kriging | None:
-    """Return the kriging of what `additive` misses the full wrenches by that no axis has.
+    """Return the kriging of `additive`'s residuals at full wrenches that no axis has.
 
     None where such wrenches are too few, or contradict each other.
     """
     full = np.flatnonzero(~single_axis_rows(rows, load_range).any(axis=1))
     tables = [table for table in axes.tables if table is not None]
-    taken = [place for table in tables for group in table.rows.members for place in group]
+    taken = [row for table in tables for group in table.rows.members for row in group]
     free = np.setdiff1d(full, taken)
     if len(free) < ENOUGH_FULL:
         return None
-    some = rows.take(free[:MOST_INTERACTION])
-    missed = some.displacement - axes.evaluate(some.wrench).additive
-    blank = np.full_like(some.compliance, np.nan)
+    fitted = rows.take(free[:MAX_INTERACTION])
+    residual = fitted.displacement - axes.evaluate(fitted.wrench).additive
+    blank = np.full_like(fitted.compliance, np.nan)
     try:
-        return Kriging.build(replace(some, displacement=missed, compliance=blank), load_range)
+        return Kriging.build(replace(fitted, displacement=residual, compliance=blank), load_range)
     except (TooFewRowsError, SingularCovarianceError):
         return None

@@ -90,7 +90,7 @@ class SolverError:
     def packed(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
         """The arrays from which the kernel computes the solver's error of an answer.
 
-        Shape (6, 6), SI; (6,), m and rad; one over the largest loads (6,), 1/N and 1/(N·m); what
+        Shape (6, 6), SI; (6,), m and rad; the inverse largest loads (6,), 1/N and 1/(N·m); what
         the mesh adds to the stiffness (6, 6), N/m and so on; whether answers' tangents are needed
         (1,): 2 always, 1 of rows beyond the range, 0 never.
         """

@@ -67,7 +67,7 @@ class Host:
         return slopes.reshape(*shape, *slopes.shape[1:])
 
     def inverse(self, moved: Array, start: Array) -> tuple[Floats, Floats]:
-        """Return wrenches (..., n), SI, and the stiffness there (..., n, m); NaN without one."""
+        """Return wrenches (..., n), SI, and the stiffness there (..., n, m); NaN where none."""
         shape, n, m = moved.shape[:-1], self.packed.inputs, self.packed.outputs
         targets = np.asarray(moved, dtype=float).reshape(-1, m)
         starts = np.asarray(start, dtype=float).reshape(-1, n)
@@ -161,9 +161,9 @@ def jax(table: Table, method: str | None = None, tolerance: Tolerance | None = N
     Parameters
     ----------
     table : Table
-        A downloaded or opened one.
+        A downloaded or opened table.
     method : str, optional
-        How the table answers; its own choice otherwise.
+        How the table answers; its default without.
     tolerance : mapping or pair, optional
         As in `Table.answer`.
 

@@ -75,7 +75,7 @@ class CoordinatorState:
             self._written = status
 
     def read(self) -> Status:
-        """Return the status written last; nothing is wrong without one."""
+        """Return the status written last; nothing is wrong if there is none."""
         try:
             return Status(**json.loads((self._folder / _STATUS).read_bytes()))
         except (OSError, ValueError, TypeError):

@@ -43,11 +43,11 @@ log = logging.getLogger(__name__)
 POLL_S = 0.005  # between looks at what other web workers answer from, while a caller waits
 MEMORY_S = 0.1  # between looks at the memory of tables
 # A folder's time goes on in steps of up to 10 ms (a kernel's tick): what came within the step of
-# the last look is seen by the looks of this long after a change.
+# the last check is seen by the checks of this long after a change.
 SETTLED_NS = 100_000_000
 START_S = 30.0  # for a start to wait for the builder: a table that comes later answers 503
-# How long a thread that computes may keep the interpreter from one that answers: about what an
-# answer takes; Python's own 5 ms are felt by each call.
+# How long a thread that computes may keep the interpreter from another that answers: about what an
+# answer takes; Python's 5 ms are felt by each call.
 SWITCH_S = 0.0005
 ROW = "row"  # the method of an answer by one row
 ROW_DETAIL = "the displacement that a row of the table has at this wrench"
@@ -183,7 +183,7 @@ class ServedTable:
 
     @property
     def hyperparameters(self) -> Hyperparameters | None:
-        """Those of the first outputs that have a kriging, None without one."""
+        """Those of the first outputs that have a kriging, None if none has."""
         arrays = self.packed.arrays
         for group in range(len(self.packed.meta["groups"])):
             if f"g{group}/kriging/rates" in arrays:
@@ -195,7 +195,7 @@ class ServedTable:
         return None
 
     def method_detail(self, method: str) -> str:
-        """How a method answers, or why it is the one that does, in the group of the fewest rows."""
+        """How a method answers, or why it answers, in the group of the fewest rows."""
         group = self.packed.meta["groups"][0]
         if method == ROW:
             return ROW_DETAIL

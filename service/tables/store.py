@@ -113,7 +113,7 @@ class TableStore:
         self.remove_packed(name, but=version)
 
     def remove_packed(self, name: str, but: int | None = None) -> None:
-        """Remove a component's packed files but one; processes that have mapped a file keep it."""
+        """Remove a component's packed files but `but`; processes keep what they have mapped."""
         for file in self.packed_files().get(name, []):
             if file.version != but:
                 with suppress(OSError):  # in use
@@ -278,7 +278,7 @@ class TableStore:
                 inserted,
             )
         if meta.edits is None:
-            # Files of 0.1 have neither edits nor a digest of their ledger: numbers tell.
+            # Files of 0.1 have neither edits nor a digest of their ledger: numbers show it.
             stored = self.ledger.rows_of(rows.seq.tolist())
             wrenches = zip(rows.seq.tolist(), map(tuple, rows.wrench.tolist()), strict=True)
             same = all(seq in stored and stored[seq].wrench == wrench for seq, wrench in wrenches)
@@ -336,7 +336,7 @@ class InMemory(Protocol):
 
 
 def drop_least_used(tables: Iterable[InMemory], limit_mb: float) -> None:
-    """Drop tables used longest ago beyond a limit; the one used last stays whatever its size."""
+    """Drop tables used longest ago beyond a limit; the table used last stays whatever its size."""
     total = 0.0
     for table in sorted(tables, key=lambda table: -table.used):
         size = ROW_MB * table.rows_in_memory()

@@ -8,10 +8,10 @@ the moment M_m alone, all six outputs each,
 
 It is the second-order part, for these groups, of a high-dimensional model representation (Rabitz
 and Alis 1999, "General foundations of high-dimensional model representations"). An axis without
-loads adds nothing and a moment that is zero takes nothing away. An axis that one moment acts on
-alone answers by that moment's own answer, so that its part and the one taken away are the same
-number: at a row of one axis the sum is that row. Slopes are composed alike. Errors are
-independent to a good approximation and add up in quadrature, each times how often its part counts:
+loads adds nothing and a moment that is zero takes nothing away. For an axis that only one moment
+acts on the answer is b_m itself, so that its part and the part taken away are the same number: at a
+row of one axis the sum is that row. Slopes are composed alike. Errors are independent to a good
+approximation and add up in quadrature, each times how often its part counts:
 
     error bar^2 = sum_i (n_i e_i)^2 + sum_m (n_m e_m)^2 + ((1 - sum_i n_i - sum_m n_m) e_z)^2
 
@@ -47,15 +47,15 @@ from ..table.space import LOADS, OUTPUTS
 from .axis_table import SOUND, WEAK, AxisTable, axis_table
 from .triangulation import Indices, Triangulation
 
-APART = 1e-12  # stations closer than this, in scaled units, are one
+SAME_STATION = 1e-12  # stations closer than this, in scaled units, are the same
 HOLE = 9  # the state of a stretch that no simplex holds: worse than any simplex'
 
 # What an axis' part of an answer rests on, from the best to the worst: see `axis_table`; then a
 # point off the hull, and an axis that has no rows at all.
 OFF_HULL, NO_ROWS = HOLE, HOLE + 1
 
-MOST_SPOTS = 5
-MOST_VERTICES = 200
+MAX_SPOTS = 5
+MAX_VERTICES = 200
 
 
 def build_axes(
@@ -73,13 +73,13 @@ def build_axes(
         Of another version of the table: an axis whose points have not changed is taken from it, as
         it would be made again to the last bit.
     """
-    kept = before.tables if before is not None else (None,) * len(AXES)
+    earlier = before.tables if before is not None else (None,) * len(AXES)
     tables = [
-        _axis_table(rows, load_range, axis, fit, off_axis, own)
-        for axis, own in zip(AXES, kept, strict=True)
+        _axis_table(rows, load_range, axis, fit, off_axis, table)
+        for axis, table in zip(AXES, earlier, strict=True)
     ]
-    at_rest = answer_at_rest(rows, load_range, tables)
-    return Axes(tables, at_rest, fit, load_range.scale, before)
+    at_zero = answer_at_zero(rows, load_range, tables)
+    return Axes(tables, at_zero, fit, load_range.scale, before)
 
 
 def _axis_table(
@@ -112,21 +112,21 @@ def _thinned(rows: AxisRows, load_range: LoadRange, before: AxisTable | None) ->
     return axis_table(rows.take(chosen), load_range, before, rows.take(~chosen))
 
 
-def _worth_joining(joined: AxisRows, table: AxisTable) -> AxisRows:
+def _worth_joining(rows: AxisRows, table: AxisTable) -> AxisRows:
     """Return the points of an axis without those between its clean rows.
 
-    What is left of a full wrench's displacement after its off-axis part is as uncertain as the
-    linear fit. Between clean rows that is far more than their own error, and such a row would only
+    A full wrench's displacement without its off-axis part is as uncertain as the linear fit.
+    Between clean rows that is far more than the error of these, and such a row would only
     put its nonlinear part into all three axes; beyond them it is better than nothing.
     """
     if not table.enough:
-        return joined
-    found = table.triangulation.locate(joined.points)
-    between = (found >= 0) & (table.shape_state[found] == SOUND)
-    return joined.take(joined.single_axis | ~between)
+        return rows
+    simplices = table.triangulation.locate(rows.points)
+    between = (simplices >= 0) & (table.shape_state[simplices] == SOUND)
+    return rows.take(rows.single_axis | ~between)
 
 
-def answer_at_rest(rows: Rows, load_range: LoadRange, tables: Sequence[AxisTable | None]) -> AtRest:
+def answer_at_zero(rows: Rows, load_range: LoadRange, tables: Sequence[AxisTable | None]) -> AtZero:
     """Return the row at zero load, or what the axes whose hull holds zero interpolate there.
 
     Of several axes that is the mean, with half their spread in the bar (measured tables
@@ -134,28 +134,30 @@ def answer_at_rest(rows: Rows, load_range: LoadRange, tables: Sequence[AxisTable
     """
     unloaded = (np.abs(rows.wrench) <= ZERO_LOAD * load_range.scale).all(axis=1)
     if unloaded.any():
-        found = rows.displacement[unloaded]
-        stored = np.nan_to_num(rows.uncertainty[unloaded]).max(axis=0)
-        return AtRest(found.mean(axis=0), np.maximum(np.ptp(found, axis=0) / 2, stored), True)
-    readings = [table.read(np.zeros((1, 3))) for table in tables if table is not None]
-    inside = [reading for reading in readings if reading.inside[0]]
+        at_rows = rows.displacement[unloaded]
+        uncertainty = np.nan_to_num(rows.uncertainty[unloaded]).max(axis=0)
+        return AtZero(
+            at_rows.mean(axis=0), np.maximum(np.ptp(at_rows, axis=0) / 2, uncertainty), True
+        )
+    results = [table.read(np.zeros((1, 3))) for table in tables if table is not None]
+    inside = [result for result in results if result.inside[0]]
     if not inside:
         size = np.abs(rows.displacement).max(axis=0, initial=0.0)
-        return AtRest(np.zeros(6), size, False)
-    outputs = np.concatenate([reading.outputs for reading in inside])
-    own = np.concatenate([reading.rest for reading in inside])
-    return AtRest(outputs.mean(axis=0), np.ptp(outputs, axis=0) / 2 + own.mean(axis=0), True)
+        return AtZero(np.zeros(6), size, False)
+    outputs = np.concatenate([result.outputs for result in inside])
+    error = np.concatenate([result.error for result in inside])
+    return AtZero(outputs.mean(axis=0), np.ptp(outputs, axis=0) / 2 + error.mean(axis=0), True)
 
 
 @dataclass(frozen=True)
-class AtRest:
+class AtZero:
     """The answer at no load.
 
     Attributes
     ----------
     displacement, error : ndarray, shape (6,), m and rad
     known : bool
-        Whether a row or the hull of an axis tells it.
+        Whether a row or the hull of an axis determines it.
     """
 
     displacement: Floats
@@ -171,7 +173,7 @@ class Composed:
     ----------
     additive, griddata : ndarray, shape (n, 6), m and rad
         The answers of these two methods; rotations are the same.
-    rest : ndarray, shape (n, 6), m and rad
+    error : ndarray, shape (n, 6), m and rad
         Error bars of `additive`; NaN where errors are unknown.
     states : ndarray of int, shape (n, 3), dimensionless
         What each axis' part rests on: `SOUND`, `WEAK`, `DEGENERATE`, `OFF_HULL` or `NO_ROWS`.
@@ -179,7 +181,7 @@ class Composed:
 
     additive: Floats
     griddata: Floats
-    rest: Floats
+    error: Floats
     states: NDArray[np.int_]
 
     @property
@@ -202,28 +204,28 @@ class Axes:
     def __init__(
         self,
         tables: Sequence[AxisTable | None],
-        at_rest: AtRest,
+        at_zero: AtZero,
         fit: ComplianceFit,
         scale: Floats,
         before: Axes | None = None,
     ) -> None:
         """Compose; cuts of axes that another composition has too are taken from it."""
         self.tables = tuple(tables)
-        self.at_rest, self.fit, self.scale = at_rest, fit, scale
+        self.at_zero, self.fit, self.scale = at_zero, fit, scale
         known = before.cuts if before is not None else ((),) * 3
         self.cuts = tuple(
-            _cuts(self.tables, moment, own) for moment, own in zip((3, 4, 5), known, strict=True)
+            _cuts(self.tables, moment, cuts) for moment, cuts in zip((3, 4, 5), known, strict=True)
         )
 
     @property
     def thinning(self) -> str:
-        """Which axes are made of a choice of their points, in words; empty if none is."""
-        found = [
-            f"axis {table.axis.name} of {len(table.values)} of its {table.given} points"
+        """Text that names the axes made of a choice of their points; empty if none is."""
+        thinned = [
+            f"axis {table.axis.name} of {len(table.values)} of its {table.n_candidates} points"
             for table in self.tables
-            if table is not None and table.given > len(table.values)
+            if table is not None and table.n_candidates > len(table.values)
         ]
-        return f"an even choice is triangulated: {', '.join(found)}" if found else ""
+        return f"an even choice is triangulated: {', '.join(thinned)}" if thinned else ""
 
     def summary(self) -> list[dict[str, Any]]:
         """Return, per axis, rows, spans, covered part of the range and error bars, JSON-able."""
@@ -237,10 +239,10 @@ class Axes:
         """Compose the answers to wrenches, shape (n, 6), N and N·m."""
         count = len(wrenches)
         loaded = np.abs(wrenches) > ZERO_LOAD * self.scale
-        total = _Total(self.at_rest, count)
+        total = _Total(self.at_zero, count)
         acting = [np.flatnonzero(loaded[:, moment + 3]) for moment in range(3)]
         alone = [self._alone(m, wrenches[rows, m + 3]) for m, rows in enumerate(acting)]
-        times = -loaded[:, 3:].astype(float)  # how often each moment's own answer is added
+        times = -loaded[:, 3:].astype(float)  # how often each moment's answer is added
         for index, axis in enumerate(AXES):
             force, first, second = (loaded[:, load] for load in axis.inputs)
             for load, single in (
@@ -250,12 +252,12 @@ class Axes:
                 times[single, load - 3] += 1.0
                 rows = np.flatnonzero(single)
                 part = alone[load - 3].take(np.searchsorted(acting[load - 3], rows))
-                total.put_own(rows, axis, part)
+                total.set_translation(rows, axis, part)
                 total.state[rows, index] = part.state
             rows = np.flatnonzero(force | (first & second))
             if len(rows):
                 part = self._read(axis, wrenches[rows])
-                total.put_own(rows, axis, part)
+                total.set_translation(rows, axis, part)
                 total.add(rows, part, np.ones(len(rows)))
                 total.state[rows, index] = part.state
         for moment in range(3):
@@ -266,24 +268,24 @@ class Axes:
         return total.composed()
 
     def _read(self, axis: LoadAxis, wrenches: Floats) -> _Part:
-        """Return one axis' part at wrenches (k, 6) that load it."""
+        """Return an axis' part at wrenches (k, 6) that load it."""
         table, inputs = self.tables[AXES.index(axis)], list(axis.inputs)
         if table is None:
             return self._guess(wrenches[:, inputs], inputs)
         x = wrenches[:, inputs] / table.scale
-        reading = table.read(x)
-        state = np.where(reading.inside, table.state[reading.simplices], OFF_HULL)
-        if not table.shows_together:
+        result = table.read(x)
+        state = np.where(result.inside, table.state[result.simplices], OFF_HULL)
+        if not table.shows_multi_load:
             several = (np.abs(x) > ZERO_LOAD).sum(axis=1) > 1
             state = np.where(several, np.maximum(state, WEAK), state)
-        part = _Part(reading.outputs, reading.rest + np.abs(reading.stepped), state)
-        outside = np.flatnonzero(~reading.inside)
+        part = _Part(result.outputs, result.error + np.abs(result.stepped), state)
+        outside = np.flatnonzero(~result.inside)
         if len(outside):
             # Account for steps (k, 3), scaled, from the hull's nearest point to the query. The
             # step along what the points span is in the outputs already, by the slope there. Off
-            # it, where a table of fewer dimensions knows no slope, the fitted compliance tells
-            # one; the bar grows by as much as the step moves the answer.
-            rows, step = outside, (x - reading.at)[outside]
+            # it, where a table of fewer dimensions knows no slope, the fitted compliance
+            # gives the slope; the bar grows by as much as the step moves the answer.
+            rows, step = outside, (x - result.at)[outside]
             basis = table.triangulation.basis
             off = step - step @ basis.T @ basis
             # Of each wrench by itself: batches change nothing.
@@ -292,34 +294,35 @@ class Axes:
                 rows, off = rows[leaves], off[leaves]
                 loads = off * table.scale
                 part.outputs[rows] += loads @ self.fit.matrix[:, inputs].T
-                part.rest[rows] += (
+                part.error[rows] += (
                     np.abs(loads) @ np.abs(self.fit.matrix[:, inputs]).T + self.fit.error
                 )
                 unknown = (np.abs(off) > ZERO_LOAD) & ~self.fit.known[inputs]
-                part.rest[rows[unknown.any(axis=1)]] = np.nan
+                part.error[rows[unknown.any(axis=1)]] = np.nan
         return part
 
     def _guess(self, loads: Floats, inputs: Sequence[int]) -> _Part:
         """Return the fitted compliance's part, for an axis or moment that has no rows."""
         matrix = self.fit.matrix[:, inputs]
-        moved = self.at_rest.displacement + loads @ matrix.T
-        rest = np.abs(loads) @ np.abs(matrix).T + self.fit.error
-        rest[((loads != 0) & ~self.fit.known[inputs]).any(axis=1)] = np.nan
-        return _Part(moved, rest, np.full(len(loads), NO_ROWS))
+        outputs = self.at_zero.displacement + loads @ matrix.T
+        error = np.abs(loads) @ np.abs(matrix).T + self.fit.error
+        error[((loads != 0) & ~self.fit.known[inputs]).any(axis=1)] = np.nan
+        return _Part(outputs, error, np.full(len(loads), NO_ROWS))
 
     def _alone(self, moment: int, amounts: Floats) -> _Part:
-        """Return the answers to amounts (k,), N·m, of one moment alone, from whichever axis tells.
+        """Return the answers to amounts (k,), N·m, of one moment alone.
 
-        That is the axis it comes first in, or the other one where that one's rows do not hold it.
+        From the axis it comes first in, or from the other where the rows of the first do not
+        hold it.
         """
         part = self._guess(amounts[:, None], [moment + 3])
         for cut in self.cuts[moment]:
             if not len(cut.state):  # the axis has rows, but none with this moment alone
                 part.state = np.minimum(part.state, OFF_HULL)
                 continue
-            reading = cut.read(amounts)
-            better = np.flatnonzero((part.state >= OFF_HULL) & (reading.state < part.state))
-            part.put(better, reading.take(better))
+            cut_part = cut.read(amounts)
+            better = np.flatnonzero((part.state >= OFF_HULL) & (cut_part.state < part.state))
+            part.put(better, cut_part.take(better))
         return part
 
 
@@ -328,7 +331,7 @@ class _Part:
     """What an axis or a moment alone answers at k wrenches: (k, 6) each, m and rad; state (k,)."""
 
     outputs: Floats
-    rest: Floats
+    error: Floats
     state: NDArray[np.int_]
 
     def take(self, rows: Indices) -> _Part:
@@ -339,45 +342,45 @@ class _Part:
             column[rows] = new
 
     def _columns(self) -> tuple[NDArray, ...]:
-        return self.outputs, self.rest, self.state
+        return self.outputs, self.error, self.state
 
 
 class _Total:
-    """The sum so far; what no load answers is added at the end, as often as the parts leave."""
+    """The sum so far; the displacement at zero load is added last, with the remaining weight."""
 
-    def __init__(self, at_rest: AtRest, count: int) -> None:
-        self.at_rest = at_rest
+    def __init__(self, at_zero: AtZero, count: int) -> None:
+        self.at_zero = at_zero
         self.sum, self.squares = np.zeros((count, 6)), np.zeros((count, 6))
-        self.own = np.tile(at_rest.displacement[:3], (count, 1))
+        self.translations = np.tile(at_zero.displacement[:3], (count, 1))
         self.times = np.zeros((count, 1))
         self.state = np.zeros((count, 3), dtype=int)
 
-    def put_own(self, rows: Indices, axis: LoadAxis, part: _Part) -> None:
-        """Take the axis' own translation from its part."""
-        own = axis.outputs[0]
-        self.own[rows, own] = part.outputs[:, own]
+    def set_translation(self, rows: Indices, axis: LoadAxis, part: _Part) -> None:
+        """Take the axis' translation from its part."""
+        output = axis.outputs[0]
+        self.translations[rows, output] = part.outputs[:, output]
 
     def add(self, rows: Indices, part: _Part, times: Floats) -> None:
         """Add a part so many times, shape (k,)."""
-        often = times[:, None]
-        self.sum[rows] += often * part.outputs
-        self.squares[rows] += (often * part.rest) ** 2
-        self.times[rows] += often
+        factor = times[:, None]
+        self.sum[rows] += factor * part.outputs
+        self.squares[rows] += (factor * part.error) ** 2
+        self.times[rows] += factor
 
     def mark_base(self, rows: Indices, moment: int, state: NDArray[np.int_]) -> None:
-        """Hold the axis a moment comes first in to what its own answer rests on."""
-        first = next(place for place, axis in enumerate(AXES) if axis.inputs[1] == moment + 3)
+        """Raise the state of the axis that a moment comes first in to that of its answer."""
+        first = next(index for index, axis in enumerate(AXES) if axis.inputs[1] == moment + 3)
         self.state[rows, first] = np.maximum(self.state[rows, first], state)
 
     def composed(self) -> Composed:
         """Return the sum."""
-        zero, left = self.at_rest, 1.0 - self.times
-        additive = self.sum + left * zero.displacement
-        squares = self.squares + np.where(left == 0, 0.0, (left * zero.error) ** 2)
+        zero, remaining = self.at_zero, 1.0 - self.times
+        additive = self.sum + remaining * zero.displacement
+        squares = self.squares + np.where(remaining == 0, 0.0, (remaining * zero.error) ** 2)
         return Composed(
             additive=additive,
-            griddata=np.concatenate((self.own, additive[:, 3:]), axis=1),
-            rest=np.sqrt(squares),
+            griddata=np.concatenate((self.translations, additive[:, 3:]), axis=1),
+            error=np.sqrt(squares),
             states=self.state,
         )
 
@@ -385,10 +388,10 @@ class _Total:
 def _cuts(
     tables: Sequence[AxisTable | None], moment: int, known: Sequence[PureMomentCut]
 ) -> tuple[PureMomentCut, ...]:
-    """Return the cuts along a moment, the one of the axis it comes first in before the other."""
+    """Return the cuts along a moment, that of the axis it comes first in before the other."""
     cuts = []
     for column in (1, 2):
-        index = next(place for place, axis in enumerate(AXES) if axis.inputs[column] == moment)
+        index = next(index for index, axis in enumerate(AXES) if axis.inputs[column] == moment)
         table = tables[index]
         if table is None:
             continue
@@ -415,17 +418,17 @@ def _gaps(axis: LoadAxis, table: AxisTable | None, load_range: LoadRange) -> dic
     fractions, thin = table.fractions(), table.state != SOUND
     spots = []
     worst = (bars / size).max(axis=1) if table.law.known else fractions
-    for place in np.argsort(-worst)[:MOST_SPOTS].tolist():
-        loads = middle[place : place + 1] * table.scale
+    for simplex in np.argsort(-worst)[:MAX_SPOTS].tolist():
+        loads = middle[simplex : simplex + 1] * table.scale
         names = [OUTPUTS[output] for output in axis.outputs]
         spots.append(
             {
                 "loads": _loads(axis, loads)[0],
-                "error": dict(zip(names, bars[place].tolist(), strict=True))
+                "error": dict(zip(names, bars[simplex].tolist(), strict=True))
                 if table.law.known
                 else None,
-                "part_of_range": float(fractions[place]),
-                "thin": bool(thin[place]),
+                "part_of_range": float(fractions[simplex]),
+                "thin": bool(thin[simplex]),
             }
         )
     return {
@@ -450,13 +453,13 @@ def _hull(table: AxisTable) -> Floats:
     if dimension == 1:
         return points[[int(flat[:, 0].argmin()), int(flat[:, 0].argmax())]]
     try:
-        return points[ConvexHull(flat).vertices][:MOST_VERTICES]
+        return points[ConvexHull(flat).vertices][:MAX_VERTICES]
     except QhullError:
-        return points[:MOST_VERTICES]
+        return points[:MAX_VERTICES]
 
 
 def _axis_summary(axis: LoadAxis, table: AxisTable | None) -> dict[str, Any]:
-    """Return one axis' rows, spans (N, N·m), covered part of the range and median error bars."""
+    """Return an axis' rows, spans (N, N·m), covered part of the range and median error bars."""
     inputs = [LOADS[load] for load in axis.inputs]
     if table is None:
         return {
@@ -495,9 +498,9 @@ def _axis_summary(axis: LoadAxis, table: AxisTable | None) -> dict[str, Any]:
 
 
 class PureMomentCut:
-    """One axis' table along one of its moments, the other two loads being zero.
+    """An axis' table along one of its moments, the other two loads being zero.
 
-    Every composed rotation counts from these answers. They lie on one line through a
+    Every composed rotation counts from these answers. They lie on a line through a
     triangulation, and along it barycentric outputs are straight between two faces of its
     simplices; unit errors are parabolas.
 
@@ -511,7 +514,7 @@ class PureMomentCut:
         Of each stretch, by the scaled moment less its first station: constant and straight part.
     unit_errors : ndarray, shape (s, 3), dimensionless
         Constant, straight and square part of the unit errors.
-    stated : ndarray, shape (s, 2, 6), m and rad
+    uncertainty : ndarray, shape (s, 2, 6), m and rad
         Constant and straight part of the rows' uncertainty.
     state : ndarray of int, shape (s,)
         As the table's; `HOLE` where no simplex holds the stretch.
@@ -523,41 +526,47 @@ class PureMomentCut:
         self.stations = _stations(table.triangulation, column)
         low, width = self.stations[:-1], np.diff(self.stations)
         middle = self._points(low + 0.5 * width)
-        found = table.triangulation.locate(middle)
-        self.state = np.where(found >= 0, table.state[found], HOLE).astype(np.int32)
+        simplices = table.triangulation.locate(middle)
+        self.state = np.where(simplices >= 0, table.state[simplices], HOLE).astype(np.int32)
         start, centre, end = (
-            table.read_in(np.maximum(found, 0), self._points(low + share * width))
-            for share in (0.0, 0.5, 1.0)
+            table.read_in(np.maximum(simplices, 0), self._points(low + fraction * width))
+            for fraction in (0.0, 0.5, 1.0)
         )
         over = 1.0 / width[:, None]
         self.outputs = np.stack((start.outputs, (end.outputs - start.outputs) * over), axis=1)
-        units = [one.unit_errors[:, None] for one in (start, centre, end)]
+        units = [result.unit_errors[:, None] for result in (start, centre, end)]
         self.unit_errors = np.concatenate(_parabola(units[0], units[1], units[2], over), axis=1)
-        self.stated = np.stack((start.stated, (end.stated - start.stated) * over), axis=1)
+        self.uncertainty = np.stack(
+            (start.uncertainty, (end.uncertainty - start.uncertainty) * over), axis=1
+        )
 
     def of(self, table: AxisTable) -> PureMomentCut:
-        """Return this cut as one of a table that was taken over from its own."""
-        same = copy(self)
-        same.table = table
-        return same
+        """Return this cut for a table that was taken over from the cut's table."""
+        cut = copy(self)
+        cut.table = table
+        return cut
 
     def read(self, moments: Floats) -> _Part:
         """Read the cut at moments (k,), N·m; beyond its ends along its last stretch."""
         along = moments / self.table.scale[self.column]
         if not len(self.state):
-            none = np.zeros((len(along), 6))
-            blank = np.full(len(along), HOLE)
-            return _Part(none, none, blank)
-        found = np.searchsorted(self.stations, along, side="right") - 1
-        found = np.clip(found, 0, len(self.state) - 1)
-        y = (along - self.stations[found])[:, None]
-        outputs, stated, unit = self.outputs[found], self.stated[found], self.unit_errors[found]
+            zeros = np.zeros((len(along), 6))
+            holes = np.full(len(along), HOLE)
+            return _Part(zeros, zeros, holes)
+        stretches = np.searchsorted(self.stations, along, side="right") - 1
+        stretches = np.clip(stretches, 0, len(self.state) - 1)
+        y = (along - self.stations[stretches])[:, None]
+        outputs, uncertainty, unit = (
+            self.outputs[stretches],
+            self.uncertainty[stretches],
+            self.unit_errors[stretches],
+        )
         unit = np.maximum(unit[:, 0] + y[:, 0] * (unit[:, 1] + y[:, 0] * unit[:, 2]), 0.0)
         beyond = (along < self.stations[0] - ZERO_LOAD) | (along > self.stations[-1] + ZERO_LOAD)
         return _Part(
             outputs[:, 0] + y * outputs[:, 1],
-            self.table.law.bars(unit) + stated[:, 0] + y * stated[:, 1],
-            np.where(beyond, HOLE, self.state[found]),
+            self.table.law.bars(unit) + uncertainty[:, 0] + y * uncertainty[:, 1],
+            np.where(beyond, HOLE, self.state[stretches]),
         )
 
     def _points(self, along: Floats) -> Floats:
@@ -569,7 +578,7 @@ class PureMomentCut:
 def _parabola(start: Floats, centre: Floats, end: Floats, over: Floats) -> tuple[Floats, ...]:
     """Return constant, straight and square part, (s, q) each, from three values of each stretch.
 
-    `over`, (s, 1), is one over the length of the stretch.
+    `over`, (s, 1), is 1 / the length of the stretch.
     """
     square = 2 * (start - 2 * centre + end) * over**2
     return start, (end - start) * over - square / over, square
@@ -579,26 +588,26 @@ def _stations(shape: Triangulation, column: int) -> Floats:
     """Return, ascending, where the line meets faces of the simplices it passes; none or several."""
     if shape.dimension == 0 or not shape.holds_direction(column):
         return np.empty(0)
-    near = _around_the_line(shape, column)
-    start = np.zeros((len(near), 3))
-    at_zero = shape.barycentric(near, start)
+    simplices = _simplices_on_line(shape, column)
+    start = np.zeros((len(simplices), 3))
+    at_zero = shape.barycentric(simplices, start)
     start[:, column] = 1.0
-    slope = shape.barycentric(near, start) - at_zero
+    slope = shape.barycentric(simplices, start) - at_zero
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         roots = np.where(slope != 0, -at_zero / slope, np.nan)
-        others = at_zero[:, None, :] + slope[:, None, :] * roots[:, :, None]
+        barycentric = at_zero[:, None, :] + slope[:, None, :] * roots[:, :, None]
         # A root counts if it lies in the simplex, and so within the points' box.
-        inside = (others > -1e-9).all(axis=2) & (np.abs(roots) <= np.abs(shape.points).max())
+        inside = (barycentric > -1e-9).all(axis=2) & (np.abs(roots) <= np.abs(shape.points).max())
     stations = np.unique(roots[inside])
     if len(stations) < 2:
         return np.empty(0)
-    return stations[np.concatenate(([True], np.diff(stations) > APART))]
+    return stations[np.concatenate(([True], np.diff(stations) > SAME_STATION))]
 
 
-def _around_the_line(shape: Triangulation, column: int) -> NDArray[np.intp]:
+def _simplices_on_line(shape: Triangulation, column: int) -> NDArray[np.intp]:
     """Return the simplices that the line may pass, by their boxes: a few in a hundred."""
-    others = [place for place in range(3) if place != column]
+    others = [load for load in range(3) if load != column]
     corners = shape.points[:, others][shape.simplices]
     low, high = corners.min(axis=1), corners.max(axis=1)
-    room = 1e-6 * np.abs(shape.points).max(initial=1.0)  # more than rounding at thin simplices
-    return np.flatnonzero(((low <= room) & (high >= -room)).all(axis=1))
+    margin = 1e-6 * np.abs(shape.points).max(initial=1.0)  # more than rounding at thin simplices
+    return np.flatnonzero(((low <= margin) & (high >= -margin)).all(axis=1))

@@ -21,20 +21,20 @@ from ..table.rows import Floats
 Indices = NDArray[np.intp]
 
 FLAT = 1e-9  # of the points' extent: what lies closer to a plane, a line or a point is in it
-ON_HULL = 1e-9  # of the way to the middle: a point that rounding put so far outside is on the hull
+ON_HULL = 1e-9  # of the way to the middle: rounding may put points of the hull so much outside
 SLIVER = 1e-10  # volume over cubed longest edge (or the like) below which a simplex is degenerate
 SHEAR = np.eye(3) + 1e-3 * np.array([[0.31, 0.77, -0.53], [0.19, -0.41, 0.97], [-0.61, 0.37, 0.23]])
 
 # Of the order of a batch:
 CELLS = 32  # a side: three times five bits fit 16, which numpy sorts by radix
-FEWEST_SORTED = 64  # points below which sorting costs more than it saves
+MIN_SORTED = 64  # points below which sorting costs more than it saves
 
 # Of the nearest point of a hull:
-PAIRS = 200_000  # pairs of points and facets looked at together: some 50 MB of numbers
+PAIRS = 200_000  # pairs of points and facets at once: some 50 MB of numbers
 
 # Of slopes at the points:
 NEIGHBOURS = {1: 5, 2: 10, 3: 18}  # of a patch, by dimension: not quite two for each unknown
-RIDGE = 1e-10  # of the patch's own size: keeps points on one quadric from a singular fit
+RIDGE = 1e-10  # of the patch's size: keeps points on one quadric from a singular fit
 NEARER = 0.1  # added to squared distances (of the farthest) before weights are their inverse
 CHUNK = 4096  # patches fitted at once: their normal equations fit the cache
 
@@ -99,7 +99,7 @@ class Triangulation:
     def _connect(self, flat: Floats) -> None:
         """Make the simplices and the point location of the flattened points, shape (n, d)."""
         if self.dimension == 0:
-            self._find: Callable[[Floats], Indices] = _the_one
+            self._find: Callable[[Floats], Indices] = _single_simplex
             self.simplices = np.zeros((1, 1), dtype=np.intp)
             self.neighbours = np.full((1, 1), -1, dtype=np.intp)
             self.weights = np.zeros((1, 0, 3))
@@ -115,17 +115,17 @@ class Triangulation:
         would jump there. A slight shear leaves each cell one triangulation only, and barycentric
         coordinates as they are.
         """
-        given = self.points if self.dimension == 3 else flat
-        self.delaunay = Delaunay(given)
-        flattened = int(_flat(given, self.delaunay.simplices).sum())
+        points = self.points if self.dimension == 3 else flat
+        self.delaunay = Delaunay(points)
+        flattened = int(_flat(points, self.delaunay.simplices).sum())
         if flattened:
-            sheared = ShearedDelaunay(given, SHEAR[: self.dimension, : self.dimension])
-            if _flat(given, sheared.simplices).sum() < flattened:
+            sheared = ShearedDelaunay(points, SHEAR[: self.dimension, : self.dimension])
+            if _flat(points, sheared.simplices).sum() < flattened:
                 self.delaunay = sheared
         self._find = partial(_find_in_order, self.delaunay)
         self.simplices = self.delaunay.simplices.astype(np.intp)
         self.neighbours = self.delaunay.neighbors.astype(np.intp)
-        edges = given[self.simplices[:, :-1]] - given[self.simplices[:, -1:]]
+        edges = points[self.simplices[:, :-1]] - points[self.simplices[:, -1:]]
         self.weights = inverses(edges).transpose(0, 2, 1)
         if self.dimension < 3:
             self.weights = self.weights @ self.basis
@@ -135,8 +135,8 @@ class Triangulation:
         stations = along[order]
         self._find = partial(_interval, stations)
         self.simplices = np.stack((order[:-1], order[1:]), axis=1)
-        place = np.arange(len(self.simplices))
-        self.neighbours = np.stack((place + 1, place - 1), axis=1)
+        index = np.arange(len(self.simplices))
+        self.neighbours = np.stack((index + 1, index - 1), axis=1)
         self.neighbours[-1, 0] = -1
         with np.errstate(divide="ignore", invalid="ignore"):  # no length: marked degenerate
             self.weights = -self.basis[None] / np.diff(stations)[:, None, None]
@@ -155,16 +155,16 @@ class Triangulation:
     def locate(self, x: ArrayLike) -> Indices:
         """Return the simplex of each point, shape (k, 3) -> (k,), or -1 outside the hull.
 
-        Points on the hull are inside: what rounding put just outside is looked up again a little
-        further in. Points are dimensionless.
+        Points on the hull are inside: those that rounding put just outside are located again a
+        little further in. Points are dimensionless.
         """
         points = np.asarray(x, dtype=float)
-        found = self._find_flat(points)
-        missed = np.asarray(found < 0)
-        if missed.any():
-            inward = points[missed] + ON_HULL * (self.origin - points[missed])
-            found[missed] = self._find_flat(inward)
-        return found
+        simplices = self._find_flat(points)
+        outside = np.asarray(simplices < 0)
+        if outside.any():
+            inward = points[outside] + ON_HULL * (self.origin - points[outside])
+            simplices[outside] = self._find_flat(inward)
+        return simplices
 
     def _find_flat(self, points: Floats) -> Indices:
         if self.dimension == 3:
@@ -201,14 +201,14 @@ class Triangulation:
             return np.tile(self.points[0], (len(x), 1)), np.zeros(len(x), dtype=np.intp)
         # What lies off the plane or line of the points is nearest to its foot there, if the hull
         # holds that.
-        place = x if self.dimension == 3 else self.origin + self.flattened(x) @ self.basis
-        found = self.locate(place) if self.dimension < 3 else np.full(len(x), -1)
-        beyond = np.flatnonzero(found < 0)
+        nearest = x if self.dimension == 3 else self.origin + self.flattened(x) @ self.basis
+        simplices = self.locate(nearest) if self.dimension < 3 else np.full(len(x), -1)
+        beyond = np.flatnonzero(simplices < 0)
         if len(beyond):
-            at, facet = nearest_points(self.points[self.hull], place[beyond])
-            place = place.copy()
-            place[beyond], found[beyond] = at, self.behind_hull[facet]
-        return place, found
+            on_facet, facet = nearest_points(self.points[self.hull], nearest[beyond])
+            nearest = nearest.copy()
+            nearest[beyond], simplices[beyond] = on_facet, self.behind_hull[facet]
+        return nearest, simplices
 
     @cached_property
     def hull(self) -> Indices:
@@ -225,8 +225,8 @@ class Triangulation:
 
     def barycentric(self, simplices: Indices, x: Floats) -> Floats:
         """Return the barycentric coordinates, shape (k, d + 1), of points (k, 3), dimensionless."""
-        most = np.einsum("kij,kj->ki", self.weights[simplices], x - self.anchors[simplices])
-        return np.concatenate((most, 1 - most.sum(axis=1, keepdims=True)), axis=1)
+        first = np.einsum("kij,kj->ki", self.weights[simplices], x - self.anchors[simplices])
+        return np.concatenate((first, 1 - first.sum(axis=1, keepdims=True)), axis=1)
 
     def gradients(self, values: Floats) -> Floats:
         """Return the gradient of vertex values (n, q) in each simplex, shape (m, q, 3)."""
@@ -238,7 +238,7 @@ def _span(points: Floats) -> tuple[int, Floats]:
     """Return what dimension the points span and an orthonormal basis of it, shape (d, 3).
 
     Coordinates that do not vary are dropped rather than rotated away, so that a planar table is
-    triangulated in its own coordinates.
+    triangulated in the coordinates that vary.
     """
     centred = points - points.mean(axis=0)
     sizes = np.linalg.svd(centred, compute_uv=False)
@@ -278,25 +278,25 @@ def inverses(edges: Floats) -> Floats:
         return np.stack((np.cross(b, c), np.cross(c, a), np.cross(a, b)), axis=2) * over
 
 
-def _the_one(flat: Floats) -> Indices:
-    """Return the one simplex there is for each position, shape (k, 0)."""
+def _single_simplex(flat: Floats) -> Indices:
+    """Return the only simplex, 0, for each position, shape (k, 0)."""
     return np.zeros(len(flat), dtype=np.intp)
 
 
 def _find_in_order(delaunay: Delaunay, flat: Floats) -> Indices:
     """Walk to the points, shape (k, d), in an order that makes the walks short."""
     order = curve_order(flat)
-    found = np.empty(len(flat), dtype=np.intp)
-    found[order] = delaunay.find_simplex(flat[order])
-    return found
+    simplices = np.empty(len(flat), dtype=np.intp)
+    simplices[order] = delaunay.find_simplex(flat[order])
+    return simplices
 
 
 def _interval(stations: Floats, flat: Floats) -> Indices:
     """Return which interval of ascending stations each position, shape (k, 1), lies in, or -1."""
     along = flat[:, 0]
-    found = np.clip(np.searchsorted(stations, along, side="right") - 1, 0, len(stations) - 2)
+    intervals = np.clip(np.searchsorted(stations, along, side="right") - 1, 0, len(stations) - 2)
     inside = (along >= stations[0]) & (along <= stations[-1])
-    return np.where(inside, found, -1)
+    return np.where(inside, intervals, -1)
 
 
 def nearest_points(facets: Floats, x: Floats) -> tuple[Floats, NDArray[np.intp]]:
@@ -305,20 +305,20 @@ def nearest_points(facets: Floats, x: Floats) -> tuple[Floats, NDArray[np.intp]]
     Parameters
     ----------
     facets : ndarray, shape (f, corners, 3), dimensionless
-        One, two or three corners each.
+        With one to three corners.
     x : ndarray, shape (k, 3), dimensionless
     """
-    place = np.empty_like(x)
-    which = np.empty(len(x), dtype=np.intp)
+    nearest = np.empty_like(x)
+    facet = np.empty(len(x), dtype=np.intp)
     step = max(PAIRS // len(facets), 1)
     for start in range(0, len(x), step):
         some = slice(start, start + step)
         on_each = _on_facets(facets, x[some])
-        apart = ((on_each - x[some, None]) ** 2).sum(axis=2)
-        best = apart.argmin(axis=1)
-        which[some] = best
-        place[some] = on_each[np.arange(len(best)), best]
-    return place, which
+        distance = ((on_each - x[some, None]) ** 2).sum(axis=2)
+        best = distance.argmin(axis=1)
+        facet[some] = best
+        nearest[some] = on_each[np.arange(len(best)), best]
+    return nearest, facet
 
 
 def _on_facets(facets: Floats, x: Floats) -> Floats:
@@ -334,8 +334,8 @@ def _on_facets(facets: Floats, x: Floats) -> Floats:
     a, e, f = facets[:, 0], facets[:, 1] - facets[:, 0], facets[:, 2] - facets[:, 0]
     ee, ef, ff = ((u * v).sum(axis=1) for u, v in ((e, e), (e, f), (f, f)))
     area = ee * ff - ef**2
-    apart = x[:, None] - a
-    pe, pf = np.einsum("kfi,fi->kf", apart, e), np.einsum("kfi,fi->kf", apart, f)
+    delta = x[:, None] - a
+    pe, pf = np.einsum("kfi,fi->kf", delta, e), np.einsum("kfi,fi->kf", delta, f)
     with np.errstate(divide="ignore", invalid="ignore"):
         s, t = (ff * pe - ef * pf) / area, (ee * pf - ef * pe) / area
         inside = (s >= 0) & (t >= 0) & (s + t <= 1)  # of no area, s and t may be of both infinities
@@ -351,8 +351,8 @@ def _on_facets(facets: Floats, x: Floats) -> Floats:
 def _on_stretch(a: Floats, b: Floats, x: Floats) -> Floats:
     along = b - a
     length = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
-    share = np.einsum("kfi,fi->kf", x[:, None] - a, along) / length
-    return a + np.clip(share, 0.0, 1.0)[..., None] * along
+    fraction = np.einsum("kfi,fi->kf", x[:, None] - a, along) / length
+    return a + np.clip(fraction, 0.0, 1.0)[..., None] * along
 
 
 def curve_order(x: Floats) -> NDArray[np.intp]:
@@ -361,14 +361,14 @@ def curve_order(x: Floats) -> NDArray[np.intp]:
     The order of Morton, "A computer oriented geodetic data base" (1966): the bits of the
     coordinates, interleaved. Points are dimensionless.
     """
-    if len(x) < FEWEST_SORTED or x.shape[1] == 0:
+    if len(x) < MIN_SORTED or x.shape[1] == 0:
         return np.arange(len(x))
     key = np.zeros(len(x), dtype=np.uint16)
-    for place, column in enumerate(x.T):  # by columns, which numpy is quick at
+    for dimension, column in enumerate(x.T):  # by columns, which numpy is quick at
         low, high = column.min(), column.max()
         if high > low:
             cells = (column - low) * (CELLS * (1 - 1e-9) / (high - low))
-            key |= _SPREAD.take(cells.astype(np.intp)) << np.uint16(place)
+            key |= _SPREAD.take(cells.astype(np.intp)) << np.uint16(dimension)
     return np.argsort(key, kind="stable")
 
 
@@ -386,7 +386,7 @@ def recovered_slopes(triangulation: Triangulation, values: Floats) -> Floats:
     """Return slopes (n, q, 3) of a quadratic fitted through each point's neighbours.
 
     The point itself is left out. Where there are too few points for a quadratic, the slope is the
-    mean of the simplices around. Points are dimensionless, so that slopes are in the unit of the
+    mean of the adjacent simplices. Points are dimensionless, so that slopes are in the unit of the
     values (n, q): m and rad.
     """
     dimension, n = triangulation.dimension, len(values)
@@ -395,42 +395,42 @@ def recovered_slopes(triangulation: Triangulation, values: Floats) -> Floats:
         return mean_slopes(triangulation, values)
     slopes = np.empty((n, values.shape[1], 3))
     flat = triangulation.flattened(triangulation.points)
-    found = KDTree(flat).query(flat, k=neighbours + 1)
-    far, near = np.asarray(found[0])[:, 1:], np.asarray(found[1], dtype=np.intp)[:, 1:]
+    nearest = KDTree(flat).query(flat, k=neighbours + 1)
+    distances, near = np.asarray(nearest[0])[:, 1:], np.asarray(nearest[1], dtype=np.intp)[:, 1:]
     for start in range(0, n, CHUNK):
         some = slice(start, start + CHUNK)
-        apart = flat[near[some]] - flat[some, None]
+        delta = flat[near[some]] - flat[some, None]
         rise = values[near[some]] - values[some, None]
-        slope = _quadratics(apart, far[some], rise)
+        slope = _quadratics(delta, distances[some], rise)
         slopes[some] = np.einsum("niq,ij->nqj", slope, triangulation.basis)
     return slopes
 
 
-def _quadratics(apart: Floats, far: Floats, rise: Floats) -> Floats:
+def _quadratics(delta: Floats, distances: Floats, rise: Floats) -> Floats:
     """Return slopes (n, d, q) of quadratics through rises (n, k, q)."""
-    dimension = apart.shape[2]
-    reach = np.maximum(far[:, -1], np.finfo(float).tiny)
-    apart = apart / reach[:, None, None]
+    dimension = delta.shape[2]
+    radius = np.maximum(distances[:, -1], np.finfo(float).tiny)
+    delta = delta / radius[:, None, None]
     squares = list(combinations_with_replacement(range(dimension), 2))
-    second = np.stack([apart[..., i] * apart[..., j] for i, j in squares], axis=-1)
-    terms = np.concatenate((np.ones((*apart.shape[:2], 1)), apart, second), axis=-1)
-    weighed = terms / (NEARER + (far / reach[:, None]) ** 2)[..., None]
+    second = np.stack([delta[..., i] * delta[..., j] for i, j in squares], axis=-1)
+    terms = np.concatenate((np.ones((*delta.shape[:2], 1)), delta, second), axis=-1)
+    weighed = terms / (NEARER + (distances / radius[:, None]) ** 2)[..., None]
     normal = weighed.transpose(0, 2, 1) @ terms
     normal += RIDGE * terms.shape[1] * np.eye(terms.shape[-1])
     fitted = np.linalg.solve(normal, weighed.transpose(0, 2, 1) @ rise)
-    return fitted[:, 1 : 1 + dimension] / reach[:, None, None]
+    return fitted[:, 1 : 1 + dimension] / radius[:, None, None]
 
 
 def mean_slopes(triangulation: Triangulation, values: Floats) -> Floats:
     """Return slopes (n, q, 3) as the mean of the simplices that meet at each point, by volume.
 
-    A flat simplex has no slope and no say. Points are dimensionless, so that slopes are in the unit
-    of the values (n, q): m and rad.
+    A flat simplex has no slope and does not count. Points are dimensionless, so that slopes are in
+    the unit of the values (n, q): m and rad.
     """
     weight = np.where(triangulation.degenerate, 0.0, triangulation.volumes)
-    own = weight[:, None, None] * triangulation.gradients(values)
-    around, size = np.zeros((len(values), values.shape[1], 3)), np.zeros(len(values))
+    weighted = weight[:, None, None] * triangulation.gradients(values)
+    total, size = np.zeros((len(values), values.shape[1], 3)), np.zeros(len(values))
     for corner in triangulation.simplices.T:
-        np.add.at(around, corner, own)
+        np.add.at(total, corner, weighted)
         np.add.at(size, corner, weight)
-    return around / np.maximum(size, np.finfo(float).tiny)[:, None, None]
+    return total / np.maximum(size, np.finfo(float).tiny)[:, None, None]

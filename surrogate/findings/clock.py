@@ -120,7 +120,7 @@ def estimate_lag(logs: Logs, applied: float = 0.0) -> Lag | None:
     fits = [fit for start in starts if (fit := _fitted(logs, (applied, start), step))]
     if not fits:
         return None
-    # Periodic loads fit as well a period later: the lag that is nearest to the applied one then.
+    # Periodic loads fit as well a period later: the lag nearest to the applied lag then.
     sizes = [max(float(fit.residual(lag).mean()), SMALL**2) for lag, fit in fits]
     alike = [fits[at] for at, size in enumerate(sizes) if AVERAGED * size <= min(sizes)]
     alike.sort(key=lambda fit_at: abs(fit_at[0] - applied))
@@ -188,7 +188,7 @@ def _fitted(logs: Logs, lags: tuple[float, float], step: float) -> tuple[float, 
     """Return the lag of least residual near the second one, s, and the fit; None if there is none.
 
     The fit holds the displacements that both lags have loads for. A search that ends at its bound
-    has found nothing and starts again there, with twice the reach.
+    has no result and starts again there, with twice the width.
     """
     width, most = 2 * step, PART * float(np.ptp(logs.when))
     while width < most:

@@ -11,7 +11,9 @@ from ..table.rows import ZERO_LOAD, Floats, LoadRange, Rows
 from ..table.space import LOADS, OUTPUTS
 from .response import RigFinding, RobustFit
 
-SIGNIFICANT = 0.05  # of the largest entry of its block, in moved distance: smaller ones are unsure
+SIGNIFICANT = (
+    0.05  # of the largest entry of its block, in moved distance: smaller entries are unsure
+)
 DEVIATIONS = 6.0  # of a fitted entry: surely not zero
 TIE = 0.1  # of a logarithm: factors of two quantities that explain the same
 SCALE = 1.5  # times: a calibration is wrong by more, finite elements by less
@@ -206,7 +208,7 @@ def _against_solves(fit: Fit, solved: Fit, least: float) -> list[RigFinding]:
             blocks[name] = np.log(ratio)
     if not blocks:
         return []
-    # The one quantity whose factor explains all blocks best; a larger load makes less compliance.
+    # The quantity whose factor explains all blocks best; a larger load makes less compliance.
     quantities = {"translations": 1.0, "rotations": 1.0, "forces": -1.0, "moments": -1.0}
     best = []
     for quantity, power in quantities.items():

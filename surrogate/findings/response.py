@@ -180,7 +180,7 @@ def local_residual(scaled: Floats, residual: Floats) -> Floats:
     neighbours = KDTree(scaled).query(scaled, k=count)[1]
     near: NDArray[np.intp] = np.asarray(neighbours, dtype=np.intp).reshape(len(scaled), count)
     around = np.array(residual[near])
-    around[near == np.arange(len(scaled)).reshape(-1, 1)] = np.nan  # its own
+    around[near == np.arange(len(scaled)).reshape(-1, 1)] = np.nan  # itself
     around[~np.isfinite(around).any(axis=1, keepdims=True).repeat(count, axis=1)] = 0.0
     return np.asarray(residual - np.nanmedian(around, axis=1))
 

@@ -66,7 +66,7 @@ def sequence_findings(rows: Rows, response: RobustFit) -> list[RigFinding]:
 def sequence_errors(rows: Rows, response: RobustFit, *, probable: bool = False) -> SequenceErrors:
     """Return drift and hysteresis of rows in the order of measurement.
 
-    `probable` ones too, or only those that are sure.
+    `probable` causes too, or only those that are sure.
     """
     errors = SequenceErrors(np.zeros(6), np.zeros(6))
     if len(rows) < MIN_ROWS:

@@ -146,9 +146,9 @@ class _Work:
 
 
 class PackedTable:
-    """A packed table; any number of threads may use one.
+    """A packed table; any number of threads may use it.
 
-    `open` and `from_bytes` make one.
+    Made by `open` and `from_bytes`.
 
     Attributes
     ----------

@@ -23,7 +23,7 @@ FLAGS = (
     *("-std=c11", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"),
     *("-fopenmp-simd", "-fvisibility=hidden", "-DWB_SHARED"),
 )
-COMPILE_S = 300.0  # it takes 3 s; the first run of ziglang compiles its own C library too
+COMPILE_S = 300.0  # it takes 3 s; the first run of ziglang compiles its C library too
 # Platform tags of wheels, and the target that ziglang compiles each for.
 PLATFORMS = {
     "manylinux_2_28_x86_64": "x86_64-linux-gnu.2.28",

@@ -52,7 +52,7 @@ class Reply(NamedTuple):
     row : int or None
         The number of the row that answered.
     exact : bool
-        Whether that row has just this wrench, rather than one within 1e-6 of the range.
+        Whether that row has just this wrench, not a wrench within 1e-6 of the range.
     source : str or None
         The sources of the rows at that wrench.
     missing : tuple of str

@@ -2,43 +2,17 @@
  * surrogate/packed/arrays.py says what each is. MIT license. */
 #ifndef WB_ARRAYS_H
 #define WB_ARRAYS_H
-
 #include "wb_internal.h"
-
 /* Sizes: of the table, shared by the factors of a kriging, of one block. */
-enum {
-    WB_OF_N,
-    WB_OF_M,
-    WB_OF_N1,
-    WB_OF_S,
-    WB_OF_R,
-    WB_OF_T,
-    WB_OF_B,
-    WB_OF_V,
-    WB_OF_K,
-    WB_OF_E,
-    WB_OF_D,
-    WB_OF_C,
-    WB_OF_W,
-    WB_OF_L,
-    WB_OF_I,
-    WB_OF_P,
-    WB_OF_P1,
-    WB_OF_F,
-    WB_OF_G,
-    WB_OF_U,
-    WB_SIZES,
-    WB_BLOCK = WB_OF_S,
-    WB_FACTOR = WB_OF_R
-};
-
-/* Each dimension is a size or, below zero, a number. */
-typedef struct {
+enum { WB_OF_N, WB_OF_M, WB_OF_N1, WB_OF_S, WB_OF_R, WB_OF_T, WB_OF_B, WB_OF_V, WB_OF_K, WB_OF_E,
+WB_OF_D, WB_OF_C, WB_OF_W, WB_OF_L, WB_OF_I, WB_OF_P, WB_OF_P1, WB_OF_F, WB_OF_G, WB_OF_U,
+WB_SIZES,
+    WB_BLOCK = WB_OF_S, WB_FACTOR = WB_OF_R };
+typedef struct { /* each dimension is a size or, below zero, a number */
     const char *name;
     int type, optional, dimensions, shape[3];
     size_t member;
 } wb_array;
-
 static const wb_array WB_SPACE_ARRAYS[] = {
     {"sizes", WB_I4, 0, 1, {-3}, offsetof(wb_table, sizes)},
     {"ends", WB_F8, 0, 2, {-2, WB_OF_N}, offsetof(wb_table, ends)},
@@ -49,37 +23,27 @@ static const wb_array WB_SPACE_ARRAYS[] = {
     {"rig_error", WB_F8, 1, 1, {WB_OF_M}, offsetof(wb_table, rig_error)},
     {"limit", WB_F8, 0, 1, {WB_OF_M}, offsetof(wb_table, limit)},
     {"vector_first", WB_I4, 0, 1, {WB_OF_V}, offsetof(wb_table, vector_first)},
-    {"vector_limit", WB_F8, 0, 1, {WB_OF_V}, offsetof(wb_table, vector_limit)},
-};
-
+    {"vector_limit", WB_F8, 0, 1, {WB_OF_V}, offsetof(wb_table, vector_limit)},};
 static const wb_array WB_SOLVER_ARRAYS[] = {
     {"flags", WB_I4, 0, 1, {-5}, offsetof(wb_solver, flags)},
     {"mesh", WB_F8, 0, 2, {WB_OF_M, WB_OF_N}, offsetof(wb_solver, mesh)},
     {"square", WB_F8, 0, 1, {WB_OF_M}, offsetof(wb_solver, square)},
     {"one_over", WB_F8, 0, 1, {WB_OF_N}, offsetof(wb_solver, one_over)},
     {"stiffness", WB_F8, 0, 2, {WB_OF_N, WB_OF_M}, offsetof(wb_solver, stiffness)},
-    {"zero", WB_F8, 1, 1, {WB_OF_N}, offsetof(wb_solver, zero)},
-};
-
+    {"zero", WB_F8, 1, 1, {WB_OF_N}, offsetof(wb_solver, zero)},};
 static const wb_array WB_SCENE_ARRAYS[] = {
     {"ends", WB_F8, 0, 2, {-2, WB_OF_N}, offsetof(wb_table, scene_ends)},
     {"varying", WB_I4, 0, 1, {WB_OF_N}, offsetof(wb_table, scene_varying)},
-    {"slopes", WB_I4, 0, 1, {WB_OF_N}, offsetof(wb_table, scene_slopes)},
-};
-
+    {"slopes", WB_I4, 0, 1, {WB_OF_N}, offsetof(wb_table, scene_slopes)},};
 static const wb_array WB_GROUP_ARRAYS[] = {
     {"flags", WB_I4, 0, 1, {-9}, offsetof(wb_group, flags)},
     {"outputs", WB_I4, 0, 1, {WB_OF_M}, offsetof(wb_group, outputs)},
-    {"allowed", WB_F8, 0, 1, {WB_OF_M}, offsetof(wb_group, allowed)},
-};
-
+    {"allowed", WB_F8, 0, 1, {WB_OF_M}, offsetof(wb_group, allowed)},};
 static const wb_array WB_FIT_ARRAYS[] = {
     {"matrix", WB_F8, 0, 2, {WB_OF_M, WB_OF_N}, offsetof(wb_fit, matrix)},
     {"bar", WB_F8, 0, 1, {WB_OF_M}, offsetof(wb_fit, bar)},
     {"offset", WB_F8, 1, 1, {WB_OF_M}, offsetof(wb_fit, offset)},
-    {"known", WB_I4, 0, 1, {WB_OF_N}, offsetof(wb_fit, known)},
-};
-
+    {"known", WB_I4, 0, 1, {WB_OF_N}, offsetof(wb_fit, known)},};
 static const wb_array WB_ROW_ARRAYS[] = {
     {"key", WB_F8, 0, 1, {WB_OF_R}, offsetof(wb_rows, key)},
     {"bucket", WB_F8, 0, 1, {-2}, offsetof(wb_rows, bucket)},
@@ -92,9 +56,7 @@ static const wb_array WB_ROW_ARRAYS[] = {
     {"moved", WB_F8, 0, 2, {WB_OF_R, WB_OF_M}, offsetof(wb_rows, moved)},
     {"bar", WB_F8, 0, 2, {WB_OF_R, WB_OF_M}, offsetof(wb_rows, bar)},
     {"tangent_of", WB_I4, 0, 1, {WB_OF_R}, offsetof(wb_rows, tangent_of)},
-    {"tangent", WB_F8, 0, 3, {WB_OF_T, WB_OF_M, WB_OF_N}, offsetof(wb_rows, tangent)},
-};
-
+    {"tangent", WB_F8, 0, 3, {WB_OF_T, WB_OF_M, WB_OF_N}, offsetof(wb_rows, tangent)},};
 static const wb_array WB_AXES_ARRAYS[] = {
     {"simplex", WB_F8, 0, 2, {WB_OF_I, -16}, offsetof(wb_composition, simplex)},
     {"state", WB_U1, 0, 1, {WB_OF_I}, offsetof(wb_composition, state)},
@@ -112,9 +74,7 @@ static const wb_array WB_AXES_ARRAYS[] = {
     {"left_out", WB_I4, 0, 1, {-4}, offsetof(wb_composition, left_out)},
     {"largest", WB_F8, 0, 1, {-4}, offsetof(wb_composition, largest)},
     {"zero_load", WB_F8, 0, 2, {-2, -6}, offsetof(wb_composition, zero_load)},
-    {"error", WB_F8, 0, 3, {-3, -2, -6}, offsetof(wb_composition, error)},
-};
-
+    {"error", WB_F8, 0, 3, {-3, -2, -6}, offsetof(wb_composition, error)},};
 static const wb_array WB_CUT_ARRAYS[] = {
     {"state", WB_I4, 0, 1, {WB_OF_K}, offsetof(wb_cut, state)},
     {"stations", WB_F8, 0, 1, {WB_OF_U}, offsetof(wb_cut, stations)},
@@ -122,9 +82,7 @@ static const wb_array WB_CUT_ARRAYS[] = {
     {"stated", WB_F8, 0, 3, {WB_OF_K, -2, -6}, offsetof(wb_cut, stated)},
     {"unit", WB_F8, 0, 2, {WB_OF_K, -3}, offsetof(wb_cut, unit)},
     {"bucket", WB_F8, 0, 1, {-2}, offsetof(wb_cut, bucket)},
-    {"start", WB_I4, 0, 1, {WB_OF_B}, offsetof(wb_cut, start)},
-};
-
+    {"start", WB_I4, 0, 1, {WB_OF_B}, offsetof(wb_cut, start)},};
 static const wb_array WB_KRIGING_ARRAYS[] = {
     {"x", WB_F8, 0, 2, {WB_OF_N, WB_OF_S}, offsetof(wb_kriging, x)},
     {"terms", WB_F8, 0, 2, {WB_OF_C, WB_OF_N1}, offsetof(wb_kriging, term)},
@@ -141,9 +99,7 @@ static const wb_array WB_KRIGING_ARRAYS[] = {
     {"floor", WB_F8, 0, 1, {-1}, offsetof(wb_kriging, floor)},
     {"tangent", WB_F8, 0, 2, {WB_OF_M, WB_OF_N}, offsetof(wb_kriging, tangent)},
     {"span", WB_F8, 0, 2, {-2, WB_OF_N}, offsetof(wb_kriging, span)},
-    {"factor_count", WB_I4, 0, 1, {-1}, offsetof(wb_kriging, factor_count)},
-};
-
+    {"factor_count", WB_I4, 0, 1, {-1}, offsetof(wb_kriging, factor_count)},};
 static const wb_array WB_FACTOR_ARRAYS[] = {
     {"outputs", WB_I4, 0, 1, {WB_OF_M}, offsetof(wb_factor, outputs)},
     {"number", WB_I4, 0, 1, {WB_OF_S}, offsetof(wb_factor, number)},
@@ -155,7 +111,5 @@ static const wb_array WB_FACTOR_ARRAYS[] = {
     {"mean_covariance", WB_F8, 0, 2, {WB_OF_N1, WB_OF_N1}, offsetof(wb_factor, mean_covariance)},
     {"sigma", WB_F8, 0, 1, {WB_OF_L}, offsetof(wb_factor, sigma)},
     {"scale", WB_F8, 0, 2, {WB_OF_L, WB_OF_M}, offsetof(wb_factor, scale)},
-    {"max_sigma", WB_F8, 0, 1, {-1}, offsetof(wb_factor, max_sigma)},
-};
-
+    {"max_sigma", WB_F8, 0, 1, {-1}, offsetof(wb_factor, max_sigma)},};
 #endif

@@ -94,59 +94,63 @@ WB_VECTORS static int nearest(const wb_kriging *k, const wb_factor *factor, int 
     return 0; /* a wrench that is not a number */
 }
 
-/* Add slopes' part of one term's covariances: `second` is -2 times its derivative by q. */
-static inline void add_slopes(const double *term, int inputs, const double *restrict apart, int stride,
-                              const double *restrict second, double *restrict flat) {
-    for (int a = 0; a < inputs; a++) {
-        const double *restrict from = apart + (int64_t)a * stride;
-        double *restrict out = flat + (int64_t)(1 + a) * stride, rate = term[a];
-        if (!(rate > 0)) continue;
-        for (int row = 0; row < stride; row++) out[row] += rate * second[row] * from[row];
-    }
+/* Add factor * from * by to `out`. */
+static inline void add_product(double factor, const double *restrict from, const double *restrict by,
+                               int stride, double *restrict out) {
+    for (int row = 0; row < stride; row++) out[row] += factor * from[row] * by[row];
 }
 
-/* Add one term's covariances of a value with the rows' values and slopes to `flat` (1 + n, stride).
- * With 7/2 the correlation of Matern is (1 + a + 2/5 a^2 + a^3/15) exp(-a), a^2 = 7 q. */
-WB_VECTORS static void add_covariances(const double *term, int inputs, const double *restrict apart, int stride,
-                            double *restrict first, double *restrict second,
-                            double *restrict flat) {
+/* Where the second derivatives by loads a and b begin: the pairs of loads follow each other, a <= b. */
+static double *pair_of(double *flat, int inputs, int a, int b, int stride) {
+    int low = a < b ? a : b, high = a < b ? b : a;
+    return flat + (int64_t)(1 + inputs + low * inputs - low * (low - 1) / 2 + high - low) * stride;
+}
+
+/* Add `by` times the products of each two scaled distances to the pairs of loads. */
+static inline void add_pairs(const double *term, int inputs, const double *restrict apart, int stride,
+                             const double *restrict by, double *restrict flat) {
+    double *restrict out = flat + (int64_t)(1 + inputs) * stride;
+    for (int a = 0; a < inputs; a++)
+        for (int b = a; b < inputs; b++, out += stride) {
+            const double *restrict by_a = apart + (int64_t)a * stride;
+            const double *restrict by_b = apart + (int64_t)b * stride;
+            double both = term[a] * term[b];
+            if (!(both > 0)) continue;
+            for (int row = 0; row < stride; row++) out[row] += both * by[row] * by_a[row] * by_b[row];
+        }
+}
+
+/* Add one term's covariances of a value with the rows' values and slopes to `flat` (1 + n, stride):
+ * with 7/2 the correlation of Matern is (1 + a + 2/5 a^2 + a^3/15) exp(-a), a^2 = 7 q. With the rows'
+ * second derivatives it is that of 9/2, (1 + a + 3/7 a^2 + 2/21 a^3 + a^4/105) exp(-a), a^2 = 9 q.
+ * `second` is -2 times its derivative by q, `third` 4 times its second derivative. */
+WB_VECTORS static void add_covariances(const double *term, int inputs, const double *restrict apart,
+                                       int stride, int has_second, double *restrict first,
+                                       double *restrict second, double *restrict third,
+                                       double *restrict flat) {
     double weight = term[inputs];
     memset(first, 0, (size_t)stride * sizeof(double));
     add_distances(term, inputs, apart, stride, first);
-    for (int row = 0; row < stride; row++) {
+    if (!has_second) for (int row = 0; row < stride; row++) {
         double a = sqrt(7.0 * first[row]), decay = decay_of(a) * weight;
         flat[row] += (1 + a + 0.4 * a * a + a * a * a * (1.0 / 15)) * decay;
         second[row] = 1.4 * (1 + a + a * a * (1.0 / 3)) * decay;
     }
-    add_slopes(term, inputs, apart, stride, second, flat);
-}
-
-/* The same with the rows' second derivatives, by 9/2: the correlation is
- * (1 + a + 3/7 a^2 + 2/21 a^3 + a^4/105) exp(-a), a^2 = 9 q. `third` is 4 times its second derivative by q. */
-WB_VECTORS static void add_second_covariances(const double *term, int inputs, const double *restrict apart,
-                                 int stride, double *restrict first, double *restrict second,
-                                 double *restrict third, double *restrict flat) {
-    double weight = term[inputs], *restrict out = flat + (int64_t)(1 + inputs) * stride;
-    memset(first, 0, (size_t)stride * sizeof(double));
-    add_distances(term, inputs, apart, stride, first);
-    for (int row = 0; row < stride; row++) {
+    else for (int row = 0; row < stride; row++) {
         double a = sqrt(9.0 * first[row]), decay = decay_of(a) * weight, square = a * a;
         flat[row] += (1 + a + square * (3.0 / 7) + square * a * (2.0 / 21)
                       + square * square * (1.0 / 105)) * decay;
         second[row] = 9.0 / 7 * (1 + a + 0.4 * square + square * a * (1.0 / 15)) * decay;
         third[row] = 81.0 / 35 * (1 + a + square * (1.0 / 3)) * decay;
     }
-    add_slopes(term, inputs, apart, stride, second, flat);
     for (int a = 0; a < inputs; a++)
-        for (int b = a; b < inputs; b++, out += stride) {
-            const double *restrict by_a = apart + (int64_t)a * stride;
-            const double *restrict by_b = apart + (int64_t)b * stride;
-            double rate = term[a], both = term[a] * term[b];
-            if (!(both > 0)) continue;
-            for (int row = 0; row < stride; row++) out[row] += both * third[row] * by_a[row] * by_b[row];
-            if (a != b) continue;
-            for (int row = 0; row < stride; row++) out[row] -= rate * second[row];
-        }
+        if (term[a] > 0)
+            add_product(term[a], second, apart + (int64_t)a * stride, stride, flat + (int64_t)(1 + a) * stride);
+    if (has_second) add_pairs(term, inputs, apart, stride, third, flat);
+    for (int a = 0; has_second && a < inputs; a++) {
+        double *restrict out = pair_of(flat, inputs, a, a, stride), rate = term[a];
+        for (int row = 0; rate * rate > 0 && row < stride; row++) out[row] -= rate * second[row];
+    }
 }
 
 /* A triangle times covariances: panels of WB_PANEL rows, each column after column. */
@@ -204,24 +208,12 @@ static double scale_of(const wb_factor *factor, double sigma, int q, int outputs
     return (high - low) / (s[n + 1] - s[n]) * (sigma - s[n]) + low;
 }
 
-/* Whether rows span the scaled loads: beyond that errors are not known. */
-static int is_spanned(const wb_kriging *k, int inputs, const double *at) {
-    for (int a = 0; a < inputs; a++)
-        if (!(k->span[a] <= at[a] && at[a] <= k->span[inputs + a])) return 0;
-    return 1;
-}
-
 /* The covariances of a value with all rows. */
 static void covary(const wb_kriging *k, int n, wb_work *work) {
     memset(work->flat, 0, (size_t)(k->per_row * k->stride) * sizeof(double));
-    for (int term = 0; term < k->terms; term++) {
-        const double *parameters = k->term + (n + 1) * term;
-        if (k->has_second)
-            add_second_covariances(parameters, n, work->apart, k->stride, work->first, work->second,
-                                 work->wide, work->flat);
-        else
-            add_covariances(parameters, n, work->apart, k->stride, work->first, work->second, work->flat);
-    }
+    for (int term = 0; term < k->terms; term++)
+        add_covariances(k->term + (n + 1) * term, n, work->apart, k->stride, k->has_second, work->first,
+                        work->second, work->wide, work->flat);
 }
 
 /* The value of an output by these, over its spread. */
@@ -289,7 +281,8 @@ void wb_kriging_values(const wb_table *t, const wb_kriging *k, wb_work *work,
     int n = t->inputs, m = t->outputs;
     double at[WB_MAX], sigma[WB_MAX], values[WB_MAX] = {0}, wide[WB_MAX] = {0};
     explore(t, k, work, wrench, at, values, sigma);
-    int spanned = is_spanned(k, n, at);
+    int spanned = 1; /* beyond the rows errors are not known */
+    for (int a = 0; a < n; a++) spanned &= k->span[a] <= at[a] && at[a] <= k->span[n + a];
     for (int s = 0; s < k->factors; s++)
         for (int q = 0; q < m; q++)
             if (k->factor[s].outputs[q])
@@ -303,26 +296,19 @@ void wb_kriging_values(const wb_table *t, const wb_kriging *k, wb_work *work,
     }
 }
 
-/* One term's correlation: its two derivatives by the squared distance. */
-WB_VECTORS static void differentiate(const double *term, int inputs, const double *restrict apart, int stride,
-                 double *restrict first, double *restrict second) {
+/* One term's correlation: its two derivatives by the squared distance; of 9/2 the third one too. */
+WB_VECTORS static void differentiate(const double *term, int inputs, const double *restrict apart,
+                                     int stride, int has_second, double *restrict first,
+                                     double *restrict second, double *restrict third) {
     double weight = term[inputs];
     memset(first, 0, (size_t)stride * sizeof(double));
     add_distances(term, inputs, apart, stride, first);
-    for (int row = 0; row < stride; row++) {
+    if (!has_second) for (int row = 0; row < stride; row++) {
         double a = sqrt(7.0 * first[row]), decay = decay_of(a) * weight;
         first[row] = -0.7 * (1 + a + a * a * (1.0 / 3)) * decay;
         second[row] = 49.0 / 60 * (1 + a) * decay;
     }
-}
-
-/* The same of 9/2, with the third one. */
-WB_VECTORS static void differentiate_second(const double *term, int inputs, const double *restrict apart, int stride,
-                      double *restrict first, double *restrict second, double *restrict third) {
-    double weight = term[inputs];
-    memset(first, 0, (size_t)stride * sizeof(double));
-    add_distances(term, inputs, apart, stride, first);
-    for (int row = 0; row < stride; row++) {
+    else for (int row = 0; row < stride; row++) {
         double a = sqrt(9.0 * first[row]), decay = decay_of(a) * weight;
         first[row] = -9.0 / 14 * (1 + a + 0.4 * a * a + a * a * a * (1.0 / 15)) * decay;
         second[row] = 81.0 / 140 * (1 + a + a * a * (1.0 / 3)) * decay;
@@ -330,60 +316,34 @@ WB_VECTORS static void differentiate_second(const double *term, int inputs, cons
     }
 }
 
-/* Add one term's covariances of the slope by load a with the rows' values and slopes. */
+/* Add one term's covariances of the slope by load c with the rows' values, slopes and, unless `third`
+ * is NULL, second derivatives. With s_a = t_a d_a that by loads a and b is 8 third s_a s_b s_c, and
+ * 4 second t_a times the s of the remaining load for each two of the three loads that are the same. */
 WB_VECTORS static void add_slope(const double *term, int inputs, const double *restrict apart, int stride,
-                      const double *restrict first, const double *restrict second, int a,
-                      double *restrict flat) {
-    const double *restrict from = apart + (int64_t)a * stride;
-    double *restrict by_slope = flat + (int64_t)(1 + a) * stride, twice = 2 * term[a];
-    if (!(term[a] > 0)) return;
-    for (int row = 0; row < stride; row++) {
-        flat[row] += twice * first[row] * from[row];
-        by_slope[row] -= twice * first[row];
-    }
-    for (int b = 0; b < inputs; b++) {
-        const double *restrict other = apart + (int64_t)b * stride;
-        double *restrict out = flat + (int64_t)(1 + b) * stride, four = 4 * term[a] * term[b];
-        if (!(term[b] > 0)) continue;
-        for (int row = 0; row < stride; row++) out[row] -= four * second[row] * from[row] * other[row];
-    }
-}
-
-/* Where a second derivative's covariances begin: the pairs of loads follow each other, a <= b. */
-static double *pair_of(double *flat, int inputs, int a, int b, int stride) {
-    int low = a < b ? a : b, high = a < b ? b : a;
-    return flat + (int64_t)(1 + inputs + low * inputs - low * (low - 1) / 2 + high - low) * stride;
-}
-
-/* Add factor * from * by to `out`. */
-static inline void add_product(double factor, const double *restrict from, const double *restrict by,
-                               int stride, double *restrict out) {
-    for (int row = 0; row < stride; row++) out[row] += factor * from[row] * by[row];
-}
-
-/* Add one term's covariances of the slope by load c with the rows' second derivatives. With s_a =
- * t_a d_a that by loads a and b is 8 third s_a s_b s_c, and 4 second t_a times the s of the load
- * that is left for each two of the three loads that are one. */
-WB_VECTORS static void add_second_slope(const double *term, int inputs, const double *restrict apart, int stride,
-                           const double *second, const double *restrict third, int c,
-                           double *restrict spare, double *flat) {
-    const double *from = apart + (int64_t)c * stride;
+                                 const double *restrict first, const double *restrict second,
+                                 const double *restrict third, int c, double *restrict spare,
+                                 double *restrict flat) {
+    const double *restrict from = apart + (int64_t)c * stride;
+    double *restrict by_slope = flat + (int64_t)(1 + c) * stride, twice = 2 * term[c];
     if (!(term[c] > 0)) return;
-    for (int row = 0; row < stride; row++) spare[row] = 8 * term[c] * third[row] * from[row];
+    add_product(twice, first, from, stride, flat);
+    for (int row = 0; row < stride; row++) by_slope[row] -= twice * first[row];
     for (int a = 0; a < inputs; a++) {
-        const double *by_a = apart + (int64_t)a * stride;
-        double *restrict out = pair_of(flat, inputs, a, a, stride);
+        const double *restrict by_a = apart + (int64_t)a * stride;
+        double *restrict out = flat + (int64_t)(1 + a) * stride, four = 4 * term[c] * term[a];
         if (!(term[a] > 0)) continue;
-        add_product(4 * term[a] * term[c], second, from, stride, out);
-        for (int b = a; b < inputs; b++, out += stride) {
-            const double *restrict by_b = apart + (int64_t)b * stride;
-            double both = term[a] * term[b];
-            if (!(both > 0)) continue;
-            for (int row = 0; row < stride; row++) out[row] += both * spare[row] * by_a[row] * by_b[row];
-        }
-        out = pair_of(flat, inputs, a, c, stride);
-        add_product((a == c ? 8 : 4) * term[a] * term[c], second, by_a, stride, out);
+        for (int row = 0; row < stride; row++) out[row] -= four * second[row] * from[row] * by_a[row];
     }
+    if (!third) return;
+    for (int row = 0; row < stride; row++) spare[row] = 8 * term[c] * third[row] * from[row];
+    for (int a = 0; a < inputs; a++)
+        if (term[a] > 0)
+            add_product(4 * term[a] * term[c], second, from, stride, pair_of(flat, inputs, a, a, stride));
+    add_pairs(term, inputs, apart, stride, spare, flat);
+    for (int a = 0; a < inputs; a++)
+        if (term[a] > 0)
+            add_product((a == c ? 8 : 4) * term[a] * term[c], second, apart + (int64_t)a * stride, stride,
+                        pair_of(flat, inputs, a, c, stride));
 }
 
 /* Whether a factor answers output q: a scene's table has those of the outputs that it reads. */
@@ -393,32 +353,6 @@ static int answers(const wb_kriging *k, int q) {
     return 0;
 }
 
-/* The derivatives of the covariance's terms by the squared distance, to work->wide. */
-static void differentiate_terms(const wb_kriging *k, int n, const wb_work *work) {
-    int wide = k->has_second ? 3 : 2;
-    for (int term = 0; term < k->terms; term++) {
-        const double *parameters = k->term + (n + 1) * term;
-        double *first = work->wide + (int64_t)wide * term * k->stride, *second = first + k->stride;
-        if (k->has_second) differentiate_second(parameters, n, work->apart, k->stride, first, second, second + k->stride);
-        else differentiate(parameters, n, work->apart, k->stride, first, second);
-    }
-}
-
-/* The covariances of the slope by load a with all rows. */
-static void covary_slope(const wb_kriging *k, int n, int a, const wb_work *work) {
-    int wide = k->has_second ? 3 : 2;
-    memset(work->flat, 0, (size_t)(k->per_row * k->stride) * sizeof(double));
-    for (int term = 0; term < k->terms; term++) {
-        const double *parameters = k->term + (n + 1) * term;
-        const double *first = work->wide + (int64_t)wide * term * k->stride;
-        const double *second = first + k->stride;
-        add_slope(parameters, n, work->apart, k->stride, first, second, a, work->flat);
-        if (k->has_second)
-            add_second_slope(parameters, n, work->apart, k->stride, second, second + k->stride, a,
-                           work->first, work->flat);
-    }
-}
-
 /* du/dw (m, n), SI; by loads that take no part it is the rows' mean tangent. */
 void wb_kriging_derivative(const wb_table *t, const wb_kriging *k, wb_work *work,
                            const double *wrench, double *derivative) {
@@ -426,9 +360,18 @@ void wb_kriging_derivative(const wb_table *t, const wb_kriging *k, wb_work *work
     double at[WB_MAX];
     memset(derivative, 0, (size_t)(n * m) * sizeof(double));
     scale_loads(k, n, wrench, at, work->apart);
-    differentiate_terms(k, n, work);
-    for (int a = 0; a < n; a++) {
-        covary_slope(k, n, a, work);
+    for (int term = 0; term < k->terms; term++) {
+        double *first = work->wide + (int64_t)3 * term * k->stride;
+        differentiate(k->term + (n + 1) * term, n, work->apart, k->stride, k->has_second, first,
+                      first + k->stride, first + 2 * k->stride);
+    }
+    for (int a = 0; a < n; a++) { /* the covariances of the slope by load a with all rows */
+        memset(work->flat, 0, (size_t)count * sizeof(double));
+        for (int term = 0; term < k->terms; term++) {
+            const double *first = work->wide + (int64_t)3 * term * k->stride;
+            add_slope(k->term + (n + 1) * term, n, work->apart, k->stride, first, first + k->stride,
+                      k->has_second ? first + 2 * k->stride : NULL, a, work->first, work->flat);
+        }
         for (int q = 0; q < m; q++) {
             if (!answers(k, q)) continue;
             double slope = product(work->flat, k->weights + (int64_t)q * count, count);

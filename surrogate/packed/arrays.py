@@ -8,6 +8,7 @@ N·m, m and rad; scaled loads, flags and indices have no unit. n inputs and m ou
 from __future__ import annotations
 
 import re
+import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -250,33 +251,24 @@ def check(arrays: Mapping[str, NDArray[Any]]) -> Mapping[str, NDArray[Any]]:
 
 def header() -> str:
     """Return wb_arrays.h: what the kernel reads of each block, as tables that wb_open.c walks."""
-    symbols = [symbol for symbol in SYMBOLS if symbol != "x"]
-    names = [f"WB_OF_{symbol.upper()}" for symbol in symbols]
+    names = [f"WB_OF_{symbol.upper()}" for symbol in SYMBOLS if symbol != "x"]
     lines = [
         "/* The arrays of a packed table. Made by `python -m wrenchbook.surrogate.packed.arrays`;",
         " * surrogate/packed/arrays.py says what each is. MIT license. */",
         "#ifndef WB_ARRAYS_H",
         "#define WB_ARRAYS_H",
-        "",
         '#include "wb_internal.h"',
-        "",
         "/* Sizes: of the table, shared by the factors of a kriging, of one block. */",
-        "enum {",
-        *(f"    {name}," for name in names),
-        "    WB_SIZES,",
-        f"    WB_BLOCK = {names[OUTER]},",
-        f"    WB_FACTOR = {names[SHARED]}",
-        "};",
-        "",
-        "/* Each dimension is a size or, below zero, a number. */",
-        "typedef struct {",
+        *textwrap.wrap(f"enum {{ {', '.join(names)}, WB_SIZES,", 99),
+        f"    WB_BLOCK = {names[OUTER]}, WB_FACTOR = {names[SHARED]} }};",
+        "typedef struct { /* each dimension is a size or, below zero, a number */",
         "    const char *name;",
         "    int type, optional, dimensions, shape[3];",
         "    size_t member;",
         "} wb_array;",
     ]
     for key, block in BLOCKS.items():
-        lines += ["", f"static const wb_array WB_{key.upper()}_ARRAYS[] = {{"]
+        lines.append(f"static const wb_array WB_{key.upper()}_ARRAYS[] = {{")
         for array in block.arrays:
             if array.member == "-":
                 continue
@@ -289,8 +281,8 @@ def header() -> str:
                 f"{len(shape)}, {{{', '.join(shape)}}}, "
                 f"offsetof({block.struct}, {array.member or array.name})}},"
             )
-        lines.append("};")
-    return "\n".join([*lines, "", "#endif", ""])
+        lines[-1] += "};"
+    return "\n".join([*lines, "#endif", ""])
 
 
 if __name__ == "__main__":

@@ -81,14 +81,17 @@ def axes_arrays(axes: Axes, members: Sequence[tuple[int, ...]]) -> Iterator[tupl
     yield "floats", floats
     yield "ints", ints
     yield "grid", np.concatenate(grids)
-    together = [0 if table is None else table.together for table in tables]
+    together = [0 if table is None else table.n_multi_load for table in tables]
     yield "together", np.array(together, dtype=np.int32)
-    yield "fewest", np.array([0 if table is None else table.fewest for table in tables], np.int32)
+    yield (
+        "fewest",
+        np.array([0 if table is None else table.min_points for table in tables], np.int32),
+    )
     n_left_out = [0 if table is None else table.errors_shown for table in tables]
     yield "left_out", np.array([*n_left_out, FEWEST], dtype=np.int32)
     yield "largest", np.array([LARGEST[dimension] for dimension in range(4)])
     yield "span", np.array([_span(table) for table in tables])
-    yield "zero_load", np.stack((axes.at_rest.displacement, axes.at_rest.error))
+    yield "zero_load", np.stack((axes.at_zero.displacement, axes.at_zero.error))
     yield "error", np.array([_error(table) for table in tables])
     for moment, cuts in enumerate(axes.cuts):
         for cut in cuts:
@@ -96,7 +99,7 @@ def axes_arrays(axes: Axes, members: Sequence[tuple[int, ...]]) -> Iterator[tupl
             yield f"{name}/state", cut.state.astype(np.int32)
             yield f"{name}/stations", cut.stations if count else np.empty(0)
             yield f"{name}/outputs", cut.outputs.reshape(count, 2, 6)
-            yield f"{name}/stated", cut.stated.reshape(count, 2, 6)
+            yield f"{name}/stated", cut.uncertainty.reshape(count, 2, 6)
             yield f"{name}/unit", cut.unit_errors.reshape(count, 3)
             bucket, start = buckets_of(cut.stations if count else np.empty(0))
             yield f"{name}/bucket", bucket
@@ -157,7 +160,7 @@ def _error(table: AxisTable | None) -> Floats:
     """Return A and C of the error of interpolation, sqrt(A + C S^2), shape (2, 6), m² and rad²."""
     if table is None:
         return np.full((2, 6), np.nan)
-    return np.stack((table.noise_variance, table.curvature_variance))
+    return np.stack((table.law.noise_variance, table.law.curvature_variance))
 
 
 def _facets(table: AxisTable | None) -> NDArray[np.intp]:

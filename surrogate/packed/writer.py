@@ -208,7 +208,7 @@ def _group_arrays(group: Group, sources: _Sources, *, axes: bool) -> Iterator[tu
     used, exact = group.can_answer, group.is_exact
     mode, residual_kriging = _reference(group, exact) if used else (0, None)
     flags = [
-        *(METHODS.index(group.default), mode, group.knows_interaction, group.rest_unknown),
+        *(METHODS.index(group.default), mode, group.knows_interaction, group.zero_unknown),
         *(exact, used, group.full_wrenches, group.full_needed, len(group.used) > 0),
     ]
     yield "flags", np.array(flags, dtype=np.int32)

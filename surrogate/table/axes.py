@@ -113,7 +113,7 @@ _FOREIGN = np.array([[load in axis.others for axis in AXES] for load in range(6)
 def single_axis_wrenches(
     wrenches: Floats, load_range: LoadRange, least: float = ZERO_LOAD
 ) -> NDArray[np.bool_]:
-    """Return, shape (n, 3), which wrenches (n, 6), N and N·m, load no axis but which one.
+    """Return, shape (n, 3), which wrenches (n, 6), N and N·m, load which axis alone.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Tables on disk: one HDF5 file each, replaced as a whole.
+"""Tables on disk: one HDF5 file each, replaced as one file.
 
 A file is never changed in place. A new one is written next to it, synced, and put in its place by
 one rename, so that a reader finds the old table or the new one and nothing between.
@@ -40,7 +40,7 @@ FORMAT = "wrenchbook table"
 # What an upload may unpack to. A row takes 450 bytes, so that this is two million rows; a
 # compressed file of a few bytes can declare any size.
 MAX_FOREIGN_BYTES = 1024 * 1024 * 1024
-MAX_CHUNK_BYTES = 64 * 1024 * 1024  # a chunk is unpacked as a whole, however little is read of it
+MAX_CHUNK_BYTES = 64 * 1024 * 1024  # a chunk is unpacked in full, however little is read of it
 MAX_STRING_BYTES = 1024  # of a source or a fingerprint; each takes as much as the longest
 FOREIGN_PIECE = 20_000  # rows read at once
 

@@ -49,7 +49,7 @@ class TableMeta:
     contract : str
         Order, units, frame and sign in words.
     tolerance : Tolerance or None, m and rad
-        The component's own; with `linear` and `off_axis` what a surrogate is built with.
+        The component's; with `linear` and `off_axis` what a surrogate is built with.
     linear : bool
         Whether the component is linear.
     off_axis : {"correct", "ignore", "exclude"}

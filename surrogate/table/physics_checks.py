@@ -199,7 +199,7 @@ def _work(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, Any]:
         gain = (step * (rows.displacement[second] - rows.displacement[first])).sum(axis=1)
         back = gain < -(np.abs(step) * (uncertainty[first] + uncertainty[second])).sum(axis=1)
         backward = int(back.sum())
-        # The row that several pairs blame is the wrong one.
+        # The row that several pairs blame is wrong.
         blamed = np.bincount(pairs[back].reshape(-1), minlength=len(rows))
         wrong |= blamed > 1
         lone = back & (blamed[first] < 2) & (blamed[second] < 2)

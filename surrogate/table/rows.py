@@ -19,7 +19,7 @@ from .space import DEFAULT, Floats, Space
 
 # Of the range, in each load. The C kernel has the same numbers in wb_internal.h.
 ZERO_LOAD = 1e-9  # a smaller load counts as none, and as little beyond an end as on it (rounding)
-NEAR = 1e-6  # wrenches closer than this are one
+NEAR = 1e-6  # wrenches closer than this are the same
 ROUNDING = 1e-12  # of a number's size: what its computation loses; no error bar is smaller
 SMALLEST = 1e-30  # m and rad: an error bar where nothing moves at all; its square is a number
 

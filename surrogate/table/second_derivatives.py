@@ -101,7 +101,7 @@ def load_change(
     wrench : ndarray, shape (n, I), SI
     displacement : ndarray, shape (n, O), m and rad
     compliance : ndarray, shape (n, O, I), SI
-        Tangents by (F, M) of the rows; the result is NaN where one is.
+        Tangents by (F, M) of the rows; the result is NaN where they are.
     """
     free, inputs = np.any(compliance != 0, axis=1), len(space.inputs)
     acting = np.where(free, wrench, 0.0)

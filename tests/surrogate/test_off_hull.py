@@ -23,7 +23,7 @@ def test_a_step_of_unknown_length_makes_the_error_bar_unknown(method: str) -> No
     table, asked = _one_axis(), 1.1 * full_wrenches(40, 6) * HIGH
     found = table.batch(asked, None, method)
     singles = [table.answer(wrench, None, method).error for wrench in asked]
-    unknown = np.isnan(table.axes.evaluate(asked).rest).any(axis=1)
+    unknown = np.isnan(table.axes.evaluate(asked).error).any(axis=1)
     assert (table.axes.evaluate(asked).state[unknown] >= OFF_HULL).all()
     assert unknown.any()
     assert np.isnan(found.error[unknown]).all()

@@ -25,7 +25,7 @@ class DoubtLaw:
     @cached_property
     def none(self) -> bool:
         """Whether no wrench is doubtful, whatever it loads."""
-        return self._evidence.knows_interaction and not self._evidence.rest_unknown
+        return self._evidence.knows_interaction and not self._evidence.zero_unknown
 
     def of_many(self, asked: Floats) -> tuple[Mask, Mask]:
         """Return which wrenches (n, 6), N and N·m, are in doubt, and which at rest, (n,).
@@ -36,7 +36,7 @@ class DoubtLaw:
         at_rest = np.zeros(len(asked), dtype=bool)
         if not self._evidence.knows_interaction:
             together |= np.asarray(~single_axis_wrenches(asked, self._range).any(axis=1))
-        if self._evidence.rest_unknown:
+        if self._evidence.zero_unknown:
             at_rest = np.asarray((np.abs(asked) <= self._least).all(axis=1))
         return together, at_rest
 
@@ -46,7 +46,7 @@ class DoubtLaw:
         As `of_many`, without arrays.
         """
         loaded = {load for load in range(6) if abs(wrench[load]) > self._least[load]}
-        if not loaded and self._evidence.rest_unknown:
+        if not loaded and self._evidence.zero_unknown:
             return UNKNOWN_AT_ZERO_LOAD
         if self._evidence.knows_interaction or any(loaded.issubset(axis.inputs) for axis in AXES):
             return ""

@@ -76,7 +76,7 @@ def _axis(
     tolerance: Tolerance | None,
 ) -> dict[str, Any]:
     axis, seen = AXES[index], look(composition, index, wrench)
-    bars = seen.found.rest[0]
+    bars = seen.found.error[0]
     state = OUTSIDE if worst >= OFF_HULL else THIN if worst > SOUND else COVERED
     reason = why_axis(composition, index, wrench) if state != COVERED else ""
     if tolerance is not None and state == COVERED:

@@ -66,9 +66,9 @@ class AxesReference:
         Displacements and error bars are (n, 6) each, m and rad, at wrenches (n, 6), N and N·m.
         """
         if self.interaction is None:
-            return composed.additive, composed.rest
+            return composed.additive, composed.error
         missed, own = self.interaction.answer_many(wrenches)
-        return composed.additive + missed, np.sqrt(composed.rest**2 + own**2)
+        return composed.additive + missed, np.sqrt(composed.error**2 + own**2)
 
 
 class Estimates(NamedTuple):
@@ -126,7 +126,7 @@ class StraightDirection(Method):
         error = np.abs(displacement - best) + error
         off = (composed.state >= OFF_HULL)[:, None]
         # Off the hull an answer may be as wrong as the step from there is long.
-        error = np.where(off, np.maximum(error, composed.rest), error)
+        error = np.where(off, np.maximum(error, composed.error), error)
         coverage = np.where(off[:, 0], OUTSIDE, np.where(composed.state > 0, THIN, COVERED))
         return Estimates(displacement, error, coverage.astype(np.uint8))
 

@@ -74,13 +74,13 @@ def why_weak(table: AxisTable, simplex: int) -> str:
     if table.state[simplex] == SOUND:
         loads = ", ".join(LOADS[load] for load in table.axis.inputs)
         return (
-            f"axis {name}: {table.together} of its rows have several of {loads} at once, at least "
-            f"{FEWEST} are needed to tell what they do together"
+            f"axis {name}: {table.n_multi_load} of its rows have several of {loads} at once, at "
+            f"least {FEWEST} are needed to tell what they do together"
         )
     if not table.enough:
         return (
             f"axis {name}: {points} row{'s' if points > 1 else ''}, "
-            f"at least {table.fewest} are needed to tell the error"
+            f"at least {table.min_points} are needed to tell the error"
         )
     if table.shape_state[simplex] == SOUND:
         return (
