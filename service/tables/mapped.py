@@ -154,8 +154,10 @@ class ServedTable:
         return 0 if self._rows is None or self._rows_of is None else self.row_count
 
     def drop(self) -> None:
-        """Drop rows and numpy table."""
+        """Drop rows, numpy table and the packed table with axes that a request has built."""
         self.built = self._rows = None
+        if self._with_axes is not self.packed:
+            self._with_axes = None
 
     def limits(self, tolerance: Tolerance | None) -> tuple[float, ...] | None:
         """Return the largest error of each output by a tolerance, (m,), m and rad."""
