@@ -277,7 +277,9 @@ class _Reader:
             return Analysis(True)
         analysis, table = self.read("analysis"), self.table["analysis"]
         file = mesh.file if mesh is not None else None
-        if file is None or file.suffix.lower() != ".inp" or "integration" in table:
+        if type(table) is not dict or "integration" in table:
+            return analysis
+        if file is None or file.suffix.lower() != ".inp":
             return analysis
         of_deck = integrations(deck_text(file))
         if len(of_deck) > 1:

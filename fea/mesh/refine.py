@@ -41,7 +41,7 @@ def refined(bundle: Bundle, factor: float) -> Bundle | None:
     if isinstance(mesh, GeometryFile):
         circle = max(3, round(mesh.circle * factor))
         curvature = mesh.curvature and max(3, round(mesh.curvature * factor))
-        finer = replace(mesh, size=mesh.size / factor, circle=circle, curvature=curvature)
+        finer = replace(mesh, curvature=curvature).sized(mesh.size / factor, circle)
         return replace(bundle, mesh=finer)
     if not isinstance(mesh, Generator):
         return None

@@ -29,14 +29,11 @@ from pydantic.dataclasses import dataclass
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError, core_schema
 
-from wrenchbook.fea.spec.problems import BundleProblem, suggest
+from wrenchbook.fea.spec.problems import STEERING, BundleProblem, suggest
 
 Array = np.ndarray
 
 _MAX_COUNT = 10**9
-# Control characters, line ends, and marks that turn the writing direction of what follows: a
-# terminal obeys the first, a page shows another word than it holds with the last.
-_STEERING = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 _QUOTED = re.compile("'([^']*)'")
 _SLUG = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 
@@ -105,7 +102,7 @@ class MistakesError(ValueError):
 
 def _text(value: str) -> str:
     """Return a text of one line that is not blank and has no character that steers a screen."""
-    if steering := _STEERING.search(value):
+    if steering := STEERING.search(value):
         raise ValueError(f"must be of one line of letters and signs, not hold {steering[0]!r}")
     if not value.strip():
         raise ValueError("must not be empty")
@@ -182,17 +179,14 @@ def array_of(inner: Any, make: Callable[[Any], Array] = np.array) -> GetPydantic
 def either(single: Any, several: Any, depth: int = 1) -> GetPydanticSchema:
     """Take a `single`, or `several` where the value is a list of lists so many levels deep."""
 
-    def choose(value: Any) -> str:
+    def choose(value: Any) -> int:
         for _ in range(depth - 1):
             value = value[0] if isinstance(value, list | tuple) and value else None
-        return "|several" if isinstance(value, list | tuple) else "|single"
+        return -2 if isinstance(value, list | tuple) else -1
 
     return GetPydanticSchema(
         lambda _, handler: core_schema.tagged_union_schema(
-            {
-                "|single": handler.generate_schema(single),
-                "|several": handler.generate_schema(several),
-            },
+            {-1: handler.generate_schema(single), -2: handler.generate_schema(several)},
             discriminator=choose,
         )
     )
@@ -201,12 +195,12 @@ def either(single: Any, several: Any, depth: int = 1) -> GetPydanticSchema:
 def union(choose: Callable[[Mapping[str, Any]], type], *classes: type) -> GetPydanticSchema:
     """Take one of several classes under `table`: that which `choose` returns for a parsed table."""
 
-    def tag(value: object) -> str:
-        return f"|{(choose(value) if isinstance(value, dict) else classes[0]).__name__}"
+    def tag(value: object) -> int:
+        return ~classes.index(choose(value)) if isinstance(value, dict) else -1
 
     return GetPydanticSchema(
         lambda _, handler: core_schema.tagged_union_schema(
-            {f"|{cls.__name__}": handler.generate_schema(cls) for cls in classes},
+            {~i: handler.generate_schema(cls) for i, cls in enumerate(classes)},
             discriminator=tag,
         )
     )
@@ -303,11 +297,7 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
 def keys_of(cls: type) -> dict[str, FieldInfo]:
     """Map the keys of a class under `table`, as in the file, to its fields."""
     known: dict[str, FieldInfo] = vars(cls)["__pydantic_fields__"]
-    return {
-        info.alias or name: info
-        for name, info in known.items()
-        if info.init is not False and not info.exclude
-    }
+    return {info.alias or name: info for name, info in known.items() if info.init is not False}
 
 
 def tables_in(kind: Any) -> Iterator[type]:
@@ -328,10 +318,10 @@ def _problems(kind: Any, where: str, entry: Mapping[str, Any]) -> Iterator[Bundl
     """Yield the mistakes of one entry of pydantic's, each at its path."""
     path, info, classes, named = where, None, list(tables_in(kind)), False
     for part in entry["loc"]:
-        if isinstance(part, int):
+        if isinstance(part, int) and part < 0:  # the branch of a union: no index, nor a key's name
+            classes = classes[~part:][:1]
+        elif isinstance(part, int):
             path += f"[{part}]"
-        elif part.startswith("|"):  # the branch of a union
-            classes = [cls for cls in classes if f"|{cls.__name__}" == part] or classes
         else:
             path += f".{part}" if path else part
             known = [keys_of(cls)[part] for cls in classes if part in keys_of(cls)]

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from difflib import get_close_matches
 
+# Control characters, line ends, and marks that turn the writing direction of what follows: a
+# terminal obeys the first, a page shows another word than it holds with the last.
+STEERING = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
+
 
 @dataclass(frozen=True)
 class BundleProblem:
-    """One mistake."""
+    """One mistake; characters that would steer a screen are written as Python escapes them."""
 
     # The key (``material[0].youngs_modulus``), the line (``line 4``) or the file it is in
     where: str
     message: str  # what is wrong and what to do about it
+
+    def __post_init__(self) -> None:
+        for name in ("where", "message"):
+            text = STEERING.sub(lambda match: repr(match[0])[1:-1], getattr(self, name))
+            object.__setattr__(self, name, text)
 
     def __str__(self) -> str:
         return f"{self.where}: {self.message}"

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field
@@ -194,8 +194,14 @@ class GeometryMeshing:
     )
     """STEP: named cell groups, each `[mesh.regions.NAME]`"""
     # Least number of cells round a full circle, however small; 7 is gmsh's default. For coarser and
-    # finer meshes of a bundle; nobody writes its name in a file.
-    circle: SkipJsonSchema[int] = key(default=7, name="\0circle", exclude=True)
+    # finer meshes of a bundle; no key of a file.
+    circle: SkipJsonSchema[int] = field(default=7, init=False)
+
+    def sized(self, size: float, circle: int) -> Self:
+        """Return a copy with cells of another size, m, and least number round a circle."""
+        copy = replace(self, size=size)
+        object.__setattr__(copy, "circle", circle)
+        return copy
 
 
 @table

@@ -10,7 +10,6 @@ import re
 import signal
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -45,7 +44,7 @@ def mesh_geometry(path: Path, geometry: GeometryMeshing) -> Mesh:
     for optimise, times in _ATTEMPTS:
         try:
             fields, arrays = _in_child(
-                path, replace(geometry, size=times * geometry.size), optimise
+                path, geometry.sized(times * geometry.size, geometry.circle), optimise
             )
         except _GmshError as error:
             failure = failure or error.problems[0].message

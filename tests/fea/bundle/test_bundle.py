@@ -138,6 +138,14 @@ ONE_MISTAKE = [
     ("[[1,0,0],[0,1,0],[0,0,1]]", "[[1,0,0],[0,1,0],[0,1,1]]", "interface.axes", "square"),
     ("[[1,0,0],[0,1,0],[0,0,1]]", "[[1e200,0,0],[0,1,0],[0,0,1]]", "interface.axes", "square"),
     ("[[1,0,0],[0,1,0],[0,0,1]]", "[[1,0,0],[0,1,0],[0,0,-1]]", "interface.axes", "right-handed"),
+    (
+        'integration = "full"',
+        'integration = "\\u001b[31mfull"',
+        "analysis.integration",
+        r'"\x1b[31mfull"',
+    ),
+    ('integration = "full"', 'on_yield = "\\nfail"', "analysis.on_yield", r'"\nfail" is none'),
+    ("nonlinear = true", '"\\u202e" = 1', r"analysis.\u202e", "unknown key"),
     ("nonlinear = true", "nonlinear = 1", "analysis.nonlinear", "true or false"),
     ("nonlinear = true", "nonlinaer = true", "analysis.nonlinaer", 'did you mean "nonlinear"'),
     ('integration = "full"', 'integration = "half"', "analysis.integration", "reduced, full"),
@@ -166,6 +174,14 @@ def test_a_mistake_is_named_by_its_key_and_says_what_to_do(tmp_path, old, new, w
     found = mistakes(tmp_path, changed(old, new))
     assert where in found
     assert said in found[where]
+
+
+@pytest.mark.parametrize("value", ["true", "1.5", "2026-11-26"])
+def test_an_analysis_beside_a_deck_must_be_a_table(tmp_path, value):
+    text = (SHIPPED / "link" / "component.toml").read_text(encoding="utf-8")
+    (tmp_path / "link.inp").write_bytes((SHIPPED / "link" / "link.inp").read_bytes())
+    text = f"analysis = {value}\n" + text.replace("[analysis]\nnonlinear = true\n", "")
+    assert "must be a table" in mistakes(tmp_path, text)["analysis"]
 
 
 def test_all_mistakes_are_told_at_once(tmp_path):
