@@ -128,7 +128,8 @@ class Triangulation:
         edges = points[self.simplices[:, :-1]] - points[self.simplices[:, -1:]]
         self.weights = inverses(edges).transpose(0, 2, 1)
         if self.dimension < 3:
-            self.weights = self.weights @ self.basis
+            with np.errstate(invalid="ignore"):  # no area: marked degenerate
+                self.weights = self.weights @ self.basis
 
     def _connect_line(self, along: Floats) -> None:
         order = np.argsort(along)
