@@ -481,7 +481,7 @@ class Displacement(Message):
     )
     derivative: Slopes = left_out(default=None)
     axes: Annotated[
-        tuple[dict[str, Any], ...], Doc("with detail; empty if the kriging or a row answers")
+        tuple[dict[str, Any], ...], Doc("with detail; empty if a row of the table answers")
     ] = left_out(default=())
     method_detail: Annotated[str, Doc("with detail: the method's way of answering")] = left_out(
         default=""

@@ -170,7 +170,7 @@ def answer(table: ServedTable, query: Query) -> Reply:
     """Return the table's reply to a query: nothing is read, queued or counted."""
     tolerance = query.tolerance
     limits = None if tolerance is None else table.limits(tolerance)
-    reply = table.packed_for(query.method).answer(query.wrench, limits, query.method)
+    reply = table.packed.answer(query.wrench, limits, query.method)
     if reply.row is not None:
         text = f"{EXACT if reply.exact else ROUNDED} {reply.reason}".rstrip()
         reply = reply._replace(reason=text)
@@ -359,16 +359,16 @@ def fields_of(outcome: Outcome) -> dict[str, Any]:
 
 def answer_many(name: str, table: ServedTable, wrenches: Floats, query: Query) -> BatchOutcome:
     """Return the table's replies to wrenches (k, inputs), with the options of a query."""
-    began, packed = time.time(), table.packed_for(query.method)
-    started, options = perf_counter_ns(), (table.limits(query.tolerance), query.method)
-    replies = packed.batch(wrenches, *options)
+    began, started = time.time(), perf_counter_ns()
+    options = table.limits(query.tolerance), query.method
+    replies = table.packed.batch(wrenches, *options)
     elapsed_us = (perf_counter_ns() - started) / 1e3
-    method = packed.answers_by(query.method)
+    method = table.packed.answers_by(query.method)
     outcome = BatchOutcome(name, table, replies, elapsed_us, method, began)
     if table.bars_are_complete:
         outcome.tolerance = query.tolerance or table.tolerance
     if query.derivatives:
-        outcome.derivatives = packed.derivatives(wrenches, *options)
+        outcome.derivatives = table.packed.derivatives(wrenches, *options)
     return outcome
 
 
@@ -516,16 +516,15 @@ def _ended(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
 def _describe(workspace: Workspace, query: Query, outcome: Outcome) -> None:
     """Add the derivative and the details that a query asks for."""
     table, reply, details = outcome.table, outcome.reply, outcome.details
-    packed = table.packed_for(query.method)
     options = query.wrench, table.limits(query.tolerance), query.method
     if query.derivatives:
-        details["derivative"] = known_slopes(packed.derivative(*options))
+        details["derivative"] = known_slopes(table.packed.derivative(*options))
     if not query.detail:
         return
     by_row = outcome.row is not None or reply.method == ROW
     # A row answers without the axes, which only a component of a single wrench has.
     by_axes = table.load_range.space.is_default and not by_row
-    details["axes"] = explain(packed, *options) if by_axes else []
+    details["axes"] = explain(table.packed, *options) if by_axes else []
     details["method_detail"] = ROW_DETAIL if by_row else table.method_detail(reply.method)
     has_fea = workspace.library.as_read(outcome.component).has_fea
     if reply.interpolation is not None:

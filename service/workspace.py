@@ -157,10 +157,11 @@ class Workspace:
         self.submission = Submission(self.ledger, self.library, settings.queue_limit)
         self.errors = SolverErrors(self.ledger)
         self.tables = MappedTables(
-            TableStore(settings.data / "tables", self.ledger, self.errors, settings.method),
+            TableStore(settings.data / "tables", self.ledger, self.errors),
             self.library,
             CoordinatorState(settings.data / FOLDER),
             settings.table_memory,
+            settings.method,
         )
         self.fields = FieldStore(settings.data / "fields")
         self.shapes = DeformedSurfaces(self.fields)

@@ -199,9 +199,9 @@ class Group:
         by_axes_or_kriging = self.has_axes or self.by_kriging
         return len(self.used) > 0 and (by_axes_or_kriging or self.is_exact)
 
-    def coverage_summary(self, *, axes: bool = True) -> dict[str, Any]:
+    def coverage_summary(self) -> dict[str, Any]:
         """Return how the rows cover the load range, JSON-able; seconds for 100,000 rows."""
-        fit, no_axes = self.fit, self.default == "linear" or not (self.has_axes and axes)
+        fit, no_axes = self.fit, self.default == "linear" or not self.has_axes
         kriging = self.kriging if self.by_kriging else None
         return {
             "rows": len(self.rows),
@@ -271,9 +271,9 @@ class Table:
             noise[list(group.outputs)] = group.observation_noise[list(group.outputs)]
         return noise
 
-    def coverage_summary(self, *, axes: bool = True) -> dict[str, Any]:
+    def coverage_summary(self) -> dict[str, Any]:
         """Return the coverage of the load range by the table, as JSON-able values."""
-        summary = self.groups[0].coverage_summary(axes=axes) | {
+        summary = self.groups[0].coverage_summary() | {
             "table_version": self.version,
             "rig_error": self.rig_error.tolist(),
             "noise_of_a_reading": [
@@ -334,12 +334,12 @@ def build(
             locked=locked,
             **options,
         )
-        for outputs, part in by_output(rows)
+        for outputs, part in _by_output(rows)
     ]
     return Table(
         rows,
         load_range,
-        tuple(groups),
+        tuple(sorted(groups, key=lambda group: len(group.rows))),
         tolerance,
         linear,
         version,
@@ -349,10 +349,9 @@ def build(
     )
 
 
-def by_output(rows: Rows) -> list[tuple[tuple[int, ...], Rows]]:
+def _by_output(rows: Rows) -> list[tuple[tuple[int, ...], Rows]]:
     """Return which outputs the same rows have, and those rows, 0 for all others.
 
-    Those of the fewest rows come first.
     Their slopes are 0 too, and there are no third derivatives: those of a displacement that is not
     there would contradict it.
     """
@@ -377,4 +376,4 @@ def by_output(rows: Rows) -> list[tuple[tuple[int, ...], Rows]]:
                 "curvature": np.empty((len(group_rows), 0)),
             }
             parts.append((tuple(outputs), replace(group_rows, **changed)))
-    return sorted(parts, key=lambda part: len(part[1]))
+    return parts

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
 
 from wrenchbook.service.contract import CONTRACT
 from wrenchbook.service.files.program import give_back, usable_cores
@@ -62,10 +61,10 @@ def build_table(
     )
 
 
-def packed_bytes(table: Table, component: Component, **options: Any) -> bytes:
-    """Return the packed file of a component's table; `options` are those of `pack`."""
+def packed_bytes(table: Table, component: Component, origin: dict[str, str] | None = None) -> bytes:
+    """Return the packed file of a component's table; `origin` is of `TableStore.origin`."""
     name, fingerprint = component.name, component.fingerprint
-    pieces = pack(table, component=name, fingerprint=fingerprint, contract=CONTRACT, **options)
+    pieces = pack(table, component=name, fingerprint=fingerprint, contract=CONTRACT, origin=origin)
     return b"".join(pieces)
 
 
@@ -256,8 +255,7 @@ class TableBuilder:
         before = self._versions.get(name)
         origin, error = self._store.origin(component, number), self._store.solver_error(component)
         table = build_table(component, rows, number, error, before and before.table)
-        content = packed_bytes(table, component, origin=origin, axes=self._store.axes)
-        save_at = SAVE_AFTER_QUIET_S
+        content, save_at = packed_bytes(table, component, origin), SAVE_AFTER_QUIET_S
         try:
             self._store.write_packed(name, number, content)
             content = b""

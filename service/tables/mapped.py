@@ -32,7 +32,6 @@ from wrenchbook.surrogate.build import Table, build
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.format import PackedTableError
 from wrenchbook.surrogate.kriging import Hyperparameters
-from wrenchbook.surrogate.packed.writer import with_axes
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.compliance import ComplianceFit
 from wrenchbook.surrogate.table.rows import Floats, LoadRange, Rows, Tolerance
@@ -88,7 +87,6 @@ class ServedTable:
         method: str | None = None,
     ) -> None:
         self.packed, self._rows_of, self.built = packed, rows_of, built
-        self._with_axes = None if packed.meta["lacks_axes"] else packed
         self._rows = None if built is None else built.rows
         self.used, self._lock = time.monotonic(), threading.Lock()
         provenance, self.summary = packed.meta["provenance"], packed.meta["summary"]
@@ -137,27 +135,13 @@ class ServedTable:
             built.packed = self.packed
             return built
 
-    def with_axes(self) -> PackedTable:
-        """Return the packed table with axes, built on first use: 0.1 s for 30 solves."""
-        with self._lock:
-            if self._with_axes is None:
-                pieces = with_axes(self.packed, self.rows)
-                self._with_axes = PackedTable.from_bytes(b"".join(pieces))
-            return self._with_axes
-
-    def packed_for(self, method: str | None) -> PackedTable:
-        """Return the packed table that answers by a method, None for the default."""
-        return self.with_axes() if method in BY_AXES else self.packed
-
     def rows_in_memory(self) -> int:
         """Return the number of rows in memory; 0 if nothing could read them again."""
         return 0 if self._rows is None or self._rows_of is None else self.row_count
 
     def drop(self) -> None:
-        """Drop rows, numpy table and the packed table with axes that a request has built."""
+        """Drop rows and numpy table."""
         self.built = self._rows = None
-        if self._with_axes is not self.packed:
-            self._with_axes = None
 
     def limits(self, tolerance: Tolerance | None) -> tuple[float, ...] | None:
         """Return the largest error of each output by a tolerance, (m,), m and rad."""
@@ -211,7 +195,7 @@ class MappedTables:
 
     A request takes the table there is (`surrogate`, a dictionary look-up). One thread maps each
     new version and then swaps it in; without a builder the last versions go on answering.
-    `memory` is in MB.
+    `method` answers where a request names none; `memory` is in MB.
     """
 
     def __init__(
@@ -220,9 +204,10 @@ class MappedTables:
         library: Library,
         state: CoordinatorState,
         memory: float = Settings.table_memory,
+        method: str | None = None,
     ) -> None:
         self._store, self._ledger, self._library = files, files.ledger, library
-        self._state, self._memory = state, memory
+        self._state, self._memory, self._method = state, memory, method
         self.written = files.written
         self._tables: dict[str, ServedTable] = {}
         self._mapped: dict[str, tuple[PackedFile, Component]] = {}
@@ -271,7 +256,7 @@ class MappedTables:
         )
         packed = PackedTable.from_bytes(packed_bytes(table, component))
         with self._changed:
-            empty = ServedTable(packed, built=table, method=self._store.method)
+            empty = ServedTable(packed, built=table, method=self._method)
             return self._tables.setdefault(name, empty)
 
     def present(self) -> dict[str, ServedTable]:
@@ -381,7 +366,7 @@ class MappedTables:
             if not is_of(packed, name, self._store.origin(component, file.version)):
                 raise PackedTableError(f"{file.path} is not of version {file.version} of {name}")
             rows_of = partial(self._store.rows, component, file.version)
-            table = ServedTable(packed, rows_of, method=self._store.method)
+            table = ServedTable(packed, rows_of, method=self._method)
         except (PackedTableError, KeyError) as error:
             if file.path.exists():
                 log.error("the table of %s stays as it is: %s", name, error)

@@ -24,7 +24,6 @@ from wrenchbook.service.files.program import code_digest
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError, RowEdit
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.solver_errors import SolverErrors
-from wrenchbook.surrogate.answer import BY_AXES
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.format import SUFFIX, PackedTableError
 from wrenchbook.surrogate.solver_error import SolverError
@@ -59,18 +58,10 @@ class TableStore:
     """The table files in a folder, which the first write makes.
 
     `caveats` has what is not known of a component's table, by its name, and what to do about it.
-    With a server's `method` that needs axes, packed files have these beside a kriging too.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        ledger: Ledger,
-        errors: SolverErrors | None = None,
-        method: str | None = None,
-    ) -> None:
+    def __init__(self, folder: Path, ledger: Ledger, errors: SolverErrors | None = None) -> None:
         self._folder, self.ledger, self._errors = folder, ledger, errors
-        self.method, self.axes = method, method in BY_AXES
         self.caveats: dict[str, str] = {}
 
     def solver_error(self, component: Component) -> SolverError | None:
@@ -85,7 +76,7 @@ class TableStore:
         Without ``ledger`` if the ledger cannot be read: then no file is known to be of these rows.
         """
         error = self.solver_error(component)
-        program = [np.__version__, scipy.__version__, code_digest("surrogate"), str(self.axes)]
+        program = [np.__version__, scipy.__version__, code_digest("surrogate")]
         origin = {
             "setup": setup_of(component),
             "solver_error": _short(json.dumps(error and error.values, sort_keys=True)),

@@ -168,7 +168,7 @@ def building(settings: Settings, parts: Parts, state: CoordinatorState) -> Itera
     ledger, library, errors = parts
     dispatcher: Dispatcher | None = None
     tables = TableBuilder(
-        TableStore(settings.data / "tables", ledger, errors, settings.method),
+        TableStore(settings.data / "tables", ledger, errors),
         library,
         state,
         settings.table_memory,

@@ -26,16 +26,13 @@ def explain(
     -------
     list of dict
         ``axis``, ``inputs``, ``outputs``, ``error``, ``coverage``, ``reason`` and ``rows``, the
-        numbers of the rows used, of the compliance or the axes; empty where the kriging answers.
+        numbers of the rows used. They are the compliance's if that answers, the axes' otherwise.
     """
     stored = table.arrays["space/tolerance"].tolist()
     limit = tolerance or (None if any(map(math.isnan, stored)) else stored)
     explanations = []
     for number, group in enumerate(table.meta["groups"]):
-        name = method or table.method or group["method"]
-        if name == "kriging" and f"g{number}/kriging/x" in table.arrays:
-            continue
-        if name == "linear" and table.arrays[f"g{number}/flags"][_USED]:
+        if (method or group["method"]) == "linear" and table.arrays[f"g{number}/flags"][_USED]:
             parts = _linear(table, number, wrench, tolerance)
         else:
             parts = [_axis(table, number, axis, wrench, limit) for axis in range(3)]

@@ -233,8 +233,6 @@ def mistake(code: int, method: str | None, packed: Packed) -> Exception:
         why = "the table has too few rows for it"
         if method in BY_AXES:
             why = "it is for one wrench at one interface, without further inputs"
-            if packed.meta.get("lacks_axes"):
-                why = "the table was packed without axes, since kriging answers by default"
         return UnknownMethodError(method, f"no answer by {method!r}: {why}")
     return {
         1: ValueError("wrenches and displacements must be finite numbers"),

@@ -15,17 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..answer import METHODS, allowed_by
-from ..axes.axes import build_axes
-from ..build import Group, Table, by_output
+from ..build import Group, Table
 from ..kernel.binding import PackedTable
 from ..kernel.format import pieces
 from ..kriging import Kriging
 from ..kriging.calibration import Calibration
 from ..kriging.factor import Neighbourhoods
 from ..methods import ENOUGH_FULL
-from ..table.compliance import fit_compliance
-from ..table.merging import merge
-from ..table.rows import LONGEST, TRANSLATION_LIMIT, ZERO_LOAD, Floats, LoadRange, Rows
+from ..table.rows import LONGEST, TRANSLATION_LIMIT, ZERO_LOAD, Floats
 from .arrays import check
 from .axes_arrays import axes_arrays, buckets_of
 
@@ -45,7 +42,6 @@ def pack(
     contract: Mapping[str, Any] | None = None,
     interface: Mapping[str, Any] | None = None,
     origin: Mapping[str, str] | None = None,
-    axes: bool = True,
 ) -> list[bytes]:
     """Return the packed file of a table as pieces of bytes.
 
@@ -56,19 +52,16 @@ def pack(
     contract, interface
         Meaning of loads and displacements, in words; stored as they are.
     origin
-        Digests of what the table is built from; kept as they are.
-    axes
-        Without, groups whose default is the kriging have no axes: `with_axes` adds them.
+        Digests of what the table is built from; stored as they are.
     """
     arrays = dict(_space_arrays(table, len(table.groups))) | dict(_solver_arrays(table))
     sources = _Sources(table)
     for number, group in enumerate(table.groups):
-        for name, array in _group_arrays(group, sources, axes=axes or not group.by_kriging):
+        for name, array in _group_arrays(group, sources):
             arrays[f"g{number}/{name}"] = array
     # The gaps of each axis; None where the compliance answers, which needs no axes.
     first = table.groups[0]
-    is_shown = axes or not first.by_kriging
-    no_axes = not (first.has_axes and is_shown) or (table.linear and first.fit.complete)
+    no_axes = not first.has_axes or (table.linear and first.fit.complete)
     meta = {
         "contract": dict(contract or {}),
         "interface": dict(interface or {}),
@@ -76,9 +69,8 @@ def pack(
         "groups": [_group_meta(group) for group in table.groups],
         "sources": sources.lists,
         "solver_error": None if table.solver_error is None else table.solver_error.values,
-        "summary": table.coverage_summary(axes=is_shown),
+        "summary": table.coverage_summary(),
         "gaps": None if no_axes else first.axes.gaps(table.load_range),
-        "lacks_axes": not axes and any(g.has_axes and g.by_kriging for g in table.groups),
         "provenance": {
             "component": component,
             "fingerprint": fingerprint,
@@ -89,26 +81,6 @@ def pack(
             "linear": table.linear,
         },
     }
-    return pieces(check(arrays), _plain(meta))
-
-
-def with_axes(packed: PackedTable, rows: Rows) -> list[bytes]:
-    """Return the file that `pack` makes with axes, of a table that was packed without.
-
-    Nothing but the axes is built; `rows` are those of the table.
-    """
-    arrays, meta = dict(packed.arrays), {**packed.meta, "lacks_axes": False}
-    span = LoadRange(arrays["space/range"][0], arrays["space/range"][1], packed.space)
-    rows = rows.take(np.argsort(rows.seq, kind="stable"))
-    for number, (_, measured) in enumerate(by_output(rows)):
-        if arrays[f"g{number}/flags"][1] == _KRIGING:
-            used, members, _ = merge(measured, span).usable()
-            axes = build_axes(used, span, fit_compliance(used, span, linear=False), "correct")
-            for name, array in axes_arrays(axes, members):
-                arrays[f"g{number}/axes/{name}"] = array
-            if number == 0:
-                meta["summary"] = meta["summary"] | {"axes": axes.summary()}
-                meta["gaps"] = axes.gaps(span)
     return pieces(check(arrays), _plain(meta))
 
 
@@ -203,7 +175,7 @@ class _Sources:
         return self._numbers[sources]
 
 
-def _group_arrays(group: Group, sources: _Sources, *, axes: bool) -> Iterator[tuple[str, Array]]:
+def _group_arrays(group: Group, sources: _Sources) -> Iterator[tuple[str, Array]]:
     """Yield what answers one group of outputs."""
     used, exact = group.can_answer, group.is_exact
     mode, residual_kriging = _reference(group, exact) if used else (0, None)
@@ -248,7 +220,7 @@ def _group_arrays(group: Group, sources: _Sources, *, axes: bool) -> Iterator[tu
     yield "row/tangent", tangents[has_tangent]
     yield "row/source", sources.numbers(wrenches)
     parts: list[tuple[str, Iterator[tuple[str, Array]]]] = []
-    if used and group.has_axes and axes:
+    if used and group.has_axes:
         parts.append(("axes", axes_arrays(group.axes, group.members)))
     for name, kriging in (("kriging", group.kriging), ("residual", residual_kriging)):
         if kriging is not None:

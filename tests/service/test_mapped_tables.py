@@ -3,12 +3,9 @@
 import threading
 from contextlib import contextmanager
 
-import numpy as np
-import orjson
 import pytest
 
 from tests.service.ledger_rows import NewRow, insert, stored
-from tests.service.live import as_rows, full_wrenches, moved, served, tangents
 from tests.until import until
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.library.library import Library
@@ -19,7 +16,6 @@ from wrenchbook.service.tables.coordinator_state import CoordinatorState, Status
 from wrenchbook.service.tables.mapped import MappedTables, TableBehindError
 from wrenchbook.service.tables.store import TableStore
 from wrenchbook.service.workspace import Watcher
-from wrenchbook.surrogate.kernel.binding import PackedTable
 
 RANGE = [[-10.0, 10.0]] * 3
 
@@ -302,42 +298,3 @@ def test_rows_are_in_use_only_once_every_web_worker_answers_from_them(both, tmp_
         assert reader.tables.catch_up("new", 20)
         assert len(late.tables.surrogate("new").rows) == 6
     assert reader.tables.catch_up("new", 20)  # a worker that has ended is not waited for
-
-
-def test_axes_beside_a_kriging_are_built_once_when_they_are_requested(tmp_path, monkeypatch):
-    builds, pack_again = [], mapped.with_axes
-    monkeypatch.setattr(
-        mapped, "with_axes", lambda *how: builds.append(threading.get_ident()) or pack_again(*how)
-    )
-    solves = full_wrenches(40)
-    rows = as_rows(solves, moved(solves), tangents(solves))
-    span = {"force": [100.0] * 3, "moment": [10.0] * 3}
-    with served(tmp_path) as solved:
-        solved.add_component({"name": "solved", "title": "solved", "range": span})
-        solved.import_table("solved", orjson.dumps({"rows": rows}), format="json")
-        (file,) = (tmp_path / "tables").glob("solved-*.wbt")
-        assert PackedTable.open(file).meta["lacks_axes"]
-        wrenches = 0.3 * full_wrenches(5, 3)
-        assert solved.displacements("solved", wrenches, on_thin="estimate").method == "kriging"
-        one = {"on_thin": "estimate", "detail": True}
-        assert (
-            solved.displacement("solved", wrenches[0][:3], wrenches[0][3:], **one).raw["axes"] == []
-        )
-        assert builds == []
-        for method in ("griddata", "additive"):
-            how = {"on_thin": "estimate", "method": method}
-            there = solved.displacements("solved", wrenches, **how, derivatives=True)
-            single = solved.displacement(
-                "solved", wrenches[0][:3], wrenches[0][3:], **how, detail=True
-            )
-            assert (there.method, single.method) == (method, method)
-            assert [axis["axis"] for axis in single.raw["axes"]] == ["x", "y", "z"]
-            here = solved.download("solved").batch(wrenches, method=method, derivatives=True)
-            np.testing.assert_array_equal(here.displacements, there.displacements)
-            np.testing.assert_array_equal(here.errors, there.errors)
-            np.testing.assert_array_equal(here.derivatives, there.derivatives)
-        assert not solved.download("solved").packed.meta["lacks_axes"]
-        body = solved.component("solved")
-        assert [axis["axis"] for axis in body["coverage"]["axes"]] == ["x", "y", "z"]
-        assert len(builds) == 1
-        assert builds[0] != threading.main_thread().ident

@@ -4,12 +4,11 @@ import pytest
 from starlette.testclient import TestClient
 from typer.testing import CliRunner
 
-from tests.service.live import as_rows, clean_wrenches, full_wrenches, moved, tangents
+from tests.service.live import as_rows, clean_wrenches, moved
 from tests.until import until
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.workspace import Settings
-from wrenchbook.surrogate.kernel.binding import PackedTable
 
 CALL = "/v1/components/rig"
 WRENCH = {"force": [12.0, 0, 0], "moment": [0, 1.5, 2.5], "on_thin": "estimate"}
@@ -40,23 +39,6 @@ def test_the_servers_method_answers_a_request_that_names_none(http, method):
 def test_the_method_of_a_request_goes_before_the_servers(http):
     asked = {**WRENCH, "method": "additive"}
     assert http.post(f"{CALL}/displacement", json=asked).json()["method"] == "additive"
-
-
-def test_a_server_whose_method_is_of_the_axes_packs_them_beside_a_kriging(tmp_path):
-    """The file of an earlier start lacks them: it is written again."""
-    solved = full_wrenches(40)
-    span = {"force": [100.0] * 3, "moment": [10.0] * 3}
-    for method in (None, "griddata"):
-        with TestClient(create_app(Settings(tmp_path, solvers=0, method=method))) as http:
-            if method is None:
-                http.post("/v1/components", json={"name": "rig", "title": "rig", "range": span})
-                rows = as_rows(solved, moved(solved), tangents(solved))
-                http.post(f"{CALL}/table?format=json", json={"rows": rows})
-            until(lambda http=http: http.get(CALL).json()["table_version"] == len(solved))
-            answer = http.post(f"{CALL}/displacement", json=WRENCH).json()
-            assert answer["method"] == (method or "kriging")
-            (file,) = (tmp_path / "tables").glob("rig-*.wbt")
-            assert PackedTable.open(file).meta["lacks_axes"] == (method is None)
 
 
 def test_serve_refuses_a_method_that_there_is_not(tmp_path):

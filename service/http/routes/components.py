@@ -201,7 +201,7 @@ def component_body(workspace: Workspace, component: Component) -> dict[str, Any]
         "vibration": vibration_of(component.folder, component.fingerprint),
         "solver_error": solver_error,
         "sources": dict(sorted(table.sources.items())),
-        "coverage": table.with_axes().meta["summary"],
+        "coverage": table.summary,
         "jobs": workspace.ledger.counts(component.name),
     }
 

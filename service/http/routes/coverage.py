@@ -41,13 +41,12 @@ Places = NDArray[np.intp]
     responses=answers(dict[str, Any], "hull and gaps"),
 )
 def coverage(name: str, table: Newest) -> Response:
-    meta = table.with_axes().meta
-    gaps = meta["gaps"]
+    gaps = table.packed.meta["gaps"]
     if not table.load_range.space.is_default:
         gaps = []  # its table has no axes
     elif gaps is None:
         gaps = table.surrogate().groups[0].axes.gaps(table.load_range)
-    return json_reply({"component": name, **meta["summary"], "gaps": gaps})
+    return json_reply({"component": name, **table.summary, "gaps": gaps})
 
 
 @router.get(

@@ -90,7 +90,7 @@ def scene_table(
         return Response(None, 304, naming(tag))
 
     # With the plan, of a rigid or linear component too.
-    content = b"".join(cut(table.with_axes(), need, _plan(workspace, component, table, need)))
+    content = b"".join(cut(table.packed, need, _plan(workspace, component, table, need)))
     return Response(content, 200, naming(tag), PACKED_TYPE)
 
 
@@ -99,7 +99,6 @@ def _plan(
 ) -> dict[str, Any]:
     """Return a scene's plan of a component, as JSON values."""
     built = table.surrogate()
-    built.packed = table.with_axes()  # as the whole table is downloaded
     plan = plan_of(built, need, solved=component.has_fea)
     (full, scene), savings = plan.solves, measured(built, plan)
     # The meaning of the numbers of solves, and the time that the saved ones take.

@@ -350,7 +350,7 @@ async def _packed(workspace: Workspace, name: str, if_none_match: str | None) ->
         return Response(status_code=304, headers=headers)
     filename = f"{name}-{table.version}{SUFFIX}"
     headers["Content-Disposition"] = f'attachment; filename="{filename}"'
-    content = await run_in_threadpool(lambda: table.with_axes().content)
+    content = await run_in_threadpool(lambda: table.packed.content)
     return Response(content, 200, headers, PACKED_TYPE)
 
 

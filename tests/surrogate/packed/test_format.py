@@ -6,12 +6,12 @@ import re
 import numpy as np
 import pytest
 
-from tests.surrogate.kernel.kinds import KINDS, asked_of, packed_of, table_of
+from tests.surrogate.kernel.kinds import asked_of, packed_of, table_of
 from wrenchbook.surrogate.answer import UnknownMethodError
 from wrenchbook.surrogate.kernel import format as packed_format
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.format import PackedTableError, map_file, pieces, read, write_file
-from wrenchbook.surrogate.packed.writer import pack, with_axes
+from wrenchbook.surrogate.packed.writer import pack
 
 HEADER = 64
 
@@ -290,25 +290,3 @@ def test_an_interrupted_write_leaves_the_file_as_it_was(tmp_path):
         write_file(path, [b"half", None])
     assert path.read_bytes() == b"before"
     assert [one.name for one in tmp_path.iterdir()] == ["plate.wbt"]
-
-
-@pytest.mark.parametrize("kind", sorted(set(KINDS) - {"huge"}))
-def test_axes_added_to_a_table_that_was_packed_without_give_the_bytes_of_one_packed_with(kind):
-    table = table_of(kind)
-    without = PackedTable.from_bytes(b"".join(pack(table, component=kind, axes=False)))
-    by_kriging = [group["method"] == "kriging" for group in without.meta["groups"]]
-    has_axes = [f"g{number}/axes/vertex" in without.arrays for number in range(len(by_kriging))]
-    assert not any(kriged and axes for kriged, axes in zip(by_kriging, has_axes, strict=True))
-    assert without.meta["lacks_axes"] == any(by_kriging)
-    asked = asked_of(table, 20)
-    for one, other in zip(without.batch(asked), packed_of(kind).batch(asked), strict=True):
-        np.testing.assert_array_equal(one, other)
-    if any(by_kriging):
-        for name in ("griddata", "additive"):
-            with pytest.raises(UnknownMethodError, match="packed without axes"):
-                without.answer([1.0] * 6, None, name)
-            with pytest.raises(UnknownMethodError, match="packed without axes"):
-                without.batch(asked, None, name)
-        assert b"".join(with_axes(without, table.rows)) == packed_of(kind).content
-    else:
-        assert without.content == packed_of(kind).content
