@@ -35,6 +35,7 @@ from wrenchbook.fea.spec.schema import (
     Generator,
     Interface,
     MeasuredInterface,
+    MeshFile,
     MeshSource,
     NamedInterface,
     ScalarInput,
@@ -225,6 +226,14 @@ class _Reader:
                 message = f"{shown(name)} is none of {', '.join(GENERATORS)}{near}"
                 self.wrong("mesh.generator", message)
                 return None
+        elif type(table) is dict and "file" not in table:
+            near = {f"mesh.{name}": suggest(name, ("file", "generator")) for name in table}
+            for at, suggestion in near.items():
+                if suggestion:
+                    self.wrong(at, f"unknown key{suggestion}")
+            if not any(near.values()):
+                self.wrong("mesh.file", missing(keys_of(MeshFile)["file"]))
+            return None
         mesh = self.read("mesh")
         for at, message in mesh.mistakes() if isinstance(mesh, Generator) else ():
             self.wrong(f"mesh.{at}", message)

@@ -101,7 +101,7 @@ def _fields(classes: list[type]) -> dict[str, list[FieldInfo]]:
     """Return the fields of each key of the models that stand for one table."""
     fields: dict[str, list[FieldInfo]] = {}
     for cls in classes:
-        for key, info in sorted(keys_of(cls).items(), key=lambda pair: bool(pair[1].kw_only)):
+        for key, info in keys_of(cls).items():
             fields.setdefault(key, []).append(info)
     return fields
 
@@ -112,10 +112,10 @@ def rows(classes: list[type]) -> Iterator[str]:
     yield "| --- | --- | --- | --- | --- |"
     for key, infos in _fields(classes).items():
         extra = extra_of(infos[0])
-        texts = dict.fromkeys(descriptions(cls)[key] for cls in classes if key in keys_of(cls))
+        text = next(descriptions(cls)[key] for cls in classes if key in keys_of(cls))
         unit = extra.get("unit", "").replace("^2", "²").replace("^3", "³")
         example = extra.get("toml", "")
-        cells = [f"`{key}`", unit, _default(infos[0]), f"`{example}`", "; ".join(texts)]
+        cells = [f"`{key}`", unit, _default(infos[0]), f"`{example}`", text]
         yield f"| {' | '.join(cells)} |".replace("|  |", "| |")
 
 

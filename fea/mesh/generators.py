@@ -265,9 +265,9 @@ class Bar(Generator):
     """
 
     length: Positive = key("m", "0.4")
-    """bar: along x"""
+    """bar, plate: along x"""
     width: Positive = key("m", "0.4")
-    """bar: along y"""
+    """bar, plate: along y"""
     height: Positive = key("m", "0.02")
     """bar: along z"""
     cells_along: Integer = key("cells", "20", default=40, ge=1)
@@ -307,9 +307,9 @@ class Plate(Generator):
     """
 
     length: Positive = key("m", "0.4")
-    """plate: along x"""
+    """bar, plate: along x"""
     width: Positive = key("m", "0.4")
-    """plate: along y"""
+    """bar, plate: along y"""
     thickness: Positive = key("m", "0.01")
     """plate: along z"""
     patch: Positive = key("m", "0.12")

@@ -100,7 +100,7 @@ def _mesh(source: MeshSource | None) -> object:
         content: dict[str, object] = {"file": _bytes(source.file), "ending": source.file.suffix}
         if source.geometry is not None:
             meshing = source.geometry
-            keys = {"size": meshing.size, "curvature": meshing.curvature}
+            keys = {"size": meshing.size, "curvature": meshing.curvature or 0}
             keys |= {} if meshing.circle == 7 else {"circle": meshing.circle}
             keys |= {"groups": {name: _chosen(each) for name, each in meshing.groups.items()}}
             keys |= {"regions": {name: _chosen(each) for name, each in meshing.regions.items()}}

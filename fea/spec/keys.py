@@ -33,7 +33,7 @@ from wrenchbook.fea.spec.problems import STEERING, BundleProblem, suggest
 
 Array = np.ndarray
 
-_MAX_COUNT = 10**9
+MAX_COUNT = 10**9
 _QUOTED = re.compile("'([^']*)'")
 _SLUG = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 
@@ -64,7 +64,7 @@ def key(
     name
         The key, where the attribute has another name.
     write
-        What a bundle without the key is asked to write, where its type does not say so.
+        What to write, where the key's type does not say so.
     among
         The words to choose from, where the type has fewer.
     """
@@ -137,28 +137,30 @@ def _in_folder(value: object, handler: Any, info: ValidationInfo) -> Path:
     name: str = handler(value)
     folder: Path = (info.context or {}).get("folder", Path())
     path = folder / name
-    # Resolved, so that a symbolic link out of the folder is refused too.
-    if Path(name).is_absolute() or not path.resolve().is_relative_to(folder.resolve()):
-        raise ValueError(f'"{name}" is outside the bundle; put the file into its folder')
     try:
+        # Resolved, so that a symbolic link out of the folder is refused too.
+        inside = path.resolve().is_relative_to(folder.resolve()) and not Path(name).is_absolute()
         there = path.is_file()
-    except OSError as error:  # a name that no disk takes
-        raise ValueError(f'"{name[:100]}" cannot be a file ({error.strerror})') from None
+    except (OSError, RuntimeError) as error:  # a name that no disk takes; a loop of symbolic links
+        reason = error.strerror if isinstance(error, OSError) else "a loop of symbolic links"
+        raise ValueError(f'"{name[:100]}" cannot be a file ({reason})') from None
+    if not inside:
+        raise ValueError(f'"{name}" is outside the bundle; put the file into its folder')
     if not there:
         known = sorted(entry.name for entry in folder.iterdir()) if folder.is_dir() else []
         raise ValueError(f'there is no file "{name}" in the bundle (it has {", ".join(known)})')
     return path
 
 
-def counted(count: int, message: str = "") -> BeforeValidator:
-    """Check for a list of so many numbers, or of what `message` says."""
+def counted(count: int, message: str = "", names: str = "") -> BeforeValidator:
+    """Check for a list of so many numbers, of such names, or of what `message` says."""
 
     def check(value: object) -> object:
         if isinstance(value, list | tuple) and len(value) == count:
             return value
         if message:
             raise ValueError(message)
-        raise PydanticCustomError("count", "{count} numbers", {"count": count})
+        raise PydanticCustomError("count", "{count} numbers", {"count": count, "names": names})
 
     return BeforeValidator(check)
 
@@ -208,7 +210,7 @@ def union(choose: Callable[[Mapping[str, Any]], type], *classes: type) -> GetPyd
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[Number, Field(gt=0)]
-Integer = Annotated[int, Field(strict=True, le=_MAX_COUNT)]
+Integer = Annotated[int, Field(strict=True, le=MAX_COUNT)]
 Flag = Annotated[bool, Field(strict=True)]
 Text = Annotated[str, Field(strict=True), AfterValidator(_text)]
 Name = Annotated[Text, AfterValidator(_name)]
@@ -294,10 +296,18 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
     return TypeAdapter(kind)
 
 
+def _inherited(field: tuple[str, FieldInfo]) -> bool:
+    return bool(field[1].kw_only) and field[0] != "generator"  # which the parameters follow
+
+
 def keys_of(cls: type) -> dict[str, FieldInfo]:
-    """Map the keys of a class under `table`, as in the file, to its fields."""
+    """Map the keys of a class under `table`, as in the file, to its fields: its own first."""
     known: dict[str, FieldInfo] = vars(cls)["__pydantic_fields__"]
-    return {info.alias or name: info for name, info in known.items() if info.init is not False}
+    return {
+        info.alias or name: info
+        for name, info in sorted(known.items(), key=_inherited)
+        if info.init is not False
+    }
 
 
 def tables_in(kind: Any) -> Iterator[type]:
@@ -378,16 +388,17 @@ def _sentence(entry: Mapping[str, Any], info: FieldInfo | None) -> str:
     if error == "literal_error":
         among = extra.get("among") or _QUOTED.findall(context["expected"])
         return f'"{value}" is none of {", ".join(among)}{suggest(value, among)}'
-    if (noun := _noun(info)).startswith("a whole number"):
+    if error == "too_short":
+        return f"must name at least {context['min_length']}"
+    if (noun := _noun(info)).startswith("a whole number") or extra.get("write"):
         return f"must be {noun}, not {shown(value)}"
     if "gt" in context or "ge" in context:
         return f"must be above {context.get('gt', context.get('ge')):g} ({unit}), not {value:g}"
     if "lt" in context:
         return f"must be below {context['lt']:g} ({unit}), not {value:g}"
-    if error == "too_short":
-        return f"must name at least {context['min_length']}"
     if error == "count":
-        return f"must be a list of {context['count']} numbers in {unit}, not {shown(value)}"
+        names = f" {names}" if (names := context["names"]) else ""
+        return f"must be a list of {context['count']} numbers{names} in {unit}, not {shown(value)}"
     return f"must be a finite number in {unit}, not {shown(value)}"
 
 
@@ -408,9 +419,9 @@ def _noun(info: FieldInfo | None) -> str:
     if among := extra.get("among") or kind.get("enum"):
         return f"one of {', '.join(among)}"
     if kind.get("type") == "integer":
-        return f"a whole number from {kind['minimum']} to {_MAX_COUNT}"
+        return f"a whole number from {kind['minimum']} to {MAX_COUNT}"
     nouns = {"number": f"a number in {unit}", "string": "a text", "boolean": "true or false"}
-    return nouns.get(kind.get("type", ""), "a table" if "$ref" in kind else "a list")
+    return (nouns | {"array": "a list"}).get(kind.get("type", ""), "a table")
 
 
 def kind_of(info: FieldInfo) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import AfterValidator
+from pydantic import AfterValidator, BeforeValidator
 
 from wrenchbook.fea.spec.keys import (
     Array,
@@ -15,8 +15,8 @@ from wrenchbook.fea.spec.keys import (
     Positive,
     Text,
     Three,
-    ThreePositive,
     array_table,
+    counted,
     either,
     key,
     mesh_axes,
@@ -28,6 +28,7 @@ LAWS = ("isotropic", "orthotropic", "neo-hookean")
 
 MAX_ISOTROPIC_RATIO = 0.4
 """Of `Orthotropic.isotropic_ratio`: the least at which any kind of cells locks."""
+_LARGEST_MODULUS = 1e100  # Pa: products of three, and of their inverses, are numbers
 _LARGEST_EXPANSION = 1e-2  # 1/K: rubber has 2e-4; a number without its 1e-6 is above
 
 
@@ -40,13 +41,32 @@ def _small(expansion: tuple[float, float, float]) -> tuple[float, float, float]:
 
 
 def _alike(expansion: float | tuple[float, float, float]) -> tuple[float, float, float]:
-    three = expansion if isinstance(expansion, tuple) else (expansion, expansion, expansion)
-    if len(set(three)) > 1:
+    return _small(expansion if isinstance(expansion, tuple) else (expansion, expansion, expansion))
+
+
+def _no_list(expansion: object) -> object:
+    if isinstance(expansion, list):  # a file's; a tuple is of a material that was read
         raise ValueError("must be a finite number in 1/K; three are of an orthotropic material")
-    return _small(three)
+    return expansion
 
 
-Expansion = Annotated[tuple[float, float, float], either(Number, Three), AfterValidator(_alike)]
+Expansion = Annotated[
+    tuple[float, float, float],
+    either(Number, Three),
+    AfterValidator(_alike),
+    BeforeValidator(_no_list),
+]
+
+
+def _modulus(value: float) -> float:
+    if not 1 / _LARGEST_MODULUS <= value <= _LARGEST_MODULUS:
+        ends = f"from {1 / _LARGEST_MODULUS:g} to {_LARGEST_MODULUS:g} {{unit}}"
+        raise ValueError(f"must be {ends}, not {value:g}; steel has 210e9")
+    return value
+
+
+Modulus = Annotated[Positive, AfterValidator(_modulus)]
+_Moduli = tuple[Modulus, Modulus, Modulus]
 
 
 def _direction(axis: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -71,16 +91,18 @@ class Solid:
 class Material(Solid):
     """An isotropic elastic material; `thermal_expansion` is along x, y and z, all equal."""
 
-    youngs_modulus: Positive = key("Pa", "70e9")
-    """Young's modulus"""
-    poisson_ratio: Number = key("", "0.33", gt=-1, lt=0.5)
-    """Poisson's ratio, above -1 and below 0.5"""
+    youngs_modulus: Modulus = key("Pa", "70e9")
+    """Young's modulus; orthotropic: `[E1, E2, E3]`"""
+    poisson_ratio: Number = key("", "0.33", gt=-1, lt=0.5, write="a number above -1 and below 0.5")
+    """Poisson's ratio, above -1 and below 0.5; orthotropic: `[nu12, nu13, nu23]`, where nu12 is
+    along 2 when pulled along 1"""
     law: Literal["isotropic", "neo-hookean"] = key(
         "", '"neo-hookean"', default="isotropic", among=LAWS, kw_only=True
     )
-    """or `neo-hookean` (rubber; the constants are those of small strains)"""
+    """`isotropic`, `neo-hookean` (rubber; the constants are those of small strains) or
+    `orthotropic`"""
     thermal_expansion: Expansion | None = key("1/K", "23e-6", default=None, kw_only=True)
-    """a must with `[inputs.temperature]`"""
+    """a must with `[inputs.temperature]`; orthotropic: three, along 1, 2, 3"""
 
     @property
     def orthotropic(self) -> Orthotropic | None:
@@ -102,13 +124,19 @@ class Cylinder:
 class Orthotropic(Solid):
     """An elastic material of nine constants in three directions square to each other."""
 
-    youngs_moduli: ThreePositive = key("Pa", "[135e9, 10e9, 10e9]", name="youngs_modulus")
+    youngs_moduli: Annotated[_Moduli, counted(3, names="[E1, E2, E3]")] = key(
+        "Pa", "[135e9, 10e9, 10e9]", name="youngs_modulus"
+    )
     """orthotropic: `[E1, E2, E3]`"""
     # Strain across over strain along, less, when pulled along the first of the two directions;
     # nu21 = nu12 E2 / E1.
-    poisson_ratios: Three = key("", "[0.3, 0.3, 0.4]", name="poisson_ratio")
+    poisson_ratios: Annotated[Three, counted(3, names="[nu12, nu13, nu23]")] = key(
+        "", "[0.3, 0.3, 0.4]", name="poisson_ratio"
+    )
     """orthotropic: `[nu12, nu13, nu23]`; nu12 is along 2 when pulled along 1"""
-    shear_moduli: ThreePositive = key("Pa", "[5e9, 5e9, 3.5e9]", name="shear_modulus")
+    shear_moduli: Annotated[_Moduli, counted(3, names="[G12, G13, G23]")] = key(
+        "Pa", "[5e9, 5e9, 3.5e9]", name="shear_modulus"
+    )
     """orthotropic only: `[G12, G13, G23]`"""
     axes: Axes = key("", "[[0, 1, 0], [-1, 0, 0], [0, 0, 1]]", default=mesh_axes, absent="mesh's")
     """orthotropic only: the directions 1, 2, 3 in the mesh's axes"""
@@ -116,7 +144,7 @@ class Orthotropic(Solid):
     """orthotropic only, in place of `axes`: 1, 2, 3 are radial, circumferential and axial about
     this axis, at each integration point"""
     law: Literal["orthotropic"] = key("", '"orthotropic"', default="orthotropic", kw_only=True)
-    """or `orthotropic`"""
+    """`orthotropic`; or `isotropic` or `neo-hookean`, with other keys"""
     thermal_expansion: Annotated[Three, AfterValidator(_small)] | None = key(
         "1/K", "[1e-6, 30e-6, 30e-6]", default=None, kw_only=True
     )
@@ -181,7 +209,9 @@ class Orthotropic(Solid):
         """Whether every strain costs energy (Lempriere 1968)."""
         # Scaled to a unit diagonal, or a modulus of 1e11 next to one of 1e6 would decide it.
         scale = np.sqrt(np.array(self.youngs_moduli))
-        return bool(np.linalg.eigvalsh(self._compliance * np.outer(scale, scale))[0] > 1e-9)
+        with np.errstate(over="ignore"):
+            scaled = self._compliance * np.outer(scale, scale)
+        return bool(np.isfinite(scaled).all() and np.linalg.eigvalsh(scaled)[0] > 1e-9)
 
     @property
     def isotropic_ratio(self) -> float:

@@ -14,6 +14,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 from pydantic.json_schema import SkipJsonSchema
 
 from wrenchbook.fea.spec.keys import (
+    MAX_COUNT,
     Array,
     Axes,
     BundleFile,
@@ -82,26 +83,15 @@ def _listed(points: tuple[Any, ...]) -> tuple[Any, ...]:
     return tuple(sorted(points)) if points and isinstance(points[0], tuple) else (points,)
 
 
-def _numbers(values: object) -> object:
-    """Refuse what is no list of different integers from 1 up; return it sorted."""
-    numbers = values if isinstance(values, list | tuple) else ()
-    if not numbers or any(type(value) is not int or value < 1 for value in numbers):
-        raise ValueError(
-            "must be a list of whole numbers from 1 up, as wrenchbook check lists them"
-        )
-    return sorted(different(tuple(numbers)))
-
-
-def _round(cells: int) -> int:
-    if 0 < cells < 3:
-        raise ValueError(f"must be a whole number from 3 up, not {cells}; 0 leaves it to size")
-    return cells
-
-
-Curvature = Annotated[Integer, Field(ge=0), AfterValidator(_round)]
 Order = Annotated[Integer, Field(ge=1), AfterValidator(_second_order)]
 Near = Annotated[tuple[Three, ...], either(Three, tuple[Three, ...], 2), AfterValidator(_listed)]
-Numbers = Annotated[tuple[Annotated[Integer, Field(ge=1)], ...], BeforeValidator(_numbers)]
+Numbers = Annotated[
+    tuple[Annotated[Integer, Field(ge=1)], ...],
+    Field(min_length=1),
+    AfterValidator(different),
+    AfterValidator(lambda numbers: tuple(sorted(numbers))),
+]
+_NUMBER = f"a whole number from 1 to {MAX_COUNT}, as `wrenchbook check` lists it"
 
 
 class Selector:
@@ -123,7 +113,7 @@ class FaceSelector(Selector):
     """Faces of a geometry."""
 
     ways = ("faces", "near", "plane", "radius")
-    faces: Numbers = key("", "[3, 7]", default=(), absent="none")
+    faces: Numbers = key("", "[3, 7]", default=(), absent="none", write=_NUMBER)
     """by number"""
     near: Near = key("m", "[[0.05, 0.0, 0.01]]", default=(), absent="none")
     """for each point (or the one point) the face nearest to it"""
@@ -148,7 +138,7 @@ class BodySelector(Selector):
     """Bodies of a geometry."""
 
     ways = ("bodies", "near")
-    bodies: Numbers = key("", "[1, 2]", default=(), absent="none")
+    bodies: Numbers = key("", "[1, 2]", default=(), absent="none", write=_NUMBER)
     """by number, as `wrenchbook check` lists them"""
     near: Near = key("m", "[0.05, 0.0, 0.01]", default=(), absent="none")
     """for each point (or the one point) the body it lies in"""
@@ -163,7 +153,7 @@ class MeshFile:
     file: BundleFile = key(
         "", '"bracket.msh"', absent="none", write='the name of a mesh "file", or a "generator"'
     )
-    """gmsh, Abaqus/CalculiX .inp, VTK and what else meshio reads; or .step, .stp"""
+    """gmsh, Abaqus/CalculiX .inp, VTK and what else meshio reads, or STEP (.step, .stp)"""
     unit: LengthUnit = key("", '"mm"')
     """the mesh file's length unit: m, dm, cm, mm, um, in, ft; a STEP file has its own"""
     order: Order | None = key("", "2", default=None)
@@ -183,7 +173,7 @@ class GeometryMeshing:
 
     size: Positive = key("m", "0.004")
     """STEP: edge length of the cells"""
-    curvature: Curvature = key("cells", "16", default=0, absent="none")
+    curvature: Annotated[Integer, Field(ge=3)] | None = key("cells", "16", default=None)
     """STEP: least number of cells round a full turn of a curved face, 3 or more"""
     groups: Mapping[str, FaceSelector] = key(
         "", "{tip = {radius = 0.008}}", default=dict, absent="none"
@@ -375,7 +365,7 @@ def _stiffness(numbers: tuple[Any, ...]) -> Array:
         raise ValueError("some motion would give energy back: no eigenvalue may be negative")
     if not matrix.any():
         raise ValueError("is zero; leave the bushing out")
-    return 0.5 * (matrix + matrix.T)
+    return 0.5 * matrix + 0.5 * matrix.T  # the sum may be no number
 
 
 _Rows = Annotated[tuple[Six, ...], counted(6)]
@@ -387,7 +377,7 @@ class Attached:
     """How a group of nodes moves with one frame."""
 
     coupling: Coupling = key("", '"distributed"', kw_only=True)
-    """least-squares mean of the group; or `rigid`"""
+    """`distributed`: by the least-squares mean of the group; `rigid`: as a rigid body"""
     point: Point | None = key(
         "m", "[0.0, 0.0, 0.01]", default=None, absent="the group's area centre", kw_only=True
     )
@@ -427,11 +417,11 @@ class Supports:
 
     fixed: Annotated[Texts, Field(min_length=1)] = key("", '["rim"]', default=(), absent="none")
     """facet or node groups that do not move"""
-    sliding: tuple[Sliding, ...] = key(
+    sliding: Annotated[tuple[Sliding, ...], Field(min_length=1)] = key(
         "", '[{group = "symmetry", directions = ["x"]}]', default=(), absent="none"
     )
     """groups held in single directions, each `[[supports.sliding]]`"""
-    bushings: tuple[Bushing, ...] = key(
+    bushings: Annotated[tuple[Bushing, ...], Field(min_length=1)] = key(
         "",
         '[{group = "hole", coupling = "rigid", stiffness = [1e6, 1e6, 1e6, 50, 50, 50]}]',
         default=(),
@@ -494,7 +484,7 @@ class Range:
     force: Loads = key("N", "[100, 100, [-500, 0]]")
     """Fx, Fy, Fz: each plus and minus a number, or [low, high]"""
     moment: Loads = key("N·m", "[5, 5, 5]")
-    """Mx, My, Mz likewise"""
+    """Mx, My, Mz: each plus and minus a number, or [low, high]"""
 
 
 @array_table
@@ -582,9 +572,9 @@ class DeclaredTolerance:
     """The error a component's users accept."""
 
     translation: Positive = key("m", "1e-5")
-    """the error that the component's users accept"""
+    """the error of a displacement that the component's users accept"""
     rotation: Positive = key("rad", "1e-4")
-    """likewise"""
+    """the error of a rotation that they accept"""
 
 
 def _not_below(name: object) -> object:
@@ -606,7 +596,7 @@ class Deck:
     command: Annotated[tuple[Text, ...], Field(min_length=1)] = key("", '["ccx", "{job}"]')
     """program and arguments; {job} is the deck's name without its ending"""
     output: Mapping[str, Text] = key(
-        "", '{reader = "calculix-dat", point = "REF", rotation = "ROT"}', write="a table"
+        "", '{reader = "calculix-dat", point = "REF", rotation = "ROT"}'
     )
     """what reads the answer: `[deck.output]`"""
     files: Annotated[tuple[FileBeside, ...], AfterValidator(different)] = key(
@@ -620,7 +610,7 @@ class Deck:
     moment: Literal["spatial", "conjugate"] | None = key(
         "", '"spatial"', default=None, absent="the reader's"
     )
-    """about fixed axes; or `conjugate`, which works on the rotation vector"""
+    """`spatial`: about fixed axes; `conjugate`: works on the rotation vector"""
 
     def __post_init__(self) -> None:
         if self.file in self.files:

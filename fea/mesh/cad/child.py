@@ -94,7 +94,7 @@ def _meshed(
         raise BundleError(problems)
     gmsh.option.setNumber("Mesh.MeshSizeMax", size / METRES)
     gmsh.option.setNumber("Mesh.MeshSizeMin", _FINEST * size / METRES)
-    gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", geometry.curvature)
+    gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", geometry.curvature or 0)
     gmsh.option.setNumber("Mesh.MinimumCircleNodes", geometry.circle)
     if not optimise:
         gmsh.option.setNumber("Mesh.HighOrderOptimize", 0)

@@ -125,7 +125,17 @@ ONE_MISTAKE = [
     ("poisson_ratio = 0.33", "poisson_ratio = 0.5", "material[0].poisson_ratio", "below 0.5"),
     ("poisson_ratio = 0.33", "poisson_ratio = -1", "material[0].poisson_ratio", "above -1"),
     ("poisson_ratio = 0.33", "poisson_ratio = 0.3\nrho = 1", "material[0].rho", "unknown key"),
+    (
+        "poisson_ratio = 0.33",
+        "poisson_ratio = 1",
+        "material[0].poisson_ratio",
+        "above -1 and below",
+    ),
+    ("= 0.33", "= 0.33\nthermal_expansion = [1,1,1]", "material[0].thermal_expansion", "finite"),
+    ("= 0.33", "= 0.33\nrho = 1", "material[0].rho", "(known here: region, youngs_modulus,"),
     ("[[material]]", "[material]", "material", "a list"),
+    ('fixed = ["rim"]', "sliding = []", "supports.sliding", "at least 1"),
+    ('fixed = ["rim"]', "bushing = []", "supports.bushing", "at least 1"),
     ('fixed = ["rim"]', "fixed = []", "supports.fixed", "at least 1"),
     ('fixed = ["rim"]', 'fixed = ["rim", "rim"]', "supports.fixed", "twice"),
     ('fixed = ["rim"]', 'fixed = "rim"', "supports.fixed", "a list"),
@@ -166,6 +176,8 @@ ONE_MISTAKE = [
     ("length = 0.4", 'length = 0.4\nunit = "mm"', "mesh.unit", "unknown key"),
     ("patch = 0.12", "patch = 0.3", "mesh.patch", "do not fit"),
     ('generator = "plate"', 'generator = "plat"', "mesh.generator", "did you mean"),
+    ('generator = "plate"', 'generater = "plate"', "mesh.generater", 'did you mean "generator"'),
+    ('generator = "plate"', "", "mesh.file", 'or a "generator"'),
 ]
 
 
@@ -235,12 +247,14 @@ def with_file(source):
         ('file = "/etc/passwd"\nunit = "mm"', "mesh.file", "outside the bundle"),
         ('file = "b.msh"\nunit = "furlong"', "mesh.unit", "none of m, "),
         ('file = "b.msh"', "mesh.unit", "missing"),
+        ('file = "loop.msh"\nunit = "mm"', "mesh.file", "symbolic links"),
         ('unit = "mm"', "mesh.file", "missing"),
         ('file = "b.msh"\ngenerator = "bar"', "mesh.generator", "not both"),
     ],
 )
 def test_a_mesh_file_must_be_in_the_bundle_and_have_a_unit(tmp_path, source, where, said):
     (tmp_path / "b.msh").write_text("")
+    (tmp_path / "loop.msh").symlink_to("loop.msh")
     found = mistakes(tmp_path, with_file(source))
     assert said in found[where]
 
@@ -252,6 +266,12 @@ def test_a_link_out_of_the_bundle_is_refused(tmp_path):
     (folder / "b.msh").symlink_to(tmp_path / "secret.msh")
     found = mistakes(folder, with_file('file = "b.msh"\nunit = "mm"'))
     assert "outside the bundle" in found["mesh.file"]
+
+
+def test_the_largest_stiffness_of_a_bushing_is_a_number(tmp_path):
+    bushing = 'bushing = [{group = "rim", coupling = "rigid", stiffness = [1e308,1,1,1,1,1]}]'
+    bundle = read_bundle(write(tmp_path, changed('fixed = ["rim"]', bushing)))
+    assert bundle.supports.bushings[0].stiffness[0, 0] == 1e308
 
 
 def test_axes_written_to_a_few_digits_become_exactly_orthonormal(tmp_path):

@@ -1,10 +1,12 @@
 """Bundles of several interfaces: what is read, what is refused, and what `check` reports."""
 
+import tomllib
+
 import numpy as np
 import pytest
 
 from tests.fea.two_interfaces import LINK, rod_between_loads
-from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.bundle.read import bundle_of, read_bundle
 from wrenchbook.fea.check import as_text
 from wrenchbook.fea.check import report as check
 from wrenchbook.fea.component import build
@@ -138,3 +140,9 @@ def test_an_interface_point_far_from_the_part_is_warned_of_by_its_interface(tmp_
     far = ('section = "end"', 'section = "end"\npoint = [40.0, 0.0, 0.0]')
     warnings = [one["where"] for one in check(write(tmp_path, far))["warnings"]]
     assert "interface[1].point" in warnings
+
+
+def test_a_measured_interface_must_have_its_range(tmp_path):
+    measured = 'name = "m"\ntitle = "M"\n[[interface]]\nname = "a"\n[[interface]]\nname = "b"\n'
+    with pytest.raises(BundleError, match=r"interface\[0\]\.range: missing; write a table"):
+        bundle_of(tomllib.loads(measured), tmp_path)
