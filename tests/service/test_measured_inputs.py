@@ -94,7 +94,7 @@ def test_an_added_component_is_read_from_its_file(http):
     ("entries", "words"),
     [
         ({}, "range"),
-        ({"range": SPAN, "interface": TWO}, "each [[interface]] has its own"),
+        ({"range": SPAN, "interface": TWO}, "is of each [[interface]]"),
         ({"interface": TWO[:1]}, "is one alone"),
         ({"interface": [TWO[0], TWO[0]]}, "a name is there twice"),
         ({"interface": [{"name": "a b", "range": SPAN}, TWO[0]]}, "will not do"),
