@@ -174,7 +174,7 @@ def _wire(kind: str, body: dict[str, Any], number: str | None) -> bytes:
 
 
 @dataclass
-class Seen:
+class Snapshot:
     """The state at a look: open jobs (status, attempt, progress) and versions of tables."""
 
     ledger: int | None = None
@@ -190,7 +190,7 @@ class Events:
         self.feed = Feed()
         self._workspace = workspace
         self._task: asyncio.Task[None] | None = None
-        self._seen: Seen | None = None
+        self._seen: Snapshot | None = None
         self._looked = asyncio.Event()
         self._wake = asyncio.Event()
         self.wake = self._wake.set  # look soon: something was committed; for the loop
@@ -247,10 +247,10 @@ class Events:
         self._task = None
 
 
-def look(workspace: Workspace, seen: Seen | None) -> tuple[Seen, list[Notice]]:
+def look(workspace: Workspace, seen: Snapshot | None) -> tuple[Snapshot, list[Notice]]:
     """Return the state now, and the events that lead to it from the state seen before."""
-    ledger, before = workspace.ledger, seen or Seen()
-    now = Seen(ledger.version(), before.newest_job, before.jobs)
+    ledger, before = workspace.ledger, seen or Snapshot()
+    now = Snapshot(ledger.version(), before.newest_job, before.jobs)
     tables: list[Notice] = []
     for name in workspace.library.names():
         with contextlib.suppress(TableBehindError, LookupError):
@@ -303,7 +303,7 @@ def _of_jobs(changed: list[JobRecord]) -> list[Notice]:
     return notices
 
 
-def _progressed(workspace: Workspace, before: Seen, now: Seen) -> list[Notice]:
+def _progressed(workspace: Workspace, before: Snapshot, now: Snapshot) -> list[Notice]:
     """Return the progress of running jobs where it has changed."""
     notices: list[Notice] = []
     running = [number for number, state in now.jobs.items() if state[0] == "running"]

@@ -29,7 +29,7 @@ _NEGLIGIBLE = 1e-6
 """Of a bar at full load, below which a load's part of it is left out: an estimate has 1 digit."""
 
 UNKNOWN = (
-    "nothing has told how far the solver's own mesh is off; the next solve of this component "
+    "the discretisation error of the solver's mesh is not known; the next solve of this component "
     "estimates it"
 )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
@@ -212,7 +213,7 @@ class GeometryFile(GeometryMeshing):
 
 
 @table
-class Generator:
+class Generator(ABC):
     """A generator of a mesh, with its parameters as the other fields."""
 
     file = order = geometry = None
@@ -225,13 +226,13 @@ class Generator:
         """All parameters by name."""
         return {name: getattr(self, name) for name in keys_of(type(self)) if name != "generator"}
 
+    @abstractmethod
     def mistakes(self) -> list[tuple[str, str]]:
         """Return (key, message) for what does not fit together, or makes too many cells."""
-        raise NotImplementedError
 
+    @abstractmethod
     def mesh(self) -> Any:
         """Return the mesh, of 20-node hexahedra."""
-        raise NotImplementedError
 
 
 MeshSource = MeshFile | GeometryFile | Generator

@@ -59,11 +59,11 @@ def code_digest(*folders: str) -> str:
     folders
         Such as ``surrogate`` or ``service/jobs``.
     """
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     for folder in folders:
         for path in sorted((_ROOT / folder).rglob("*.py")):
-            found.update(path.relative_to(_ROOT).as_posix().encode() + b"\0" + path.read_bytes())
-    return found.hexdigest()[:16]
+            digest.update(path.relative_to(_ROOT).as_posix().encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 _ARENA_MAX = -8  # M_ARENA_MAX of glibc's malloc.h

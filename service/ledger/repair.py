@@ -216,9 +216,9 @@ def _pad(damaged: Path) -> None:
         head = file.read(_HEAD_BYTES)
         pages, size = int.from_bytes(head[28:32]), int.from_bytes(head[16:18])
         size = 65536 if size == 1 else size  # as the format writes it
-        whole = pages * size
-        if head.startswith(_MAGIC) and damaged.stat().st_size < whole < _MAX_BYTES:
-            file.truncate(whole)  # sparse
+        full_size = pages * size
+        if head.startswith(_MAGIC) and damaged.stat().st_size < full_size < _MAX_BYTES:
+            file.truncate(full_size)  # sparse
 
 
 def _copy(source: Connection, new: Connection, table: str, highest: dict[str, int]) -> int:

@@ -63,13 +63,13 @@ def measure(
         level |= {"name": f"FEA, {name} mesh", "seconds": level["seconds_p50"]}
         level["error"] = errors(error, scale)
         level["largest_error"] = _largest(level["error"])
-    own = next(level for level in levels if level["level"] == "own")
+    component_mesh = next(level for level in levels if level["level"] == "own")
     report(0.85, "measuring tables")
     summary, tables = build(rows, load_range, linear=linear).coverage_summary(), []
     for part in PARTS:
         some = rows.take(np.arange(max(1, round(part * len(rows)))))
         size, surrogate = _built(some, load_range, linear)
-        size["fea_s"] = float(np.sum(some.source == "fea") * own["seconds_p50"])
+        size["fea_s"] = float(np.sum(some.source == "fea") * component_mesh["seconds_p50"])
         for method in METHODS:
             references = reference, moved["own"][solved]
             entry = _method(surrogate, method, wrenches[solved], references, scale)
@@ -94,7 +94,7 @@ def measure(
             "full_wrench_rows": summary["full_wrench_rows"],
         },
         # None where the component's mesh is the finest: its error is not known.
-        "mesh_error": own["largest_error"] if own is not levels[-1] else None,
+        "mesh_error": component_mesh["largest_error"] if component_mesh is not levels[-1] else None,
         "fea": levels,
         "tables": tables,
         "pareto": pareto([*tables, *levels]),
