@@ -27,9 +27,11 @@ static int all_finite(const solver *s, const double *numbers, int stride) {
     return 1;
 }
 
-/* The method's displacement, with no row and no limit in its place; 0 if it is not known. */
+/* The method's displacement, with no row and no limit in its place; 0 if it is not known, as of an
+ * output that no group holds. */
 static int outputs_at(solver *s, const double *w, double *outputs) {
     wb_result result;
+    for (int q = 0; q < s->t->outputs; q++) outputs[q] = NAN;
     for (int i = 0; i < s->t->groups; i++) {
         const wb_group *g = &s->t->group[i];
         if (g->used && wb_method_of(g, &s->o) == WB_KRIGING)
@@ -46,6 +48,7 @@ static int outputs_at(solver *s, const double *w, double *outputs) {
 static int slopes_at(solver *s, const double *w, double *slopes) {
     int n = s->t->inputs;
     double group_slopes[WB_MAX * WB_MAX];
+    for (int k = 0; k < s->t->outputs * n; k++) slopes[k] = NAN;
     for (int i = 0; i < s->t->groups; i++) {
         const wb_group *g = &s->t->group[i];
         wb_group_slopes(s->t, g, &s->work, w, wb_method_of(g, &s->o), group_slopes);

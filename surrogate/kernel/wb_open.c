@@ -270,6 +270,7 @@ static void read_group(reader *r, int number, wb_group *g, wb_factor **factor) {
     if (g->has_residual) each_by_one(r, g, &g->residual);
     within(r, "flags", flags, 1, 0, WB_METHODS);
     require(r, "flags", !g->used || g->has_composition || g->has_kriging || g->exact_fit);
+    require(r, "flags", !g->used || g->method != WB_KRIGING || g->has_kriging);
     /* The reference of errors: none, the kriging, or the axes with or without what they miss. */
     int mode = g->reference, residual = mode == (WB_REF_ADDITIVE | WB_REF_RESIDUAL);
     require(r, "flags", !mode || mode == WB_REF_KRIGING || mode == WB_REF_ADDITIVE || residual);

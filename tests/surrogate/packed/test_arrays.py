@@ -8,6 +8,7 @@ import pytest
 from tests.surrogate.kernel.kinds import packed_of
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.format import PackedTableError, pieces
+from wrenchbook.surrogate.kernel.replies import METHODS, InverseError
 from wrenchbook.surrogate.packed.arrays import BLOCKS, HEADER, check, header
 
 FIRST = "axes/vertex", "kriging/x", "residual/x", "/state"
@@ -47,3 +48,22 @@ def test_the_writer_and_the_kernel_refuse_arrays_of_another_shape_or_type_and_la
             if own.member != "-" and (changed is not None or not name.endswith(FIRST)):
                 with pytest.raises(PackedTableError):
                     PackedTable.from_bytes(b"".join(pieces(arrays, packed.meta)))
+
+
+def changed(kind, name, index, value):
+    """A table with one number of an array changed."""
+    packed = packed_of(kind)
+    arrays = {key: np.array(array) for key, array in packed.arrays.items()}
+    arrays[name][index] = value
+    return PackedTable.from_bytes(b"".join(pieces(arrays, packed.meta)))
+
+
+def test_a_group_without_a_kriging_cannot_have_it_as_its_method():
+    with pytest.raises(PackedTableError, match="flags"):
+        changed("one row", "g0/flags", 0, METHODS.index("kriging"))
+
+
+def test_a_displacement_of_which_no_group_has_an_output_has_no_wrench():
+    """As in a table that is cut to what a scene reads."""
+    with pytest.raises(InverseError):
+        changed("solved", "g0/outputs", 3, 0).inverse(np.full(6, 1e-9))
