@@ -13,6 +13,7 @@ import numpy as np
 
 from ..table.merging import repeated
 from ..table.rows import Floats, LoadRange, Rows
+from .channels import channel_findings
 from .contract import (
     asymmetry_findings,
     lever_findings,
@@ -51,10 +52,13 @@ def find(
     """
     if len(rows) < MIN_ROWS:
         return range_findings(rows, load_range) if len(rows) else []
-    rows = sampled(rows)
+    still = np.zeros(6, dtype=bool) if solved is None else solved.any(axis=0) & ~solved.any(axis=1)
+    rows, findings = channel_findings(sampled(rows), load_range, still)
+    if len(rows) < MIN_ROWS:
+        return findings
     response = response_of(rows, load_range)
     wrong = wrong_rows(rows, load_range, response)
-    findings = single_row_findings(rows, response, wrong)
+    findings += single_row_findings(rows, response, wrong)
     good = rows.take(~wrong.any(axis=1))
     if len(good) < MIN_ROWS:
         return findings
