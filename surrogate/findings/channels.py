@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..table.rows import ZERO_LOAD, Floats, LoadRange, Rows
+from ..table.rows import ROUNDING, ZERO_LOAD, Floats, LoadRange, Rows
 from ..table.space import LOADS, OUTPUTS
 from .response import CONFIDENT, NORMAL, REMARKABLE, Cause, RigFinding, fitted, terms_of
 
@@ -59,8 +59,8 @@ def channel_findings(
             findings.append(RigFinding(cause, message, listed, {"output": OUTPUTS[output]}))
             moved[at, output] = np.nan
     some = np.isfinite(moved).any(axis=1)
-    columns = {"seq": rows.seq[some], "source": rows.source[some]}
-    return Rows.of(rows.wrench[some], moved[some], **columns), findings
+    kept = Rows.of(rows.wrench[some], moved[some], seq=rows.seq[some], source=rows.source[some])
+    return kept, findings
 
 
 def _broken(terms: Floats, y: Floats) -> list[tuple[Cause, NDArray[np.intp], float, float]]:
@@ -68,25 +68,28 @@ def _broken(terms: Floats, y: Floats) -> list[tuple[Cause, NDArray[np.intp], flo
     all_rows = np.arange(len(y))
     if len(y) < MIN_ROWS:
         return []
-    if np.ptp(y) == 0:
+    if np.ptp(y) <= (equal := ROUNDING * float(np.abs(y).max())):
         return [("dead", all_rows, float(y[0]), 0.0)]
     if not _is_explained(terms, y):
         return [("noise", all_rows, float(y.std()), 0.0)]
-    found: list[tuple[Cause, NDArray[np.intp], float, float]] = []
-    values, counts = np.unique(y, return_counts=True)
-    for index in {0, len(values) - 1, int(counts.argmax())}:
-        equal, others = (np.flatnonzero((y == values[index]) == is_it) for is_it in (True, False))
-        if len(equal) < MIN_EQUAL or len(others) < 2 * terms.shape[1]:
+    order = np.argsort(y, kind="stable")
+    groups = np.split(order, 1 + np.flatnonzero(np.diff(y[order]) > equal))  # of equal readings
+    largest, found = max(range(len(groups)), key=lambda at: len(groups[at])), []
+    for index in {0, len(groups) - 1, largest}:
+        some, others = groups[index], np.delete(all_rows, groups[index])
+        if len(some) < MIN_EQUAL or len(others) < 2 * terms.shape[1]:
             continue
-        off = fitted(terms, np.where(y == values[index], np.nan, y)) - y
+        without = y.copy()
+        without[some] = np.nan
+        off = fitted(terms, without) - y
         deviation, size = NORMAL * float(np.median(np.abs(off[others]))), float(np.ptp(y))
-        end = (index == len(values) - 1) - float(index == 0)
+        end = (index == len(groups) - 1) - float(index == 0)
         # Beyond an end the rows there are on one side of it, on average.
-        far = end * off[equal].mean() if end else np.sqrt((off[equal] ** 2).mean())
-        sure = CONFIDENT * deviation / (np.sqrt(len(equal)) if end else 1.0)
+        far = end * off[some].mean() if end else np.sqrt((off[some] ** 2).mean())
+        sure = CONFIDENT * deviation / (np.sqrt(len(some)) if end else 1.0)
         if far > max(sure, REMARKABLE * size):
-            cause: Cause = "clipped" if end else "stuck"
-            found.append((cause, equal, float(values[index]), np.abs(off[equal]).max() / size))
+            cause = "clipped" if end else "stuck"
+            found.append((cause, some, float(y[some[0]]), np.abs(off[some]).max() / size))
     return found
 
 

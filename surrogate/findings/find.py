@@ -52,7 +52,8 @@ def find(
     """
     if len(rows) < MIN_ROWS:
         return range_findings(rows, load_range) if len(rows) else []
-    still = np.zeros(6, dtype=bool) if solved is None else solved.any(axis=0) & ~solved.any(axis=1)
+    moves = np.eye(6) if solved is None else solved
+    still = np.asarray(moves.any(axis=0) & ~moves.any(axis=1))
     rows, findings = channel_findings(sampled(rows), load_range, still)
     if len(rows) < MIN_ROWS:
         return findings

@@ -40,9 +40,9 @@ def rig_of(number: int, error: str) -> Rig:
 
 def test_findings() -> None:
     errors = list(CAUSES)
-    named: Counter[tuple[str, str]] = Counter()
+    named: Counter[tuple[str, bool]] = Counter()
     said: Counter[tuple[str, str]] = Counter()
-    asked: Counter[tuple[str, str]] = Counter()
+    asked: Counter[tuple[str, bool]] = Counter()
     silent, took = 0, 0.0
     for number in range(2 * FILES):
         error = CLEAN if number < FILES else errors[number % len(errors)]
