@@ -278,7 +278,7 @@ class _Skew(NamedTuple):
     @classmethod
     def of(cls, fit: Fit, change: Floats, load_range: LoadRange) -> _Skew:
         """Return that of the fit times a change (6, 6) of the loads."""
-        scale, measured = load_range.scale, fit.matrix.any(axis=1)
+        scale, measured = load_range.scale, np.asarray(fit.matrix.any(axis=1))
         unit = np.abs(fit.matrix * np.outer(scale, scale)).max()
         covariance = (REMARKABLE / CONFIDENT) ** 2 * np.eye(len(PAIRS[0]))
         for output in range(6):
@@ -286,7 +286,7 @@ class _Skew(NamedTuple):
             rows[np.arange(6), output] = change  # of a unit of each entry
             by_entry = np.stack([_skew(row, load_range) for row in rows], axis=1) / unit
             covariance += by_entry @ fit.covariance[output] @ by_entry.T
-        known = np.logical_and(*(measured[pair] for pair in PAIRS))
+        known = measured[PAIRS[0]] & measured[PAIRS[1]]
         return cls(_skew(fit.matrix @ change, load_range) / unit, covariance, known)
 
     @property
