@@ -3,8 +3,9 @@
 SEED=4242 repeats a run's seed, which is printed; FORM=full has all responses, three seeds and
 tables of up to 100,000 rows (quick: five minutes of one processor); ONLY="noise.*/(smooth|rig)" is
 a regular expression that chooses lines by "scenario/response" (with a slash, of all responses);
-ABLATION=1 tries the constants of the kriging in place of the lines. Errors are those of the mean: of wrenches that
-are not in the table, against the response without noise, both branches of a loop.
+ABLATION=1 tries the constants of the kriging in place of the lines. Errors are of the mean: of
+wrenches that are not in the table, against the response without noise, both branches of a loop.
+Measured tables have a tolerance of `TOLERATED` times their noise.
 
 | column | meaning |
 |---|---|
