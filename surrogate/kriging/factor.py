@@ -19,6 +19,7 @@ wrench takes that of its nearest row.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -53,7 +54,10 @@ class OutputGroup(NamedTuple):
 
 
 def output_groups(
-    equations: Equations, variance: Floats, settings: KrigingSettings = DEFAULTS
+    equations: Equations,
+    variance: Floats,
+    settings: KrigingSettings = DEFAULTS,
+    kernels: Sequence[Hyperparameters] | None = None,
 ) -> list[OutputGroup]:
     """Return the outputs in groups, each with a factor.
 
@@ -62,6 +66,8 @@ def output_groups(
     variance : ndarray, shape (6,), dimensionless
         Process variance of each output, spreads squared: noise counts relative to it. Outputs whose
         relative noise differs by more than `like_noise` at some row get a factor each.
+    kernels : sequence of Hyperparameters, optional
+        Of each output; outputs of different ones get a factor each.
     """
     noise = equations.noise / variance
     # Below the nugget noise changes nothing.
@@ -71,6 +77,7 @@ def output_groups(
         for group in groups:
             rows = equations.measured[:, group[0]]
             same = (rows == equations.measured[:, output]).all()
+            same &= kernels is None or kernels[output] is kernels[group[0]]
             difference = np.abs(size[rows, output] - size[rows, group[0]])
             if same and (difference <= np.log(settings.like_noise)).all():
                 group.append(output)
