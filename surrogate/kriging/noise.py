@@ -29,7 +29,13 @@ from scipy.optimize import minimize
 from ..table.rows import Floats
 from .correlation import Hyperparameters, covariance, matern, mean_terms
 from .equations import Equations, Scaling
-from .factor import OutputGroup, factorise, output_groups
+from .factor import (
+    OutputGroup,
+    SingularCovarianceError,
+    factorise,
+    inverse_factor,
+    output_groups,
+)
 from .gradient import contracted
 from .settings import KrigingSettings
 
@@ -162,7 +168,13 @@ class Spectrum(NamedTuple):
 
 
 def spectrum(rows: NoisyRows, kernel: Hyperparameters, settings: KrigingSettings) -> Spectrum:
-    """Return the spectrum of a kernel; LinAlgError where solves contradict each other."""
+    """Return the spectrum of a kernel.
+
+    Raises
+    ------
+    SingularCovarianceError
+        If solves contradict each other.
+    """
     x, known, terms = rows.equations.x, rows.equations.known, []
     if len(rows.squares):
         matrix, pairs = np.empty((len(x), len(x))), np.triu_indices(len(x))
@@ -183,12 +195,14 @@ def spectrum(rows: NoisyRows, kernel: Hyperparameters, settings: KrigingSettings
     else:
         mean = mean_terms(x, known)
         matrix += settings.mean_variance * mean @ mean.T
-        lower = np.linalg.cholesky(matrix[np.ix_(exact, exact)])
-        inverse, count = np.linalg.inv(lower), len(lower)
+        inverse, _ = inverse_factor(
+            matrix[np.ix_(exact, exact)], settings.nugget, settings.nugget_limit, prior[exact]
+        )
+        count, logarithm = len(inverse), -float(np.log(np.diag(inverse)).sum())
         across = inverse @ matrix[np.ix_(exact, ~exact)]
         rest = matrix[np.ix_(~exact, ~exact)] - across.T @ across
         values, vectors = np.linalg.eigh(white[:, None] * rest * white)
-        rotation, logarithm = np.zeros_like(matrix), float(np.log(np.diag(lower)).sum())
+        rotation = np.zeros_like(matrix)
         rotation[:count, exact], rotation[count:, ~exact] = inverse, vectors.T * white
         rotation[count:, exact] = -rotation[count:, ~exact] @ across.T @ inverse
     values = np.append(np.ones(count), np.maximum(values, 0.0))
@@ -248,7 +262,7 @@ def negative_log_posterior(
     for rows in groups:
         try:
             one = spectrum(rows, kernel, settings)
-        except np.linalg.LinAlgError:
+        except SingularCovarianceError:
             return REFUSED, np.zeros(len(logarithms))
         found = posterior(rows, one, settings)
         least = found.values.min(axis=0)
