@@ -273,7 +273,10 @@ def calibrated(
         # Noise hides the errors of left-out rows: bars hold the posterior, and what it leaves open.
         freedom = max(float(len(subset)) - coefficients, 1.0)
         least = widenings * settings.half_width * widening(freedom, equations.data.shape[2])
-        found = replace(found, factors=np.maximum(found.factors, least))
+        # Left-out rows lie a row's distance from the others, wrenches between: sigma is that of the
+        # posterior, which holds as far as that.
+        far = found.max_sigma / settings.comparable
+        found = replace(found, factors=np.maximum(found.factors, least), max_sigma=far)
     return found
 
 
@@ -292,13 +295,14 @@ def _level(
     if len(np.unique(labels)) < 2:
         return None
     out = left_out(factor, labels)
-    anchors = neighbours.nearest_others(rows, labels)
-    squared, value_numbers = (
-        np.full(len(rows), np.nan),
-        numbers(equations.known)[factor.output_group.rows, 0],
-    )
-    lists = neighbours.members(subset.x[anchors], labels, labels[rows])
-    for index, (row, near) in enumerate(zip(rows, lists, strict=True)):
+    # Of all other rows, if answers are: what their errors should have without the row's noise.
+    squared = out.variances[rows] - factor.output_group.noise[rows]
+    value_numbers = numbers(equations.known)[factor.output_group.rows, 0]
+    lists: list[Labels] = []
+    if not neighbours.whole:
+        anchors = neighbours.nearest_others(rows, labels)
+        lists = neighbours.members(subset.x[anchors], labels, labels[rows])
+    for index, (row, near) in enumerate(zip(rows, lists, strict=False)):
         local = neighbours.local_factor(near, table)
         across, terms = (
             table[value_numbers[row], local.numbers],
