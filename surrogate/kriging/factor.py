@@ -412,13 +412,12 @@ class Neighbourhoods:
         self.trees = [KDTree(x * root) for root in self.roots]
         self._numbers = numbers(equations.known)[factor.output_group.rows]
         self.number = np.arange(len(x))
+        self.local_factors: tuple[LocalFactor, ...]
         if whole or (len(x) <= settings.whole_rows and not known[:, 1:].any()):
             self.number = np.zeros(len(x), dtype=np.intp)
             columns = factor.output_group.rows * known.shape[1]
             parts = factor.hyperparameters, factor.nugget, factor.T, factor.TF
-            self.local_factors: tuple[LocalFactor, ...] = (
-                LocalFactor(*parts, columns, self._numbers[:, 0]),
-            )
+            self.local_factors = (LocalFactor(*parts, columns, self._numbers[:, 0]),)
         else:
             self.local_factors = tuple(self.local_factor(near, table) for near in self.members(x))
 
