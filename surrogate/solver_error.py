@@ -28,9 +28,9 @@ from .table.rows import Floats, Rows
 from .table.space import PER_INTERFACE
 
 _MIXED = 0.1
-"""Of the most that the mesh can change an output. Of 7,500 errors of 27 parts at single loads and at
-six at once (`make bench NAME=mesh_error`) |T D u| alone holds 96 %, 83 % at single loads (44 % of a
-tee); with a tenth 99.9 and 100 %, at a median of 2.4 times the error."""
+"""Of the most that the mesh can change an output. Of 7,500 errors of 27 parts at single loads and
+at six at once (`make bench NAME=mesh_error`) |T D u| alone holds 96 %, 83 % at single loads (44 %
+of a tee); with a tenth 99.9 and 100 %, at a median of 2.4 times the error."""
 
 UNKNOWN = (
     "the discretisation error of the solver's mesh is not known; the next solve of this component "
