@@ -27,7 +27,6 @@ static const wb_array WB_SPACE_ARRAYS[] = {
 static const wb_array WB_SOLVER_ARRAYS[] = {
     {"flags", WB_I4, 0, 1, {-5}, offsetof(wb_solver, flags)},
     {"mesh", WB_F8, 0, 2, {WB_OF_M, WB_OF_N}, offsetof(wb_solver, mesh)},
-    {"mixed", WB_F8, 0, 1, {WB_OF_M}, offsetof(wb_solver, mixed)},
     {"stiffness", WB_F8, 0, 2, {WB_OF_N, WB_OF_M}, offsetof(wb_solver, stiffness)},
     {"linearity", WB_F8, 0, 1, {WB_OF_M}, offsetof(wb_solver, linearity)},
     {"one_over", WB_F8, 0, 1, {WB_OF_N}, offsetof(wb_solver, one_over)},

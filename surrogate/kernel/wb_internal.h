@@ -114,7 +114,7 @@ typedef struct {
 typedef struct {
     int by_tangent, mesh_known, linear, linearity_known, whole, none;
     const int32_t *flags;
-    const double *mesh, *mixed, *linearity, *one_over, *stiffness;
+    const double *mesh, *linearity, *one_over, *stiffness;
     const double *zero; /* (n) from where inputs count, NULL for none */
 } wb_solver;
 

@@ -96,17 +96,14 @@ void wb_reply_derivative(const wb_table *t, const wb_options *o, wb_work *work,
 }
 
 /* What the mesh lacks: |T D u| by the answer's tangent T, with its displacement u and what the mesh
- * adds to the stiffness D, and what estimates leave out of an output that is none of the load's
- * (`SolverError`). NaN where no tangent is known. */
+ * adds to the stiffness D. NaN where no tangent is known. */
 static void lacking_of(const wb_table *t, const wb_options *o, wb_work *work, const wb_reply *reply,
                        double *lacking) {
-    int n = t->inputs, m = t->outputs, moves = 0;
-    double pushed[WB_MAX], slopes[WB_MAX], energy = 0;
+    int n = t->inputs, m = t->outputs;
+    double pushed[WB_MAX], slopes[WB_MAX];
     wb_times(t->solver.stiffness, work->moved, n, m, pushed);
-    for (int k = 0; k < n; k++) {
+    for (int k = 0; k < n; k++)
         if (t->locked[k]) pushed[k] = 0.0;
-        if (k < m) energy += pushed[k] * work->moved[k];
-    }
     for (int q = 0; q < m; q++) lacking[q] = NAN;
     for (int i = 0; i < t->groups; i++) {
         const wb_group *g = &t->group[i];
@@ -115,10 +112,8 @@ static void lacking_of(const wb_table *t, const wb_options *o, wb_work *work, co
         if (index >= 0) wb_times(g->rows.tangent + (int64_t)n * m * index, pushed, m, n, slopes);
         else wb_group_along(t, g, work, reply->inputs, wb_method_of(g, o), pushed, slopes);
         for (int q = 0; q < m; q++)
-            if (g->outputs[q]) lacking[q] = fabs(slopes[q]), moves |= slopes[q] != 0;
+            if (g->outputs[q]) lacking[q] = fabs(slopes[q]);
     }
-    for (int q = 0; q < m; q++) /* slopes of 0 are those of a method that has none */
-        lacking[q] = moves ? lacking[q] + t->solver.mixed[q] * sqrt(fabs(energy)) : NAN;
 }
 
 /* No error of a solver: measured rows, or rows whose solver's error is not known. */
@@ -131,8 +126,8 @@ static void keep(const wb_table *t, wb_reply *reply) {
     }
 }
 
-/* Add what the solver of the rows may itself be wrong by; without a tangent what its mesh lacks of
- * the compliance at small loads. */
+/* Add what the solver of the rows may itself be wrong by: what its mesh lacks by the answer's tangent,
+ * and no less than by the compliance at small loads. */
 static void widen(const wb_table *t, const wb_options *o, wb_work *work, wb_reply *reply) {
     const wb_solver *s = &t->solver;
     double largest = 0, lacking[WB_MAX], by_loads[WB_MAX], size[WB_MAX];
@@ -143,7 +138,7 @@ static void widen(const wb_table *t, const wb_options *o, wb_work *work, wb_repl
     wb_times(s->mesh, size, t->outputs, t->inputs, by_loads);
     if (s->by_tangent) lacking_of(t, o, work, reply, lacking);
     for (int q = 0; q < t->outputs; q++) {
-        double mesh = s->by_tangent && isfinite(lacking[q]) ? lacking[q] : by_loads[q];
+        double mesh = s->by_tangent && lacking[q] > by_loads[q] ? lacking[q] : by_loads[q];
         double linearity = s->linearity[q] * (largest * largest);
         reply->error[q] = reply->interpolation[q] + mesh + linearity;
         reply->discretisation[q] = s->mesh_known ? mesh : NAN;

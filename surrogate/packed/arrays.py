@@ -98,8 +98,7 @@ BLOCKS = {
         Array("flags", "i4", "5", "whether the discretisation error follows from an answer's "
               "tangent, it is known, the component is linear, its linearity error is known, all "
               "parts of the error are known"),
-        Array("mesh", "f8", "m n", "discretisation error by the loads, of answers without tangent"),
-        Array("mixed", "f8", "m", "its part of an answer by the root of D's energy"),
+        Array("mesh", "f8", "m n", "its least by the loads: what the mesh lacks of the compliance"),
         Array("stiffness", "f8", "n m", "D, by which it follows from an answer's tangent"),
         Array("linearity", "f8", "m", "linearity error at the largest loads"),
         Array("one_over", "f8", "n", "one over these loads"),

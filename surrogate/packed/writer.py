@@ -127,7 +127,7 @@ def _solver_arrays(table: Table) -> Iterator[tuple[str, Array]]:
     """Yield the solver's part of errors."""
     error, (m, n) = table.solver_error, table.groups[0].fit.matrix.shape
     by_tangent, known, linear, linearity_known = False, table.bars_are_complete, False, True
-    arrays = {"mesh": np.zeros((m, n)), "mixed": np.zeros(m), "stiffness": np.zeros((n, m))}
+    arrays = {"mesh": np.zeros((m, n)), "stiffness": np.zeros((n, m))}
     arrays |= {"linearity": np.zeros(m), "one_over": np.zeros(n)}
     if error is not None:
         arrays |= error.packed

@@ -69,10 +69,9 @@ def test_the_meshs_share_is_that_of_each_answer_where_a_part_softens():
     rows = column([0.0, 0.5, 0.8])
     lacking, told = np.abs(lacking_of(rows)), shares_of(rows, rows.compliance)
     assert lacking[2, 2] > 24 * lacking[0, 2]
-    # T D u is the first order of what the mesh changes: at 0.8 a few in a hundred are left out. Of
-    # the root of the energy a tenth is added.
+    # T D u is the first order of what the mesh changes: at 0.8 a few in a hundred are left out.
     assert (told >= 0.96 * lacking).all()
-    assert (told[:, 2] <= 1.11 * lacking[:, 2]).all()
+    assert (told[:, 2] <= 1.01 * lacking[:, 2]).all()
 
 
 def test_an_output_of_second_order_has_its_meshs_share():
@@ -97,16 +96,6 @@ def test_an_estimate_of_an_older_version_still_gives_a_bar():
     parts = solver_parts(table, wrench, table.answer(wrench), None)
     assert parts["mesh"][2] == pytest.approx(SHORT * 0.01)
     assert table.bars_are_complete
-
-
-def test_an_output_that_the_estimate_leaves_out_has_a_tenth_of_what_the_mesh_can_change():
-    """A mesh that lacks something of two outputs, and nothing of one by the other's load."""
-    short, wrench = np.diag([4e-3, 1e-3, 0, 0, 0, 0]), [0.5, 0, 0, 0, 0, 0]
-    told = TOLD | {"mesh": short.tolist(), "mesh_stiffness": short.tolist(), "loads": [1.0] * 6}
-    tangent, moved = np.eye(6), np.array(wrench, dtype=float)
-    bars = widened(SolverError(told), (0.0,) * 6, wrench, moved, tangent)
-    most = np.sqrt(np.diag(short) * (moved @ short @ moved))
-    np.testing.assert_allclose(bars, [2e-3 + 0.1 * most[0], *(0.1 * most[1:])], rtol=1e-12)
 
 
 def test_whole_bars_are_the_same_one_by_one_and_in_a_batch_and_hold_the_mesh():

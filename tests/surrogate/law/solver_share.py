@@ -71,12 +71,7 @@ def shares(
     if own.stiffness is None or moved is None or tangents is None:
         return mesh, linearity
     pushed = _product(own.stiffness[None], moved)
-    lacking = np.abs(_product(tangents, pushed))
-    # Slopes of 0 are those of a method that has none.
-    moves = (np.nan_to_num(lacking, nan=1.0) != 0.0).any(axis=1, keepdims=True)
-    energy = np.abs((pushed * moved).sum(axis=1, keepdims=True))
-    known = np.isfinite(lacking) & np.isfinite(energy) & moves
-    return np.where(known, lacking + arrays["mixed"] * np.sqrt(energy), mesh), linearity
+    return np.fmax(np.abs(_product(tangents, pushed)), mesh), linearity
 
 
 def _product(matrices: Floats, vectors: Floats) -> Floats:
