@@ -86,7 +86,7 @@ WB_VECTORS static int nearest(const wb_kriging *k, const wb_factor *factor, int 
                    double *restrict distance) {
     double closest = INFINITY;
     memcpy(distance, factor->penalty, (size_t)k->stride * sizeof(double));
-    add_distances(k->rates, inputs, apart, k->stride, distance);
+    add_distances(factor->rates, inputs, apart, k->stride, distance);
     for (int row = 0; row < k->stride; row++)
         closest = distance[row] < closest ? distance[row] : closest;
     for (int row = 0; row < k->stride; row++)
@@ -186,7 +186,7 @@ static double squared_deviation(const wb_kriging *k, const wb_factor *factor, in
     for (int a = 0; a < terms; a++)
         for (int b = 0; b < terms; b++)
             trend += mean_terms[a] * factor->mean_covariance[terms * a + b] * mean_terms[b];
-    for (int term = 0; term < k->terms; term++) prior += k->term[terms * term + inputs];
+    for (int term = 0; term < k->terms; term++) prior += factor->term[terms * term + inputs];
     double explained = product(work->reduced, work->reduced, padded);
     return fmax(prior - explained, factor->min_variance[anchor]) + trend;
 }
@@ -211,21 +211,26 @@ static double scale_of(const wb_factor *factor, double sigma, int q, int outputs
     return (high - low) / (s[n + 1] - s[n]) * (sigma - s[n]) + low;
 }
 
+/* Whether a factor has the covariance of the one before it. */
+static int as_before(const wb_kriging *k, int n, int s) {
+    size_t size = (size_t)(k->terms * (n + 1)) * sizeof(double);
+    return s > 0 && s < k->factors && !memcmp(k->factor[s].term, k->factor[s - 1].term, size);
+}
+
 /* The derivatives of each term's correlation, as `add_covariances` gives them. */
 static double *term_of(const wb_kriging *k, wb_work *work, int term) {
     return work->wide + (int64_t)3 * term * k->stride;
 }
 
-/* The covariances of a value at a wrench with all rows; the scaled loads. */
-static void covary(const wb_kriging *k, int n, const double *wrench, wb_work *work, double *at) {
-    scale_loads(k, n, wrench, at, work->apart);
+/* The covariances of a value with all rows. */
+static void covary(const wb_kriging *k, const wb_factor *factor, int n, wb_work *work) {
     memset(work->flat, 0, (size_t)(k->per_row * k->stride) * sizeof(double));
     for (int term = 0; term < k->terms; term++) {
         double *first = term_of(k, work, term);
-        add_covariances(k->term + (n + 1) * term, n, work->apart, k->stride, k->has_second, first,
+        add_covariances(factor->term + (n + 1) * term, n, work->apart, k->stride, k->has_second, first,
                         first + k->stride, first + 2 * k->stride, work->flat);
     }
-    work->of = k;
+    work->of = factor;
 }
 
 /* The value of an output by these, over its spread. */
@@ -243,9 +248,10 @@ static double value_of(const wb_table *t, const wb_kriging *k, const wb_work *wo
 static void explore(const wb_table *t, const wb_kriging *k, wb_work *work, const double *wrench,
                     double *at, double *values, double *sigma) {
     int n = t->inputs;
-    covary(k, n, wrench, work, at);
+    scale_loads(k, n, wrench, at, work->apart);
     for (int s = 0; s < k->factors; s++) {
         const wb_factor *factor = &k->factor[s];
+        if (!as_before(k, n, s)) covary(k, factor, n, work);
         for (int q = 0; values && q < t->outputs; q++)
             if (factor->outputs[q]) values[q] = value_of(t, k, work, at, q);
         if (!sigma) continue;
@@ -339,27 +345,26 @@ WB_VECTORS static void add_slope(const double *term, int inputs, const double *r
     add_pairs(term, inputs, apart, stride, spare, flat);
 }
 
-/* Whether a factor answers output q: a scene's table has those of the outputs that it reads. */
-static int answers(const wb_kriging *k, int q) {
-    for (int s = 0; s < k->factors; s++)
+/* Whether a factor, from `s` to `end`, answers output q: a scene's table has those of the outputs
+ * that it reads. */
+static int answers(const wb_kriging *k, int s, int end, int q) {
+    for (; s < end; s++)
         if (k->factor[s].outputs[q]) return 1;
     return 0;
 }
 
-/* The slopes of all outputs (m), SI, along a direction of the inputs, SI. */
-static void slopes_along(const wb_table *t, const wb_kriging *k, wb_work *work,
+/* The slopes (m), SI, along a direction of the inputs, SI, of outputs of factors from `s` to `end`. */
+static void slopes_along(const wb_table *t, const wb_kriging *k, int s, int end, wb_work *work,
                          const double *direction, double *slopes) {
     int n = t->inputs, m = t->outputs, count = k->per_row * k->stride;
     double scaled[WB_MAX];
     for (int a = 0; a < n; a++) scaled[a] = direction[a] * k->rate[a];
     memset(work->flat, 0, (size_t)count * sizeof(double));
-    for (int term = 0; term < k->terms; term++) {
-        add_slope(k->term + (n + 1) * term, n, work->apart, k->stride, k->has_second,
+    for (int term = 0; term < k->terms; term++)
+        add_slope(k->factor[s].term + (n + 1) * term, n, work->apart, k->stride, k->has_second,
                   term_of(k, work, term), scaled, work->first, work->second, work->flat);
-    }
     for (int q = 0; q < m; q++) {
-        slopes[q] = 0;
-        if (!answers(k, q)) continue;
+        if (!answers(k, s, end, q)) continue;
         double slope = product(work->flat, k->weights + (int64_t)q * count, count);
         for (int a = 0; a < n; a++) slope += k->coefficients[m * (1 + a) + q] * scaled[a];
         slopes[q] = slope * k->spread[q];
@@ -368,25 +373,35 @@ static void slopes_along(const wb_table *t, const wb_kriging *k, wb_work *work,
     }
 }
 
-/* The derivative (m), m and rad, along one direction of the inputs, N and N·m. What an answer to the
- * same wrench has left is used. */
+/* The derivatives (m, count), SI, along directions (count, n) of the inputs, SI. What an answer to
+ * the same wrench has left is used. */
+static void derive(const wb_table *t, const wb_kriging *k, wb_work *work, const double *wrench,
+                   int count, const double *directions, double *derivatives) {
+    double at[WB_MAX], slopes[WB_MAX];
+    memset(derivatives, 0, (size_t)(count * t->outputs) * sizeof(double));
+    scale_loads(k, t->inputs, wrench, at, work->apart);
+    for (int s = 0, end = 1; s < k->factors; s = end++) { /* factors of one covariance together */
+        while (as_before(k, t->inputs, end)) end++;
+        if (work->of != &k->factor[s]) covary(k, &k->factor[s], t->inputs, work);
+        for (int i = 0; i < count; i++) {
+            slopes_along(t, k, s, end, work, directions + t->inputs * i, slopes);
+            for (int q = 0; q < t->outputs; q++)
+                if (answers(k, s, end, q)) derivatives[count * q + i] = slopes[q];
+        }
+    }
+}
+
+/* The derivative (m), m and rad, along one direction of the inputs, N and N·m. */
 void wb_kriging_along(const wb_table *t, const wb_kriging *k, wb_work *work, const double *wrench,
                       const double *direction, double *slopes) {
-    double at[WB_MAX];
-    if (work->of != k) covary(k, t->inputs, wrench, work, at);
-    slopes_along(t, k, work, direction, slopes);
+    derive(t, k, work, wrench, 1, direction, slopes);
 }
 
 /* du/dw (m, n), SI. */
 void wb_kriging_derivative(const wb_table *t, const wb_kriging *k, wb_work *work,
                            const double *wrench, double *derivative) {
-    int n = t->inputs, m = t->outputs;
-    double at[WB_MAX], slopes[WB_MAX];
-    covary(k, n, wrench, work, at);
-    for (int a = 0; a < n; a++) {
-        double direction[WB_MAX] = {0};
-        direction[a] = 1.0;
-        slopes_along(t, k, work, direction, slopes);
-        for (int q = 0; q < m; q++) derivative[n * q + a] = slopes[q];
-    }
+    double units[WB_MAX * WB_MAX] = {0};
+    for (int a = 0; a < t->inputs; a++) units[(t->inputs + 1) * a] = 1.0;
+    work->of = NULL;
+    derive(t, k, work, wrench, t->inputs, units, derivative);
 }
