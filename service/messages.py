@@ -490,8 +490,8 @@ class Displacement(Message):
         dict[str, Any] | None,
         Doc(
             "with detail: the parts of error. table: what more rows lower; mesh: what a finer "
-            "mesh lowers; linearity: what a linear component leaves out; measurement: hysteresis "
-            "and drift of the measured rows. null where not known"
+            "mesh lowers; linearity: what a linear component leaves out; measurement: hysteresis, "
+            "drift and sessions of the measured rows. null where not known"
         ),
     ] = left_out(default=None)
     error_of_a_reading: Annotated[
@@ -583,7 +583,11 @@ class Card(Message):
 
 class ImportFinding(Message):
     cause: Annotated[
-        str, Doc("outlier, sentinel, sign, unit, lever, asymmetry, drift, hysteresis, clock")
+        str,
+        Doc(
+            "outlier, sentinel, sign, unit, lever, asymmetry, drift, hysteresis, session, "
+            "zero, clock"
+        ),
     ]
     message: Annotated[str, Doc("the error, its size and the remedy")]
     rows: Annotated[

@@ -9,20 +9,19 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
-from itertools import combinations
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from ..table.rows import ZERO_LOAD, Floats, LoadRange, Rows
+from ..table.polynomial import terms_of
+from ..table.rows import Floats, LoadRange, Rows
 from ..table.space import OUTPUTS
 
 ROUNDS = 30  # of reweighting: the weights are settled after 10 to 20
 BIWEIGHT = 4.685  # deviations: 95 % efficient for normal errors (Holland and Welsch 1977)
 NORMAL = 1.4826  # deviation over median absolute deviation, of normal errors
-ROWS_A_TERM = 5  # rows that a term of the polynomial needs at least
 EXACT = 1e-4  # of an output's range: residuals below it are no error worth a remark
 RANK = 1e-9  # of the largest: directions that the rows do not separate, and their ridge
 
@@ -35,7 +34,17 @@ SENTINEL = 3.0  # ranges off: no response jumps so far at one row
 NINES = 3  # digits of a logger's "no value": 999, 9999, -99999
 
 Cause = Literal[
-    "sentinel", "outlier", "sign", "unit", "lever", "asymmetry", "drift", "hysteresis", "clock"
+    "sentinel",
+    "outlier",
+    "sign",
+    "unit",
+    "lever",
+    "asymmetry",
+    "drift",
+    "hysteresis",
+    "clock",
+    "session",
+    "zero",
 ]
 MAX_LISTED_ROWS = 500  # of a finding: a page's list; `count` has their number
 
@@ -47,8 +56,8 @@ class RigFinding:
     Attributes
     ----------
     cause : str
-        "sentinel", "outlier", "sign", "unit", "lever", "asymmetry", "drift", "hysteresis" or
-        "clock".
+        "sentinel", "outlier", "sign", "unit", "lever", "asymmetry", "drift", "hysteresis",
+        "session", "zero" or "clock".
     message : str
         What is wrong, by how much, and what to do.
     rows : tuple of int
@@ -96,30 +105,13 @@ class RobustFit(NamedTuple):
     terms: Floats
 
 
-def terms_of(scaled: Floats) -> Floats:
-    """Return the polynomial's terms (n, t) at scaled loads (n, 6), as many as the rows allow."""
-    used = np.flatnonzero(np.abs(scaled).max(axis=0, initial=0.0) > ZERO_LOAD)
-    loads, count = scaled[:, used], len(scaled)
-    parts = [np.ones((count, 1)), loads]
-    for more in (
-        loads**2,
-        loads**3,
-        np.stack([loads[:, i] * loads[:, j] for i, j in combinations(range(len(used)), 2)], axis=1)
-        if len(used) > 1
-        else np.empty((count, 0)),
-    ):
-        if ROWS_A_TERM * (sum(part.shape[1] for part in parts) + more.shape[1]) <= count:
-            parts.append(more)
-    return np.concatenate(parts, axis=1)
-
-
 def response_of(rows: Rows, load_range: LoadRange) -> RobustFit:
     """Return the robust response of rows with at least two wrenches."""
     terms = terms_of(rows.wrench / load_range.scale)
     basis, sizes, _ = np.linalg.svd(terms, full_matrices=False)
     basis = basis[:, sizes > RANK * sizes[0]] * np.sqrt(len(terms))
     moved = rows.displacement
-    expected = np.stack([_fitted(basis, moved[:, output]) for output in range(6)], axis=1)
+    expected = np.stack([_fitted(basis, column) for column in moved.T], axis=1)
     residual = moved - expected
     known = [column[np.isfinite(column)] for column in expected.T]
     ends = np.array(
@@ -166,7 +158,7 @@ def _deviation(values: Floats) -> float:
 def wrong_rows(rows: Rows, load_range: LoadRange, response: RobustFit) -> NDArray[np.bool_]:
     """Return which rows have an observation far from those around them, per output, (n, 6)."""
     if len(rows) < MIN_ROWS:
-        return np.zeros((len(rows), 6), dtype=bool)
+        return np.zeros(rows.displacement.shape, dtype=bool)
     local = local_residual(rows.wrench / load_range.scale, response.residual)
     size = np.abs(np.where(np.isfinite(local), local, 0.0))
     usual = np.percentile(size, [50, 90], axis=0) * [[NORMAL * DEVIATIONS], [TAIL]]
