@@ -19,6 +19,9 @@ from ..table.polynomial import terms_of
 from ..table.rows import Floats, LoadRange, Rows
 from ..table.space import OUTPUTS
 
+CONFIDENT = 5.0  # deviations of an estimate: a cause is said where its interval leaves none out
+REMARKABLE = 0.01  # of an output's range: what is smaller is within a usual tolerance
+
 ROUNDS = 30  # of reweighting: the weights are settled after 10 to 20
 BIWEIGHT = 4.685  # deviations: 95 % efficient for normal errors (Holland and Welsch 1977)
 NORMAL = 1.4826  # deviation over median absolute deviation, of normal errors
@@ -34,6 +37,10 @@ SENTINEL = 3.0  # ranges off: no response jumps so far at one row
 NINES = 3  # digits of a logger's "no value": 999, 9999, -99999
 
 Cause = Literal[
+    "dead",
+    "noise",
+    "clipped",
+    "stuck",
     "sentinel",
     "outlier",
     "sign",
@@ -55,9 +62,7 @@ class RigFinding:
 
     Attributes
     ----------
-    cause : str
-        "sentinel", "outlier", "sign", "unit", "lever", "asymmetry", "drift", "hysteresis",
-        "session", "zero" or "clock".
+    cause : Cause
     message : str
         What is wrong, by how much, and what to do.
     rows : tuple of int
@@ -108,10 +113,8 @@ class RobustFit(NamedTuple):
 def response_of(rows: Rows, load_range: LoadRange) -> RobustFit:
     """Return the robust response of rows with at least two wrenches."""
     terms = terms_of(rows.wrench / load_range.scale)
-    basis, sizes, _ = np.linalg.svd(terms, full_matrices=False)
-    basis = basis[:, sizes > RANK * sizes[0]] * np.sqrt(len(terms))
     moved = rows.displacement
-    expected = np.stack([_fitted(basis, column) for column in moved.T], axis=1)
+    expected = np.stack([fitted(terms, column) for column in moved.T], axis=1)
     residual = moved - expected
     known = [column[np.isfinite(column)] for column in expected.T]
     ends = np.array(
@@ -124,11 +127,17 @@ def response_of(rows: Rows, load_range: LoadRange) -> RobustFit:
     return RobustFit(expected, residual, deviation, size, terms)
 
 
-def _fitted(basis: Floats, moved: Floats) -> Floats:
-    """Return the robust fit at all rows, (n,); NaN where no row has the output."""
+def fitted(terms: Floats, moved: Floats) -> Floats:
+    """Return the robust fit of values (n,), NaN where unknown, at all rows, (n,).
+
+    NaN everywhere where fewer than two are known.
+    """
     known = np.isfinite(moved)
     if known.sum() < 2:
         return np.full(len(moved), np.nan)
+    _, sizes, axes = np.linalg.svd(terms[known], full_matrices=False)
+    spanned = sizes > RANK * sizes[0]
+    basis = terms @ (axes[spanned].T / sizes[spanned]) * np.sqrt(known.sum())
     x, y = basis[known], moved[known]
     floor = EXACT * max(float(np.ptp(y)), np.finfo(float).tiny)
     coefficients = _solved(x, y, np.ones(len(y)))

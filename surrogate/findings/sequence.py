@@ -7,7 +7,7 @@ import numpy as np
 from ..kriging.effects import Effects
 from ..table.rows import Floats
 from ..table.space import OUTPUTS
-from .response import Cause, RigFinding
+from .response import REMARKABLE, Cause, RigFinding
 
 MESSAGES: dict[Cause, str] = {
     "hysteresis": "loading and unloading differ by {part:.1%} of the range of {name}: hysteresis "
@@ -25,7 +25,7 @@ MESSAGES: dict[Cause, str] = {
 
 
 def effect_findings(effects: Effects, displacement: Floats) -> list[RigFinding]:
-    """Return a finding of each effect in rows with displacements (n, 6), m and rad."""
+    """Return a finding of each remarkable effect in rows with displacements (n, 6), m and rad."""
     ranges = np.fmax.reduce(displacement) - np.fmin.reduce(displacement)  # NaN: not measured
     findings = list[RigFinding]()
     causes: tuple[tuple[Cause, str, Floats], ...] = (
@@ -36,7 +36,7 @@ def effect_findings(effects: Effects, displacement: Floats) -> list[RigFinding]:
     )
     for cause, entry, sizes in causes:
         most = sizes[np.abs(sizes).argmax(axis=0), np.arange(len(ranges))]
-        found = np.flatnonzero(most)
+        found = np.flatnonzero(np.abs(most) > REMARKABLE * ranges)
         if not len(found):
             continue
         parts = np.abs(most[found]) / ranges[found]
