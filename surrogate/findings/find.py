@@ -69,7 +69,7 @@ def find(
     # A lever can make a load's work negative; a wrong sign or unit is no lever.
     contract = units or turned_findings(fit, known) or lever_findings(fit, load_range)
     findings += contract or sign_findings(fit) or asymmetry_findings(fit, load_range)
-    effects = effects_of(good, load_range, np.arange(len(good)))
+    effects = effects_of(rows, load_range, np.flatnonzero(~wrong.any(axis=1)))
     return [*findings, *effect_findings(effects, good.displacement)]
 
 
