@@ -44,7 +44,7 @@ def test_a_loop_has_its_size_and_leaves_the_rows() -> None:
         np.testing.assert_allclose(np.abs(found.loop), 0.08 * rig.size, rtol=0.1)
         np.testing.assert_allclose(found.bar, 0.04 * rig.size, rtol=0.15)
         left = without_effects(rows, rig.range)[0].displacement - rig.displacement
-        assert (left.std(axis=0) < 1.5 * NOISE * rig.size).all()
+        assert (left.std(axis=0) < 0.25 * 0.04 * rig.size).all()
 
 
 def test_a_drift_has_its_size_and_rows_are_those_of_the_middle() -> None:
