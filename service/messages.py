@@ -585,8 +585,8 @@ class ImportFinding(Message):
     cause: Annotated[
         str,
         Doc(
-            "dead, noise, clipped, stuck, outlier, sentinel, sign, unit, lever, asymmetry, drift, "
-            "hysteresis, session, zero, clock"
+            "dead, noise, clipped, stuck, outlier, sentinel, sign, unit, lever, asymmetry, "
+            "clearance, drift, hysteresis, session, zero, clock"
         ),
     ]
     message: Annotated[str, Doc("the error, its size and the remedy")]
