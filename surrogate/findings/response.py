@@ -48,6 +48,8 @@ Cause = Literal[
     "lever",
     "asymmetry",
     "clearance",
+    "campaign",
+    "solves",
     "drift",
     "hysteresis",
     "clock",
