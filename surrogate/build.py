@@ -25,7 +25,7 @@ import numpy as np
 
 from .answer import Allowed, allowed_of
 from .axes.axes import Axes, build_axes
-from .findings.find import rig_error
+from .findings.find import without_effects
 from .kriging import (
     Kriging,
     SingularCovarianceError,
@@ -218,7 +218,6 @@ class Group:
                 "loads": [self.rows.space.input_names[load] for load in np.flatnonzero(fit.known)],
                 "error": fit.error.tolist(),
             },
-            **row_conflicts(self.rows, self.load_range),
             "axes": [] if no_axes else self.axes.summary(),
             "method": self.default,
             "method_reason": self.choice.reason,
@@ -236,7 +235,7 @@ class Table:
     Attributes
     ----------
     rows : Rows
-        All of them, in ascending order of `seq`; NaN where an output was not measured.
+        All of them as measured, in ascending order of `seq`; NaN where an output was not measured.
     load_range : LoadRange
     groups : tuple of Group
         Outputs that the same rows have, those of the fewest rows first: where they are thin, some
@@ -249,6 +248,8 @@ class Table:
         Indices, in `LOADS`, of the loads on locked freedoms: every call sets them to zero first.
     solver_error : SolverError or None
         Error of the solver: in no error bar here; `bars_are_complete` says whether it is known.
+    rig_error : ndarray, shape (6,), m and rad
+        See `findings.find.without_effects`: in no error bar here.
     packed : surrogate.kernel.binding.PackedTable or None
         The same table packed; None until it is made.
     """
@@ -262,12 +263,8 @@ class Table:
     locked: tuple[int, ...]
     solver_error: SolverError | None
     bars_are_complete: bool
+    rig_error: Floats
     packed: Any = None
-
-    @cached_property
-    def rig_error(self) -> Floats:
-        """See `findings.find.rig_error`: in no error bar here; shape (6,), m and rad."""
-        return rig_error(self.rows, self.load_range)
 
     @cached_property
     def observation_noise(self) -> Floats:
@@ -282,6 +279,7 @@ class Table:
         summary = self.groups[0].coverage_summary() | {
             "table_version": self.version,
             "rig_error": self.rig_error.tolist(),
+            **row_conflicts(self.rows, self.load_range),
             "noise_of_a_reading": [
                 None if noise != noise else noise for noise in self.observation_noise.tolist()
             ],
@@ -293,7 +291,6 @@ class Table:
         return {
             **summary,
             "rows": len(self.rows),
-            **row_conflicts(self.rows, self.load_range),
             "rows_per_output": dict(zip(names, measured, strict=True)),
             "unmeasured": [name for name, count in zip(names, measured, strict=True) if not count],
         }
@@ -330,6 +327,7 @@ def build(
     if (np.diff(rows.seq) < 0).any():  # so that the order they come in changes nothing
         rows = rows.take(np.argsort(rows.seq, kind="stable"))
     known = {group.outputs: group for group in before.groups} if before is not None else {}
+    of_part, rig_error = without_effects(rows, load_range)
     options: dict[str, Any] = {"tolerance": tolerance, "linear": linear, "off_axis": off_axis}
     groups = [
         Group(
@@ -340,7 +338,7 @@ def build(
             locked=locked,
             **options,
         )
-        for outputs, part in _by_output(rows)
+        for outputs, part in _by_output(of_part)
     ]
     return Table(
         rows,
@@ -352,6 +350,7 @@ def build(
         tuple(locked),
         solver_error,
         bars_are_complete(rows, solver_error),
+        rig_error,
     )
 
 
