@@ -25,6 +25,8 @@ import numpy as np
 
 from .answer import Allowed, allowed_of
 from .axes.axes import Axes, build_axes
+from .findings.comparison import MAX_ROWS as MAX_COMPARED
+from .findings.comparison import differences
 from .findings.find import rig_error
 from .kriging import (
     Kriging,
@@ -266,8 +268,31 @@ class Table:
 
     @cached_property
     def rig_error(self) -> Floats:
-        """See `findings.find.rig_error`: in no error bar here; shape (6,), m and rad."""
-        return rig_error(self.rows, self.load_range)
+        """See `findings.find.rig_error`: in no error bar here; shape (6,), m and rad.
+
+        And how far measured rows are from solved ones of the same table: answers are of both.
+        """
+        return np.maximum(rig_error(self.rows, self.load_range), self._between_sources)
+
+    @property
+    def _between_sources(self) -> Floats:
+        """Return how far answers are from measured or solved rows by a factor or an offset, (6,).
+
+        m and rad, over the range of each output; of outputs that the kriging answers.
+        """
+        solved, largest = self.rows.source == SOLVED, np.zeros(self.rows.displacement.shape[1])
+        for group in self.groups if solved.any() and not solved.all() else ():
+            if group.kriging is None or not group.by_kriging:
+                continue
+            for of_source in (solved, ~solved):
+                at = np.flatnonzero(of_source & self.load_range.holds(self.rows.wrench))
+                some = self.rows.take(at[:: max(len(at) // MAX_COMPARED, 1)])
+                answers = group.kriging.answer_many(some.wrench)[0]
+                factor, offset = differences(some.displacement, answers, np.zeros_like(answers))
+                error = np.abs(offset) + np.abs(factor) * group.ranges
+                outputs = list(group.outputs)
+                largest[outputs] = np.maximum(largest, error)[outputs]
+        return largest
 
     @cached_property
     def observation_noise(self) -> Floats:
