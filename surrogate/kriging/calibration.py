@@ -24,9 +24,9 @@ from ..calibration import common_quantile, widening
 from ..table.axes import ZERO_LOAD, has_levels
 from ..table.rows import NEAR, Floats, LoadRange
 from ..table.spread import spread_wrenches
-from .correlation import block, numbers
+from .correlation import block, covariance, numbers
 from .equations import Equations, Scaling
-from .factor import Neighbourhoods, left_out
+from .factor import KrigingFactor, Neighbourhoods, left_out
 from .settings import DEFAULTS, KrigingSettings
 
 Labels = NDArray[np.intp]
@@ -254,6 +254,21 @@ def calibrated(
     return calibrate(levels, outputs, sigma, coefficients, settings)
 
 
+def of_posterior(factor: KrigingFactor, settings: KrigingSettings) -> Calibration:
+    """Return the factors of a kriging through inducing wrenches: the normal ones.
+
+    So many noisy rows tell the deviation itself; left-out ones show little but noise. Errors are
+    known where no more of the prior is left than would be at an inducing wrench without it.
+    """
+    x, known = factor.equations.x, factor.equations.known
+    matrix = covariance(x, known, x, known, factor.hyperparameters)
+    matrix[np.diag_indices_from(matrix)] *= 1 + factor.nugget
+    without = 1 / np.diag(np.linalg.inv(matrix))
+    at = factor.variance_of(*factor.explained_at(x, known), factor.mean_covariance)
+    far = float(np.quantile(np.sqrt(at + without), settings.max_sigma_quantile))
+    return Calibration(np.ones(1), np.full((1, len(factor.variance)), settings.half_width), far)
+
+
 def _level(
     equations: Equations,
     neighbours: Neighbourhoods,
@@ -269,13 +284,14 @@ def _level(
     if len(np.unique(labels)) < 2:
         return None
     out = left_out(factor, labels)
-    anchors = neighbours.nearest_others(rows, labels)
-    squared, value_numbers = (
-        np.full(len(rows), np.nan),
-        numbers(equations.known)[factor.output_group.rows, 0],
-    )
-    lists = neighbours.members(subset.x[anchors], labels, labels[rows])
-    for index, (row, near) in enumerate(zip(rows, lists, strict=True)):
+    # Of all other rows, if answers are: what their errors should have without the row's noise.
+    squared = out.variances[rows] - factor.output_group.noise[rows]
+    value_numbers = numbers(equations.known)[factor.output_group.rows, 0]
+    lists: list[Labels] = []
+    if not neighbours.whole:
+        anchors = neighbours.nearest_others(rows, labels)
+        lists = neighbours.members(subset.x[anchors], labels, labels[rows])
+    for index, (row, near) in enumerate(zip(rows, lists, strict=False)):
         local = neighbours.local_factor(near, table)
         across, terms = (
             table[value_numbers[row], local.numbers],

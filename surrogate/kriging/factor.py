@@ -14,7 +14,8 @@ Deviations are those of small factors over the nearest rows. A point's neighbour
 by each of the four terms of the covariance: nearest over all loads, then over those of axis x, y
 and z. By all loads alone a table of clean rows would answer a wrench of six loads by one axis.
 Neighbourhoods belong to rows, their anchors, so that the factors are made before any query; a
-wrench takes that of its nearest row.
+wrench takes that of its nearest row. Few measured rows are one neighbourhood: with noise all of
+them tell the response at a wrench, and the nearest alone would give bars far too wide.
 """
 
 from __future__ import annotations
@@ -377,7 +378,9 @@ class Neighbourhoods:
     ----------
     factor : KrigingFactor
     local_factors : tuple of LocalFactor
-        The neighbourhood of each of the factor's rows.
+        One of all rows, or the neighbourhood of each of the factor's rows.
+    number : ndarray of int, shape (r,)
+        Which of these each row, as an anchor, has.
     """
 
     def __init__(
@@ -386,8 +389,13 @@ class Neighbourhoods:
         factor: KrigingFactor,
         table: Floats,
         settings: KrigingSettings = DEFAULTS,
+        *,
+        whole: bool = False,
     ) -> None:
-        """Take the table's equations, and `table` (a, a), the covariance of all a of them."""
+        """Take the table's equations, and `table` (a, a), the covariance of all a of them.
+
+        `whole`: sigma is that of all rows, however many.
+        """
         x, known = factor.equations.x, factor.equations.known
         self.factor, self.settings = factor, settings
         self.size = known.sum(axis=1)
@@ -396,7 +404,25 @@ class Neighbourhoods:
         self.roots = np.sqrt(factor.hyperparameters.inverse_squares) * all_first
         self.trees = [KDTree(x * root) for root in self.roots]
         self._numbers = numbers(equations.known)[factor.output_group.rows]
-        self.local_factors = tuple(self.local_factor(near, table) for near in self.members(x))
+        self.number, self.local_factors = self._local_factors(table, whole=whole)
+
+    def _local_factors(
+        self, table: Floats, *, whole: bool
+    ) -> tuple[Indices, tuple[LocalFactor, ...]]:
+        factor = self.factor
+        x, known = factor.equations.x, factor.equations.known
+        if not whole and (len(x) > self.settings.whole_rows or known[:, 1:].any()):
+            members = self.members(x)
+            return np.arange(len(x)), tuple(self.local_factor(near, table) for near in members)
+        columns = factor.output_group.rows * known.shape[1]
+        parts = factor.hyperparameters, factor.nugget, factor.T, factor.TF
+        only = LocalFactor(*parts, columns, self._numbers[:, 0])
+        return np.zeros(len(x), dtype=np.intp), (only,)
+
+    @property
+    def whole(self) -> bool:
+        """Whether deviations are those of all rows."""
+        return len(self.local_factors) == 1
 
     def nearest(self, x: Floats) -> Indices:
         """Return the row nearest to each point (m, 6) over all loads, shape (m,).
@@ -481,9 +507,10 @@ class Neighbourhoods:
         of all rows, known or not.
         """
         terms = np.concatenate((np.ones((len(x), 1)), x), axis=1)
-        squared, nearest = np.empty(len(x)), self.nearest(x)
-        for anchor in np.unique(nearest):
-            queries, local = np.flatnonzero(nearest == anchor), self.local_factors[anchor]
+        squared = np.empty(len(x))
+        number = np.zeros(len(x), dtype=np.intp) if self.whole else self.number[self.nearest(x)]
+        for anchor in np.unique(number).tolist():
+            queries, local = np.flatnonzero(number == anchor), self.local_factors[anchor]
             squared[queries] = local.squared_deviation(
                 across[np.ix_(queries, local.columns)], terms[queries], self.factor.mean_covariance
             )

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..table.merging import Observations, merge
 from ..table.rows import NEAR, Floats, LoadRange, Rows
-from .calibration import Calibration, calibrated
+from .calibration import Calibration, calibrated, of_posterior
 from .correlation import Hyperparameters, Mask, block, covariance
 from .equations import (
     Equations,
@@ -20,14 +20,17 @@ from .equations import (
     equations_of,
     indices_within,
     scaling_of,
+    values_of,
     within,
 )
 from .factor import (
+    KrigingFactor,
     Neighbourhoods,
     factorise,
     left_out,
     output_groups,
 )
+from .inducing import CANDIDATES, evenly, induced
 from .likelihood import estimated, within_one_factor
 from .settings import DEFAULTS, KrigingSettings
 
@@ -75,6 +78,8 @@ class Kriging:
         Of rows left out, each by itself; NaN where a row does not bring the output.
     span : ndarray, shape (2, 6), half ranges
         Ends of the loads that the rows span: beyond them errors are not known.
+    detail : str
+        Its rows and equations as a text.
     """
 
     settings: KrigingSettings
@@ -91,6 +96,7 @@ class Kriging:
     rounding: Floats
     errors: Floats
     span: Floats
+    detail: str
 
     @classmethod
     def build(
@@ -121,26 +127,28 @@ class Kriging:
         indices = indices_within(rows, load_range, settings)
         used = rows.take(indices)
         scaling = scaling_of(used, load_range, settings)
-        equations = equations_of(used, scaling, observations.take(indices), settings)
-        equations = within_one_factor(equations, settings)
-        if len(equations) < settings.min_rows:
-            raise TooFewRowsError(
-                f"kriging needs {settings.min_rows} rows at different wrenches; there are "
-                f"{len(equations)}: solve or import more"
-            )
-        if equations.count > settings.dense_equations:
-            raise TooManyRowsError(
-                f"{len(equations)} rows bring {equations.count} equations, more than the "
-                f"{settings.dense_equations} that one factor holds"
-            )
+        counted, detail = observations.take(indices), ""
+        equations = _usable(used, scaling, counted, settings)
+        by_values = equations.n_derivatives == 1
         tangents = used.compliance[np.isfinite(used.compliance).all(axis=(1, 2))]
         tangent = tangents.mean(axis=0) if len(tangents) else np.zeros(used.compliance.shape[1:])
         with one_thread():
-            hyperparameters, noise_scale, observation_variance = estimated(
-                equations, scaling, settings
-            )
-            equations = equations.with_observation_noise(observation_variance)
-            x, known, span = equations.x, equations.known, span_of(equations, scaling, settings)
+            some = equations.take(evenly(len(equations), CANDIDATES)) if by_values else equations
+            estimate = estimated(some, scaling, settings)
+            hyperparameters, noise_scale, observation_variance = estimate
+            span, through = span_of(equations, scaling, settings), None
+            factors: list[KrigingFactor] = []
+            if by_values:
+                detail = f"kriging of {len(equations)} rows through "
+                through = induced(equations, *estimate, settings)
+            if through is not None:
+                equations, factors, observation_variance = through
+                detail += f"{len(equations)} inducing wrenches"
+            else:
+                if by_values:
+                    equations = equations_of(used, scaling, counted, settings)
+                equations = equations.with_observation_noise(observation_variance)
+            x, known = equations.x, equations.known
             weights, n_outputs = np.zeros(equations.data.shape), equations.data.shape[2]
             coefficients = np.empty((1 + x.shape[1], n_outputs))
             deviation, rounding = np.empty((2, n_outputs))
@@ -151,11 +159,14 @@ class Kriging:
             rounding_errors = ROUNDING_LOSS * np.abs(table[values[known]])
             neighbourhoods: list[Neighbourhoods] = []
             calibrations: list[Calibration] = []
-            for group in output_groups(equations, noise_scale, settings):
-                factor, outputs = (
-                    factorise(equations, hyperparameters, group, settings, table),
-                    group.outputs,
-                )
+            if through is None:
+                factors = [
+                    factorise(equations, hyperparameters, group, settings, table)
+                    for group in output_groups(equations, noise_scale, settings)
+                ]
+                detail = f"kriging, one factor over {len(x)} rows ({equations.count} equations)"
+            for factor in factors:
+                group, outputs = factor.output_group, factor.output_group.outputs
                 # The weights among the values and derivatives of all rows.
                 all_rows = np.zeros((*known.shape, len(outputs)))
                 all_rows[known & np.isin(np.arange(len(x)), group.rows)[:, None]] = factor.weights
@@ -164,23 +175,21 @@ class Kriging:
                 rounding[outputs] = (rounding_errors @ np.abs(all_rows[known])).max(axis=0)
                 left_out_rows = left_out(factor, np.arange(len(group.rows)))
                 errors[np.ix_(group.rows, outputs)] = left_out_rows.errors
-                neighbours = Neighbourhoods(equations, factor, table, settings)
+                neighbours = Neighbourhoods(
+                    equations, factor, table, settings, whole=through is not None
+                )
                 neighbourhoods.append(neighbours)
                 calibrations.append(
                     calibrated(equations, neighbours, table, scaling, span, settings)
+                    if through is None
+                    else of_posterior(factor, settings)
                 )
         estimate, parts = (
             (hyperparameters, observation_variance, tangent),
             (tuple(neighbourhoods), tuple(calibrations)),
         )
         arrays = weights, coefficients, deviation, rounding, errors, span
-        return cls(settings, scaling, *estimate, equations, *parts, *arrays)
-
-    @property
-    def detail(self) -> str:
-        """Its rows and equations as a text."""
-        rows, equations = len(self.equations), self.equations.count
-        return f"kriging, one factor over {rows} rows ({equations} equations)"
+        return cls(settings, scaling, *estimate, equations, *parts, *arrays, detail)
 
     @property
     def observation_noise(self) -> Floats:
@@ -293,12 +302,42 @@ def one_thread() -> AbstractContextManager[object]:
     return _BLAS.limit(limits=1) if _BLAS else nullcontext()
 
 
+def _usable(
+    used: Rows, scaling: Scaling, counted: Observations, settings: KrigingSettings
+) -> Equations:
+    """Return the equations of rows, values alone where they are measured and many.
+
+    Raises
+    ------
+    TooFewRowsError, TooManyRowsError
+    """
+    if len(used) > settings.whole_rows and not np.isfinite(used.compliance).any():
+        return values_of(used, scaling, counted, settings)
+    equations = within_one_factor(equations_of(used, scaling, counted, settings), settings)
+    if len(equations) < settings.min_rows:
+        raise TooFewRowsError(
+            f"kriging needs {settings.min_rows} rows at different wrenches; there are "
+            f"{len(equations)}: solve or import more"
+        )
+    if equations.count > settings.dense_equations:
+        raise TooManyRowsError(
+            f"{len(equations)} rows bring {equations.count} equations, more than the "
+            f"{settings.dense_equations} that one factor holds"
+        )
+    return equations
+
+
 def why_too_large(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS) -> str:
-    """Return why no factor holds the values and slopes of rows of distinct wrenches, or ""."""
+    """Return why no factor holds the values and slopes of rows of distinct wrenches, or "".
+
+    Rows without slopes have a kriging however many they are.
+    """
     with_slopes, limit = np.isfinite(rows.compliance).all(axis=(1, 2)), settings.dense_equations
+    if not with_slopes.any():
+        return ""
     count, loads = len(rows), rows.wrench.shape[1]
     equations = count + loads * int(with_slopes.sum())
-    if equations > limit and with_slopes.any():  # loads without effect bring no slopes
+    if equations > limit:  # loads without effect bring no slopes
         inside = within(rows, load_range, settings)
         try:
             loads = int(scaling_of(inside, load_range, settings).active.sum())

@@ -306,7 +306,7 @@ def _factor_arrays(
     columns = np.zeros((count, padded), dtype=np.int32)
     panels = np.zeros((count, PANEL * padded * (padded // PANEL + 1) // 2))
     unsettled = np.zeros((count, local_factors[0].TF.shape[1], padded))
-    for k, (row, local) in enumerate(zip(factor.output_group.rows, local_factors, strict=True)):
+    for k, local in enumerate(local_factors):
         size = len(local.columns)
         at_row, of_row = np.divmod(local.columns, derivatives)
         columns[k, :size] = of_row * stride + at_row
@@ -317,7 +317,9 @@ def _factor_arrays(
             [lower[top : top + PANEL, : top + PANEL].T.ravel() for top in range(0, padded, PANEL)]
         )
         unsettled[k, :, :size] = local.TF.T
-        number[row], least[row] = k, local.min_variance
+    rows = factor.output_group.rows
+    number[rows] = neighbourhoods.number
+    least[rows] = [local_factors[k].min_variance for k in neighbourhoods.number.tolist()]
     is_output = np.isin(np.arange(outputs), factor.output_group.outputs)
     yield "outputs", is_output.astype(np.int32)
     yield "number", number
