@@ -12,7 +12,7 @@ have (rows along a motion), errors are not known.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +24,7 @@ from ..calibration import common_quantile, widening
 from ..table.axes import ZERO_LOAD, has_levels
 from ..table.rows import NEAR, Floats, LoadRange
 from ..table.spread import spread_wrenches
-from .correlation import block, covariance, numbers
+from .correlation import block, numbers
 from .equations import Equations, Scaling
 from .factor import KrigingFactor, Neighbourhoods, left_out
 from .settings import DEFAULTS, KrigingSettings
@@ -210,15 +210,43 @@ def full_rows(equations: Equations, scaling: Scaling) -> NDArray[np.bool_]:
     return ~np.any([~loaded[:, ~group].any(axis=1) for group in groups], axis=0)
 
 
+def query_points(
+    equations: Equations, scaling: Scaling, span: Floats, settings: KrigingSettings
+) -> Floats:
+    """Return points like those of queries, spread over the span of rows, (m, 6), half ranges.
+
+    Where nearly all rows load one axis each, so do these.
+    """
+    active = np.isfinite(span[0])
+    low, high = np.where(active, np.clip(span, -1.0, 1.0), 0.0)
+    # A load that no row varies stays as the rows have it: off that the mean is not determined.
+    fixed = high - low <= FIXED_WIDTH * NEAR
+    low, high = np.where(fixed, (low + high) / 2, [low, high])
+    queries = spread_wrenches(LoadRange(low, high, scaling.space), QUERIES)
+    full = full_rows(equations, scaling)
+    if full.sum() < min(settings.full_rows, len(full) / 2):
+        groups = scaling.space.kriging_groups[:-1]
+        queries = queries * groups[np.arange(QUERIES) % len(groups)]
+    return queries
+
+
 def calibrated(
     equations: Equations,
     neighbours: Neighbourhoods,
     table: Floats,
     scaling: Scaling,
-    span: Floats,
+    queries: Floats,
+    widenings: Floats,
     settings: KrigingSettings,
 ) -> Calibration:
-    """Return the factors of a group's deviations for 95 % error bars."""
+    """Return the factors of a group's deviations for 95 % error bars.
+
+    Parameters
+    ----------
+    queries : ndarray, shape (m, 6), half ranges
+    widenings : ndarray, shape (q,), dimensionless
+        See `Estimate.widening`.
+    """
     subset, outputs = (
         neighbours.factor.equations,
         len(neighbours.factor.output_group.outputs),
@@ -236,34 +264,32 @@ def calibrated(
         for labels in groupings(subset.x * np.sqrt(hyperparameters.inverse_squares), settings)
         if (level := _level(equations, neighbours, table, labels, rows)) is not None
     )
-    # Points like those of queries: spread over the span of rows, (m, 6), half ranges. Where
-    # nearly all rows load one axis each, so do these.
-    active = np.isfinite(span[0])
-    low, high = np.where(active, np.clip(span, -1.0, 1.0), 0.0)
-    # A load that no row varies stays as the rows have it: off that the mean is not determined.
-    fixed = high - low <= FIXED_WIDTH * NEAR
-    low, high = np.where(fixed, (low + high) / 2, [low, high])
-    queries = spread_wrenches(LoadRange(low, high, scaling.space), QUERIES)
-    if full.sum() < min(settings.full_rows, len(full) / 2):
-        groups = scaling.space.kriging_groups[:-1]
-        queries = queries * groups[np.arange(QUERIES) % len(groups)]
     across = block(queries, equations.x, hyperparameters, 1, equations.n_derivatives)
     sigma = neighbours.deviations(queries, across.reshape(len(queries), -1))
     # The mean's coefficients, which all rows determine: these in proportion.
     coefficients = (1 + scaling.active.sum()) * len(rows) / len(subset)
-    return calibrate(levels, outputs, sigma, coefficients, settings)
+    found = calibrate(levels, outputs, sigma, coefficients, settings)
+    if neighbours.factor.output_group.noise.any():
+        # Noise hides the errors of left-out rows: bars hold the posterior, and what it leaves open.
+        freedom = max(float(len(subset)) - coefficients, 1.0)
+        least = widenings * settings.half_width * widening(freedom, equations.data.shape[2])
+        # Left-out rows lie a row's distance from the others, wrenches between: sigma is that of the
+        # posterior, which holds as far as that.
+        far = found.max_sigma / settings.comparable
+        found = replace(found, factors=np.maximum(found.factors, least), max_sigma=far)
+    return found
 
 
-def of_posterior(factor: KrigingFactor, settings: KrigingSettings) -> Calibration:
+def of_posterior(factor: KrigingFactor, table: Floats, settings: KrigingSettings) -> Calibration:
     """Return the factors of a kriging through inducing wrenches: the normal ones.
 
     So many noisy rows tell the deviation itself; left-out ones show little but noise. Errors are
     known where no more of the prior is left than would be at an inducing wrench without it.
+    `table` (m, m), dimensionless, is the covariance of the inducing wrenches.
     """
     x, known = factor.equations.x, factor.equations.known
-    matrix = covariance(x, known, x, known, factor.hyperparameters)
-    matrix[np.diag_indices_from(matrix)] *= 1 + factor.nugget
-    without = 1 / np.diag(np.linalg.inv(matrix))
+    nugget = factor.nugget * np.diag(np.diag(table))
+    without = 1 / np.diag(np.linalg.inv(table + nugget))
     at = factor.variance_of(*factor.explained_at(x, known), factor.mean_covariance)
     far = float(np.quantile(np.sqrt(at + without), settings.max_sigma_quantile))
     return Calibration(np.ones(1), np.full((1, len(factor.variance)), settings.half_width), far)

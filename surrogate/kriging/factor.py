@@ -20,6 +20,7 @@ them tell the response at a wrench, and the nearest alone would give bars far to
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -54,7 +55,10 @@ class OutputGroup(NamedTuple):
 
 
 def output_groups(
-    equations: Equations, variance: Floats, settings: KrigingSettings = DEFAULTS
+    equations: Equations,
+    variance: Floats,
+    settings: KrigingSettings = DEFAULTS,
+    kernels: Sequence[Hyperparameters] | None = None,
 ) -> list[OutputGroup]:
     """Return the outputs in groups, each with a factor.
 
@@ -63,6 +67,8 @@ def output_groups(
     variance : ndarray, shape (6,), dimensionless
         Process variance of each output, spreads squared: noise counts relative to it. Outputs whose
         relative noise differs by more than `like_noise` at some row get a factor each.
+    kernels : sequence of Hyperparameters, optional
+        Of each output; outputs of different ones get a factor each.
     """
     noise = equations.noise / variance
     # Below the nugget noise changes nothing.
@@ -72,6 +78,7 @@ def output_groups(
         for group in groups:
             rows = equations.measured[:, group[0]]
             same = (rows == equations.measured[:, output]).all()
+            same &= kernels is None or kernels[output] is kernels[group[0]]
             difference = np.abs(size[rows, output] - size[rows, group[0]])
             if same and (difference <= np.log(settings.like_noise)).all():
                 group.append(output)
@@ -404,20 +411,15 @@ class Neighbourhoods:
         self.roots = np.sqrt(factor.hyperparameters.inverse_squares) * all_first
         self.trees = [KDTree(x * root) for root in self.roots]
         self._numbers = numbers(equations.known)[factor.output_group.rows]
-        self.number, self.local_factors = self._local_factors(table, whole=whole)
-
-    def _local_factors(
-        self, table: Floats, *, whole: bool
-    ) -> tuple[Indices, tuple[LocalFactor, ...]]:
-        factor = self.factor
-        x, known = factor.equations.x, factor.equations.known
-        if not whole and (len(x) > self.settings.whole_rows or known[:, 1:].any()):
-            members = self.members(x)
-            return np.arange(len(x)), tuple(self.local_factor(near, table) for near in members)
-        columns = factor.output_group.rows * known.shape[1]
-        parts = factor.hyperparameters, factor.nugget, factor.T, factor.TF
-        only = LocalFactor(*parts, columns, self._numbers[:, 0])
-        return np.zeros(len(x), dtype=np.intp), (only,)
+        self.number = np.arange(len(x))
+        self.local_factors: tuple[LocalFactor, ...]
+        if whole or (len(x) <= settings.whole_rows and not known[:, 1:].any()):
+            self.number = np.zeros(len(x), dtype=np.intp)
+            columns = factor.output_group.rows * known.shape[1]
+            parts = factor.hyperparameters, factor.nugget, factor.T, factor.TF
+            self.local_factors = (LocalFactor(*parts, columns, self._numbers[:, 0]),)
+        else:
+            self.local_factors = tuple(self.local_factor(near, table) for near in self.members(x))
 
     @property
     def whole(self) -> bool:

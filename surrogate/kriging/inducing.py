@@ -40,6 +40,7 @@ from .factor import (
     inverse_factor,
     output_groups,
 )
+from .noise import Estimate
 from .settings import KrigingSettings
 
 ROWS = 128  # at once: with 256 inducing wrenches 256 kB of covariances, in a processor's cache
@@ -56,7 +57,7 @@ def evenly(count: int, most: int) -> Indices:
 
 
 def spread_points(
-    x: Floats, kernel: Hyperparameters, noise: float, settings: KrigingSettings
+    x: Floats, kernels: list[Hyperparameters], shares: Floats, count: int, settings: KrigingSettings
 ) -> tuple[Indices, bool]:
     """Return the rows that leave the least of the prior's variance at the others, and if enough.
 
@@ -68,21 +69,26 @@ def spread_points(
     ----------
     x : ndarray, shape (n, 6), half ranges
         Candidates.
-    noise : float
-        Mean variance of a row, over the process variance and the number of all rows.
+    kernels, shares
+        Covariances of outputs, and their process variances over a row's noise, (k,).
+    count : int
+        Number of all rows.
     """
-    prior, known = float(kernel.prior(1)[0]), np.ones((len(x), 1), dtype=bool)
+    known = np.ones((len(x), 1), dtype=bool)
+    together = list(zip(kernels, shares / len(shares), strict=True))
+    prior = sum(float(kernel.prior(1)[0]) * share for kernel, share in together)
     left, chosen = np.full(len(x), prior), list[int]()
     most = min(settings.inducing, len(x) // 2)  # with more one factor of all rows costs less
     reduced = np.empty((most, len(x)))
     while len(chosen) < most:
-        if left.mean() <= noise * len(chosen):
+        if left.mean() <= len(chosen) / count:
             return np.array(chosen, dtype=np.intp), True
         pivot, size = int(np.argmax(np.round(left / prior, DECIMALS))), len(chosen)
         if left[pivot] <= settings.nugget * prior:
             break
-        column = covariance(x[[pivot]], known[:1], x, known, kernel)[0]
-        column -= reduced[:size, pivot] @ reduced[:size]
+        column = -reduced[:size, pivot] @ reduced[:size]
+        for kernel, share in together:
+            column += share * covariance(x[[pivot]], known[:1], x, known, kernel)[0]
         reduced[size] = column / np.sqrt(left[pivot])
         left = np.maximum(left - reduced[size] ** 2, 0.0)
         left[pivot] = 0.0
@@ -152,24 +158,18 @@ class Inducing(NamedTuple):
     Attributes
     ----------
     equations : Equations
-        At the inducing wrenches, with the readings and noise that all rows make there.
+        At the inducing wrenches, with the readings that all rows make there.
     factors : list of KrigingFactor
-    observation_variance : ndarray, shape (6,), spreads squared
-        Of an observation of unknown uncertainty, by all rows.
+    noise : ndarray, shape (6,), dimensionless
+        What `Equations.unit_noise` is multiplied by, by all rows.
     """
 
     equations: Equations
     factors: list[KrigingFactor]
-    observation_variance: Floats
+    noise: Floats
 
 
-def induced(
-    equations: Equations,
-    kernel: Hyperparameters,
-    process_variance: Floats,
-    observation_variance: Floats,
-    settings: KrigingSettings,
-) -> Inducing | None:
+def induced(equations: Equations, estimate: Estimate, settings: KrigingSettings) -> Inducing | None:
     """Return the kriging of all rows, None where one factor is the better one.
 
     That is where it holds the rows, and inducing wrenches leave more than the noise.
@@ -178,44 +178,49 @@ def induced(
     ----------
     equations : Equations
         Of the values of all rows, sorted by wrench; without the noise of observations.
-    process_variance, observation_variance : ndarray, shape (6,), spreads squared
-        As some of the rows tell them.
+    estimate : Estimate
+        As some of the rows tell it.
     """
-    noisy = equations.with_observation_noise(observation_variance)
-    noisy = replace(noisy, noise=np.maximum(noisy.noise, settings.nugget * process_variance))
-    typical = np.nanmean(np.where(noisy.measured, noisy.noise, np.nan), axis=0)
-    count, ratio = len(equations), typical / process_variance
+    unit, count, variance = equations.unit_noise, len(equations), estimate.variance
+    typical = np.nanmean(np.where(equations.measured, unit, np.nan), axis=0)
+    noisy = np.flatnonzero(estimate.noise * typical > settings.nugget * variance)
+    if not len(noisy) and count <= settings.dense_equations:
+        return None
+    noisy = noisy if len(noisy) else np.arange(len(variance))
+    ratio = np.maximum(estimate.noise * typical / variance, settings.nugget)
     some = evenly(count, CANDIDATES)
-    points, enough = spread_points(equations.x[some], kernel, ratio.min() / count, settings)
+    kernels = [estimate.kernels[output] for output in noisy]
+    points, enough = spread_points(equations.x[some], kernels, 1 / ratio[noisy], count, settings)
     if not enough and count <= settings.dense_equations:
         return None
-    chosen = np.sort(some[points])
-    pseudo = equations.take(chosen)
-    z, known, n_derivatives = pseudo.x, pseudo.known, 1 + equations.loads
+    pseudo, n_derivatives = equations.take(np.sort(some[points])), 1 + equations.loads
+    shape = len(pseudo), len(variance)
+    pseudo = replace(
+        pseudo,
+        known=np.arange(n_derivatives) < pseudo.known,
+        data=np.zeros((len(pseudo), n_derivatives, len(variance))),
+        measured=np.ones(shape, dtype=bool),
+        noise=np.zeros(shape),
+        observations=np.zeros(shape),
+        scatter=np.zeros(shape),
+    )
+    factors, noise = list[KrigingFactor](), estimate.noise.copy()
+    relative = replace(equations, noise=np.maximum(unit, settings.nugget * typical))
+    for group in output_groups(relative, typical, settings, estimate.kernels):
+        base = _prior_factor(pseudo, estimate.kernels[group.outputs[0]], settings)
+        sums = sums_of(equations, group, pseudo.x, base)
+        ratios, variances = likely_noise(sums, settings)
+        noise[group.outputs] = ratios * variances / typical[group.outputs]
+        factors.append(factor_of(sums, group.outputs, ratios, variances, base, pseudo, settings))
+    return Inducing(pseudo, factors, noise)
+
+
+def _prior_factor(pseudo: Equations, kernel: Hyperparameters, settings: KrigingSettings) -> Factor:
+    z, known = pseudo.x, pseudo.known
     matrix, prior = covariance(z, known, z, known, kernel), np.tile(kernel.prior(1), len(z))
     matrix[np.diag_indices_from(matrix)] += settings.nugget * prior
     inverse, nugget = inverse_factor(matrix, settings.nugget, settings.nugget_limit, prior)
-    base = Factor(kernel, nugget, inverse, inverse @ mean_terms(z, known))
-    pseudo = replace(
-        pseudo,
-        known=np.arange(n_derivatives) < known,
-        data=np.zeros((len(z), n_derivatives, len(ratio))),
-        measured=np.ones_like(pseudo.measured),
-        noise=np.zeros_like(pseudo.noise),
-        observations=np.zeros_like(pseudo.noise),
-        scatter=np.zeros_like(pseudo.noise),
-    )
-    factors, found = list[KrigingFactor](), observation_variance.copy()
-    for group in output_groups(noisy, typical, settings):
-        outputs = group.outputs
-        sums = sums_of(equations, group, z, base)
-        ratios, variances = likely_noise(sums, settings)
-        found[outputs] *= ratios * variances / typical[outputs]
-        for own in alike(ratios, settings.like_noise):
-            factor = factor_of(sums, own, ratios, variances, base, pseudo, outputs[own], settings)
-            factors.append(factor)
-            pseudo.noise[:, outputs[own]] = factor.output_group.noise[:, None] * factor.variance
-    return Inducing(pseudo, factors, found)
+    return Factor(kernel, nugget, inverse, inverse @ mean_terms(z, known))
 
 
 def sums_of(equations: Equations, group: OutputGroup, z: Floats, base: Factor) -> Sums:
@@ -268,31 +273,19 @@ def likely_noise(sums: Sums, settings: KrigingSettings) -> tuple[Floats, Floats]
     return ratio, np.exp(np.einsum("gk,gk->k", share, np.log(variance)))
 
 
-def alike(ratios: Floats, most: float) -> list[Indices]:
-    """Return the outputs in groups whose noise over process variance is within a factor."""
-    groups: list[list[int]] = []
-    for output in np.argsort(ratios, kind="stable").tolist():
-        if groups and ratios[output] <= most * ratios[groups[-1][0]]:
-            groups[-1].append(output)
-        else:
-            groups.append([output])
-    return [np.sort(np.array(group, dtype=np.intp)) for group in groups]
-
-
 def factor_of(
     sums: Sums,
-    own: Indices,
+    outputs: Indices,
     ratios: Floats,
     variances: Floats,
     base: Factor,
     pseudo: Equations,
-    outputs: Indices,
     settings: KrigingSettings,
 ) -> KrigingFactor:
-    """Return the factor of a group's outputs `own` (k,), whose data goes into `pseudo`."""
-    ratio = float(np.exp(np.log(ratios[own]).mean()))
+    """Return the factor of a group's outputs (k,), whose data goes into `pseudo`."""
+    ratio = float(np.exp(np.log(ratios).mean()))
     A, G, H = sums.A / ratio, sums.G / ratio, sums.H / ratio
-    b, h = sums.b[:, own] / ratio, sums.h[:, own] / ratio
+    b, h = sums.b / ratio, sums.h / ratio
     inverse = np.linalg.inv(A + np.eye(len(A)))
     # R'R = I - inv(B), R lower: the Cholesky factor from the last row up.
     told = np.eye(len(A)) - (inverse + inverse.T) / 2
@@ -309,7 +302,7 @@ def factor_of(
     noise = 1 / np.einsum("ij,ij->j", base.T, A @ base.T)
     group = OutputGroup(outputs, np.arange(len(A)), noise)
     # One triangle for outputs that are alike: variances of answers are in proportion to the noise.
-    variance = ratios[own] * variances[own] / ratio
+    variance = ratios * variances / ratio
     T = np.tril(R @ base.T)
     return KrigingFactor(
         base.hyperparameters,

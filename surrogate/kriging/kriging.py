@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..table.merging import Observations, merge
 from ..table.rows import NEAR, Floats, LoadRange, Rows
-from .calibration import Calibration, calibrated, of_posterior
+from .calibration import Calibration, calibrated, of_posterior, query_points
 from .correlation import Hyperparameters, Mask, block, covariance
 from .equations import (
     Equations,
@@ -24,8 +24,8 @@ from .equations import (
     within,
 )
 from .factor import (
-    KrigingFactor,
     Neighbourhoods,
+    OutputGroup,
     factorise,
     left_out,
     output_groups,
@@ -56,8 +56,6 @@ class Kriging:
     ----------
     settings : KrigingSettings
     scaling : Scaling
-    hyperparameters : Hyperparameters
-        Common to all outputs.
     observation_variance : ndarray, shape (6,), spreads squared
         Of an observation of unknown uncertainty.
     tangent : ndarray, shape (6, 6), SI
@@ -84,7 +82,6 @@ class Kriging:
 
     settings: KrigingSettings
     scaling: Scaling
-    hyperparameters: Hyperparameters
     observation_variance: Floats
     tangent: Floats
     equations: Equations
@@ -127,46 +124,57 @@ class Kriging:
         indices = indices_within(rows, load_range, settings)
         used = rows.take(indices)
         scaling = scaling_of(used, load_range, settings)
-        counted, detail = observations.take(indices), ""
+        counted = observations.take(indices)
         equations = _usable(used, scaling, counted, settings)
-        by_values = equations.n_derivatives == 1
         tangents = used.compliance[np.isfinite(used.compliance).all(axis=(1, 2))]
         tangent = tangents.mean(axis=0) if len(tangents) else np.zeros(used.compliance.shape[1:])
         with one_thread():
+            span = span_of(equations, scaling, settings)
+            points = query_points(equations, scaling, span, settings)
+            by_values = equations.n_derivatives == 1
             some = equations.take(evenly(len(equations), CANDIDATES)) if by_values else equations
-            estimate = estimated(some, scaling, settings)
-            hyperparameters, noise_scale, observation_variance = estimate
-            span, through = span_of(equations, scaling, settings), None
-            factors: list[KrigingFactor] = []
-            if by_values:
-                detail = f"kriging of {len(equations)} rows through "
-                through = induced(equations, *estimate, settings)
+            estimate = estimated(some, scaling, points, settings)
+            through = induced(equations, estimate, settings) if by_values else None
+            noise = estimate.noise if through is None else through.noise
+            observed = (equations.observations > 0).any(axis=0)
+            observation_variance = np.where(observed, noise * equations.typical_noise, 0.0)
+            detail = f"kriging of {len(equations)} rows through "
             if through is not None:
-                equations, factors, observation_variance = through
+                equations = through.equations
                 detail += f"{len(equations)} inducing wrenches"
             else:
                 if by_values:
                     equations = equations_of(used, scaling, counted, settings)
-                equations = equations.with_observation_noise(observation_variance)
+                equations = replace(equations, noise=equations.unit_noise * noise)
+                detail = f"kriging, one factor over {len(equations)} rows "
+                detail += f"({equations.count} equations)"
             x, known = equations.x, equations.known
             weights, n_outputs = np.zeros(equations.data.shape), equations.data.shape[2]
             coefficients = np.empty((1 + x.shape[1], n_outputs))
             deviation, rounding = np.empty((2, n_outputs))
             errors = np.full(equations.measured.shape, np.nan)
-            table = covariance(x, known, x, known, hyperparameters)
             values = np.zeros_like(known)
             values[:, 0] = True
-            rounding_errors = ROUNDING_LOSS * np.abs(table[values[known]])
+            before: Hyperparameters | None = None
             neighbourhoods: list[Neighbourhoods] = []
             calibrations: list[Calibration] = []
-            if through is None:
-                factors = [
-                    factorise(equations, hyperparameters, group, settings, table)
-                    for group in output_groups(equations, noise_scale, settings)
-                ]
-                detail = f"kriging, one factor over {len(x)} rows ({equations.count} equations)"
-            for factor in factors:
-                group, outputs = factor.output_group, factor.output_group.outputs
+            table, rounding_errors = np.empty((2, 0, 0))
+            groups = output_groups(equations, estimate.variance, settings, estimate.kernels)
+            for item in groups if through is None else through.factors:
+                outputs = (
+                    item.outputs if isinstance(item, OutputGroup) else item.output_group.outputs
+                )
+                kernel = estimate.kernels[outputs[0]]
+                if kernel is not before:
+                    table, before = covariance(x, known, x, known, kernel), kernel
+                    rounding_errors = ROUNDING_LOSS * np.abs(table[values[known]])
+                if isinstance(item, OutputGroup):
+                    factor = factorise(equations, kernel, item, settings, table)
+                    if item.noise.any():  # with it the mean's coefficients are integrated out
+                        factor = replace(factor, variance=estimate.variance[outputs])
+                else:
+                    factor = item
+                group = factor.output_group
                 # The weights among the values and derivatives of all rows.
                 all_rows = np.zeros((*known.shape, len(outputs)))
                 all_rows[known & np.isin(np.arange(len(x)), group.rows)[:, None]] = factor.weights
@@ -179,17 +187,20 @@ class Kriging:
                     equations, factor, table, settings, whole=through is not None
                 )
                 neighbourhoods.append(neighbours)
+                rest = scaling, points, estimate.widening[outputs], settings
                 calibrations.append(
-                    calibrated(equations, neighbours, table, scaling, span, settings)
+                    calibrated(equations, neighbours, table, *rest)
                     if through is None
-                    else of_posterior(factor, settings)
+                    else of_posterior(factor, table, settings)
                 )
-        estimate, parts = (
-            (hyperparameters, observation_variance, tangent),
-            (tuple(neighbourhoods), tuple(calibrations)),
-        )
+        parts = equations, tuple(neighbourhoods), tuple(calibrations)
         arrays = weights, coefficients, deviation, rounding, errors, span
-        return cls(settings, scaling, *estimate, equations, *parts, *arrays, detail)
+        return cls(settings, scaling, observation_variance, tangent, *parts, *arrays, detail)
+
+    @property
+    def hyperparameters(self) -> Hyperparameters:
+        """Those of the first outputs: outputs of measured rows have each their own."""
+        return self.neighbourhoods[0].factor.hyperparameters
 
     @property
     def observation_noise(self) -> Floats:
@@ -234,19 +245,18 @@ class Kriging:
         """
         n_outputs = self.weights.shape[2]
         errors, known = np.empty((len(x), n_outputs)), np.empty((len(x), n_outputs), dtype=bool)
-        across = block(x, self.equations.x, self.hyperparameters, 1, self.equations.n_derivatives)
-        across = across.reshape(len(x), -1)
-        # Each point by itself: weights are up to 1e8 times their sum, and the order of a sum
-        # depends on the shape of the matrices.
-        values = (across[:, None] @ self.weights.reshape(-1, n_outputs))[:, 0] + self.coefficients[
-            0
-        ]
-        values += (x[:, None] @ self.coefficients[1:])[:, 0]
+        values = self.coefficients[0] + (x[:, None] @ self.coefficients[1:])[:, 0]
+        weights, terms = self.weights.reshape(-1, n_outputs), self.equations.n_derivatives
+        kernel, across = None, np.empty((0, 0))
         for neighbours, calibration in zip(self.neighbourhoods, self.calibrations, strict=True):
-            sigma, outputs = (
-                neighbours.deviations(x, across),
-                neighbours.factor.output_group.outputs,
-            )
+            outputs = neighbours.factor.output_group.outputs
+            if neighbours.factor.hyperparameters is not kernel:
+                kernel = neighbours.factor.hyperparameters
+                across = block(x, self.equations.x, kernel, 1, terms).reshape(len(x), -1)
+            # Each point by itself: weights are up to 1e8 times their sum, and the order of a sum
+            # depends on the shape of the matrices.
+            values[:, outputs] += (across[:, None] @ weights[:, outputs])[:, 0]
+            sigma = neighbours.deviations(x, across)
             errors[:, outputs] = sigma[:, None] * calibration.at(sigma) * self.deviation[outputs]
             known[:, outputs] = (sigma <= calibration.max_sigma)[:, None]
         known &= ((x >= self.span[0]) & (x <= self.span[1])).all(axis=1)[:, None]
@@ -277,7 +287,7 @@ class Kriging:
                 return bars
             factors = [neighbours.factor for neighbours in self.neighbourhoods]
             factor = max(factors, key=lambda factor: len(factor.equations))
-            hyperparameters, mean_covariance = self.hyperparameters, factor.mean_covariance
+            hyperparameters, mean_covariance = factor.hyperparameters, factor.mean_covariance
             n_derivatives = self.equations.n_derivatives
             known = np.zeros((len(others), n_derivatives), dtype=bool)
             known[:, 0], known[:, 1:] = True, self.equations.known[:, 1:].any(axis=0)

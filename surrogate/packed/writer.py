@@ -265,9 +265,8 @@ def _kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     padded_weights = np.zeros((*kriging.weights.shape[:0:-1], stride))
     padded_weights[:, :, :rows] = kriging.weights.transpose(2, 1, 0)
     yield "x", x
-    rates, weights = kriging.hyperparameters.terms
-    yield "terms", np.concatenate((rates, weights[:, None]), axis=1)
-    yield "rates", kriging.hyperparameters.inverse_squares
+    terms = [neighbours.factor.hyperparameters.terms for neighbours in kriging.neighbourhoods]
+    yield "terms", np.concatenate([np.column_stack(term) for term in terms])
     yield "weights", padded_weights.reshape(len(padded_weights), -1)
     if kriging.equations.n_derivatives > 1 + len(x):
         yield "smoothness", np.array([kriging.hyperparameters.smoothness], dtype=np.int32)

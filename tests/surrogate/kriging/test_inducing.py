@@ -15,6 +15,7 @@ from wrenchbook.surrogate.kriging.correlation import Hyperparameters, covariance
 from wrenchbook.surrogate.kriging.equations import Equations, scaling_of, values_of, within
 from wrenchbook.surrogate.kriging.factor import KrigingFactor, OutputGroup, factorise
 from wrenchbook.surrogate.kriging.inducing import Inducing, induced, values_between
+from wrenchbook.surrogate.kriging.noise import Estimate
 from wrenchbook.surrogate.kriging.settings import DEFAULTS
 from wrenchbook.surrogate.table.merging import merge
 from wrenchbook.surrogate.table.rows import Rows
@@ -42,10 +43,16 @@ def equations_of(rows: Rows) -> Equations:
     return values_of(used, scaling_of(used, RANGE), merged[2].take(order))
 
 
-def through(equations: Equations, ratio: float, settings: object = ALWAYS) -> Inducing:
-    """Return the inducing wrenches of rows whose noise is guessed as so much of the process."""
+def estimate(equations: Equations, ratio: float) -> Estimate:
+    """Return one kernel, and noise as so much of the process."""
     variance = np.full(6, 0.1)
-    found = induced(equations, KERNEL, variance, ratio * variance, settings)  # pyright: ignore
+    noise = ratio * variance / equations.typical_noise
+    return Estimate((KERNEL,) * 6, variance, noise, np.ones(6))
+
+
+def through(equations: Equations, ratio: float) -> Inducing:
+    """Return the inducing wrenches of rows whose noise is guessed as so much of the process."""
+    found = induced(equations, estimate(equations, ratio), ALWAYS)
     assert found is not None
     return found
 
@@ -68,7 +75,7 @@ def test_with_every_row_an_inducing_wrench_it_is_the_kriging_of_all_rows(
     equations = equations_of(measured(150, 0.01))
     found = through(equations, 1e-2)
     assert len(found.equations) == 150
-    noise = found.observation_variance
+    noise = found.noise
     for factor in found.factors:
         outputs = factor.output_group.outputs
         ratio = float((noise[outputs] / factor.variance).mean())
@@ -84,7 +91,7 @@ def test_the_noise_is_that_of_all_rows() -> None:
     equations = equations_of(rows)
     true = 0.01 * np.ptp(coupled(rows.wrench / HIGH), axis=0) / np.std(rows.displacement, axis=0)
     found = through(equations, 1e-3)
-    np.testing.assert_allclose(np.sqrt(found.observation_variance), true, rtol=0.06)
+    np.testing.assert_allclose(np.sqrt(found.noise), true, rtol=0.06)
 
 
 @pytest.mark.parametrize("noise", [0.003, 0.02])
@@ -137,7 +144,7 @@ def test_readings_at_one_wrench_count_as_the_rows_they_are() -> None:
     assert (equations.observations == 4).all()
     found = through(equations, 1e-2)
     one = through(equations_of(rows), 1e-2)
-    np.testing.assert_allclose(found.observation_variance, one.observation_variance, rtol=0.35)
+    np.testing.assert_allclose(found.noise, one.noise, rtol=0.35)
     for ours, theirs in zip(found.factors, one.factors, strict=True):
         ratio = np.median(answered(ours)[1][:, 0]) / np.median(answered(theirs)[1][:, 0])
         assert 0.2 < ratio < 0.6
@@ -145,8 +152,7 @@ def test_readings_at_one_wrench_count_as_the_rows_they_are() -> None:
 
 def test_a_response_that_wrenches_leave_more_of_than_noise_stays_with_one_factor() -> None:
     equations = equations_of(measured(500, 0.0))
-    variance = np.full(6, 0.1)
-    assert induced(equations, KERNEL, variance, 1e-9 * variance, DEFAULTS) is None
+    assert induced(equations, estimate(equations, 1e-9), DEFAULTS) is None
 
 
 def test_values_between_are_the_covariance() -> None:
