@@ -331,7 +331,7 @@ def _usable(
     ------
     TooFewRowsError, TooManyRowsError
     """
-    if len(used) > settings.whole_rows and not np.isfinite(used.compliance).any():
+    if len(used) > settings.many_rows and not np.isfinite(used.compliance).any():
         return values_of(used, scaling, counted, settings)
     equations = within_one_factor(equations_of(used, scaling, counted, settings), settings)
     if len(equations) < settings.min_rows:
