@@ -138,7 +138,8 @@ class Kriging:
             noise = estimate.noise if through is None else through.noise
             observed = (equations.observations > 0).any(axis=0)
             observation_variance = np.where(observed, noise * equations.typical_noise, 0.0)
-            detail = f"kriging of {len(equations)} rows through "
+            part = f" of {len(used)}" if by_values and len(equations) < len(used) else ""
+            detail = f"kriging of {len(equations)}{part} rows through "
             if through is not None:
                 equations = through.equations
                 detail += f"{len(equations)} inducing wrenches"
@@ -332,7 +333,8 @@ def _usable(
     TooFewRowsError, TooManyRowsError
     """
     if len(used) > settings.many_rows and not np.isfinite(used.compliance).any():
-        return values_of(used, scaling, counted, settings)
+        chosen = evenly(len(used), settings.most_rows)
+        return values_of(used.take(chosen), scaling, counted.take(chosen), settings)
     equations = within_one_factor(equations_of(used, scaling, counted, settings), settings)
     if len(equations) < settings.min_rows:
         raise TooFewRowsError(
