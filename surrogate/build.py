@@ -25,6 +25,8 @@ import numpy as np
 
 from .answer import Allowed, allowed_of
 from .axes.axes import Axes, build_axes
+from .findings.comparison import MAX_ROWS as MAX_COMPARED
+from .findings.comparison import differences
 from .findings.find import without_effects
 from .kriging import (
     Kriging,
@@ -340,6 +342,7 @@ def build(
         )
         for outputs, part in _by_output(of_part)
     ]
+    rig_error = np.maximum(rig_error, _between_sources(of_part, load_range, groups))
     return Table(
         rows,
         load_range,
@@ -352,6 +355,27 @@ def build(
         bars_are_complete(rows, solver_error),
         rig_error,
     )
+
+
+def _between_sources(rows: Rows, load_range: LoadRange, groups: Sequence[Group]) -> Floats:
+    """Return how far answers are from measured or solved rows by a factor or an offset, (m,).
+
+    m and rad, over the range of each output; of outputs that the kriging answers. Answers of a
+    table whose rows contradict each other are those of neither.
+    """
+    solved, largest = rows.source == SOLVED, np.zeros(rows.displacement.shape[1])
+    for group in groups if solved.any() and not solved.all() else ():
+        if group.kriging is None or not group.by_kriging:
+            continue
+        for of_source in (solved, ~solved):
+            at = np.flatnonzero(of_source & load_range.holds(rows.wrench))
+            some = rows.take(at[:: max(len(at) // MAX_COMPARED, 1)])
+            answers = group.kriging.answer_many(some.wrench)[0]
+            factor, offset = differences(some.displacement, answers, np.zeros_like(answers))
+            error = np.abs(offset) + np.abs(factor) * group.ranges
+            outputs = list(group.outputs)
+            largest[outputs] = np.maximum(largest, error)[outputs]
+    return largest
 
 
 def _by_output(rows: Rows) -> list[tuple[tuple[int, ...], Rows]]:
