@@ -385,8 +385,7 @@ def _of_one_kernel(
     for rows in many:
         each = [posterior(rows, spectrum(rows, kernel, settings), settings) for kernel in kernels]
         values = np.array([one.values for one in each])  # (kernels, g, k)
-        share = np.exp(values.min(axis=(0, 1)) - values)
-        joint = joint + np.log(share.sum(axis=1)).sum(axis=1)
+        joint = joint + np.logaddexp.reduce(-values, axis=1).sum(axis=1)
         values += prior[:, None, None]
         share = np.exp(values.min(axis=(0, 1)) - values)
         found.append((rows, each, share / share.sum(axis=(0, 1))))

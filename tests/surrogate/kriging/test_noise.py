@@ -131,3 +131,11 @@ def test_rows_that_determine_the_mean_alone_have_no_error(count: int) -> None:
 def test_a_rig_that_shows_nothing_at_all_has_an_error_bar_that_is_not_0() -> None:
     rows = Rows.of(full_wrenches(30, 3) * HIGH, np.zeros((30, 6)))
     assert (Kriging.build(rows, RANGE).floor > 0).all()
+
+
+def test_many_exact_readings_choose_among_kernels_of_which_most_cannot_be() -> None:
+    wrenches = full_wrenches(401, 3)
+    rows = Rows.of(wrenches * HIGH, solved(RESPONSES["smooth"], wrenches).displacement)
+    kriging = Kriging.build(rows, RANGE)
+    assert kriging.knows_errors
+    assert np.nanmax(kriging.observation_noise / np.ptp(rows.displacement, axis=0)) < 1e-3
