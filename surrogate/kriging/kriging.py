@@ -285,7 +285,7 @@ class Kriging:
             for part in self._chunks(len(x)):
                 bars[part] = self._scaled_answers(x[part])[1] * self.scaling.spread
             if not len(pending):
-                return bars
+                return np.hypot(bars, self.floor)
             factors = [neighbours.factor for neighbours in self.neighbourhoods]
             factor = max(factors, key=lambda factor: len(factor.equations))
             hyperparameters, mean_covariance = factor.hyperparameters, factor.mean_covariance
@@ -308,7 +308,7 @@ class Kriging:
                 gain = np.einsum("mp,pm->m", between, np.linalg.solve(within, between.T))
                 before = factor.variance_of(explained, here_left, mean_covariance)
                 bars[part] *= np.sqrt(np.clip(1 - gain / before, 0.0, 1.0))[:, None]
-        return bars
+        return np.hypot(bars, self.floor)
 
     def left_out(self) -> Floats:
         """Return the errors (n, 6), m and rad, at rows left out; NaN where a row has no output."""

@@ -28,7 +28,9 @@ def _inside_and_ratio(kriging: Kriging, true: np.ndarray) -> tuple[np.ndarray, n
     if not known.any():
         return np.full(6, np.nan), np.full(6, np.nan)
     error, bar = np.abs(displacement - true)[known], bar[known]
-    return (error <= bar).mean(axis=0), np.median(bar, axis=0) / np.median(error, axis=0)
+    # No bar is sharper than its floor: smaller errors are as large as that to it.
+    size = np.maximum(np.median(error, axis=0), kriging.floor)
+    return (error <= bar).mean(axis=0), np.median(bar, axis=0) / size
 
 
 @cache
