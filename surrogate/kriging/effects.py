@@ -43,6 +43,7 @@ PRIOR = 0.3  # deviation of effects, spreads of the output: a tenth of its range
 # Half ranges: a response may have a kink at no load, and only readings there tell an offset.
 NO_LOAD = 0.01
 RANK = 1e-9  # of the largest: columns that are no other direction
+SAME = 1e-6  # of an effect: what rounding may put outside of the directions that rows tell
 TINY = 1e-24  # spreads squared: rounding of equal values
 RATIOS = np.exp(np.arange(-20.0, 4.6, 0.75))  # noises, process variances: from none to all
 THETAS = (1.4, 0.0, -1.4, -2.8)  # logarithms of one over the squared length: 0.5 to 4 half ranges
@@ -211,15 +212,20 @@ def _estimated(
     deviation = size * np.sqrt(np.maximum(square - mean**2, 0.0))
     mean *= size
     mean[0] += offset
+    half_width, beyond = np.empty_like(deviation), float(student.isf(CHANCE / 2, free))
     for output in range(len(outputs)):
         b = np.column_stack((terms, np.ones(n), signs[:, output], columns))
         off_mean = np.eye(b.shape[1])[terms.shape[1] :]
         off_mean[:, first - count :] = contrasts[:, first:]
-        worst = np.sqrt(n) * np.linalg.norm(off_mean @ np.linalg.pinv(b, rcond=RANK), axis=1)
-        deviation[:, output] = np.hypot(
-            deviation[:, output], MISFIT * np.ptp(moved[:, output]) * worst
-        )
-    half_width = float(student.isf(CHANCE / 2, free)) * deviation
+        left, sizes, right = np.linalg.svd(b, full_matrices=False)
+        few = sizes > RANK * sizes[0]
+        along = off_mean @ right[few].T
+        worst = np.sqrt(n) * np.linalg.norm(along / sizes[few], axis=1)
+        # A grid in the order of its loads is a straight function of time: nothing tells a drift.
+        shown = np.linalg.norm(off_mean - along @ right[few], axis=1) < SAME
+        misfit = MISFIT * np.ptp(moved[:, output]) * worst
+        deviation[:, output] = np.hypot(deviation[:, output], misfit)
+        half_width[:, output] = np.where(shown, beyond * deviation[:, output], np.inf)
     if np.abs(x).max(axis=1).min() > NO_LOAD:
         half_width[0] = np.inf
     return mean, deviation, half_width

@@ -88,6 +88,23 @@ def test_slow_loads_are_no_drift() -> None:
         assert not found.bar.any()
 
 
+@pytest.mark.parametrize("levels", [(60, 1, 1), (5, 5, 5), (12, 4, 1)])
+def test_a_grid_in_the_order_of_its_loads_shows_no_drift(levels: tuple[int, ...]) -> None:
+    rig = Rig(35)
+    points = np.stack(np.meshgrid(*(np.linspace(-1, 1, n) if n > 1 else [0.0] for n in levels)))
+    loads = np.zeros((points[0].size, 6))
+    loads[:, [0, 4, 5]] = points.reshape(3, -1).T * rig.high[[0, 4, 5]]
+    for bend in (0.0, 1.0):
+        linear = loads @ np.ones((6, 6)) / rig.high.max()
+        moved = linear + bend * (rig.respond(loads) - linear)
+        rows = Rows.of(loads, moved, source=["rig"] * len(loads))
+        same, error = without_effects(rows, rig.range)
+        np.testing.assert_allclose(
+            same.displacement, moved, atol=1e-9 * np.ptp(moved, axis=0).max()
+        )
+        assert error.max() < 1e-6 * np.ptp(moved, axis=0).max()
+
+
 def test_solved_rows_keep_their_displacements() -> None:
     rig = rig_of(7)
     measured = rig.measured("hysteresis of 8 %")
