@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..table.polynomial import terms_of
 from ..table.rows import ROUNDING, ZERO_LOAD, Floats, LoadRange, Rows
 from ..table.space import LOADS, OUTPUTS
-from .response import CONFIDENT, NORMAL, RANK, REMARKABLE, Cause, RigFinding, fitted
+from .response import CONFIDENT, NORMAL, RANK, REMARKABLE, Cause, RigFinding, fitted, is_nines
 
 MIN_ROWS = 12  # rows: with fewer the others do not show what one of them should be
 MIN_EQUAL = 3  # rows of one value: two are equal by the digits that are written
@@ -50,7 +50,9 @@ def channel_findings(
     terms, moved = terms_of(rows.wrench / load_range.scale), rows.displacement.copy()
     varies = np.ptp(rows.wrench, axis=0) > ZERO_LOAD * load_range.scale
     for output in np.flatnonzero(varies & ~still).tolist():
-        known = np.flatnonzero(np.isfinite(moved[:, output]))
+        # What a logger writes where it has no value is no reading of the channel.
+        read = [value == value and not is_nines(value) for value in moved[:, output].tolist()]
+        known = np.flatnonzero(read)
         unit = "m" if output < 3 else "rad"
         for cause, some, value, off in _broken(terms[known], moved[known, output]):
             at = known[some]

@@ -199,13 +199,13 @@ def single_row_findings(
     for output in range(6):
         values = rows.displacement[:, output]
         repeats = Counter(values[far[:, output]].tolist())
-        marked = [value for value, count in repeats.items() if count > 1 or _is_nines(value)]
+        marked = [value for value, count in repeats.items() if count > 1 or is_nines(value)]
         sentinels[:, output] = far[:, output] & np.isin(values, marked)
     outliers = np.logical_and(wrong, ~sentinels.any(axis=1, keepdims=True))
     return [*_sentinels(rows, sentinels), *_outliers(rows, response, outliers)]
 
 
-def _is_nines(value: float) -> bool:
+def is_nines(value: float) -> bool:
     """Whether the digits of an observation are nines, in whatever unit of length it was written."""
     digits = f"{abs(value):.6e}".split("e")[0].replace(".", "").rstrip("0")
     return len(digits) >= NINES and set(digits) == {"9"}

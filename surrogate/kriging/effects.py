@@ -212,7 +212,7 @@ def _estimated(
     deviation = size * np.sqrt(np.maximum(square - mean**2, 0.0))
     mean *= size
     mean[0] += offset
-    half_width, beyond = np.empty_like(deviation), float(student.isf(CHANCE / 2, free))
+    half_width, freedom = np.empty_like(deviation), np.full(len(deviation), float(free))
     for output in range(len(outputs)):
         b = np.column_stack((terms, np.ones(n), signs[:, output], columns))
         off_mean = np.eye(b.shape[1])[terms.shape[1] :]
@@ -225,7 +225,11 @@ def _estimated(
         shown = np.linalg.norm(off_mean - along @ right[few], axis=1) < SAME
         misfit = MISFIT * np.ptp(moved[:, output]) * worst
         deviation[:, output] = np.hypot(deviation[:, output], misfit)
-        half_width[:, output] = np.where(shown, beyond * deviation[:, output], np.inf)
+        # Rows at rest tell nothing of a loop.
+        freedom[1] = max(np.count_nonzero(signs[:, output]) - count, 1)
+        half_width[:, output] = np.where(
+            shown, student.isf(CHANCE / 2, freedom) * deviation[:, output], np.inf
+        )
     if np.abs(x).max(axis=1).min() > NO_LOAD:
         half_width[0] = np.inf
     return mean, deviation, half_width

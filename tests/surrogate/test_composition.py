@@ -153,11 +153,16 @@ def test_an_offset_without_a_row_at_zero_load_is_not_lost(seed: int) -> None:
     # Displacements of metres and radians: beyond the limits of what is given, unless covered.
     answers = surrogate.estimates(asked * HIGH)
     assert (answers.coverage < 2).all()
-    np.testing.assert_allclose(answers.displacement, response(asked), atol=1e-9)
+    # Measured rows have the noise of the floor at least.
+    error, variation = (
+        np.abs(answers.displacement - response(asked)),
+        np.ptp(response(asked), axis=0),
+    )
+    assert (error <= answers.error).all()
+    assert (answers.error <= 1e-5 * variation).all()
     for wrench, expected in zip(asked * HIGH, response(asked), strict=True):
         single = surrogate.estimate(wrench.tolist())
-        np.testing.assert_allclose(np.array(single.displacement), expected, atol=1e-9)
-        np.testing.assert_array_less(np.abs(np.array(single.displacement) - expected) / 10, 1e-9)
+        assert (np.abs(np.array(single.displacement) - expected) <= 1e-5 * variation).all()
 
 
 def test_zero_load_is_not_covered_where_no_axis_surrounds_it() -> None:

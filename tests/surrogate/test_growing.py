@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.law import build
 from tests.surrogate.responses import (
     HIGH,
@@ -110,12 +111,12 @@ def test_no_version_holds_the_one_before() -> None:
     assert all(value is not before.groups[0] for value in vars(after.groups[0]).values())
 
 
-def test_a_table_too_large_for_one_factor_is_built_without_its_kriging() -> None:
-    rows = table(smooth, np.concatenate((clean_wrenches(1000, 1), full_wrenches(25, 2))))
-    surrogate = build(rows, RANGE)
-    assert surrogate.default == "griddata"
-    assert "kriging" not in vars(surrogate.groups[0])
-    assert surrogate.answer(ASKED[0].tolist(), method="kriging").method == "griddata"
+def test_solves_too_many_for_one_factor_are_built_without_their_kriging() -> None:
+    wrenches = np.concatenate((clean_wrenches(120, 1), full_wrenches(90, 2)))
+    surrogate = build(solved(RESPONSES["smooth"], wrenches), RANGE)
+    assert surrogate.default in ("griddata", "additive")
+    assert surrogate.groups[0].kriging is None
+    assert surrogate.answer(ASKED[0].tolist(), method="kriging").method == surrogate.default
 
 
 def test_a_thinned_axis_is_told_and_its_bars_hold_the_points_left_out(

@@ -288,7 +288,7 @@ def test_a_rig_that_measured_some_outputs_has_a_bound_of_those() -> None:
     rows = table(coupled, full_wrenches(30, 1))
     moved = rows.displacement.copy()
     moved[:, 3:] = np.nan
-    between_rows = {load: (-0.9, 0.9) for load in PLANAR}
+    between_rows = dict.fromkeys(PLANAR, (-0.9, 0.9))
     scene = need(between_rows, tolerance=LOOSE)
     plan = plan_of(build(Rows.of(rows.wrench, moved), RANGE), scene)
     assert np.isfinite(plan.bound[:3]).all()
