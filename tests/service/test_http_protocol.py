@@ -604,7 +604,8 @@ def test_an_uncovered_query_costs_its_key_one_request(tmp_path, monkeypatch):
     with served(tmp_path, key=owner) as client:
         add_table(client, "solved", as_rows(wrenches, moved(wrenches)))
         with closing(Wire(client._port)) as wire:
-            covered = orjson.dumps({**PLAIN, "on_thin": "estimate"})
+            strict = {"tolerance": {"translation": 1e-30, "rotation": 1e-30}}
+            covered = orjson.dumps({**PLAIN, **strict, "on_thin": "estimate"})
             uncovered = covered.replace(b"estimate", b"reject  ")
             uncovered = uncovered.replace(b'reject  "', b'reject"  ')
             bodies = [uncovered, covered, uncovered, covered, b"{", b"{"]
