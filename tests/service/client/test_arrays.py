@@ -219,7 +219,7 @@ def test_the_inverse_is_the_kernels_with_the_stiffness_as_its_derivative(on):
 
 def test_beyond_the_range_the_start_decides_between_wrenches_of_one_displacement(on):
     table, source = downloaded("clean and full"), table_of("clean and full")
-    asked = asked_of(source, 150, 3, 1.5)
+    asked = asked_of(source, 150, 3, 2.5)
     moved = table.packed.batch(asked).outputs
     own, scale = on.evaluator(table), source.load_range.scale
     found = np.asarray(own.inverse(moved))
