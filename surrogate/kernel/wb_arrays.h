@@ -94,6 +94,7 @@ static const wb_array WB_KRIGING_ARRAYS[] = {
     {"offset", WB_F8, 0, 1, {WB_OF_M}, offsetof(wb_kriging, offset)},
     {"spread", WB_F8, 0, 1, {WB_OF_M}, offsetof(wb_kriging, spread)},
     {"deviation", WB_F8, 0, 1, {WB_OF_M}, offsetof(wb_kriging, deviation)},
+    {"lost", WB_F8, 0, 1, {WB_OF_M}, offsetof(wb_kriging, lost)},
     {"floor", WB_F8, 0, 1, {WB_OF_M}, offsetof(wb_kriging, floor)},
     {"tangent", WB_F8, 0, 2, {WB_OF_M, WB_OF_N}, offsetof(wb_kriging, tangent)},
     {"span", WB_F8, 0, 2, {-2, WB_OF_N}, offsetof(wb_kriging, span)},

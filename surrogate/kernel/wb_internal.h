@@ -87,7 +87,7 @@ typedef struct {
     int stride, terms, factors; /* stride: rows, a multiple of WB_LANES */
     int has_second, per_row; /* whether rows bring second derivatives; numbers of a row */
     const double *x, *term, *rates, *weights, *coefficients, *centre, *rate, *offset, *spread;
-    const double *deviation, *floor, *tangent, *span;
+    const double *deviation, *lost, *floor, *tangent, *span;
     const int32_t *smoothness, *factor_count; /* smoothness: NULL without second derivatives */
     wb_factor *factor;
 } wb_kriging;

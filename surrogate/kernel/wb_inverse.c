@@ -10,9 +10,6 @@ enum { MAX_STEPS = 40, MAX_HALVINGS = 12 };
 static const double SMALL_STEP = 1e-12, ROUNDING_STEP = 1e-9;
 /* How much shorter each step is while the matrix of another wrench is good enough. */
 static const double GAIN = 0.1;
-/* Of the load range: the farthest wrench whose outputs the floor of error bars is true of; a joint's
- * poses stay within it. */
-static const double FAR = 2.0;
 
 /* What the iteration works with: the free loads and the outputs of the same numbers. */
 typedef struct {
@@ -21,8 +18,6 @@ typedef struct {
     wb_work work;
     int count, free[WB_MAX];
     double matrix[WB_MAX * WB_MAX], size[WB_MAX];
-    double floor[WB_MAX]; /* of error bars */
-    int near; /* whether the last outputs are within it of the target */
 } solver;
 
 static int all_finite(const solver *s, const double *numbers, int stride) {
@@ -158,24 +153,27 @@ static double try_step(solver *s, const double *target, const double *stiffness,
         there[load] += fraction * step[i] * s->t->scale[load];
     }
     if (!outputs_at(s, there, outputs)) return INFINITY;
-    s->near = 1;
-    for (int i = 0; i < s->count; i++) {
-        residual[i] = target[s->free[i]] - outputs[s->free[i]];
-        s->near &= fabs(residual[i]) <= s->floor[s->free[i]]
-                   && fabs(there[s->free[i]]) <= FAR * s->t->scale[s->free[i]];
-    }
+    for (int i = 0; i < s->count; i++) residual[i] = target[s->free[i]] - outputs[s->free[i]];
     return step_by(s, stiffness, residual, next);
 }
 
-/* The floor of the error bars of each output; 0 where no kriging answers. */
-static void read_floor(solver *s) {
-    memset(s->floor, 0, sizeof s->floor);
+/* The largest step that rounding of the outputs can make: a kriging's sums lose more than others. */
+static double step_of_rounding(const solver *s, const double *stiffness) {
+    double largest = ROUNDING_STEP, lost[WB_MAX] = {0};
     for (int i = 0; i < s->t->groups; i++) {
         const wb_group *g = &s->t->group[i];
         if (!g->used || wb_method_of(g, &s->o) != WB_KRIGING) continue;
         for (int q = 0; q < s->t->outputs; q++)
-            if (g->outputs[q]) s->floor[q] = g->kriging.floor[q];
+            if (g->outputs[q]) lost[q] = g->kriging.lost[q];
     }
+    for (int i = 0; i < s->count; i++) {
+        int load = s->free[i];
+        double step = 0;
+        for (int j = 0; j < s->count; j++)
+            step += fabs(stiffness[s->t->outputs * load + s->free[j]]) * lost[s->free[j]];
+        largest = fmax(largest, step / s->t->scale[load]);
+    }
+    return largest;
 }
 
 /* Newton's method with the natural monotonicity test (Deuflhard 2004): the next step by the same
@@ -186,10 +184,9 @@ static int iterate(solver *s, const double *target, double *w, double *stiffness
     double largest = try_step(s, target, stiffness, 0.0, w, none, there, step);
     for (int count = 0; count < MAX_STEPS; count++) {
         if (!isfinite(largest)) return WB_SINGULAR;
+        double floor = step_of_rounding(s, stiffness);
         double fraction = 1.0, after = try_step(s, target, stiffness, fraction, w, step, there, next);
-        /* slow steps are rounding: by the wrench's own matrix and below what bars tell of outputs */
-        int rounding = largest <= ROUNDING_STEP || (fresh && s->near);
-        if (largest <= SMALL_STEP || (rounding && !(after <= GAIN * largest))) {
+        if (largest <= SMALL_STEP || (largest <= floor && !(after <= GAIN * largest))) {
             if (after <= largest) memcpy(w, there, (size_t)s->t->inputs * sizeof(double));
             return WB_OK;
         }
@@ -201,7 +198,7 @@ static int iterate(solver *s, const double *target, double *w, double *stiffness
         }
         for (int half = 0; half < MAX_HALVINGS && !(after < largest); half++)
             after = try_step(s, target, stiffness, fraction *= 0.5, w, step, there, next);
-        if (!(after < largest)) return rounding ? WB_OK : WB_NO_CONVERGENCE;
+        if (!(after < largest)) return largest <= floor ? WB_OK : WB_NO_CONVERGENCE;
         memcpy(w, there, (size_t)s->t->inputs * sizeof(double));
         memcpy(step, next, sizeof step);
         largest = after, fresh = 0;
@@ -222,7 +219,6 @@ int wb_inverse(const wb_table *t, const wb_options *options, const double *outpu
         else s.free[s.count++] = k;
         if (!t->locked[k] && !isfinite(outputs[k])) return WB_NOT_FINITE;
     }
-    read_floor(&s);
     int known = 0;
     for (int k = 0; k < t->inputs * t->outputs; k++) known |= stiffness[k] != 0.0;
     if (!known && (wrong = invert(&s, inputs, stiffness))) return wrong;
