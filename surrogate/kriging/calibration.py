@@ -1,13 +1,13 @@
 """The factors by which posterior deviations are multiplied to hold 95 % of the errors.
 
 A left-out row shows the errors of answers at the same distance from their rows, and nothing of
-answers further away. So rows are left out until they are as far from the rest as queries are: each
-with as many of its nearest rows (in the metric of the length scales) as make its deviation like
-those at random wrenches of the loads that the rows span. Rows that are left out with another count
-no further: twins and rows of a motion neither calibrate what lies beside them nor keep other rows
-from doing so. Each by itself they show the errors of answers near rows, which may be more of their
-deviation (kinks): the larger factor holds. Beyond the deviations of left-out rows, and where fewer
-than six get there, errors are not known.
+answers further away. So a row is left out with its nearest rows (in the metric of the length
+scales), as many as make its deviation like those at random wrenches of the loads that the rows
+span. Rows that were left out with another count no further: twins and rows of a motion do not
+calibrate what lies far from them, nor keep spread rows from doing so. Each by itself they show the
+errors of answers near rows, which may be more of their deviation (kinks): the larger factor holds.
+Errors are not known where fewer than six rows get as far as queries, and far beyond the deviations
+of those that do.
 """
 
 from __future__ import annotations
@@ -88,16 +88,13 @@ def factors_of(found: Errors, n_derivatives: int, outputs: int) -> Floats:
     """
     ratios = np.abs(found.errors) / found.sigma[:, None]
     square = (found.sizes**2).mean(axis=0)
-    size = np.sqrt(np.where(square > 0, square, 1.0))
     # The degrees of freedom are those of a chi square whose variance is that of the mean square
     # (Satterthwaite 1946): as many as rows where each brings one normal number, up to seven times
     # that where values and slopes are alike, and few where a few rows make most of the size.
-    scatter = np.maximum((found.sizes**4).mean(axis=0) / size**4 - 1, 2 / n_derivatives)
-    return (
-        common_quantile(ratios, np.sqrt(square))
-        * size
-        * widening(2 * len(ratios) / scatter, outputs)
-    )
+    scatter = (found.sizes**4).mean(axis=0) / np.where(square > 0, square, 1.0) ** 2 - 1
+    freedom = 2 * len(ratios) / np.maximum(scatter, 2 / n_derivatives)
+    size = np.sqrt(square)
+    return common_quantile(ratios, size) * size * widening(freedom, outputs)
 
 
 def errors_of(factor: KrigingFactor, out: LeftOutRows, rows: Indices) -> Errors:
@@ -199,4 +196,4 @@ def calibrated(
         factors = np.maximum(factors, factors_of(near, *numbers))
     # Rows are left out of the whole factor; answers have the deviation of a neighbourhood.
     wider = float(np.median(sigma / whole))
-    return Calibration(factors / wider, float(far.sigma.max()) * wider)
+    return Calibration(factors / wider, float(far.sigma.max()) * wider / settings.comparable)
