@@ -10,15 +10,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cache
 from itertools import combinations, combinations_with_replacement
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from tests.fea.shipped_meshes import COMPONENTS
+from tests.surrogate.calibrating import SOLVES
 from tests.surrogate.findings.rigs import Rig
 from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.responses import RANGE as NINE_RANGE
 from tests.surrogate.scenarios import ROUNDING, shipped_truth, spread
 from tests.surrogate.scenarios import TOLERANCES as SHIPPED
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.solve import Solver
+from wrenchbook.service.library.component import component_of
 from wrenchbook.surrogate.table.axes import AXES
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 from wrenchbook.surrogate.table.second_derivatives import moment_map
@@ -317,6 +322,26 @@ def _of_nine(name: str) -> Callable[[np.ndarray, int], Rows]:
 
 NINE = tuple(RESPONSES)
 SIXTEEN = (*ENERGIES, *OTHERS)
+SOLVED = tuple(f"solved {name}" for name in ("plate_thin", "spring", "link", "hot_bracket"))
+
+
+def _of_solver(name: str) -> Part:
+    """Return a shipped component whose every row is a solve."""
+    bundle = read_bundle(COMPONENTS / name)
+    solver, load_range = Solver(bundle), component_of(bundle, shipped=False).load_range
+
+    def rows(parts: np.ndarray, derivatives: int) -> Rows:
+        low, high = load_range.low, load_range.high
+        found = [solver.solve((low + high) / 2 + one * (high - low) / 2) for one in parts]
+        known: dict[str, Any] = {"compliance": [one.compliance for one in found]}
+        if all(one.curvature is not None for one in found):
+            known["curvature"] = [one.curvature for one in found]
+        moved, source = [one.displacement for one in found], ["fea"] * len(found)
+        return Rows.of(
+            [one.wrench for one in found], moved, load_range.space, source=source, **known
+        )
+
+    return Part(f"solved {name}", load_range, None, rows, SOLVES)
 
 
 @cache
@@ -329,6 +354,8 @@ def part_of(name: str, seed: int = 0) -> Part:
     if name in SHIPPED:
         truth = shipped_truth(name)
         return Part(name, truth.load_range, truth.tolerance, lambda x, _: truth.rows(truth.at(x)))
+    if name.startswith("solved "):
+        return _of_solver(name.removeprefix("solved "))
     if name == "rig":
         rig = Rig(seed)
         rows = _by_differences(lambda x: rig.respond(x * rig.high), rig.high)
