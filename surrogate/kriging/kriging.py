@@ -162,12 +162,12 @@ class Kriging:
                 weights[:, :, outputs], coefficients[:, outputs] = all_rows, factor.coefficients
                 deviation[outputs] = np.sqrt(factor.variance)
                 rounding[outputs] = (rounding_errors @ np.abs(all_rows[known])).max(axis=0)
-                left_out_rows = left_out(factor, np.arange(len(group.rows)))
-                errors[np.ix_(group.rows, outputs)] = left_out_rows.errors
+                alone = left_out(factor, np.arange(len(group.rows)))
+                errors[np.ix_(group.rows, outputs)] = alone.errors
                 neighbours = Neighbourhoods(equations, factor, table, settings)
                 neighbourhoods.append(neighbours)
                 calibrations.append(
-                    calibrated(equations, neighbours, table, scaling, span, settings)
+                    calibrated(equations, neighbours, alone, scaling, span, settings)
                 )
         estimate, parts = (
             (hyperparameters, observation_variance, tangent),
@@ -238,7 +238,7 @@ class Kriging:
                 neighbours.deviations(x, across),
                 neighbours.factor.output_group.outputs,
             )
-            errors[:, outputs] = sigma[:, None] * calibration.at(sigma) * self.deviation[outputs]
+            errors[:, outputs] = sigma[:, None] * calibration.factors * self.deviation[outputs]
             known[:, outputs] = (sigma <= calibration.max_sigma)[:, None]
         known &= ((x >= self.span[0]) & (x <= self.span[1])).all(axis=1)[:, None]
         return values, errors, known
