@@ -120,7 +120,7 @@ def left_out_as_far(
 
     A row is left out with its nearest rows, as many as it takes. Rows are taken in turn, each the
     farthest from those before: spread rows go before others, and rows left out with another are
-    passed over. No row takes more than one in `min_left_out` with it: so many would not find room.
+    passed over. No row takes more than one in `min_left_out` of all: so many would not find room.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def left_out_as_far(
     count, noise = len(scaled), factor.output_group.noise
     rows = np.linspace(0, count - 1, min(count, settings.left_out_rows)).round().astype(np.intp)
     near = rows[alone.variances[rows] - noise[rows] < distant**2]
-    largest, passed = max(count // settings.min_left_out, 1), np.zeros(count, dtype=np.bool_)
+    largest, passed = count // settings.min_left_out + 1, np.zeros(count, dtype=np.bool_)
     apart, far = LeftOutRows(*map(np.copy, alone)), []
     for row in rows[list(farthest_first(scaled[rows]))].tolist():
         if passed[row]:
