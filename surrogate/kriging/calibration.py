@@ -19,7 +19,7 @@ import numpy as np
 
 from ..calibration import common_quantile, widening
 from ..table.axes import has_levels
-from ..table.rows import NEAR, Floats, LoadRange
+from ..table.rows import NEAR, ZERO_LOAD, Floats, LoadRange
 from ..table.spread import spread_wrenches
 from .correlation import block
 from .equations import DECIMALS, Equations, Scaling, farthest_first
@@ -30,9 +30,6 @@ QUERIES = 256  # random wrenches in place of queries: their median is known to a
 # Of the distance within which rows merge: what the span leaves on both sides of a load that no
 # row varies, and rounding.
 FIXED_WIDTH = 2.5
-# The quantile of neighbourhoods' deviations over those of the whole factor that stands for all: by
-# their median 4 of 59 tables of 30 to 120 rows held below 90 % in one output, by this 2.
-WIDER = 0.4
 
 
 @dataclass(frozen=True)
@@ -116,10 +113,27 @@ def errors_of(factor: KrigingFactor, out: LeftOutRows, rows: Indices) -> Errors:
     return Errors(above[finite], sizes[finite], sigma[finite])
 
 
+def like_queries(factor: KrigingFactor, at_rest: Floats, settings: KrigingSettings) -> Indices:
+    """Return the rows (k,) that load more than one load group, as queries do; if few, all rows.
+
+    `at_rest`, shape (6,), is the scaled wrench of no load.
+    """
+    equations = factor.equations
+    loaded, groups = np.abs(equations.x - at_rest) > ZERO_LOAD, equations.groups[:-1] > 0
+    full = ~np.any([~loaded[:, ~group].any(axis=1) for group in groups], axis=0)
+    rows = np.flatnonzero(full | (full.sum() < settings.full_rows))
+    chosen = np.linspace(0, len(rows) - 1, min(len(rows), settings.left_out_rows))
+    return rows[chosen.round().astype(np.intp)]
+
+
 def left_out_as_far(
-    factor: KrigingFactor, alone: LeftOutRows, distant: float, settings: KrigingSettings
+    factor: KrigingFactor,
+    alone: LeftOutRows,
+    rows: Indices,
+    distant: float,
+    settings: KrigingSettings,
 ) -> tuple[Errors, Errors]:
-    """Return the errors of rows left out as far from the rest as that, and of nearer rows.
+    """Return the errors of rows (k,) left out as far from the rest as that, and of nearer rows.
 
     A row is left out with its nearest rows, as many as it takes. Rows are taken in turn, each the
     farthest from those before: spread rows go before others, and rows left out with another are
@@ -133,7 +147,6 @@ def left_out_as_far(
     """
     scaled = factor.equations.x * np.sqrt(factor.hyperparameters.inverse_squares)
     count, noise = len(scaled), factor.output_group.noise
-    rows = np.linspace(0, count - 1, min(count, settings.left_out_rows)).round().astype(np.intp)
     near = rows[alone.variances[rows] - noise[rows] < distant**2]
     largest, passed = count // settings.min_left_out + 1, np.zeros(count, dtype=np.bool_)
     apart, far = LeftOutRows(*map(np.copy, alone)), []
@@ -190,7 +203,9 @@ def calibrated(
     across = block(queries, equations.x, factor.hyperparameters, 1, equations.n_derivatives)
     sigma = neighbours.deviations(queries, across.reshape(QUERIES, -1))
     distant = settings.comparable * float(np.median(whole))
-    far, near = left_out_as_far(factor, alone, distant, settings)
+    at_rest = scaling.loads(np.zeros((1, equations.loads)))[0]
+    rows = like_queries(factor, at_rest, settings)
+    far, near = left_out_as_far(factor, alone, rows, distant, settings)
     if len(far.sigma) < settings.min_left_out:
         return Calibration.unknown(outputs, settings)
     numbers = 1 + equations.loads, equations.data.shape[2]
@@ -198,5 +213,5 @@ def calibrated(
     if len(near.sigma) >= settings.min_left_out:
         factors = np.maximum(factors, factors_of(near, *numbers))
     # Rows are left out of the whole factor; answers have the deviation of a neighbourhood.
-    wider = float(np.quantile(sigma / whole, WIDER))
+    wider = float(np.median(sigma / whole))
     return Calibration(factors / wider, float(far.sigma.max()) * wider / settings.comparable)

@@ -95,6 +95,10 @@ class KrigingSettings:
     comparable: float = 0.6
     # With fewer left-out rows errors are not known: with four a fifth more tables cover too much.
     min_left_out: int = 6
+    # With so many rows that load several axes bars are calibrated on them alone: queries do too,
+    # and rows at the corners of one axis err more (bars of 30 such rows and 15 full ones 7.9 x the
+    # errors in place of 6.0). Fewer show no tail.
+    full_rows: int = 15
     # Probability that evenly spread rows leave more beyond the outermost rows than is counted as
     # theirs: of six loads with two ends each one end in nine tables.
     beyond_rows: float = 0.01
