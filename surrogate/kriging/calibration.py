@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..calibration import common_quantile, widening
 from ..table.axes import has_levels
@@ -113,17 +114,32 @@ def errors_of(factor: KrigingFactor, out: LeftOutRows, rows: Indices) -> Errors:
     return Errors(above[finite], sizes[finite], sigma[finite])
 
 
-def like_queries(factor: KrigingFactor, at_rest: Floats, settings: KrigingSettings) -> Indices:
-    """Return the rows (k,) that load more than one load group, as queries do; if few, all rows.
+def full_rows(equations: Equations, scaling: Scaling) -> NDArray[np.bool_]:
+    """Return which rows load more than one load group, shape (n,)."""
+    at_rest = scaling.loads(np.zeros((1, equations.loads)))
+    loaded = np.abs(equations.x - at_rest) > ZERO_LOAD
+    groups = equations.groups[:-1] > 0  # the last sees all loads
+    return ~np.any([~loaded[:, ~group].any(axis=1) for group in groups], axis=0)
 
-    `at_rest`, shape (6,), is the scaled wrench of no load.
+
+def query_points(
+    equations: Equations, scaling: Scaling, span: Floats, settings: KrigingSettings
+) -> Floats:
+    """Return points like those of queries, spread over the span of rows, (m, 6), half ranges.
+
+    Where nearly all rows load one axis each, so do these.
     """
-    equations = factor.equations
-    loaded, groups = np.abs(equations.x - at_rest) > ZERO_LOAD, equations.groups[:-1] > 0
-    full = ~np.any([~loaded[:, ~group].any(axis=1) for group in groups], axis=0)
-    rows = np.flatnonzero(full | (full.sum() < settings.full_rows))
-    chosen = np.linspace(0, len(rows) - 1, min(len(rows), settings.left_out_rows))
-    return rows[chosen.round().astype(np.intp)]
+    active = np.isfinite(span[0])
+    low, high = np.where(active, np.clip(span, -1.0, 1.0), 0.0)
+    # A load that no row varies stays as the rows have it: off that the mean is not determined.
+    fixed = high - low <= FIXED_WIDTH * NEAR
+    low, high = np.where(fixed, (low + high) / 2, [low, high])
+    queries = spread_wrenches(LoadRange(low, high, scaling.space), QUERIES)
+    full = full_rows(equations, scaling)
+    if full.sum() < min(settings.full_rows, len(full) / 2):
+        groups = scaling.space.kriging_groups[:-1]
+        queries = queries * groups[np.arange(QUERIES) % len(groups)]
+    return queries
 
 
 def left_out_as_far(
@@ -174,7 +190,8 @@ def calibrated(
     neighbours: Neighbourhoods,
     alone: LeftOutRows,
     scaling: Scaling,
-    span: Floats,
+    queries: Floats,
+    widenings: Floats,
     settings: KrigingSettings,
 ) -> Calibration:
     """Return the factors of a group's deviations for 95 % error bars.
@@ -183,28 +200,26 @@ def calibrated(
     ----------
     alone : LeftOutRows
         Each row left out by itself.
+    queries : ndarray, shape (m, 6), half ranges
+    widenings : ndarray, shape (q,), dimensionless
+        See `Estimate.widening`.
     """
     factor = neighbours.factor
     subset, outputs = factor.equations, len(factor.output_group.outputs)
     if not subset.known[:, 1:].any() and not has_levels(subset.x[:, scaling.active]):
         return Calibration.unknown(outputs, settings)
-    # Points like those of queries: spread over the span of rows, (m, 6), half ranges.
-    active = np.isfinite(span[0])
-    low, high = np.where(active, np.clip(span, -1.0, 1.0), 0.0)
-    # A load that no row varies stays as the rows have it: off that the mean is not determined.
-    fixed = high - low <= FIXED_WIDTH * NEAR
-    low, high = np.where(fixed, (low + high) / 2, [low, high])
-    queries = spread_wrenches(LoadRange(low, high, scaling.space), QUERIES)
-    value = np.zeros((QUERIES, equations.n_derivatives), dtype=np.bool_)
+    value = np.zeros((len(queries), equations.n_derivatives), dtype=np.bool_)
     value[:, 0] = True
     whole = np.sqrt(
         factor.variance_of(*factor.explained_at(queries, value), factor.mean_covariance)
     )
     across = block(queries, equations.x, factor.hyperparameters, 1, equations.n_derivatives)
-    sigma = neighbours.deviations(queries, across.reshape(QUERIES, -1))
+    sigma = neighbours.deviations(queries, across.reshape(len(queries), -1))
+    full = full_rows(subset, scaling)
+    rows = np.flatnonzero(full | (full.sum() < settings.full_rows))
+    chosen = np.linspace(0, len(rows) - 1, min(len(rows), settings.left_out_rows))
+    rows = rows[chosen.round().astype(np.intp)]
     distant = settings.comparable * float(np.median(whole))
-    at_rest = scaling.loads(np.zeros((1, equations.loads)))[0]
-    rows = like_queries(factor, at_rest, settings)
     far, near = left_out_as_far(factor, alone, rows, distant, settings)
     if len(far.sigma) < settings.min_left_out:
         return Calibration.unknown(outputs, settings)
@@ -214,4 +229,10 @@ def calibrated(
         factors = np.maximum(factors, factors_of(near, *numbers))
     # Rows are left out of the whole factor; answers have the deviation of a neighbourhood.
     wider = float(np.median(sigma / whole))
-    return Calibration(factors / wider, float(far.sigma.max()) * wider / settings.comparable)
+    factors = factors / wider
+    if factor.output_group.noise.any():
+        # Noise hides the errors of left-out rows: bars hold the posterior, and what it leaves open.
+        freedom = max(len(subset) - (1.0 + scaling.active.sum()), 1.0)
+        least = widenings * settings.half_width * widening(freedom, equations.data.shape[2])
+        factors = np.maximum(factors, least)
+    return Calibration(factors, float(far.sigma.max()) * wider / settings.comparable)
