@@ -4,8 +4,9 @@ A left-out row shows the errors of answers at the same distance from their rows,
 answers further away. So a row is left out with its nearest rows (in the metric of the length
 scales), as many as make its deviation like those at random wrenches of the loads that the rows
 span. Rows that were left out with another count no further: twins and rows of a motion do not
-calibrate what lies far from them, nor keep spread rows from doing so. Each by itself they show the
-errors of answers near rows, which may be more of their deviation (kinks): the larger factor holds.
+calibrate what lies far from them, nor keep spread rows from doing so. Each by itself, where they
+are the most, they show the errors of answers near rows, which may be more of their deviation
+(kinks): the larger factor holds.
 Errors are not known where fewer than six rows get as far as queries, and far beyond the deviations
 of those that do.
 """
@@ -225,7 +226,7 @@ def calibrated(
         return Calibration.unknown(outputs, settings)
     numbers = 1 + equations.loads, equations.data.shape[2]
     factors = factors_of(far, *numbers)
-    if len(near.sigma) >= settings.min_left_out:
+    if len(near.sigma) > len(far.sigma):  # a few neighbours tell no tail
         factors = np.maximum(factors, factors_of(near, *numbers))
     # Rows are left out of the whole factor; answers have the deviation of a neighbourhood.
     wider = float(np.median(sigma / whole))
