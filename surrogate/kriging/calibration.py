@@ -4,8 +4,9 @@ A left-out row shows the errors of answers at the same distance from their rows,
 answers further away. So a row is left out with its nearest rows (in the metric of the length
 scales), as many as make its deviation like those at random wrenches of the loads that the rows
 span. Rows that were left out with another count no further: twins and rows of a motion do not
-calibrate what lies far from them, nor keep spread rows from doing so. Each by itself they show the
-errors of answers near rows, which may be more of their deviation (kinks): the larger factor holds.
+calibrate what lies far from them, nor keep spread rows from doing so. Each by itself, where they
+are the most, they show the errors of answers near rows, which may be more of their deviation
+(kinks): the larger factor holds.
 Errors are not known where fewer than six rows get as far as queries, and far beyond the deviations
 of those that do.
 """
@@ -16,10 +17,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..calibration import common_quantile, widening
 from ..table.axes import has_levels
-from ..table.rows import NEAR, Floats, LoadRange
+from ..table.rows import NEAR, ZERO_LOAD, Floats, LoadRange
 from ..table.spread import spread_wrenches
 from .correlation import block
 from .equations import DECIMALS, Equations, Scaling, farthest_first
@@ -30,9 +32,6 @@ QUERIES = 256  # random wrenches in place of queries: their median is known to a
 # Of the distance within which rows merge: what the span leaves on both sides of a load that no
 # row varies, and rounding.
 FIXED_WIDTH = 2.5
-# The quantile of neighbourhoods' deviations over those of the whole factor that stands for all: by
-# their median 4 of 59 tables of 30 to 120 rows held below 90 % in one output, by this 2.
-WIDER = 0.4
 
 
 @dataclass(frozen=True)
@@ -116,10 +115,42 @@ def errors_of(factor: KrigingFactor, out: LeftOutRows, rows: Indices) -> Errors:
     return Errors(above[finite], sizes[finite], sigma[finite])
 
 
+def full_rows(equations: Equations, scaling: Scaling) -> NDArray[np.bool_]:
+    """Return which rows load more than one load group, shape (n,)."""
+    at_rest = scaling.loads(np.zeros((1, equations.loads)))
+    loaded = np.abs(equations.x - at_rest) > ZERO_LOAD
+    groups = equations.groups[:-1] > 0  # the last sees all loads
+    return ~np.any([~loaded[:, ~group].any(axis=1) for group in groups], axis=0)
+
+
+def query_points(
+    equations: Equations, scaling: Scaling, span: Floats, settings: KrigingSettings
+) -> Floats:
+    """Return points like those of queries, spread over the span of rows, (m, 6), half ranges.
+
+    Where nearly all rows load one axis each, so do these.
+    """
+    active = np.isfinite(span[0])
+    low, high = np.where(active, np.clip(span, -1.0, 1.0), 0.0)
+    # A load that no row varies stays as the rows have it: off that the mean is not determined.
+    fixed = high - low <= FIXED_WIDTH * NEAR
+    low, high = np.where(fixed, (low + high) / 2, [low, high])
+    queries = spread_wrenches(LoadRange(low, high, scaling.space), QUERIES)
+    full = full_rows(equations, scaling)
+    if full.sum() < min(settings.full_rows, len(full) / 2):
+        groups = scaling.space.kriging_groups[:-1]
+        queries = queries * groups[np.arange(QUERIES) % len(groups)]
+    return queries
+
+
 def left_out_as_far(
-    factor: KrigingFactor, alone: LeftOutRows, distant: float, settings: KrigingSettings
+    factor: KrigingFactor,
+    alone: LeftOutRows,
+    rows: Indices,
+    distant: float,
+    settings: KrigingSettings,
 ) -> tuple[Errors, Errors]:
-    """Return the errors of rows left out as far from the rest as that, and of nearer rows.
+    """Return the errors of rows (k,) left out as far from the rest as that, and of nearer rows.
 
     A row is left out with its nearest rows, as many as it takes. Rows are taken in turn, each the
     farthest from those before: spread rows go before others, and rows left out with another are
@@ -133,7 +164,6 @@ def left_out_as_far(
     """
     scaled = factor.equations.x * np.sqrt(factor.hyperparameters.inverse_squares)
     count, noise = len(scaled), factor.output_group.noise
-    rows = np.linspace(0, count - 1, min(count, settings.left_out_rows)).round().astype(np.intp)
     near = rows[alone.variances[rows] - noise[rows] < distant**2]
     largest, passed = count // settings.min_left_out + 1, np.zeros(count, dtype=np.bool_)
     apart, far = LeftOutRows(*map(np.copy, alone)), []
@@ -161,7 +191,8 @@ def calibrated(
     neighbours: Neighbourhoods,
     alone: LeftOutRows,
     scaling: Scaling,
-    span: Floats,
+    queries: Floats,
+    widenings: Floats,
     settings: KrigingSettings,
 ) -> Calibration:
     """Return the factors of a group's deviations for 95 % error bars.
@@ -170,33 +201,39 @@ def calibrated(
     ----------
     alone : LeftOutRows
         Each row left out by itself.
+    queries : ndarray, shape (m, 6), half ranges
+    widenings : ndarray, shape (q,), dimensionless
+        See `Estimate.widening`.
     """
     factor = neighbours.factor
     subset, outputs = factor.equations, len(factor.output_group.outputs)
     if not subset.known[:, 1:].any() and not has_levels(subset.x[:, scaling.active]):
         return Calibration.unknown(outputs, settings)
-    # Points like those of queries: spread over the span of rows, (m, 6), half ranges.
-    active = np.isfinite(span[0])
-    low, high = np.where(active, np.clip(span, -1.0, 1.0), 0.0)
-    # A load that no row varies stays as the rows have it: off that the mean is not determined.
-    fixed = high - low <= FIXED_WIDTH * NEAR
-    low, high = np.where(fixed, (low + high) / 2, [low, high])
-    queries = spread_wrenches(LoadRange(low, high, scaling.space), QUERIES)
-    value = np.zeros((QUERIES, equations.n_derivatives), dtype=np.bool_)
+    value = np.zeros((len(queries), equations.n_derivatives), dtype=np.bool_)
     value[:, 0] = True
     whole = np.sqrt(
         factor.variance_of(*factor.explained_at(queries, value), factor.mean_covariance)
     )
     across = block(queries, equations.x, factor.hyperparameters, 1, equations.n_derivatives)
-    sigma = neighbours.deviations(queries, across.reshape(QUERIES, -1))
+    sigma = neighbours.deviations(queries, across.reshape(len(queries), -1))
+    full = full_rows(subset, scaling)
+    rows = np.flatnonzero(full | (full.sum() < settings.full_rows))
+    chosen = np.linspace(0, len(rows) - 1, min(len(rows), settings.left_out_rows))
+    rows = rows[chosen.round().astype(np.intp)]
     distant = settings.comparable * float(np.median(whole))
-    far, near = left_out_as_far(factor, alone, distant, settings)
+    far, near = left_out_as_far(factor, alone, rows, distant, settings)
     if len(far.sigma) < settings.min_left_out:
         return Calibration.unknown(outputs, settings)
     numbers = 1 + equations.loads, equations.data.shape[2]
     factors = factors_of(far, *numbers)
-    if len(near.sigma) >= settings.min_left_out:
+    if len(near.sigma) > len(far.sigma):  # a few neighbours tell no tail
         factors = np.maximum(factors, factors_of(near, *numbers))
     # Rows are left out of the whole factor; answers have the deviation of a neighbourhood.
-    wider = float(np.quantile(sigma / whole, WIDER))
-    return Calibration(factors / wider, float(far.sigma.max()) * wider / settings.comparable)
+    wider = float(np.median(sigma / whole))
+    factors = factors / wider
+    if factor.output_group.noise.any():
+        # Noise hides the errors of left-out rows: bars hold the posterior, and what it leaves open.
+        freedom = max(len(subset) - (1.0 + scaling.active.sum()), 1.0)
+        least = widenings * settings.half_width * widening(freedom, equations.data.shape[2])
+        factors = np.maximum(factors, least)
+    return Calibration(factors, float(far.sigma.max()) * wider / settings.comparable)

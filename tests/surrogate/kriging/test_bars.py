@@ -28,7 +28,8 @@ def _inside_and_ratio(kriging: Kriging, true: np.ndarray) -> tuple[np.ndarray, n
     if not known.any():
         return np.full(6, np.nan), np.full(6, np.nan)
     error, bar = np.abs(displacement - true)[known], bar[known]
-    return (error <= bar).mean(axis=0), np.median(bar, axis=0) / np.median(error, axis=0)
+    typical = np.maximum(np.median(error, axis=0), kriging.floor)  # no bar is sharper than this
+    return (error <= bar).mean(axis=0), np.median(bar, axis=0) / typical
 
 
 @cache
