@@ -36,6 +36,8 @@ SEEDS = (31, 32, 33)
 # What does not meet the contract yet, for every run to see.
 NOT_SHARP = {
     "smooth": "the median bar is 5.0 to 5.6 x the median error",
+    "strongly_coupled": "the median bar is 5.2 x the median error",
+    "six_decades": "the median bar is 5.2 x the median error",
     "boundary_layer": "most errors are small and a few large: 10 to 21 x",
 }
 
