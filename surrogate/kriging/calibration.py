@@ -237,8 +237,8 @@ def calibrated(
     if factor.output_group.noise.any():
         # Noise hides the errors of left-out rows: bars hold the posterior, and what it leaves open.
         freedom = max(len(subset) - (1.0 + scaling.active.sum()), 1.0)
-        least = widenings * settings.half_width * widening(freedom, equations.data.shape[2])
-        factors = np.maximum(factors, least)
+        least = widenings * settings.posterior_width
+        factors = np.maximum(factors, least * widening(freedom, equations.data.shape[2]))
     # As far as left-out rows and their neighbourhoods can be, comparable both ways.
     widest = float((sigma / whole).max())
     return Calibration(factors, float(far.sigma.max()) * widest / settings.comparable)
