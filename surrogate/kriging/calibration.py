@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..calibration import common_quantile, widening
+from ..calibration import LEVEL, common_quantile, widening
 from ..table.axes import has_levels
 from ..table.rows import NEAR, ZERO_LOAD, Floats, LoadRange
 from ..table.spread import spread_wrenches
@@ -242,3 +242,18 @@ def calibrated(
     # As far as left-out rows and their neighbourhoods can be, comparable both ways.
     widest = float((sigma / whole).max())
     return Calibration(factors, float(far.sigma.max()) * widest / settings.comparable)
+
+
+def of_posterior(factor: KrigingFactor, table: Floats, settings: KrigingSettings) -> Calibration:
+    """Return the factors of a kriging through inducing wrenches: the normal ones.
+
+    So many noisy rows tell the deviation itself; left-out ones show little but noise. Errors are
+    known where no more of the prior is left than would be at an inducing wrench without it.
+    `table` (m, m), dimensionless, is the covariance of the inducing wrenches.
+    """
+    x, known = factor.equations.x, factor.equations.known
+    nugget = factor.nugget * np.diag(np.diag(table))
+    without = 1 / np.diag(np.linalg.inv(table + nugget))
+    at = factor.variance_of(*factor.explained_at(x, known), factor.mean_covariance)
+    far = float(np.quantile(np.sqrt(at + without), LEVEL))
+    return Calibration(np.full(len(factor.variance), settings.half_width), far)
