@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..table.merging import Observations, merge
-from ..table.rows import NEAR, Floats, LoadRange, Rows
+from ..table.rows import NEAR, SMALLEST, Floats, LoadRange, Rows
 from .calibration import Calibration, calibrated, of_posterior, query_points
 from .correlation import Hyperparameters, Mask, block, covariance
 from .equations import (
@@ -220,7 +220,7 @@ class Kriging:
             nugget[neighbours.factor.output_group.outputs] = neighbours.factor.nugget
         varying = np.where(self.scaling.constant, 0.0, np.sqrt(nugget))
         relative = self.settings.error_floor * np.abs(self.scaling.offset)
-        return (varying + self.rounding) * self.scaling.spread + relative
+        return (varying + self.rounding) * self.scaling.spread + relative + SMALLEST
 
     @property
     def knows_errors(self) -> bool:
