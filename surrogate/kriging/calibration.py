@@ -212,6 +212,8 @@ def calibrated(
     subset, outputs = factor.equations, len(factor.output_group.outputs)
     if not subset.known[:, 1:].any() and not has_levels(subset.x[:, scaling.active]):
         return Calibration.unknown(outputs, settings)
+    if subset.count <= 1 + scaling.active.sum():  # the mean takes all of them
+        return Calibration.unknown(outputs, settings)
     value = np.zeros((len(queries), equations.n_derivatives), dtype=np.bool_)
     value[:, 0] = True
     whole = np.sqrt(
