@@ -6,6 +6,8 @@ that holds a level of errors over predictions, and its uncertainty with few poin
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
@@ -20,16 +22,14 @@ LEVEL = 0.95  # what bars are meant to hold; at least 0.9 is then held on rows n
 CONFIDENCE = 0.95
 
 
-def quantile(ratios: Floats, weights: Floats | None = None) -> float:
-    """Return the weighted conformal quantile of ratios (k,) at `LEVEL`.
+def quantile(ratios: Floats) -> float:
+    """Return the conformal quantile of ratios (k,) at `LEVEL`.
 
-    Split conformal prediction (Vovk, Gammerman and Shafer 2005; Lei et al. 2018): at equal weights
-    the ratio number ceil(level (k + 1)) of k; the largest where k is too small for that.
+    Split conformal prediction (Vovk, Gammerman and Shafer 2005; Lei et al. 2018): the ratio
+    number ceil(level (k + 1)) of k; the largest where k is too small for that.
     """
-    order = np.argsort(ratios)
-    total = np.cumsum(np.ones(len(ratios)) if weights is None else weights[order])
-    index = int(np.searchsorted(total, LEVEL * (total[-1] + 1)))
-    return float(ratios[order][min(index, len(ratios) - 1)])
+    index = math.ceil(LEVEL * (len(ratios) + 1)) - 1
+    return float(np.sort(ratios)[min(index, len(ratios) - 1)])
 
 
 def widening(freedom: Floats | float, outputs: int = 1) -> Floats:
@@ -44,7 +44,7 @@ def widening(freedom: Floats | float, outputs: int = 1) -> Floats:
     return np.sqrt(half / gammaincinv(half, (1 - CONFIDENCE) / outputs))
 
 
-def common_quantile(ratios: Floats, sizes: Floats, weights: Floats | None = None) -> float:
+def common_quantile(ratios: Floats, sizes: Floats) -> float:
     """Return the `quantile` of ratios (k, q) over their outputs' sizes (q,), all outputs together.
 
     Alone, the largest of ten ratios of an output is small by chance in every fourth table (on five
@@ -53,7 +53,7 @@ def common_quantile(ratios: Floats, sizes: Floats, weights: Floats | None = None
     """
     varying = sizes > 0 if (sizes > 0).any() else np.ones_like(sizes, dtype=bool)
     scaled = ratios[:, varying] / np.where(sizes[varying] > 0, sizes[varying], 1.0)
-    return quantile(scaled.ravel(), None if weights is None else weights.repeat(scaled.shape[1]))
+    return quantile(scaled.ravel())
 
 
 def conformal_factor(ratios: Floats) -> Floats:

@@ -5,8 +5,7 @@
 #include "wb_internal.h"
 /* Sizes: of the table, shared by the factors of a kriging, of one block. */
 enum { WB_OF_N, WB_OF_M, WB_OF_N1, WB_OF_S, WB_OF_R, WB_OF_T, WB_OF_B, WB_OF_V, WB_OF_K, WB_OF_E,
-WB_OF_D, WB_OF_C, WB_OF_W, WB_OF_L, WB_OF_I, WB_OF_P, WB_OF_P1, WB_OF_F, WB_OF_G, WB_OF_U,
-WB_SIZES,
+WB_OF_D, WB_OF_C, WB_OF_W, WB_OF_I, WB_OF_P, WB_OF_P1, WB_OF_F, WB_OF_G, WB_OF_U, WB_SIZES,
     WB_BLOCK = WB_OF_S, WB_FACTOR = WB_OF_R };
 typedef struct { /* each dimension is a size or, below zero, a number */
     const char *name;
@@ -109,7 +108,6 @@ static const wb_array WB_FACTOR_ARRAYS[] = {
     {"min_variance", WB_F8, 0, 1, {WB_OF_S}, offsetof(wb_factor, min_variance)},
     {"penalty", WB_F8, 0, 1, {WB_OF_S}, offsetof(wb_factor, penalty)},
     {"mean_covariance", WB_F8, 0, 2, {WB_OF_N1, WB_OF_N1}, offsetof(wb_factor, mean_covariance)},
-    {"sigma", WB_F8, 0, 1, {WB_OF_L}, offsetof(wb_factor, sigma)},
-    {"scale", WB_F8, 0, 2, {WB_OF_L, WB_OF_M}, offsetof(wb_factor, scale)},
+    {"scale", WB_F8, 0, 1, {WB_OF_M}, offsetof(wb_factor, scale)},
     {"max_sigma", WB_F8, 0, 1, {-1}, offsetof(wb_factor, max_sigma)},};
 #endif

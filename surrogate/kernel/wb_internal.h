@@ -77,11 +77,11 @@ typedef struct {
 /* The neighbourhoods that give sigma of the outputs of one factor. */
 typedef struct {
     int padded; /* equations of a neighbourhood, a multiple of WB_PANEL */
-    int64_t count, levels;
+    int64_t count;
     const int32_t *outputs, *number, *equations;
     const double *term, *rates; /* of the covariance: each term, and the last one, of all loads */
     const double *panels, *trend, *min_variance, *penalty, *mean_covariance;
-    const double *sigma, *scale, *max_sigma; /* of the calibration: (levels), (levels, m), (1) */
+    const double *scale, *max_sigma; /* of the calibration: (m), (1) */
 } wb_factor;
 
 typedef struct {

@@ -198,19 +198,6 @@ int wb_anchor(const wb_table *t, const wb_kriging *k, const double *wrench, wb_w
     return nearest(k, k->factor, t->inputs, work->apart, work->first);
 }
 
-/* What a deviation is multiplied by for a 95 % error; NaN where rows left out do
- * not show how large errors are. */
-static double scale_of(const wb_factor *factor, double sigma, int q, int outputs) {
-    int64_t last = factor->levels - 1, n = 0;
-    const double *f = factor->scale + q, *s = factor->sigma;
-    if (!(sigma <= *factor->max_sigma) || last < 0) return NAN;
-    if (sigma >= s[last]) return f[outputs * last];
-    if (sigma <= s[0] || last < 1) return f[0];
-    while (n < last - 1 && s[n + 1] <= sigma) n++;
-    double low = f[outputs * n], high = f[outputs * (n + 1)];
-    return (high - low) / (s[n + 1] - s[n]) * (sigma - s[n]) + low;
-}
-
 /* Whether a factor has the covariance of the one before it. */
 static int as_before(const wb_kriging *k, int n, int s) {
     size_t size = (size_t)(k->terms * (n + 1)) * sizeof(double);
@@ -300,10 +287,12 @@ void wb_kriging_values(const wb_table *t, const wb_kriging *k, wb_work *work,
     explore(t, k, work, wrench, at, values, sigma);
     int spanned = 1; /* beyond the rows errors are not known */
     for (int a = 0; a < n; a++) spanned &= k->span[a] <= at[a] && at[a] <= k->span[n + a];
-    for (int s = 0; s < k->factors; s++)
+    for (int s = 0; s < k->factors; s++) { /* nor where rows left out do not show them */
+        const wb_factor *factor = &k->factor[s];
         for (int q = 0; q < m; q++)
-            if (k->factor[s].outputs[q])
-                wide[q] = spanned ? sigma[s] * scale_of(&k->factor[s], sigma[s], q, m) : NAN;
+            if (factor->outputs[q])
+                wide[q] = spanned && sigma[s] <= *factor->max_sigma ? sigma[s] * factor->scale[q] : NAN;
+    }
     for (int q = 0; q < m; q++) {
         outputs[q] = values[q] * k->spread[q] + k->offset[q];
         double bar = wide[q] * k->deviation[q];

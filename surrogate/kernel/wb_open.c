@@ -202,7 +202,7 @@ static void read_composition(reader *r, wb_composition *c, const char *group) {
 static void read_factor(reader *r, const wb_kriging *k, wb_factor *factor) {
     if (!READ(r, FACTOR, WB_FACTOR, factor)) return;
     int64_t e = r->size[WB_OF_E], panels = e / WB_PANEL;
-    factor->count = r->size[WB_OF_K], factor->levels = r->size[WB_OF_L], factor->padded = (int)e;
+    factor->count = r->size[WB_OF_K], factor->padded = (int)e;
     require(r, "equations", e % WB_PANEL == 0 && e <= MAX_EQUATIONS);
     require(r, "panels", r->size[WB_OF_D] == WB_PANEL * WB_PANEL * panels * (panels + 1) / 2);
     within(r, "number", factor->number, k->stride, 0, factor->count);

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -251,6 +252,16 @@ def equations_of(
         return equations
     # Rows that differ in nothing but loads without effect are equal.
     return equations.take(np.unique(close_groups(equations.x), return_index=True)[1])
+
+
+def farthest_first(points: Floats) -> Iterator[int]:
+    """Yield the indices of points (n, k): near the origin, then the farthest from those before."""
+    row = int(np.argmin(np.round((points**2).sum(axis=1), DECIMALS)))
+    distance = np.full(len(points), np.inf)
+    for _ in points:
+        yield row
+        distance = np.minimum(distance, ((points - points[row]) ** 2).sum(axis=1))
+        row = int(np.argmax(np.round(distance, DECIMALS)))
 
 
 BLOCK = 20_000  # rows whose equations are made at once: 7 MB of values and slopes that few have

@@ -289,14 +289,11 @@ class LeftOutRows(NamedTuple):
         Root mean square of a row's value and slopes, each over the deviation it should have.
     variances : ndarray, shape (r,), process variances
         That the values' errors should have, the noise of the row itself included.
-    mean_covariances : ndarray, shape (r, 7, 7)
-        Of the mean's coefficients without the row's group.
     """
 
     errors: Floats
     sizes: Floats
     variances: Floats
-    mean_covariances: Floats
 
 
 def left_out(factor: KrigingFactor, labels: Indices) -> LeftOutRows:
@@ -305,19 +302,17 @@ def left_out(factor: KrigingFactor, labels: Indices) -> LeftOutRows:
     Parameters
     ----------
     labels : ndarray of int, shape (r,)
-        Group of each of the factor's rows.
+        Group of each of the factor's rows; -1 of rows that stay.
     """
     equations, outputs = factor.equations, len(factor.variance)
     sizes = equations.known.sum(axis=1)
     ends = np.cumsum(sizes)
-    precision = np.asarray(np.linalg.inv(factor.mean_covariance), dtype=float)
     out = LeftOutRows(
         np.full((len(equations), outputs), np.nan),
         np.full((len(equations), outputs), np.nan),
         np.full(len(equations), np.nan),
-        np.full((len(equations), 1 + equations.loads, 1 + equations.loads), np.nan),
     )
-    for label in np.unique(labels):
+    for label in np.unique(labels[labels >= 0]):
         rows = np.flatnonzero(labels == label)
         if len(rows) == len(equations):
             break
@@ -329,9 +324,6 @@ def left_out(factor: KrigingFactor, labels: Indices) -> LeftOutRows:
         block[diagonal] += REGULAR * block[diagonal].mean()
         covariance = np.linalg.inv(block - means @ factor.mean_covariance @ means.T)
         residuals = covariance @ factor.weights[indices]
-        out.mean_covariances[rows] = np.linalg.inv(
-            precision - means.T @ np.linalg.solve(block, means)
-        )
         start = 0
         for row, size in zip(rows, sizes[rows], strict=True):
             part = slice(start, start + size)
@@ -436,42 +428,18 @@ class Neighbourhoods:
         near = self.trees[0].query_ball_point(scaled, radius, return_sorted=True)
         return np.array([rows[0] for rows in near], dtype=np.intp)
 
-    def nearest_others(self, rows: Indices, labels: Indices) -> Indices:
-        """Return the row nearest to each of some rows (k,) that has another label, shape (k,).
-
-        `labels`, shape (r,), are the groups of all rows, of which there are two or more.
-        """
-        scaled = self.factor.equations.x * self.roots[0]
-        distance = ((scaled[rows][:, None] - scaled) ** 2).sum(axis=2)
-        distance[labels[rows][:, None] == labels] = np.inf
-        return (distance <= distance.min(axis=1, keepdims=True) + TIE).argmax(axis=1)
-
-    def members(
-        self, x: Floats, labels: Indices | None = None, without: Indices | None = None
-    ) -> list[Indices]:
-        """Return the neighbours of each point (m, 6), nearest first, that the settings allow.
-
-        Parameters
-        ----------
-        labels : ndarray of int, shape (r,), optional
-            Group of each row.
-        without : ndarray of int, shape (m,), optional
-            For each point the label of the group that is left out.
-        """
-        largest = 0 if labels is None else int(np.bincount(labels).max())
+    def members(self, x: Floats) -> list[Indices]:
+        """Return the neighbours of each point (m, 6), nearest first, that the settings allow."""
         max_rows, n_curved = self.settings.deviation_rows, self.settings.deviation_curved
         max_equations = self.settings.deviation_solves * (1 + self.factor.equations.loads)
-        count = min(max_rows + largest, len(self.size))
+        count = min(max_rows, len(self.size))
         nearest = [
             np.asarray(tree.query(x * root, k=count)[1]).reshape(len(x), count)
             for tree, root in zip(self.trees, self.roots, strict=True)
         ]
         lists = []
-        for index, row in enumerate(np.stack(nearest, axis=2).reshape(len(x), -1).tolist()):
-            near = np.array(list(dict.fromkeys(row)), dtype=np.intp)
-            if labels is not None and without is not None:
-                near = near[labels[near] != without[index]]
-            near = near[:max_rows]
+        for row in np.stack(nearest, axis=2).reshape(len(x), -1).tolist():
+            near = np.array(list(dict.fromkeys(row)), dtype=np.intp)[:max_rows]
             size = np.append(self.size[near[:n_curved]], self.plain_size[near[n_curved:]])
             lists.append(near[np.cumsum(size) <= max_equations])
         return lists

@@ -182,15 +182,15 @@ class Kriging:
                 weights[:, :, outputs], coefficients[:, outputs] = all_rows, factor.coefficients
                 deviation[outputs] = np.sqrt(factor.variance)
                 rounding[outputs] = (rounding_errors @ np.abs(all_rows[known])).max(axis=0)
-                left_out_rows = left_out(factor, np.arange(len(group.rows)))
-                errors[np.ix_(group.rows, outputs)] = left_out_rows.errors
+                alone = left_out(factor, np.arange(len(group.rows)))
+                errors[np.ix_(group.rows, outputs)] = alone.errors
                 neighbours = Neighbourhoods(
                     equations, factor, table, settings, whole=through is not None
                 )
                 neighbourhoods.append(neighbours)
                 rest = scaling, points, estimate.widening[outputs], settings
                 calibrations.append(
-                    calibrated(equations, neighbours, table, *rest)
+                    calibrated(equations, neighbours, alone, *rest)
                     if through is None
                     else of_posterior(factor, table, settings)
                 )
@@ -258,7 +258,7 @@ class Kriging:
             # depends on the shape of the matrices.
             values[:, outputs] += (across[:, None] @ weights[:, outputs])[:, 0]
             sigma = neighbours.deviations(x, across)
-            errors[:, outputs] = sigma[:, None] * calibration.at(sigma) * self.deviation[outputs]
+            errors[:, outputs] = sigma[:, None] * calibration.factors * self.deviation[outputs]
             known[:, outputs] = (sigma <= calibration.max_sigma)[:, None]
         known &= ((x >= self.span[0]) & (x <= self.span[1])).all(axis=1)[:, None]
         return values, errors, known

@@ -15,7 +15,7 @@ from scipy.optimize import minimize
 
 from ..table.rows import Floats
 from .correlation import Hyperparameters
-from .equations import Equations, Scaling
+from .equations import Equations, Scaling, farthest_first
 from .factor import OutputGroup, SingularCovarianceError, factorise, output_groups
 from .gradient import contracted
 from .noise import REFUSED, Estimate, estimate_noise
@@ -142,16 +142,10 @@ def spread_rows(equations: Equations, max_equations: int) -> NDArray[np.intp]:
 
     Shape (k,): indices of the rows.
     """
-    size = equations.known.sum(axis=1)
-    chosen = [int(np.argmin(np.round((equations.x**2).sum(axis=1), DECIMALS)))]
-    total = size[chosen[0]]
-    distance = np.full(len(equations), np.inf)
-    while len(chosen) < len(equations):
-        distance_to_last = ((equations.x - equations.x[chosen[-1]]) ** 2).sum(axis=1)
-        distance = np.minimum(distance, distance_to_last)
-        farthest = int(np.argmax(np.round(distance, DECIMALS)))
-        total += size[farthest]
-        if total > max_equations:
+    total, chosen = 0, []
+    for row in farthest_first(equations.x):
+        total += int(equations.known[row].sum())
+        if chosen and total > max_equations:
             break
-        chosen.append(farthest)
+        chosen.append(row)
     return np.sort(chosen)

@@ -93,37 +93,21 @@ class KrigingSettings:
     decimals: int = 3
     # Outputs whose noise over process variance is within this factor share one factorisation.
     like_noise: float = 2.0
-    # Rows left out at each level of grouping: enough for a 95 % quantile of six outputs, whose tail
-    # they share; each costs half a millisecond a level.
+    # Rows left out: enough for a 95 % quantile of six outputs, whose tail they share.
     left_out_rows: int = 200
-    # Groups of left-out rows: from level to level so many times fewer, down to three, the fewest
-    # that have a spread. Twice as few hold as well, with wider bars for twins.
-    group_growth: float = 1.5
-    min_groups: int = 3
-    # A level is comparable to queries if the median deviation of its left-out rows is 0.6 of that
-    # at random wrenches: left-out rows lie a row distance from the others, wrenches between. Where
-    # no level has half of it, errors are not known. Below the first comparable level factors are at
-    # least the normal 1.96: rows along a motion predict each other far better than what lies beside
-    # the motion (with 60 of `plate_thin` 31 to 48 % of the covered were outside). From it on
-    # left-out rows are like queries, and their errors decide.
+    # A left-out row is as far from the rest as queries are if its deviation is 0.6 of the median at
+    # random wrenches: it lies a row distance from the others, they lie between rows. With 0.5 and
+    # 0.8 as many bars hold, over nine made-up responses and three parts.
     comparable: float = 0.6
-    barely_comparable: float = 0.5
-    # The quantile of left-out deviations beyond which errors are not known, and that of the
-    # deviations at random wrenches up to which groups grow.
-    max_sigma_quantile: float = 0.95
-    query_quantile: float = 0.8
+    # With fewer left-out rows errors are not known: with four a fifth more tables cover too much.
+    min_left_out: int = 6
+    # With so many rows that load several axes bars are calibrated on them alone: queries do too,
+    # and rows at the corners of one axis err more (bars of 30 such rows and 15 full ones 7.9 x the
+    # errors in place of 6.0). Fewer show no tail.
+    full_rows: int = 15
     # Probability that evenly spread rows leave more beyond the outermost rows than is counted as
     # theirs: of six loads with two ends each one end in nine tables.
     beyond_rows: float = 0.01
-    # With so many multi-axis rows bars are calibrated on them alone: queries load
-    # all axes too, and rows at the corners of one axis err more (bars up to 16 x their errors).
-    # Fewer than 15 show no size: measured with 4 and 8, 52 to 100 % of errors were inside.
-    full_rows: int = 15
-    # Where errors may be more than three times what rows show (of all rows some four make the
-    # size, or fewer), or where bars miss more than 15 % of the left-out rows themselves, nothing
-    # is `covered`. Of 200 made-up tables that cover more than 5 % of answers that takes 8.
-    max_widening: float = 3.0
-    min_inside: float = 0.85
     # Of an output's mean: what a solver's own arithmetic leaves of one that does not vary.
     error_floor: float = 1e-11
     # Half width of 95 % over the deviation of a normal distribution.

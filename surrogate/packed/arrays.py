@@ -62,7 +62,6 @@ SYMBOLS = {
     "d": "numbers of a lower triangle (e, e) in panels of 16 rows",
     "c": "terms of the covariances of all factors",
     "w": "numbers that s rows bring: p s, p of values, slopes and second derivatives",
-    "l": "levels of a calibration",
     "i": "simplices of all axes one after another",
     "p": "points of all axes",
     "p1": "points and one",
@@ -202,8 +201,7 @@ BLOCKS = {
         Array("min_variance", "f8", "s", "smallest sigma squared but for the mean's"),
         Array("penalty", "f8", "s", "0; infinite for a row without a neighbourhood"),
         Array("mean_covariance", "f8", "n1 n1", "of the mean's coefficients"),
-        Array("sigma", "f8", "l", "levels of the calibration"),
-        Array("scale", "f8", "l m", "by which sigma is multiplied at each level"),
+        Array("scale", "f8", "m", "by which sigma is multiplied for a 95 % error"),
         Array("max_sigma", "f8", "1", "largest sigma with known errors"),
     )),
 }  # fmt: skip

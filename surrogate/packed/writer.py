@@ -323,8 +323,7 @@ def _factor_arrays(
     yield "min_variance", least
     yield "penalty", np.where(np.isfinite(least), 0.0, np.inf)
     yield "mean_covariance", factor.mean_covariance
-    scale = np.zeros((len(calibration.sigma), outputs))
-    scale[:, factor.output_group.outputs] = calibration.factors.reshape(len(scale), -1)
-    yield "sigma", calibration.sigma
+    scale = np.zeros(outputs)
+    scale[factor.output_group.outputs] = calibration.factors
     yield "scale", scale
     yield "max_sigma", np.array([calibration.max_sigma])

@@ -27,6 +27,7 @@ TINY, SHARP_TINY = 1e-4, 8.0
 # by where Newton's steps end (two solves of one wrench of the spring differ by 4e-7).
 ARITHMETIC, SOLVES = 1e-9, 4e-7
 # Piecewise linear: most errors are nothing, so that their 90 % quantile is what bars are for.
+FLOOR = 1e-5  # of an output's spread: no bar is sharper
 PIECEWISE = ("kinked", "kink_across")
 
 
@@ -123,8 +124,9 @@ def calibration(
         nothing = np.full(6, np.nan)
         return Calibration(nothing, nothing, nothing, nothing, nothing, 0.0, 1.0)
     error, bars = error[known], told.error[known]
-    middle = np.maximum(np.median(error, axis=0), rounding)
-    tail = np.maximum(np.quantile(error, 0.9, axis=0), rounding)
+    least = np.maximum(rounding, FLOOR * true.std(axis=0))
+    middle = np.maximum(np.median(error, axis=0), least)
+    tail = np.maximum(np.quantile(error, 0.9, axis=0), least)
     return Calibration(
         held[known].mean(axis=0),
         np.median(bars, axis=0) / middle,

@@ -37,9 +37,13 @@ def test_twins_of_solves_hold_their_errors(apart: str) -> None:
 @pytest.mark.parametrize("name", ["plate_thin", "hardening", "strongly_coupled"])
 @pytest.mark.parametrize("scenario", ["motion 60", "motion 150"])
 def test_rows_along_a_motion_alone_cover_nothing_wrongly(name: str, scenario: str) -> None:
-    """Of 60 solves along a motion all answers were covered, and 89 % over the tolerance."""
-    found = verdict(name, scenario, 2)
-    assert found.covered * found.outside <= OUTSIDE * found.covered
+    """Of 60 solves along a motion all answers were covered, and 89 % over the tolerance.
+
+    Of three tables together: each has some ten groups of rows to tell a tail by.
+    """
+    found = [verdict(name, scenario, seed) for seed in (1, 2, 3)]
+    outside = sum(one.covered * one.outside for one in found)
+    assert outside <= OUTSIDE * sum(one.covered for one in found)
 
 
 @pytest.mark.parametrize(("scenario", "covered"), [("spread 13", 0.6), ("spread 40", 0.8)])

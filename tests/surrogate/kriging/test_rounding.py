@@ -6,7 +6,6 @@ import pytest
 from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches
 from wrenchbook.surrogate.kriging import Kriging
-from wrenchbook.surrogate.table.rows import Rows
 
 
 def _gentle(x: np.ndarray) -> np.ndarray:
@@ -48,15 +47,3 @@ def test_of_equally_near_rows_the_first_tells_the_bar() -> None:
     tied = distance <= distance.min(axis=1, keepdims=True) + 1e-10
     assert (tied.sum(axis=1) > 1).any()
     np.testing.assert_array_equal(neighbours.nearest(asked), tied.argmax(axis=1))
-
-
-def test_a_row_left_out_takes_the_first_of_its_equally_near_others() -> None:
-    x = np.concatenate((np.eye(6), -np.eye(6), np.zeros((1, 6))))
-    rows: Rows = solved(RESPONSES["smooth"], x)
-    neighbours = Kriging.build(rows, RANGE).neighbourhoods[0]
-    own, places = Kriging.build(rows, RANGE).equations.x, np.arange(13)
-    found = neighbours.nearest_others(places, places)
-    distance = (((own[:, None] - own) * neighbours.roots[0]) ** 2).sum(axis=2)
-    np.fill_diagonal(distance, np.inf)
-    tied = distance <= distance.min(axis=1, keepdims=True) + 1e-10
-    np.testing.assert_array_equal(found, tied.argmax(axis=1))
