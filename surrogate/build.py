@@ -108,7 +108,6 @@ class Group:
             self.used,
             load_range,
             self.fit,
-            lambda: self.axes,
             lambda: self.kriging,
             linear=linear,
             too_large=self.too_large,

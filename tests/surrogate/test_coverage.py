@@ -41,13 +41,16 @@ def test_a_load_that_no_row_varies_is_outside_and_says_what_the_rows_hold() -> N
     wrench = np.zeros((9, 6))
     wrench[:, 0] = np.linspace(-1000, 1000, 9)
     surrogate = build(Rows.of(wrench, wrench * 1e-8), RANGE)
-    assert surrogate.answer([10.0, 0, 0, 0, 3.0, 0]).reason.startswith(
+    assert surrogate.answer([10.0, 0, 0, 0, 3.0, 0], method="griddata").reason.startswith(
         "axis x: my = 3 N·m: the rows with fx, my, mz alone all hold my = 0 N·m"
     )
     assert (
         "axis y: fy = 5 N: the rows with fy, mz, mx alone all hold fy = 0 N"
-        in surrogate.answer([0, 5.0, 0, 0, 0, 0]).reason
+        in surrogate.answer([0, 5.0, 0, 0, 0, 0], method="griddata").reason
     )
+    by_default = surrogate.answer([10.0, 0, 0, 0, 3.0, 0])
+    assert by_default.coverage == "thin"
+    assert "my = 3 N·m is further from the rows" in by_default.reason
 
 
 def test_an_empty_table_knows_nothing_and_says_so() -> None:

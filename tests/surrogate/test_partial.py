@@ -45,13 +45,13 @@ def test_each_output_uses_all_rows_that_hold_it_and_no_other() -> None:
     surrogate = build(rows_with(measured), RANGE)
     whole = build(Rows.of(SCALED * HIGH, smooth(SCALED)), RANGE)
     fewer = build(rows_with(measured).take(measured[:, 3]), RANGE)
-    batch = surrogate.batch(ASKED * HIGH)
-    np.testing.assert_array_equal(
-        batch.displacement[:, :3], whole.batch(ASKED * HIGH).displacement[:, :3]
-    )
-    np.testing.assert_array_equal(
-        batch.displacement[:, 3:], fewer.batch(ASKED * HIGH).displacement[:, 3:]
-    )
+    for method in ("griddata", "additive"):
+        batch, of_whole, of_fewer = (
+            each.batch(ASKED * HIGH, method=method).displacement
+            for each in (surrogate, whole, fewer)
+        )
+        np.testing.assert_array_equal(batch[:, :3], of_whole[:, :3])
+        np.testing.assert_array_equal(batch[:, 3:], of_fewer[:, 3:])
     assert surrogate.coverage_summary()["rows_per_output"] == {
         **dict.fromkeys(("ux", "uy", "uz"), 120),
         **dict.fromkeys(("rx", "ry", "rz"), 80),
