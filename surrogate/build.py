@@ -32,7 +32,7 @@ from .kriging import (
     TooFewRowsError,
     why_too_large,
 )
-from .methods import MethodChoice, choose, full_needed, interaction_of
+from .methods import MethodChoice, choose
 from .solver_error import SolverError, bars_are_complete
 from .table.axes import OffAxis, count_multi_axis
 from .table.compliance import ComplianceFit, fit_compliance
@@ -65,11 +65,8 @@ class Group:
         The default method, and why.
     has_axes : bool
         Whether straight direction influence is defined: one interface without further inputs.
-    knows_interaction, zero_unknown : bool
-        Whether rows show what loads of several axes do together, and whether the
-        displacement at zero load is unknown.
-    full_wrenches, full_needed : int
-        Rows that load more than one axis, and how many `knows_interaction` needs.
+    full_wrenches : int
+        Rows that load more than one axis.
     row_index : RowIndex
         Which of `rows` is at or next to a wrench.
     row_uncertainty : ndarray, shape (k, 6), m and rad
@@ -112,16 +109,9 @@ class Group:
             linear=linear,
             too_large=self.too_large,
         )
-        if self.by_axes:
-            _ = self.interaction
         if self.by_axes and (thinning := self.axes.thinning):
             self.choice = replace(self.choice, reason=f"{self.choice.reason}; {thinning}")
-        # Without axes the kriging's error bars hold unknown interaction; loads of a
-        # linear component act by themselves.
         self.full_wrenches = count_multi_axis(self.used, load_range) if self.has_axes else 0
-        self.full_needed = full_needed(self.used) if self.has_axes else 0
-        self.knows_interaction = linear or self.full_wrenches >= self.full_needed
-        self.zero_unknown = self.by_axes and not linear and not self.axes.at_zero.known
         self.row_index = RowIndex(rows.wrench, load_range.scale)
         self.steepest = STEEPER * self.ranges
         # A solve repeats itself; the uncertainty of an observation may be unknown.
@@ -157,11 +147,6 @@ class Group:
     def by_kriging(self) -> bool:
         """Whether the kriging answers by default: then its error bars hold."""
         return self.default == "kriging" and self.kriging is not None
-
-    @cached_property
-    def interaction(self) -> Kriging | None:
-        """The kriging of what the additive composition of the axes leaves out."""
-        return interaction_of(self.used, self.load_range, self.axes)
 
     @cached_property
     def kriging(self) -> Kriging | None:
@@ -218,7 +203,6 @@ class Group:
             "method_detail": self.too_large or (kriging.detail if kriging else ""),
             "errors_left_out": self.choice.errors,
             "full_wrench_rows": self.full_wrenches,
-            "tells_full_wrenches": self.knows_interaction,
         }
 
 

@@ -75,6 +75,9 @@ class Kriging:
         Of rows left out, each by itself; NaN where a row does not bring the output.
     span : ndarray, shape (2, 6), half ranges
         Ends of the loads that the rows span: beyond them errors are not known.
+    together : ndarray, shape (2,), half ranges
+        The most that rows load besides one load, and besides one load group (`besides`). Beyond it
+        errors are not known either: no row shows what so large loads do together.
     """
 
     settings: KrigingSettings
@@ -91,6 +94,7 @@ class Kriging:
     rounding: Floats
     errors: Floats
     span: Floats
+    together: Floats
 
     @classmethod
     def build(
@@ -173,7 +177,8 @@ class Kriging:
             (hyperparameters, observation_variance, tangent),
             (tuple(neighbourhoods), tuple(calibrations)),
         )
-        arrays = weights, coefficients, deviation, rounding, errors, span
+        together = besides(x, scaling).max(axis=0) + NEAR
+        arrays = weights, coefficients, deviation, rounding, errors, span, together
         return cls(settings, scaling, *estimate, equations, *parts, *arrays)
 
     @property
@@ -230,7 +235,9 @@ class Kriging:
             )
             errors[:, outputs] = sigma[:, None] * calibration.at(sigma) * self.deviation[outputs]
             known[:, outputs] = (sigma <= calibration.max_sigma)[:, None]
-        known &= ((x >= self.span[0]) & (x <= self.span[1])).all(axis=1)[:, None]
+        spanned = ((x >= self.span[0]) & (x <= self.span[1])).all(axis=1)
+        spanned &= (besides(x, self.scaling) <= self.together).all(axis=1)
+        known &= spanned[:, None]
         return values, errors, known
 
     def _chunks(self, count: int) -> Iterator[slice]:
@@ -322,3 +329,21 @@ def span_of(equations: Equations, scaling: Scaling, settings: KrigingSettings) -
     margin = (settings.beyond_rows ** (-1 / len(equations)) - 1) * (high - low) + NEAR
     ends = np.stack((low - margin, high + margin))
     return np.where(scaling.active, ends, [[-np.inf], [np.inf]])
+
+
+def besides(x: Floats, scaling: Scaling) -> Floats:
+    """Return how large loads of points (n, k) are besides their main one, and group, (n, 2).
+
+    The largest load but one, and the largest that is not of the wrench's main load group (an axis,
+    or an interface of several): 0 at a load, and at a wrench of one axis, alone; half ranges.
+    """
+    apart = np.abs(x - scaling.loads(np.zeros((1, x.shape[1]))))
+    groups = scaling.space.kriging_groups[:-1] > 0  # the last sees all loads
+    levels = np.eye(x.shape[1], dtype=bool), groups
+    return np.stack(
+        [
+            np.min([np.where(group, 0.0, apart).max(axis=1) for group in level], axis=0)
+            for level in levels
+        ],
+        axis=1,
+    )
