@@ -583,7 +583,11 @@ class Card(Message):
 
 class ImportFinding(Message):
     cause: Annotated[
-        str, Doc("outlier, sentinel, sign, unit, lever, asymmetry, drift, hysteresis, clock")
+        str,
+        Doc(
+            "dead, noise, clipped, stuck, outlier, sentinel, sign, unit, lever, asymmetry, drift, "
+            "hysteresis, clock"
+        ),
     ]
     message: Annotated[str, Doc("the error, its size and the remedy")]
     rows: Annotated[

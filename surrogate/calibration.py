@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 
 LEVEL = 0.95  # what bars are meant to hold; at least 0.9 is then held on rows not in the table
 # Probability that an error is no larger than few points show. Of 30 random solves, nine responses,
-# seeds 100 and 101 (`make bench NAME=calibration`), the kriging's worst output has 81, 84, 86 and
+# seeds 100 and 101 (`make bench NAME=bars`), the kriging's worst output has 81, 84, 86 and
 # 88 % inside with confidences of 0.5, 0.8, 0.95 and 0.99; median bars are 4.6, 4.8, 5.1 and 5.5 x
 # the errors.
 CONFIDENCE = 0.95

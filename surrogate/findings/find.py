@@ -13,6 +13,7 @@ import numpy as np
 
 from ..table.merging import repeated
 from ..table.rows import Floats, LoadRange, Rows
+from .channels import channel_findings
 from .contract import (
     asymmetry_findings,
     lever_findings,
@@ -51,10 +52,14 @@ def find(
     """
     if len(rows) < MIN_ROWS:
         return range_findings(rows, load_range) if len(rows) else []
-    rows = sampled(rows)
+    moves = np.eye(6) if solved is None else solved
+    still = np.asarray(moves.any(axis=0) & ~moves.any(axis=1))
+    rows, findings = channel_findings(sampled(rows), load_range, still)
+    if len(rows) < MIN_ROWS:
+        return findings
     response = response_of(rows, load_range)
     wrong = wrong_rows(rows, load_range, response)
-    findings = single_row_findings(rows, response, wrong)
+    findings += single_row_findings(rows, response, wrong)
     good = rows.take(~wrong.any(axis=1))
     if len(good) < MIN_ROWS:
         return findings

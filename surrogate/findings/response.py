@@ -19,6 +19,9 @@ from scipy.spatial import KDTree
 from ..table.rows import ZERO_LOAD, Floats, LoadRange, Rows
 from ..table.space import OUTPUTS
 
+CONFIDENT = 5.0  # deviations of an estimate: a cause is said where its interval leaves none out
+REMARKABLE = 0.01  # of an output's range: what is smaller is within a usual tolerance
+
 ROUNDS = 30  # of reweighting: the weights are settled after 10 to 20
 BIWEIGHT = 4.685  # deviations: 95 % efficient for normal errors (Holland and Welsch 1977)
 NORMAL = 1.4826  # deviation over median absolute deviation, of normal errors
@@ -35,7 +38,19 @@ SENTINEL = 3.0  # ranges off: no response jumps so far at one row
 NINES = 3  # digits of a logger's "no value": 999, 9999, -99999
 
 Cause = Literal[
-    "sentinel", "outlier", "sign", "unit", "lever", "asymmetry", "drift", "hysteresis", "clock"
+    "dead",
+    "noise",
+    "clipped",
+    "stuck",
+    "sentinel",
+    "outlier",
+    "sign",
+    "unit",
+    "lever",
+    "asymmetry",
+    "drift",
+    "hysteresis",
+    "clock",
 ]
 MAX_LISTED_ROWS = 500  # of a finding: a page's list; `count` has their number
 
@@ -46,9 +61,7 @@ class RigFinding:
 
     Attributes
     ----------
-    cause : str
-        "sentinel", "outlier", "sign", "unit", "lever", "asymmetry", "drift", "hysteresis" or
-        "clock".
+    cause : Cause
     message : str
         What is wrong, by how much, and what to do.
     rows : tuple of int
@@ -116,10 +129,8 @@ def terms_of(scaled: Floats) -> Floats:
 def response_of(rows: Rows, load_range: LoadRange) -> RobustFit:
     """Return the robust response of rows with at least two wrenches."""
     terms = terms_of(rows.wrench / load_range.scale)
-    basis, sizes, _ = np.linalg.svd(terms, full_matrices=False)
-    basis = basis[:, sizes > RANK * sizes[0]] * np.sqrt(len(terms))
     moved = rows.displacement
-    expected = np.stack([_fitted(basis, moved[:, output]) for output in range(6)], axis=1)
+    expected = np.stack([fitted(terms, moved[:, output]) for output in range(6)], axis=1)
     residual = moved - expected
     known = [column[np.isfinite(column)] for column in expected.T]
     ends = np.array(
@@ -132,11 +143,17 @@ def response_of(rows: Rows, load_range: LoadRange) -> RobustFit:
     return RobustFit(expected, residual, deviation, size, terms)
 
 
-def _fitted(basis: Floats, moved: Floats) -> Floats:
-    """Return the robust fit at all rows, (n,); NaN where no row has the output."""
+def fitted(terms: Floats, moved: Floats) -> Floats:
+    """Return the robust fit of values (n,), NaN where unknown, at all rows, (n,).
+
+    NaN everywhere where fewer than two are known.
+    """
     known = np.isfinite(moved)
     if known.sum() < 2:
         return np.full(len(moved), np.nan)
+    _, sizes, axes = np.linalg.svd(terms[known], full_matrices=False)
+    spanned = sizes > RANK * sizes[0]
+    basis = terms @ (axes[spanned].T / sizes[spanned]) * np.sqrt(known.sum())
     x, y = basis[known], moved[known]
     floor = EXACT * max(float(np.ptp(y)), np.finfo(float).tiny)
     coefficients = _solved(x, y, np.ones(len(y)))

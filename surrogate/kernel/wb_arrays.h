@@ -89,7 +89,7 @@ static const wb_array WB_KRIGING_ARRAYS[] = {
     {"spread", WB_F8, 0, 1, {WB_OF_M}, offsetof(wb_kriging, spread)},
     {"deviation", WB_F8, 0, 1, {WB_OF_M}, offsetof(wb_kriging, deviation)},
     {"lost", WB_F8, 0, 1, {WB_OF_M}, offsetof(wb_kriging, lost)},
-    {"floor", WB_F8, 0, 1, {-1}, offsetof(wb_kriging, floor)},
+    {"floor", WB_F8, 0, 1, {WB_OF_M}, offsetof(wb_kriging, floor)},
     {"tangent", WB_F8, 0, 2, {WB_OF_M, WB_OF_N}, offsetof(wb_kriging, tangent)},
     {"span", WB_F8, 0, 2, {-2, WB_OF_N}, offsetof(wb_kriging, span)},
     {"together", WB_F8, 0, 1, {-2}, offsetof(wb_kriging, together)},

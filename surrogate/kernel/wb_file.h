@@ -4,7 +4,7 @@
 
 #include "wb_internal.h"
 
-#define WB_FORMAT 5u /* the only one that is read */
+#define WB_FORMAT 6u /* the only one that is read */
 enum { WB_NAME = 64 };
 
 typedef struct {

@@ -312,11 +312,9 @@ void wb_kriging_values(const wb_table *t, const wb_kriging *k, wb_work *work,
             if (k->factor[s].outputs[q])
                 wide[q] = spanned ? sigma[s] * scale_of(&k->factor[s], sigma[s], q, m) : NAN;
     for (int q = 0; q < m; q++) {
-        double value = values[q];
-        outputs[q] = value * k->spread[q] + k->offset[q];
-        double size = (fabs(value) + 1.0) * k->spread[q] + fabs(k->offset[q]);
-        double min_error = fmax(*k->floor * size, k->lost[q]), bar = wide[q] * k->deviation[q];
-        error[q] = bar < min_error ? min_error : bar; /* what is not a number stays none */
+        outputs[q] = values[q] * k->spread[q] + k->offset[q];
+        double bar = wide[q] * k->deviation[q];
+        error[q] = sqrt(bar * bar + k->floor[q] * k->floor[q]); /* NaN stays NaN */
     }
 }
 

@@ -69,8 +69,8 @@ class Kriging:
     deviation : ndarray, shape (6,), spreads
         Process standard deviation.
     rounding : ndarray, shape (6,), spreads
-        What answers may lose to it: no error bar is smaller. Long length scales leave the
-        covariance nearly singular, with weights up to 1e8 times their sum.
+        What answers may lose to it. Long length scales leave the covariance nearly singular, with
+        weights up to 1e8 times their sum.
     errors : ndarray, shape (n, 6), spreads
         Of rows left out, each by itself; NaN where a row does not bring the output.
     span : ndarray, shape (2, 6), half ranges
@@ -194,6 +194,19 @@ class Kriging:
         return np.where(self.observation_variance > 0, noise, np.nan)
 
     @property
+    def floor(self) -> Floats:
+        """The part of all error bars that no row takes away, (6,), m and rad.
+
+        What the nugget leaves of each output's spread, and what answers lose to rounding.
+        """
+        nugget = np.empty_like(self.rounding)
+        for neighbours in self.neighbourhoods:
+            nugget[neighbours.factor.output_group.outputs] = neighbours.factor.nugget
+        varying = np.where(self.scaling.constant, 0.0, np.sqrt(nugget))
+        relative = self.settings.error_floor * np.abs(self.scaling.offset)
+        return (varying + self.rounding) * self.scaling.spread + relative
+
+    @property
     def knows_errors(self) -> bool:
         """Whether left-out rows show how large errors are, of all outputs."""
         return all(calibration.known for calibration in self.calibrations)
@@ -205,10 +218,7 @@ class Kriging:
         with one_thread():
             for part in self._chunks(len(x)):
                 values, errors, known = self._scaled_answers(x[part])
-                size = (np.abs(values) + 1) * spread + np.abs(offset)
-                # Never below what rounding makes of an answer.
-                min_bar = np.maximum(self.settings.error_floor * size, self.rounding * spread)
-                error_bars[part] = np.where(known, np.maximum(errors * spread, min_bar), np.nan)
+                error_bars[part] = np.where(known, np.hypot(errors * spread, self.floor), np.nan)
                 displacement[part] = values * spread + offset
         return displacement, error_bars
 

@@ -175,8 +175,8 @@ BLOCKS = {
         Array("offset", "f8", "m", "added to answers"),
         Array("spread", "f8", "m", "by which answers are multiplied"),
         Array("deviation", "f8", "m", "of the process"),
-        Array("lost", "f8", "m", "what sums lose to rounding"),
-        Array("floor", "f8", "1", "the least error over an answer's size"),
+        Array("lost", "f8", "m", "what sums lose to rounding: no step of the inverse is better"),
+        Array("floor", "f8", "m", "part of all error bars: nugget and rounding"),
         Array("tangent", "f8", "m n", "added to the derivative: by loads that take no part"),
         Array("span", "f8", "2 n", "scaled loads between which errors are known"),
         Array("together", "f8", "2", "the most that rows load besides one load, and besides one "

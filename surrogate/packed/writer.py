@@ -258,7 +258,7 @@ def _kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     yield "spread", scaling.spread
     yield "deviation", kriging.deviation * scaling.spread
     yield "lost", kriging.rounding * scaling.spread
-    yield "floor", np.array([kriging.settings.error_floor])
+    yield "floor", kriging.floor
     yield "tangent", np.where(scaling.active, 0.0, kriging.tangent)
     yield "span", kriging.span
     yield "together", kriging.together

@@ -1,4 +1,4 @@
-"""Error bars against true errors with fixed seeds; `make bench NAME=calibration` has fresh ones."""
+"""Error bars against true errors with fixed seeds; `make bench NAME=bars` has fresh ones."""
 
 from functools import cache
 

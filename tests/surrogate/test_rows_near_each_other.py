@@ -1,6 +1,6 @@
 """Rows near each other made error bars 10^2 to 10^4 too small, and everything was covered.
 
-Rows as the service makes them: twins, along a motion, in a corner. `make bench NAME=calibration`
+Rows as the service makes them: twins, along a motion, in a corner. `make bench NAME=bars`
 judges more of them on fresh seeds.
 """
 

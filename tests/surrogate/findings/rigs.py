@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 CAUSES = {  # what is done to a measurement, and the finding that names it
+    "a channel at one value": "dead",
+    "a channel that stays for a third of the rows": "stuck",
+    "a channel that ends at 70 % of its range": "clipped",
+    "a channel of noise": "noise",
+    "loads in another frame": "asymmetry",
     "outliers in one output": "outlier",
     "outliers in all outputs": "outlier",
     "-9999 mm": "sentinel",
@@ -44,30 +50,77 @@ def cantilever(rng):
     return both @ c @ both.T, length
 
 
-class Rig:
-    """A part that is linear or stiffens by up to 15 %, and loads of one of three designs."""
+SHAPES = {  # what bends each mode's response, of a size from -1 to 1
+    "linear": np.zeros_like,
+    "stiffening": lambda size: -(size**3),
+    "softening": lambda size: size**3 + 0.5 * size**2,
+    "saturating": lambda size: np.tanh(3 * size) - size,
+    "clearance": np.zeros_like,
+}
 
-    def __init__(self, seed, kinds=("random", "sweeps", "motion")):
+
+class Rig:
+    """A part whose response is the gradient of a complementary energy, and its loads.
+
+    The energy is a sum of functions of linear combinations of loads, so a response of any kind is
+    reciprocal at every load.
+
+    Parameters
+    ----------
+    seed : int
+    kinds : sequence of str
+        Of the loads, of which one is drawn: see `loads`.
+    responses : sequence of str
+        Of `SHAPES`, of which one is drawn.
+    rows : tuple of int
+        Least and largest number of rows.
+    noises : sequence of float
+        Of each output's range, of which one is drawn.
+    resolutions : sequence of float
+        Steps of the readings, of each output's range, of which one is drawn.
+    outputs : int
+        The first three are measured, or all six.
+    """
+
+    def __init__(
+        self,
+        seed,
+        kinds=("random", "sweeps", "motion"),
+        responses=("linear", "stiffening"),
+        rows=(200, 1000),
+        noises=(0.0, 0.001, 0.003, 0.01),
+        resolutions=(0.0,),
+        outputs=6,
+    ):
         self.rng = np.random.default_rng(seed)
         self.compliance, length = cantilever(self.rng)
         force = 0.01 * length / np.abs(self.compliance[:3, :3]).max()
         moment = 0.02 / np.abs(self.compliance[3:, 3:]).max()
         self.high = np.repeat([float(f"{force:.1g}"), float(f"{moment:.1g}")], 3)
         self.range = LoadRange(-self.high, self.high)
-        self.stiffening = self.rng.uniform(0, 0.15) * self.rng.choice([0, 1])
-        self.mixing = self.rng.normal(size=(6, 6))
-        self.noise = self.rng.choice([0.0, 0.001, 0.003, 0.01])  # of each output's range
-        self.wrench = self.loads(self.rng.choice(kinds), int(self.rng.integers(200, 1000)))
+        self.response = str(self.rng.choice(responses))
+        self.strength = self.rng.uniform(
+            0.05, 0.3
+        )  # of a size; at 0.33 a stiffening part gives no more
+        energies = self.compliance * np.outer(self.high, self.high)
+        self.stiffness, self.modes = np.linalg.eigh(energies)
+        self.noise = self.rng.choice(noises)
+        self.resolution = self.rng.choice(resolutions)
+        self.kind, self.outputs = str(self.rng.choice(kinds)), outputs
+        self.wrench = self.loads(self.kind, int(self.rng.integers(*rows)))
         self.displacement = self.respond(self.wrench)
         self.size = np.ptp(self.displacement, axis=0)
 
     def respond(self, wrench):
-        linear = wrench @ self.compliance.T
-        size = np.abs(self.high * np.abs(self.compliance)).sum(axis=1)
-        bent = (wrench / self.high @ self.mixing.T / 6) ** 2
-        return linear * (1 - self.stiffening * (linear / size) ** 2) + 0.02 * self.stiffening * (
-            size * bent
-        )
+        scaled = wrench / self.high
+        largest = np.abs(self.modes).sum(axis=0)
+        size = scaled @ self.modes / largest
+        bent = size + self.strength * SHAPES[self.response](size)
+        energies = (bent * largest * self.stiffness) @ self.modes.T
+        if self.response == "clearance":  # of the joint, felt by each force by itself
+            play = 0.3 * self.strength * np.abs(np.diag(self.compliance)) * self.high**2
+            energies[:, :3] += (play * np.tanh(scaled / 0.005))[:, :3]
+        return energies / self.high
 
     def loads(self, kind, count):
         if kind == "random":
@@ -76,6 +129,21 @@ class Rig:
             each = count // 6
             wave = np.interp(np.arange(each) / each, [0, 0.25, 0.75, 1], [0, 1, -1, 0])
             return np.kron(np.diag(self.high), wave[:, None])
+        if kind == "several":  # two or three loads at a time, the others at rest
+            some = self.rng.permuted(np.tile(np.arange(6), (count, 1)), axis=1) < 3
+            return np.where(some, self.rng.uniform(-1, 1, (count, 6)), 0.0) * self.high
+        if kind == "grid":  # all levels of two loads after another
+            side, pairs = max(int((count / 3) ** 0.5), 4), ((0, 4), (1, 3), (2, 5))
+            levels, parts = np.linspace(-1, 1, side), []
+            for pair in pairs:
+                parts.append(np.zeros((side * side, 6)))
+                parts[-1][:, pair] = np.stack(np.meshgrid(levels, levels), axis=-1).reshape(-1, 2)
+            return np.concatenate(parts) * self.high
+        if kind == "slow":  # all loads at once, one to three cycles each
+            turns = self.rng.uniform(0.7, 3, (3, 6)) * np.linspace(0, 1, count)[:, None, None]
+            waves = np.sin(2 * np.pi * turns + self.rng.uniform(0, 6, (3, 6)))
+            wrench = (waves * self.rng.uniform(0.2, 0.5, (3, 6))).sum(axis=1)
+            return wrench / np.abs(wrench).max(axis=0) * self.high
         time, wrench = np.linspace(0, count / 40, count), np.zeros((count, 6))
         for load in range(6):
             for frequency in self.rng.uniform(0.3, 2, 2):
@@ -94,8 +162,11 @@ class Rig:
             loop = 0.02 if "2" in error else 0.08
             moved -= loop / 2 * self.size * np.sign(np.diff(moved, axis=0, prepend=moved[:1]))
         moved += self.noise * self.size * rng.normal(size=moved.shape)
+        step = self.resolution * self.size
+        moved = np.round(moved / step) * step if self.resolution else moved
         if error in RECORDED:
             RECORDED[error](self, wrench, moved)
+        moved[:, self.outputs :] = np.nan
         return Rows.of(wrench, moved, source=["rig"] * count)
 
 
@@ -125,6 +196,34 @@ def _one_sign(rig, wrench, moved):
     wrench[:, rig.rng.integers(6)] *= -1
 
 
+def _turned(rig, wrench, moved):
+    axis = rig.rng.normal(size=3)
+    turn = Rotation.from_rotvec(np.radians(40) * axis / np.linalg.norm(axis)).as_matrix()
+    wrench[:] = wrench @ np.kron(np.eye(2), turn).T
+
+
+def _dead(rig, wrench, moved):
+    moved[:, rig.rng.integers(rig.outputs)] = rig.rng.choice([0.0, 1.23e-4])
+
+
+def _stuck(rig, wrench, moved):
+    """Hold the output that moves most in a third of the rows."""
+    first = rig.rng.integers(len(moved) // 2)
+    held = slice(first, first + len(moved) // 3)
+    output = np.argmax(np.ptp(moved[held, : rig.outputs], axis=0) / rig.size[: rig.outputs])
+    moved[held, output] = moved[first, output]
+
+
+def _clipped(rig, wrench, moved):
+    output = rig.rng.integers(rig.outputs)
+    moved[:, output] = moved[:, output].clip(*(0.7 * f(moved[:, output]) for f in (np.min, np.max)))
+
+
+def _noise(rig, wrench, moved):
+    output = rig.rng.integers(rig.outputs)
+    moved[:, output] = 0.3 * rig.size[output] * rig.rng.normal(size=len(moved))
+
+
 RECORDED = {  # what becomes of the numbers once they are measured
     "outliers in one output": lambda rig, wrench, moved: _outliers(rig, moved, [0]),
     "outliers in all outputs": lambda rig, wrench, moved: _outliers(rig, moved, [*range(6)]),
@@ -135,4 +234,9 @@ RECORDED = {  # what becomes of the numbers once they are measured
     "kilonewtons under a header of newtons": _scaled(0, slice(0, 3), 1e-3),
     "degrees under a header of radians": _scaled(1, slice(3, 6), 57.29578),
     "moments about another point": _lever,
+    "loads in another frame": _turned,
+    "a channel at one value": _dead,
+    "a channel that stays for a third of the rows": _stuck,
+    "a channel that ends at 70 % of its range": _clipped,
+    "a channel of noise": _noise,
 }

@@ -48,7 +48,7 @@ def test_the_lag_that_is_applied_already_is_no_finding():
 
 
 def test_a_lag_that_is_far_from_the_applied_one_is_found():
-    rig = Rig(5202, ("motion",))
+    rig = Rig(5202, ("motion",), rows=(600, 1000))  # 15 s at least: a quarter of it is searched
     assert abs(estimate_lag(logs_of(rig, 0.35), -1.5).seconds - 0.35) < 0.01
 
 

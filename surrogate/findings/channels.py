@@ -1,0 +1,102 @@
+"""Channels of displacements that do not measure: dead, stuck, at the end of their range, noise.
+
+What a load does on its own displacement is work, which is positive on every elastic part. So a
+channel whose own load varies and which does not move, or moves by noise alone, is broken.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..table.rows import ROUNDING, ZERO_LOAD, Floats, LoadRange, Rows
+from ..table.space import LOADS, OUTPUTS
+from .response import CONFIDENT, NORMAL, REMARKABLE, Cause, RigFinding, fitted, terms_of
+
+MIN_ROWS = 12  # rows: with fewer the others do not show what one of them should be
+MIN_EQUAL = 3  # rows of one value: two are equal by the digits that are written
+TAIL = 5  # per cent of the rows at either end, whose values count as the end: they may be wrong
+
+MESSAGES: dict[Cause, str] = {
+    "dead": "{name} reads {value:.6g} {unit} in all rows while {load} varies, which no elastic "
+    "part does: look at its channel, and leave the cells empty if it was not measured",
+    "noise": "nothing of {name} is explained by the loads, though {load} varies: its readings are "
+    "noise of {value:.3g} {unit}. Look at its channel, and leave the cells empty if it was not "
+    "measured",
+    "clipped": "{name} ends at {value:.6g} {unit} in {count} rows, where the other rows tell up to "
+    "{off:.0%} of its range more: the channel was at the end of its range. Withdraw these rows, or "
+    "leave these cells empty",
+    "stuck": "{name} stays at {value:.6g} {unit} in {count} rows, which the other rows tell to be "
+    "up to {off:.0%} of its range off: the channel was stuck. Withdraw these rows, or leave these "
+    "cells empty",
+}
+
+
+def channel_findings(
+    rows: Rows, load_range: LoadRange, still: NDArray[np.bool_]
+) -> tuple[Rows, list[RigFinding]]:
+    """Return the rows without what broken channels read, and their findings.
+
+    Parameters
+    ----------
+    rows : Rows
+        In the order of their measurement.
+    load_range : LoadRange, N and N·m
+    still : ndarray of bool, shape (6,)
+        Outputs that do not move, by the component's solves.
+    """
+    findings: list[RigFinding] = []
+    terms, moved = terms_of(rows.wrench / load_range.scale), rows.displacement.copy()
+    varies = np.ptp(rows.wrench, axis=0) > ZERO_LOAD * load_range.scale
+    for output in np.flatnonzero(varies & ~still).tolist():
+        known = np.flatnonzero(np.isfinite(moved[:, output]))
+        unit = "m" if output < 3 else "rad"
+        for cause, some, value, off in _broken(terms[known], moved[known, output]):
+            at = known[some]
+            words = {"name": OUTPUTS[output], "load": LOADS[output], "unit": unit, "off": off}
+            message = MESSAGES[cause].format(value=value, count=len(at), **words)
+            listed = () if len(at) == len(known) else tuple(rows.seq[at].tolist())
+            findings.append(RigFinding(cause, message, listed, {"output": OUTPUTS[output]}))
+            moved[at, output] = np.nan
+    some = np.isfinite(moved).any(axis=1)
+    kept = Rows.of(rows.wrench[some], moved[some], seq=rows.seq[some], source=rows.source[some])
+    return kept, findings
+
+
+def _broken(terms: Floats, y: Floats) -> list[tuple[Cause, NDArray[np.intp], float, float]]:
+    """Return what is broken in readings (n,), their indices, the value, and parts of the range."""
+    all_rows = np.arange(len(y))
+    if len(y) < MIN_ROWS:
+        return []
+    if np.ptp(y) <= (equal := ROUNDING * float(np.abs(y).max())):
+        return [("dead", all_rows, float(y[0]), 0.0)]
+    if not _is_explained(terms, y):
+        return [("noise", all_rows, float(y.std()), 0.0)]
+    order = np.argsort(y, kind="stable")
+    groups = np.split(order, 1 + np.flatnonzero(np.diff(y[order]) > equal))  # of equal readings
+    largest, found = max(range(len(groups)), key=lambda at: len(groups[at])), []
+    for index in {0, len(groups) - 1, largest}:
+        some, others = groups[index], np.delete(all_rows, groups[index])
+        if len(some) < MIN_EQUAL or len(others) < 2 * terms.shape[1]:
+            continue
+        without = y.copy()
+        without[some] = np.nan
+        off = fitted(terms, without) - y
+        deviation, size = NORMAL * float(np.median(np.abs(off[others]))), float(np.ptp(y))
+        end = (index == len(groups) - 1) - float(index == 0)
+        # Beyond an end the rows there are on one side of it, on average.
+        far = end * off[some].mean() if end else np.sqrt((off[some] ** 2).mean())
+        sure = CONFIDENT * deviation / (np.sqrt(len(some)) if end else 1.0)
+        if far > max(sure, REMARKABLE * size):
+            cause = "clipped" if end else "stuck"
+            found.append((cause, some, float(y[some[0]]), np.abs(off[some]).max() / size))
+    return found
+
+
+def _is_explained(terms: Floats, y: Floats) -> bool:
+    """Whether the response (n, t) explains more of values (n,) than it would of noise."""
+    y = y.clip(*np.percentile(y, [TAIL, 100 - TAIL]))
+    y, free = y - y.mean(), terms.shape[1] - 1
+    left = y - terms @ np.linalg.lstsq(terms, y, rcond=1e-9)[0]
+    by_chance = (free + CONFIDENT * np.sqrt(2 * free)) / len(y)
+    return float(left @ left) < (1 - min(by_chance, 1.0)) * float(y @ y) or by_chance >= 1
