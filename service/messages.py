@@ -585,8 +585,8 @@ class ImportFinding(Message):
     cause: Annotated[
         str,
         Doc(
-            "dead, noise, clipped, stuck, outlier, sentinel, sign, unit, lever, asymmetry, drift, "
-            "hysteresis, clock"
+            "dead, noise, clipped, stuck, outlier, sentinel, sign, unit, lever, asymmetry, "
+            "clearance, drift, hysteresis, clock"
         ),
     ]
     message: Annotated[str, Doc("the error, its size and the remedy")]

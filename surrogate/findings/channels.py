@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..table.rows import ROUNDING, ZERO_LOAD, Floats, LoadRange, Rows
 from ..table.space import LOADS, OUTPUTS
-from .response import CONFIDENT, NORMAL, REMARKABLE, Cause, RigFinding, fitted, terms_of
+from .response import CONFIDENT, NORMAL, RANK, REMARKABLE, Cause, RigFinding, fitted, terms_of
 
 MIN_ROWS = 12  # rows: with fewer the others do not show what one of them should be
 MIN_EQUAL = 3  # rows of one value: two are equal by the digits that are written
@@ -70,22 +70,30 @@ def _broken(terms: Floats, y: Floats) -> list[tuple[Cause, NDArray[np.intp], flo
         return []
     if np.ptp(y) <= (equal := ROUNDING * float(np.abs(y).max())):
         return [("dead", all_rows, float(y[0]), 0.0)]
+    size = float(np.ptp(y))
     if not _is_explained(terms, y):
         return [("noise", all_rows, float(y.std()), 0.0)]
-    order = np.argsort(y, kind="stable")
-    groups = np.split(order, 1 + np.flatnonzero(np.diff(y[order]) > equal))  # of equal readings
-    largest, found = max(range(len(groups)), key=lambda at: len(groups[at])), []
-    for index in {0, len(groups) - 1, largest}:
-        some, others = groups[index], np.delete(all_rows, groups[index])
+    high, low = (np.flatnonzero(np.abs(y - end) <= equal) for end in (y.max(), y.min()))
+    runs = np.split(all_rows, 1 + np.flatnonzero(np.abs(np.diff(y)) > equal))  # of equal readings
+    run = max(runs, key=len)
+    steps = np.diff(np.sort(y))
+    step = float(np.median(steps[steps > equal]))  # of the readings
+    found = []
+    for end, some in ((1.0, high), (-1.0, low), (0.0, run)):
+        others = np.delete(all_rows, some)
+        if not end and (np.isin(run[0], high) or np.isin(run[0], low)):
+            continue
         if len(some) < MIN_EQUAL or len(others) < 2 * terms.shape[1]:
             continue
         without = y.copy()
         without[some] = np.nan
         off = fitted(terms, without) - y
-        deviation, size = NORMAL * float(np.median(np.abs(off[others]))), float(np.ptp(y))
-        end = (index == len(groups) - 1) - float(index == 0)
-        # Beyond an end the rows there are on one side of it, on average.
-        far = end * off[some].mean() if end else np.sqrt((off[some] ** 2).mean())
+        deviation = np.hypot(NORMAL * float(np.median(np.abs(off[others]))), step / np.sqrt(12))
+        # Beyond an end the rows there are on one side of it, on average. What the other rows tell
+        # of them is as sure as their place allows.
+        weights = terms[some] @ np.linalg.pinv(terms[others], rcond=RANK)
+        sure_off = off[some] / np.sqrt(1 + (weights**2).sum(axis=1))
+        far = end * sure_off.mean() if end else np.sqrt((sure_off**2).mean())
         sure = CONFIDENT * deviation / (np.sqrt(len(some)) if end else 1.0)
         if far > max(sure, REMARKABLE * size):
             cause = "clipped" if end else "stuck"

@@ -9,19 +9,18 @@ from numpy.typing import NDArray
 
 from ..table.rows import ZERO_LOAD, Floats, LoadRange, Rows
 from ..table.space import LOADS, OUTPUTS
-from .response import RigFinding, RobustFit
+from .origin import Slopes
+from .response import CONFIDENT, REMARKABLE, RigFinding, RobustFit
 
 SIGNIFICANT = (
     0.05  # of the largest entry of its block, in moved distance: smaller entries are unsure
 )
-DEVIATIONS = 6.0  # of a fitted entry: surely not zero
 TIE = 0.1  # of a logarithm: factors of two quantities that explain the same
 SCALE = 1.5  # times: a calibration is wrong by more, finite elements by less
 FAR = 3.0  # times: units differ by more, parts of one kind by less
 AGREE = 1.6  # times: how far entries may differ that have one wrong unit
 BETTER = 3.0  # times the asymmetry that a lever must explain
-ASYMMETRY = 0.05  # as `table.physics_checks`: rotations make tangents unsymmetric by as much
-UNEXPLAINED = 0.1  # of the largest energy: noise of 1 % and rotations make less
+LEVER_ROUNDS = 3  # of its weights, which then are settled
 SMALL, LARGE = 0.02, 5.0  # of the range: loads that a table was surely not meant for
 LENGTH = 0.1  # m: no part that answers by small rotations moves so far without a remark
 UNITS = {
@@ -37,71 +36,36 @@ UNITS = {
 
 
 class Fit(NamedTuple):
-    """A linear fit of rows.
+    """A compliance at no load and what is known of it.
 
     Attributes
     ----------
     matrix : ndarray, shape (6, 6), SI
-        Compliance; row output, column load.
+        Row output, column load; 0 where it is not known.
+    covariance : ndarray, shape (6, 6, 6), SI
+        Of each output's row.
     sure : ndarray of bool, shape (6, 6)
         Which entries surely are not zero, and are not small beside others of their kind.
-    loads : ndarray of bool, shape (6,)
-        The loads that the rows determine.
     """
 
     matrix: Floats
+    covariance: Floats
     sure: NDArray[np.bool_]
-    loads: NDArray[np.bool_]
 
 
-def linear_fit(rows: Rows, load_range: LoadRange, response: RobustFit) -> Fit:
-    """Return the linear part of the rows' response, with constant, cubic and other terms beside."""
-    scaled = rows.wrench / load_range.scale
-    used = np.abs(scaled).max(axis=0) > ZERO_LOAD
-    terms = response.terms
-    matrix, sure = np.zeros((6, 6)), np.zeros((6, 6), dtype=bool)
-    first = terms[:, : 1 + used.sum()]
-    loads = np.zeros(6, dtype=bool)
-    for output in range(6):
-        known = np.isfinite(response.expected[:, output])
-        if not known.any():
-            continue
-        # Coefficients (t,), their errors from the misfit, and which the rows determine.
-        x = first[known]
-        y = response.expected[known, output]
-        _, sizes, axes = np.linalg.svd(x, full_matrices=False)
-        spanned = axes[sizes > 1e-6 * sizes[0]]
-        sure_terms = (spanned**2).sum(axis=0) > 1 - 1e-6
-        coefficients = np.linalg.lstsq(x, y, rcond=1e-6)[0]
-        misfit = float(np.sqrt(((y - x @ coefficients) ** 2).mean()))
-        spread = np.sqrt(np.diag(np.linalg.pinv(x.T @ x, rcond=1e-12)).clip(0.0))
-        error = misfit * spread
-        noise = response.deviation[output] / np.sqrt(known.sum())
-        matrix[output, used] = coefficients[1:]
-        sure[output, used] = sure_terms[1:] & (
-            np.abs(coefficients[1:]) > DEVIATIONS * np.hypot(error, noise)[1:]
-        )
-        loads[used] |= sure_terms[1:]
-    return Fit(matrix / load_range.scale, sure & _is_large(matrix), loads)
-
-
-def solved_fit(compliance: Floats, load_range: LoadRange) -> Fit:
-    """Return a compliance of solves (6, 6), SI, as a fit; columns of zeros are not known."""
-    sure = _is_large(compliance * load_range.scale)
-    return Fit(compliance, sure, np.asarray(compliance.any(axis=0)))
-
-
-def _is_large(moved: Floats) -> NDArray[np.bool_]:
-    """Return which displacements by loads (6, 6) are not small beside others of their kind."""
-    size = np.abs(moved)
+def fit_of(matrix: Floats, covariance: Floats, load_range: LoadRange) -> Fit:
+    """Return a compliance (6, 6) of a covariance (6, 6, 6), SI, with its sure entries."""
+    size = np.abs(matrix * load_range.scale)  # what each load moves
     blocks = size.reshape(2, 3, 2, 3).max(axis=(1, 3)) * SIGNIFICANT
-    return np.asarray(size > np.kron(blocks, np.ones((3, 3))))
+    deviation = np.sqrt(np.einsum("ijj->ij", covariance))
+    sure = (size > np.kron(blocks, np.ones((3, 3)))) & (np.abs(matrix) > CONFIDENT * deviation)
+    return Fit(matrix, covariance, np.asarray(sure))
 
 
 def sign_findings(fit: Fit) -> list[RigFinding]:
     """Return a finding where loads do negative work on their displacements."""
     diagonal = np.diag(fit.matrix)
-    work = np.diag(fit.sure) & fit.loads
+    work = np.diag(fit.sure)
     wrong = np.flatnonzero(work & (diagonal < 0))
     if not len(wrong):
         return []
@@ -256,62 +220,102 @@ def named_unit(factor: float) -> str:
     return ""
 
 
-def lever_findings(fit: Fit, load_range: LoadRange) -> list[RigFinding]:
-    """Return a finding where moments are about another point than that whose motion was measured.
+def symmetry_findings(fit: Fit, load_range: LoadRange) -> list[RigFinding]:
+    """Return a finding where the compliance is unsymmetric, by another point or not.
 
-    With the point at r from the one that was measured, the true compliance is C L(r), L adding
-    r x F to the moment; r is what makes it symmetric, by least squares in units of energy.
+    With the moments about a point at r from the one whose motion was measured, the true compliance
+    is C L(r), L adding r x F to the moment; r is what makes it symmetric, by generalised least
+    squares of energies. Deviations that are not worth a remark count as noise.
     """
-    if not fit.loads.all() or not fit.sure.any(axis=0).all():
+    by_axis = np.zeros((3, 6, 6))  # F -> e x F
+    by_axis[:, 3:, :3] = [np.cross(axis, np.eye(3)).T for axis in np.eye(3)]
+    before = after = _Skew.of(fit, np.eye(6), load_range)
+    if not before.sure.any():
         return []
-    before = _asymmetry(fit.matrix, load_range)
-    by_axis = [fit.matrix[:, 3:] @ np.cross(axis, np.eye(3)).T for axis in np.eye(3)]  # F -> e x F
-    columns = [_skewness(np.pad(change, ((0, 0), (0, 3))), load_range) for change in by_axis]
-    base = _skewness(fit.matrix, load_range)
-    lever = np.linalg.lstsq(np.stack(columns, axis=1), -base, rcond=None)[0]
-    moved = fit.matrix.copy()
-    moved[:, :3] += np.tensordot(lever, by_axis, axes=1)
-    after = _asymmetry(moved, load_range)
-    if before <= ASYMMETRY or after * BETTER > before or (np.diag(moved) <= 0).any():
-        return []
-    load_point, moved_point = (",".join(f"{x:.4g}" for x in sign * lever) for sign in (-1, 1))
-    message = (
-        f"the compliance is unsymmetric by {before:.0%}; it is symmetric to {after:.1%} if the "
-        f"point that the moments are about is {np.linalg.norm(lever):.4g} m from the one whose "
-        f"displacement was measured: import with --load-point {load_point} (m) if the "
-        "displacements are those of the interface's point, or with --displacement-point "
-        f"{moved_point} if the moments are about it (add it to a point given before)"
-    )
-    return [RigFinding("lever", message, (), {"lever": lever.tolist(), "asymmetry": before})]
-
-
-def asymmetry_findings(fit: Fit, load_range: LoadRange) -> list[RigFinding]:
-    """Return a finding where a compliance is unsymmetric and no lever makes it symmetric."""
-    if not fit.loads.all():
-        return []
-    energies = fit.matrix * np.outer(load_range.scale, load_range.scale)
-    measured = fit.matrix.any(axis=1)
-    skew = np.abs(energies - energies.T) * (fit.sure | fit.sure.T) * np.outer(measured, measured)
-    size = float(skew.max() / np.abs(energies).max())
-    if size <= UNEXPLAINED:
-        return []
-    first, second = np.unravel_index(int(np.argmax(skew)), skew.shape)
+    size, complete = before.size, bool((before.known.all() & fit.matrix.any(axis=0)).all())
+    lever, deviation, moved = np.zeros(3), np.full(3, np.inf), np.eye(6)
+    for _ in range(LEVER_ROUNDS if complete else 0):  # the weights depend on the lever
+        by_lever = [_Skew.of(fit, np.eye(6) + way, load_range).values for way in by_axis]
+        changes = np.stack(by_lever, axis=1) - before.values[:, None]
+        weighted = np.linalg.solve(after.covariance, changes)
+        covariance = np.linalg.inv(changes.T @ weighted)
+        lever, deviation = -covariance @ weighted.T @ before.values, np.sqrt(np.diag(covariance))
+        moved = np.eye(6) + np.tensordot(lever, by_axis, axes=1)
+        after = _Skew.of(fit, moved, load_range)
+    is_sure = bool((np.abs(lever) > CONFIDENT * deviation).any()) and after.size * BETTER < size
+    if is_sure and (np.diag(fit.matrix @ moved) > 0).all():
+        load_point, moved_point = (",".join(f"{x:.4g}" for x in by * lever) for by in (-1, 1))
+        message = (
+            f"the compliance is unsymmetric by {size:.0%}; it is symmetric to {after.size:.1%} if "
+            f"the point that the moments are about is {np.linalg.norm(lever):.4g} m from the one "
+            f"whose displacement was measured: import with --load-point {load_point} (m) if the "
+            "displacements are those of the interface's point, or with --displacement-point "
+            f"{moved_point} if the moments are about it (add it to a point given before)"
+        )
+        return [RigFinding("lever", message, (), {"lever": lever.tolist(), "asymmetry": size})]
+    at = int(np.argmax(np.abs(before.values) * before.sure))
+    first, second = int(PAIRS[0][at]), int(PAIRS[1][at])
+    remedy = "and no lever explains it: " if complete else "which another point may explain: "
     message = (
         f"the compliance is unsymmetric by {size:.0%}, most of all {OUTPUTS[first]} by "
-        f"{LOADS[second]} and {OUTPUTS[second]} by {LOADS[first]}, and no lever explains it: check "
-        "that loads and displacements are in one frame, the load cell's crosstalk, and that the "
-        "displacement of the rig itself is not measured"
+        f"{LOADS[second]} and {OUTPUTS[second]} by {LOADS[first]}, {remedy}check that loads and "
+        "displacements are in one frame, the load cell's crosstalk, and that the displacement of "
+        "the rig itself is not measured"
     )
     return [RigFinding("asymmetry", message, (), {"asymmetry": size})]
 
 
-def _skewness(matrix: Floats, load_range: LoadRange) -> Floats:
+PAIRS = np.triu_indices(6, 1)
+
+
+class _Skew(NamedTuple):
+    """What a compliance lacks in symmetry, (15,), over its largest energy, and its covariance."""
+
+    values: Floats
+    covariance: Floats
+    known: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, fit: Fit, change: Floats, load_range: LoadRange) -> _Skew:
+        """Return that of the fit times a change (6, 6) of the loads."""
+        scale, measured = load_range.scale, np.asarray(fit.matrix.any(axis=1))
+        unit = np.abs(fit.matrix * np.outer(scale, scale)).max()
+        covariance = (REMARKABLE / CONFIDENT) ** 2 * np.eye(len(PAIRS[0]))
+        for output in range(6):
+            rows = np.zeros((6, 6, 6))
+            rows[np.arange(6), output] = change  # of a unit of each entry
+            by_entry = np.stack([_skew(row, load_range) for row in rows], axis=1) / unit
+            covariance += by_entry @ fit.covariance[output] @ by_entry.T
+        known = measured[PAIRS[0]] & measured[PAIRS[1]]
+        return cls(_skew(fit.matrix @ change, load_range) / unit, covariance, known)
+
+    @property
+    def sure(self) -> NDArray[np.bool_]:
+        over = np.abs(self.values) > CONFIDENT * np.sqrt(np.diag(self.covariance))
+        return np.asarray(self.known & over)
+
+    @property
+    def size(self) -> float:
+        return float(np.abs(self.values * self.known).max())
+
+
+def _skew(matrix: Floats, load_range: LoadRange) -> Floats:
     """Return what a compliance (6, 6) lacks in symmetry, in units of energy, (15,)."""
     energies = matrix * np.outer(load_range.scale, load_range.scale)
-    return (energies - energies.T)[np.triu_indices(6, 1)]
+    return (energies - energies.T)[PAIRS]
 
 
-def _asymmetry(matrix: Floats, load_range: LoadRange) -> float:
-    """Return the largest of it over the largest energy."""
-    energies = matrix * np.outer(load_range.scale, load_range.scale)
-    return float(np.abs(_skewness(matrix, load_range)).max() / np.abs(energies).max())
+def clearance_findings(slopes: Slopes, response: RobustFit) -> list[RigFinding]:
+    """Return a finding where outputs jump as their own load changes its sign."""
+    least = np.hypot(CONFIDENT * slopes.deviation, REMARKABLE * response.range)
+    at = np.flatnonzero(slopes.jump > least)
+    if not len(at):
+        return []
+    sizes = {OUTPUTS[output]: float(slopes.jump[output]) for output in at}
+    units = [f"{sizes[name]:.3g} {'m' if name[0] == 'u' else 'rad'} in {name}" for name in sizes]
+    message = (
+        f"a clearance of about {', '.join(units)}: the part gives way where the load changes its "
+        "sign. It is no fault of the measurement: measure rows on both sides of no load, since "
+        "between them nothing is known"
+    )
+    return [RigFinding("clearance", message, (), {"clearance": sizes})]

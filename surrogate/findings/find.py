@@ -15,16 +15,16 @@ from ..table.merging import repeated
 from ..table.rows import Floats, LoadRange, Rows
 from .channels import channel_findings
 from .contract import (
-    asymmetry_findings,
-    lever_findings,
-    linear_fit,
+    clearance_findings,
+    fit_of,
     range_findings,
     sign_findings,
     size_findings,
-    solved_fit,
+    symmetry_findings,
     turned_findings,
     unit_findings,
 )
+from .origin import slopes_at_zero
 from .response import RigFinding, response_of, single_row_findings, wrong_rows
 from .sequence import MIN_ROWS as MIN_ROWS_IN_ORDER
 from .sequence import sequence_errors, sequence_findings
@@ -64,13 +64,16 @@ def find(
     if len(good) < MIN_ROWS:
         return findings
     response = response_of(good, load_range)
-    fit = linear_fit(good, load_range, response)
+    slopes = slopes_at_zero(good, load_range, response)
+    fit = fit_of(slopes.matrix, slopes.covariance, load_range)
     units = [*range_findings(good, load_range), *size_findings(good, response)]
-    known = None if solved is None else solved_fit(solved, load_range)
+    known = None if solved is None else fit_of(solved, np.zeros((6, 6, 6)), load_range)
     units = units or unit_findings(fit, known, linear=linear)
     # A lever can make a load's work negative; a wrong sign or unit is no lever.
-    contract = units or turned_findings(fit, known) or lever_findings(fit, load_range)
-    findings += contract or sign_findings(fit) or asymmetry_findings(fit, load_range)
+    skew = symmetry_findings(fit, load_range)
+    levers = [one for one in skew if one.cause == "lever"]
+    contract = units or turned_findings(fit, known) or levers or sign_findings(fit) or skew
+    findings += [*contract, *clearance_findings(slopes, response)]
     return [*findings, *sequence_findings(good, response)]
 
 

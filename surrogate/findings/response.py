@@ -19,7 +19,7 @@ from scipy.spatial import KDTree
 from ..table.rows import ZERO_LOAD, Floats, LoadRange, Rows
 from ..table.space import OUTPUTS
 
-CONFIDENT = 5.0  # deviations of an estimate: a cause is said where its interval leaves none out
+CONFIDENT = 8.0  # deviations of an estimate: a cause is said where its interval leaves none out
 REMARKABLE = 0.01  # of an output's range: what is smaller is within a usual tolerance
 
 ROUNDS = 30  # of reweighting: the weights are settled after 10 to 20
@@ -48,6 +48,7 @@ Cause = Literal[
     "unit",
     "lever",
     "asymmetry",
+    "clearance",
     "drift",
     "hysteresis",
     "clock",

@@ -12,7 +12,7 @@ Measured tables have a tolerance of `TOLERATED` times their noise.
 | known, cover | share of the answers that have a bar, and that are covered |
 | out, any | share of the covered whose error is outside its bar: the worst output, and any output |
 | +floor | `out` with bars wider by 1e-5 of the output's variation |
-| ratio, worst | median bar over median error of the known: the median output, and the worst |
+| ratio, worst | median bar over median error (1e-5 of the output at least): median output, worst |
 | RMS % | error of the mean over what the output varies by, the worst output |
 | row | median bar at measured rows over that of queries, least output; `null`: one is missing |
 | fall | least share of known or covered over that of an earlier table with fewer rows |
@@ -55,7 +55,7 @@ SEEDS = (SEED, SEED + 1, SEED + 2) if FULL else (SEED,)
 OUTSIDE, ENOUGH = 0.1, 20  # of the covered in the worst output, where so many are covered
 RATIOS = {"spread": 5.0, "noise": 4.0}  # median bar over error, by the kind of scenario
 HELD = 0.9  # of known and covered once rows are added
-FLOOR = 1e-5  # of an output's variation, added to the bars of the column +floor
+FLOOR = 1e-5  # of an output's variation: no one needs a sharper bar
 ASKED = 300
 MOST_SOLVES, CHECKED = 60, 60  # fresh solves of shipped parts: of a table, and to judge it by
 TOLERATED = 5.0  # times the noise: tolerance of measured tables, so that what is told is covered
@@ -118,7 +118,7 @@ def judged(trial: Trial) -> Verdict:
     if known.any():
         typical = np.median(np.mean(errors, axis=0)[known], axis=0)
         typical[typical <= rounding] = np.nan
-        ratios = np.median(found.errors[known], axis=0) / typical
+        ratios = np.median(found.errors[known], axis=0) / np.maximum(typical, FLOOR * size)
     rms = np.sqrt(np.mean(np.square(errors), axis=(0, 1))) / np.maximum(size, rounding)
     return Verdict(
         known=float(known.mean()),
