@@ -267,6 +267,7 @@ static void read_group(reader *r, int number, wb_group *g, wb_factor **factor) {
     within(r, "flags", flags, 1, 0, WB_METHODS);
     require(r, "flags", !g->used || g->has_composition || g->has_kriging || g->exact_fit);
     require(r, "flags", !g->used || g->method != WB_KRIGING || g->has_kriging);
+    require(r, "flags", !g->used || g->method > WB_ADDITIVE || g->has_composition);
 }
 
 /* The directory's and the JSON block's position; 0 if they are not in the file. */
