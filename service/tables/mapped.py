@@ -172,12 +172,11 @@ class ServedTable:
         """Those of the first outputs that have a kriging, None if none has."""
         arrays = self.packed.arrays
         for group in range(len(self.packed.meta["groups"])):
-            if f"g{group}/kriging/rates" in arrays:
-                weights = arrays[f"g{group}/kriging/terms"][:, -1]
+            if f"g{group}/kriging/terms" in arrays:
                 groups = self.load_range.space.kriging_groups
+                terms = arrays[f"g{group}/kriging/terms"][: len(groups)]
                 order = arrays.get(f"g{group}/kriging/smoothness", [Hyperparameters.smoothness])
-                rates = arrays[f"g{group}/kriging/rates"]
-                return Hyperparameters(rates, weights, groups, int(order[0]))
+                return Hyperparameters(terms[-1, :-1], terms[:, -1], groups, int(order[0]))
         return None
 
     def method_detail(self, method: str) -> str:

@@ -79,7 +79,6 @@ static const wb_array WB_CUT_ARRAYS[] = {
 static const wb_array WB_KRIGING_ARRAYS[] = {
     {"x", WB_F8, 0, 2, {WB_OF_N, WB_OF_S}, offsetof(wb_kriging, x)},
     {"terms", WB_F8, 0, 2, {WB_OF_C, WB_OF_N1}, offsetof(wb_kriging, term)},
-    {"rates", WB_F8, 0, 1, {WB_OF_N}, offsetof(wb_kriging, rates)},
     {"weights", WB_F8, 0, 2, {WB_OF_M, WB_OF_W}, offsetof(wb_kriging, weights)},
     {"smoothness", WB_I4, 1, 1, {-1}, offsetof(wb_kriging, smoothness)},
     {"coefficients", WB_F8, 0, 2, {WB_OF_N1, WB_OF_M}, offsetof(wb_kriging, coefficients)},

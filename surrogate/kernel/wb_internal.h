@@ -75,6 +75,7 @@ typedef struct {
     int padded; /* equations of a neighbourhood, a multiple of WB_PANEL */
     int64_t count, levels;
     const int32_t *outputs, *number, *equations;
+    const double *term, *rates; /* of the covariance: each term, and the last one, of all loads */
     const double *panels, *trend, *min_variance, *penalty, *mean_covariance;
     const double *sigma, *scale, *max_sigma; /* of the calibration: (levels), (levels, m), (1) */
 } wb_factor;
@@ -82,7 +83,7 @@ typedef struct {
 typedef struct {
     int stride, terms, factors; /* stride: rows, a multiple of WB_LANES */
     int has_second, per_row; /* whether rows bring second derivatives; numbers of a row */
-    const double *x, *term, *rates, *weights, *coefficients, *centre, *rate, *offset, *spread;
+    const double *x, *term, *weights, *coefficients, *centre, *rate, *offset, *spread;
     const double *deviation, *lost, *floor, *tangent, *span, *together;
     const int32_t *smoothness, *factor_count; /* smoothness: NULL without second derivatives */
     wb_factor *factor;

@@ -86,7 +86,7 @@ WB_VECTORS static int nearest(const wb_kriging *k, const wb_factor *factor, int 
                    double *restrict distance) {
     double closest = INFINITY;
     memcpy(distance, factor->penalty, (size_t)k->stride * sizeof(double));
-    add_distances(k->rates, inputs, apart, k->stride, distance);
+    add_distances(factor->rates, inputs, apart, k->stride, distance);
     for (int row = 0; row < k->stride; row++)
         closest = distance[row] < closest ? distance[row] : closest;
     for (int row = 0; row < k->stride; row++)
@@ -183,7 +183,7 @@ static double squared_deviation(const wb_kriging *k, const wb_factor *factor, in
     for (int a = 0; a < terms; a++)
         for (int b = 0; b < terms; b++)
             trend += mean_terms[a] * factor->mean_covariance[terms * a + b] * mean_terms[b];
-    for (int term = 0; term < k->terms; term++) prior += k->term[terms * term + inputs];
+    for (int term = 0; term < k->terms; term++) prior += factor->term[terms * term + inputs];
     double explained = product(work->reduced, work->reduced, padded);
     return fmax(prior - explained, factor->min_variance[anchor]) + trend;
 }
@@ -208,11 +208,17 @@ static double scale_of(const wb_factor *factor, double sigma, int q, int outputs
     return (high - low) / (s[n + 1] - s[n]) * (sigma - s[n]) + low;
 }
 
+/* Whether a factor has the covariance of the one before it. */
+static int as_before(const wb_kriging *k, int n, int s) {
+    size_t size = (size_t)(k->terms * (n + 1)) * sizeof(double);
+    return s > 0 && s < k->factors && !memcmp(k->factor[s].term, k->factor[s - 1].term, size);
+}
+
 /* The covariances of a value with all rows. */
-static void covary(const wb_kriging *k, int n, wb_work *work) {
+static void covary(const wb_kriging *k, const wb_factor *factor, int n, wb_work *work) {
     memset(work->flat, 0, (size_t)(k->per_row * k->stride) * sizeof(double));
     for (int term = 0; term < k->terms; term++)
-        add_covariances(k->term + (n + 1) * term, n, work->apart, k->stride, k->has_second, work->first,
+        add_covariances(factor->term + (n + 1) * term, n, work->apart, k->stride, k->has_second, work->first,
                         work->second, work->wide, work->flat);
 }
 
@@ -232,9 +238,9 @@ static void explore(const wb_table *t, const wb_kriging *k, wb_work *work, const
                     double *at, double *values, double *sigma) {
     int n = t->inputs;
     scale_loads(k, n, wrench, at, work->apart);
-    covary(k, n, work);
     for (int s = 0; s < k->factors; s++) {
         const wb_factor *factor = &k->factor[s];
+        if (!as_before(k, n, s)) covary(k, factor, n, work);
         for (int q = 0; values && q < t->outputs; q++)
             if (factor->outputs[q]) values[q] = value_of(t, k, work, at, q);
         if (!sigma) continue;
@@ -368,9 +374,10 @@ WB_VECTORS static void add_slope(const double *term, int inputs, const double *r
                         pair_of(flat, inputs, a, c, stride));
 }
 
-/* Whether a factor answers output q: a scene's table has those of the outputs that it reads. */
-static int answers(const wb_kriging *k, int q) {
-    for (int s = 0; s < k->factors; s++)
+/* Whether a factor, from `s` to `end`, answers output q: a scene's table has those of the outputs
+ * that it reads. */
+static int answers(const wb_kriging *k, int s, int end, int q) {
+    for (; s < end; s++)
         if (k->factor[s].outputs[q]) return 1;
     return 0;
 }
@@ -382,23 +389,28 @@ void wb_kriging_derivative(const wb_table *t, const wb_kriging *k, wb_work *work
     double at[WB_MAX];
     memset(derivative, 0, (size_t)(n * m) * sizeof(double));
     scale_loads(k, n, wrench, at, work->apart);
-    for (int term = 0; term < k->terms; term++) {
-        double *first = work->wide + (int64_t)3 * term * k->stride;
-        differentiate(k->term + (n + 1) * term, n, work->apart, k->stride, k->has_second, first,
-                      first + k->stride, first + 2 * k->stride);
-    }
-    for (int a = 0; a < n; a++) { /* the covariances of the slope by load a with all rows */
-        memset(work->flat, 0, (size_t)count * sizeof(double));
+    for (int s = 0, end = 1; s < k->factors; s = end++) { /* factors of one covariance together */
+        const double *terms = k->factor[s].term;
+        while (as_before(k, n, end)) end++;
         for (int term = 0; term < k->terms; term++) {
-            const double *first = work->wide + (int64_t)3 * term * k->stride;
-            add_slope(k->term + (n + 1) * term, n, work->apart, k->stride, first, first + k->stride,
-                      k->has_second ? first + 2 * k->stride : NULL, a, work->first, work->flat);
+            double *first = work->wide + (int64_t)3 * term * k->stride;
+            differentiate(terms + (n + 1) * term, n, work->apart, k->stride, k->has_second, first,
+                          first + k->stride, first + 2 * k->stride);
         }
-        for (int q = 0; q < m; q++) {
-            if (!answers(k, q)) continue;
-            double slope = product(work->flat, k->weights + (int64_t)q * count, count);
-            slope += k->coefficients[m * (1 + a) + q];
-            derivative[n * q + a] = slope * k->spread[q] * k->rate[a] + k->tangent[n * q + a];
+        for (int a = 0; a < n; a++) { /* the covariances of the slope by load a with all rows */
+            memset(work->flat, 0, (size_t)count * sizeof(double));
+            for (int term = 0; term < k->terms; term++) {
+                const double *first = work->wide + (int64_t)3 * term * k->stride;
+                add_slope(terms + (n + 1) * term, n, work->apart, k->stride, first,
+                          first + k->stride, k->has_second ? first + 2 * k->stride : NULL, a,
+                          work->first, work->flat);
+            }
+            for (int q = 0; q < m; q++) {
+                if (!answers(k, s, end, q)) continue;
+                double slope = product(work->flat, k->weights + (int64_t)q * count, count);
+                slope += k->coefficients[m * (1 + a) + q];
+                derivative[n * q + a] = slope * k->spread[q] * k->rate[a] + k->tangent[n * q + a];
+            }
         }
     }
 }

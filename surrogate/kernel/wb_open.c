@@ -218,7 +218,8 @@ static int read_kriging(reader *r, const char *group, const char *which, wb_krig
     snprintf(r->block, sizeof r->block, "%s%s/", group, which);
     if (*r->bad || !find(r, "x")) return 0;
     if (!READ(r, KRIGING, WB_BLOCK, k)) return 1;
-    k->stride = (int)r->size[WB_OF_S], k->terms = (int)r->size[WB_OF_C];
+    k->stride = (int)r->size[WB_OF_S];
+    int64_t terms = r->size[WB_OF_C];
     k->has_second = k->smoothness != NULL;
     k->per_row = n + 1 + (k->has_second ? n * (n + 1) / 2 : 0);
     require(r, "x", k->stride > 0 && k->stride % WB_LANES == 0);
@@ -227,8 +228,12 @@ static int read_kriging(reader *r, const char *group, const char *which, wb_krig
     within(r, "factor_count", k->factor_count, 1, 1, t->outputs + 1);
     if (*r->bad) return 1;
     k->factors = *k->factor_count, k->factor = *factor, *factor += k->factors;
+    k->terms = (int)(terms / k->factors);
+    require(r, "terms", terms > 0 && terms % k->factors == 0);
     for (int s = 0; s < k->factors && !*r->bad; s++) {
         snprintf(r->block, sizeof r->block, "%s%s/factor%d/", group, which, s);
+        k->factor[s].term = k->term + s * k->terms * (n + 1);
+        k->factor[s].rates = k->factor[s].term + (k->terms - 1) * (n + 1);
         read_factor(r, k, &k->factor[s]);
     }
     int flat = k->per_row * k->stride; /* a dimension of `weights` */

@@ -12,7 +12,7 @@ have (rows along a motion), errors are not known.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -210,15 +210,45 @@ def full_rows(equations: Equations, scaling: Scaling) -> NDArray[np.bool_]:
     return ~np.any([~loaded[:, ~group].any(axis=1) for group in groups], axis=0)
 
 
+def query_points(
+    equations: Equations, scaling: Scaling, span: Floats, settings: KrigingSettings
+) -> Floats:
+    """Return points like those of queries, spread over the span of rows, (m, 6), half ranges.
+
+    Where nearly all rows load one axis each, these have the loads at once that rows have.
+    """
+    active = np.isfinite(span[0])
+    low, high = np.where(active, np.clip(span, -1.0, 1.0), 0.0)
+    # A load that no row varies stays as the rows have it: off that the mean is not determined.
+    fixed = high - low <= FIXED_WIDTH * NEAR
+    low, high = np.where(fixed, (low + high) / 2, [low, high])
+    queries = spread_wrenches(LoadRange(low, high, scaling.space), QUERIES)
+    full = full_rows(equations, scaling)
+    if full.sum() < min(settings.full_rows, len(full) / 2):
+        at_rest = scaling.loads(np.zeros((1, equations.loads)))
+        loaded = np.abs(equations.x - at_rest) > ZERO_LOAD
+        loaded = loaded[np.linspace(0, len(loaded) - 1, QUERIES).round().astype(np.intp)]
+        queries = np.where(loaded, queries, at_rest)
+    return queries
+
+
 def calibrated(
     equations: Equations,
     neighbours: Neighbourhoods,
     table: Floats,
     scaling: Scaling,
-    span: Floats,
+    queries: Floats,
+    widenings: Floats,
     settings: KrigingSettings,
 ) -> Calibration:
-    """Return the factors of a group's deviations for 95 % error bars."""
+    """Return the factors of a group's deviations for 95 % error bars.
+
+    Parameters
+    ----------
+    queries : ndarray, shape (m, 6), half ranges
+    widenings : ndarray, shape (q,), dimensionless
+        See `Estimate.widening`.
+    """
     subset, outputs = (
         neighbours.factor.equations,
         len(neighbours.factor.output_group.outputs),
@@ -236,22 +266,20 @@ def calibrated(
         for labels in groupings(subset.x * np.sqrt(hyperparameters.inverse_squares), settings)
         if (level := _level(equations, neighbours, table, labels, rows)) is not None
     )
-    # Points like those of queries: spread over the span of rows, (m, 6), half ranges. Where
-    # nearly all rows load one axis each, so do these.
-    active = np.isfinite(span[0])
-    low, high = np.where(active, np.clip(span, -1.0, 1.0), 0.0)
-    # A load that no row varies stays as the rows have it: off that the mean is not determined.
-    fixed = high - low <= FIXED_WIDTH * NEAR
-    low, high = np.where(fixed, (low + high) / 2, [low, high])
-    queries = spread_wrenches(LoadRange(low, high, scaling.space), QUERIES)
-    if full.sum() < min(settings.full_rows, len(full) / 2):
-        groups = scaling.space.kriging_groups[:-1]
-        queries = queries * groups[np.arange(QUERIES) % len(groups)]
     across = block(queries, equations.x, hyperparameters, 1, equations.n_derivatives)
     sigma = neighbours.deviations(queries, across.reshape(len(queries), -1))
     # The mean's coefficients, which all rows determine: these in proportion.
     coefficients = (1 + scaling.active.sum()) * len(rows) / len(subset)
-    return calibrate(levels, outputs, sigma, coefficients, settings)
+    found = calibrate(levels, outputs, sigma, coefficients, settings)
+    if neighbours.factor.output_group.noise.any():
+        # Noise hides the errors of left-out rows: bars hold the posterior, and what it leaves open.
+        freedom = max(float(len(subset)) - coefficients, 1.0)
+        least = widenings * settings.half_width * widening(freedom, equations.data.shape[2])
+        # Left-out rows lie a row's distance from the others, wrenches between: sigma is that of the
+        # posterior, which holds as far as that.
+        far = found.max_sigma / settings.comparable
+        found = replace(found, factors=np.maximum(found.factors, least), max_sigma=far)
+    return found
 
 
 def _level(
@@ -269,13 +297,14 @@ def _level(
     if len(np.unique(labels)) < 2:
         return None
     out = left_out(factor, labels)
-    anchors = neighbours.nearest_others(rows, labels)
-    squared, value_numbers = (
-        np.full(len(rows), np.nan),
-        numbers(equations.known)[factor.output_group.rows, 0],
-    )
-    lists = neighbours.members(subset.x[anchors], labels, labels[rows])
-    for index, (row, near) in enumerate(zip(rows, lists, strict=True)):
+    # Of all other rows, if answers are: what their errors should have without the row's noise.
+    squared = out.variances[rows] - factor.output_group.noise[rows]
+    value_numbers = numbers(equations.known)[factor.output_group.rows, 0]
+    lists: list[Labels] = []
+    if not neighbours.whole:
+        anchors = neighbours.nearest_others(rows, labels)
+        lists = neighbours.members(subset.x[anchors], labels, labels[rows])
+    for index, (row, near) in enumerate(zip(rows, lists, strict=False)):
         local = neighbours.local_factor(near, table)
         across, terms = (
             table[value_numbers[row], local.numbers],

@@ -125,14 +125,21 @@ class Equations:
         names = (field.name for field in fields(self) if field.name != "groups")
         return replace(self, **{name: getattr(self, name)[which] for name in names})
 
-    def with_observation_noise(self, variance: Floats) -> Equations:
-        """Return the equations with an observation's noise, variance (6,), dimensionless.
+    @property
+    def typical_noise(self) -> Floats:
+        """Median of the stated variances of each output, (6,), spreads squared; 1 without any."""
+        stated = [column[column > 0] for column in self.noise.T]
+        return np.array([np.median(column) if len(column) else 1.0 for column in stated])
 
-        The variance of a mean of k observations is 1/k of theirs.
+    @property
+    def unit_noise(self) -> Floats:
+        """What one factor an output makes the variance of values of, (n, 6), spreads squared.
+
+        The stated variance; of a mean of k readings of unknown noise 1/k of the typical one.
         """
         averaged = self.observations > 0
-        added = np.where(averaged, variance / np.where(averaged, self.observations, 1.0), 0.0)
-        return replace(self, noise=self.noise + added)
+        unknown = self.typical_noise / np.where(averaged, self.observations, 1.0)
+        return np.where(averaged, unknown, self.noise)
 
 
 def within(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS) -> Rows:

@@ -14,11 +14,13 @@ Deviations are those of small factors over the nearest rows. A point's neighbour
 by each of the four terms of the covariance: nearest over all loads, then over those of axis x, y
 and z. By all loads alone a table of clean rows would answer a wrench of six loads by one axis.
 Neighbourhoods belong to rows, their anchors, so that the factors are made before any query; a
-wrench takes that of its nearest row.
+wrench takes that of its nearest row. Few measured rows are one neighbourhood: with noise all of
+them tell the response at a wrench, and the nearest alone would give bars far too wide.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -53,7 +55,10 @@ class OutputGroup(NamedTuple):
 
 
 def output_groups(
-    equations: Equations, variance: Floats, settings: KrigingSettings = DEFAULTS
+    equations: Equations,
+    variance: Floats,
+    settings: KrigingSettings = DEFAULTS,
+    kernels: Sequence[Hyperparameters] | None = None,
 ) -> list[OutputGroup]:
     """Return the outputs in groups, each with a factor.
 
@@ -62,6 +67,8 @@ def output_groups(
     variance : ndarray, shape (6,), dimensionless
         Process variance of each output, spreads squared: noise counts relative to it. Outputs whose
         relative noise differs by more than `like_noise` at some row get a factor each.
+    kernels : sequence of Hyperparameters, optional
+        Of each output; outputs of different ones get a factor each.
     """
     noise = equations.noise / variance
     # Below the nugget noise changes nothing.
@@ -71,6 +78,7 @@ def output_groups(
         for group in groups:
             rows = equations.measured[:, group[0]]
             same = (rows == equations.measured[:, output]).all()
+            same &= kernels is None or kernels[output] is kernels[group[0]]
             difference = np.abs(size[rows, output] - size[rows, group[0]])
             if same and (difference <= np.log(settings.like_noise)).all():
                 group.append(output)
@@ -377,7 +385,9 @@ class Neighbourhoods:
     ----------
     factor : KrigingFactor
     local_factors : tuple of LocalFactor
-        The neighbourhood of each of the factor's rows.
+        One of all rows, or the neighbourhood of each of the factor's rows.
+    number : ndarray of int, shape (r,)
+        Which of these each row, as an anchor, has.
     """
 
     def __init__(
@@ -386,8 +396,13 @@ class Neighbourhoods:
         factor: KrigingFactor,
         table: Floats,
         settings: KrigingSettings = DEFAULTS,
+        *,
+        whole: bool = False,
     ) -> None:
-        """Take the table's equations, and `table` (a, a), the covariance of all a of them."""
+        """Take the table's equations, and `table` (a, a), the covariance of all a of them.
+
+        `whole`: sigma is that of all rows, however many.
+        """
         x, known = factor.equations.x, factor.equations.known
         self.factor, self.settings = factor, settings
         self.size = known.sum(axis=1)
@@ -396,7 +411,20 @@ class Neighbourhoods:
         self.roots = np.sqrt(factor.hyperparameters.inverse_squares) * all_first
         self.trees = [KDTree(x * root) for root in self.roots]
         self._numbers = numbers(equations.known)[factor.output_group.rows]
-        self.local_factors = tuple(self.local_factor(near, table) for near in self.members(x))
+        self.number = np.arange(len(x))
+        self.local_factors: tuple[LocalFactor, ...]
+        if whole or (len(x) <= settings.whole_rows and not known[:, 1:].any()):
+            self.number = np.zeros(len(x), dtype=np.intp)
+            columns = factor.output_group.rows * known.shape[1]
+            parts = factor.hyperparameters, factor.nugget, factor.T, factor.TF
+            self.local_factors = (LocalFactor(*parts, columns, self._numbers[:, 0]),)
+        else:
+            self.local_factors = tuple(self.local_factor(near, table) for near in self.members(x))
+
+    @property
+    def whole(self) -> bool:
+        """Whether deviations are those of all rows."""
+        return len(self.local_factors) == 1
 
     def nearest(self, x: Floats) -> Indices:
         """Return the row nearest to each point (m, 6) over all loads, shape (m,).
@@ -481,8 +509,9 @@ class Neighbourhoods:
         of all rows, known or not.
         """
         terms = np.concatenate((np.ones((len(x), 1)), x), axis=1)
-        squared, nearest = np.empty(len(x)), self.nearest(x)
-        for anchor in np.unique(nearest):
+        squared = np.empty(len(x))
+        nearest = self.number[self.nearest(x)] if len(self.local_factors) > 1 else np.zeros(len(x))
+        for anchor in np.unique(nearest).astype(np.intp):
             queries, local = np.flatnonzero(nearest == anchor), self.local_factors[anchor]
             squared[queries] = local.squared_deviation(
                 across[np.ix_(queries, local.columns)], terms[queries], self.factor.mean_covariance

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..table.merging import Observations, merge
-from ..table.rows import NEAR, Floats, LoadRange, Rows
-from .calibration import Calibration, calibrated
+from ..table.rows import NEAR, SMALLEST, Floats, LoadRange, Rows
+from .calibration import Calibration, calibrated, query_points
 from .correlation import Hyperparameters, Mask, block, covariance
 from .equations import (
     Equations,
@@ -53,8 +53,6 @@ class Kriging:
     ----------
     settings : KrigingSettings
     scaling : Scaling
-    hyperparameters : Hyperparameters
-        Common to all outputs.
     observation_variance : ndarray, shape (6,), spreads squared
         Of an observation of unknown uncertainty.
     tangent : ndarray, shape (6, 6), SI
@@ -82,7 +80,6 @@ class Kriging:
 
     settings: KrigingSettings
     scaling: Scaling
-    hyperparameters: Hyperparameters
     observation_variance: Floats
     tangent: Floats
     equations: Equations
@@ -138,28 +135,34 @@ class Kriging:
                 f"{settings.dense_equations} that one factor holds"
             )
         tangents = used.compliance[np.isfinite(used.compliance).all(axis=(1, 2))]
-        tangent = tangents.mean(axis=0) if len(tangents) else np.zeros(used.compliance.shape[1:])
+        tangent = tangents.mean(axis=0) if len(tangents) else used.compliance[0] * np.nan
         with one_thread():
-            hyperparameters, noise_scale, observation_variance = estimated(
-                equations, scaling, settings
-            )
-            equations = equations.with_observation_noise(observation_variance)
-            x, known, span = equations.x, equations.known, span_of(equations, scaling, settings)
+            span = span_of(equations, scaling, settings)
+            points = query_points(equations, scaling, span, settings)
+            estimate = estimated(equations, scaling, points, settings)
+            observed = (equations.observations > 0).any(axis=0)
+            observation_variance = np.where(observed, estimate.noise * equations.typical_noise, 0.0)
+            equations = replace(equations, noise=equations.unit_noise * estimate.noise)
+            x, known = equations.x, equations.known
             weights, n_outputs = np.zeros(equations.data.shape), equations.data.shape[2]
             coefficients = np.empty((1 + x.shape[1], n_outputs))
             deviation, rounding = np.empty((2, n_outputs))
             errors = np.full(equations.measured.shape, np.nan)
-            table = covariance(x, known, x, known, hyperparameters)
             values = np.zeros_like(known)
             values[:, 0] = True
-            rounding_errors = ROUNDING_LOSS * np.abs(table[values[known]])
+            before: Hyperparameters | None = None
             neighbourhoods: list[Neighbourhoods] = []
             calibrations: list[Calibration] = []
-            for group in output_groups(equations, noise_scale, settings):
-                factor, outputs = (
-                    factorise(equations, hyperparameters, group, settings, table),
-                    group.outputs,
-                )
+            table, rounding_errors = np.empty((2, 0, 0))
+            kernels = estimate.kernels
+            for group in output_groups(equations, estimate.variance, settings, kernels):
+                outputs, kernel = group.outputs, kernels[group.outputs[0]]
+                if kernel is not before:
+                    table, before = covariance(x, known, x, known, kernel), kernel
+                    rounding_errors = ROUNDING_LOSS * np.abs(table[values[known]])
+                factor = factorise(equations, kernel, group, settings, table)
+                if group.noise.any():  # with it the mean's coefficients are integrated out
+                    factor = replace(factor, variance=estimate.variance[outputs])
                 # The weights among the values and derivatives of all rows.
                 all_rows = np.zeros((*known.shape, len(outputs)))
                 all_rows[known & np.isin(np.arange(len(x)), group.rows)[:, None]] = factor.weights
@@ -171,16 +174,26 @@ class Kriging:
                 neighbours = Neighbourhoods(equations, factor, table, settings)
                 neighbourhoods.append(neighbours)
                 calibrations.append(
-                    calibrated(equations, neighbours, table, scaling, span, settings)
+                    calibrated(
+                        equations,
+                        neighbours,
+                        table,
+                        scaling,
+                        points,
+                        estimate.widening[outputs],
+                        settings,
+                    )
                 )
-        estimate, parts = (
-            (hyperparameters, observation_variance, tangent),
-            (tuple(neighbourhoods), tuple(calibrations)),
-        )
+        parts = equations, tuple(neighbourhoods), tuple(calibrations)
         beyond = settings.beyond_rows ** (-1 / len(x))  # as of the span
         together = besides(x, scaling).max(axis=0) * beyond + NEAR
         arrays = weights, coefficients, deviation, rounding, errors, span, together
-        return cls(settings, scaling, *estimate, equations, *parts, *arrays)
+        return cls(settings, scaling, observation_variance, tangent, *parts, *arrays)
+
+    @property
+    def hyperparameters(self) -> Hyperparameters:
+        """Those of the first outputs: outputs of measured rows have each their own."""
+        return self.neighbourhoods[0].factor.hyperparameters
 
     @property
     def detail(self) -> str:
@@ -205,7 +218,8 @@ class Kriging:
             nugget[neighbours.factor.output_group.outputs] = neighbours.factor.nugget
         varying = np.where(self.scaling.constant, 0.0, np.sqrt(nugget))
         relative = self.settings.error_floor * np.abs(self.scaling.offset)
-        return (varying + self.rounding) * self.scaling.spread + relative
+        size = (varying + self.rounding) * self.scaling.spread + relative
+        return np.maximum(size, SMALLEST)  # where nothing moves at all
 
     @property
     def knows_errors(self) -> bool:
@@ -231,19 +245,18 @@ class Kriging:
         """
         n_outputs = self.weights.shape[2]
         errors, known = np.empty((len(x), n_outputs)), np.empty((len(x), n_outputs), dtype=bool)
-        across = block(x, self.equations.x, self.hyperparameters, 1, self.equations.n_derivatives)
-        across = across.reshape(len(x), -1)
-        # Each point by itself: weights are up to 1e8 times their sum, and the order of a sum
-        # depends on the shape of the matrices.
-        values = (across[:, None] @ self.weights.reshape(-1, n_outputs))[:, 0] + self.coefficients[
-            0
-        ]
-        values += (x[:, None] @ self.coefficients[1:])[:, 0]
+        values = self.coefficients[0] + (x[:, None] @ self.coefficients[1:])[:, 0]
+        weights, terms = self.weights.reshape(-1, n_outputs), self.equations.n_derivatives
+        kernel, across = None, np.empty((0, 0))
         for neighbours, calibration in zip(self.neighbourhoods, self.calibrations, strict=True):
-            sigma, outputs = (
-                neighbours.deviations(x, across),
-                neighbours.factor.output_group.outputs,
-            )
+            outputs = neighbours.factor.output_group.outputs
+            if neighbours.factor.hyperparameters is not kernel:
+                kernel = neighbours.factor.hyperparameters
+                across = block(x, self.equations.x, kernel, 1, terms).reshape(len(x), -1)
+            # Each point by itself: weights are up to 1e8 times their sum, and the order of a sum
+            # depends on the shape of the matrices.
+            values[:, outputs] += (across[:, None] @ weights[:, outputs])[:, 0]
+            sigma = neighbours.deviations(x, across)
             errors[:, outputs] = sigma[:, None] * calibration.at(sigma) * self.deviation[outputs]
             known[:, outputs] = (sigma <= calibration.max_sigma)[:, None]
         spanned = ((x >= self.span[0]) & (x <= self.span[1])).all(axis=1)
@@ -276,7 +289,7 @@ class Kriging:
                 return bars
             factors = [neighbours.factor for neighbours in self.neighbourhoods]
             factor = max(factors, key=lambda factor: len(factor.equations))
-            hyperparameters, mean_covariance = self.hyperparameters, factor.mean_covariance
+            hyperparameters, mean_covariance = factor.hyperparameters, factor.mean_covariance
             n_derivatives = self.equations.n_derivatives
             known = np.zeros((len(others), n_derivatives), dtype=bool)
             known[:, 0], known[:, 1:] = True, self.equations.known[:, 1:].any(axis=0)

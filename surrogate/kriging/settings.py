@@ -36,29 +36,25 @@ class KrigingSettings:
     # The two starts: lengths of 1.4 and of 0.7 half ranges, a full kernel of a third of an axis.
     theta_starts: tuple[float, ...] = (-0.7, 0.8)
     weight_start: float = -1.2
-    # Logarithm of the unknown noise of an observation, over the process variance: from none
-    # that the nugget would not hide to ten times the deviation of the response. It starts at a
-    # tenth of that: from little noise the search ends at short lengths that explain all of it.
+    # Logarithm of noise over the process variance, where it is tried: from none that the nugget
+    # would not hide to ten times the deviation of the response, in steps of half the deviation that
+    # 100 rows leave of it.
     ratio_bounds: tuple[float, float] = (-23.0, 4.6)
-    ratio_start: float = -4.6
-    # Between its bounds the noise of observations is tried in steps, and interpolated between them
-    # by cubic splines to this accuracy: a tenth of a variance is the best that rows show.
-    ratio_step: float = 1.5
-    ratio_accuracy: float = 0.05
-    # By how much less likely (logarithm) noise may be for less of it to be taken: half the 95 %
-    # quantile of a chi square. With half a unit 66 and 73 % of errors were inside at two of 36
-    # noisy tables, at noise of 5 % of the range; with this 74 and 82 %.
-    ratio_caution: float = 1.92
-    # Other kernels that compete with the noise of observations: of one length in all loads, 0.5 to
-    # 4 half ranges, with none to nearly all of the term of all loads; and the table's own with so
-    # much of a rough one by each load. By the table's own alone 12 to 28 % of errors were inside
-    # in one output of `hardening`, and 50 to 70 % of those of `kinked` that were covered.
-    noise_thetas: tuple[float, ...] = (1.4, 0.0, -1.4, -2.8)
-    noise_weights: tuple[float, ...] = (-6.0, -1.2, 3.0)
-    noise_rough: tuple[float, ...] = (0.003, 0.03, 0.3)
-    # Largest of `theta_bounds` where noise is estimated: below half a half range a kernel of six
-    # loads is noise itself, and bars of a straight response were up to 47 times its errors.
-    noise_theta_max: float = 1.4
+    ratio_step: float = 0.75
+    # Before rows are seen: mean and deviation of the logarithm of an unknown noise's variance, over
+    # the spread's (1 % of it, within a factor of 10), of the factor on a stated one (a factor of 3
+    # on the uncertainty), and of inverse squared lengths (1.6 half ranges, within a factor of 2).
+    # Without the last the most likely kernels are straight in most loads, and what they bend by is
+    # taken for noise: 28 % of errors were outside in one output of `smooth`, 12 % with it.
+    noise_prior: tuple[float, float] = (-9.2, 4.6)
+    stated_prior: tuple[float, float] = (0.0, 2.3)
+    length_prior: tuple[float, float] = (-1.0, 1.5)
+    # Noise is averaged over the most likely kernel and these, of shorter and longer lengths: e to
+    # half of it times. Those of less than a fiftieth of the posterior change nothing.
+    length_shifts: tuple[float, ...] = (-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0)
+    least_share: float = 0.02
+    # Lengths of an output are searched for with so many equations, noise with the number below.
+    search_equations: int = 210
     # The likelihood costs the cube of its equations some fifty times over, and is flat: 420
     # equations of six outputs (60 solved rows, or as many measured ones) determine seven numbers,
     # in half a second; with 210 errors were up to twice as large, measured over made-up responses.
@@ -76,6 +72,8 @@ class KrigingSettings:
     # 140 x 140 triangle; 40 measured ones keep the triangles of 2,500 rows within 32 MB.
     deviation_rows: int = 40
     deviation_solves: int = 20
+    # Up to so many measured rows sigma is that of all of them: a triangle of 640 kB.
+    whole_rows: int = 400
     # So many of these bring their second derivatives too: 2 of 12 rows (126 equations) give bars of
     # 60 solves that are 1.1 times as wide as those of 20 rows with all (560 equations); 5 of 5
     # (140) are 1.6 times as wide.

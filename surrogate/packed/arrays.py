@@ -60,7 +60,7 @@ SYMBOLS = {
     "k": "neighbourhoods of a kriging, or stretches of a cut",
     "e": "equations of a neighbourhood, padded to a multiple of 16 (WB_PANEL)",
     "d": "numbers of a lower triangle (e, e) in panels of 16 rows",
-    "c": "terms of a covariance",
+    "c": "terms of the covariances of all factors",
     "w": "numbers that s rows bring: p s, p of values, slopes and second derivatives",
     "l": "levels of a calibration",
     "i": "simplices of all axes one after another",
@@ -162,9 +162,8 @@ BLOCKS = {
     )),
     "kriging": Block(r"g\d+/kriging/", "wb_kriging", (
         Array("x", "f8", "n s", "scaled loads of the rows"),
-        Array("terms", "f8", "c n1", "inverse squared lengths and weight of each term of the "
-              "covariance", member="term"),
-        Array("rates", "f8", "n", "inverse squared lengths of the distance between rows"),
+        Array("terms", "f8", "c n1", "inverse squared lengths and weight of each term of each "
+              "factor's covariance, the last of all loads", member="term"),
         Array("weights", "f8", "m w", "of the rows' values, slopes by one load after another and, "
               "where rows bring them, second derivatives by one pair after another"),
         Array("smoothness", "i4", "1", "of Matern smoothness + 1/2, where rows bring second "

@@ -245,9 +245,8 @@ def _kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     padded_weights = np.zeros((*kriging.weights.shape[:0:-1], stride))
     padded_weights[:, :, :rows] = kriging.weights.transpose(2, 1, 0)
     yield "x", x
-    rates, weights = kriging.hyperparameters.terms
-    yield "terms", np.concatenate((rates, weights[:, None]), axis=1)
-    yield "rates", kriging.hyperparameters.inverse_squares
+    terms = [neighbours.factor.hyperparameters.terms for neighbours in kriging.neighbourhoods]
+    yield "terms", np.concatenate([np.column_stack(term) for term in terms])
     yield "weights", padded_weights.reshape(len(padded_weights), -1)
     if kriging.equations.n_derivatives > 1 + len(x):
         yield "smoothness", np.array([kriging.hyperparameters.smoothness], dtype=np.int32)
@@ -287,7 +286,7 @@ def _factor_arrays(
     columns = np.zeros((count, padded), dtype=np.int32)
     panels = np.zeros((count, PANEL * padded * (padded // PANEL + 1) // 2))
     unsettled = np.zeros((count, local_factors[0].TF.shape[1], padded))
-    for k, (row, local) in enumerate(zip(factor.output_group.rows, local_factors, strict=True)):
+    for k, local in enumerate(local_factors):
         size = len(local.columns)
         at_row, of_row = np.divmod(local.columns, derivatives)
         columns[k, :size] = of_row * stride + at_row
@@ -298,7 +297,9 @@ def _factor_arrays(
             [lower[top : top + PANEL, : top + PANEL].T.ravel() for top in range(0, padded, PANEL)]
         )
         unsettled[k, :, :size] = local.TF.T
-        number[row], least[row] = k, local.min_variance
+    rows = factor.output_group.rows
+    number[rows] = neighbourhoods.number
+    least[rows] = [local_factors[k].min_variance for k in neighbourhoods.number.tolist()]
     is_output = np.isin(np.arange(outputs), factor.output_group.outputs)
     yield "outputs", is_output.astype(np.int32)
     yield "number", number

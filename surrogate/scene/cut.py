@@ -122,13 +122,18 @@ def _cut_kriging(group: Arrays, name: str, need: Need) -> Arrays:
     arrays = {
         key: array for key, array in group.items() if key.startswith(name) and "/factor" not in key
     }
-    factors = [
-        f"{name}factor{number}/"
-        for number in range(int(group[f"{name}factor_count"][0]))
+    count = int(group[f"{name}factor_count"][0])
+    kept = [
+        number
+        for number in range(count)
         if group[f"{name}factor{number}/outputs"][list(need.outputs)].any()
-    ] or [f"{name}factor0/"]
-    arrays[f"{name}factor_count"] = np.array([len(factors)], dtype=np.int32)
-    for number, factor in enumerate(factors):
+    ] or [0]
+    arrays[f"{name}factor_count"] = np.array([len(kept)], dtype=np.int32)
+    arrays[f"{name}terms"] = np.concatenate(
+        [np.split(group[f"{name}terms"], count)[number] for number in kept]
+    )
+    for number, before in enumerate(kept):
+        factor = f"{name}factor{before}/"
         arrays |= {
             f"{name}factor{number}/{key[len(factor) :]}": array
             for key, array in group.items()

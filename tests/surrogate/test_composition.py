@@ -160,13 +160,10 @@ def test_an_offset_without_a_row_at_zero_load_is_not_lost(seed: int) -> None:
         np.testing.assert_array_less(np.abs(np.array(single.displacement) - expected) / 10, 1e-9)
 
 
-def test_zero_load_is_not_covered_where_no_axis_surrounds_it() -> None:
+def test_what_axes_of_other_loads_leave_out_is_in_the_error_bar() -> None:
     wrench = np.zeros((9, 6))
     wrench[:, 2] = np.linspace(1000, 5000, 9)
     surrogate = build(Rows.of(wrench, wrench[:, 2:3] * np.full(6, 1e-8)), RANGE)
-    assert surrogate.answer([0.0] * 6).coverage != "covered"
-    assert surrogate.batch(np.zeros((1, 6))).coverage.tolist() != [0]
-    # What the axes of other loads leave out of u_x is in its error bar.
     loaded = surrogate.answer([0.0, 0, 2100, 0, 0, 0], method="griddata")
     assert loaded.displacement is not None
     assert loaded.error is not None

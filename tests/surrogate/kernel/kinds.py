@@ -204,8 +204,24 @@ def rounding_of(table: Table) -> np.ndarray:
 
 
 def deviation_of(table: Table) -> np.ndarray:
-    """The process deviation of a kriging, (6,), m and rad; 0 without one."""
-    return _of_krigings(table, lambda kriging: kriging.deviation)
+    """The process deviation of a kriging, (6,), m and rad; 0 without one.
+
+    Where the triangle of all rows gives sigma, times what its size multiplies rounding by.
+    """
+
+    def part(kriging: Kriging) -> np.ndarray:
+        lost = np.ones(len(kriging.deviation))
+        for neighbours, calibration in zip(
+            kriging.neighbourhoods, kriging.calibrations, strict=True
+        ):
+            factor = neighbours.factor
+            if neighbours.whole:
+                size = factor.hyperparameters.prior(1)[0] * np.abs(factor.T).max()
+                wide = max(1.0, TRIANGLE * size) * calibration.factors.max() ** 2
+                lost[factor.output_group.outputs] = wide
+        return kriging.deviation * np.sqrt(lost)
+
+    return _of_krigings(table, part)
 
 
 def _of_krigings(table: Table, part: Callable[[Kriging], np.ndarray]) -> np.ndarray:
@@ -221,6 +237,7 @@ def _of_krigings(table: Table, part: Callable[[Kriging], np.ndarray]) -> np.ndar
 SAME = 1e-12  # of an output's range
 SIGMA = 1e-9  # of an error
 SIGMA_AT_ROWS = 1e-5  # of an error: sigma at a row is the root of a difference
+TRIANGLE = 5e-3  # of the size of a triangle of all rows, in units of `SQUARED`: 20 eps
 SQUARED = 1e-12  # of the process variance: what sigma squared loses as such a difference
 
 

@@ -19,10 +19,12 @@ from tests.surrogate.kernel.kinds import (
     RANGE,
     SAME,
     SIGMA_AT_ROWS,
+    SQUARED,
     asked_of,
     assert_law,
     by_numpy,
     clean,
+    deviation_of,
     packed_of,
     rounding_of,
     six,
@@ -84,7 +86,9 @@ def test_wrenches_of_few_loads_and_of_rows_have_the_numbers_of_numpy(kind):
     same = found.coverage == coverage
     assert same.mean() > 0.95
     assert (np.nan_to_num(np.abs(found.outputs - outputs))[same] <= near[same]).all()
-    loose = near + SIGMA_AT_ROWS * np.nan_to_num(errors)
+    known = np.nan_to_num(errors)
+    lost = SQUARED * deviation_of(table) ** 2 / np.fmax(known, near)
+    loose = near + SIGMA_AT_ROWS * known + lost
     assert (np.nan_to_num(np.abs(found.errors - errors))[same] <= loose[same]).all()
 
 

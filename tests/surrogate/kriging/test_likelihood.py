@@ -58,15 +58,6 @@ def _differences(place: np.ndarray, equations: Equations, groups: list[OutputGro
     return found
 
 
-def test_the_gradient_equals_differences_with_noise_that_nobody_stated() -> None:
-    repeated = np.concatenate((WRENCHES, WRENCHES[:5]))
-    equations = _equations(noisy_rows(SMOOTH, repeated, 1, told=False))
-    assert equations.observations.max() == 2
-    place, groups = np.append(PLACE, -3.0), output_groups(equations, np.ones(6))
-    _, gradient = negative_log_likelihood(place, equations, groups, ROUGH)
-    assert gradient == pytest.approx(_differences(place, equations, groups), rel=1e-6, abs=1e-6)
-
-
 def test_the_gradient_equals_differences_with_second_derivatives() -> None:
     """Of rows with and without them; then each term of the covariance has a weight."""
     whole = part(stiffening, 3)

@@ -1,0 +1,72 @@
+"""The derivatives of a covariance by its hyperparameters, for gradients of likelihoods."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from ..table.rows import Floats
+from .correlation import (
+    Hyperparameters,
+    derivatives_of_term,
+    indices,
+    joins,
+    order_of,
+    positions_of,
+)
+from .equations import Equations
+
+
+def contracted(
+    sensitivity: Floats, equations: Equations, hyperparameters: Hyperparameters, nugget: float
+) -> Floats:
+    """Return the sum of a symmetric matrix (e, e) times the covariance's seven derivatives."""
+    # A symmetric matrix's sums by the derivatives that its entries stand with.
+    n, count = len(equations), equations.n_derivatives
+    full = np.zeros((n, count, n, count))
+    known = np.flatnonzero(equations.known)
+    full.reshape(n * count, n * count)[np.ix_(known, known)] = sensitivity
+    first, second = np.triu_indices(n, 1)
+    diagonal = np.einsum("ipiq->pq", full)
+    diagonal[np.diag_indices(count)] *= 1 + nugget
+    pairs = np.concatenate((2 * full[first, :, second], diagonal[None]))
+    joined, sign = joins(equations.loads, count, count)
+    shape = (int(joined.max()) + 1, joined.size)
+    gather = csr_array((sign.ravel(), (joined.ravel(), np.arange(joined.size))), shape=shape)
+    delta = np.concatenate(
+        (equations.x[first] - equations.x[second], np.zeros((1, equations.loads)))
+    )
+    parts, delta = gather @ pairs.reshape(len(pairs), -1).T, np.ascontiguousarray(delta.T)
+    order, loads = 2 * order_of(equations.n_derivatives, equations.loads), equations.loads
+    by_rate, by_weight = np.zeros(loads), []
+    for rates, weight in zip(*hyperparameters.terms, strict=True):
+        chosen = np.flatnonzero(rates)
+        columns = parts[list(positions_of(loads, tuple(chosen.tolist()), order))]
+        term = delta[chosen], rates[chosen], order, hyperparameters.smoothness
+        by_rate[chosen] += weight * _by_rates(columns, *term)
+        by_weight.append(weight * sum(map(np.dot, columns, derivatives_of_term(*term))))
+    by_weight = by_weight[-len(hyperparameters.weights) :]
+    return np.append(by_rate * hyperparameters.inverse_squares, by_weight)
+
+
+def _by_rates(parts: Floats, delta: Floats, rates: Floats, order: int, smoothness: int) -> Floats:
+    """Return sums of parts (k, p) times a term's derivatives by its rates, shape (loads,).
+
+    The derivative by t_a of D_K m(q) is D_K (d_a^2 m'(q)): by the product rule
+    d_a^2 D_K m' + 2 k_a d_a D_(K - a) m' + k_a (k_a - 1) D_(K - a - a) m', k_a how often K has a.
+    """
+    listed = indices(len(rates), order)
+    derivatives = dict(
+        zip(listed, derivatives_of_term(delta, rates, order, smoothness, 1), strict=True)
+    )
+    total = sum(part * derivatives[index] for part, index in zip(parts, listed, strict=True))
+    once, twice = np.zeros_like(delta), np.zeros(len(rates))
+    for part, index in zip(parts, listed, strict=True):
+        for load in set(index):
+            lower_index, count = list(index), index.count(load)
+            lower_index.remove(load)
+            once[load] += count * part * derivatives[tuple(lower_index)]
+            if count > 1:
+                lower_index.remove(load)
+                twice[load] += count * (count - 1) * (part @ derivatives[tuple(lower_index)])
+    return (delta**2 * total + 2 * delta * once).sum(axis=1) + twice

@@ -1,0 +1,442 @@
+"""The noise of measured rows, by restricted likelihood, and each output's covariance.
+
+Readings of an output have the covariance s^2 (K + r D) about the mean F b. D is known, one over
+the number of readings behind a row or its stated variance; r is the noise over the process
+variance. With D^(-1/2) F projected away (Patterson and Thompson 1971) and the eigenvalues l of what
+remains of D^(-1/2) K D^(-1/2), z the readings along its eigenvectors, half the negative logarithm
+of the restricted likelihood is, for every r without another factor,
+
+    (m log s^2 + sum log(l_i + r)) / 2,   s^2 = sum(z_i^2 / (l_i + r)) / m.
+
+Several readings at a wrench bring their scatter about their mean (Binois, Gramacy and Ludkovski
+2018). Equations without noise, of solves and slopes, are eliminated first.
+
+An output has length scales of its own where rows bring values alone: one of six that bends by a
+load where the others are straight would be taken for noise. Noise is averaged over its posterior
+and that of lengths; what these leave open of the response is in the error bars by the law of total
+variance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from ..table.rows import Floats
+from .correlation import Hyperparameters, covariance, matern, mean_terms
+from .equations import Equations, Scaling
+from .factor import (
+    OutputGroup,
+    SingularCovarianceError,
+    factorise,
+    inverse_factor,
+    output_groups,
+)
+from .gradient import contracted
+from .settings import KrigingSettings
+
+REFUSED = 1e10  # of a covariance that cannot be factorised: more than any likelihood's logarithm
+TINY = 1e-30  # variance, spreads squared, below any rounding
+
+
+class Estimate(NamedTuple):
+    """What the likelihood determines, of each output.
+
+    Attributes
+    ----------
+    kernels : tuple of Hyperparameters
+        The same object for outputs of one covariance.
+    variance : ndarray, shape (6,), spreads squared
+        Process variances.
+    noise : ndarray, shape (6,), dimensionless
+        What `Equations.unit_noise` is multiplied by.
+    widening : ndarray, shape (6,), dimensionless
+        The deviation of what is not known of a response, over that of the one kernel.
+    """
+
+    kernels: tuple[Hyperparameters, ...]
+    variance: Floats
+    noise: Floats
+    widening: Floats
+
+
+class NoisyRows(NamedTuple):
+    """Outputs that the same rows bring with noise in the same proportions.
+
+    Attributes
+    ----------
+    equations : Equations
+        Of these rows.
+    outputs : ndarray of int, shape (k,)
+    parts : ndarray, shape (e,)
+        The diagonal of D; 0 of equations without noise.
+    scale : ndarray, shape (k,)
+        `Equations.unit_noise` is D times this.
+    repeats, scatter : ndarray, shape (k,)
+        Readings besides the first of each wrench, and their squared differences from their mean
+        over this scale.
+    basis : ndarray, shape (e, m)
+        Normal to D^(-1/2) F; none where some equations have no noise.
+    squares : ndarray, shape (6, e (e + 1) / 2)
+        Squared differences of pairs of rows; none where rows bring slopes.
+    """
+
+    equations: Equations
+    outputs: NDArray[np.intp]
+    parts: Floats
+    scale: Floats
+    repeats: Floats
+    scatter: Floats
+    basis: Floats
+    squares: Floats
+
+    def output(self, index: int) -> NoisyRows:
+        """Return one of the outputs alone."""
+        names = "outputs", "scale", "repeats", "scatter"
+        return self._replace(**{name: getattr(self, name)[[index]] for name in names})
+
+
+def noisy_rows(
+    equations: Equations, scaling: Scaling, settings: KrigingSettings, columns: Floats | None = None
+) -> list[NoisyRows]:
+    """Return the rows whose noise is estimated, for each group of outputs.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (n, c), optional
+        Further columns of the mean at the rows' values.
+    """
+    unit, found = equations.unit_noise, []
+    with_noise = (unit > 0) & equations.measured & ~scaling.constant
+    size = np.log(np.where(with_noise, unit, 1.0)).sum(axis=0)
+    scale = np.exp(size / np.maximum(with_noise.sum(axis=0), 1))
+    groups = output_groups(replace(equations, noise=unit), scale, settings)
+    for group in groups:
+        outputs = group.outputs[with_noise[:, group.outputs].any(axis=0)]
+        if not len(outputs):
+            continue
+        rows = equations.take(group.rows)
+        known, basis, squares = rows.known, np.empty((0, 0)), np.empty((0, 0))
+        parts = np.zeros(known.shape)
+        parts[:, 0] = group.noise
+        if (parts[known] > 0).all():
+            terms = mean_terms(rows.x, known)
+            if columns is not None:
+                terms = np.concatenate((terms, columns[group.rows]), axis=1)
+            left, sizes, _ = np.linalg.svd(terms / np.sqrt(parts[known])[:, None])
+            # What rows vary less by than this the mean's prior holds, not they.
+            basis = left[:, (sizes > sizes[0] / np.sqrt(settings.mean_variance)).sum() :]
+        if not known[:, 1:].any():
+            first, second = np.triu_indices(len(rows))
+            squares = ((rows.x[first] - rows.x[second]) ** 2).T
+        repeats = np.maximum(rows.observations[:, outputs] - 1, 0.0).sum(axis=0)
+        scatter = rows.scatter[:, outputs].sum(axis=0) / equations.typical_noise[outputs]
+        scatter *= scale[outputs]
+        parts = parts[known]
+        found.append(
+            NoisyRows(rows, outputs, parts, scale[outputs], repeats, scatter, basis, squares)
+        )
+    return found
+
+
+class Spectrum(NamedTuple):
+    """What makes every noise diagonal: T s^2 (K + r D) T' = s^2 diag(values + r noisy).
+
+    Attributes
+    ----------
+    rotation : ndarray, shape (m, e)
+        T.
+    values, noisy : ndarray, shape (m,)
+    data : ndarray, shape (m, k), spreads
+        T times the readings.
+    logarithm : float
+        Of T's determinant, as far as it depends on the covariance.
+    terms : list
+        Each term's correlation of pairs of rows and its derivative by q; none with slopes.
+    """
+
+    rotation: Floats
+    values: Floats
+    noisy: Floats
+    data: Floats
+    logarithm: float
+    terms: list[list[Floats]]
+
+
+def spectrum(rows: NoisyRows, kernel: Hyperparameters, settings: KrigingSettings) -> Spectrum:
+    """Return the spectrum of a kernel.
+
+    Raises
+    ------
+    SingularCovarianceError
+        If solves contradict each other.
+    """
+    x, known, terms = rows.equations.x, rows.equations.known, []
+    if len(rows.squares):
+        matrix, pairs = np.empty((len(x), len(x))), np.triu_indices(len(x))
+        rates, weights = kernel.terms
+        terms = [matern(rate @ rows.squares, 1, kernel.smoothness) for rate in rates]
+        matrix[pairs] = sum(weight * m[0] for weight, m in zip(weights, terms, strict=True))
+        matrix.T[pairs] = matrix[pairs]
+    else:
+        matrix = covariance(x, known, x, known, kernel)
+    prior = np.tile(kernel.prior(rows.equations.n_derivatives), (len(x), 1))[known]
+    matrix[np.diag_indices_from(matrix)] += settings.nugget * prior
+    data, exact = rows.equations.data[known][:, rows.outputs], rows.parts <= 0
+    white = 1 / np.sqrt(rows.parts[~exact])
+    if not exact.any():
+        basis = white[:, None] * rows.basis
+        values, vectors = np.linalg.eigh(basis.T @ matrix @ basis)
+        rotation, count, logarithm = vectors.T @ basis.T, 0, 0.0
+    else:
+        mean = mean_terms(x, known)
+        matrix += settings.mean_variance * mean @ mean.T
+        inverse, _ = inverse_factor(
+            matrix[np.ix_(exact, exact)], settings.nugget, settings.nugget_limit, prior[exact]
+        )
+        count, logarithm = len(inverse), -float(np.log(np.diag(inverse)).sum())
+        across = inverse @ matrix[np.ix_(exact, ~exact)]
+        rest = matrix[np.ix_(~exact, ~exact)] - across.T @ across
+        values, vectors = np.linalg.eigh(white[:, None] * rest * white)
+        rotation = np.zeros_like(matrix)
+        rotation[:count, exact], rotation[count:, ~exact] = inverse, vectors.T * white
+        rotation[count:, exact] = -rotation[count:, ~exact] @ across.T @ inverse
+    values = np.append(np.ones(count), np.maximum(values, 0.0))
+    noisy = (np.arange(len(values)) >= count).astype(float)
+    return Spectrum(rotation, values, noisy, rotation @ data, logarithm, terms)
+
+
+class Posterior(NamedTuple):
+    """Of ratios of noise and process variance: half the negative logarithm, and what it is of.
+
+    Attributes
+    ----------
+    values, variance, noise : ndarray, shape (g, k)
+        Variances of the process and of D, spreads squared, at each of g ratios.
+    inverse : ndarray, shape (g, m)
+        1 / (l + r d).
+    by_square : ndarray, shape (g, k)
+        Half the derivative of values by the sum of squares, times the process variance.
+    """
+
+    values: Floats
+    variance: Floats
+    noise: Floats
+    inverse: Floats
+    by_square: Floats
+
+
+def posterior(rows: NoisyRows, one: Spectrum, settings: KrigingSettings) -> Posterior:
+    """Return the posterior of the ratios of the settings, the process variance integrated out."""
+    ratios = np.exp(np.arange(*settings.ratio_bounds, settings.ratio_step))[:, None]
+    inverse = 1 / (one.values + ratios * one.noisy)
+    freedom = len(one.values) + rows.repeats
+    variance = np.maximum((inverse @ one.data**2 + rows.scatter / ratios) / freedom, TINY)
+    values = 0.5 * (freedom * np.log(variance) + rows.repeats * np.log(ratios)) + one.logarithm
+    values -= 0.5 * np.log(inverse).sum(axis=1)[:, None]
+    stated = not (rows.equations.observations > 0).any()
+    centre, deviation = settings.stated_prior if stated else settings.noise_prior
+    away = (np.log(ratios * variance / rows.scale) - centre) / deviation
+    by_square = 1 + 2 * away / deviation / freedom
+    return Posterior(values + 0.5 * away**2, variance, ratios * variance, inverse, by_square)
+
+
+def negative_log_posterior(
+    logarithms: Floats, groups: list[NoisyRows], settings: KrigingSettings
+) -> tuple[float, Floats]:
+    """Return half the negative log posterior of a kernel, mean over outputs, and its gradient.
+
+    Noise and process variance of each output are integrated out. The gradient is by the
+    hyperparameters' logarithms, shape (7,).
+    """
+    example = groups[0].equations
+    kernel = Hyperparameters.of_logarithms(logarithms, example.groups, example.smoothness)
+    total, gradient = 0.0, np.zeros(len(logarithms))
+    centre, deviation = settings.length_prior
+    away = (logarithms[: example.loads] - centre) / deviation
+    total, gradient[: example.loads] = 0.5 * float(away @ away), away / deviation
+    for rows in groups:
+        try:
+            one = spectrum(rows, kernel, settings)
+        except SingularCovarianceError:
+            return REFUSED, np.zeros(len(logarithms))
+        found = posterior(rows, one, settings)
+        least = found.values.min(axis=0)
+        share = np.exp(least - found.values)
+        total += float((least - np.log(share.mean(axis=0))).sum())
+        share /= share.sum(axis=0)
+        solved = (found.inverse[:, :, None] * one.data).transpose(1, 0, 2)
+        solved = solved.reshape(len(one.data), -1)
+        weight = (share / found.variance * found.by_square).ravel()
+        middle = np.diag(share.sum(axis=1) @ found.inverse) - (solved * weight) @ solved.T
+        sensitivity = one.rotation.T @ middle @ one.rotation
+        if not one.terms:
+            by = contracted(sensitivity, rows.equations, kernel, settings.nugget)
+        else:
+            by = _contracted_values(sensitivity, rows.squares, one.terms, kernel, settings.nugget)
+        gradient += 0.5 * by
+    count = sum(len(rows.outputs) for rows in groups)
+    return total / count, gradient / count
+
+
+def _contracted_values(
+    sensitivity: Floats,
+    squares: Floats,
+    terms: list[list[Floats]],
+    kernel: Hyperparameters,
+    nugget: float,
+) -> Floats:
+    """Return what `contracted` does, of values alone."""
+    first, second = np.triu_indices(len(sensitivity))
+    pairs = sensitivity[first, second] * np.where(first == second, 1 + nugget, 2.0)
+    rates, weights = kernel.terms
+    by_rate = sum(
+        (rate > 0) * weight * (squares @ (pairs * m[1]))
+        for rate, weight, m in zip(rates, weights, terms, strict=True)
+    )
+    by_weight = [weight * (pairs @ m[0]) for weight, m in zip(weights, terms, strict=True)]
+    return np.append(by_rate * kernel.inverse_squares, by_weight[-len(kernel.weights) :])
+
+
+def estimate_noise(
+    equations: Equations,
+    scaling: Scaling,
+    points: Floats,
+    settings: KrigingSettings,
+    columns: Floats | None = None,
+) -> Estimate:
+    """Return the noise and the kernels of outputs.
+
+    Of rows as they lie, near each other too: rows spread widely do not show little noise.
+
+    Parameters
+    ----------
+    points : ndarray, shape (m, 6), half ranges
+        Where answers' variance is averaged: see `Estimate.widening`.
+    columns : ndarray, shape (n, c), optional
+        Further columns of the mean at the rows' values.
+    """
+    parts = []
+    for limit in (settings.search_equations, settings.likelihood_equations):
+        count = np.searchsorted(np.cumsum(equations.known.sum(axis=1)), limit)
+        rows = np.linspace(0, len(equations) - 1, max(min(int(count), len(equations)), 1))
+        chosen = np.unique(rows.round().astype(np.intp))
+        some = None if columns is None else columns[chosen]
+        parts.append(noisy_rows(equations.take(chosen), scaling, settings, some))
+    few, many = parts
+    if all(len(rows.squares) for rows in few):
+        few = [rows.output(index) for rows in few for index in range(len(rows.outputs))]
+        many = [rows.output(index) for rows in many for index in range(len(rows.outputs))]
+        sets = [([one], [other]) for one, other in zip(few, many, strict=True)]
+    else:
+        sets = [(few, many)]
+    variance, noise, widening = np.ones((3, len(scaling.spread)))
+    kernels: list[Hyperparameters | None] = [None] * len(scaling.spread)
+    for some, all_rows in sets:
+        kernel = _of_one_kernel(some, all_rows, points, settings, (variance, noise, widening))
+        for rows in all_rows:
+            for output in rows.outputs:
+                kernels[output] = kernel
+    first = next(kernel for kernel in kernels if kernel is not None)
+    noise = np.where([kernel is None for kernel in kernels], 0.0, noise)
+    return Estimate(tuple(kernel or first for kernel in kernels), variance, noise, widening)
+
+
+def _of_one_kernel(
+    few: list[NoisyRows],
+    many: list[NoisyRows],
+    points: Floats,
+    settings: KrigingSettings,
+    arrays: tuple[Floats, Floats, Floats],
+) -> Hyperparameters:
+    """Return the kernel of some outputs; fill in process variance, noise and widening.
+
+    `few` rows are those that the kernel is searched with.
+    """
+    example = few[0].equations
+    loads, weights = example.loads, example.weights
+    low, high = np.array([settings.theta_bounds] * loads + [settings.weight_bounds] * weights).T
+    start = np.full(loads + weights, settings.length_prior[0])
+    start[loads:] = [0.0] * (weights - 1) + [settings.weight_start]
+    run = minimize(
+        negative_log_posterior,
+        start,
+        args=(few, settings),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=list(zip(low, high, strict=True)),
+        options={"maxiter": settings.likelihood_steps, "ftol": settings.likelihood_accuracy},
+    )
+    # Rounded so that the rounding of another unit does not change them; the likelihood is flat.
+    best = np.round(run.x, settings.decimals)
+    shifts = np.array(settings.length_shifts)
+    logarithms = np.clip(best + shifts[:, None] * (np.arange(loads + weights) < loads), low, high)
+    kernels = [
+        Hyperparameters.of_logarithms(one, example.groups, example.smoothness) for one in logarithms
+    ]
+    centre, deviation = settings.length_prior
+    prior = 0.5 * (((logarithms[:, :loads] - centre) / deviation) ** 2).sum(axis=1)
+    joint, found = -prior, []
+    for rows in many:
+        each = [posterior(rows, spectrum(rows, kernel, settings), settings) for kernel in kernels]
+        values = np.array([one.values for one in each])  # (kernels, g, k)
+        share = np.exp(values.min(axis=(0, 1)) - values)
+        joint = joint + np.log(share.sum(axis=1)).sum(axis=1)
+        values += prior[:, None, None]
+        share = np.exp(values.min(axis=(0, 1)) - values)
+        found.append((rows, each, share / share.sum(axis=(0, 1))))
+    chosen = int(np.argmax(joint))
+    for rows, each, share in found:
+        for index, output in enumerate(rows.outputs):
+            shares = share[:, :, index].sum(axis=1)
+            given = [
+                float(part[:, index] @ one.noise[:, index] / max(part[:, index].sum(), TINY))
+                for part, one in zip(share, each, strict=True)
+            ]
+            mean_noise = float(shares @ given)
+            own = variance_of(each[chosen], index, mean_noise)
+            variance, noise, widening = arrays
+            variance[output], noise[output] = own, mean_noise / rows.scale[index]
+            mean, known = _answers(rows, index, kernels[chosen], mean_noise, own, points, settings)
+            total = np.zeros(len(points))
+            used = np.flatnonzero(shares > settings.least_share)
+            for k in used:
+                own = variance_of(each[k], index, given[k])
+                answers = _answers(rows, index, kernels[k], given[k], own, points, settings)
+                total += shares[k] / shares[used].sum() * (answers[1] + (answers[0] - mean) ** 2)
+            widening[output] = np.sqrt(max(float(total.mean() / known.mean()), 1.0))
+    return kernels[chosen]
+
+
+def variance_of(found: Posterior, index: int, noise: float) -> float:
+    """Return the process variance of an output, spreads squared, at a noise of D."""
+    rising = np.maximum.accumulate(np.log(found.noise[:, index]))  # but for rounding
+    return float(np.exp(np.interp(np.log(noise), rising, np.log(found.variance[:, index]))))
+
+
+def _answers(
+    rows: NoisyRows,
+    index: int,
+    kernel: Hyperparameters,
+    noise: float,
+    variance: float,
+    points: Floats,
+    settings: KrigingSettings,
+) -> tuple[Floats, Floats]:
+    """Return an output's mean and variance at points, (m,), spreads and spreads squared."""
+    equations = rows.equations
+    diagonal = np.zeros(equations.known.shape)
+    diagonal[equations.known] = rows.parts * noise / variance
+    group = OutputGroup(rows.outputs[[index]], np.arange(len(equations)), diagonal[:, 0])
+    factor = factorise(equations, kernel, group, settings)
+    known = np.zeros((len(points), equations.n_derivatives), dtype=bool)
+    known[:, 0] = True
+    reduced, remainder = factor.explained_at(points, known)
+    Ty = factor.T @ equations.data[equations.known][:, group.outputs]
+    mean = reduced @ Ty + remainder @ factor.coefficients
+    deviation = factor.variance_of(reduced, remainder, factor.mean_covariance)
+    return mean[:, 0], variance * deviation

@@ -1,0 +1,121 @@
+"""The noise of measured rows by restricted likelihood, and what it makes of error bars."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.surrogate.kriging.responses import RESPONSES, noisy_rows, solved, spread_wrenches
+from tests.surrogate.responses import HIGH, RANGE, full_wrenches
+from wrenchbook.surrogate.kriging import Kriging, noise
+from wrenchbook.surrogate.kriging.correlation import Hyperparameters, covariance, mean_terms
+from wrenchbook.surrogate.kriging.equations import Equations, Scaling, equations_of, scaling_of
+from wrenchbook.surrogate.kriging.equations import within as rows_within
+from wrenchbook.surrogate.kriging.settings import KrigingSettings
+from wrenchbook.surrogate.table.merging import merge
+from wrenchbook.surrogate.table.rows import Rows
+
+SMOOTH, PLACE = RESPONSES["smooth"], np.array([-0.5, 0.2, 0.1, -0.3, 0.4, 0.0, -0.7])
+# A larger nugget, so that differences of the likelihood are not lost in rounding.
+ROUGH = KrigingSettings(nugget=1e-6)
+WRENCHES = spread_wrenches(3, 6, 1)
+REPEATED = np.concatenate((WRENCHES, WRENCHES[:5]))
+TABLES = {
+    "unknown": noisy_rows(SMOOTH, WRENCHES, 1, told=False),
+    "repeated": noisy_rows(SMOOTH, REPEATED, 1, told=False),
+    "stated": noisy_rows(SMOOTH, WRENCHES, 1, told=True),
+    "beside solves": noisy_rows(SMOOTH, WRENCHES, 1, told=False)
+    + solved(SMOOTH, full_wrenches(4, 3)),
+}
+
+
+def prepared(rows: Rows) -> tuple[Equations, Scaling]:
+    inside, _, readings = merge(rows_within(rows, RANGE), RANGE).usable()
+    scaling = scaling_of(inside, RANGE)
+    return equations_of(inside, scaling, readings), scaling
+
+
+def measured(
+    name: str, x: np.ndarray, deviation: float, seed: int, stated: float = np.nan
+) -> tuple[Rows, np.ndarray]:
+    """Return rows with noise of each output's range, and the ranges, (6,), m and rad."""
+    size = np.ptp(RESPONSES[name](full_wrenches(2000, 1)), axis=0)
+    moved = RESPONSES[name](x)
+    moved = moved + deviation * size * np.random.default_rng(seed).normal(size=moved.shape)
+    half_width = np.tile(1.96 * stated * deviation * size, (len(x), 1))
+    return Rows.of(x * HIGH, moved, uncertainty=half_width), size
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_the_gradient_equals_differences(name: str) -> None:
+    groups = noise.noisy_rows(*prepared(TABLES[name]), ROUGH)
+    _, gradient = noise.negative_log_posterior(PLACE, groups, ROUGH)
+    step, found = 1e-4, []
+    for way in step * np.eye(len(PLACE)):
+        ahead, behind, ahead2, behind2 = (
+            noise.negative_log_posterior(PLACE + far * way, groups, ROUGH)[0]
+            for far in (1, -1, 2, -2)
+        )
+        found.append((8 * (ahead - behind) - (ahead2 - behind2)) / (12 * step))
+    # Beside solves the mean's wide prior leaves a billionth of the likelihood's digits.
+    assert gradient == pytest.approx(found, rel=1e-3 if name == "beside solves" else 1e-5, abs=1e-5)
+
+
+def test_the_spectrum_gives_the_restricted_likelihood_of_every_noise() -> None:
+    """By its formula: log det V + log det F' V^-1 F + (n - p) log of the generalised residual."""
+    equations, scaling = prepared(TABLES["unknown"])
+    settings = KrigingSettings(noise_prior=(0.0, 1e9))
+    (rows,) = noise.noisy_rows(equations, scaling, settings)
+    kernel, known = Hyperparameters.of_logarithms(PLACE), equations.known
+    found = noise.posterior(rows, noise.spectrum(rows, kernel, settings), settings).values
+    matrix = covariance(equations.x, known, equations.x, known, kernel)
+    matrix += settings.nugget * kernel.prior(1)[0] * np.eye(len(matrix))
+    terms, data = mean_terms(equations.x, known), equations.data[known]
+    ratios = np.exp(np.arange(*settings.ratio_bounds, settings.ratio_step))
+    expected = []
+    for ratio in ratios:
+        inverse = np.linalg.inv(matrix + ratio * np.eye(len(matrix)))
+        precision = terms.T @ inverse @ terms
+        left = inverse - inverse @ terms @ np.linalg.solve(precision, terms.T @ inverse)
+        square = np.einsum("eq,ef,fq->q", data, left, data) / (len(data) - terms.shape[1])
+        determinants = np.linalg.slogdet(precision)[1] - np.linalg.slogdet(inverse)[1]
+        freedom = len(data) - terms.shape[1]
+        expected.append(0.5 * (freedom * np.log(square) + determinants))
+    difference = found - np.array(expected)
+    some = ratios > 1e-4  # below it the inverse loses what is compared
+    np.testing.assert_allclose(difference[some], difference[-1:] + 0 * difference[some], atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["smooth", "hardening", "clearance"])
+def test_the_noise_is_found_of_each_output(name: str) -> None:
+    """One that bends by a load where the others are straight was taken for noise: 1.55 x."""
+    rows, size = measured(name, full_wrenches(200, 5), 0.01, 5)
+    found = Kriging.build(rows, RANGE).observation_noise / (1.96 * 0.01 * size)
+    assert (found > 0.75).all()
+    assert (found < 1.3).all()
+
+
+@pytest.mark.parametrize("stated", [0.1, 1.0, 10.0])
+def test_the_factor_on_stated_errors_is_found(stated: float) -> None:
+    rows, size = measured("smooth", full_wrenches(200, 6), 0.01, 6, stated)
+    kriging = Kriging.build(rows, RANGE)
+    found = np.sqrt(kriging.equations.noise).mean(axis=0) * kriging.scaling.spread / (0.01 * size)
+    assert (found > 0.75).all()
+    assert (found < 1.3).all()
+
+
+@pytest.mark.parametrize("deviation", [0.001, 0.01])
+def test_bars_of_one_load_that_is_swept_hold_and_are_no_rounding_at_a_row(deviation: float) -> None:
+    """They were 7e-16 m at a row, and 58 % of errors outside."""
+    x, asked = np.zeros((41, 6)), np.zeros((200, 6))
+    x[:, 2], asked[:, 2] = np.linspace(-1, 1, 41), np.linspace(-0.99, 0.99, 200)
+    rows, size = measured("hardening", x, deviation, 2)
+    kriging = Kriging.build(rows, RANGE)
+    moved, bar = kriging.answer_many(asked * HIGH)
+    known = np.isfinite(bar).all(axis=1)
+    assert known.mean() > 0.9
+    assert (np.abs(moved - RESPONSES["hardening"](asked)) > bar)[known].mean(axis=0).max() < 0.1
+    at_rows = kriging.answer_many(rows.wrench)[1]
+    between = np.median(bar[known], axis=0)
+    assert (np.nanmedian(at_rows, axis=0) > 0.5 * between).all()
+    assert (at_rows < 2 * 1.96 * deviation * size)[np.isfinite(at_rows).all(axis=1)].all()
