@@ -56,7 +56,8 @@ class Kriging:
     observation_variance : ndarray, shape (6,), spreads squared
         Of an observation of unknown uncertainty.
     tangent : ndarray, shape (6, 6), SI
-        Mean tangent of the rows: the derivative by loads that take no part.
+        Mean tangent of the rows: the derivative by loads that take no part; NaN by loads that no row
+        varies where none brings slopes.
     equations : Equations
     neighbourhoods : tuple of Neighbourhoods
         One per factor: outputs with the same rows and noise have one factor.
@@ -135,7 +136,9 @@ class Kriging:
                 f"{settings.dense_equations} that one factor holds"
             )
         tangents = used.compliance[np.isfinite(used.compliance).all(axis=(1, 2))]
-        tangent = tangents.mean(axis=0) if len(tangents) else used.compliance[0] * np.nan
+        tangent = tangents.mean(axis=0) if len(tangents) else np.zeros(used.compliance.shape[1:])
+        untold = (np.ptp(equations.x, axis=0) <= NEAR) & (len(tangents) == 0)
+        tangent[:, untold] = np.nan
         with one_thread():
             span = span_of(equations, scaling, settings)
             points = query_points(equations, scaling, span, settings)

@@ -258,7 +258,7 @@ def _kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     yield "deviation", kriging.deviation * scaling.spread
     yield "lost", kriging.rounding * scaling.spread
     yield "floor", kriging.floor
-    yield "tangent", np.where(scaling.active, 0.0, kriging.tangent)
+    yield "tangent", np.where(scaling.active & ~np.isnan(kriging.tangent), 0.0, kriging.tangent)
     yield "span", kriging.span
     yield "together", kriging.together
     yield "span_loads", scaling.wrenches(kriging.span)

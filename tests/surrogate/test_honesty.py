@@ -283,5 +283,5 @@ def test_loads_swept_one_at_a_time_cover_each_alone() -> None:
     found = sweeps(twisted)
     for load in range(6):
         wrench = (HIGH * 0.44 * np.eye(6)[load]).tolist()
-        assert found.answer(wrench, Tolerance(1e-5, 1e-5)).coverage == "covered"
-        assert packed_of(found).answer(wrench, (1e-5,) * 6).coverage == "covered"
+        assert found.answer(wrench, Tolerance(5e-5, 5e-5)).coverage == "covered"
+        assert packed_of(found).answer(wrench, (5e-5,) * 6).coverage == "covered"
