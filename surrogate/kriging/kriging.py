@@ -56,8 +56,8 @@ class Kriging:
     observation_variance : ndarray, shape (6,), spreads squared
         Of an observation of unknown uncertainty.
     tangent : ndarray, shape (6, 6), SI
-        Mean tangent of the rows: the derivative by loads that take no part; NaN by loads that no row
-        varies where none brings slopes.
+        Mean tangent of the rows: the derivative by loads that take no part; NaN by loads that no
+        row varies where none brings slopes.
     equations : Equations
     neighbourhoods : tuple of Neighbourhoods
         One per factor: outputs with the same rows and noise have one factor.
