@@ -333,7 +333,7 @@ def build(
         linear,
         version,
         tuple(locked),
-        None if solver_error is None else solver_error.grown(rows, load_range),
+        solver_error,
         bars_are_complete(rows, solver_error),
     )
 

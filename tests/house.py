@@ -12,7 +12,10 @@ public face, not the tests. What each figure means:
 * files with one importer: modules that a single module imports, packages' faces apart;
 * forms of a row: classes with fields for a wrench and for its displacement;
 * duplicates: ten or more lines of code in a row that are the same in two places, token by token,
-  once comments, docstrings, imports and layout are taken away.
+  once comments, docstrings, imports and layout are taken away;
+* decision thresholds: numeric constants of the surrogate's modules and fields of its settings, with
+  a number between `GUARD` and `SIZE`: a smaller one guards against rounding, a larger one is a size
+  or a budget.
 """
 
 from __future__ import annotations
@@ -87,6 +90,11 @@ COUNTED = (
 )
 """Rooms whose size `make house` tells: those through which an answer goes."""
 DUPLICATE_LINES = 10
+GUARD, SIZE = 1e-5, 64
+CODES = ("kernel/", "packed/", "scene/cut.py", "table/hdf5.py", "table/meta.py")
+"""Files of the surrogate whose numbers are indices, codes and sizes of formats."""
+NO_DECISIONS = {"HOLE", "SLOPES_SMOOTHNESS", "DECIMALS", "MAX_LISTED"}
+"""Of the others: a code, kinds of kernels, rounding in digits, the length of a list for people."""
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 FORWARDING = ast.Return | ast.Expr
@@ -323,6 +331,39 @@ def repeated_classes(among: Iterable[Source]) -> list[str]:
     return [f"{count:4d} {name}" for name, count in sorted(names.items()) if count > 1]
 
 
+def _is_decision(value: ast.expr) -> bool:
+    """Whether a value is a number, or several, of which one decides; 0, 1, 2, ... are codes."""
+    try:
+        told = ast.literal_eval(value)
+    except ValueError:
+        return False
+    told = tuple(told.values()) if isinstance(told, dict) else told
+    numbers = told if isinstance(told, tuple) else (told,)
+    is_numeric = all(type(number) in (int, float) for number in numbers)
+    codes = tuple(range(len(numbers)))
+    return is_numeric and numbers != codes and any(GUARD < abs(one) < SIZE for one in numbers)
+
+
+def decision_thresholds(among: Iterable[Source]) -> list[str]:
+    """Return the surrogate's named numbers that decide something."""
+    found = []
+    for source in among:
+        path = source.path.removeprefix("surrogate/")
+        if path == source.path or path.startswith(CODES):
+            continue
+        classes = [node for node in source.tree.body if isinstance(node, ast.ClassDef)]
+        fields = [node for one in classes if one.name.endswith("Settings") for node in one.body]
+        for node in (*source.tree.body, *fields):
+            if not isinstance(node, ast.Assign | ast.AnnAssign) or not node.value:
+                continue
+            target = node.targets[0] if isinstance(node, ast.Assign) else node.target
+            names = {part.id for part in ast.walk(target) if isinstance(part, ast.Name)}
+            if _is_decision(node.value) and not names & NO_DECISIONS:
+                text = f"{ast.unparse(target)} = {ast.unparse(node.value)}"
+                found.append(f"{source.path}:{node.lineno} {text}")
+    return found
+
+
 def files_with_one_importer() -> list[str]:
     """Return the modules that a single module imports, with their lines."""
     importers: dict[str, set[str]] = defaultdict(set)
@@ -386,6 +427,7 @@ def report() -> str:
         [f"{count:4d} {word}" for word, count in words.most_common()],
     )
     lines += _list("class names of several files", repeated_classes(sources()))
+    lines += _list("decision thresholds of the surrogate", decision_thresholds(sources()))
     whole = sum(len(source.text.splitlines()) for source in sources())
     lines += [f"product Python: {whole} lines in {len(sources())} files"]
     return "\n".join(lines)

@@ -87,3 +87,24 @@ def none():
 def test_a_form_of_a_row_has_fields_for_wrench_and_displacement():
     text = "class Row:\n    wrench: int\n    displacement: int\nclass Load:\n    wrench: int\n"
     assert house.row_forms([source("first.py", text)]) == ["first.py:1 Row"]
+
+
+def test_the_tool_counts_numbers_that_decide_and_no_guards_sizes_codes_or_texts():
+    text = """
+NEAR, MAX_ROWS, WORD, FLAGS = 1e-9, 2_000, "x", (0, 1, 2)
+PART: float = 0.5
+COVERED, THIN = 0, 1
+LARGEST = {1: 0.4, 2: 0.2}
+class Settings:
+    level: float = 0.95
+    chunk: int = 1000
+    word: str = "x"
+class Other:
+    part: float = 0.5
+"""
+    found = house.decision_thresholds([source("surrogate/a.py", text), source("fea/a.py", text)])
+    assert [line.partition(" ")[2] for line in found] == [
+        "PART = 0.5",
+        "LARGEST = {1: 0.4, 2: 0.2}",
+        "level = 0.95",
+    ]

@@ -31,8 +31,8 @@ def over_tolerance(
     """Return warnings where `fea.accuracy.estimate.accuracy_of` is over a tolerance, m and rad.
 
     No solve lowers it: a component whose mesh alone is over its tolerance has covered answers
-    beyond it, each with a bar that says so. At the full range, all loads at once, with what solved
-    rows have added since (``mesh_growth``).
+    beyond it, each with a bar that says so. At the full range, all loads at once, by the compliance
+    at small loads.
     """
     if solver_error is None:
         return []
@@ -40,9 +40,7 @@ def over_tolerance(
     allowed = np.repeat([translation, rotation], 3)
     problems = []
     if solver_error.get("mesh") is not None:
-        errors = np.array(solver_error["mesh"]) @ loads + np.array(
-            solver_error.get("mesh_growth", 0.0)
-        )
+        errors = np.array(solver_error["mesh"]) @ loads
         cell_size = solver_error.get("cell_size")
         worst, excess = _worst(errors, allowed)
         if worst > 1.0:

@@ -15,6 +15,8 @@ from wrenchbook.service.formats.rig import Rig
 from wrenchbook.service.ledger import About, Ledger, NotedRows, row_keys
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.mapped import ServedTable
+from wrenchbook.surrogate.findings.comparison import MAX_ROWS as MAX_COMPARED
+from wrenchbook.surrogate.findings.comparison import comparison_findings
 from wrenchbook.surrogate.findings.find import MAX_ROWS
 from wrenchbook.surrogate.table.compliance import fit_compliance
 
@@ -32,14 +34,16 @@ def import_files(
     dry_run: bool = False,
     partial: bool = False,
     preview: int = 0,
+    table: ServedTable | None = None,
 ) -> dict[str, Any]:
     """Read one table, or the logs of the loads and the displacements, and load its rows.
 
     Load range and fingerprint are the component's, not those of `options`. `dry_run` only counts;
     with `partial` the good rows are loaded though others have mistakes; the reply has the first
-    `preview` good rows. It has the members ``inserted``, ``existing``, ``errors``, ``rows`` and so
-    on; ``loaded`` is whether rows were loaded. Raises SandboxBusyError, ImportRunningError,
-    LedgerUnavailableError or OSError if nothing could be read or written now.
+    `preview` good rows. Findings say where measured rows differ from the answers of `table`. The
+    reply has the members ``inserted``, ``existing``, ``errors``, ``rows`` and so on; ``loaded`` is
+    whether rows were loaded. Raises SandboxBusyError, ImportRunningError, LedgerUnavailableError or
+    OSError if nothing could be read or written now.
     """
     component_options = replace(
         options, load_range=component.load_range, fingerprint=component.fingerprint
@@ -56,6 +60,8 @@ def import_files(
     def keys(piece: ParsedTable) -> list[bytes]:
         return row_keys(component.name, NotedRows(piece, piece.note))
 
+    if table is not None and not refused:
+        report["findings"] += _compared(read, table, report["findings"])
     if not refused and dry_run:
         named = [key for piece in pieces() for key in keys(piece)]
         distinct = set(named)  # a row that stands twice in the file is loaded once
@@ -89,6 +95,28 @@ def import_files(
         **report,
         "rows": {**rows, "loaded": 0 if refused or dry_run else good},
     }
+
+
+def _compared(
+    read: ReadResult, table: ServedTable, known: Sequence[dict[str, Any]]
+) -> list[dict[str, Any]]:
+    """Return the finding that the file's measured rows differ from a table's; none if it is known.
+
+    A wrong unit, sign or clock is another error of the same rows.
+    """
+    if not table.row_count or any(one["cause"] in ("unit", "sign", "clock") for one in known):
+        return []
+    stride = max(read.report["rows"]["good"] // MAX_COMPARED, 1)
+    parts = [piece.take(np.arange(0, len(piece), stride)) for piece in read.pieces()]
+    wrench, moved = (
+        np.concatenate([getattr(part, name)[part.source != "fea"] for part in parts])
+        for name in ("wrench", "displacement")
+    )
+    inside = table.load_range.holds(wrench)
+    replies = table.packed.batch(wrench[inside], without_rows=True)
+    solves = set(table.sources) == {"fea"}
+    given = moved[inside], replies.outputs, replies.errors
+    return [one.body() for one in comparison_findings(*given, solves=solves)]
 
 
 def solved_compliance(component: Component, table: ServedTable) -> list[list[float]] | None:

@@ -49,6 +49,8 @@ Cause = Literal[
     "lever",
     "asymmetry",
     "clearance",
+    "campaign",
+    "solves",
     "drift",
     "hysteresis",
     "clock",

@@ -151,3 +151,15 @@ void wb_group_slopes(const wb_table *t, const wb_group *g, wb_work *work, const 
     else if (method == WB_LINEAR) memcpy(derivative, g->fit.matrix, count * sizeof(double));
     else wb_compose_derivative(&g->composition, w, method, derivative);
 }
+
+/* The same along one direction of the inputs, N and N·m: (m), m and rad. */
+void wb_group_along(const wb_table *t, const wb_group *g, wb_work *work, const double *w, int method,
+                    const double *direction, double *slopes) {
+    double derivative[WB_MAX * WB_MAX];
+    if (g->used && method == WB_KRIGING) {
+        wb_kriging_along(t, &g->kriging, work, w, direction, slopes);
+        return;
+    }
+    wb_group_slopes(t, g, work, w, method, derivative);
+    wb_times(derivative, direction, t->outputs, t->inputs, slopes);
+}

@@ -27,9 +27,9 @@ static const wb_array WB_SPACE_ARRAYS[] = {
 static const wb_array WB_SOLVER_ARRAYS[] = {
     {"flags", WB_I4, 0, 1, {-5}, offsetof(wb_solver, flags)},
     {"mesh", WB_F8, 0, 2, {WB_OF_M, WB_OF_N}, offsetof(wb_solver, mesh)},
-    {"square", WB_F8, 0, 1, {WB_OF_M}, offsetof(wb_solver, square)},
-    {"one_over", WB_F8, 0, 1, {WB_OF_N}, offsetof(wb_solver, one_over)},
     {"stiffness", WB_F8, 0, 2, {WB_OF_N, WB_OF_M}, offsetof(wb_solver, stiffness)},
+    {"linearity", WB_F8, 0, 1, {WB_OF_M}, offsetof(wb_solver, linearity)},
+    {"one_over", WB_F8, 0, 1, {WB_OF_N}, offsetof(wb_solver, one_over)},
     {"zero", WB_F8, 1, 1, {WB_OF_N}, offsetof(wb_solver, zero)},};
 static const wb_array WB_SCENE_ARRAYS[] = {
     {"ends", WB_F8, 0, 2, {-2, WB_OF_N}, offsetof(wb_table, scene_ends)},
@@ -38,6 +38,7 @@ static const wb_array WB_SCENE_ARRAYS[] = {
 static const wb_array WB_GROUP_ARRAYS[] = {
     {"flags", WB_I4, 0, 1, {-4}, offsetof(wb_group, flags)},
     {"outputs", WB_I4, 0, 1, {WB_OF_M}, offsetof(wb_group, outputs)},
+    {"held", WB_I4, 1, 1, {WB_OF_M}, offsetof(wb_group, held)},
     {"allowed", WB_F8, 0, 1, {WB_OF_M}, offsetof(wb_group, allowed)},};
 static const wb_array WB_FIT_ARRAYS[] = {
     {"matrix", WB_F8, 0, 2, {WB_OF_M, WB_OF_N}, offsetof(wb_fit, matrix)},

@@ -99,7 +99,7 @@ typedef struct {
 /* The outputs that the same rows hold. */
 typedef struct {
     int method, exact_fit, used, has_rows, has_composition, has_kriging;
-    const int32_t *flags, *outputs;
+    const int32_t *flags, *outputs, *held; /* held: NULL where it has those outputs alone */
     const double *allowed;
     wb_fit fit;
     wb_rows rows;
@@ -108,9 +108,9 @@ typedef struct {
 } wb_group;
 
 typedef struct {
-    int asks, mesh_known, linear, linearity_known, whole, none;
+    int by_tangent, mesh_known, linear, linearity_known, whole, none;
     const int32_t *flags;
-    const double *mesh, *square, *one_over, *stiffness;
+    const double *mesh, *linearity, *one_over, *stiffness;
     const double *zero; /* (n) from where inputs count, NULL for none */
 } wb_solver;
 
@@ -135,6 +135,8 @@ struct wb_table {
 /* Where one answer works; pointers into a scratch. */
 typedef struct {
     double *apart, *flat, *first, *second, *chosen, *reduced, *wide;
+    const wb_factor *of; /* whose covariances with the present wrench `wide` has, or NULL */
+    double moved[WB_MAX]; /* outputs of the answer, those too that a scene does not read */
 } wb_work;
 
 /* One group's answer, before the solver's part of the error. */
@@ -167,6 +169,14 @@ typedef struct {
 
 /* numpy's maximum: what is not a number wins. */
 static inline double wb_larger(double a, double b) { return isnan(a) || a > b ? a : b; }
+
+/* A matrix (rows, columns) times a vector. */
+static inline void wb_times(const double *matrix, const double *by, int rows, int columns, double *out) {
+    for (int i = 0; i < rows; i++) {
+        out[i] = 0;
+        for (int j = 0; j < columns; j++) out[i] += matrix[columns * i + j] * by[j];
+    }
+}
 
 /* The bucket of a number among ascending ones: start[bucket] to start[bucket + 1] bound its index.
  * `buckets_of` in surrogate/packed/axes_arrays.py makes the starts. */
@@ -232,6 +242,8 @@ void wb_kriging_reasons(const wb_table *t, const wb_kriging *k, wb_work *work, c
                         wb_result *a);
 void wb_kriging_derivative(const wb_table *t, const wb_kriging *k, wb_work *work,
                            const double *wrench, double *derivative);
+void wb_kriging_along(const wb_table *t, const wb_kriging *k, wb_work *work, const double *wrench,
+                      const double *direction, double *slopes);
 
 /* wb_reason.c */
 void wb_axes_reasons(const wb_table *t, const wb_group *g, const double *w, wb_result *a);
@@ -241,6 +253,8 @@ void wb_group_answer(const wb_table *t, const wb_group *g, const wb_options *o, 
                      const double *w, const wb_composed *composed, int with_reasons, wb_result *a);
 void wb_group_slopes(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
                      int method, double *derivative);
+void wb_group_along(const wb_table *t, const wb_group *g, wb_work *work, const double *w, int method,
+                    const double *direction, double *slopes);
 
 /* wb_reply.c */
 void wb_reply_of(const wb_table *t, const wb_options *o, wb_work *work, const double *inputs,

@@ -123,7 +123,8 @@ static inline void add_pairs(const double *term, int inputs, const double *restr
 /* Add one term's covariances of a value with the rows' values and slopes to `flat` (1 + n, stride):
  * with 7/2 the correlation of Matern is (1 + a + 2/5 a^2 + a^3/15) exp(-a), a^2 = 7 q. With the rows'
  * second derivatives it is that of 9/2, (1 + a + 3/7 a^2 + 2/21 a^3 + a^4/105) exp(-a), a^2 = 9 q.
- * `second` is -2 times its derivative by q, `third` 4 times its second derivative. */
+ * `first` is -2 times its derivative by q, `second` 4 times its second derivative, `third` -8 times
+ * its third derivative, which rows with second derivatives need. */
 WB_VECTORS static void add_covariances(const double *term, int inputs, const double *restrict apart,
                                        int stride, int has_second, double *restrict first,
                                        double *restrict second, double *restrict third,
@@ -134,22 +135,24 @@ WB_VECTORS static void add_covariances(const double *term, int inputs, const dou
     if (!has_second) for (int row = 0; row < stride; row++) {
         double a = sqrt(7.0 * first[row]), decay = decay_of(a) * weight;
         flat[row] += (1 + a + 0.4 * a * a + a * a * a * (1.0 / 15)) * decay;
-        second[row] = 1.4 * (1 + a + a * a * (1.0 / 3)) * decay;
+        first[row] = 1.4 * (1 + a + a * a * (1.0 / 3)) * decay;
+        second[row] = 49.0 / 15 * (1 + a) * decay;
     }
     else for (int row = 0; row < stride; row++) {
         double a = sqrt(9.0 * first[row]), decay = decay_of(a) * weight, square = a * a;
         flat[row] += (1 + a + square * (3.0 / 7) + square * a * (2.0 / 21)
                       + square * square * (1.0 / 105)) * decay;
-        second[row] = 9.0 / 7 * (1 + a + 0.4 * square + square * a * (1.0 / 15)) * decay;
-        third[row] = 81.0 / 35 * (1 + a + square * (1.0 / 3)) * decay;
+        first[row] = 9.0 / 7 * (1 + a + 0.4 * square + square * a * (1.0 / 15)) * decay;
+        second[row] = 81.0 / 35 * (1 + a + square * (1.0 / 3)) * decay;
+        third[row] = 243.0 / 35 * (1 + a) * decay;
     }
     for (int a = 0; a < inputs; a++)
         if (term[a] > 0)
-            add_product(term[a], second, apart + (int64_t)a * stride, stride, flat + (int64_t)(1 + a) * stride);
-    if (has_second) add_pairs(term, inputs, apart, stride, third, flat);
+            add_product(term[a], first, apart + (int64_t)a * stride, stride, flat + (int64_t)(1 + a) * stride);
+    if (has_second) add_pairs(term, inputs, apart, stride, second, flat);
     for (int a = 0; has_second && a < inputs; a++) {
         double *restrict out = pair_of(flat, inputs, a, a, stride), rate = term[a];
-        for (int row = 0; rate * rate > 0 && row < stride; row++) out[row] -= rate * second[row];
+        for (int row = 0; rate * rate > 0 && row < stride; row++) out[row] -= rate * first[row];
     }
 }
 
@@ -214,12 +217,20 @@ static int as_before(const wb_kriging *k, int n, int s) {
     return s > 0 && s < k->factors && !memcmp(k->factor[s].term, k->factor[s - 1].term, size);
 }
 
+/* The derivatives of each term's correlation, as `add_covariances` gives them. */
+static double *term_of(const wb_kriging *k, wb_work *work, int term) {
+    return work->wide + (int64_t)3 * term * k->stride;
+}
+
 /* The covariances of a value with all rows. */
 static void covary(const wb_kriging *k, const wb_factor *factor, int n, wb_work *work) {
     memset(work->flat, 0, (size_t)(k->per_row * k->stride) * sizeof(double));
-    for (int term = 0; term < k->terms; term++)
-        add_covariances(factor->term + (n + 1) * term, n, work->apart, k->stride, k->has_second, work->first,
-                        work->second, work->wide, work->flat);
+    for (int term = 0; term < k->terms; term++) {
+        double *first = term_of(k, work, term);
+        add_covariances(factor->term + (n + 1) * term, n, work->apart, k->stride, k->has_second, first,
+                        first + k->stride, first + 2 * k->stride, work->flat);
+    }
+    work->of = factor;
 }
 
 /* The value of an output by these, over its spread. */
@@ -324,54 +335,38 @@ void wb_kriging_values(const wb_table *t, const wb_kriging *k, wb_work *work,
     }
 }
 
-/* One term's correlation: its two derivatives by the squared distance; of 9/2 the third one too. */
-WB_VECTORS static void differentiate(const double *term, int inputs, const double *restrict apart,
-                                     int stride, int has_second, double *restrict first,
-                                     double *restrict second, double *restrict third) {
-    double weight = term[inputs];
-    memset(first, 0, (size_t)stride * sizeof(double));
-    add_distances(term, inputs, apart, stride, first);
-    if (!has_second) for (int row = 0; row < stride; row++) {
-        double a = sqrt(7.0 * first[row]), decay = decay_of(a) * weight;
-        first[row] = -0.7 * (1 + a + a * a * (1.0 / 3)) * decay;
-        second[row] = 49.0 / 60 * (1 + a) * decay;
-    }
-    else for (int row = 0; row < stride; row++) {
-        double a = sqrt(9.0 * first[row]), decay = decay_of(a) * weight;
-        first[row] = -9.0 / 14 * (1 + a + 0.4 * a * a + a * a * a * (1.0 / 15)) * decay;
-        second[row] = 81.0 / 140 * (1 + a + a * a * (1.0 / 3)) * decay;
-        third[row] = -243.0 / 280 * (1 + a) * decay;
-    }
-}
-
-/* Add one term's covariances of the slope by load c with the rows' values, slopes and, unless `third`
- * is NULL, second derivatives. With s_a = t_a d_a that by loads a and b is 8 third s_a s_b s_c, and
- * 4 second t_a times the s of the remaining load for each two of the three loads that are the same. */
+/* Add one term's covariances of the slope along a direction d of scaled loads with the rows' values,
+ * slopes and, with `has_second`, second derivatives. `along` is the sum of t_c d_c apart_c. */
 WB_VECTORS static void add_slope(const double *term, int inputs, const double *restrict apart, int stride,
-                                 const double *restrict first, const double *restrict second,
-                                 const double *restrict third, int c, double *restrict spare,
-                                 double *restrict flat) {
-    const double *restrict from = apart + (int64_t)c * stride;
-    double *restrict by_slope = flat + (int64_t)(1 + c) * stride, twice = 2 * term[c];
-    if (!(term[c] > 0)) return;
-    add_product(twice, first, from, stride, flat);
-    for (int row = 0; row < stride; row++) by_slope[row] -= twice * first[row];
+                                 int has_second, const double *restrict first, const double *direction,
+                                 double *restrict along, double *restrict spare, double *restrict flat) {
+    const double *restrict second = first + stride, *restrict third = second + stride;
+    memset(along, 0, (size_t)stride * sizeof(double));
     for (int a = 0; a < inputs; a++) {
-        const double *restrict by_a = apart + (int64_t)a * stride;
-        double *restrict out = flat + (int64_t)(1 + a) * stride, four = 4 * term[c] * term[a];
-        if (!(term[a] > 0)) continue;
-        for (int row = 0; row < stride; row++) out[row] -= four * second[row] * from[row] * by_a[row];
+        const double *restrict from = apart + (int64_t)a * stride;
+        double rate = term[a] * direction[a];
+        for (int row = 0; rate != 0 && row < stride; row++) along[row] += rate * from[row];
     }
-    if (!third) return;
-    for (int row = 0; row < stride; row++) spare[row] = 8 * term[c] * third[row] * from[row];
-    for (int a = 0; a < inputs; a++)
-        if (term[a] > 0)
-            add_product(4 * term[a] * term[c], second, from, stride, pair_of(flat, inputs, a, a, stride));
+    add_product(-1, first, along, stride, flat);
+    for (int row = 0; row < stride; row++) spare[row] = second[row] * along[row];
+    for (int a = 0; a < inputs; a++) {
+        double *restrict out = flat + (int64_t)(1 + a) * stride, rate = term[a] * direction[a];
+        if (!(term[a] > 0)) continue;
+        add_product(-term[a], spare, apart + (int64_t)a * stride, stride, out);
+        for (int row = 0; rate != 0 && row < stride; row++) out[row] += rate * first[row];
+    }
+    if (!has_second) return;
+    for (int a = 0; a < inputs; a++) {
+        double *restrict out = pair_of(flat, inputs, a, a, stride);
+        for (int row = 0; term[a] > 0 && row < stride; row++) out[row] += term[a] * spare[row];
+        for (int b = 0; b < inputs; b++) {
+            double both = (a == b ? 2 : 1) * term[a] * term[b] * direction[b];
+            if (both != 0) add_product(both, second, apart + (int64_t)a * stride, stride,
+                                       pair_of(flat, inputs, a, b, stride));
+        }
+    }
+    for (int row = 0; row < stride; row++) spare[row] = -third[row] * along[row];
     add_pairs(term, inputs, apart, stride, spare, flat);
-    for (int a = 0; a < inputs; a++)
-        if (term[a] > 0)
-            add_product((a == c ? 8 : 4) * term[a] * term[c], second, apart + (int64_t)a * stride, stride,
-                        pair_of(flat, inputs, a, c, stride));
 }
 
 /* Whether a factor, from `s` to `end`, answers output q: a scene's table has those of the outputs
@@ -382,35 +377,55 @@ static int answers(const wb_kriging *k, int s, int end, int q) {
     return 0;
 }
 
-/* du/dw (m, n), SI; by loads that take no part it is the rows' mean tangent. */
-void wb_kriging_derivative(const wb_table *t, const wb_kriging *k, wb_work *work,
-                           const double *wrench, double *derivative) {
+/* The slopes (m), SI, along a direction of the inputs, SI, of outputs of factors from `s` to `end`. */
+static void slopes_along(const wb_table *t, const wb_kriging *k, int s, int end, wb_work *work,
+                         const double *direction, double *slopes) {
     int n = t->inputs, m = t->outputs, count = k->per_row * k->stride;
-    double at[WB_MAX];
-    memset(derivative, 0, (size_t)(n * m) * sizeof(double));
-    scale_loads(k, n, wrench, at, work->apart);
+    double scaled[WB_MAX];
+    for (int a = 0; a < n; a++) scaled[a] = direction[a] * k->rate[a];
+    memset(work->flat, 0, (size_t)count * sizeof(double));
+    for (int term = 0; term < k->terms; term++)
+        add_slope(k->factor[s].term + (n + 1) * term, n, work->apart, k->stride, k->has_second,
+                  term_of(k, work, term), scaled, work->first, work->second, work->flat);
+    for (int q = 0; q < m; q++) {
+        if (!answers(k, s, end, q)) continue;
+        double slope = product(work->flat, k->weights + (int64_t)q * count, count);
+        for (int a = 0; a < n; a++) slope += k->coefficients[m * (1 + a) + q] * scaled[a];
+        slopes[q] = slope * k->spread[q];
+        for (int a = 0; a < n; a++) /* loads that take no part: the rows' mean tangent */
+            slopes[q] += k->tangent[n * q + a] * direction[a];
+    }
+}
+
+/* The derivatives (m, count), SI, along directions (count, n) of the inputs, SI. What an answer to
+ * the same wrench has left is used. */
+static void derive(const wb_table *t, const wb_kriging *k, wb_work *work, const double *wrench,
+                   int count, const double *directions, double *derivatives) {
+    double at[WB_MAX], slopes[WB_MAX];
+    memset(derivatives, 0, (size_t)(count * t->outputs) * sizeof(double));
+    scale_loads(k, t->inputs, wrench, at, work->apart);
     for (int s = 0, end = 1; s < k->factors; s = end++) { /* factors of one covariance together */
-        const double *terms = k->factor[s].term;
-        while (as_before(k, n, end)) end++;
-        for (int term = 0; term < k->terms; term++) {
-            double *first = work->wide + (int64_t)3 * term * k->stride;
-            differentiate(terms + (n + 1) * term, n, work->apart, k->stride, k->has_second, first,
-                          first + k->stride, first + 2 * k->stride);
-        }
-        for (int a = 0; a < n; a++) { /* the covariances of the slope by load a with all rows */
-            memset(work->flat, 0, (size_t)count * sizeof(double));
-            for (int term = 0; term < k->terms; term++) {
-                const double *first = work->wide + (int64_t)3 * term * k->stride;
-                add_slope(terms + (n + 1) * term, n, work->apart, k->stride, first,
-                          first + k->stride, k->has_second ? first + 2 * k->stride : NULL, a,
-                          work->first, work->flat);
-            }
-            for (int q = 0; q < m; q++) {
-                if (!answers(k, s, end, q)) continue;
-                double slope = product(work->flat, k->weights + (int64_t)q * count, count);
-                slope += k->coefficients[m * (1 + a) + q];
-                derivative[n * q + a] = slope * k->spread[q] * k->rate[a] + k->tangent[n * q + a];
-            }
+        while (as_before(k, t->inputs, end)) end++;
+        if (work->of != &k->factor[s]) covary(k, &k->factor[s], t->inputs, work);
+        for (int i = 0; i < count; i++) {
+            slopes_along(t, k, s, end, work, directions + t->inputs * i, slopes);
+            for (int q = 0; q < t->outputs; q++)
+                if (answers(k, s, end, q)) derivatives[count * q + i] = slopes[q];
         }
     }
+}
+
+/* The derivative (m), m and rad, along one direction of the inputs, N and N·m. */
+void wb_kriging_along(const wb_table *t, const wb_kriging *k, wb_work *work, const double *wrench,
+                      const double *direction, double *slopes) {
+    derive(t, k, work, wrench, 1, direction, slopes);
+}
+
+/* du/dw (m, n), SI. */
+void wb_kriging_derivative(const wb_table *t, const wb_kriging *k, wb_work *work,
+                           const double *wrench, double *derivative) {
+    double units[WB_MAX * WB_MAX] = {0};
+    for (int a = 0; a < t->inputs; a++) units[(t->inputs + 1) * a] = 1.0;
+    work->of = NULL;
+    derive(t, k, work, wrench, t->inputs, units, derivative);
 }

@@ -120,11 +120,11 @@ static void read_solver(reader *r) {
     wb_solver *s = &t->solver;
     snprintf(r->block, sizeof r->block, "solver/");
     if (*r->bad || !READ(r, SOLVER, WB_BLOCK, s)) return;
-    s->asks = s->flags[0], s->mesh_known = s->flags[1], s->linear = s->flags[2];
+    s->by_tangent = s->flags[0], s->mesh_known = s->flags[1], s->linear = s->flags[2];
     s->linearity_known = s->flags[3], s->whole = s->flags[4], s->none = 1;
     for (int k = 0; k < t->outputs * t->inputs; k++) s->none &= s->mesh[k] == 0;
-    for (int q = 0; q < t->outputs; q++) s->none &= s->square[q] == 0;
-    s->none &= !s->asks;
+    for (int q = 0; q < t->outputs; q++) s->none &= s->linearity[q] == 0;
+    s->none &= !s->by_tangent;
 }
 
 /* Where searches among `count` ascending numbers start. */
@@ -342,7 +342,7 @@ void wb_close(wb_table *t) {
 wb_work wb_work_of(const wb_table *t, void *scratch) {
     size_t n = (size_t)t->inputs, stride = (size_t)t->max_stride, e = (size_t)t->max_padded;
     double *all = (double *)(((uintptr_t)scratch + CACHE_LINE - 1) & ~(uintptr_t)(CACHE_LINE - 1));
-    wb_work work;
+    wb_work work = {0};
     work.apart = all, all += n * stride;
     work.flat = all, all += (size_t)t->max_flat;
     work.first = all, all += stride;

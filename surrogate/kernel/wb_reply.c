@@ -38,15 +38,19 @@ static int is_reason_of(const wb_reply *reply, const wb_reason *reason, int grou
 }
 
 /* Take a group's outputs. The worst group decides; an answer is a row's only if all are. */
-static void merge(const wb_table *t, const wb_group *g, const wb_result *result, wb_reply *reply,
-                  int *worst) {
-    int number = (int)(g - t->group);
+static void merge(const wb_table *t, const wb_group *g, const wb_result *result, wb_work *work,
+                  wb_reply *reply, int *worst) {
+    const int32_t *held = g->held ? g->held : g->outputs;
+    int number = (int)(g - t->group), read = 0;
     for (int q = 0; q < t->outputs; q++) {
+        if (held[q]) work->moved[q] = result->outputs[q];
         if (!g->outputs[q]) continue;
+        read = 1;
         reply->outputs[q] = result->outputs[q], reply->interpolation[q] = result->error[q];
         reply->missing &= ~((uint64_t)1 << q);
         reply->solved |= result->solved & (uint64_t)1 << q;
     }
+    if (!read) return;
     for (int i = 0; i < result->reasons; i++) {
         if (reply->reasons == WB_MAX_REASONS || is_reason_of(reply, &result->reason[i], number))
             continue;
@@ -90,23 +94,25 @@ void wb_reply_derivative(const wb_table *t, const wb_options *o, wb_work *work,
             if (!isnan(derivative[n * q + k])) derivative[n * q + k] = 0.0;
 }
 
-/* What the mesh lacks by the answer's tangent T, |T D u|; 0 where that is not known. */
-static int lacking_of(const wb_table *t, const wb_options *o, wb_work *work,
-                      const wb_reply *reply, double *lacking) {
+/* What the mesh lacks: |T D u| by the answer's tangent T, with its displacement u and what the mesh
+ * adds to the stiffness D. NaN where no tangent is known. */
+static void lacking_of(const wb_table *t, const wb_options *o, wb_work *work, const wb_reply *reply,
+                       double *lacking) {
     int n = t->inputs, m = t->outputs;
-    double tangent[WB_MAX * WB_MAX], pushed[WB_MAX] = {0}, size = 0;
-    wb_reply_derivative(t, o, work, reply, tangent);
-    for (int q = 0; q < m; q++)
-        for (int k = 0; k < n; k++) pushed[k] += t->solver.stiffness[m * k + q] * reply->outputs[q];
-    for (int k = 0; k < n * m; k++) size += fabs(tangent[k]);
-    if (!(size > 0)) return 0; /* a method without tangents, or none is known */
-    for (int q = 0; q < m; q++) {
-        lacking[q] = 0;
-        for (int k = 0; k < n; k++) lacking[q] += tangent[n * q + k] * pushed[k];
-        lacking[q] = fabs(lacking[q]);
-        if (!isfinite(lacking[q])) return 0;
+    double pushed[WB_MAX], slopes[WB_MAX];
+    wb_times(t->solver.stiffness, work->moved, n, m, pushed);
+    for (int k = 0; k < n; k++)
+        if (t->locked[k]) pushed[k] = 0.0;
+    for (int q = 0; q < m; q++) lacking[q] = NAN;
+    for (int i = 0; i < t->groups; i++) {
+        const wb_group *g = &t->group[i];
+        int64_t row = reply->method == WB_ROW ? wb_find_row(t, g, reply->inputs) : -1;
+        int64_t index = row < 0 ? -1 : g->rows.tangent_of[row];
+        if (index >= 0) wb_times(g->rows.tangent + (int64_t)n * m * index, pushed, m, n, slopes);
+        else wb_group_along(t, g, work, reply->inputs, wb_method_of(g, o), pushed, slopes);
+        for (int q = 0; q < m; q++)
+            if (g->outputs[q]) lacking[q] = fabs(slopes[q]);
     }
-    return 1;
 }
 
 /* No error of a solver: measured rows, or rows whose solver's error is not known. */
@@ -119,25 +125,23 @@ static void keep(const wb_table *t, wb_reply *reply) {
     }
 }
 
-/* Add what the solver of the rows may itself be wrong by. */
+/* Add what the solver of the rows may itself be wrong by: what its mesh lacks by the answer's tangent,
+ * and no less than by the compliance at small loads. */
 static void widen(const wb_table *t, const wb_options *o, wb_work *work, wb_reply *reply) {
     const wb_solver *s = &t->solver;
-    double largest = 0, lacking[WB_MAX], size[WB_MAX];
-    int by_row = reply->method == WB_ROW && wb_is_beyond(t, reply->inputs);
-    int asks = s->asks > 1 || (s->asks > 0 && by_row);
-    int is_known = asks && lacking_of(t, o, work, reply, lacking);
+    double largest = 0, lacking[WB_MAX], by_loads[WB_MAX], size[WB_MAX];
     for (int k = 0; k < t->inputs; k++) {
         size[k] = fabs(reply->inputs[k] - (s->zero ? s->zero[k] : 0.0));
         largest = larger(size[k] * s->one_over[k], largest);
     }
+    wb_times(s->mesh, size, t->outputs, t->inputs, by_loads);
+    if (s->by_tangent) lacking_of(t, o, work, reply, lacking);
     for (int q = 0; q < t->outputs; q++) {
-        double small = 0, more = s->square[q] * (largest * largest);
-        for (int k = 0; k < t->inputs; k++) small += s->mesh[t->inputs * q + k] * size[k];
-        if (is_known) more = larger(lacking[q] - small, 0);
-        reply->error[q] = reply->interpolation[q] + small + more;
-        if (!s->linear) small += more, more = 0;
-        reply->discretisation[q] = s->mesh_known ? small : NAN;
-        reply->linearity[q] = !s->linear || s->linearity_known ? more : NAN;
+        double mesh = s->by_tangent && lacking[q] > by_loads[q] ? lacking[q] : by_loads[q];
+        double linearity = s->linearity[q] * (largest * largest);
+        reply->error[q] = reply->interpolation[q] + mesh + linearity;
+        reply->discretisation[q] = s->mesh_known ? mesh : NAN;
+        reply->linearity[q] = !s->linear || s->linearity_known ? linearity : NAN;
     }
 }
 
@@ -239,10 +243,12 @@ void wb_reply_of(const wb_table *t, const wb_options *o, wb_work *work, const do
                  const wb_composed *composed, int with_reasons, wb_reply *reply) {
     int worst = -1;
     begin(t, inputs, reply);
+    work->of = NULL;
+    for (int q = 0; q < t->outputs; q++) work->moved[q] = NAN;
     for (int i = 0; i < t->groups; i++) {
         wb_result result;
         wb_group_answer(t, &t->group[i], o, work, reply->inputs, composed, with_reasons, &result);
-        merge(t, &t->group[i], &result, reply, &worst);
+        merge(t, &t->group[i], &result, work, reply, &worst);
     }
 }
 

@@ -234,7 +234,7 @@ def posterior(rows: NoisyRows, one: Spectrum, settings: KrigingSettings) -> Post
     """Return the posterior of the ratios of the settings, the process variance integrated out."""
     ratios = np.exp(np.arange(*settings.ratio_bounds, settings.ratio_step))[:, None]
     inverse = 1 / (one.values + ratios * one.noisy)
-    freedom = len(one.values) + rows.repeats
+    freedom = max(len(one.values) + rows.repeats, 1)  # 0: the rows determine the mean alone
     variance = np.maximum((inverse @ one.data**2 + rows.scatter / ratios) / freedom, TINY)
     values = 0.5 * (freedom * np.log(variance) + rows.repeats * np.log(ratios)) + one.logarithm
     values -= 0.5 * np.log(inverse).sum(axis=1)[:, None]
@@ -270,7 +270,7 @@ def negative_log_posterior(
         total += float((least - np.log(share.mean(axis=0))).sum())
         share /= share.sum(axis=0)
         solved = (found.inverse[:, :, None] * one.data).transpose(1, 0, 2)
-        solved = solved.reshape(len(one.data), -1)
+        solved = solved.reshape(len(one.data), share.size)
         weight = (share / found.variance * found.by_square).ravel()
         middle = np.diag(share.sum(axis=1) @ found.inverse) - (solved * weight) @ solved.T
         sensitivity = one.rotation.T @ middle @ one.rotation

@@ -94,13 +94,13 @@ BLOCKS = {
         Array("vector_limit", "f8", "v", "the largest such length"),
     )),
     "solver": Block("solver/", "wb_solver", (
-        Array("flags", "i4", "5", "when an answer's tangent is needed (0 never, 1 for rows beyond "
-              "the range, 2 always); whether the discretisation error is known, the component is "
-              "linear, its linearity error is known, all parts of the error are known"),
-        Array("mesh", "f8", "m n", "discretisation error by the loads: `SolverError.packed`"),
-        Array("square", "f8", "m", "its growth by the square of the largest load"),
-        Array("one_over", "f8", "n", "one over the loads that the growth is stated at"),
-        Array("stiffness", "f8", "n m", "by which it follows from an answer's tangent"),
+        Array("flags", "i4", "5", "whether the discretisation error follows from an answer's "
+              "tangent, it is known, the component is linear, its linearity error is known, all "
+              "parts of the error are known"),
+        Array("mesh", "f8", "m n", "its least by the loads: what the mesh lacks of the compliance"),
+        Array("stiffness", "f8", "n m", "D, by which it follows from an answer's tangent"),
+        Array("linearity", "f8", "m", "linearity error at the largest loads"),
+        Array("one_over", "f8", "n", "one over these loads"),
         Array("zero", "f8", "n", "from where inputs count, if one is not 0", True),
     )),
     "scene": Block("scene/", "wb_table", (
@@ -113,6 +113,7 @@ BLOCKS = {
         Array("flags", "i4", "4", "default method, whether the fit is exact, whether there are "
               "rows to answer from, whether rows lie in the load range"),
         Array("outputs", "i4", "m", "which outputs the group has"),
+        Array("held", "i4", "m", "the same with those that a scene does not read", True),
         Array("allowed", "f8", "m", "the largest interpolation error of a covered answer"),
     )),
     "fit": Block(r"g\d+/fit/", "wb_fit", (

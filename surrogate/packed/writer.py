@@ -121,22 +121,17 @@ def _space_arrays(table: Table, groups: int) -> Iterator[tuple[str, Array]]:
 
 def _solver_arrays(table: Table) -> Iterator[tuple[str, Array]]:
     """Yield the solver's part of errors."""
-    error, shape = table.solver_error, table.groups[0].fit.matrix.shape
-    matrix, square, inverse_loads = np.zeros(shape), np.zeros(shape[0]), np.zeros(shape[1])
-    stiffness, asks = np.zeros(shape[::-1]), np.zeros(1)
-    known, linear, linearity_known = table.bars_are_complete, False, True
+    error, (m, n) = table.solver_error, table.groups[0].fit.matrix.shape
+    by_tangent, known, linear, linearity_known = False, table.bars_are_complete, False, True
+    arrays = {"mesh": np.zeros((m, n)), "stiffness": np.zeros((n, m))}
+    arrays |= {"linearity": np.zeros(m), "one_over": np.zeros(n)}
     if error is not None:
-        matrix, square, inverse_loads, stiffness, asks = error.packed
-        known, linear = error.mesh is not None, "linearity" in error.values
-        linearity_known = error.linearity is not None
-        if error.zero.any():
-            yield "solver/zero", error.zero
-    flags = [int(asks[0]), known, linear, linearity_known, table.bars_are_complete]
+        arrays |= error.packed
+        by_tangent, known = error.stiffness is not None, error.mesh is not None
+        linear, linearity_known = "linearity" in error.values, error.linearity is not None
+    flags = [by_tangent, known, linear, linearity_known, table.bars_are_complete]
     yield "solver/flags", np.array(flags, dtype=np.int32)
-    yield "solver/mesh", matrix
-    yield "solver/square", square
-    yield "solver/one_over", inverse_loads
-    yield "solver/stiffness", stiffness
+    yield from ((f"solver/{name}", array) for name, array in arrays.items())
 
 
 class _Sources:

@@ -36,14 +36,14 @@ def cut(table: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -
     """
     arrays = {name: array for name, array in table.arrays.items() if name[0] != "g"}
     outputs = list(need.outputs)
+    # The solver's error needs all outputs, and their derivative by all loads.
+    needs_all = bool(table.arrays["solver/flags"][0])
     read = [
-        bool(table.arrays[f"g{group}/outputs"][outputs].any())
+        needs_all or bool(table.arrays[f"g{group}/outputs"][outputs].any())
         for group in range(len(table.meta["groups"]))
     ]
     groups = np.flatnonzero(read).tolist() or [0]  # the first one says that nothing is measured
     slopes = np.ones(table.inputs, dtype=bool)
-    # The solver's error needs the derivative by all loads: all axes stay then.
-    has_solver_error = bool(table.arrays["solver/flags"][0])
     for number, group in enumerate(groups):
         prefix = f"g{group}/"
         group_arrays = {
@@ -51,7 +51,7 @@ def cut(table: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -
             for name, array in table.arrays.items()
             if name.startswith(prefix)
         }
-        group_arrays = _cut_group(group_arrays, need, has_solver_error, slopes)
+        group_arrays = _cut_group(group_arrays, need, needs_all, slopes)
         arrays |= {f"g{number}/{name}": array for name, array in group_arrays.items()}
     arrays |= _scene_arrays(table, need, len(groups), slopes)
     meta = {
@@ -81,21 +81,23 @@ def _scene_arrays(table: PackedTable, need: Need, groups: int, slopes: Mask) -> 
     return arrays
 
 
-def _cut_group(group: Arrays, need: Need, asks_tangent: bool, slopes: Mask) -> Arrays:
+def _cut_group(group: Arrays, need: Need, needs_all: bool, slopes: Mask) -> Arrays:
     """Return a group's arrays; in `slopes` (n,) the loads without derivatives are crossed out."""
     flags = group["flags"]
     method = METHODS[flags[_METHOD]]
     alone = method == "kriging" or (method == "linear" and flags[_EXACT])
     arrays = {name: array for name, array in group.items() if "/" not in name or name[:4] == "fit/"}
     is_read = np.isin(np.arange(len(group["outputs"])), need.outputs)
+    if needs_all:
+        arrays["held"] = group["outputs"]
     arrays["outputs"] = np.where(is_read, group["outputs"], 0).astype(np.int32)
     arrays |= _cut_rows(group, need)
     if need.tolerance is not None:
         arrays["allowed"] = np.array(allowed_by(need.tolerance, need.span.space))
     if "kriging/x" in group:
-        arrays |= _cut_kriging(group, "kriging/", need)
+        arrays |= _cut_kriging(group, "kriging/", need, needs_all)
     if not alone and "axes/vertex" in group:
-        loaded = np.array([need.occurring[list(axis.inputs)].any() for axis in AXES]) | asks_tangent
+        loaded = np.array([need.occurring[list(axis.inputs)].any() for axis in AXES]) | needs_all
         arrays |= _cut_axes(group, loaded)
         for axis, stays in zip(AXES, loaded, strict=True):
             slopes[list(axis.inputs)] &= stays
@@ -117,8 +119,8 @@ def _cut_rows(group: Arrays, need: Need) -> Arrays:
     return arrays
 
 
-def _cut_kriging(group: Arrays, name: str, need: Need) -> Arrays:
-    """Return a kriging without the factors of outputs that the scene does not read."""
+def _cut_kriging(group: Arrays, name: str, need: Need, needs_all: bool) -> Arrays:
+    """Return a kriging; unless all are needed, without factors of outputs that are not read."""
     arrays = {
         key: array for key, array in group.items() if key.startswith(name) and "/factor" not in key
     }
@@ -126,7 +128,7 @@ def _cut_kriging(group: Arrays, name: str, need: Need) -> Arrays:
     kept = [
         number
         for number in range(count)
-        if group[f"{name}factor{number}/outputs"][list(need.outputs)].any()
+        if needs_all or group[f"{name}factor{number}/outputs"][list(need.outputs)].any()
     ] or [0]
     arrays[f"{name}factor_count"] = np.array([len(kept)], dtype=np.int32)
     arrays[f"{name}terms"] = np.concatenate(

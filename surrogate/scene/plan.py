@@ -274,7 +274,8 @@ def _bound(table: Table, need: Need) -> tuple[Floats, str]:
     largest_loads = np.maximum(np.abs(need.span.low), np.abs(need.span.high))
     solver = np.zeros(count)
     if table.solver_error is not None:  # it is largest where the loads are
-        solver = table.solver_error.total(largest_loads)
+        parts = table.solver_error.parts(largest_loads).values()
+        solver = solver + sum(np.array(part) for part in parts if part is not None)
     if not table.linear and not need.span.space.is_default:
         return bound, LOOKED_UP  # many inputs have too many corners
     sample = _sample(need)

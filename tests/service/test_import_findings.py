@@ -160,11 +160,12 @@ def test_a_finding_of_all_rows_withdraws_the_import_and_no_other(http, rig):
     add(http, rig)
     wrong = load(http, rig.measured("all loads with the wrong sign")).json()["import"]
     load(http, rig.measured())
-    (found,) = findings_of(http)
+    campaign, found = findings_of(http)  # the second differs from the first
+    assert (campaign["cause"], campaign["rows"]) == ("campaign", [])
     assert (found["cause"], found["import"], found["rows"]) == ("sign", wrong, [])
     reply = http.delete(f"/v1/components/rig/imports/{wrong}", params={"finding": "sign"}).json()
     assert reply["rows"] == len(rig.wrench)
-    assert findings_of(http) == []
+    assert [one["cause"] for one in findings_of(http)] == ["campaign"]
     assert rows_of(http, len(rig.wrench))
 
 
@@ -184,3 +185,14 @@ def test_a_second_import_of_the_same_rows_keeps_the_findings_of_the_first(http, 
     first = load(http, rows).json()["import"]
     assert load(http, rows).json()["import"] is None
     assert [one["import"] for one in findings_of(http)] == [first]
+
+
+def test_a_second_campaign_that_is_softer_is_said_and_one_that_agrees_is_not(http, rig):
+    add(http, rig)
+    load(http, rig.measured(), wait_s=60)
+    again = rig.measured()
+    assert load(http, again, dry_run=True).json()["findings"] == []
+    again.displacement[:] *= 1.1
+    (found,) = load(http, again, dry_run=True).json()["findings"]
+    assert (found["cause"], found["rows"]) == ("campaign", [])
+    assert all(abs(one["factor"] - 1.1) < 0.03 for one in found["differ"].values())

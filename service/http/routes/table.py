@@ -433,6 +433,7 @@ async def import_table(
                 dry_run=query.dry_run,
                 partial=query.partial,
                 preview=query.preview,
+                table=table if component.space.is_default else None,
             )
     loaded = reply.pop("loaded")
     if reply["errors"] and not (query.dry_run or loaded):

@@ -21,7 +21,6 @@ from wrenchbook.fea.mesh.refine import halved, refined
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.schema import DeclaredRange, MeshFile
 from wrenchbook.surrogate.solver_error import SolverError
-from wrenchbook.surrogate.table.rows import Rows
 
 BRACKET = """name = "bracket"
 title = "B"
@@ -92,7 +91,7 @@ moment = [1, 1, 1]
 """
 
 
-def test_rows_near_buckling_tell_that_the_mesh_counts_for_more(tmp_path):
+def test_near_buckling_the_mesh_counts_for_more(tmp_path):
     """At 0.8 of its buckling load a column lacks 17 um for its mesh, of 2 um at small loads."""
     (tmp_path / "component.toml").write_text(COLUMN)
     bundle = read_bundle(tmp_path)
@@ -102,22 +101,15 @@ def test_rows_near_buckling_tell_that_the_mesh_counts_for_more(tmp_path):
     true = np.abs(
         [fine.solve(w).displacement - f.displacement for w, f in zip(wrenches, found, strict=True)]
     )
-    rows = Rows.of(
-        wrenches,
-        [one.displacement for one in found],
-        compliance=[one.compliance for one in found],
-        source=["fea"] * 2,
-    )
-    known = SolverError(accuracy_of(own))
-    grown = known.grown(rows)
-    assert grown.needs_tangent
-    before = widened_many(known, np.zeros((2, 6)), wrenches)
-    state = rows.displacement, rows.compliance
-    after = widened_many(grown, np.zeros((2, 6)), wrenches, *state)
-    moved = np.abs(rows.displacement) > 1e-6 * np.abs(rows.displacement).max()
-    assert (before[0, 1:3] < 0.2 * true[0, 1:3]).all()
-    assert (after[moved] >= true[moved]).all()
-    assert np.median(after[0, 1:3] / true[0, 1:3]) < 5
+    moved = np.array([one.displacement for one in found])
+    tangents = np.array([one.compliance for one in found])
+    known, none = SolverError(accuracy_of(own)), np.zeros((2, 6))
+    at_small = widened_many(known, none, wrenches)
+    by_tangent = widened_many(known, none, wrenches, moved, tangents)
+    moves = np.abs(moved) > 1e-6 * np.abs(moved).max()
+    assert (at_small[0, 1:3] < 0.2 * true[0, 1:3]).all()
+    assert (by_tangent[moves] >= true[moves]).all()
+    assert np.median(by_tangent[0, 1:3] / true[0, 1:3]) < 5
 
 
 def test_a_load_that_the_guide_takes_widens_no_bar(tmp_path):
@@ -125,7 +117,7 @@ def test_a_load_that_the_guide_takes_widens_no_bar(tmp_path):
     (tmp_path / "component.toml").write_text(guided)
     told = accuracy_of(Solver(read_bundle(tmp_path)))
     assert told["loads"] == [3000, 0, 10, 1, 1, 0]
-    error = SolverError(told | {"mesh_growth": [1e-6] * 6})
+    error = SolverError(told)
     alone, taken = [-100.0, 0, 1, 0, 0, 0], [-100.0, 10, 1, 0, 0, 1]
     assert widened(error, (0.0,) * 6, alone) == widened(error, (0.0,) * 6, taken)
 

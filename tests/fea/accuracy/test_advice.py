@@ -15,12 +15,6 @@ def test_a_mesh_within_the_tolerance_is_not_mentioned():
     assert over_tolerance({"mesh": None, "loads": [1.0] * 6}, 1e-9, 1e-9) == []
 
 
-def test_what_rows_tell_of_a_part_that_softens_is_warned_of_too():
-    softer = TOLD | {"mesh_growth": [0.0, 0.0, 1e-3, 0.0, 0.0, 0.0]}
-    (found,) = over_tolerance(softer, 4.1e-4, 1.1e-5)
-    assert "in uz" in found.message
-
-
 def test_a_mesh_over_the_tolerance_is_told_with_its_worst_output_and_the_size_that_mends_it():
     (one,) = over_tolerance(TOLD, 1e-4, 1.0)
     assert "0.0004 m in uz, 4 times the tolerance" in one.message

@@ -119,3 +119,10 @@ def test_bars_of_one_load_that_is_swept_hold_and_are_no_rounding_at_a_row(deviat
     between = np.median(bar[known], axis=0)
     assert (np.nanmedian(at_rows, axis=0) > 0.5 * between).all()
     assert (at_rows < 2 * 1.96 * deviation * size)[np.isfinite(at_rows).all(axis=1)].all()
+
+
+@pytest.mark.parametrize("count", [4, 5, 6, 7])
+def test_rows_that_determine_the_mean_alone_have_no_error(count: int) -> None:
+    wrenches = full_wrenches(count, 3)
+    rows = Rows.of(wrenches * HIGH, solved(RESPONSES["nearly_linear"], wrenches).displacement)
+    assert not Kriging.build(rows, RANGE).knows_errors

@@ -24,8 +24,8 @@ def widened(
     Parameters
     ----------
     moved, tangent : ndarray, shapes (6,), m and rad, and (6, 6), SI, optional
-        The displacement there and its tangent, NaN where unknown: they tell the discretisation
-        error where it has grown, for which the square of the load stands without them.
+        The displacement there and its tangent, NaN where unknown: without them the compliance at
+        small loads tells the discretisation error.
     """
     if error is None:
         return None
@@ -56,27 +56,22 @@ def parts(
 ) -> dict[str, list[float] | None]:
     """Return `SolverError.parts` at a wrench whose displacement and tangent are known."""
     state = (None if one is None else one[None] for one in (moved, tangent))
-    small, more = (share[0] for share in shares(own, np.array([wrench], dtype=float), *state))
-    if "linearity" not in own.values:
-        return {"mesh": None if own.mesh is None else (small + more).tolist()}
-    return own.parts(wrench)
+    mesh = shares(own, np.array([wrench], dtype=float), *state)[0][0]
+    return own.parts(wrench) | ({} if own.mesh is None else {"mesh": mesh.tolist()})
 
 
 def shares(
     own: SolverError, wrenches: Floats, moved: Floats | None, tangents: Floats | None
 ) -> tuple[Floats, Floats]:
-    """Return the share at small loads and what larger ones add, (n, 6) each, m and rad."""
-    matrix, square, one_over, stiffness, _ = own.packed
-    sizes = np.abs(wrenches)
-    small = _product(matrix[None], sizes)
-    most = (sizes * one_over).max(axis=1, initial=0.0)
-    more = square * (most * most)[:, None]
+    """Return the discretisation error and the linearity error, (n, 6) each, m and rad."""
+    arrays, sizes = own.packed, np.abs(wrenches)
+    mesh = _product(arrays["mesh"][None], sizes)
+    most = (sizes * arrays["one_over"]).max(axis=1, initial=0.0)
+    linearity = arrays["linearity"] * (most * most)[:, None]
     if own.stiffness is None or moved is None or tangents is None:
-        return small, more
-    lacking = np.abs(_product(tangents, _product(stiffness[None], moved)))
-    # A tangent of zeros is that of a method that has none.
-    known = np.isfinite(lacking).all(axis=1) & (tangents != 0.0).any(axis=(1, 2))
-    return small, np.where(known[:, None], np.maximum(lacking - small, 0.0), more)
+        return mesh, linearity
+    pushed = _product(own.stiffness[None], moved)
+    return np.fmax(np.abs(_product(tangents, pushed)), mesh), linearity
 
 
 def _product(matrices: Floats, vectors: Floats) -> Floats:

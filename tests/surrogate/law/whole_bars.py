@@ -1,8 +1,4 @@
-"""Bars with the solver's own share in them, as every answer that is told has them.
-
-The mesh's share needs the displacement and, where a part softens much, the tangent there (see
-`solver_error`); only tables whose rows say so pay for it.
-"""
+"""Bars with the solver's own share in them, as every answer that is told has them."""
 
 from __future__ import annotations
 
@@ -14,7 +10,7 @@ import numpy as np
 from tests.surrogate.law.answer import Answer, Batch
 from wrenchbook.surrogate.table.rows import ROUNDING, Floats, Tolerance, acting, acting_wrench
 
-from .derivative import derivative_at, derivatives_at, row_tangents
+from .derivative import derivative_at, row_tangents
 from .solver_share import parts, widened, widened_many
 
 
@@ -103,16 +99,11 @@ def _widened(
     if error is None:
         return found.error + table.rig_error
     tangents, wrenches = None, acting(wrenches, table.locked)
-    if error.needs_tangent:
-        tangents = derivatives_at(table, wrenches, tolerance, method)
-    elif (
-        error.stiffness is not None
-        and (beyond := table.load_range.exceeded(wrenches).any(axis=1)).any()
-    ):
-        tangents = np.full((len(wrenches), 6, 6), np.nan)
-        places = np.flatnonzero(beyond)
-        for place, tangent in row_tangents(table, wrenches[places], tolerance, method):
-            tangents[places[place]] = tangent
+    if error.stiffness is not None:
+        tangents = table.derivatives(wrenches, method)
+        for place, tangent in row_tangents(table, wrenches, tolerance, method):
+            if np.isfinite(tangent).any():
+                tangents[place] = tangent
     wide = widened_many(error, found.error, wrenches, found.displacement, tangents)
     return wide + table.rig_error
 
@@ -122,13 +113,14 @@ def _state(
 ) -> tuple[Floats | None, Floats | None]:
     """Return the displacement (6,) and the tangent (6, 6) that the mesh's share needs, or None.
 
-    What a row says beyond the range tells its own share: the growth of others is none of its.
+    A row without a tangent has that of the method.
     """
-    error, by_row = table.solver_error, answer.method == "row"
+    error = table.solver_error
     assert error is not None
     if error.stiffness is None or answer.displacement is None:
         return None, None
-    if not (error.needs_tangent or (by_row and table.load_range.exceeded([wrench]).any())):
-        return None, None
     moved = np.array(answer.displacement, dtype=float)
-    return moved, derivative_at(table, wrench, method, by_row=by_row)
+    tangent = derivative_at(table, wrench, method, by_row=answer.method == "row")
+    if not np.isfinite(tangent).any():
+        tangent = derivative_at(table, wrench, method, by_row=False)
+    return moved, tangent

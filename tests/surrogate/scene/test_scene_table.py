@@ -22,7 +22,13 @@ from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.rows import Rows, Tolerance
 
 PLANAR = (0, 2, 4)  # fx, fz, my
-MESH = SolverError({"mesh": np.full((6, 6), 1e-9).tolist(), "loads": HIGH.tolist()})
+MESH = SolverError(
+    {
+        "mesh": np.full((6, 6), 1e-9).tolist(),
+        "mesh_stiffness": np.full((6, 6), 10.0).tolist(),
+        "loads": HIGH.tolist(),
+    }
+)
 
 
 @cache
@@ -40,6 +46,10 @@ def built(kind: str) -> Table:
         return build(solved(RESPONSES["nearly_linear"], full_wrenches(1, 5)), RANGE, linear=True)
     if kind == "few":
         return build(solved(RESPONSES["hardening"], full_wrenches(2, 5)), RANGE)
+    if kind == "in part measured":
+        rows = table(coupled, mixed)
+        rows.displacement[20:, 3:] = np.nan
+        return build(rows, RANGE, solver_error=MESH)
     if kind in ("softening", "second derivatives"):
         return table_of(kind)
     rows = table(coupled, mixed)
@@ -51,7 +61,7 @@ def built(kind: str) -> Table:
 
 KINDS = (
     *("kriging", "second derivatives", "axes", "axes and interaction"),
-    *("linear", "few", "softening", "partial"),
+    *("linear", "few", "softening", "partial", "in part measured"),
 )
 
 
@@ -132,6 +142,16 @@ def test_any_scene_has_the_bits_of_the_whole_table(kind, ends, held, outputs) ->
             bounds[load] = bounds[load, 0]
     wanted = need_of(span, bounds, tuple(outputs))
     assert_same(scene_of(whole(kind), wanted), whole(kind), wanted, within(wanted, 20))
+
+
+@pytest.mark.parametrize("kind", ["kriging", "in part measured"])
+def test_the_discretisation_error_follows_from_outputs_too_that_are_not_read(kind: str) -> None:
+    wanted = need(PLANAR, (2,))
+    for wrench in within(wanted, 5).tolist():
+        own, other = scene_of(whole(kind), wanted).answer(wrench), whole(kind).answer(wrench)
+        assert own.discretisation is not None
+        assert other.discretisation is not None
+        assert own.discretisation[2] == other.discretisation[2] > 0
 
 
 def test_the_file_carries_the_plan_and_the_outputs_that_are_read() -> None:
