@@ -392,8 +392,8 @@ static void slopes_along(const wb_table *t, const wb_kriging *k, int s, int end,
         double slope = product(work->flat, k->weights + (int64_t)q * count, count);
         for (int a = 0; a < n; a++) slope += k->coefficients[m * (1 + a) + q] * scaled[a];
         slopes[q] = slope * k->spread[q];
-        for (int a = 0; a < n; a++) /* loads that take no part: the rows' mean tangent */
-            slopes[q] += k->tangent[n * q + a] * direction[a];
+        for (int a = 0; a < n; a++) /* loads that take no part: the rows' mean tangent, or NaN */
+            if (direction[a] != 0.0) slopes[q] += k->tangent[n * q + a] * direction[a];
     }
 }
 
