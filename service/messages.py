@@ -490,8 +490,8 @@ class Displacement(Message):
         dict[str, Any] | None,
         Doc(
             "with detail: the parts of error. table: what more rows lower; mesh: what a finer "
-            "mesh lowers; linearity: what a linear component leaves out; measurement: hysteresis "
-            "and drift of the measured rows. null where not known"
+            "mesh lowers; linearity: what a linear component leaves out; measurement: hysteresis, "
+            "drift and sessions of the measured rows. null where not known"
         ),
     ] = left_out(default=None)
     error_of_a_reading: Annotated[
@@ -586,7 +586,7 @@ class ImportFinding(Message):
         str,
         Doc(
             "dead, noise, clipped, stuck, outlier, sentinel, sign, unit, lever, asymmetry, "
-            "clearance, campaign, solves, drift, hysteresis, clock"
+            "clearance, campaign, solves, drift, hysteresis, session, zero, clock"
         ),
     ]
     message: Annotated[str, Doc("the error, its size and the remedy")]

@@ -25,7 +25,9 @@ import numpy as np
 
 from .answer import Allowed, allowed_of
 from .axes.axes import Axes, build_axes
-from .findings.find import rig_error
+from .findings.comparison import MAX_ROWS as MAX_COMPARED
+from .findings.comparison import differences
+from .findings.find import without_effects
 from .kriging import (
     Kriging,
     SingularCovarianceError,
@@ -202,7 +204,6 @@ class Group:
                 "loads": [self.rows.space.input_names[load] for load in np.flatnonzero(fit.known)],
                 "error": fit.error.tolist(),
             },
-            **row_conflicts(self.rows, self.load_range),
             "axes": [] if no_axes else self.axes.summary(),
             "method": self.default,
             "method_reason": self.choice.reason,
@@ -219,7 +220,7 @@ class Table:
     Attributes
     ----------
     rows : Rows
-        All of them, in ascending order of `seq`; NaN where an output was not measured.
+        All of them as measured, in ascending order of `seq`; NaN where an output was not measured.
     load_range : LoadRange
     groups : tuple of Group
         Outputs that the same rows have, those of the fewest rows first: where they are thin, some
@@ -232,6 +233,8 @@ class Table:
         Indices, in `LOADS`, of the loads on locked freedoms: every call sets them to zero first.
     solver_error : SolverError or None
         Error of the solver: in no error bar here; `bars_are_complete` says whether it is known.
+    rig_error : ndarray, shape (6,), m and rad
+        See `findings.find.without_effects`: in no error bar here.
     packed : surrogate.kernel.binding.PackedTable or None
         The same table packed; None until it is made.
     """
@@ -245,12 +248,8 @@ class Table:
     locked: tuple[int, ...]
     solver_error: SolverError | None
     bars_are_complete: bool
+    rig_error: Floats
     packed: Any = None
-
-    @cached_property
-    def rig_error(self) -> Floats:
-        """See `findings.find.rig_error`: in no error bar here; shape (6,), m and rad."""
-        return rig_error(self.rows, self.load_range)
 
     @cached_property
     def observation_noise(self) -> Floats:
@@ -265,6 +264,7 @@ class Table:
         summary = self.groups[0].coverage_summary() | {
             "table_version": self.version,
             "rig_error": self.rig_error.tolist(),
+            **row_conflicts(self.rows, self.load_range),
             "noise_of_a_reading": [
                 None if noise != noise else noise for noise in self.observation_noise.tolist()
             ],
@@ -276,7 +276,6 @@ class Table:
         return {
             **summary,
             "rows": len(self.rows),
-            **row_conflicts(self.rows, self.load_range),
             "rows_per_output": dict(zip(names, measured, strict=True)),
             "unmeasured": [name for name, count in zip(names, measured, strict=True) if not count],
         }
@@ -313,6 +312,7 @@ def build(
     if (np.diff(rows.seq) < 0).any():  # so that the order they come in changes nothing
         rows = rows.take(np.argsort(rows.seq, kind="stable"))
     known = {group.outputs: group for group in before.groups} if before is not None else {}
+    of_part, rig_error = without_effects(rows, load_range)
     options: dict[str, Any] = {"tolerance": tolerance, "linear": linear, "off_axis": off_axis}
     groups = [
         Group(
@@ -323,8 +323,9 @@ def build(
             locked=locked,
             **options,
         )
-        for outputs, part in _by_output(rows)
+        for outputs, part in _by_output(of_part)
     ]
+    rig_error = np.maximum(rig_error, _between_sources(of_part, load_range, groups))
     return Table(
         rows,
         load_range,
@@ -335,7 +336,29 @@ def build(
         tuple(locked),
         solver_error,
         bars_are_complete(rows, solver_error),
+        rig_error,
     )
+
+
+def _between_sources(rows: Rows, load_range: LoadRange, groups: Sequence[Group]) -> Floats:
+    """Return how far answers are from measured or solved rows by a factor or an offset, (m,).
+
+    m and rad, over the range of each output; of outputs that the kriging answers. Answers of a
+    table whose rows contradict each other are those of neither.
+    """
+    solved, largest = rows.source == SOLVED, np.zeros(rows.displacement.shape[1])
+    for group in groups if solved.any() and not solved.all() else ():
+        if group.kriging is None or not group.by_kriging:
+            continue
+        for of_source in (solved, ~solved):
+            at = np.flatnonzero(of_source & load_range.holds(rows.wrench))
+            some = rows.take(at[:: max(len(at) // MAX_COMPARED, 1)])
+            answers = group.kriging.answer_many(some.wrench)[0]
+            factor, offset = differences(some.displacement, answers, np.zeros_like(answers))
+            error = np.abs(offset) + np.abs(factor) * group.ranges
+            outputs = list(group.outputs)
+            largest[outputs] = np.maximum(largest, error)[outputs]
+    return largest
 
 
 def _by_output(rows: Rows) -> list[tuple[tuple[int, ...], Rows]]:

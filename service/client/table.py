@@ -368,9 +368,9 @@ class Table:
         Returns
         -------
         dict
-            ``mesh``, of a linear component ``linearity`` and of measured rows with hysteresis or
-            drift ``measurement``: shape (m,), m and rad, None where it is not known. The rest of a
-            bar is the table's. Empty where there is no such part.
+            ``mesh``, of a linear component ``linearity`` and of measured rows with hysteresis,
+            drift or sessions ``measurement``: shape (m,), m and rad, None where it is not known.
+            The rest of a bar is the table's. Empty where there is no such part.
         """
         packed = self.packed
         error = packed.meta["solver_error"] or {}

@@ -698,6 +698,7 @@ def _noted(
         seq=_numbers(records)[wanted],
         fingerprint=texts("fingerprint"),
         source=texts("source"),
+        session=(created := texts("created")),
         **more,
     )
-    return NotedRows(rows, texts("origin"), texts("created"))
+    return NotedRows(rows, texts("origin"), created)

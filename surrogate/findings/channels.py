@@ -9,9 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..table.polynomial import terms_of
 from ..table.rows import ROUNDING, ZERO_LOAD, Floats, LoadRange, Rows
 from ..table.space import LOADS, OUTPUTS
-from .response import CONFIDENT, NORMAL, RANK, REMARKABLE, Cause, RigFinding, fitted, terms_of
+from .response import CONFIDENT, NORMAL, RANK, REMARKABLE, Cause, RigFinding, fitted
 
 MIN_ROWS = 12  # rows: with fewer the others do not show what one of them should be
 MIN_EQUAL = 3  # rows of one value: two are equal by the digits that are written

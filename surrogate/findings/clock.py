@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 
+from ..table.polynomial import terms_of
 from ..table.rows import Floats
-from .response import RigFinding, terms_of
+from .response import RigFinding
 
 MIN_DISPLACEMENTS = 60  # displacements: with fewer a lag shows by chance
 MAX_DISPLACEMENTS = 2_000  # displacements that are fitted, some 5 ms a fit

@@ -1,17 +1,17 @@
-"""What rows show of the errors of their measurement: findings of an import, and `rig_error`.
+"""What rows show of the errors of their measurement: findings of an import, and `without_effects`.
 
-Hysteresis, drift and observations in two branches are hidden by their mean. More rows do not lower
-them, and a mean of both branches lies on neither. So error bars have a separate part for them,
-and coverage does not depend on it, as for the discretisation error.
+Hysteresis, drift and sessions are hidden by their mean: more rows do not lower them, and a mean of
+both branches lies on neither. So they are taken out of the rows, error bars have a separate part
+for them, and coverage does not depend on it, as for the discretisation error.
 """
 
 from __future__ import annotations
 
-import math
+from dataclasses import replace
 
 import numpy as np
 
-from ..table.merging import repeated
+from ..kriging.effects import effects_of
 from ..table.rows import Floats, LoadRange, Rows
 from .channels import channel_findings
 from .contract import (
@@ -26,12 +26,10 @@ from .contract import (
 )
 from .origin import slopes_at_zero
 from .response import RigFinding, response_of, single_row_findings, wrong_rows
-from .sequence import MIN_ROWS as MIN_ROWS_IN_ORDER
-from .sequence import sequence_errors, sequence_findings
+from .sequence import effect_findings
 
 MIN_ROWS = 7  # rows: six loads and a constant
 MAX_ROWS = 5_000  # rows that are looked at, some 0.5 s: every k-th of more
-NORMAL = 3.0  # kurtosis of noise; that of two branches is 1, and 1.8 where their distance varies
 
 
 def find(
@@ -74,7 +72,8 @@ def find(
     levers = [one for one in skew if one.cause == "lever"]
     contract = units or turned_findings(fit, known) or levers or sign_findings(fit) or skew
     findings += [*contract, *clearance_findings(slopes, response)]
-    return [*findings, *sequence_findings(good, response)]
+    effects = effects_of(rows, load_range, np.flatnonzero(~wrong.any(axis=1)))
+    return [*findings, *effect_findings(effects, good.displacement)]
 
 
 def sampled(rows: Rows) -> Rows:
@@ -82,35 +81,34 @@ def sampled(rows: Rows) -> Rows:
     return rows.take(np.arange(0, len(rows), -(-len(rows) // MAX_ROWS)))
 
 
-def rig_error(rows: Rows, load_range: LoadRange) -> Floats:
-    """Return how far from an answer the part may be besides, (6,), m and rad.
-
-    A loop of hysteresis and a drift, as the order of the rows shows them, or the distance of two
-    branches of observations at one wrench. All of each: along a motion answers follow the branch
-    that was measured there, and the part may be on the other one.
+def without_effects(rows: Rows, load_range: LoadRange) -> tuple[Rows, Floats]:
+    """Return rows without hysteresis, drift and sessions, and how far the part may be from them.
 
     Parameters
     ----------
     rows : Rows
-        Of one version of a table, in ascending order of `seq`; solved ones show nothing.
+        Of one version of a table, in ascending order of `seq`; solved ones stay as they are.
+
+    Returns
+    -------
+    rows : Rows
+    rig_error : ndarray, shape (6,), m and rad
+        From the middle of both branches, of the time and of the sessions to the farthest of each.
     """
-    none = np.zeros(rows.displacement.shape[1])
-    if not rows.space.is_default:  # the order of rows is looked at for one interface alone
-        return none
     measured = (rows.source != "fea") & ~np.isfinite(rows.compliance).all(axis=(1, 2))
-    some = rows.take(measured & load_range.holds(rows.wrench))
-    if len(some) < MIN_ROWS_IN_ORDER:
-        return none
-    some = sampled(some)
-    response = response_of(some, load_range)
-    wrong, good = wrong_rows(some, load_range, response).any(axis=1), some
-    if wrong.any():
-        good = some.take(~wrong)
-        if len(good) < MIN_ROWS_IN_ORDER:
-            return none
-        response = response_of(good, load_range)
-    errors = sequence_errors(good, response, probable=True)
-    return np.maximum(np.abs(errors.drift) + errors.loop, 2 * branches(good, load_range))
+    indices = np.flatnonzero(measured & load_range.holds(rows.wrench))
+    some = rows.take(indices)
+    if len(some) < MIN_ROWS:
+        return rows, np.zeros(rows.displacement.shape[1])
+    places = np.arange(0, len(some), -(-len(some) // MAX_ROWS))
+    shown = some.take(places)
+    wrong = wrong_rows(shown, load_range, response_of(shown, load_range)).any(axis=1)
+    effects = effects_of(some, load_range, places[~wrong])
+    if not effects.bar.any():
+        return rows, effects.bar
+    displacement = rows.displacement.copy()
+    displacement[indices] -= effects.of_rows
+    return replace(rows, displacement=displacement), effects.bar
 
 
 def error_of_a_reading(error: Floats, interpolation: Floats, noise: Floats) -> Floats:
@@ -122,26 +120,3 @@ def error_of_a_reading(error: Floats, interpolation: Floats, noise: Floats) -> F
         The answer's error, its part by interpolation, and the 95 % noise of one observation.
     """
     return error - interpolation + np.hypot(interpolation, noise)
-
-
-def branches(rows: Rows, load_range: LoadRange) -> Floats:
-    """Return the deviation of observations at one wrench where it is no noise, (6,), m and rad.
-
-    Noise is normal: its kurtosis is 3, and shows to sqrt(24 / n) in n values besides the first of
-    each wrench. Observations in two branches are all as far from their mean.
-    """
-    outputs = rows.displacement.shape[1]
-    groups, half_widths = repeated(rows, load_range), np.zeros(outputs)
-    for output in range(outputs):
-        moved = rows.displacement[:, output]
-        measured = np.isfinite(moved)
-        groups_of_values = [moved[indices][measured[indices]] for indices in groups]
-        several = [values for values in groups_of_values if len(values) > 1]
-        deviations = np.concatenate([np.empty(0), *(values - values.mean() for values in several)])
-        square = float((deviations**2).mean()) if several else 0.0
-        if square <= 0:
-            continue
-        kurtosis = float((deviations**4).mean()) / square**2
-        if kurtosis + 2 * math.sqrt(24 / (len(deviations) - len(several))) < NORMAL:
-            half_widths[output] = math.sqrt(square)
-    return half_widths

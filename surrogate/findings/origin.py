@@ -20,9 +20,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..kriging.correlation import Hyperparameters, covariance
+from ..kriging.effects import directions
 from ..table.rows import ZERO_LOAD, Floats, LoadRange, Rows
 from .response import RobustFit
-from .sequence import directions
 
 SAMPLE = 300  # rows: slopes are known to a tenth of the noise of a reading, in half a second
 # Kernels: lengths in half ranges are exp(-theta / 2), weights those of the term of all loads.

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
-from itertools import combinations
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from ..table.rows import ZERO_LOAD, Floats, LoadRange, Rows
+from ..table.polynomial import terms_of
+from ..table.rows import Floats, LoadRange, Rows
 from ..table.space import OUTPUTS
 
 CONFIDENT = 8.0  # deviations of an estimate: a cause is said where its interval leaves none out
@@ -25,7 +25,6 @@ REMARKABLE = 0.01  # of an output's range: what is smaller is within a usual tol
 ROUNDS = 30  # of reweighting: the weights are settled after 10 to 20
 BIWEIGHT = 4.685  # deviations: 95 % efficient for normal errors (Holland and Welsch 1977)
 NORMAL = 1.4826  # deviation over median absolute deviation, of normal errors
-ROWS_A_TERM = 5  # rows that a term of the polynomial needs at least
 EXACT = 1e-4  # of an output's range: residuals below it are no error worth a remark
 RANK = 1e-9  # of the largest: directions that the rows do not separate, and their ridge
 
@@ -54,6 +53,8 @@ Cause = Literal[
     "drift",
     "hysteresis",
     "clock",
+    "session",
+    "zero",
 ]
 MAX_LISTED_ROWS = 500  # of a finding: a page's list; `count` has their number
 
@@ -112,28 +113,11 @@ class RobustFit(NamedTuple):
     terms: Floats
 
 
-def terms_of(scaled: Floats) -> Floats:
-    """Return the polynomial's terms (n, t) at scaled loads (n, 6), as many as the rows allow."""
-    used = np.flatnonzero(np.abs(scaled).max(axis=0, initial=0.0) > ZERO_LOAD)
-    loads, count = scaled[:, used], len(scaled)
-    parts = [np.ones((count, 1)), loads]
-    for more in (
-        loads**2,
-        loads**3,
-        np.stack([loads[:, i] * loads[:, j] for i, j in combinations(range(len(used)), 2)], axis=1)
-        if len(used) > 1
-        else np.empty((count, 0)),
-    ):
-        if ROWS_A_TERM * (sum(part.shape[1] for part in parts) + more.shape[1]) <= count:
-            parts.append(more)
-    return np.concatenate(parts, axis=1)
-
-
 def response_of(rows: Rows, load_range: LoadRange) -> RobustFit:
     """Return the robust response of rows with at least two wrenches."""
     terms = terms_of(rows.wrench / load_range.scale)
     moved = rows.displacement
-    expected = np.stack([fitted(terms, moved[:, output]) for output in range(6)], axis=1)
+    expected = np.stack([fitted(terms, column) for column in moved.T], axis=1)
     residual = moved - expected
     known = [column[np.isfinite(column)] for column in expected.T]
     ends = np.array(
@@ -186,7 +170,7 @@ def _deviation(values: Floats) -> float:
 def wrong_rows(rows: Rows, load_range: LoadRange, response: RobustFit) -> NDArray[np.bool_]:
     """Return which rows have an observation far from those around them, per output, (n, 6)."""
     if len(rows) < MIN_ROWS:
-        return np.zeros((len(rows), 6), dtype=bool)
+        return np.zeros(rows.displacement.shape, dtype=bool)
     local = local_residual(rows.wrench / load_range.scale, response.residual)
     size = np.abs(np.where(np.isfinite(local), local, 0.0))
     usual = np.percentile(size, [50, 90], axis=0) * [[NORMAL * DEVIATIONS], [TAIL]]

@@ -274,7 +274,8 @@ def calibrated(
     if neighbours.factor.output_group.noise.any():
         # Noise hides the errors of left-out rows: bars hold the posterior, and what it leaves open.
         freedom = max(float(len(subset)) - coefficients, 1.0)
-        least = widenings * settings.half_width * widening(freedom, equations.data.shape[2])
+        least = widenings * settings.posterior_width
+        least *= widening(freedom, equations.data.shape[2])
         # Left-out rows lie a row's distance from the others, wrenches between: sigma is that of the
         # posterior, which holds as far as that.
         far = found.max_sigma / settings.comparable

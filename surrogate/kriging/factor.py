@@ -510,9 +510,9 @@ class Neighbourhoods:
         """
         terms = np.concatenate((np.ones((len(x), 1)), x), axis=1)
         squared = np.empty(len(x))
-        nearest = self.number[self.nearest(x)] if len(self.local_factors) > 1 else np.zeros(len(x))
-        for anchor in np.unique(nearest).astype(np.intp):
-            queries, local = np.flatnonzero(nearest == anchor), self.local_factors[anchor]
+        number = np.zeros(len(x), dtype=np.intp) if self.whole else self.number[self.nearest(x)]
+        for anchor in np.unique(number).tolist():
+            queries, local = np.flatnonzero(number == anchor), self.local_factors[anchor]
             squared[queries] = local.squared_deviation(
                 across[np.ix_(queries, local.columns)], terms[queries], self.factor.mean_covariance
             )

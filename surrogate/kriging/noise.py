@@ -234,7 +234,8 @@ def posterior(rows: NoisyRows, one: Spectrum, settings: KrigingSettings) -> Post
     """Return the posterior of the ratios of the settings, the process variance integrated out."""
     ratios = np.exp(np.arange(*settings.ratio_bounds, settings.ratio_step))[:, None]
     inverse = 1 / (one.values + ratios * one.noisy)
-    freedom = max(len(one.values) + rows.repeats, 1)  # 0: the rows determine the mean alone
+    # 0 where the rows determine the mean alone.
+    freedom = np.maximum(len(one.values) + rows.repeats, 1.0)
     variance = np.maximum((inverse @ one.data**2 + rows.scatter / ratios) / freedom, TINY)
     values = 0.5 * (freedom * np.log(variance) + rows.repeats * np.log(ratios)) + one.logarithm
     values -= 0.5 * np.log(inverse).sum(axis=1)[:, None]

@@ -121,6 +121,9 @@ class KrigingSettings:
     error_floor: float = 1e-11
     # Half width of 95 % over the deviation of a normal distribution.
     half_width: float = 1.96
+    # The same of the posterior of noisy rows, whose covariance is of one kind: with 1.96 the worst
+    # output of 7 in 19 tables had 10 to 11 % outside, and bars were 3.6 times the errors.
+    posterior_width: float = 2.1
 
 
 DEFAULTS = KrigingSettings()

@@ -88,7 +88,7 @@ BLOCKS = {
         Array("small", "f8", "n", "up to which a load counts as none"),
         Array("locked", "i4", "n", "which loads act on locked freedoms"),
         Array("tolerance", "f8", "m", "of the total error, NaN without"),
-        Array("rig_error", "f8", "m", "hysteresis and drift of the measured rows", True),
+        Array("rig_error", "f8", "m", "hysteresis, drift and sessions of the measured rows", True),
         Array("limit", "f8", "m", "the largest displacement that tables hold"),
         Array("vector_first", "i4", "v", "first of three outputs whose length is limited"),
         Array("vector_limit", "f8", "v", "the largest such length"),

@@ -167,6 +167,8 @@ def _write_meta(file: h5py.File, meta: TableMeta) -> None:
 def _write_rows(file: h5py.File, rows: Rows) -> None:
     group = file.create_group("rows")
     _write_column(group, "seq", rows.seq)
+    if rows.session.any():  # files of other programs and of older versions have none
+        _write_column(group, "session", rows.session)
     for name, units in _UNITS.items():
         column = getattr(rows, name)
         if name != "curvature" or column.size:  # as in files of versions without it
@@ -257,7 +259,10 @@ def _strings(file: h5py.File, name: str, some: slice = _ALL) -> np.ndarray:
 
 def _read_rows(file: h5py.File, some: slice = _ALL) -> Rows:
     strings = {name: _strings(file, f"rows/{name}", some) for name in ("source", "fingerprint")}
-    names = [name for name in _UNITS if name != "curvature" or "rows/curvature" in file]
+    optional = {"curvature", "session"}
+    names = [
+        name for name in (*_UNITS, "session") if name not in optional or f"rows/{name}" in file
+    ]
     numbers = {name: _numbers(file, f"rows/{name}", some) for name in ("seq", *names)}
     numbers.setdefault("curvature", np.empty((len(numbers["seq"]), 0)))
     for name in ("uncertainty", "compliance"):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -174,6 +174,8 @@ class Rows:
         95 % half width of the row itself; NaN or 0 where unknown.
     source, fingerprint : ndarray of str, shape (n,)
     space : Space
+    session : ndarray, shape (n,)
+        When the rows came, s since the epoch: those of one import have the same; 0 where unknown.
 
     Raises
     ------
@@ -191,8 +193,11 @@ class Rows:
     source: NDArray[np.str_]
     fingerprint: NDArray[np.str_]
     space: Space = DEFAULT
+    session: Floats = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
+        if not self.session.size:
+            object.__setattr__(self, "session", np.zeros(len(self.seq)))
         n, inputs, outputs = len(self.seq), len(self.space.inputs), len(self.space.outputs)
         absent = np.isnan(self.curvature)
         if absent.all():
@@ -205,6 +210,7 @@ class Rows:
             "uncertainty": (n, outputs),
             "source": (n,),
             "fingerprint": (n,),
+            "session": (n,),
         }
         for name, shape in shapes.items():
             if np.shape(getattr(self, name)) != shape:
@@ -280,6 +286,7 @@ class Rows:
             "uncertainty": (unknown_column(n, outputs), float),
             "source": (np.full(n, "", dtype=object), str),
             "fingerprint": (np.full(n, "", dtype=object), str),
+            "session": (np.zeros(n), float),
         }
         filled = {
             name: np.array(columns[name]).astype(kind, copy=False) if name in columns else blank
@@ -306,6 +313,7 @@ _COLUMNS = (
     "uncertainty",
     "source",
     "fingerprint",
+    "session",
 )
 
 

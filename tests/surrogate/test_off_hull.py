@@ -64,5 +64,5 @@ def test_the_derivative_by_a_load_that_no_row_tells_is_unknown() -> None:
     loads = np.linspace(-1, 1, 9)[:, None] * np.array([0, 0, 1000.0, 0, 0, 0])
     table = packed_of(build(Rows.of(loads, 1e-6 * loads), RANGE))
     found = table.derivative([0, 0, 150.0, 0, 0, 0])
-    assert found[2, 2] == pytest.approx(1e-6)
+    assert found[2, 2] == pytest.approx(1e-6, rel=1e-5)  # the kriging's, of its nugget
     assert np.isnan(found[2, [3, 4]]).all()

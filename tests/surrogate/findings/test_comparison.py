@@ -1,10 +1,17 @@
 """Rows that differ from a table by a factor or an offset are named, others are not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tests.surrogate.findings.rigs import Rig
+from tests.surrogate.kriging.responses import RESPONSES, solved
+from tests.surrogate.responses import HIGH, RANGE
+from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.findings.comparison import comparison_findings
+from wrenchbook.surrogate.packed.writer import packed_of
+from wrenchbook.surrogate.table.rows import Rows
 
 NOISE = 0.003  # of each output's range
 
@@ -46,3 +53,20 @@ def test_outputs_that_the_table_does_not_know_are_not_compared():
     rig = Rig(4, ("random",))
     unknown = np.full_like(rig.displacement, np.nan)
     assert comparison_findings(2 * rig.displacement, rig.displacement, unknown, solves=False) == []
+
+
+@pytest.mark.parametrize("softer", [1.1, 1.0])
+def test_bars_of_solves_and_of_a_softer_rig_at_some_of_their_wrenches_hold_both(softer):
+    rng, response = np.random.default_rng(1), RESPONSES["smooth"]
+    x, asked = (rng.uniform(-0.6, 0.6, (count, 6)) for count in (25, 100))
+    measured = x[:8]
+    moved = softer * response(measured) * (1 + 1e-3 * rng.normal(size=(8, 6)))
+    solves = replace(solved(response, x), source=np.full(len(x), "fea"))
+    rig = Rows.of(measured * HIGH, moved, seq=np.arange(100, 108), source=["rig"] * 8)
+    table = build(solves + rig, RANGE)
+    found = packed_of(table).batch(asked * HIGH)
+    known = np.isfinite(found.errors)
+    for factor in (1.0, softer):
+        off = np.abs(found.outputs - factor * response(asked))
+        assert (off > found.errors)[known].mean() < 0.05
+    assert table.rig_error.any() == (softer > 1)

@@ -1,0 +1,239 @@
+"""Hysteresis, drift, sessions and zero offset of measured rows: effects of known covariates.
+
+Readings are y = f(w) + Z b + e: f a Gaussian process with a linear mean, f(0) = 0, e noise, and Z
+known of each row: 1 (the zero offset), which session it is of, the time within it, and the sign of
+the output's motion since the row before. With the covariance K = U L U' of f, D = 1 / (L + v) and
+B = U' (F, Z), F the mean's terms,
+
+    b = (B' D B + s^2 / P)^-1 B' D U' y,    covariance s^2 (B' D B + s^2 / P)^-1
+
+for every noise v at once, P the prior variance. Both are averaged over noises and kernels, smooth
+and rough ones, by their restricted likelihood (Patterson and Thompson 1971): what a response may do
+is not taken for an effect. An effect counts where its posterior interval leaves zero out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from ..table.polynomial import terms_of
+from ..table.rows import ZERO_LOAD, Floats, LoadRange, Rows
+from ..table.space import Space
+from .correlation import matern
+from .settings import DEFAULTS
+
+Indices = NDArray[np.intp]
+
+SAMPLE = 300  # rows show effects to an eighth of the noise of a reading, in a third of a second
+SESSIONS = 8  # with effects of their own, those of the most rows; all others count as one
+STEP = 0.05  # of the largest usual step of an output: smaller steps have no direction
+ROUNDS = 3  # of directions and response in turn
+# Probability that an effect of nothing counts: of six outputs and some four effects each, one file
+# in a hundred has one.
+CHANCE = 3e-4
+# Of an output's range: what a response may do that no kernel tells. It counts as far as a
+# polynomial of the loads can do what the effect does: slow loads are a function of time.
+MISFIT = 3e-4
+PRIOR = 0.3  # deviation of effects, spreads of the output: a tenth of its range
+# Half ranges: a response may have a kink at no load, and only readings there tell an offset.
+NO_LOAD = 0.01
+RANK = 1e-9  # of the largest: columns that are no other direction
+TINY = 1e-24  # spreads squared: rounding of equal values
+RATIOS = np.exp(np.arange(-20.0, 4.6, 0.75))  # noises, process variances: from none to all
+THETAS = (1.4, 0.0, -1.4, -2.8)  # logarithms of one over the squared length: 0.5 to 4 half ranges
+# Weights of the term of all loads and of a response with kinks (Matern 3/2 of each load), over
+# that of an axis.
+PARTS = ((0.05, 0.0), (5.0, 0.0), (0.3, 0.1), (0.3, 2.0))
+
+
+class Effects(NamedTuple):
+    """Effects in the rows of a table, m and rad; 0 where the interval of one holds zero.
+
+    Attributes
+    ----------
+    zero : ndarray, shape (m,)
+        Displacement at no load, at the beginning of sessions.
+    loop : ndarray, shape (m,)
+        From unloading to loading.
+    drift, session : ndarray, shape (s, m)
+        Of each session from its first row to its last, and off the mean of the sessions.
+    bar : ndarray, shape (m,)
+        How far the part may be from rows without these effects, which are in the middle of the
+        loop, of the time and of the sessions.
+    of_rows : ndarray, shape (n, m)
+        Sum of the effects in each row.
+    """
+
+    zero: Floats
+    loop: Floats
+    drift: Floats
+    session: Floats
+    bar: Floats
+    of_rows: Floats
+
+
+def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
+    """Return the effects in measured rows (n), in the order of their measurement.
+
+    `good`, shape (k,), are the rows that show them: those within the range that are not wrong.
+    """
+    outputs, session = rows.displacement.shape[1], sessions_of(rows)
+    count = int(session.max(initial=0)) + 1
+    places = [np.flatnonzero(session == number) for number in range(count)]
+    signs, middle = np.zeros((len(rows), outputs)), np.zeros((len(rows), 2 * count))
+    for number, at in enumerate(places):
+        middle[at, number] = np.linspace(-0.5, 0.5, len(at))
+        middle[at, count + number] = count > 1
+    middle[:, count:] -= middle[:, count:].mean(axis=1, keepdims=True)
+    if len(good) > SAMPLE:
+        good = np.sort(np.random.default_rng(0).choice(good, SAMPLE, replace=False))
+    terms, moved = terms_of(rows.wrench / load_range.scale), rows.displacement
+    mean, deviation, half_width = np.zeros((3, 2 + 2 * count, outputs))
+    measured = np.isfinite(moved[good]).T
+    for known in np.unique(measured, axis=0):
+        these, some = np.flatnonzero((measured == known).all(axis=1)), good[known]
+        if not len(some):
+            continue
+        for output in these:
+            # The loop itself bends the response that tells the directions: settled after a round.
+            for _ in range(ROUNDS):
+                beside = np.column_stack((terms, signs[:, output]))
+                fit = np.linalg.lstsq(beside[some], moved[some, output], rcond=RANK)[0]
+                for at in places:
+                    signs[at, output] = directions(terms[at] @ fit[:-1])
+        part = _estimated(rows.take(some), load_range, these, signs[some], middle[some])
+        mean[:, these], deviation[:, these], half_width[:, these] = part
+    size = np.where(np.abs(mean) > half_width, mean, 0.0)
+    offset = size[2 + count :]
+    if offset.any():  # if they differ in one output they are not the same in any
+        offset[:] = mean[2 + count :]
+    most = (np.abs(size) + DEFAULTS.half_width * deviation) * (size != 0)
+    zero, loop, drift, _ = np.split(size, [1, 2, 2 + count])
+    bar = most[1] + 0.5 * most[2 : 2 + count].max(axis=0) + most[2 + count :].max(axis=0)
+    # Where sessions differ, what they have in common is no displacement of the part either.
+    common = np.abs(mean[0]) + DEFAULTS.half_width * deviation[0]
+    bar += np.where(offset.any(axis=0), common, 0.0)
+    return Effects(zero[0], 2 * loop[0], drift, offset, bar, signs * loop + middle @ size[2:])
+
+
+def sessions_of(rows: Rows) -> Indices:
+    """Return the session of each row, (n,): one of an import and source each, of several rows."""
+    session = np.unique(rows.session, return_inverse=True)[1]
+    if len(rows) and (rows.source != rows.source[0]).any():
+        source = np.unique(rows.source, return_inverse=True)[1]
+        session = session * (source.max() + 1) + source
+    _, index, counts = np.unique(session, return_inverse=True, return_counts=True)
+    own = np.argsort(-counts, kind="stable")[:SESSIONS]
+    number = np.full(len(counts), -1)
+    number[own[counts[own] > 1]] = own[counts[own] > 1]
+    return np.unique(number[index], return_inverse=True)[1]
+
+
+def directions(expected: Floats) -> Floats:
+    """Return the sign of an output's change from the row before, (n,); 0 where it rests."""
+    if not len(expected):
+        return expected
+    steps = np.diff(expected, prepend=expected[0])
+    usual = np.percentile(np.abs(steps), 90)
+    return np.where(np.abs(steps) > STEP * usual, np.sign(steps), 0.0)
+
+
+def _estimated(
+    rows: Rows, load_range: LoadRange, outputs: Indices, signs: Floats, columns: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Return the mean of effects, its deviation, and half the width of the interval to count by.
+
+    Shape (2 + c, k) each, m and rad: the zero offset, those of signs (n, k), and of columns (n, c).
+    """
+    moved = rows.displacement[:, outputs]
+    size, offset = moved.std(axis=0), moved.mean(axis=0)
+    y, n = (moved - offset) / np.where(size > 0, size, 1.0), len(rows)
+    x = (rows.wrench - load_range.space.zero) / load_range.scale
+    linear = x[:, np.ptp(x, axis=0) > ZERO_LOAD]
+    first, terms = linear.shape[1], terms_of(x)[:, 1:]
+    count = first + 2 + columns.shape[1]
+    free = n - count
+    if free < 1:
+        none = np.zeros((count - first, len(outputs)))
+        return none, none, none
+    prior = np.zeros(count)
+    prior[first + 1 :] = PRIOR**-2
+    contrasts = np.eye(count)[first:]
+    sessions = columns.shape[1] // 2
+    contrasts[-sessions:, -sessions:] -= 1 / sessions  # off their mean
+    contrasts[0, -2 * sessions : -sessions] = -0.5 / sessions  # at the beginning
+    shape = len(THETAS) * len(PARTS), len(RATIOS), len(outputs)
+    values, means, squares = np.empty(shape), *np.empty((2, *shape, count - first))
+    bases, parts = [], []
+    for output in range(len(outputs)):
+        b = np.column_stack((linear, np.ones(n), signs[:, output], columns))
+        # Directions of the columns, and what data are along them: normal equations then keep
+        # their digits.
+        left, sizes, right = np.linalg.svd(b, full_matrices=False)
+        few = sizes > RANK * sizes[0]
+        bases.append(left[:, few])
+        parts.append(right[few].T / sizes[few])
+    for number, matrix in enumerate(_covariances(x, rows.space)):
+        roots, vectors = np.linalg.eigh(matrix)
+        inverse = 1 / (np.maximum(roots, 0.0) + RATIOS[:, None])
+        for output in range(len(outputs)):
+            basis, back = bases[output], contrasts @ parts[output]
+            along = basis.T @ y[:, output]
+            b, data = vectors.T @ basis, vectors.T @ (y[:, output] - basis @ along)
+            products = b[:, :, None] * b[:, None]
+            normal = (inverse @ products.reshape(n, -1)).reshape(len(RATIOS), *[b.shape[1]] * 2)
+            pull = parts[output].T * prior @ parts[output]
+            right, square = inverse @ (b * data[:, None]), inverse @ data**2
+            # The prior counts relative to the process variance, which follows from it.
+            variance, posterior, covariances, estimate = np.ones(len(RATIOS)), *(normal,) * 2, right
+            for _ in range(2):
+                posterior = normal + variance[:, None, None] * pull
+                covariances = np.linalg.inv(posterior)
+                by = right - variance[:, None] * (pull @ along)
+                estimate = np.einsum("rab,rb->ra", covariances, by)
+                rest = square - (estimate * by).sum(axis=1) + variance * (along @ pull @ along)
+                variance = np.maximum(rest, TINY) / free
+            logarithms = np.linalg.slogdet(posterior)[1] - np.log(inverse).sum(axis=1)
+            values[number, :, output] = 0.5 * (free * np.log(variance) + logarithms)
+            found = (along + estimate) @ back.T
+            means[number, :, output] = found
+            spread = np.einsum("ea,rab,eb->re", back, covariances, back)
+            squares[number, :, output] = found**2 + variance[:, None] * spread
+    weights = np.exp(values.min(axis=(0, 1)) - values)
+    weights /= weights.sum(axis=(0, 1))
+    mean = np.einsum("kro,kroe->eo", weights, means)
+    square = np.einsum("kro,kroe->eo", weights, squares)
+    deviation = size * np.sqrt(np.maximum(square - mean**2, 0.0))
+    mean *= size
+    mean[0] += offset
+    for output in range(len(outputs)):
+        b = np.column_stack((terms, np.ones(n), signs[:, output], columns))
+        off_mean = np.eye(b.shape[1])[terms.shape[1] :]
+        off_mean[:, first - count :] = contrasts[:, first:]
+        worst = np.sqrt(n) * np.linalg.norm(off_mean @ np.linalg.pinv(b, rcond=RANK), axis=1)
+        deviation[:, output] = np.hypot(
+            deviation[:, output], MISFIT * np.ptp(moved[:, output]) * worst
+        )
+    half_width = float(student.isf(CHANCE / 2, free)) * deviation
+    if np.abs(x).max(axis=1).min() > NO_LOAD:
+        half_width[0] = np.inf
+    return mean, deviation, half_width
+
+
+def _covariances(x: Floats, space: Space) -> Iterator[Floats]:
+    """Yield the covariance (n, n) of responses at loads (n, 6) that are zero at no load."""
+    points = np.concatenate((x, np.zeros((1, x.shape[1]))))
+    apart = np.abs(points[:, None] - points)
+    squares = [apart**2 @ group for group in space.kriging_groups]
+    kinks = matern(apart**2, 0, 1)[0].sum(axis=2)
+    for theta in THETAS:
+        *axes, whole = (matern(np.exp(theta) * square, 0)[0] for square in squares)
+        for weight, rough in PARTS:
+            matrix = sum(axes) + weight * whole + rough * kinks
+            across = matrix[:-1, -1]
+            yield (matrix[:-1, :-1] - np.outer(across, across) / matrix[-1, -1]) / matrix[-1, -1]

@@ -1,0 +1,27 @@
+"""Polynomials of the loads of rows."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+
+from .rows import ZERO_LOAD, Floats
+
+ROWS_A_TERM = 5  # rows that a term of the polynomial needs at least
+
+
+def terms_of(scaled: Floats) -> Floats:
+    """Return the terms (n, t) of a polynomial of third degree in each load, products of two beside.
+
+    At scaled loads (n, 6), dimensionless; as many terms as the rows allow.
+    """
+    used = np.flatnonzero(np.abs(scaled).max(axis=0, initial=0.0) > ZERO_LOAD)
+    loads, count = scaled[:, used], len(scaled)
+    parts = [np.ones((count, 1)), loads]
+    pairs = [loads[:, i] * loads[:, j] for i, j in combinations(range(len(used)), 2)]
+    products = np.stack(pairs, axis=1) if pairs else np.empty((count, 0))
+    for more in (loads**2, loads**3, products):
+        if ROWS_A_TERM * (sum(part.shape[1] for part in parts) + more.shape[1]) <= count:
+            parts.append(more)
+    return np.concatenate(parts, axis=1)

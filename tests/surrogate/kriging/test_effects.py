@@ -1,0 +1,118 @@
+"""Hysteresis, drift and sessions are estimated beside the response, and taken out of the rows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.surrogate.findings.rigs import Rig
+from wrenchbook.surrogate.findings.find import without_effects
+from wrenchbook.surrogate.kriging.effects import Effects, effects_of, sessions_of
+from wrenchbook.surrogate.table.rows import LoadRange, Rows
+from wrenchbook.surrogate.table.space import space_of
+
+SEEDS = range(31, 35)
+NOISE = 0.003
+
+
+def rig_of(seed: int, kind: str = "motion") -> Rig:
+    rig = Rig(seed, (kind,))
+    rig.noise = NOISE
+    return rig
+
+
+def effects(rows: Rows, load_range: LoadRange) -> Effects:
+    return effects_of(rows, load_range, np.arange(len(rows)))
+
+
+@pytest.mark.parametrize("kind", ["random", "sweeps", "motion"])
+def test_clean_rows_have_none_and_stay_the_same(kind: str) -> None:
+    for seed in SEEDS:
+        rows = rig_of(seed, kind).measured()
+        same, error = without_effects(rows, Rig(seed, (kind,)).range)
+        assert same is rows
+        assert not error.any()
+
+
+def test_a_loop_has_its_size_and_leaves_the_rows() -> None:
+    for seed in SEEDS:
+        rig = rig_of(seed)
+        rows = rig.measured("hysteresis of 8 %")
+        found = effects(rows, rig.range)
+        np.testing.assert_allclose(np.abs(found.loop), 0.08 * rig.size, rtol=0.1)
+        np.testing.assert_allclose(found.bar, 0.04 * rig.size, rtol=0.15)
+        left = without_effects(rows, rig.range)[0].displacement - rig.displacement
+        # Where the motion turns, a direction is not known, and the row keeps its part of the loop.
+        assert (np.median(np.abs(left), axis=0) < NOISE * rig.size).all()
+
+
+def test_a_drift_has_its_size_and_rows_are_those_of_the_middle() -> None:
+    rig = rig_of(5)
+    rows, slope = rig.measured(), 0.04 * rig.size
+    time = np.linspace(0, 1, len(rows))[:, None]
+    drifting = replace(rows, displacement=rows.displacement + slope * time)
+    found = effects(drifting, rig.range)
+    np.testing.assert_allclose(found.drift, [slope], rtol=0.1)
+    left, error = without_effects(drifting, rig.range)
+    off = (left.displacement - rig.displacement).mean(axis=0)
+    np.testing.assert_allclose(off, slope / 2, rtol=0.1)
+    assert (off < error).all()
+
+
+def test_sessions_have_their_offsets_and_bars_hold_what_they_share() -> None:
+    rig = rig_of(6)
+    rows, offsets = rig.measured(), np.array([[0.01], [0.03], [0.02]]) * rig.size
+    session = np.arange(len(rows)) * 3 // len(rows)
+    moved = replace(rows, displacement=rows.displacement + offsets[session], session=1.0 + session)
+    found = effects(moved, rig.range)
+    np.testing.assert_allclose(
+        found.session, offsets - offsets.mean(axis=0), atol=2e-3 * rig.size.max()
+    )
+    left, error = without_effects(moved, rig.range)
+    off = (left.displacement - rig.displacement).mean(axis=0)
+    assert (np.abs(off) < error).all()
+    assert (error < 0.06 * rig.size).all()
+
+
+def test_slow_loads_are_no_drift() -> None:
+    """Loads of one period are functions of the time, and the response of them is one."""
+    for seed in SEEDS:
+        rig = rig_of(seed)
+        phases = rig.rng.uniform(0, 6, (1, 6))
+        rig.wrench = rig.high * np.sin(np.linspace(0, 6, 400)[:, None] + phases)
+        rig.displacement = rig.respond(rig.wrench)
+        found = effects(rig.measured(), rig.range)
+        assert not found.drift.any()
+        assert not found.bar.any()
+
+
+def test_solved_rows_keep_their_displacements() -> None:
+    rig = rig_of(7)
+    measured = rig.measured("hysteresis of 8 %")
+    solved = replace(rig.measured(), source=np.full(len(measured), "fea"))
+    both = replace(measured + solved, seq=np.arange(2 * len(measured)))
+    left = without_effects(both, rig.range)[0].displacement
+    assert (left[: len(measured)] != measured.displacement).any()
+    np.testing.assert_array_equal(left[len(measured) :], solved.displacement)
+
+
+def test_two_interfaces_have_loops_too() -> None:
+    rng = np.random.default_rng(8)
+    span = LoadRange(-np.ones(12), np.ones(12), space_of(("left", "right")))
+    time = np.linspace(0, 40, 500)[:, None]
+    loads = np.sin(time * rng.uniform(0.5, 2, 12) + rng.uniform(0, 6, 12))
+    moved = loads @ rng.normal(size=(12, 12))
+    size = np.ptp(moved, axis=0)
+    moved -= 0.02 * size * np.sign(np.diff(moved, axis=0, prepend=moved[:1]))
+    rows = Rows.of(loads, moved, span.space, source=["rig"] * len(loads))
+    found = effects(rows, span)
+    np.testing.assert_allclose(np.abs(found.loop), 0.04 * size, rtol=0.15)
+
+
+def test_sessions_are_imports_of_several_rows() -> None:
+    rows = Rows.of(np.zeros((6, 6)), np.zeros((6, 6)), session=[5, 5, 7, 7, 7, 9])
+    assert len(set(sessions_of(rows)[:2])) == 1
+    assert len(set(sessions_of(rows))) == 3
+    assert set(sessions_of(rows.take([0, 2, 5]))) == {0}  # each by itself
