@@ -26,7 +26,7 @@ from ..table.rows import NEAR, Floats, LoadRange
 from ..table.spread import spread_wrenches
 from .correlation import block, numbers
 from .equations import Equations, Scaling
-from .factor import Neighbourhoods, left_out
+from .factor import KrigingFactor, Neighbourhoods, left_out
 from .settings import DEFAULTS, KrigingSettings
 
 Labels = NDArray[np.intp]
@@ -281,6 +281,21 @@ def calibrated(
         far = found.max_sigma / settings.comparable
         found = replace(found, factors=np.maximum(found.factors, least), max_sigma=far)
     return found
+
+
+def of_posterior(factor: KrigingFactor, table: Floats, settings: KrigingSettings) -> Calibration:
+    """Return the factors of a kriging through inducing wrenches: the normal ones.
+
+    So many noisy rows tell the deviation itself; left-out ones show little but noise. Errors are
+    known where no more of the prior is left than would be at an inducing wrench without it.
+    `table` (m, m), dimensionless, is the covariance of the inducing wrenches.
+    """
+    x, known = factor.equations.x, factor.equations.known
+    nugget = factor.nugget * np.diag(np.diag(table))
+    without = 1 / np.diag(np.linalg.inv(table + nugget))
+    at = factor.variance_of(*factor.explained_at(x, known), factor.mean_covariance)
+    far = float(np.quantile(np.sqrt(at + without), settings.max_sigma_quantile))
+    return Calibration(np.ones(1), np.full((1, len(factor.variance)), settings.half_width), far)
 
 
 def _level(

@@ -64,7 +64,7 @@ class Effects(NamedTuple):
         Of each session from its first row to its last, and off the mean of the sessions.
     bar : ndarray, shape (m,)
         How far the part may be from rows without these effects, which are in the middle of the
-        loop, of the time and of the sessions.
+        loop, of the time and of the sessions: the far ends of the intervals.
     of_rows : ndarray, shape (n, m)
         Sum of the effects in each row.
     """
@@ -112,7 +112,7 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     offset = size[2 + count :]
     if offset.any():  # if they differ in one output they are not the same in any
         offset[:] = mean[2 + count :]
-    most = (np.abs(size) + DEFAULTS.half_width * deviation) * (size != 0)
+    most = np.where(size != 0, np.abs(size) + half_width, 0.0)
     zero, loop, drift, _ = np.split(size, [1, 2, 2 + count])
     bar = most[1] + 0.5 * most[2 : 2 + count].max(axis=0) + most[2 + count :].max(axis=0)
     # Where sessions differ, what they have in common is no displacement of the part either.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -250,3 +251,22 @@ def equations_of(
         return equations
     # Rows that differ in nothing but loads without effect are equal.
     return equations.take(np.unique(close_groups(equations.x), return_index=True)[1])
+
+
+BLOCK = 20_000  # rows whose equations are made at once: 7 MB of values and slopes that few have
+
+
+def values_of(
+    rows: Rows, scaling: Scaling, readings: Observations, settings: KrigingSettings = DEFAULTS
+) -> Equations:
+    """Return the equations of measured rows, values alone: of p = 1, and however many rows."""
+    parts = []
+    for start in range(0, len(rows), BLOCK):
+        which = np.arange(start, min(start + BLOCK, len(rows)))
+        part = equations_of(rows.take(which), scaling, readings.take(which), settings)
+        parts.append(replace(part, known=part.known[:, :1], data=part.data[:, :1].copy()))
+    names = [field.name for field in fields(Equations) if field.name != "groups"]
+    columns: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in names
+    }
+    return replace(parts[0], **columns)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..table.merging import Observations, merge
 from ..table.rows import NEAR, SMALLEST, Floats, LoadRange, Rows
-from .calibration import Calibration, calibrated, query_points
+from .calibration import Calibration, calibrated, of_posterior, query_points
 from .correlation import Hyperparameters, Mask, block, covariance
 from .equations import (
     Equations,
@@ -20,14 +20,17 @@ from .equations import (
     equations_of,
     indices_within,
     scaling_of,
+    values_of,
     within,
 )
 from .factor import (
     Neighbourhoods,
+    OutputGroup,
     factorise,
     left_out,
     output_groups,
 )
+from .inducing import CANDIDATES, evenly, induced
 from .likelihood import estimated, within_one_factor
 from .settings import DEFAULTS, KrigingSettings
 
@@ -77,6 +80,8 @@ class Kriging:
     together : ndarray, shape (2,), half ranges
         The most that rows load besides one load, and besides one load group (`besides`). Beyond it
         errors are not known either: no row shows what so large loads do together.
+    detail : str
+        Its rows and equations as a text.
     """
 
     settings: KrigingSettings
@@ -93,6 +98,7 @@ class Kriging:
     errors: Floats
     span: Floats
     together: Floats
+    detail: str
 
     @classmethod
     def build(
@@ -123,29 +129,35 @@ class Kriging:
         indices = indices_within(rows, load_range, settings)
         used = rows.take(indices)
         scaling = scaling_of(used, load_range, settings)
-        equations = equations_of(used, scaling, observations.take(indices), settings)
-        equations = within_one_factor(equations, settings)
-        if len(equations) < settings.min_rows:
-            raise TooFewRowsError(
-                f"kriging needs {settings.min_rows} rows at different wrenches; there are "
-                f"{len(equations)}: solve or import more"
-            )
-        if equations.count > settings.dense_equations:
-            raise TooManyRowsError(
-                f"{len(equations)} rows bring {equations.count} equations, more than the "
-                f"{settings.dense_equations} that one factor holds"
-            )
+        counted = observations.take(indices)
+        equations = _usable(used, scaling, counted, settings)
         tangents = used.compliance[np.isfinite(used.compliance).all(axis=(1, 2))]
         tangent = tangents.mean(axis=0) if len(tangents) else np.zeros(used.compliance.shape[1:])
         untold = (np.ptp(equations.x, axis=0) <= NEAR) & (len(tangents) == 0)
         tangent[:, untold] = np.nan
         with one_thread():
             span = span_of(equations, scaling, settings)
+            beyond = settings.beyond_rows ** (-1 / len(equations))  # as of the span
+            together = besides(equations.x, scaling).max(axis=0) * beyond + NEAR
             points = query_points(equations, scaling, span, settings)
-            estimate = estimated(equations, scaling, points, settings)
+            by_values = equations.n_derivatives == 1
+            some = equations.take(evenly(len(equations), CANDIDATES)) if by_values else equations
+            estimate = estimated(some, scaling, points, settings)
+            through = induced(equations, estimate, settings) if by_values else None
+            noise = estimate.noise if through is None else through.noise
             observed = (equations.observations > 0).any(axis=0)
-            observation_variance = np.where(observed, estimate.noise * equations.typical_noise, 0.0)
-            equations = replace(equations, noise=equations.unit_noise * estimate.noise)
+            observation_variance = np.where(observed, noise * equations.typical_noise, 0.0)
+            part = f" of {len(used)}" if by_values and len(equations) < len(used) else ""
+            detail = f"kriging of {len(equations)}{part} rows through "
+            if through is not None:
+                equations = through.equations
+                detail += f"{len(equations)} inducing wrenches"
+            else:
+                if by_values:
+                    equations = equations_of(used, scaling, counted, settings)
+                equations = replace(equations, noise=equations.unit_noise * noise)
+                detail = f"kriging, one factor over {len(equations)} rows "
+                detail += f"({equations.count} equations)"
             x, known = equations.x, equations.known
             weights, n_outputs = np.zeros(equations.data.shape), equations.data.shape[2]
             coefficients = np.empty((1 + x.shape[1], n_outputs))
@@ -157,15 +169,22 @@ class Kriging:
             neighbourhoods: list[Neighbourhoods] = []
             calibrations: list[Calibration] = []
             table, rounding_errors = np.empty((2, 0, 0))
-            kernels = estimate.kernels
-            for group in output_groups(equations, estimate.variance, settings, kernels):
-                outputs, kernel = group.outputs, kernels[group.outputs[0]]
+            groups = output_groups(equations, estimate.variance, settings, estimate.kernels)
+            for item in groups if through is None else through.factors:
+                outputs = (
+                    item.outputs if isinstance(item, OutputGroup) else item.output_group.outputs
+                )
+                kernel = estimate.kernels[outputs[0]]
                 if kernel is not before:
                     table, before = covariance(x, known, x, known, kernel), kernel
                     rounding_errors = ROUNDING_LOSS * np.abs(table[values[known]])
-                factor = factorise(equations, kernel, group, settings, table)
-                if group.noise.any():  # with it the mean's coefficients are integrated out
-                    factor = replace(factor, variance=estimate.variance[outputs])
+                if isinstance(item, OutputGroup):
+                    factor = factorise(equations, kernel, item, settings, table)
+                    if item.noise.any():  # with it the mean's coefficients are integrated out
+                        factor = replace(factor, variance=estimate.variance[outputs])
+                else:
+                    factor = item
+                group = factor.output_group
                 # The weights among the values and derivatives of all rows.
                 all_rows = np.zeros((*known.shape, len(outputs)))
                 all_rows[known & np.isin(np.arange(len(x)), group.rows)[:, None]] = factor.weights
@@ -174,35 +193,24 @@ class Kriging:
                 rounding[outputs] = (rounding_errors @ np.abs(all_rows[known])).max(axis=0)
                 left_out_rows = left_out(factor, np.arange(len(group.rows)))
                 errors[np.ix_(group.rows, outputs)] = left_out_rows.errors
-                neighbours = Neighbourhoods(equations, factor, table, settings)
+                neighbours = Neighbourhoods(
+                    equations, factor, table, settings, whole=through is not None
+                )
                 neighbourhoods.append(neighbours)
+                rest = scaling, points, estimate.widening[outputs], settings
                 calibrations.append(
-                    calibrated(
-                        equations,
-                        neighbours,
-                        table,
-                        scaling,
-                        points,
-                        estimate.widening[outputs],
-                        settings,
-                    )
+                    calibrated(equations, neighbours, table, *rest)
+                    if through is None
+                    else of_posterior(factor, table, settings)
                 )
         parts = equations, tuple(neighbourhoods), tuple(calibrations)
-        beyond = settings.beyond_rows ** (-1 / len(x))  # as of the span
-        together = besides(x, scaling).max(axis=0) * beyond + NEAR
         arrays = weights, coefficients, deviation, rounding, errors, span, together
-        return cls(settings, scaling, observation_variance, tangent, *parts, *arrays)
+        return cls(settings, scaling, observation_variance, tangent, *parts, *arrays, detail)
 
     @property
     def hyperparameters(self) -> Hyperparameters:
         """Those of the first outputs: outputs of measured rows have each their own."""
         return self.neighbourhoods[0].factor.hyperparameters
-
-    @property
-    def detail(self) -> str:
-        """Its rows and equations as a text."""
-        rows, equations = len(self.equations), self.equations.count
-        return f"kriging, one factor over {rows} rows ({equations} equations)"
 
     @property
     def observation_noise(self) -> Floats:
@@ -327,12 +335,43 @@ def one_thread() -> AbstractContextManager[object]:
     return _BLAS.limit(limits=1) if _BLAS else nullcontext()
 
 
+def _usable(
+    used: Rows, scaling: Scaling, counted: Observations, settings: KrigingSettings
+) -> Equations:
+    """Return the equations of rows, values alone where they are measured and many.
+
+    Raises
+    ------
+    TooFewRowsError, TooManyRowsError
+    """
+    if len(used) > settings.many_rows and not np.isfinite(used.compliance).any():
+        chosen = evenly(len(used), settings.most_rows)
+        return values_of(used.take(chosen), scaling, counted.take(chosen), settings)
+    equations = within_one_factor(equations_of(used, scaling, counted, settings), settings)
+    if len(equations) < settings.min_rows:
+        raise TooFewRowsError(
+            f"kriging needs {settings.min_rows} rows at different wrenches; there are "
+            f"{len(equations)}: solve or import more"
+        )
+    if equations.count > settings.dense_equations:
+        raise TooManyRowsError(
+            f"{len(equations)} rows bring {equations.count} equations, more than the "
+            f"{settings.dense_equations} that one factor holds"
+        )
+    return equations
+
+
 def why_too_large(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS) -> str:
-    """Return why no factor holds the values and slopes of rows of distinct wrenches, or ""."""
+    """Return why no factor holds the values and slopes of rows of distinct wrenches, or "".
+
+    Rows without slopes have a kriging however many they are.
+    """
     with_slopes, limit = np.isfinite(rows.compliance).all(axis=(1, 2)), settings.dense_equations
+    if not with_slopes.any():
+        return ""
     count, loads = len(rows), rows.wrench.shape[1]
     equations = count + loads * int(with_slopes.sum())
-    if equations > limit and with_slopes.any():  # loads without effect bring no slopes
+    if equations > limit:  # loads without effect bring no slopes
         inside = within(rows, load_range, settings)
         try:
             loads = int(scaling_of(inside, load_range, settings).active.sum())

@@ -247,10 +247,8 @@ def test_bars_never_vanish_even_where_nothing_is_left_to_learn() -> None:
     assert (np.abs(displacement - ASKED / HIGH * 1e-3) <= bar).all()
 
 
-@pytest.mark.parametrize("measured", [False, True])
-def test_a_table_too_large_for_one_factor_has_no_kriging_and_says_so(measured: bool) -> None:
-    x = spread_wrenches(10, 60, 31) if not measured else spread_wrenches(60, 240, 31)
-    rows = table(COUPLED, x) if measured else solved(COUPLED, x)
+def test_solves_too_many_for_one_factor_have_no_kriging_and_say_so() -> None:
+    rows = solved(COUPLED, spread_wrenches(10, 60, 31))
     with pytest.raises(TooManyRowsError, match="more than the 150 that one factor holds"):
         Kriging.build(rows, RANGE, settings=KrigingSettings(dense_equations=150))
 

@@ -1,0 +1,318 @@
+"""Measured rows beyond one factor: all of them, through inducing wrenches (Titsias 2009).
+
+The response at N rows is taken to be what its values at m of their wrenches Z tell of it. With
+K = k(Z, Z) = L L', W = inv(L) k(Z, X) and the noise v_i of row i over the process variance, rows
+enter by sums over all of them:
+
+    A = W D W',   b = W D y,   G = W D F,   H = F' D F,   D = diag(1 / v_i),   B = I + A
+
+and, with beta the mean's coefficients, of variance P, and q = inv(L) k(Z, w),
+
+    mean(w) = q' inv(B) (b - G beta) + f(w)' beta,   cov(beta) = C = inv(H - G' inv(B) G + 1/P)
+    var(w) = k(w, w) - q' (I - inv(B)) q + r' C r,   r = f(w) - G' inv(B) q.
+
+That is a kriging of m rows at Z whose readings L inv(A) b have the noise S = L inv(A) L', with
+the triangle T of T'T = inv(K + S): to whatever answers, calibrates or packs it is one. As each
+inducing wrench is a row's, S is at most the noise of that row.
+
+With the mean projected away and the eigenvalues of A for v = 1 the likelihood of all rows is known
+for every noise at once. What Z leaves of the response at the rows is noise to it, and stays in
+var(w) besides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from ..table.rows import Floats
+from .correlation import Hyperparameters, covariance, mean_terms
+from .equations import Equations
+from .factor import (
+    ROUNDING,
+    Factor,
+    Indices,
+    KrigingFactor,
+    OutputGroup,
+    inverse_factor,
+    output_groups,
+)
+from .noise import Estimate
+from .settings import KrigingSettings
+
+ROWS = 128  # at once: with 256 inducing wrenches 256 kB of covariances, in a processor's cache
+DECIMALS = 9  # of a prior variance: nearer ones are a tie, and the first row is taken
+TINY = 1e-13  # of the information of a wrench: above rounding
+STEP = 0.1  # of the logarithm of noise: a twentieth of its deviation
+CANDIDATES = 4000  # rows among which inducing wrenches are chosen: four times as many
+# as the most, evenly among the sorted rows
+
+
+def evenly(count: int, most: int) -> Indices:
+    """Return the indices of at most so many of `count` sorted rows, evenly."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.intp))
+
+
+def spread_points(
+    x: Floats, kernels: list[Hyperparameters], shares: Floats, count: int, settings: KrigingSettings
+) -> tuple[Indices, bool]:
+    """Return the rows that leave the least of the prior's variance at the others, and if enough.
+
+    By a Cholesky factor with pivots. They are enough when the variance that is left, mean over the
+    rows, is at most that of the answers' own, which is the noise times wrenches over rows: more
+    would not make an answer better than the noise lets it be.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n, 6), half ranges
+        Candidates.
+    kernels, shares
+        Covariances of outputs, and their process variances over a row's noise, (k,).
+    count : int
+        Number of all rows.
+    """
+    known = np.ones((len(x), 1), dtype=bool)
+    together = list(zip(kernels, shares / len(shares), strict=True))
+    prior = sum(float(kernel.prior(1)[0]) * share for kernel, share in together)
+    left, chosen = np.full(len(x), prior), list[int]()
+    most = min(settings.inducing, len(x) // 2)  # with more one factor of all rows costs less
+    reduced = np.empty((most, len(x)))
+    while len(chosen) < most:
+        if left.mean() <= len(chosen) / count:
+            return np.array(chosen, dtype=np.intp), True
+        pivot, size = int(np.argmax(np.round(left / prior, DECIMALS))), len(chosen)
+        if left[pivot] <= settings.nugget * prior:
+            break
+        column = -reduced[:size, pivot] @ reduced[:size]
+        for kernel, share in together:
+            column += share * covariance(x[[pivot]], known[:1], x, known, kernel)[0]
+        reduced[size] = column / np.sqrt(left[pivot])
+        left = np.maximum(left - reduced[size] ** 2, 0.0)
+        left[pivot] = 0.0
+        chosen.append(pivot)
+    return np.array(chosen, dtype=np.intp), False
+
+
+def values_between(x: Floats, v: Floats, kernel: Hyperparameters) -> Floats:
+    """Return the covariance of values at x (n, 6) and v (m, 6), shape (n, m), by Matern 7/2.
+
+    As `covariance` does, in a fifth of the time: distances are sums of squares and products, which
+    lose 1e-15 of a squared length.
+    """
+    out = np.zeros((len(x), len(v)))
+    for rates, weight in zip(*kernel.terms, strict=True):
+        chosen = np.flatnonzero(rates)
+        scale = np.sqrt(7 * rates[chosen])
+        a, b = x[:, chosen] * scale, v[:, chosen] * scale
+        q = a @ (-2 * b.T)
+        q += (a**2).sum(axis=1)[:, None]
+        q += (b**2).sum(axis=1)
+        np.maximum(q, 0.0, out=q)
+        s = np.sqrt(q)
+        part = s * (1 / 15)  # (1 + s + 2/5 s^2 + s^3/15) exp(-s)
+        part += 0.4
+        part *= q
+        part += s
+        part += 1.0
+        np.negative(s, out=s)
+        part *= np.exp(s, out=s)
+        if weight != 1.0:
+            part *= weight
+        out += part
+    return out
+
+
+class Sums(NamedTuple):
+    """Sums over rows, for outputs (k,) that they bring with noise in the same proportions.
+
+    Attributes
+    ----------
+    A, b, G, H, h : ndarray, shapes (m, m), (m, k), (m, 7), (7, 7) and (7, k)
+        See above, and h = F' D y; D is of the rows' relative noise.
+    square : ndarray, shape (k,)
+        y' D y.
+    rows : int
+    repeats : ndarray, shape (k,)
+        Readings at wrenches besides the first of each.
+    scatter : ndarray, shape (k,)
+        Their squared differences from their mean, over their relative noise, spreads squared.
+    """
+
+    A: Floats
+    b: Floats
+    G: Floats
+    H: Floats
+    h: Floats
+    square: Floats
+    rows: int
+    repeats: Floats
+    scatter: Floats
+
+
+class Inducing(NamedTuple):
+    """The kriging of all rows through inducing wrenches.
+
+    Attributes
+    ----------
+    equations : Equations
+        At the inducing wrenches, with the readings that all rows make there.
+    factors : list of KrigingFactor
+    noise : ndarray, shape (6,), dimensionless
+        What `Equations.unit_noise` is multiplied by, by all rows.
+    """
+
+    equations: Equations
+    factors: list[KrigingFactor]
+    noise: Floats
+
+
+def induced(equations: Equations, estimate: Estimate, settings: KrigingSettings) -> Inducing | None:
+    """Return the kriging of all rows, None where one factor is the better one.
+
+    That is where it holds the rows, and inducing wrenches leave more than the noise.
+
+    Parameters
+    ----------
+    equations : Equations
+        Of the values of all rows, sorted by wrench; without the noise of observations.
+    estimate : Estimate
+        As some of the rows tell it.
+    """
+    unit, count, variance = equations.unit_noise, len(equations), estimate.variance
+    typical = np.nanmean(np.where(equations.measured, unit, np.nan), axis=0)
+    noisy = np.flatnonzero(estimate.noise * typical > settings.nugget * variance)
+    if not len(noisy) and count <= settings.dense_equations:
+        return None
+    noisy = noisy if len(noisy) else np.arange(len(variance))
+    ratio = np.maximum(estimate.noise * typical / variance, settings.nugget)
+    some = evenly(count, CANDIDATES)
+    kernels = [estimate.kernels[output] for output in noisy]
+    points, enough = spread_points(equations.x[some], kernels, 1 / ratio[noisy], count, settings)
+    if not enough and count <= settings.dense_equations:
+        return None
+    pseudo, n_derivatives = equations.take(np.sort(some[points])), 1 + equations.loads
+    shape = len(pseudo), len(variance)
+    pseudo = replace(
+        pseudo,
+        known=np.arange(n_derivatives) < pseudo.known,
+        data=np.zeros((len(pseudo), n_derivatives, len(variance))),
+        measured=np.ones(shape, dtype=bool),
+        noise=np.zeros(shape),
+        observations=np.zeros(shape),
+        scatter=np.zeros(shape),
+    )
+    factors, noise = list[KrigingFactor](), estimate.noise.copy()
+    relative = replace(equations, noise=np.maximum(unit, settings.nugget * typical))
+    for group in output_groups(relative, typical, settings, estimate.kernels):
+        base = _prior_factor(pseudo, estimate.kernels[group.outputs[0]], settings)
+        sums = sums_of(equations, group, pseudo.x, base)
+        ratios, variances = likely_noise(sums, settings)
+        noise[group.outputs] = ratios * variances / typical[group.outputs]
+        factors.append(factor_of(sums, group.outputs, ratios, variances, base, pseudo, settings))
+    return Inducing(pseudo, factors, noise)
+
+
+def _prior_factor(pseudo: Equations, kernel: Hyperparameters, settings: KrigingSettings) -> Factor:
+    z, known = pseudo.x, pseudo.known
+    matrix, prior = covariance(z, known, z, known, kernel), np.tile(kernel.prior(1), len(z))
+    matrix[np.diag_indices_from(matrix)] += settings.nugget * prior
+    inverse, nugget = inverse_factor(matrix, settings.nugget, settings.nugget_limit, prior)
+    return Factor(kernel, nugget, inverse, inverse @ mean_terms(z, known))
+
+
+def sums_of(equations: Equations, group: OutputGroup, z: Floats, base: Factor) -> Sums:
+    """Return the sums over the rows of a group, in blocks; `z` are the inducing wrenches (m, 6)."""
+    kernel, loads, outputs = base.hyperparameters, equations.loads, group.outputs
+    A, moments = np.zeros((len(z), len(z))), np.zeros((1 + loads, 1 + loads + len(outputs)))
+    crossed, square = np.zeros((len(z), moments.shape[1])), np.zeros(len(outputs))
+    for start in range(0, len(group.rows), ROWS):
+        rows = group.rows[start : start + ROWS]
+        x, values = equations.x[rows], equations.data[rows, 0][:, outputs]
+        explained = values_between(x, z, kernel) @ base.T.T
+        precision = 1 / group.noise[start : start + ROWS]
+        terms = np.concatenate((np.ones((len(rows), 1)), x, values), axis=1)
+        weighted = explained * np.sqrt(precision)[:, None]
+        A += weighted.T @ weighted
+        crossed += explained.T @ (precision[:, None] * terms)
+        moments += terms[:, : 1 + loads].T @ (precision[:, None] * terms)
+        square += precision @ values**2
+    readings = equations.observations[np.ix_(group.rows, outputs)]
+    repeats = np.maximum(readings - 1, 0.0).sum(axis=0)
+    scatter = equations.scatter[np.ix_(group.rows, outputs)].sum(axis=0)
+    # Of one reading over that of the rows' mean.
+    scatter = scatter / np.mean(group.noise[:, None] * np.maximum(readings, 1.0), axis=0)
+    (G, b), (H, h) = (np.split(part, [1 + loads], axis=1) for part in (crossed, moments))
+    return Sums(A, b, G, H, h, square, len(group.rows), repeats, scatter)
+
+
+def likely_noise(sums: Sums, settings: KrigingSettings) -> tuple[Floats, Floats]:
+    """Return noise over process variance and the process variance of each output, (k,) each.
+
+    Of the restricted likelihood of all rows, over a grid of noise: its mean.
+    """
+    # The mean's coefficients projected away.
+    H = sums.H + np.eye(len(sums.H)) / settings.mean_variance
+    solved = np.linalg.solve(H, np.concatenate((sums.G.T, sums.h), axis=1))
+    of_wrenches, of_data = np.split(solved, [len(sums.A)], axis=1)
+    values, vectors = np.linalg.eigh(sums.A - sums.G @ of_wrenches)
+    squares = (vectors.T @ (sums.b - sums.G @ of_data)) ** 2
+    total = sums.square - np.einsum("ak,ak->k", sums.h, of_data)
+    freedom = sums.rows - len(H) + sums.repeats
+    logarithms = np.arange(*settings.ratio_bounds, STEP)
+    ratios, values = np.exp(logarithms)[:, None], np.maximum(values, 0.0)
+    left = total + sums.scatter - (1 / (values + ratios)) @ squares
+    variance = np.maximum(left / ratios / freedom, ROUNDING)
+    unlikely = freedom * (np.log(variance) + logarithms[:, None])
+    unlikely = 0.5 * (unlikely + np.log1p(values / ratios).sum(axis=1)[:, None])
+    share = np.exp(unlikely.min(axis=0) - unlikely)
+    share /= share.sum(axis=0)
+    ratio = np.exp(logarithms @ share)
+    return ratio, np.exp(np.einsum("gk,gk->k", share, np.log(variance)))
+
+
+def factor_of(
+    sums: Sums,
+    outputs: Indices,
+    ratios: Floats,
+    variances: Floats,
+    base: Factor,
+    pseudo: Equations,
+    settings: KrigingSettings,
+) -> KrigingFactor:
+    """Return the factor of a group's outputs (k,), whose data goes into `pseudo`."""
+    ratio = float(np.exp(np.log(ratios).mean()))
+    A, G, H = sums.A / ratio, sums.G / ratio, sums.H / ratio
+    b, h = sums.b / ratio, sums.h / ratio
+    inverse = np.linalg.inv(A + np.eye(len(A)))
+    # R'R = I - inv(B), R lower: the Cholesky factor from the last row up.
+    told = np.eye(len(A)) - (inverse + inverse.T) / 2
+    told[np.diag_indices_from(told)] += TINY
+    R = np.linalg.cholesky(told[::-1, ::-1])[::-1, ::-1].T
+    precision = H - G.T @ inverse @ G + np.eye(len(H)) / settings.mean_variance
+    mean_covariance = np.asarray(np.linalg.inv(precision), dtype=float)
+    coefficients = mean_covariance @ (h - G.T @ inverse @ b)
+    weights = base.T.T @ (inverse @ (b - G @ coefficients))
+    TF = solve_triangular(R, inverse @ G, lower=True, trans=1)
+    # The readings at the inducing wrenches, L inv(A) b, and the noise of each given the others'.
+    lower = solve_triangular(base.T, np.eye(len(A)), lower=True)
+    pseudo.data[:, 0, outputs] = lower @ np.linalg.solve(A + TINY * np.eye(len(A)), b)
+    noise = 1 / np.einsum("ij,ij->j", base.T, A @ base.T)
+    group = OutputGroup(outputs, np.arange(len(A)), noise)
+    # One triangle for outputs that are alike: variances of answers are in proportion to the noise.
+    variance = ratios * variances / ratio
+    T = np.tril(R @ base.T)
+    return KrigingFactor(
+        base.hyperparameters,
+        base.nugget,
+        T,
+        TF,
+        pseudo,
+        group,
+        mean_covariance,
+        coefficients,
+        weights,
+        variance,
+    )
