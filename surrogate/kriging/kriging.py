@@ -229,8 +229,7 @@ class Kriging:
             nugget[neighbours.factor.output_group.outputs] = neighbours.factor.nugget
         varying = np.where(self.scaling.constant, 0.0, np.sqrt(nugget))
         relative = self.settings.error_floor * np.abs(self.scaling.offset)
-        size = (varying + self.rounding) * self.scaling.spread + relative
-        return np.maximum(size, SMALLEST)  # where nothing moves at all
+        return (varying + self.rounding) * self.scaling.spread + relative + SMALLEST
 
     @property
     def knows_errors(self) -> bool:

@@ -119,7 +119,7 @@ def judged(trial: Trial) -> Verdict:
         typical = np.median(np.mean(errors, axis=0)[known], axis=0)
         typical[typical <= rounding] = np.nan
         ratios = np.median(found.errors[known], axis=0) / np.maximum(typical, FLOOR * size)
-    rms = np.sqrt(np.mean(np.square(errors), axis=(0, 1))) / np.maximum(size, rounding)
+    rms = np.sqrt(np.nanmean(np.square(errors), axis=(0, 1))) / np.maximum(size, rounding)
     return Verdict(
         known=float(known.mean()),
         covered=float(covered.mean()),

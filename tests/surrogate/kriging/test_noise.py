@@ -126,3 +126,8 @@ def test_rows_that_determine_the_mean_alone_have_no_error(count: int) -> None:
     wrenches = full_wrenches(count, 3)
     rows = Rows.of(wrenches * HIGH, solved(RESPONSES["nearly_linear"], wrenches).displacement)
     assert not Kriging.build(rows, RANGE).knows_errors
+
+
+def test_a_rig_that_shows_nothing_at_all_has_an_error_bar_that_is_not_0() -> None:
+    rows = Rows.of(full_wrenches(30, 3) * HIGH, np.zeros((30, 6)))
+    assert (Kriging.build(rows, RANGE).floor > 0).all()
