@@ -32,9 +32,8 @@ from .kriging import (
     Kriging,
     SingularCovarianceError,
     TooFewRowsError,
-    why_too_large,
 )
-from .methods import MethodChoice, choose, full_needed, interaction_of
+from .methods import MethodChoice, choose
 from .solver_error import SolverError, bars_are_complete
 from .table.axes import OffAxis, count_multi_axis
 from .table.compliance import ComplianceFit, fit_compliance
@@ -61,17 +60,12 @@ class Group:
     members : tuple of tuple of int
         The numbers (`seq`) of the rows behind each of `used`.
     fit : ComplianceFit
-    too_large : str
-        Why a factor does not hold the rows: they have no kriging then. Empty if it does.
     choice : MethodChoice
         The default method, and why.
     has_axes : bool
         Whether straight direction influence is defined: one interface without further inputs.
-    knows_interaction, zero_unknown : bool
-        Whether rows show what loads of several axes do together, and whether the
-        displacement at zero load is unknown.
-    full_wrenches, full_needed : int
-        Rows that load more than one axis, and how many `knows_interaction` needs.
+    full_wrenches : int
+        Rows that load more than one axis.
     row_index : RowIndex
         Which of `rows` is at or next to a wrench.
     row_uncertainty : ndarray, shape (k, 6), m and rad
@@ -104,27 +98,17 @@ class Group:
         self.merged = merge(rows, load_range)
         self.used, self.members, self._observations = self.merged.usable()
         self.fit: ComplianceFit = fit_compliance(self.used, load_range, linear=linear)
-        self.too_large = "" if linear else why_too_large(self.used, load_range)
         self._earlier_axes: Axes | None = vars(before).get("axes") if before is not None else None
         self.choice: MethodChoice = choose(
             self.used,
             load_range,
             self.fit,
-            lambda: self.axes,
             lambda: self.kriging,
             linear=linear,
-            too_large=self.too_large,
         )
-        if self.by_axes:
-            _ = self.interaction
         if self.by_axes and (thinning := self.axes.thinning):
             self.choice = replace(self.choice, reason=f"{self.choice.reason}; {thinning}")
-        # Without axes the kriging's error bars hold unknown interaction; loads of a
-        # linear component act by themselves.
         self.full_wrenches = count_multi_axis(self.used, load_range) if self.has_axes else 0
-        self.full_needed = full_needed(self.used) if self.has_axes else 0
-        self.knows_interaction = linear or self.full_wrenches >= self.full_needed
-        self.zero_unknown = self.by_axes and not linear and not self.axes.at_zero.known
         self.row_index = RowIndex(rows.wrench, load_range.scale)
         self.steepest = STEEPER * self.ranges
         # A solve repeats itself; the uncertainty of an observation may be unknown.
@@ -168,17 +152,9 @@ class Group:
         return self.default == "kriging" and self.kriging is not None
 
     @cached_property
-    def interaction(self) -> Kriging | None:
-        """The kriging of what the additive composition of the axes leaves out."""
-        return interaction_of(self.used, self.load_range, self.axes)
-
-    @cached_property
     def kriging(self) -> Kriging | None:
-        """The kriging; None where a factor does not hold it.
-
-        That is of linear components, and where rows are too few or too many, or contradict.
-        """
-        if self.linear or self.too_large:
+        """The kriging; None of linear components, and where rows are too few or contradict."""
+        if self.linear:
             return None
         try:
             return Kriging.build(self.used, self.load_range, observations=self._observations)
@@ -223,10 +199,9 @@ class Group:
             "axes": [] if no_axes else self.axes.summary(),
             "method": self.default,
             "method_reason": self.choice.reason,
-            "method_detail": self.too_large or (kriging.detail if kriging else ""),
+            "method_detail": kriging.detail if kriging else "",
             "errors_left_out": self.choice.errors,
             "full_wrench_rows": self.full_wrenches,
-            "tells_full_wrenches": self.knows_interaction,
         }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
 
@@ -11,7 +11,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from wrenchbook.service.cli.render import UNITS, Screen, job_state, plain
+from wrenchbook.service.cli.render import Screen, job_state, plain
 from wrenchbook.service.client import Client, Job, ProblemError
 
 POLL_S = 0.2
@@ -35,25 +35,6 @@ class Pace:
         text = f"{left / 60:.0f} min" if left < 5400 else f"{left / 3600:.1f} h"
         text = f"{left:.0f} s" if left < 90 else text
         return f"{60 * solves / seconds:.0f} solves/min, at most {text} left"
-
-
-def error_bars(coverage: Mapping[str, Any]) -> str:
-    """Return the mean error bar of griddata over the range, m or rad, and the method that answers.
-
-    Of each output's worst axis; empty where none has one. They do not decide when a fill ends.
-    """
-    largest: dict[str, float] = {}
-    for axis in coverage.get("axes", ()):
-        for output, mean in (axis["error"] or {}).items():
-            if mean == mean:  # one that is not known is NaN, or null on the wire
-                largest[output] = max(mean, largest.get(output, 0.0))
-    bars = [f"{name} {largest[name]:.1e} {UNITS[name]}" for name in UNITS if name in largest]
-    if not bars:
-        return ""
-    return (
-        "mean error bar of linear interpolation between the rows (griddata): "
-        f"{', '.join(bars)}; the table answers by {coverage['method']}"
-    )
 
 
 @contextmanager
@@ -152,7 +133,7 @@ def fill(
             ended = follow(out, client, order.jobs, seconds, pace)
         pace.ended = spent = spent + len(ended)
         now = client.component(name)
-        parts = f"{spent} solves", pace.note(), f"{now['rows']} rows", error_bars(now["coverage"])
+        parts = f"{spent} solves", pace.note(), f"{now['rows']} rows"
         plain(out, "; ".join(filter(None, parts)))
         failed = [job for job in ended if job.status == "failed"]
         failures += len(failed)

@@ -10,13 +10,7 @@ It is the second-order part, for these groups, of a high-dimensional model repre
 and Alis 1999, "General foundations of high-dimensional model representations"). An axis without
 loads adds nothing and a moment that is zero takes nothing away. For an axis that only one moment
 acts on the answer is b_m itself, so that its part and the part taken away are the same number: at a
-row of one axis the sum is that row. Slopes are composed alike. Errors are independent to a good
-approximation and add up in quadrature, each times how often its part counts:
-
-    error bar^2 = sum_i (n_i e_i)^2 + sum_m (n_m e_m)^2 + ((1 - sum_i n_i - sum_m n_m) e_z)^2
-
-with n_i 1 for an axis that a force or two moments load, n_m the number of axes that M_m loads
-alone, less one if it is there.
+row of one axis the sum is that row. Slopes are composed alike.
 """
 
 from __future__ import annotations
@@ -43,16 +37,15 @@ from ..table.axes import (
 )
 from ..table.compliance import ComplianceFit
 from ..table.rows import Floats, LoadRange, Rows
-from ..table.space import LOADS, OUTPUTS
-from .axis_table import SOUND, WEAK, AxisTable, axis_table
+from ..table.space import LOADS
+from .axis_table import AxisTable, axis_table
 from .triangulation import Indices, Triangulation
 
 SAME_STATION = 1e-12  # stations closer than this, in scaled units, are the same
-HOLE = 9  # the state of a stretch that no simplex holds: worse than any simplex'
 
-# What an axis' part of an answer rests on, from the best to the worst: see `axis_table`; then a
-# point off the hull, and an axis that has no rows at all.
-OFF_HULL, NO_ROWS = HOLE, HOLE + 1
+# What an axis' part of an answer rests on, from the best to the worst: points within their hull,
+# points off it, none at all.
+INSIDE, OFF_HULL, NO_ROWS = 0, 9, 10
 
 MAX_SPOTS = 5
 MAX_VERTICES = 200
@@ -107,9 +100,8 @@ def _axis_table(
 def _thinned(rows: AxisRows, load_range: LoadRange, before: AxisTable | None) -> AxisTable:
     """Return the table of an axis' rows, or of an even choice of them where they are many."""
     chosen = evenly_chosen(rows.points)
-    if chosen.all():
-        return axis_table(rows, load_range, before)
-    return axis_table(rows.take(chosen), load_range, before, rows.take(~chosen))
+    some = rows if chosen.all() else rows.take(chosen)
+    return axis_table(some, load_range, before, len(rows.points))
 
 
 def _worth_joining(rows: AxisRows, table: AxisTable) -> AxisRows:
@@ -119,50 +111,21 @@ def _worth_joining(rows: AxisRows, table: AxisTable) -> AxisRows:
     Between clean rows that is far more than the error of these, and such a row would only
     put its nonlinear part into all three axes; beyond them it is better than nothing.
     """
-    if not table.enough:
-        return rows
-    simplices = table.triangulation.locate(rows.points)
-    between = (simplices >= 0) & (table.shape_state[simplices] == SOUND)
-    return rows.take(rows.single_axis | ~between)
+    return rows.take(rows.single_axis | (table.triangulation.locate(rows.points) < 0))
 
 
-def answer_at_zero(rows: Rows, load_range: LoadRange, tables: Sequence[AxisTable | None]) -> AtZero:
-    """Return the row at zero load, or what the axes whose hull holds zero interpolate there.
+def answer_at_zero(rows: Rows, load_range: LoadRange, tables: Sequence[AxisTable | None]) -> Floats:
+    """Return the displacement at no load, shape (6,), m and rad.
 
-    Of several axes that is the mean, with half their spread in the bar (measured tables
-    have offsets). Without any the answer is zero and not known: its bar is the rows' size.
+    The mean of the rows at zero load or, without any, of what the axes whose hull holds zero
+    interpolate there (measured tables have offsets). Zero where there are none either.
     """
     unloaded = (np.abs(rows.wrench) <= ZERO_LOAD * load_range.scale).all(axis=1)
     if unloaded.any():
-        at_rows = rows.displacement[unloaded]
-        uncertainty = np.nan_to_num(rows.uncertainty[unloaded]).max(axis=0)
-        return AtZero(
-            at_rows.mean(axis=0), np.maximum(np.ptp(at_rows, axis=0) / 2, uncertainty), True
-        )
+        return rows.displacement[unloaded].mean(axis=0)
     results = [table.read(np.zeros((1, 3))) for table in tables if table is not None]
-    inside = [result for result in results if result.inside[0]]
-    if not inside:
-        size = np.abs(rows.displacement).max(axis=0, initial=0.0)
-        return AtZero(np.zeros(6), size, False)
-    outputs = np.concatenate([result.outputs for result in inside])
-    error = np.concatenate([result.error for result in inside])
-    return AtZero(outputs.mean(axis=0), np.ptp(outputs, axis=0) / 2 + error.mean(axis=0), True)
-
-
-@dataclass(frozen=True)
-class AtZero:
-    """The answer at no load.
-
-    Attributes
-    ----------
-    displacement, error : ndarray, shape (6,), m and rad
-    known : bool
-        Whether a row or the hull of an axis determines it.
-    """
-
-    displacement: Floats
-    error: Floats
-    known: bool
+    inside = [result.outputs for result in results if result.inside[0]]
+    return np.concatenate(inside).mean(axis=0) if inside else np.zeros(6)
 
 
 @dataclass(frozen=True)
@@ -173,15 +136,12 @@ class Composed:
     ----------
     additive, griddata : ndarray, shape (n, 6), m and rad
         The answers of these two methods; rotations are the same.
-    error : ndarray, shape (n, 6), m and rad
-        Error bars of `additive`; NaN where errors are unknown.
     states : ndarray of int, shape (n, 3), dimensionless
-        What each axis' part rests on: `SOUND`, `WEAK`, `DEGENERATE`, `OFF_HULL` or `NO_ROWS`.
+        What each axis' part rests on: `INSIDE`, `OFF_HULL` or `NO_ROWS`.
     """
 
     additive: Floats
     griddata: Floats
-    error: Floats
     states: NDArray[np.int_]
 
     @property
@@ -198,13 +158,14 @@ class Axes:
     tables : tuple of AxisTable or None, length 3
     cuts : tuple of tuple of PureMomentCut, length 3
         Of each moment, x, y, z: from the axis it comes first in, then from the other.
-    at_rest : AtRest
+    at_zero : ndarray, shape (6,), m and rad
+        Displacement at no load.
     """
 
     def __init__(
         self,
         tables: Sequence[AxisTable | None],
-        at_zero: AtZero,
+        at_zero: Floats,
         fit: ComplianceFit,
         scale: Floats,
         before: Axes | None = None,
@@ -274,40 +235,25 @@ class Axes:
             return self._guess(wrenches[:, inputs], inputs)
         x = wrenches[:, inputs] / table.scale
         result = table.read(x)
-        state = np.where(result.inside, table.state[result.simplices], OFF_HULL)
-        if not table.shows_multi_load:
-            several = (np.abs(x) > ZERO_LOAD).sum(axis=1) > 1
-            state = np.where(several, np.maximum(state, WEAK), state)
-        part = _Part(result.outputs, result.error + np.abs(result.stepped), state)
+        part = _Part(result.outputs, np.where(result.inside, INSIDE, OFF_HULL))
         outside = np.flatnonzero(~result.inside)
         if len(outside):
-            # Account for steps (k, 3), scaled, from the hull's nearest point to the query. The
-            # step along what the points span is in the outputs already, by the slope there. Off
-            # it, where a table of fewer dimensions knows no slope, the fitted compliance
-            # gives the slope; the bar grows by as much as the step moves the answer.
-            rows, step = outside, (x - result.at)[outside]
+            # The step along what the points span, from the hull's nearest point, is in the outputs
+            # already, by the slope there. Off it, where a table of fewer dimensions knows no slope,
+            # the fitted compliance gives the slope.
+            step = (x - result.at)[outside]
             basis = table.triangulation.basis
             off = step - step @ basis.T @ basis
             # Of each wrench by itself: batches change nothing.
             leaves = np.abs(off).max(axis=1) > ZERO_LOAD
-            if leaves.any():
-                rows, off = rows[leaves], off[leaves]
-                loads = off * table.scale
-                part.outputs[rows] += loads @ self.fit.matrix[:, inputs].T
-                part.error[rows] += (
-                    np.abs(loads) @ np.abs(self.fit.matrix[:, inputs]).T + self.fit.error
-                )
-                unknown = (np.abs(off) > ZERO_LOAD) & ~self.fit.known[inputs]
-                part.error[rows[unknown.any(axis=1)]] = np.nan
+            loads = off[leaves] * table.scale
+            part.outputs[outside[leaves]] += loads @ self.fit.matrix[:, inputs].T
         return part
 
     def _guess(self, loads: Floats, inputs: Sequence[int]) -> _Part:
         """Return the fitted compliance's part, for an axis or moment that has no rows."""
-        matrix = self.fit.matrix[:, inputs]
-        outputs = self.at_zero.displacement + loads @ matrix.T
-        error = np.abs(loads) @ np.abs(matrix).T + self.fit.error
-        error[((loads != 0) & ~self.fit.known[inputs]).any(axis=1)] = np.nan
-        return _Part(outputs, error, np.full(len(loads), NO_ROWS))
+        outputs = self.at_zero + loads @ self.fit.matrix[:, inputs].T
+        return _Part(outputs, np.full(len(loads), NO_ROWS))
 
     def _alone(self, moment: int, amounts: Floats) -> _Part:
         """Return the answers to amounts (k,), N·m, of one moment alone.
@@ -331,7 +277,6 @@ class _Part:
     """What an axis or a moment alone answers at k wrenches: (k, 6) each, m and rad; state (k,)."""
 
     outputs: Floats
-    error: Floats
     state: NDArray[np.int_]
 
     def take(self, rows: Indices) -> _Part:
@@ -342,16 +287,15 @@ class _Part:
             column[rows] = new
 
     def _columns(self) -> tuple[NDArray, ...]:
-        return self.outputs, self.error, self.state
+        return self.outputs, self.state
 
 
 class _Total:
     """The sum so far; the displacement at zero load is added last, with the remaining weight."""
 
-    def __init__(self, at_zero: AtZero, count: int) -> None:
-        self.at_zero = at_zero
-        self.sum, self.squares = np.zeros((count, 6)), np.zeros((count, 6))
-        self.translations = np.tile(at_zero.displacement[:3], (count, 1))
+    def __init__(self, at_zero: Floats, count: int) -> None:
+        self.at_zero, self.sum = at_zero, np.zeros((count, 6))
+        self.translations = np.tile(at_zero[:3], (count, 1))
         self.times = np.zeros((count, 1))
         self.state = np.zeros((count, 3), dtype=int)
 
@@ -364,7 +308,6 @@ class _Total:
         """Add a part so many times, shape (k,)."""
         factor = times[:, None]
         self.sum[rows] += factor * part.outputs
-        self.squares[rows] += (factor * part.error) ** 2
         self.times[rows] += factor
 
     def mark_base(self, rows: Indices, moment: int, state: NDArray[np.int_]) -> None:
@@ -374,13 +317,10 @@ class _Total:
 
     def composed(self) -> Composed:
         """Return the sum."""
-        zero, remaining = self.at_zero, 1.0 - self.times
-        additive = self.sum + remaining * zero.displacement
-        squares = self.squares + np.where(remaining == 0, 0.0, (remaining * zero.error) ** 2)
+        additive = self.sum + (1.0 - self.times) * self.at_zero
         return Composed(
             additive=additive,
             griddata=np.concatenate((self.translations, additive[:, 3:]), axis=1),
-            error=np.sqrt(squares),
             states=self.state,
         )
 
@@ -395,7 +335,8 @@ def _cuts(
         table = tables[index]
         if table is None:
             continue
-        same = [cut for cut in known if cut.column == column and cut.table.is_made_like(table)]
+        shape = table.triangulation
+        same = [cut for cut in known if cut.column == column and cut.table.triangulation is shape]
         cuts.append(same[0].of(table) if same else PureMomentCut(table, column))
     return tuple(cuts)
 
@@ -410,32 +351,17 @@ def _gaps(axis: LoadAxis, table: AxisTable | None, load_range: LoadRange) -> dic
         return {"axis": axis.name, "hull": [], "outside": _loads(axis, corners), "worst": []}
     scale = table.scale
     outside = table.triangulation.locate(corners / scale) < 0
-    # The middles of the simplices with the largest error bars, for their outputs' range. Of the
-    # largest simplices, where errors are unknown.
-    middle, bars = table.in_middles()
-    bars = bars[:, list(axis.outputs)]
-    size = np.maximum(np.abs(table.values[:, list(axis.outputs)]).max(axis=0), np.finfo(float).tiny)
-    fractions, thin = table.fractions(), table.state != SOUND
-    spots = []
-    worst = (bars / size).max(axis=1) if table.law.known else fractions
-    for simplex in np.argsort(-worst)[:MAX_SPOTS].tolist():
-        loads = middle[simplex : simplex + 1] * table.scale
-        names = [OUTPUTS[output] for output in axis.outputs]
-        spots.append(
-            {
-                "loads": _loads(axis, loads)[0],
-                "error": dict(zip(names, bars[simplex].tolist(), strict=True))
-                if table.law.known
-                else None,
-                "part_of_range": float(fractions[simplex]),
-                "thin": bool(thin[simplex]),
-            }
-        )
+    middles = table.triangulation.points[table.triangulation.simplices].mean(axis=1)
+    fractions = table.fractions()
+    largest = np.argsort(-fractions)[:MAX_SPOTS].tolist()
     return {
         "axis": axis.name,
         "hull": _loads(axis, _hull(table) * scale),
         "outside": _loads(axis, corners[outside]),
-        "worst": spots,
+        "worst": [
+            {"loads": loads, "part_of_range": float(fractions[simplex])}
+            for simplex, loads in zip(largest, _loads(axis, middles[largest] * scale), strict=True)
+        ],
     }
 
 
@@ -459,7 +385,7 @@ def _hull(table: AxisTable) -> Floats:
 
 
 def _axis_summary(axis: LoadAxis, table: AxisTable | None) -> dict[str, Any]:
-    """Return an axis' rows, spans (N, N·m), covered part of the range and median error bars."""
+    """Return an axis' rows, spans (N, N·m) and the part of the range between them."""
     inputs = [LOADS[load] for load in axis.inputs]
     if table is None:
         return {
@@ -471,13 +397,8 @@ def _axis_summary(axis: LoadAxis, table: AxisTable | None) -> dict[str, Any]:
             "spans": {},
             "coverage": "outside",
             "part_of_range": 0.0,
-            "thin_part_of_range": 0.0,
-            "error": None,
         }
     shape, points = table.triangulation, table.rows.points * table.scale
-    fractions, weak = table.fractions(), table.state != SOUND
-    _, bars = table.in_middles()
-    typical = np.average(bars, axis=0, weights=np.maximum(fractions, np.finfo(float).tiny))
     return {
         "axis": axis.name,
         "inputs": inputs,
@@ -488,12 +409,8 @@ def _axis_summary(axis: LoadAxis, table: AxisTable | None) -> dict[str, Any]:
             load: [float(points[:, column].min()), float(points[:, column].max())]
             for column, load in enumerate(inputs)
         },
-        "coverage": "thin" if weak.all() else "covered",
-        "part_of_range": float(fractions.sum()),
-        "thin_part_of_range": float(fractions[weak].sum()),
-        "error": {OUTPUTS[output]: float(typical[output]) for output in axis.outputs}
-        if table.law.known
-        else None,
+        "coverage": "covered",
+        "part_of_range": float(table.fractions().sum()),
     }
 
 
@@ -502,7 +419,7 @@ class PureMomentCut:
 
     Every composed rotation counts from these answers. They lie on a line through a
     triangulation, and along it barycentric outputs are straight between two faces of its
-    simplices; unit errors are parabolas.
+    simplices.
 
     Attributes
     ----------
@@ -512,12 +429,8 @@ class PureMomentCut:
         Scaled moments at which the line passes from one simplex to the next, ascending.
     outputs : ndarray, shape (s, 2, 6), m and rad
         Of each stretch, by the scaled moment less its first station: constant and straight part.
-    unit_errors : ndarray, shape (s, 3), dimensionless
-        Constant, straight and square part of the unit errors.
-    uncertainty : ndarray, shape (s, 2, 6), m and rad
-        Constant and straight part of the rows' uncertainty.
     state : ndarray of int, shape (s,)
-        As the table's; `HOLE` where no simplex holds the stretch.
+        `INSIDE`; `OFF_HULL` where no simplex holds the stretch.
     """
 
     def __init__(self, table: AxisTable, column: int) -> None:
@@ -527,18 +440,12 @@ class PureMomentCut:
         low, width = self.stations[:-1], np.diff(self.stations)
         middle = self._points(low + 0.5 * width)
         simplices = table.triangulation.locate(middle)
-        self.state = np.where(simplices >= 0, table.state[simplices], HOLE).astype(np.int32)
-        start, centre, end = (
-            table.read_in(np.maximum(simplices, 0), self._points(low + fraction * width))
-            for fraction in (0.0, 0.5, 1.0)
+        self.state = np.where(simplices >= 0, INSIDE, OFF_HULL).astype(np.int32)
+        start, end = (
+            table.read_in(np.maximum(simplices, 0), self._points(along)).outputs
+            for along in (low, low + width)
         )
-        over = 1.0 / width[:, None]
-        self.outputs = np.stack((start.outputs, (end.outputs - start.outputs) * over), axis=1)
-        units = [result.unit_errors[:, None] for result in (start, centre, end)]
-        self.unit_errors = np.concatenate(_parabola(units[0], units[1], units[2], over), axis=1)
-        self.uncertainty = np.stack(
-            (start.uncertainty, (end.uncertainty - start.uncertainty) * over), axis=1
-        )
+        self.outputs = np.stack((start, (end - start) / width[:, None]), axis=1)
 
     def of(self, table: AxisTable) -> PureMomentCut:
         """Return this cut for a table that was taken over from the cut's table."""
@@ -550,38 +457,21 @@ class PureMomentCut:
         """Read the cut at moments (k,), N·m; beyond its ends along its last stretch."""
         along = moments / self.table.scale[self.column]
         if not len(self.state):
-            zeros = np.zeros((len(along), 6))
-            holes = np.full(len(along), HOLE)
-            return _Part(zeros, zeros, holes)
+            return _Part(np.zeros((len(along), 6)), np.full(len(along), OFF_HULL))
         stretches = np.searchsorted(self.stations, along, side="right") - 1
         stretches = np.clip(stretches, 0, len(self.state) - 1)
         y = (along - self.stations[stretches])[:, None]
-        outputs, uncertainty, unit = (
-            self.outputs[stretches],
-            self.uncertainty[stretches],
-            self.unit_errors[stretches],
-        )
-        unit = np.maximum(unit[:, 0] + y[:, 0] * (unit[:, 1] + y[:, 0] * unit[:, 2]), 0.0)
+        outputs = self.outputs[stretches]
         beyond = (along < self.stations[0] - ZERO_LOAD) | (along > self.stations[-1] + ZERO_LOAD)
         return _Part(
             outputs[:, 0] + y * outputs[:, 1],
-            self.table.law.bars(unit) + uncertainty[:, 0] + y * uncertainty[:, 1],
-            np.where(beyond, HOLE, self.state[stretches]),
+            np.where(beyond, OFF_HULL, self.state[stretches]),
         )
 
     def _points(self, along: Floats) -> Floats:
         points = np.zeros((len(along), 3))
         points[:, self.column] = along
         return points
-
-
-def _parabola(start: Floats, centre: Floats, end: Floats, over: Floats) -> tuple[Floats, ...]:
-    """Return constant, straight and square part, (s, q) each, from three values of each stretch.
-
-    `over`, (s, 1), is 1 / the length of the stretch.
-    """
-    square = 2 * (start - 2 * centre + end) * over**2
-    return start, (end - start) * over - square / over, square
 
 
 def _stations(shape: Triangulation, column: int) -> Floats:

@@ -70,7 +70,7 @@ def kernel() -> Kernel:
         "wb_derivative_many": (integer, [address, address, size, address, address, integer]),
         "wb_inverse": (integer, [address] * 6),
         "wb_joint_rate": (integer, [integer, address, address, real, real, address]),
-        "wb_axis": (integer, [address, address, integer, integer, address, address]),
+        "wb_axis": (integer, [address, integer, integer, address, address]),
     }
     for library in libraries:
         for name, (result, arguments) in forms.items():
@@ -462,13 +462,7 @@ class PackedTable:
             )
         return rates
 
-    def axis(
-        self,
-        group: int,
-        axis: int,
-        wrench: Sequence[float],
-        tolerance: Sequence[float] | None = None,
-    ) -> AxisPart | None:
+    def axis(self, group: int, axis: int, wrench: Sequence[float]) -> AxisPart | None:
         """Return what axis 0, 1 or 2 contributes to the answer of a group of outputs.
 
         None where the group has no rows to compose from. The wrench has n loads, N and N·m.
@@ -477,8 +471,7 @@ class PackedTable:
         work = self._work()
         work.fill(wrench)
         wrong = kernel().with_gil.wb_axis(
-            *(self._handle, work.options(tolerance, None), group, axis),
-            *(work.at[0], ctypes.addressof(reply)),
+            self._handle, group, axis, work.at[0], ctypes.addressof(reply)
         )
         self._idle.append(work)
         if wrong == NO_METHOD:
@@ -486,12 +479,11 @@ class PackedTable:
         if wrong:
             raise mistake(wrong, None, self._packed)
         values = AXIS.unpack_from(reply)
-        reasons = [Reason(*values[20:])._replace(group=group)] if values[7] else []
+        reasons = [Reason(*values[14:])._replace(group=group)] if values[7] else []
         locked = self.arrays["space/locked"].tolist()
         acting = [0.0 if idle else load for load, idle in zip(wrench, locked, strict=True)]
         return AxisPart(
             outputs=values[8:14],
-            error=values[14:20],
             coverage=NAMES[values[0]],
             reason=text_of(reasons, acting, self._packed),
             origin=values[1],

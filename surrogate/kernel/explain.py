@@ -8,7 +8,7 @@ from typing import Any
 
 from .binding import PackedTable
 
-_USED = 5  # index in a group's ``flags``: see `packed.writer`
+_USED = 2  # index in a group's ``flags``: see `packed.writer`
 _AXES = tuple((axis, 3 + (axis + 1) % 3, 3 + (axis + 2) % 3) for axis in range(3))
 
 
@@ -26,16 +26,15 @@ def explain(
     -------
     list of dict
         ``axis``, ``inputs``, ``outputs``, ``error``, ``coverage``, ``reason`` and ``rows``, the
-        numbers of the rows used. They are the compliance's if that answers, the axes' otherwise.
+        numbers of the rows used. They are the compliance's if that answers, the axes' otherwise,
+        whose errors are known of whole answers alone: ``error`` is None.
     """
-    stored = table.arrays["space/tolerance"].tolist()
-    limit = tolerance or (None if any(map(math.isnan, stored)) else stored)
     explanations = []
     for number, group in enumerate(table.meta["groups"]):
         if (method or group["method"]) == "linear" and table.arrays[f"g{number}/flags"][_USED]:
             parts = _linear(table, number, wrench, tolerance)
         else:
-            parts = [_axis(table, number, axis, wrench, limit) for axis in range(3)]
+            parts = [_axis(table, number, axis, wrench) for axis in range(3)]
         explanations += [part for part in parts if part is not None and part["outputs"]]
     return explanations
 
@@ -58,13 +57,9 @@ def _inputs(table: PackedTable, axis: int, wrench: Sequence[float]) -> dict[str,
 
 
 def _axis(
-    table: PackedTable,
-    group: int,
-    axis: int,
-    wrench: Sequence[float],
-    tolerance: Sequence[float] | None,
+    table: PackedTable, group: int, axis: int, wrench: Sequence[float]
 ) -> dict[str, Any] | None:
-    part = table.axis(group, axis, wrench, tolerance)
+    part = table.axis(group, axis, wrench)
     if part is None:
         return None
     rows: set[int] = set()
@@ -75,7 +70,7 @@ def _axis(
         "axis": "xyz"[axis],
         "inputs": _inputs(table, axis, wrench),
         "outputs": _named(table, group, axis, part.outputs),
-        "error": _named(table, group, axis, part.error),
+        "error": None,
         "coverage": part.coverage,
         "reason": part.reason,
         "rows": sorted(rows),

@@ -17,13 +17,9 @@ FEW_ROWS = (
     "there are too few rows: kriging needs four in the load range that have each output, the "
     "compliance one for each input; solve or import more"
 )
-UNKNOWN_AT_ZERO_LOAD = (
-    "no row is at zero load and the rows of no axis surround it: what the component does without "
-    "load is not known"
-)
 UNKNOWN_TOGETHER = (
-    "{full} full wrenches{tangents}: at least {needed} full wrenches are needed to tell what loads "
-    "of several axes do together"
+    "no row has several loads at once as large as those of this wrench: what they do together is "
+    "not known, nor how large the error is; solve or import such rows"
 )
 UNKNOWN_ERROR = "no row tells how far this answer may be wrong"
 LEAVES_LIMITS = "the estimate leaves what tables may hold, 20 degrees and 10 m, and is not given"
@@ -128,55 +124,10 @@ def _off_hull(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
     return f"axis {name}: {amounts} together lie outside the hull of its {count} rows"
 
 
-def _few_rows(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    points = int(reason.value)
-    return (
-        f"axis {'xyz'[reason.axis]}: {points} row{'s' if points > 1 else ''}, "
-        f"at least {int(reason.limit)} are needed to tell the error"
-    )
-
-
-def _degenerate(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    return f"axis {'xyz'[reason.axis]}: the rows around this wrench lie almost in one plane or line"
-
-
-def _far_from_rows(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    return (
-        f"axis {'xyz'[reason.axis]}: the rows around this wrench are far apart, "
-        f"{reason.value:.0%} of the load range lies between them (at most {reason.limit:.0%})"
-    )
-
-
-def _left_out(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    first = packed.arrays[f"g{reason.group}/axes/point_first"]
-    points = int(first[reason.axis + 1] - first[reason.axis])
-    return (
-        f"axis {'xyz'[reason.axis]}: {int(reason.value)} of its {points} rows show errors between "
-        "rows (left out, within the others, with four values of each load or more), at least "
-        f"{int(reason.limit)} are needed"
-    )
-
-
-def _several_at_once(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    loads = ", ".join(_name(packed, load)[0] for load in _axis_inputs(reason.axis))
-    return (
-        f"axis {'xyz'[reason.axis]}: {int(reason.value)} of its rows have several of {loads} at "
-        f"once, at least {int(reason.limit)} are needed to tell what they do together"
-    )
-
-
 def _moment_alone(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
     return (
         f"axis {'xyz'[reason.axis]}: {_amount(packed, reason.item, reason.value)} alone, from "
         "which the composition counts, lies outside the rows"
-    )
-
-
-def _together(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    has_tangents = packed.meta["groups"][reason.group]["has_tangents"]
-    tangents = "" if has_tangents else " and no tangents"
-    return UNKNOWN_TOGETHER.format(
-        full=int(reason.value), tangents=tangents, needed=int(reason.limit)
     )
 
 
@@ -206,26 +157,20 @@ _TEXTS: dict[int, Maker] = {
     4: _unknown_load,
     5: _no_rows,
     6: _off_hull,
-    7: _few_rows,
-    8: _degenerate,
-    9: _far_from_rows,
     10: _moment_alone,
-    11: _fixed(UNKNOWN_AT_ZERO_LOAD),
-    12: _together,
+    12: _fixed(UNKNOWN_TOGETHER),
     13: _beyond_span,
     14: _over,
     15: _fixed(UNKNOWN_ERROR),
     16: _fixed(ERRORS_UNKNOWN),
     17: _fixed(LEAVES_LIMITS),
-    18: _left_out,
     19: _fixed(TOO_FAR),
     20: _not_in_scene,
-    21: _several_at_once,
     22: _fixed(FEW_ROWS),
 }
 """By code: WB_REASON_... of surrogate/kernel/wrenchbook.h."""
 
-FIXED = frozenset({1, 2, 11, 12, 15, 16, 17, 19, 22})
+FIXED = frozenset({1, 2, 12, 15, 16, 17, 19, 22})
 """Codes whose words are the same for every wrench, but for the numbers of the reason itself."""
 
 

@@ -22,7 +22,7 @@ FIELDS = 7  # of MAX_VALUES doubles each: inputs, outputs, total error and its f
 HEAD, REASON = struct.Struct("=8i2qQ"), struct.Struct("=4i2d")
 REASONS_AT = HEAD.size + FIELDS * MAX_VALUES * 8
 REPLY_SIZE = REASONS_AT + MAX_REASONS * REASON.size + 8  # `solved`
-AXIS = struct.Struct("=8i12d" + REASON.format.lstrip("="))
+AXIS = struct.Struct("=8i6d" + REASON.format.lstrip("="))
 WITHIN = {1: True, 0: False, -1: None}
 VALUES = 11  # numbers of a reply before its outputs
 NO_METHOD = 2  # WB_NO_METHOD
@@ -92,7 +92,7 @@ class Replies(NamedTuple):
 
 
 class AxisPart(NamedTuple):
-    """What one axis contributes: all six outputs and errors, m and rad.
+    """What one axis contributes: all six outputs, m and rad.
 
     Attributes
     ----------
@@ -103,7 +103,6 @@ class AxisPart(NamedTuple):
     """
 
     outputs: tuple[float, ...]
-    error: tuple[float, ...]
     coverage: str
     reason: str
     origin: int

@@ -4,36 +4,39 @@
 #include <math.h>
 #include <string.h>
 
-/* The best estimate there is and its 95 % error. */
-static void refer(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
-                  const wb_composed *c, double *best, double *error) {
-    double residual[WB_MAX], residual_error[WB_MAX];
-    if (g->reference & WB_REF_KRIGING) {
-        wb_kriging_values(t, &g->kriging, work, w, best, error);
-        return;
+/* The compliance's answer and its 95 % error. */
+static void linear_values(const wb_table *t, const wb_group *g, const double *w, double *outputs,
+                          double *error) {
+    int n = t->inputs;
+    for (int q = 0; q < t->outputs; q++) {
+        const double *row = g->fit.matrix + n * q;
+        double offset = g->fit.offset ? g->fit.offset[q] : 0.0, size = fabs(offset);
+        outputs[q] = offset;
+        for (int k = 0; k < n; k++) {
+            outputs[q] += w[k] * row[k];
+            size += fabs(w[k]) * fabs(row[k]);
+        }
+        error[q] = g->fit.bar[q] + WB_ROUNDING * size;
     }
-    memcpy(best, c->moved, sizeof c->moved);
-    memcpy(error, c->squares, sizeof c->squares);
-    if (g->reference & WB_REF_RESIDUAL) {
-        wb_kriging_values(t, &g->residual, work, w, residual, residual_error);
-        for (int q = 0; q < 6; q++) best[q] += residual[q], error[q] += residual_error[q] * residual_error[q];
-    }
-    for (int q = 0; q < 6; q++) error[q] = sqrt(error[q]);
 }
 
-/* |answer - reference| + error of the reference; off the hull at least the step's size. */
+/* The error of another method: its distance from the exact fit's answer or the kriging's, and the
+ * error of that; unknown where there is neither. */
+static void widen_by_reference(const wb_table *t, const wb_group *g, wb_work *work,
+                               const double *w, wb_result *a) {
+    double best[WB_MAX], error[WB_MAX];
+    if (g->exact_fit) linear_values(t, g, w, best, error);
+    else if (g->has_kriging) wb_kriging_values(t, &g->kriging, work, w, best, error);
+    for (int q = 0; q < t->outputs; q++)
+        a->error[q] = g->exact_fit || g->has_kriging ? fabs(a->outputs[q] - best[q]) + error[q] : NAN;
+}
+
 static void by_axes(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
                     int method, const wb_composed *c, wb_result *a) {
-    double best[WB_MAX], error[WB_MAX];
-    int off = c->state >= WB_OFF_HULL;
-    refer(t, g, work, w, c, best, error);
-    a->coverage = off ? WB_OUTSIDE : c->state > 0 ? WB_THIN : WB_COVERED;
-    for (int q = 0; q < 6; q++) {
-        double value = q > 2 || method == WB_ADDITIVE ? c->moved[q] : c->griddata[q];
-        a->outputs[q] = value;
-        a->error[q] = fabs(value - best[q]) + error[q];
-        if (off) a->error[q] = wb_larger(sqrt(c->squares[q]), a->error[q]);
-    }
+    a->coverage = c->state >= WB_OFF_HULL ? WB_OUTSIDE : WB_COVERED;
+    for (int q = 0; q < 6; q++)
+        a->outputs[q] = q > 2 || method == WB_ADDITIVE ? c->moved[q] : c->griddata[q];
+    widen_by_reference(t, g, work, w, a);
 }
 
 static void reason_beyond(const wb_table *t, const double *w, wb_result *a) {
@@ -45,80 +48,31 @@ static void reason_beyond(const wb_table *t, const double *w, wb_result *a) {
     }
 }
 
-/* Where the kriging is the reference, its error holds. */
 static void by_kriging(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
-                       const wb_composed *c, wb_result *a) {
-    double best[WB_MAX], bars[WB_MAX];
+                       wb_result *a) {
     wb_kriging_values(t, &g->kriging, work, w, a->outputs, a->error);
     a->coverage = wb_is_beyond(t, w) ? WB_OUTSIDE : WB_COVERED;
     reason_beyond(t, w, a);
-    if (g->reference & WB_REF_KRIGING) return;
-    refer(t, g, work, w, c, best, bars);
-    for (int q = 0; q < t->outputs; q++) a->error[q] = fabs(a->outputs[q] - best[q]) + bars[q];
 }
 
 static void by_linear(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
-                      const wb_composed *c, wb_result *a) {
-    double best[WB_MAX], bars[WB_MAX];
+                      wb_result *a) {
+    double own[WB_MAX];
     int n = t->inputs, m = t->outputs, unknown = -1;
     for (int k = n - 1; k >= 0; k--)
         if (!g->fit.known[k] && fabs(w[k]) > t->small[k]) unknown = k;
+    linear_values(t, g, w, a->outputs, own);
+    if (g->exact_fit) memcpy(a->error, own, (size_t)m * sizeof(double));
+    else widen_by_reference(t, g, work, w, a);
     for (int q = 0; q < m; q++) {
-        const double *row = g->fit.matrix + n * q;
-        double size = 0.0, range_size = 0.0;
-        a->outputs[q] = 0.0;
-        for (int k = 0; k < n; k++) {
-            a->outputs[q] += w[k] * row[k];
-            size += fabs(w[k]) * fabs(row[k]);
-            range_size += t->scale[k] * fabs(row[k]);
-        }
-        if (g->fit.offset) {
-            a->outputs[q] += g->fit.offset[q];
-            size += fabs(g->fit.offset[q]);
-        }
-        a->error[q] = g->fit.bar[q] + WB_ROUNDING * size;
+        double range_size = 0.0;
+        for (int k = 0; k < n; k++) range_size += t->scale[k] * fabs(g->fit.matrix[n * q + k]);
         a->solved |= (uint64_t)(g->exact_fit && g->fit.bar[q] <= WB_ROUNDING * range_size) << q;
+        a->error[q] = unknown >= 0 ? NAN : wb_larger(a->error[q], own[q]);
     }
-    if (!g->exact_fit) {
-        refer(t, g, work, w, c, best, bars);
-        for (int q = 0; q < m; q++)
-            a->error[q] = wb_larger(fabs(a->outputs[q] - best[q]) + bars[q], a->error[q]);
-    }
-    for (int q = 0; unknown >= 0 && q < m; q++) a->error[q] = NAN;
     a->coverage = unknown >= 0 || wb_is_beyond(t, w) ? WB_OUTSIDE : WB_COVERED;
     if (unknown >= 0) wb_add_reason(a, WB_REASON_UNKNOWN_LOAD)->index = unknown;
     else reason_beyond(t, w, a);
-}
-
-/* Whether a wrench loads more than one axis (default space). */
-static int loads_several(const wb_table *t, const double *w) {
-    for (int axis = 0; axis < 3; axis++) {
-        int foreign = 0;
-        for (int k = 0; k < t->inputs; k++)
-            if (k != axis && k != 3 + (axis + 1) % 3 && k != 3 + (axis + 2) % 3)
-                foreign |= fabs(w[k]) > t->small[k];
-        if (!foreign) return 0;
-    }
-    return 1;
-}
-
-static int is_zero_load(const wb_table *t, const double *w) {
-    for (int k = 0; k < t->inputs; k++)
-        if (!(fabs(w[k]) <= t->small[k])) return 0;
-    return 1;
-}
-
-/* Lower the coverage where rows do not show what is asked. */
-static void judge_interaction(const wb_table *t, const wb_group *g, const double *w, wb_result *a) {
-    if (a->coverage != WB_COVERED) return;
-    if (g->zero_unknown && is_zero_load(t, w)) {
-        a->coverage = WB_OUTSIDE;
-        wb_add_reason(a, WB_REASON_ZERO_UNKNOWN);
-    } else if (!g->knows_interaction && loads_several(t, w)) {
-        a->coverage = WB_THIN;
-        wb_reason *reason = wb_add_reason(a, WB_REASON_INTERACTION);
-        reason->value = g->full, reason->limit = g->needed;
-    }
 }
 
 /* Lower the coverage where an error is over what is allowed, or not known. */
@@ -148,16 +102,13 @@ static void judge_error(const wb_table *t, const wb_group *g, const wb_options *
 static void finish(const wb_table *t, const wb_group *g, const wb_options *o, wb_work *work,
                    const double *w, int with_reasons, wb_result *a) {
     a->row = -1, a->exact = 0;
-    if (g->used) {
-        judge_interaction(t, g, w, a);
-        judge_error(t, g, o, a);
-    }
+    if (g->used) judge_error(t, g, o, a);
     if (a->coverage == WB_COVERED) return;
     if (!o->without_rows && wb_answer_by_row(t, g, o, w, a)) {
         a->coverage = WB_COVERED, a->method = WB_ROW, a->reasons = 0;
     } else if (with_reasons && g->used && !a->reasons) {
         wb_axes_reasons(t, g, w, a);
-    } else if (with_reasons && g->reference & WB_REF_KRIGING
+    } else if (with_reasons && g->has_kriging
                && a->reason[0].code == WB_REASON_NO_ERROR) {
         a->reasons = 0;
         wb_kriging_reasons(t, &g->kriging, work, w, a);
@@ -179,14 +130,14 @@ void wb_group_answer(const wb_table *t, const wb_group *g, const wb_options *o, 
         finish(t, g, o, work, w, with_reasons, a);
         return;
     }
-    int axes = a->method <= WB_ADDITIVE, exact = a->method == WB_LINEAR && g->exact_fit;
-    if (!composed && (axes || (!exact && !(g->reference & WB_REF_KRIGING)))) {
+    int axes = a->method <= WB_ADDITIVE;
+    if (!composed && axes) {
         wb_compose(&g->composition, t->small, w, &c);
         composed = &c;
     }
     if (axes) by_axes(t, g, work, w, a->method, composed, a);
-    else if (a->method == WB_KRIGING) by_kriging(t, g, work, w, composed, a);
-    else by_linear(t, g, work, w, composed, a);
+    else if (a->method == WB_KRIGING) by_kriging(t, g, work, w, a);
+    else by_linear(t, g, work, w, a);
     finish(t, g, o, work, w, with_reasons, a);
 }
 

@@ -35,7 +35,7 @@ static const wb_array WB_SCENE_ARRAYS[] = {
     {"varying", WB_I4, 0, 1, {WB_OF_N}, offsetof(wb_table, scene_varying)},
     {"slopes", WB_I4, 0, 1, {WB_OF_N}, offsetof(wb_table, scene_slopes)},};
 static const wb_array WB_GROUP_ARRAYS[] = {
-    {"flags", WB_I4, 0, 1, {-9}, offsetof(wb_group, flags)},
+    {"flags", WB_I4, 0, 1, {-4}, offsetof(wb_group, flags)},
     {"outputs", WB_I4, 0, 1, {WB_OF_M}, offsetof(wb_group, outputs)},
     {"held", WB_I4, 1, 1, {WB_OF_M}, offsetof(wb_group, held)},
     {"allowed", WB_F8, 0, 1, {WB_OF_M}, offsetof(wb_group, allowed)},};
@@ -59,8 +59,8 @@ static const wb_array WB_ROW_ARRAYS[] = {
     {"tangent", WB_F8, 0, 3, {WB_OF_T, WB_OF_M, WB_OF_N}, offsetof(wb_rows, tangent)},};
 static const wb_array WB_AXES_ARRAYS[] = {
     {"simplex", WB_F8, 0, 2, {WB_OF_I, -16}, offsetof(wb_composition, simplex)},
-    {"state", WB_U1, 0, 1, {WB_OF_I}, offsetof(wb_composition, state)},
-    {"vertex", WB_F8, 0, 2, {WB_OF_P, -16}, offsetof(wb_composition, vertex)},
+    {"degenerate", WB_U1, 0, 1, {WB_OF_I}, offsetof(wb_composition, degenerate)},
+    {"vertex", WB_F8, 0, 2, {WB_OF_P, -9}, offsetof(wb_composition, vertex)},
     {"slopes", WB_F8, 0, 3, {WB_OF_P, -6, -3}, offsetof(wb_composition, slopes)},
     {"facets", WB_I4, 0, 2, {WB_OF_F, -4}, offsetof(wb_composition, facets)},
     {"point_first", WB_I4, 0, 1, {-4}, offsetof(wb_composition, point_first)},
@@ -69,18 +69,11 @@ static const wb_array WB_AXES_ARRAYS[] = {
     {"floats", WB_F8, 0, 2, {-3, -22}, offsetof(wb_composition, floats)},
     {"ints", WB_I4, 0, 2, {-3, -5}, offsetof(wb_composition, ints)},
     {"grid", WB_I4, 0, 1, {WB_OF_G}, offsetof(wb_composition, grid)},
-    {"together", WB_I4, 0, 1, {-3}, offsetof(wb_composition, together)},
-    {"fewest", WB_I4, 0, 1, {-3}, offsetof(wb_composition, fewest)},
-    {"left_out", WB_I4, 0, 1, {-4}, offsetof(wb_composition, left_out)},
-    {"largest", WB_F8, 0, 1, {-4}, offsetof(wb_composition, largest)},
-    {"zero_load", WB_F8, 0, 2, {-2, -6}, offsetof(wb_composition, zero_load)},
-    {"error", WB_F8, 0, 3, {-3, -2, -6}, offsetof(wb_composition, error)},};
+    {"zero_load", WB_F8, 0, 1, {-6}, offsetof(wb_composition, zero_load)},};
 static const wb_array WB_CUT_ARRAYS[] = {
     {"state", WB_I4, 0, 1, {WB_OF_K}, offsetof(wb_cut, state)},
     {"stations", WB_F8, 0, 1, {WB_OF_U}, offsetof(wb_cut, stations)},
     {"outputs", WB_F8, 0, 3, {WB_OF_K, -2, -6}, offsetof(wb_cut, outputs)},
-    {"stated", WB_F8, 0, 3, {WB_OF_K, -2, -6}, offsetof(wb_cut, stated)},
-    {"unit", WB_F8, 0, 2, {WB_OF_K, -3}, offsetof(wb_cut, unit)},
     {"bucket", WB_F8, 0, 1, {-2}, offsetof(wb_cut, bucket)},
     {"start", WB_I4, 0, 1, {WB_OF_B}, offsetof(wb_cut, start)},};
 static const wb_array WB_KRIGING_ARRAYS[] = {
@@ -98,6 +91,7 @@ static const wb_array WB_KRIGING_ARRAYS[] = {
     {"floor", WB_F8, 0, 1, {WB_OF_M}, offsetof(wb_kriging, floor)},
     {"tangent", WB_F8, 0, 2, {WB_OF_M, WB_OF_N}, offsetof(wb_kriging, tangent)},
     {"span", WB_F8, 0, 2, {-2, WB_OF_N}, offsetof(wb_kriging, span)},
+    {"together", WB_F8, 0, 1, {-2}, offsetof(wb_kriging, together)},
     {"factor_count", WB_I4, 0, 1, {-1}, offsetof(wb_kriging, factor_count)},};
 static const wb_array WB_FACTOR_ARRAYS[] = {
     {"outputs", WB_I4, 0, 1, {WB_OF_M}, offsetof(wb_factor, outputs)},

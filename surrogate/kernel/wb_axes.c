@@ -17,23 +17,15 @@ static int64_t point_of(const wb_composition *c, int simplex, int corner) {
     return point >= 0 && point < c->points ? point : 0;
 }
 
-/* Outputs and errors at a point of a simplex. Linear interpolation of |x|^2 / 2 errs by
- * S = 1/2 sum of weights |x - x_v|^2, of a response by sqrt(A + C S^2) */
-static void read_values(const wb_composition *c, int axis, int simplex, const double at[3],
-                        const double weights[4], wb_part *part) {
-    const double *error = c->error + 12 * axis;
+/* Outputs at a point of a simplex. */
+static void read_values(const wb_composition *c, int axis, int simplex, const double weights[4],
+                        wb_part *part) {
     int dimension = c->ints[axis].dimension;
-    double unit = 0.0;
     for (int corner = 0; corner <= dimension; corner++) {
         const wb_vertex *v = c->vertex + point_of(c, simplex, corner);
         double weight = weights[weight_at(corner, dimension)];
         for (int q = 0; q < 6; q++) part->outputs[q] += weight * v->value[q];
-        for (int q = 0; q < 6; q++) part->error[q] += weight * v->uncertainty[q];
-        double a = at[0] - v->position[0], b = at[1] - v->position[1], d = at[2] - v->position[2];
-        unit += weight * (a * a + b * b + d * d);
     }
-    unit = unit > 0.0 ? 0.5 * unit : 0.0;
-    for (int q = 0; q < 6; q++) part->error[q] += sqrt(error[q] + error[6 + q] * (unit * unit));
 }
 
 /* Slopes by the scaled loads, within a simplex. */
@@ -101,7 +93,7 @@ static void blend_slopes(const wb_composition *c, int axis, int simplex, const d
 static void step_off_plane(const wb_composition *c, int axis, const double step[3],
                            wb_part *part) {
     const wb_axis_floats *f = &c->floats[axis];
-    int dimension = c->ints[axis].dimension, inputs[3], unknown = 0;
+    int dimension = c->ints[axis].dimension, inputs[3];
     double off[3], along[3] = {0.0, 0.0, 0.0}, largest = 0.0;
     if (dimension == 3) return;
     inputs_of(axis, inputs);
@@ -112,48 +104,38 @@ static void step_off_plane(const wb_composition *c, int axis, const double step[
         for (int j = 0; j < dimension; j++) in += along[j] * f->basis[3 * j + i];
         off[i] = step[i] - in;
         largest = fmax(largest, fabs(off[i]));
-        unknown |= fabs(off[i]) > WB_ZERO_LOAD && !c->fit->known[inputs[i]];
     }
     if (!(largest > WB_ZERO_LOAD)) return;
     for (int q = 0; q < 6; q++) {
         const double *row = c->fit->matrix + 6 * q;
-        double more = 0.0, size = 0.0;
-        for (int i = 0; i < 3; i++) {
-            double load = off[i] * f->scale[i];
-            more += load * row[inputs[i]];
-            size += fabs(load) * fabs(row[inputs[i]]);
-        }
+        double more = 0.0;
+        for (int i = 0; i < 3; i++) more += off[i] * f->scale[i] * row[inputs[i]];
         part->outputs[q] += more;
-        part->error[q] = unknown ? NAN : part->error[q] + (size + c->fit->bar[q]);
     }
 }
 
-/* From the hull's nearest point to the point asked: outputs by the slope there, wider errors. */
+/* From the hull's nearest point to the point asked: outputs by the slope there. */
 static void step_off(const wb_composition *c, int axis, const double step[3], wb_part *part) {
     for (int q = 0; q < 6; q++) {
         double moved = 0.0;
         for (int i = 0; i < 3; i++) moved += part->slopes[q][i] * step[i];
         part->outputs[q] += moved;
-        part->error[q] += fabs(moved);
     }
     step_off_plane(c, axis, step, part);
 }
 
 /* The fitted compliance's part, for an axis that has no rows. */
 static void guess(const wb_composition *c, int axis, const double wrench[6], wb_part *part) {
-    int inputs[3], unknown = 0;
+    int inputs[3];
     inputs_of(axis, inputs);
-    for (int i = 0; i < 3; i++) unknown |= wrench[inputs[i]] != 0 && !c->fit->known[inputs[i]];
     for (int q = 0; q < 6; q++) {
         const double *row = c->fit->matrix + 6 * q;
-        double moved = 0.0, size = 0.0;
+        double moved = 0.0;
         for (int i = 0; i < 3; i++) {
             moved += wrench[inputs[i]] * row[inputs[i]];
-            size += fabs(wrench[inputs[i]]) * fabs(row[inputs[i]]);
             part->slopes[q][i] = row[inputs[i]];
         }
         part->outputs[q] = c->zero_load[q] + moved;
-        part->error[q] = unknown ? NAN : size + c->fit->bar[q];
     }
     part->state = WB_NO_ROWS, part->simplex = -1;
 }
@@ -172,12 +154,6 @@ void wb_axis_locate(const wb_composition *c, int axis, const double wrench[6], w
         location->simplex = wb_nearest_on_hull(c, axis, location->x, location->at, location->weights);
 }
 
-/* Whether several loads act where no rows show what several do at once. */
-static int is_unknown_together(const wb_composition *c, int axis, const double x[3]) {
-    int loads = (fabs(x[0]) > WB_ZERO_LOAD) + (fabs(x[1]) > WB_ZERO_LOAD) + (fabs(x[2]) > WB_ZERO_LOAD);
-    return loads > 1 && c->together[axis] < c->left_out[3];
-}
-
 /* All six outputs; slopes by the axis' loads, N and N·m. */
 void wb_axis_read(const wb_composition *c, int axis, const double wrench[6], const wb_location *location,
                   int with_slopes, wb_part *part) {
@@ -189,9 +165,8 @@ void wb_axis_read(const wb_composition *c, int axis, const double wrench[6], con
         guess(c, axis, wrench, part);
         return;
     }
-    part->state = location->inside ? c->state[simplex] : WB_OFF_HULL, part->simplex = simplex;
-    if (part->state < WB_WEAK && is_unknown_together(c, axis, location->x)) part->state = WB_WEAK;
-    read_values(c, axis, simplex, location->at, location->weights, part);
+    part->state = location->inside ? WB_INSIDE : WB_OFF_HULL, part->simplex = simplex;
+    read_values(c, axis, simplex, location->weights, part);
     if (!location->inside) {
         for (int i = 0; i < 3; i++) step[i] = location->x[i] - location->at[i];
         blend_slopes(c, axis, simplex, location->weights, part);

@@ -1,7 +1,7 @@
 /* Three axes to one answer. MIT license.
  *
  * All six outputs are composed, u = u(0) + sum over axes of (axis - u(0)) - sum over moments of
- * (that moment alone - u(0)), their errors in quadrature; `griddata` has each translation of its
+ * (that moment alone - u(0)); `griddata` has each translation of its
  * axis alone, as that method answers.
  */
 #include "wb_internal.h"
@@ -11,7 +11,7 @@
 
 /* The answer to one moment alone: all six outputs. */
 typedef struct {
-    double outputs[6], error[6], slopes[6];
+    double outputs[6], slopes[6];
     int state;
 } alone_part;
 
@@ -42,25 +42,16 @@ int wb_cut_state(const wb_cut *cut, double moment) {
 static void read_cut(const wb_cut *cut, double along, int stretch, int with_slopes,
                      alone_part *out) {
     const double *o = cut->outputs + 12 * (int64_t)stretch;
-    const double *r = cut->stated + 12 * (int64_t)stretch, *s = cut->unit + 3 * (int64_t)stretch;
     double y = along - cut->stations[stretch];
-    double unit = s[0] + y * (s[1] + y * s[2]);
-    unit = unit > 0.0 ? unit : 0.0;
     for (int q = 0; q < 6; q++) out->outputs[q] = o[q] + y * o[6 + q];
-    for (int q = 0; q < 6; q++) {
-        out->error[q] = r[q] + y * r[6 + q];
-        out->error[q] += sqrt(cut->error[q] + cut->error[6 + q] * (unit * unit));
-    }
     for (int q = 0; with_slopes && q < 6; q++) out->slopes[q] = o[6 + q] / cut->scale;
 }
 
 /* The fitted compliance's part, for a moment that has no rows. */
 static void guess(const wb_composition *c, int load, double amount, alone_part *out) {
-    int unknown = amount != 0 && !c->fit->known[load];
     for (int q = 0; q < 6; q++) {
         double slope = c->fit->matrix[6 * q + load];
         out->outputs[q] = c->zero_load[q] + amount * slope;
-        out->error[q] = unknown ? NAN : fabs(amount) * fabs(slope) + c->fit->bar[q];
         out->slopes[q] = slope;
     }
 }
@@ -90,13 +81,8 @@ static void read_alone(const wb_composition *c, int moment, double amount, int w
 static int worse(int a, int b) { return a > b ? a : b; }
 
 /* Add an answer so many times. */
-static void add_part(const double outputs[6], const double error[6], double times,
-                     wb_composed *out) {
-    for (int q = 0; q < 6; q++) {
-        double wide = times * error[q];
-        out->moved[q] += times * outputs[q];
-        out->squares[q] += wide * wide;
-    }
+static void add_part(const double outputs[6], double times, wb_composed *out) {
+    for (int q = 0; q < 6; q++) out->moved[q] += times * outputs[q];
     out->times += times;
 }
 
@@ -109,11 +95,7 @@ void wb_compose_start(const wb_composition *c, wb_composed *out) {
 static void add_zero_load(const wb_composition *c, wb_composed *out) {
     double remaining = 1.0 - out->times;
     if (remaining == 0.0) return;
-    for (int q = 0; q < 6; q++) {
-        double wide = remaining * c->zero_load[6 + q];
-        out->moved[q] += remaining * c->zero_load[q];
-        out->squares[q] += wide * wide;
-    }
+    for (int q = 0; q < 6; q++) out->moved[q] += remaining * c->zero_load[q];
 }
 
 /* Whether the axis' triangulation is read: its force, or both of its moments, are there. */
@@ -125,7 +107,7 @@ int wb_needs_axis(const double small[6], const double wrench[6], int axis) {
 
 void wb_add_axis(const wb_part *part, int axis, wb_composed *out) {
     out->griddata[axis] = part->outputs[axis];
-    add_part(part->outputs, part->error, 1.0, out);
+    add_part(part->outputs, 1.0, out);
     out->states[axis] = part->state;
 }
 
@@ -147,7 +129,7 @@ void wb_add_moments(const wb_composition *c, const double small[6], const double
             out->states[axis] = worse(out->states[axis], alone.state);
         }
         if (times == 0.0) continue;
-        add_part(alone.outputs, alone.error, times, out);
+        add_part(alone.outputs, times, out);
         out->states[base] = worse(out->states[base], alone.state);
     }
     add_zero_load(c, out);

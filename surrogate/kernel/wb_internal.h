@@ -21,9 +21,7 @@
 
 enum { WB_F8 = 1, WB_I4 = 2, WB_I8 = 3, WB_U1 = 4 }; /* types of arrays */
 /* What an axis' part of an answer depends on, from the best to the worst. */
-enum { WB_SOUND = 0, WB_WEAK = 1, WB_DEGENERATE = 2, WB_OFF_HULL = 9, WB_NO_ROWS = 10 };
-/* The best estimate, from which the errors of other methods follow. */
-enum { WB_REF_ADDITIVE = 1, WB_REF_RESIDUAL = 2, WB_REF_KRIGING = 4 };
+enum { WB_INSIDE = 0, WB_OFF_HULL = 9, WB_NO_ROWS = 10 };
 enum { WB_PANEL = 16, WB_LANES = 8 }; /* rows of a triangle at once; partial sums of a product */
 
 /* 128 bytes, two cache lines: all that a step of a walk reads. */
@@ -32,9 +30,9 @@ typedef struct {
     double map[9], anchor[3]; /* slopes of the barycentric coordinates, position of the last vertex */
 } wb_simplex;
 
-/* 128 bytes: all that an answer reads of a point. */
+/* All that an answer reads of a point. */
 typedef struct {
-    double position[3], unused, value[6], uncertainty[6];
+    double position[3], value[6];
 } wb_vertex;
 
 typedef struct {
@@ -50,7 +48,7 @@ typedef struct {
     int present, stretches;
     int64_t buckets;
     double scale;
-    const double *stations, *outputs, *stated, *unit, *error, *bucket;
+    const double *stations, *outputs, *bucket;
     const int32_t *state, *start;
 } wb_cut;
 
@@ -63,13 +61,11 @@ typedef struct {
     int64_t points, simplices, cells;
     const wb_simplex *simplex;
     const wb_vertex *vertex;
-    const double *slopes, *zero_load, *error;
-    const unsigned char *state;
+    const double *slopes, *zero_load;
+    const unsigned char *degenerate;
     const wb_axis_ints *ints;
     const wb_axis_floats *floats;
-    const int32_t *grid, *facets, *facet_first, *simplex_first, *point_first, *fewest,
-        *left_out, *together;
-    const double *largest;
+    const int32_t *grid, *facets, *facet_first, *simplex_first, *point_first;
     wb_cut cuts[3][2];
     const wb_fit *fit;
 } wb_composition;
@@ -88,7 +84,7 @@ typedef struct {
     int stride, terms, factors; /* stride: rows, a multiple of WB_LANES */
     int has_second, per_row; /* whether rows bring second derivatives; numbers of a row */
     const double *x, *term, *weights, *coefficients, *centre, *rate, *offset, *spread;
-    const double *deviation, *lost, *floor, *tangent, *span;
+    const double *deviation, *lost, *floor, *tangent, *span, *together;
     const int32_t *smoothness, *factor_count; /* smoothness: NULL without second derivatives */
     wb_factor *factor;
 } wb_kriging;
@@ -102,14 +98,13 @@ typedef struct {
 
 /* The outputs that the same rows hold. */
 typedef struct {
-    int method, reference, knows_interaction, zero_unknown, exact_fit, used;
-    int full, needed, has_rows, has_composition, has_kriging, has_residual;
+    int method, exact_fit, used, has_rows, has_composition, has_kriging;
     const int32_t *flags, *outputs, *held; /* held: NULL where it has those outputs alone */
     const double *allowed;
     wb_fit fit;
     wb_rows rows;
     wb_composition composition;
-    wb_kriging kriging, residual;
+    wb_kriging kriging;
 } wb_group;
 
 typedef struct {
@@ -155,7 +150,7 @@ typedef struct {
 
 /* One axis' answer, all six outputs, its slopes by its three loads (N and N·m). */
 typedef struct {
-    double outputs[6], error[6], slopes[6][3];
+    double outputs[6], slopes[6][3];
     int state, simplex;
 } wb_part;
 
@@ -165,10 +160,10 @@ typedef struct {
     int simplex, inside;
 } wb_location;
 
-/* Three axes together: `moved` adds all axes up, with the squared errors; `griddata` has
+/* Three axes together: `moved` adds all axes up, `griddata` has
  * each translation of its axis alone. `times`: how many parts there are, less those taken away. */
 typedef struct {
-    double moved[6], squares[6], griddata[3], times;
+    double moved[6], griddata[3], times;
     int states[3], state;
 } wb_composed;
 

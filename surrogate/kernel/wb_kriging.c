@@ -247,6 +247,24 @@ static void explore(const wb_table *t, const wb_kriging *k, wb_work *work, const
     }
 }
 
+/* Whether rows have loads as large as these at once: besides the main load, and besides those that
+ * one term sees (the last term sees all). */
+static int are_shown_together(const wb_kriging *k, int inputs, const double *at) {
+    double largest = 0.0, second = 0.0, least = INFINITY;
+    for (int a = 0; a < inputs; a++) {
+        double load = fabs(at[a] + k->centre[a] * k->rate[a]);
+        second = fmax(second, fmin(load, largest)), largest = fmax(load, largest);
+    }
+    for (int i = 0; i < k->terms - 1; i++) {
+        const double *term = k->term + (inputs + 1) * i;
+        double most = 0.0;
+        for (int a = 0; a < inputs; a++)
+            if (!(term[a] > 0.0)) most = fmax(most, fabs(at[a] + k->centre[a] * k->rate[a]));
+        least = fmin(least, most);
+    }
+    return second <= k->together[0] && least <= k->together[1];
+}
+
 /* Why the errors of an answer are not known. */
 void wb_kriging_reasons(const wb_table *t, const wb_kriging *k, wb_work *work, const double *w,
                         wb_result *a) {
@@ -265,7 +283,12 @@ void wb_kriging_reasons(const wb_table *t, const wb_kriging *k, wb_work *work, c
         wb_reason *reason = wb_add_reason(a, WB_REASON_BEYOND_SPAN);
         reason->index = load, reason->value = w[load];
     }
-    if (a->reasons > before || far < 0) return;
+    if (a->reasons > before) return;
+    if (!are_shown_together(k, t->inputs, at)) {
+        wb_add_reason(a, WB_REASON_INTERACTION);
+        return;
+    }
+    if (far < 0) return;
     wb_reason *reason = wb_add_reason(a, WB_REASON_TOO_FAR);
     reason->value = sigma[far], reason->limit = *k->factor[far].max_sigma;
 }
@@ -287,6 +310,7 @@ void wb_kriging_values(const wb_table *t, const wb_kriging *k, wb_work *work,
     explore(t, k, work, wrench, at, values, sigma);
     int spanned = 1; /* beyond the rows errors are not known */
     for (int a = 0; a < n; a++) spanned &= k->span[a] <= at[a] && at[a] <= k->span[n + a];
+    spanned &= are_shown_together(k, n, at);
     for (int s = 0; s < k->factors; s++) { /* nor where rows left out do not show them */
         const wb_factor *factor = &k->factor[s];
         for (int q = 0; q < m; q++)
@@ -357,8 +381,8 @@ static void slopes_along(const wb_table *t, const wb_kriging *k, int s, int end,
         double slope = product(work->flat, k->weights + (int64_t)q * count, count);
         for (int a = 0; a < n; a++) slope += k->coefficients[m * (1 + a) + q] * scaled[a];
         slopes[q] = slope * k->spread[q];
-        for (int a = 0; a < n; a++) /* loads that take no part: the rows' mean tangent */
-            slopes[q] += k->tangent[n * q + a] * direction[a];
+        for (int a = 0; a < n; a++) /* loads that take no part: the rows' mean tangent, or NaN */
+            if (direction[a] != 0.0) slopes[q] += k->tangent[n * q + a] * direction[a];
     }
 }
 

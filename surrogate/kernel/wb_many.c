@@ -149,8 +149,7 @@ static void answer_block(const task *job, size_t start, size_t count, bench *b) 
     size_t n = (size_t)t->inputs, m = (size_t)t->outputs;
     const wb_kriging *k = NULL;
     if (g && method == WB_KRIGING) k = &g->kriging;
-    else if (axes && g->reference & WB_REF_KRIGING) k = &g->kriging;
-    else if (axes && g->reference & WB_REF_RESIDUAL) k = &g->residual;
+    else if (axes && g->has_kriging) k = &g->kriging;
     if (axes) compose_block(t, g, count, b);
     order_block(t, k, count, b);
     for (size_t i = 0; i < count; i++) {

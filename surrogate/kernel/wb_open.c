@@ -150,7 +150,7 @@ static void read_cut(reader *r, wb_composition *c, int moment, int which) {
     int64_t count = r->size[WB_OF_K], stations = count ? count + 1 : 0;
     require(r, "stations", r->size[WB_OF_U] == stations);
     cut->stretches = (int)count, cut->buckets = buckets_of(r, cut->start, stations);
-    cut->scale = c->floats[axis].scale[1 + which], cut->error = c->error + 12 * axis;
+    cut->scale = c->floats[axis].scale[1 + which];
 }
 
 /* Check one axis' frame: the sizes of its grid and its part of the points and simplices. */
@@ -262,26 +262,17 @@ static void read_group(reader *r, int number, wb_group *g, wb_factor **factor) {
     if (!READ(r, FIT, WB_BLOCK, &g->fit)) return;
     snprintf(r->block, sizeof r->block, "%srow/", group);
     read_rows(r, &g->rows);
-    g->method = flags[0], g->reference = flags[1], g->knows_interaction = flags[2];
-    g->zero_unknown = flags[3], g->exact_fit = flags[4], g->used = flags[5];
-    g->full = flags[6], g->needed = flags[7], g->has_rows = flags[8];
+    g->method = flags[0], g->exact_fit = flags[1], g->used = flags[2], g->has_rows = flags[3];
     snprintf(r->block, sizeof r->block, "%saxes/", group);
     g->composition.fit = &g->fit;
     g->has_composition = find(r, "vertex") != NULL;
     if (!*r->bad && g->has_composition) read_composition(r, &g->composition, group);
     g->has_kriging = read_kriging(r, group, "kriging", &g->kriging, factor);
-    g->has_residual = read_kriging(r, group, "residual", &g->residual, factor);
     if (g->has_kriging) each_by_one(r, g, &g->kriging);
-    if (g->has_residual) each_by_one(r, g, &g->residual);
     within(r, "flags", flags, 1, 0, WB_METHODS);
     require(r, "flags", !g->used || g->has_composition || g->has_kriging || g->exact_fit);
     require(r, "flags", !g->used || g->method != WB_KRIGING || g->has_kriging);
-    /* The reference of errors: none, the kriging, or the axes with or without what they miss. */
-    int mode = g->reference, residual = mode == (WB_REF_ADDITIVE | WB_REF_RESIDUAL);
-    require(r, "flags", !mode || mode == WB_REF_KRIGING || mode == WB_REF_ADDITIVE || residual);
-    require(r, "flags", mode != WB_REF_KRIGING || g->has_kriging);
-    require(r, "flags", !residual || g->has_residual);
-    require(r, "flags", !(mode & WB_REF_ADDITIVE) || g->has_composition);
+    require(r, "flags", !g->used || g->method > WB_ADDITIVE || g->has_composition);
 }
 
 /* The directory's and the JSON block's position; 0 if they are not in the file. */

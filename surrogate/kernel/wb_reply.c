@@ -23,8 +23,7 @@ static void begin(const wb_table *t, const double *inputs, wb_reply *reply) {
 
 /* Whether the words of a reason tell of the rows of its group: those of another differ. */
 static int is_of_group(int code) {
-    return code == WB_REASON_AXIS_OFF_HULL || code == WB_REASON_AXIS_ERRORS_UNKNOWN ||
-           code == WB_REASON_INTERACTION || code == WB_REASON_BEYOND_SPAN;
+    return code == WB_REASON_AXIS_OFF_HULL || code == WB_REASON_BEYOND_SPAN;
 }
 
 static int is_reason_of(const wb_reply *reply, const wb_reason *reason, int group) {
@@ -225,11 +224,7 @@ int wb_check(const wb_table *t, const wb_options *o, const double *inputs) {
         if (!isfinite(inputs[k])) return WB_NOT_FINITE;
     for (int i = 0; i < t->groups; i++) {
         const wb_group *g = &t->group[i];
-        int method = wb_method_of(g, o);
-        int exact = method == WB_LINEAR && g->exact_fit;
-        int reference = method == WB_KRIGING && g->reference & WB_REF_KRIGING;
-        if (!g->used || reference || exact) continue;
-        if (!g->reference || (method <= WB_ADDITIVE && !g->has_composition)) return WB_NO_METHOD;
+        if (g->used && wb_method_of(g, o) <= WB_ADDITIVE && !g->has_composition) return WB_NO_METHOD;
     }
     return WB_OK;
 }

@@ -62,7 +62,7 @@ static int find_slowly(const wb_composition *c, int axis, const double flat[3], 
     int dimension = c->ints[axis].dimension, best = -1;
     double largest = -ON_HULL, smallest;
     for (int s = c->simplex_first[axis]; s < c->simplex_first[axis + 1]; s++) {
-        if (c->state[s] == WB_DEGENERATE) continue;
+        if (c->degenerate[s]) continue;
         wb_barycentric(c, s, flat, weights);
         worst_of(weights, dimension, &smallest);
         if (smallest >= largest) { largest = smallest; best = s; }
@@ -75,7 +75,7 @@ static int find(const wb_composition *c, int axis, const double flat[3], double 
     int dimension = c->ints[axis].dimension, here = hint(c, axis, flat);
     for (int step = 0; step < MAX_STEPS; step++) {
         double smallest;
-        if (c->state[here] == WB_DEGENERATE) break;
+        if (c->degenerate[here]) break;
         wb_barycentric(c, here, flat, weights);
         int worst = worst_of(weights, dimension, &smallest);
         if (smallest >= INSIDE) return here;

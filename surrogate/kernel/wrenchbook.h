@@ -62,21 +62,15 @@ enum {
     WB_REASON_UNKNOWN_LOAD = 4,     /* index: input whose influence no row shows */
     WB_REASON_AXIS_NO_ROWS = 5,     /* axis */
     WB_REASON_AXIS_OFF_HULL = 6,    /* axis */
-    WB_REASON_AXIS_FEW_ROWS = 7,    /* axis; value: rows; limit: rows needed */
-    WB_REASON_AXIS_DEGENERATE = 8,  /* axis */
-    WB_REASON_AXIS_FAR_APART = 9,   /* axis; value: part of the load range; limit: most */
     WB_REASON_MOMENT_ALONE = 10,    /* axis; index: input; value: the moment */
-    WB_REASON_ZERO_UNKNOWN = 11,    /* what the component does without load */
-    WB_REASON_INTERACTION = 12,     /* value: full wrenches; limit: full wrenches needed */
+    WB_REASON_INTERACTION = 12,     /* no row loads several axes together as much */
     WB_REASON_BEYOND_SPAN = 13,     /* index: input; value: the load; rows do not span it */
     WB_REASON_OVER_TOLERANCE = 14,  /* index: output; value: interpolation error; limit */
     WB_REASON_NO_ERROR = 15,        /* no row shows how far off this answer may be */
     WB_REASON_ERRORS_UNKNOWN = 16,  /* rows left out do not show how large errors are */
     WB_REASON_BEYOND_LIMITS = 17,   /* an estimate beyond the table's limits is not given */
-    WB_REASON_AXIS_ERRORS_UNKNOWN = 18, /* axis; value: rows left out; limit: least of them */
     WB_REASON_TOO_FAR = 19,         /* value: sigma; limit: largest sigma with known errors */
     WB_REASON_NOT_IN_SCENE = 20,    /* index: input; value: the load; limit: the end passed */
-    WB_REASON_AXIS_TOGETHER = 21,   /* axis; value: rows with several loads; limit: rows needed */
     WB_REASON_FEW_ROWS = 22         /* too few for kriging, and for the compliance */
 };
 
@@ -121,7 +115,7 @@ typedef struct {
     int32_t coverage, origin; /* origin: the axis whose rows answered, -1 without rows */
     int32_t corners, corner[4]; /* points of that axis' triangulation */
     int32_t reasons;
-    double outputs[6], error[6];
+    double outputs[6];
     wb_reason reason;
 } wb_axis_reply;
 
@@ -165,8 +159,8 @@ WB_API int wb_inverse(const wb_table *table, const wb_options *options, const do
 WB_API int wb_joint_rate(int n, const double *stiffness, const double *inverse_mass, double dt,
                          double damping, double *rate);
 /* What axis 0, 1 or 2 contributes to the answer of one group of outputs. */
-WB_API int wb_axis(const wb_table *table, const wb_options *options, int group, int axis,
-                   const double *inputs, wb_axis_reply *reply);
+WB_API int wb_axis(const wb_table *table, int group, int axis, const double *inputs,
+                   wb_axis_reply *reply);
 /* The hash of the sources that this library was compiled from. */
 WB_API const char *wb_sources(void);
 

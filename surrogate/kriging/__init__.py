@@ -1,9 +1,9 @@
 """The Gaussian process over all rows of a table and the tangents that solved rows bring."""
 
 from .correlation import Hyperparameters
-from .equations import TooFewRowsError, TooManyRowsError
+from .equations import TooFewRowsError
 from .factor import SingularCovarianceError
-from .kriging import Kriging, why_too_large
+from .kriging import Kriging
 from .settings import KrigingSettings
 
 __all__ = [
@@ -12,6 +12,4 @@ __all__ = [
     "KrigingSettings",
     "SingularCovarianceError",
     "TooFewRowsError",
-    "TooManyRowsError",
-    "why_too_large",
 ]

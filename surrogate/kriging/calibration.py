@@ -131,7 +131,7 @@ def query_points(
 ) -> Floats:
     """Return points like those of queries, spread over the span of rows, (m, 6), half ranges.
 
-    Where nearly all rows load one axis each, so do these.
+    Where nearly all rows load one axis each, these have the loads at once that rows have.
     """
     active = np.isfinite(span[0])
     low, high = np.where(active, np.clip(span, -1.0, 1.0), 0.0)
@@ -141,8 +141,10 @@ def query_points(
     queries = spread_wrenches(LoadRange(low, high, scaling.space), QUERIES)
     full = full_rows(equations, scaling)
     if full.sum() < min(settings.full_rows, len(full) / 2):
-        groups = scaling.space.kriging_groups[:-1]
-        queries = queries * groups[np.arange(QUERIES) % len(groups)]
+        at_rest = scaling.loads(np.zeros((1, equations.loads)))
+        loaded = np.abs(equations.x - at_rest) > ZERO_LOAD
+        loaded = loaded[np.linspace(0, len(loaded) - 1, QUERIES).round().astype(np.intp)]
+        queries = np.where(loaded, queries, at_rest)
     return queries
 
 

@@ -21,10 +21,6 @@ class TooFewRowsError(RowError):
     """A table with too few rows in its load range for a kriging."""
 
 
-class TooManyRowsError(RowError):
-    """A table with more equations than a factor holds."""
-
-
 @dataclass(frozen=True)
 class Scaling:
     """Between SI and the numbers a kriging works in.

@@ -16,12 +16,10 @@ from .equations import (
     Equations,
     Scaling,
     TooFewRowsError,
-    TooManyRowsError,
     equations_of,
     indices_within,
     scaling_of,
     values_of,
-    within,
 )
 from .factor import (
     Neighbourhoods,
@@ -59,7 +57,8 @@ class Kriging:
     observation_variance : ndarray, shape (6,), spreads squared
         Of an observation of unknown uncertainty.
     tangent : ndarray, shape (6, 6), SI
-        Mean tangent of the rows: the derivative by loads that take no part.
+        Mean tangent of the rows: the derivative by loads that take no part; NaN by loads that no
+        row varies where none brings slopes.
     equations : Equations
     neighbourhoods : tuple of Neighbourhoods
         One per factor: outputs with the same rows and noise have one factor.
@@ -76,6 +75,9 @@ class Kriging:
         Of rows left out, each by itself; NaN where a row does not bring the output.
     span : ndarray, shape (2, 6), half ranges
         Ends of the loads that the rows span: beyond them errors are not known.
+    together : ndarray, shape (2,), half ranges
+        The most that rows load besides one load, and besides one load group (`besides`). Beyond it
+        errors are not known either: no row shows what so large loads do together.
     detail : str
         Its rows and equations as a text.
     """
@@ -93,6 +95,7 @@ class Kriging:
     rounding: Floats
     errors: Floats
     span: Floats
+    together: Floats
     detail: str
 
     @classmethod
@@ -114,8 +117,6 @@ class Kriging:
         ------
         TooFewRowsError
             If too few rows lie in the load range.
-        TooManyRowsError
-            If one factor does not hold their equations.
         SingularCovarianceError
             If rows contradict each other so that no nugget makes the covariance regular.
         """
@@ -125,11 +126,15 @@ class Kriging:
         used = rows.take(indices)
         scaling = scaling_of(used, load_range, settings)
         counted = observations.take(indices)
-        equations = _usable(used, scaling, counted, settings)
+        equations, total = _usable(used, scaling, counted, settings)
         tangents = used.compliance[np.isfinite(used.compliance).all(axis=(1, 2))]
         tangent = tangents.mean(axis=0) if len(tangents) else np.zeros(used.compliance.shape[1:])
+        untold = (np.ptp(equations.x, axis=0) <= NEAR) & (len(tangents) == 0)
+        tangent[:, untold] = np.nan
         with one_thread():
             span = span_of(equations, scaling, settings)
+            beyond = settings.beyond_rows ** (-1 / len(equations))  # as of the span
+            together = besides(equations.x, scaling).max(axis=0) * beyond + NEAR
             points = query_points(equations, scaling, span, settings)
             by_values = equations.n_derivatives == 1
             some = equations.take(evenly(len(equations), CANDIDATES)) if by_values else equations
@@ -138,8 +143,9 @@ class Kriging:
             noise = estimate.noise if through is None else through.noise
             observed = (equations.observations > 0).any(axis=0)
             observation_variance = np.where(observed, noise * equations.typical_noise, 0.0)
-            part = f" of {len(used)}" if by_values and len(equations) < len(used) else ""
-            detail = f"kriging of {len(equations)}{part} rows through "
+            some_rows = f" of {len(used)}" if equations.count < total else ""
+            some_equations = f" of {total}" if equations.count < total else ""
+            detail = f"kriging of {len(equations)}{some_rows} rows through "
             if through is not None:
                 equations = through.equations
                 detail += f"{len(equations)} inducing wrenches"
@@ -147,8 +153,8 @@ class Kriging:
                 if by_values:
                     equations = equations_of(used, scaling, counted, settings)
                 equations = replace(equations, noise=equations.unit_noise * noise)
-                detail = f"kriging, one factor over {len(equations)} rows "
-                detail += f"({equations.count} equations)"
+                detail = f"kriging, one factor over {len(equations)}{some_rows} rows "
+                detail += f"({equations.count}{some_equations} equations)"
             x, known = equations.x, equations.known
             weights, n_outputs = np.zeros(equations.data.shape), equations.data.shape[2]
             coefficients = np.empty((1 + x.shape[1], n_outputs))
@@ -195,7 +201,7 @@ class Kriging:
                     else of_posterior(factor, table, settings)
                 )
         parts = equations, tuple(neighbourhoods), tuple(calibrations)
-        arrays = weights, coefficients, deviation, rounding, errors, span
+        arrays = weights, coefficients, deviation, rounding, errors, span, together
         return cls(settings, scaling, observation_variance, tangent, *parts, *arrays, detail)
 
     @property
@@ -260,7 +266,9 @@ class Kriging:
             sigma = neighbours.deviations(x, across)
             errors[:, outputs] = sigma[:, None] * calibration.factors * self.deviation[outputs]
             known[:, outputs] = (sigma <= calibration.max_sigma)[:, None]
-        known &= ((x >= self.span[0]) & (x <= self.span[1])).all(axis=1)[:, None]
+        spanned = ((x >= self.span[0]) & (x <= self.span[1])).all(axis=1)
+        spanned &= (besides(x, self.scaling) <= self.together).all(axis=1)
+        known &= spanned[:, None]
         return values, errors, known
 
     def _chunks(self, count: int) -> Iterator[slice]:
@@ -325,51 +333,25 @@ def one_thread() -> AbstractContextManager[object]:
 
 def _usable(
     used: Rows, scaling: Scaling, counted: Observations, settings: KrigingSettings
-) -> Equations:
-    """Return the equations of rows, values alone where they are measured and many.
+) -> tuple[Equations, int]:
+    """Return the equations of rows that one factor holds, and the number that the rows bring.
+
+    Values alone where they are measured and many.
 
     Raises
     ------
-    TooFewRowsError, TooManyRowsError
+    TooFewRowsError
     """
     if len(used) > settings.many_rows and not np.isfinite(used.compliance).any():
         chosen = evenly(len(used), settings.most_rows)
-        return values_of(used.take(chosen), scaling, counted.take(chosen), settings)
-    equations = within_one_factor(equations_of(used, scaling, counted, settings), settings)
+        return values_of(used.take(chosen), scaling, counted.take(chosen), settings), len(used)
+    equations = equations_of(used, scaling, counted, settings)
     if len(equations) < settings.min_rows:
         raise TooFewRowsError(
             f"kriging needs {settings.min_rows} rows at different wrenches; there are "
             f"{len(equations)}: solve or import more"
         )
-    if equations.count > settings.dense_equations:
-        raise TooManyRowsError(
-            f"{len(equations)} rows bring {equations.count} equations, more than the "
-            f"{settings.dense_equations} that one factor holds"
-        )
-    return equations
-
-
-def why_too_large(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS) -> str:
-    """Return why no factor holds the values and slopes of rows of distinct wrenches, or "".
-
-    Rows without slopes have a kriging however many they are.
-    """
-    with_slopes, limit = np.isfinite(rows.compliance).all(axis=(1, 2)), settings.dense_equations
-    if not with_slopes.any():
-        return ""
-    count, loads = len(rows), rows.wrench.shape[1]
-    equations = count + loads * int(with_slopes.sum())
-    if equations > limit:  # loads without effect bring no slopes
-        inside = within(rows, load_range, settings)
-        try:
-            loads = int(scaling_of(inside, load_range, settings).active.sum())
-        except TooFewRowsError:
-            return ""
-        with_slopes = np.isfinite(inside.compliance).all(axis=(1, 2))
-        equations = len(inside) + loads * int(with_slopes.sum())
-    if equations <= limit:
-        return ""
-    return f"no kriging: {count} rows bring {equations} equations, one factor holds {limit}"
+    return within_one_factor(equations, settings), equations.count
 
 
 def span_of(equations: Equations, scaling: Scaling, settings: KrigingSettings) -> Floats:
@@ -383,3 +365,21 @@ def span_of(equations: Equations, scaling: Scaling, settings: KrigingSettings) -
     margin = (settings.beyond_rows ** (-1 / len(equations)) - 1) * (high - low) + NEAR
     ends = np.stack((low - margin, high + margin))
     return np.where(scaling.active, ends, [[-np.inf], [np.inf]])
+
+
+def besides(x: Floats, scaling: Scaling) -> Floats:
+    """Return how large loads of points (n, k) are besides their main one, and group, (n, 2).
+
+    The largest load but one, and the largest that is not of the wrench's main load group (an axis,
+    or an interface of several): 0 at a load, and at a wrench of one axis, alone; half ranges.
+    """
+    apart = np.abs(x - scaling.loads(np.zeros((1, x.shape[1]))))
+    groups = scaling.space.kriging_groups[:-1] > 0  # the last sees all loads
+    levels = np.eye(x.shape[1], dtype=bool), groups
+    return np.stack(
+        [
+            np.min([np.where(group, 0.0, apart).max(axis=1) for group in level], axis=0)
+            for level in levels
+        ],
+        axis=1,
+    )

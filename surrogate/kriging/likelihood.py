@@ -123,18 +123,23 @@ def estimated(
 
 
 def within_one_factor(equations: Equations, settings: KrigingSettings) -> Equations:
-    """Return the equations that a factor holds: second derivatives of as many rows as fit.
+    """Return the equations that a factor holds: the values of all rows, derivatives of some.
 
-    These rows are spread farthest: between distant rows a second derivative counts most.
+    As many rows as fit bring their second derivatives, else their slopes, else their values. They
+    are spread farthest: between distant rows these count most.
     """
-    if equations.count <= settings.dense_equations:
-        return equations
-    second = np.zeros_like(equations.known)
-    second[:, 1 + equations.loads :] = equations.known[:, 1 + equations.loads :]
-    n_left = settings.dense_equations - int((equations.known & ~second).sum())
-    with_second = np.zeros((len(equations), 1), dtype=bool)
-    with_second[spread_rows(replace(equations, known=second), n_left)] = True
-    return replace(equations, known=equations.known & (~second | with_second))
+    limit, order = settings.dense_equations, np.arange(equations.n_derivatives)
+    if len(equations) > limit:
+        values = replace(equations, known=equations.known & (order == 0))
+        equations = equations.take(spread_rows(values, limit))
+    for first in (1 + equations.loads, 1):
+        if equations.count <= limit:
+            break
+        more = equations.known & (order >= first)
+        left = limit - int((equations.known & ~more).sum())
+        more[spread_rows(replace(equations, known=more), left)] = False
+        equations = replace(equations, known=equations.known & ~more)
+    return equations
 
 
 def spread_rows(equations: Equations, max_equations: int) -> NDArray[np.intp]:
@@ -145,7 +150,7 @@ def spread_rows(equations: Equations, max_equations: int) -> NDArray[np.intp]:
     total, chosen = 0, []
     for row in farthest_first(equations.x):
         total += int(equations.known[row].sum())
-        if chosen and total > max_equations:
+        if total > max_equations:
             break
         chosen.append(row)
-    return np.sort(chosen)
+    return np.sort(np.array(chosen, dtype=np.intp))

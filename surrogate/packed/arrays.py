@@ -73,7 +73,6 @@ SYMBOLS = {
 OUTER = 3  # the first symbols are those of the table; the others are those of a block
 SHARED = 4  # and `s`, which the factors of a kriging share with it
 
-_RANGE = "of the load range"
 _BOUNDS = (
     Array("bucket", "f8", "2", "frame of buckets over ascending numbers: `buckets_of`"),
     Array("start", "i4", "b", "where each bucket begins among them, and the end"),
@@ -110,10 +109,8 @@ BLOCKS = {
         Array("slopes", "i4", "n", "loads by which derivatives are known", member="scene_slopes"),
     )),
     "group": Block(r"g\d+/", "wb_group", (
-        Array("flags", "i4", "9", "default method, bits of its reference (WB_REF_...), whether "
-              "rows show interaction, whether the answer at no load is unknown, whether the fit is "
-              "exact, whether there are rows to answer from, full wrenches, full wrenches needed, "
-              "whether rows lie in the load range"),
+        Array("flags", "i4", "4", "default method, whether the fit is exact, whether there are "
+              "rows to answer from, whether rows lie in the load range"),
         Array("outputs", "i4", "m", "which outputs the group has"),
         Array("held", "i4", "m", "the same with those that a scene does not read", True),
         Array("allowed", "f8", "m", "the largest interpolation error of a covered answer"),
@@ -142,8 +139,8 @@ BLOCKS = {
     "axes": Block(r"g\d+/axes/", "wb_composition", (
         Array("simplex", "f8", "i 16", "wb_simplex: four vertices and four neighbours as 32-bit "
               "integers, slopes (3, 3) of all barycentric coordinates but the last, last vertex"),
-        Array("state", "u1", "i", "how sound the simplex is: WB_SOUND, WB_WEAK, WB_DEGENERATE"),
-        Array("vertex", "f8", "p 16", "wb_vertex: position, nothing, outputs, uncertainty"),
+        Array("degenerate", "u1", "i", "whether the simplex has no volume to speak of"),
+        Array("vertex", "f8", "p 9", "wb_vertex: position, outputs"),
         Array("slopes", "f8", "p 6 3", "of the outputs at the points, by the scaled loads"),
         Array("facets", "i4", "f 4", "three vertices of a hull's facet and the simplex behind"),
         Array("point_first", "i4", "4", "first point of each axis, and the end"),
@@ -152,25 +149,18 @@ BLOCKS = {
         Array("floats", "f8", "3 22", "wb_axis_floats: frames, see `axes_arrays`"),
         Array("ints", "i4", "3 5", "wb_axis_ints: dimension, -1 without rows; first cell; cells"),
         Array("grid", "i4", "g", "simplex close to each cell: where walks start"),
-        Array("together", "i4", "3", "points of an axis with several loads at once"),
-        Array("fewest", "i4", "3", "points that an axis needs"),
-        Array("left_out", "i4", "4", "points left out of each axis, and how many are needed"),
-        Array("largest", "f8", "4", f"largest part {_RANGE} of a simplex, by dimension"),
         Array("span", "f8", "3 3 2", "smallest and largest of an axis' loads", member="-"),
-        Array("zero_load", "f8", "2 6", "answer at no load and its error"),
-        Array("error", "f8", "3 2 6", "A and C of the interpolation error, sqrt(A + C S^2)"),
+        Array("zero_load", "f8", "6", "answer at no load"),
         Array("member_first", "i4", "p1", "first of `members` of each point", member="-"),
         Array("members", "i8", "x", "numbers of the rows behind each point", member="-"),
     )),
     "cut": Block(r"g\d+/axes/cut[012][01]/", "wb_cut", (
-        Array("state", "i4", "k", "how sound a stretch is: as a simplex, WB_OFF_HULL without one"),
+        Array("state", "i4", "k", "WB_INSIDE, or WB_OFF_HULL where no simplex holds the stretch"),
         Array("stations", "f8", "u", "scaled moments between stretches, ascending"),
         Array("outputs", "f8", "k 2 6", "constant and straight part by the moment in a stretch"),
-        Array("stated", "f8", "k 2 6", "the same of the rows' uncertainty"),
-        Array("unit", "f8", "k 3", "constant, straight and square part of the unit error S"),
         *_BOUNDS,
     )),
-    "kriging": Block(r"g\d+/(?:kriging|residual)/", "wb_kriging", (
+    "kriging": Block(r"g\d+/kriging/", "wb_kriging", (
         Array("x", "f8", "n s", "scaled loads of the rows"),
         Array("terms", "f8", "c n1", "inverse squared lengths and weight of each term of each "
               "factor's covariance, the last of all loads", member="term"),
@@ -188,10 +178,12 @@ BLOCKS = {
         Array("floor", "f8", "m", "part of all error bars: nugget and rounding"),
         Array("tangent", "f8", "m n", "added to the derivative: by loads that take no part"),
         Array("span", "f8", "2 n", "scaled loads between which errors are known"),
+        Array("together", "f8", "2", "the most that rows load besides one load, and besides one "
+              "term, scaled: beyond it errors are not known"),
         Array("span_loads", "f8", "2 n", "the same in N and N·m", member="-"),
         Array("factor_count", "i4", "1", "number of factors"),
     )),
-    "factor": Block(r"g\d+/(?:kriging|residual)/factor\d+/", "wb_factor", (
+    "factor": Block(r"g\d+/kriging/factor\d+/", "wb_factor", (
         Array("outputs", "i4", "m", "outputs of the factor"),
         Array("number", "i4", "s", "neighbourhood of each row"),
         Array("equations", "i4", "k e", "where its equations stand among the w numbers"),

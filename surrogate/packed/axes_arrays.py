@@ -1,11 +1,11 @@
 """The three axes of straight direction influence as the arrays of a packed table.
 
 Points and simplices are numbered along a space-filling curve, so that what lies close together in
-the load range lies close together in the file. A simplex and a point take 128 bytes each, two cache
-lines. The kernel finds the simplex of a point so: it starts from the simplex that a regular grid
-names for the point's cell and steps through the face opposite the most negative barycentric
-coordinate (the visibility walk of Devillers, Pion and Teillaud 2002, which always ends in a
-Delaunay triangulation).
+the load range lies close together in the file. A simplex takes 128 bytes, two cache lines. The
+kernel finds the simplex of a point so: it starts from the simplex that a regular grid names for the
+point's cell and steps through the face opposite the most negative barycentric coordinate (the
+visibility walk of Devillers, Pion and Teillaud 2002, which always ends in a Delaunay
+triangulation).
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from ..axes.axes import Axes
-from ..axes.axis_table import FEWEST, LARGEST, AxisTable
+from ..axes.axis_table import AxisTable
 from ..axes.triangulation import Triangulation, curve_order
 from ..table.rows import Floats
 
-SIMPLEX, VERTEX = 16, 16  # doubles of a simplex and of a point: wb_simplex, wb_vertex
+SIMPLEX, VERTEX = 16, 9  # doubles of a simplex and of a point: wb_simplex, wb_vertex
 
 Array = NDArray[np.generic]
 Indices = NDArray[np.intp]
@@ -49,13 +49,17 @@ PER_NUMBER = 1.0  # buckets: a search then takes one or two steps
 def axes_arrays(axes: Axes, members: Sequence[tuple[int, ...]]) -> Iterator[tuple[str, Array]]:
     """Yield the names and arrays of the axes, of the default space."""
     tables = axes.tables
-    first_simplex = _first([0 if table is None else len(table.state) for table in tables])
+    first_simplex = _first(
+        [0 if table is None else len(table.triangulation.simplices) for table in tables]
+    )
     # Points, simplices and hulls, of all axes one after another.
     first_point = _first([0 if table is None else len(table.values) for table in tables])
     each = zip(tables, first_point, first_simplex, strict=False)
     yield "simplex", _joined([_simplices(*axis) for axis in each], (0, SIMPLEX))
-    states = [table.state[_order(table)[1]] for table in tables if table is not None]
-    yield "state", _joined(states, (0,)).astype(np.uint8)
+    flat = [
+        table.triangulation.degenerate[_order(table)[1]] for table in tables if table is not None
+    ]
+    yield "degenerate", _joined(flat, (0,)).astype(np.uint8)
     yield "vertex", _joined([_vertices(table) for table in tables], (0, VERTEX))
     slopes = [table.slopes[_order(table)[0]] for table in tables if table is not None]
     yield "slopes", _joined(slopes, (0, 6, 3))
@@ -81,26 +85,14 @@ def axes_arrays(axes: Axes, members: Sequence[tuple[int, ...]]) -> Iterator[tupl
     yield "floats", floats
     yield "ints", ints
     yield "grid", np.concatenate(grids)
-    together = [0 if table is None else table.n_multi_load for table in tables]
-    yield "together", np.array(together, dtype=np.int32)
-    yield (
-        "fewest",
-        np.array([0 if table is None else table.min_points for table in tables], np.int32),
-    )
-    n_left_out = [0 if table is None else table.errors_shown for table in tables]
-    yield "left_out", np.array([*n_left_out, FEWEST], dtype=np.int32)
-    yield "largest", np.array([LARGEST[dimension] for dimension in range(4)])
     yield "span", np.array([_span(table) for table in tables])
-    yield "zero_load", np.stack((axes.at_zero.displacement, axes.at_zero.error))
-    yield "error", np.array([_error(table) for table in tables])
+    yield "zero_load", axes.at_zero
     for moment, cuts in enumerate(axes.cuts):
         for cut in cuts:
             name, count = f"cut{moment}{cut.column - 1}", len(cut.state)
             yield f"{name}/state", cut.state.astype(np.int32)
             yield f"{name}/stations", cut.stations if count else np.empty(0)
             yield f"{name}/outputs", cut.outputs.reshape(count, 2, 6)
-            yield f"{name}/stated", cut.uncertainty.reshape(count, 2, 6)
-            yield f"{name}/unit", cut.unit_errors.reshape(count, 3)
             bucket, start = buckets_of(cut.stations if count else np.empty(0))
             yield f"{name}/bucket", bucket
             yield f"{name}/start", start
@@ -151,16 +143,7 @@ def _vertices(table: AxisTable | None) -> Floats | None:
     if table is None:
         return None
     order = numbered_of(table.triangulation).point_order
-    position = table.triangulation.points[order]
-    unused = np.zeros((len(order), 1))
-    return np.concatenate((position, unused, table.values[order], table.uncertainty[order]), axis=1)
-
-
-def _error(table: AxisTable | None) -> Floats:
-    """Return A and C of the error of interpolation, sqrt(A + C S^2), shape (2, 6), m² and rad²."""
-    if table is None:
-        return np.full((2, 6), np.nan)
-    return np.stack((table.law.noise_variance, table.law.curvature_variance))
+    return np.concatenate((table.triangulation.points[order], table.values[order]), axis=1)
 
 
 def _facets(table: AxisTable | None) -> NDArray[np.intp]:

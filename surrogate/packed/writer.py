@@ -21,13 +21,9 @@ from ..kernel.format import pieces
 from ..kriging import Kriging
 from ..kriging.calibration import Calibration
 from ..kriging.factor import Neighbourhoods
-from ..methods import ENOUGH_FULL
 from ..table.rows import LONGEST, TRANSLATION_LIMIT, ZERO_LOAD, Floats
 from .arrays import check
 from .axes_arrays import axes_arrays, buckets_of
-
-# Bits of a group's reference: WB_REF_... of surrogate/kernel/wb_internal.h.
-_ADDITIVE, _RESIDUAL, _KRIGING = 1, 2, 4
 
 LANES, PANEL = 8, 16  # WB_LANES and WB_PANEL of surrogate/kernel/wb_internal.h
 
@@ -173,11 +169,7 @@ class _Sources:
 def _group_arrays(group: Group, sources: _Sources) -> Iterator[tuple[str, Array]]:
     """Yield what answers one group of outputs."""
     used, exact = group.can_answer, group.is_exact
-    mode, residual_kriging = _reference(group, exact) if used else (0, None)
-    flags = [
-        *(METHODS.index(group.default), mode, group.knows_interaction, group.zero_unknown),
-        *(exact, used, group.full_wrenches, group.full_needed, len(group.used) > 0),
-    ]
+    flags = [METHODS.index(group.default), exact, used, len(group.used) > 0]
     yield "flags", np.array(flags, dtype=np.int32)
     yield "outputs", np.isin(np.arange(len(group.fit.matrix)), group.outputs).astype(np.int32)
     yield "allowed", np.array(group.allowed.of(None), dtype=float)
@@ -217,21 +209,10 @@ def _group_arrays(group: Group, sources: _Sources) -> Iterator[tuple[str, Array]
     parts: list[tuple[str, Iterator[tuple[str, Array]]]] = []
     if used and group.has_axes:
         parts.append(("axes", axes_arrays(group.axes, group.members)))
-    for name, kriging in (("kriging", group.kriging), ("residual", residual_kriging)):
-        if kriging is not None:
-            parts.append((name, _kriging_arrays(kriging)))
+    if group.kriging is not None:
+        parts.append(("kriging", _kriging_arrays(group.kriging)))
     for name, arrays in parts:
         yield from ((f"{name}/{array_name}", array) for array_name, array in arrays)
-
-
-def _reference(group: Group, exact: bool) -> tuple[int, Kriging | None]:
-    """Return the bits of what errors are measured against, and the kriging of what axes miss."""
-    if exact:  # its default needs no reference: none is built
-        return _ADDITIVE if group.has_axes else 0, None
-    if group.by_kriging:
-        return _KRIGING, None
-    residual_kriging = group.interaction
-    return _ADDITIVE if residual_kriging is None else _ADDITIVE | _RESIDUAL, residual_kriging
 
 
 def _group_meta(group: Group) -> dict[str, Any]:
@@ -242,7 +223,6 @@ def _group_meta(group: Group) -> dict[str, Any]:
         "method_reason": group.choice.reason,
         "kriging": "" if kriging is None else kriging.detail,
         "errors_left_out": group.choice.errors,
-        "has_tangents": group.full_needed != ENOUGH_FULL,
     }
 
 
@@ -273,8 +253,9 @@ def _kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     yield "deviation", kriging.deviation * scaling.spread
     yield "lost", kriging.rounding * scaling.spread
     yield "floor", kriging.floor
-    yield "tangent", np.where(scaling.active, 0.0, kriging.tangent)
+    yield "tangent", np.where(scaling.active & ~np.isnan(kriging.tangent), 0.0, kriging.tangent)
     yield "span", kriging.span
+    yield "together", kriging.together
     yield "span_loads", scaling.wrenches(kriging.span)
     yield "factor_count", np.array([len(kriging.neighbourhoods)], dtype=np.int32)
     factors = zip(kriging.neighbourhoods, kriging.calibrations, strict=True)

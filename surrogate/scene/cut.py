@@ -20,8 +20,7 @@ from .plan import Mask, Need
 Arrays = dict[str, NDArray[Any]]
 
 # Columns of the array ``flags`` of a group: see `packed.writer`.
-_METHOD, _REFERENCE, _EXACT = 0, 1, 4
-_BY_KRIGING, _BY_RESIDUAL = 4, 2  # bits of the reference
+_METHOD, _EXACT = 0, 1
 
 
 def cut(table: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -> list[bytes]:
@@ -85,8 +84,8 @@ def _scene_arrays(table: PackedTable, need: Need, groups: int, slopes: Mask) -> 
 def _cut_group(group: Arrays, need: Need, needs_all: bool, slopes: Mask) -> Arrays:
     """Return a group's arrays; in `slopes` (n,) the loads without derivatives are crossed out."""
     flags = group["flags"]
-    by_kriging = METHODS[flags[_METHOD]] == "kriging" and flags[_REFERENCE] & _BY_KRIGING
-    alone = by_kriging or (METHODS[flags[_METHOD]] == "linear" and flags[_EXACT])
+    method = METHODS[flags[_METHOD]]
+    alone = method == "kriging" or (method == "linear" and flags[_EXACT])
     arrays = {name: array for name, array in group.items() if "/" not in name or name[:4] == "fit/"}
     is_read = np.isin(np.arange(len(group["outputs"])), need.outputs)
     if needs_all:
@@ -95,18 +94,14 @@ def _cut_group(group: Arrays, need: Need, needs_all: bool, slopes: Mask) -> Arra
     arrays |= _cut_rows(group, need)
     if need.tolerance is not None:
         arrays["allowed"] = np.array(allowed_by(need.tolerance, need.span.space))
-    if flags[_REFERENCE] & _BY_KRIGING:
+    if "kriging/x" in group:
         arrays |= _cut_kriging(group, "kriging/", need, needs_all)
-    if flags[_REFERENCE] & _BY_RESIDUAL:
-        arrays |= _cut_kriging(group, "residual/", need, needs_all)
     if not alone and "axes/vertex" in group:
         loaded = np.array([need.occurring[list(axis.inputs)].any() for axis in AXES]) | needs_all
         arrays |= _cut_axes(group, loaded)
         for axis, stays in zip(AXES, loaded, strict=True):
             slopes[list(axis.inputs)] &= stays
-    arrays["flags"] = flags.copy()
-    if alone and not by_kriging:
-        arrays["flags"][_REFERENCE] = 0
+    arrays["flags"] = flags
     return arrays
 
 
@@ -158,7 +153,7 @@ def _cut_axes(group: Arrays, loaded: Mask) -> Arrays:
     members = _selected(axes["member_first"], points)
     arrays = axes | {name: axes[name][points] for name in ("vertex", "slopes")}
     fewer_points, fewer_simplices = _fewer(point, loaded), _fewer(simplex, loaded)
-    arrays["state"] = axes["state"][simplices]
+    arrays["degenerate"] = axes["degenerate"][simplices]
     arrays["simplex"] = _renumbered(axes, simplices, fewer_points, fewer_simplices)
     corners = axes["facets"][facets]
     axis_of = np.repeat(np.arange(3), np.diff(axes["facet_first"]))[facets]
@@ -172,7 +167,6 @@ def _cut_axes(group: Arrays, loaded: Mask) -> Arrays:
     arrays["ints"] = ints
     for name in ("point_first", "simplex_first", "facet_first"):
         arrays[name] = _first(np.diff(axes[name]) * loaded)
-    arrays["fewest"] = axes["fewest"] * loaded
     arrays["member_first"] = _first(np.diff(axes["member_first"])[points])
     arrays["members"] = axes["members"][members]
     for axis in np.flatnonzero(~loaded).tolist():

@@ -69,8 +69,6 @@ class AxisRows:
         Inputs over the load range's half widths.
     displacement : ndarray, shape (n, 6), m and rad
         All six, off-axis part removed where the row is multi-axis; the mean of merged rows.
-    uncertainty : ndarray, shape (n, 6), m and rad
-        Stored uncertainty, or half the spread of merged rows where that is more; 0 if unknown.
     members : tuple of tuple of int
         The indices, in the table's rows, of the rows behind each point.
     single_axis : ndarray of bool, shape (n,)
@@ -81,14 +79,13 @@ class AxisRows:
     axis: LoadAxis
     points: Floats
     displacement: Floats
-    uncertainty: Floats
     members: tuple[tuple[int, ...], ...]
     single_axis: NDArray[np.bool_]
     tangent: Floats
 
     def equals(self, other: AxisRows) -> bool:
         """Return whether all numbers are another's to the bit, wherever the rows behind are."""
-        columns = ("points", "displacement", "uncertainty", "single_axis", "tangent")
+        columns = ("points", "displacement", "single_axis", "tangent")
         return self.axis == other.axis and all(
             getattr(self, name).tobytes() == getattr(other, name).tobytes() for name in columns
         )
@@ -99,7 +96,6 @@ class AxisRows:
             self.axis,
             self.points[which],
             self.displacement[which],
-            self.uncertainty[which],
             tuple(self.members[point] for point in np.flatnonzero(which)),
             self.single_axis[which],
             self.tangent[which],
@@ -181,7 +177,6 @@ def axis_rows(
         axis=axis,
         points=points[order],
         displacement=ordered.displacement,
-        uncertainty=np.nan_to_num(ordered.uncertainty),
         members=tuple(merged.members[point] for point in order),
         single_axis=mine[ordered.seq],
         tangent=tangent,

@@ -102,10 +102,10 @@ def test_a_batch_tells_the_method_that_answers_where_the_one_asked_for_is_not_th
     add_table(client, "lonely", as_rows(full_wrenches(1), moved(full_wrenches(1))))
     table, asked = client.download("lonely"), full_wrenches(3, 5)
     here, there = table.answer(asked[0], method="kriging"), table.batch(asked, method="kriging")
-    assert (here.method, there.method) == ("griddata", "griddata")
+    assert (here.method, there.method) == ("additive", "additive")
     for binary in (False, True):
         how = {"on_thin": "estimate", "method": "kriging", "binary": binary}
-        assert client.displacements("lonely", asked, **how).method == "griddata"
+        assert client.displacements("lonely", asked, **how).method == "additive"
 
 
 def guided_rows(client: Client) -> np.ndarray:

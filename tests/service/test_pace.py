@@ -1,7 +1,7 @@
 """What people see while solves go on."""
 
 from wrenchbook.service.cli.jobs import event_line
-from wrenchbook.service.cli.progress import Pace, error_bars
+from wrenchbook.service.cli.progress import Pace
 from wrenchbook.service.client import Event
 
 
@@ -21,19 +21,6 @@ def test_a_pace_says_solves_a_minute_and_the_time_left():
     assert pace.note(in_round=5) == "50 solves/min, at most 2 min left"
     clock.now, pace.ended = 60.0, 60
     assert pace.note() == "60 solves/min, at most 40 s left"
-
-
-def test_error_bars_of_a_fill_name_their_method_and_units_beside_the_method_that_answers():
-    axes = [
-        {"error": {"ux": 1e-6, "rx": 2e-6}},
-        {"error": {"uy": 3e-6, "rx": 5e-6, "ry": float("nan")}},
-        {"error": None},
-    ]
-    assert error_bars({"axes": axes, "method": "kriging"}) == (
-        "mean error bar of linear interpolation between the rows (griddata): "
-        "ux 1.0e-06 m, uy 3.0e-06 m, rx 5.0e-06 rad; the table answers by kriging"
-    )
-    assert error_bars({"axes": []}) == ""
 
 
 def test_events_are_told_in_words():

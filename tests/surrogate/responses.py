@@ -6,9 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tests.surrogate.law.methods import AxesReference, StraightDirection
+from tests.surrogate.law.methods import StraightDirection, unknown
 from wrenchbook.surrogate.axes.axes import build_axes
-from wrenchbook.surrogate.methods import interaction_of
 from wrenchbook.surrogate.table.axes import AXES
 from wrenchbook.surrogate.table.compliance import fit_compliance
 from wrenchbook.surrogate.table.merging import merge
@@ -77,8 +76,7 @@ def axes_of(rows: Rows, method: str = "griddata") -> StraightDirection:
     used, *_ = merge(rows, RANGE).usable()
     fit = fit_compliance(used, RANGE, linear=False)
     composition = build_axes(used, RANGE, fit, "correct")
-    reference = AxesReference(composition, interaction_of(used, RANGE, composition))
-    return StraightDirection(composition, reference, method)
+    return StraightDirection(composition, unknown, method)
 
 
 def six(error: tuple[float, ...] | None) -> tuple[float, ...]:

@@ -78,9 +78,8 @@ def test_errors_left_out_are_finite_where_rows_lack_outputs(plate: Shipped) -> N
         table = build(plate.rows + uz_alone(rows), plate.load_range)
         solves, every = (group.choice.errors for group in table.groups)
         assert set(solves) == {"kriging"}
-        assert set(every) == {"kriging", "griddata", "additive"}
+        assert set(every) == {"kriging"}
         assert np.isfinite([*solves.values(), *every.values()]).all()
-        assert every["kriging"] < 0.8 * min(every["griddata"], every["additive"])
 
 
 def test_outputs_that_no_row_holds_make_no_bar_narrower() -> None:

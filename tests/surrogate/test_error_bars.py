@@ -23,7 +23,6 @@ from tests.surrogate.responses import (
     RANGE,
     coupled,
     full_wrenches,
-    kinked,
     smooth,
     table,
 )
@@ -147,11 +146,9 @@ def test_the_bars_of_other_methods_hold(method: str) -> None:
     assert synthetic(coupled, rows, method).inside.min() >= INSIDE
 
 
-@pytest.mark.parametrize("response", [smooth, kinked])
-def test_bars_hold_where_a_table_is_too_large_for_one_factor(response) -> None:
-    rows = solved(response, spread_wrenches(120, 60, 2))
-    assert build(rows, RANGE).kriging is None
-    assert synthetic(response, rows).inside.min() >= INSIDE
+def test_the_bars_of_a_table_too_large_for_one_factor_hold() -> None:
+    rows = solved(smooth, spread_wrenches(120, 60, 2))
+    assert synthetic(smooth, rows, "kriging").inside.min() >= INSIDE
 
 
 def test_stored_uncertainty_of_rows_is_in_the_bar() -> None:

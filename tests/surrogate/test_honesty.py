@@ -24,7 +24,9 @@ from tests.surrogate.responses import (
 )
 from wrenchbook.surrogate.answer import METHODS, UnknownMethodError
 from wrenchbook.surrogate.axes.triangulation import Triangulation
+from wrenchbook.surrogate.kernel.reasons import UNKNOWN_TOGETHER
 from wrenchbook.surrogate.packed.writer import packed_of
+from wrenchbook.surrogate.table.axes import AXES
 from wrenchbook.surrogate.table.rows import Rows, Tolerance
 
 CLEAN = clean_wrenches(25, 1)
@@ -70,9 +72,8 @@ def test_almost_equal_rows_do_not_make_slopes_of_their_noise() -> None:
     merged = surrogate.answer((CLEAN[10] * HIGH * (1 - 1e-8)).tolist())
     assert merged.displacement is not None
     assert merged.error is not None
-    np.testing.assert_allclose(merged.displacement[0], smooth(CLEAN[10:11])[0, 0] * 1.0005)
-    # The kriging weighs the two rows with those around them: a little less than half their spread.
-    assert merged.error[0] >= abs(smooth(CLEAN[10:11])[0, 0]) * 0.0005 * 0.9
+    np.testing.assert_allclose(merged.displacement[0], smooth(CLEAN[10:11])[0, 0], rtol=1e-3)
+    assert merged.error[0] > abs(merged.displacement[0] - 1.0005 * smooth(CLEAN[10:11])[0, 0])
     behind = surrogate.explain((CLEAN[10] * HIGH).tolist())[0]["rows"]
     assert {11, 1010} <= set(behind)
 
@@ -82,20 +83,28 @@ def test_full_wrenches_are_thin_on_tables_without_full_wrenches(method: str) -> 
     surrogate = build(table(coupled, CLEAN), RANGE)
     one = surrogate.answer((ASKED[0] * HIGH).tolist(), method=method)
     assert one.coverage == "thin"
-    assert "0 full wrenches and no tangents: at least 20" in one.reason
+    assert one.error is None
+    assert one.reason == UNKNOWN_TOGETHER
     assert (surrogate.batch(ASKED[:9] * HIGH, method=method).coverage == 1).all()
     # whatever its bar: one axis alone is not in doubt
     clean = surrogate.answer([100.0, 0, 0, 0, 5, 5], Tolerance(1.0, 1.0), method)
     assert clean.coverage == "covered"
 
 
-def test_twenty_full_wrenches_or_four_with_tangents_tell_what_axes_leave_out() -> None:
-    for count, known in ((19, False), (20, True)):
-        rows = table(coupled, np.concatenate((CLEAN, full_wrenches(count, 5))))
-        assert build(rows, RANGE).knows_interaction is known
-    for count, known in ((3, False), (4, True)):
-        rows = with_slopes(coupled, np.concatenate((CLEAN, full_wrenches(count, 5))))
-        assert build(rows, RANGE).knows_interaction is known
+@pytest.mark.parametrize("rows_of", [table, with_slopes])
+@pytest.mark.parametrize("count", [2, 8])
+def test_errors_are_known_of_wrenches_that_load_as_much_at_once_as_a_row_does(
+    rows_of: Any, count: int
+) -> None:
+    """Whatever the number of such rows: their left-out errors are in the bars."""
+    rows = rows_of(coupled, np.concatenate((CLEAN, 0.5 * full_wrenches(count, 5))))
+    surrogate = build(rows, RANGE)
+    near, far = (surrogate.batch(part * ASKED * HIGH) for part in (0.3, 1.0))
+    assert np.isfinite(near.error).all(axis=1).mean() > 0.5
+    besides_an_axis = np.min([np.abs(ASKED[:, axis.others]).max(axis=1) for axis in AXES], axis=0)
+    assert np.isnan(far.error[besides_an_axis > 0.6]).all()
+    missed = np.abs(near.displacement - coupled(0.3 * ASKED)) > near.error
+    assert missed[np.isfinite(near.error)].mean() <= 0.1
 
 
 def test_forty_full_wrenches_show_the_errors_of_most_full_wrenches() -> None:
@@ -109,10 +118,10 @@ def test_tangents_of_clean_rows_alone_cover_no_full_wrench() -> None:
     product = RESPONSES["strongly_coupled"]
     surrogate = build(with_slopes(product, CLEAN), RANGE)
     told = surrogate.batch(ASKED * HIGH)
-    assert (np.abs(told.displacement - product(ASKED)) <= told.error).mean() < 0.9
+    assert np.isnan(told.error).all()
     assert (told.coverage == 1).all()
     one = surrogate.answer((ASKED[0] * HIGH).tolist())
-    assert "0 full wrenches: at least 4 full wrenches are needed" in one.reason
+    assert one.reason == UNKNOWN_TOGETHER
 
 
 @pytest.mark.parametrize("count", range(1, 9))
@@ -170,7 +179,9 @@ def test_two_thousandths_of_a_newton_across_the_hull_do_not_jump() -> None:
     surrogate = build(Rows.of(wrench, moved), RANGE)
     # A row is within 1e-6 of the range of -2000.001 N: that is the row's own.
     asked = (-1999.999, -2000.001, -2000.01)
-    inside, beside, outside = (surrogate.answer([0, 0, f, 0, 0, 0]) for f in asked)
+    inside, beside, outside = (
+        surrogate.answer([0, 0, f, 0, 0, 0], method="griddata") for f in asked
+    )
     assert inside.displacement is not None
     assert beside.displacement is not None
     assert outside.displacement is not None
@@ -255,8 +266,8 @@ def sweeps(response: Response) -> Any:
 
 
 def twisted(x: np.ndarray) -> np.ndarray:
-    """In proportion, but for what F_z and M_x do together."""
-    return 1e-3 * (x + 0.5 * (x[:, 2] * x[:, 3])[:, None])
+    """Of each load by itself, but for what F_z and M_x do together."""
+    return 1e-3 * (np.tanh(x) + 0.5 * (x[:, 2] * x[:, 3])[:, None])
 
 
 def test_loads_swept_one_at_a_time_cover_no_two_of_them_at_once() -> None:
@@ -265,15 +276,12 @@ def test_loads_swept_one_at_a_time_cover_no_two_of_them_at_once() -> None:
     for one in (found, packed_of(found)):
         answer = one.answer((HIGH * [0, 0, 0.44, 0.44, 0, 0]).tolist())
         assert answer.coverage == "thin"
-        assert answer.reason == (
-            "axis z: 0 of its rows have several of fz, mx, my at once, at least 5 are needed to "
-            "tell what they do together"
-        )
+        assert answer.reason == UNKNOWN_TOGETHER
 
 
 def test_loads_swept_one_at_a_time_cover_each_alone() -> None:
     found = sweeps(twisted)
     for load in range(6):
         wrench = (HIGH * 0.44 * np.eye(6)[load]).tolist()
-        assert found.answer(wrench, Tolerance(1e-5, 1e-5)).coverage == "covered"
-        assert packed_of(found).answer(wrench, (1e-5,) * 6).coverage == "covered"
+        assert found.answer(wrench, Tolerance(5e-5, 5e-5)).coverage == "covered"
+        assert packed_of(found).answer(wrench, (5e-5,) * 6).coverage == "covered"

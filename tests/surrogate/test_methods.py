@@ -18,7 +18,6 @@ from tests.surrogate.responses import (
 )
 from wrenchbook.surrogate.answer import METHODS, UnknownMethodError
 from wrenchbook.surrogate.kriging import Kriging
-from wrenchbook.surrogate.methods import ENOUGH_FULL
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 PLATE = shipped("plate_thin", 40, 60)
@@ -92,32 +91,28 @@ def test_the_default_is_kriging_where_solves_bring_tangents_and_says_why() -> No
     assert PLATE_TABLE.answer(PLATE.asked[0].tolist()).method == "kriging"
 
 
-def test_without_tangents_and_with_few_full_wrenches_griddata_answers() -> None:
-    scaled = spread_wrenches(30, ENOUGH_FULL - 1, 1)
-    few = build(table(smooth, scaled), RANGE)
-    assert few.default == "griddata"
-    assert "full wrenches" in few.choice.reason
-    one_more = spread_wrenches(30, ENOUGH_FULL, 1)
-    assert build(table(smooth, one_more), RANGE).default == "kriging"
+@pytest.mark.parametrize("full", [0, 5, 40])
+def test_kriging_answers_measured_rows_whatever_they_load(full: int) -> None:
+    surrogate = build(table(smooth, spread_wrenches(30, full, 1)), RANGE)
+    assert surrogate.default == "kriging"
 
 
-def test_with_too_few_rows_griddata_answers_and_kriging_does_on_request() -> None:
+def test_with_too_few_rows_for_a_kriging_the_axes_answer() -> None:
     few = build(table(smooth, full_wrenches(3, 1)), RANGE)
-    assert (few.default, few.kriging) == ("griddata", None)
+    assert (few.default, few.kriging) == ("additive", None)
     asked = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
     assert few.answer(asked, None, "kriging").displacement is not None
 
 
-def test_a_kriging_that_answers_no_row_left_out_is_not_chosen_by_an_error_of_zero(
+def test_a_kriging_that_answers_no_row_left_out_is_not_told_to_have_an_error_of_zero(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """One second derivative of 1e308 left no error at any row, which counted as 0."""
     monkeypatch.setattr(Kriging, "left_out", lambda own: np.full((len(own.errors), 6), np.nan))
     rows = solved(smooth, spread_wrenches(20, 30, 5))
     choice = build(rows, RANGE).table.groups[0].choice
-    assert choice.method != "kriging"
-    assert "kriging answers no row that is left out" in choice.reason
-    assert "kriging" not in choice.errors
+    assert choice.errors == {}
+    assert choice.reason == "its error at left-out rows is not known"
 
 
 def test_a_linear_component_is_answered_by_its_compliance() -> None:
@@ -148,11 +143,10 @@ def test_kriging_of_a_table_is_that_of_its_rows() -> None:
     np.testing.assert_allclose(told, alone, rtol=1e-12)
 
 
-def test_a_table_too_large_for_one_factor_answers_by_griddata_and_says_so() -> None:
-    surrogate = build(solved(smooth, clean_wrenches(1001, 3)), RANGE)
-    assert surrogate.default == "griddata"
-    assert "one factor holds" in surrogate.choice.reason
-    assert "ask for it by name" not in surrogate.choice.reason
+def test_a_table_too_large_for_one_factor_answers_by_the_kriging_and_says_so() -> None:
+    surrogate = build(solved(smooth, spread_wrenches(120, 60, 2)), RANGE)
+    assert surrogate.default == "kriging"
+    assert " of 2940 equations)" in surrogate.coverage_summary()["method_detail"]
 
 
 def test_pushes_beside_the_middle_are_answered_between_them_by_default() -> None:

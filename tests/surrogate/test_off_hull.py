@@ -1,4 +1,4 @@
-"""Off the hull, where the rows do not tell how long the step from it is: nothing tells the bar."""
+"""Off the hull: steps by slopes and by the compliance, and bars by what the kriging knows."""
 
 import numpy as np
 import pytest
@@ -19,15 +19,12 @@ def _one_axis():
 
 
 @pytest.mark.parametrize("method", ["griddata", "additive"])
-def test_a_step_of_unknown_length_makes_the_error_bar_unknown(method: str) -> None:
+def test_steps_by_loads_that_no_row_has_make_the_error_bar_unknown(method: str) -> None:
     table, asked = _one_axis(), 1.1 * full_wrenches(40, 6) * HIGH
     found = table.batch(asked, None, method)
-    singles = [table.answer(wrench, None, method).error for wrench in asked]
-    unknown = np.isnan(table.axes.evaluate(asked).error).any(axis=1)
-    assert (table.axes.evaluate(asked).state[unknown] >= OFF_HULL).all()
-    assert unknown.any()
-    assert np.isnan(found.error[unknown]).all()
-    assert all(singles[place] is None for place in np.flatnonzero(unknown))
+    assert (table.axes.evaluate(asked).state >= OFF_HULL).all()
+    assert np.isnan(found.error).all()
+    assert all(table.answer(wrench, None, method).error is None for wrench in asked)
 
 
 def proportional(wrenches: list[list[float]]) -> Law:
@@ -67,5 +64,5 @@ def test_the_derivative_by_a_load_that_no_row_tells_is_unknown() -> None:
     loads = np.linspace(-1, 1, 9)[:, None] * np.array([0, 0, 1000.0, 0, 0, 0])
     table = packed_of(build(Rows.of(loads, 1e-6 * loads), RANGE))
     found = table.derivative([0, 0, 150.0, 0, 0, 0])
-    assert found[2, 2] == pytest.approx(1e-6)
+    assert found[2, 2] == pytest.approx(1e-6, rel=1e-5)  # the kriging's, of its nugget
     assert np.isnan(found[2, [3, 4]]).all()

@@ -228,12 +228,9 @@ def _of_krigings(table: Table, part: Callable[[Kriging], np.ndarray]) -> np.ndar
     """The sum of a part in spreads, (6,), over a table's krigings, m and rad."""
     found = np.zeros(6)
     for group in table.groups:
-        exact = group.by_kriging or group.default == "linear"
-        interaction = group.interaction if len(group.used) and not exact else None
-        for kriging in (group.kriging, interaction):
-            if kriging is not None:
-                own = part(kriging) * kriging.scaling.spread
-                found[list(group.outputs)] += own[list(group.outputs)]
+        if group.kriging is not None:
+            own = part(group.kriging) * group.kriging.scaling.spread
+            found[list(group.outputs)] += own[list(group.outputs)]
     return found
 
 

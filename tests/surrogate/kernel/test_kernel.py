@@ -113,7 +113,7 @@ def test_what_is_no_wrench_or_method_is_refused():
 def test_without_a_kriging_the_default_method_answers_and_is_named():
     packed = packed_of("linear, two loads unknown")
     default = packed.answer([1.0] * 6)
-    assert default.method == packed.answers_by("kriging") == "griddata"
+    assert default.method == packed.answers_by("kriging") == "additive"
     assert packed.answer([1.0] * 6, None, "kriging") == default
 
 

@@ -132,7 +132,7 @@ def test_derivatives_are_differences_of_values(kind, method):
         known = np.isfinite(apart)
         if by_axes:  # a kink between two simplices is no slope
             known &= (np.abs(bend) <= limit) & (here.coverage < 2)[:, None]
-        assert known.any() or by_axes
+        assert known.any() or by_axes or not np.ptp(table.rows.wrench[:, load])
         assert (apart <= limit)[known].all()
 
 
@@ -165,8 +165,8 @@ def test_the_reason_tells_the_rows_of_every_group_of_outputs_that_is_off_its_row
     packed = PackedTable.from_bytes(b"".join(pack(table)))
     spans = set()
     for wrench in asked_of(table, 40).tolist():
-        found = packed.answer(wrench).reason
-        assert found == table.answer(wrench).reason
+        found = packed.answer(wrench, None, "griddata").reason
+        assert found == table.answer(wrench, None, "griddata").reason
         spans |= set(re.findall(r"axis x: [^;]*", found)) if "lies outside" in found else set()
     assert len(spans) > 40
 
@@ -175,7 +175,7 @@ def test_without_a_kriging_the_method_that_answers_for_it_is_told():
     """The numpy law said `kriging`, which the table has not."""
     table, packed = table_of("one row"), packed_of("one row")
     found, law = (one.answer([1.0] * 6, None, "kriging") for one in (packed, table))
-    assert (found.method, law.method) == ("griddata", "griddata")
+    assert (found.method, law.method) == ("additive", "additive")
 
 
 @pytest.mark.parametrize("kind", ["solved", "linear", "softening", "partial", "clean"])

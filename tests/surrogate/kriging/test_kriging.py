@@ -19,7 +19,6 @@ from wrenchbook.surrogate.kriging import (
     Kriging,
     KrigingSettings,
     TooFewRowsError,
-    TooManyRowsError,
 )
 from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
@@ -248,10 +247,16 @@ def test_bars_never_vanish_even_where_nothing_is_left_to_learn() -> None:
     assert (np.abs(displacement - ASKED / HIGH * 1e-3) <= bar).all()
 
 
-def test_solves_too_many_for_one_factor_have_no_kriging_and_say_so() -> None:
-    rows = solved(COUPLED, spread_wrenches(10, 60, 31))
-    with pytest.raises(TooManyRowsError, match="more than the 150 that one factor holds"):
-        Kriging.build(rows, RANGE, settings=KrigingSettings(dense_equations=150))
+@pytest.mark.parametrize(("most", "rows", "equations"), [(150, 90, 150), (50, 50, 50)])
+def test_beyond_one_factor_some_rows_have_slopes_then_there_are_only_some_rows(
+    most: int, rows: int, equations: int
+) -> None:
+    table = solved(COUPLED, spread_wrenches(10, 60, 31))
+    kriging = Kriging.build(table, RANGE, settings=KrigingSettings(dense_equations=most))
+    of_rows = f"{rows} of {len(table)} rows ({equations} of {7 * len(table)} equations)"
+    assert kriging.detail == f"kriging, one factor over {of_rows}"
+    assert kriging.equations.known[:, 0].all()
+    assert kriging.knows_errors
 
 
 def test_many_threads_read_one_kriging_at_once(kriging: Kriging) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wrenchbook.surrogate import build as product
-from wrenchbook.surrogate.answer import COVERED, NAMES, OUTSIDE, THIN
+from wrenchbook.surrogate.answer import COVERED, NAMES, THIN
 from wrenchbook.surrogate.build import Group
 from wrenchbook.surrogate.kernel.reasons import (
     EMPTY,
@@ -19,7 +19,9 @@ from wrenchbook.surrogate.kernel.reasons import (
     ONLY_BEYOND,
     TOO_FAR,
     UNKNOWN_ERROR,
+    UNKNOWN_TOGETHER,
 )  # fmt: skip
+from wrenchbook.surrogate.kriging.kriging import besides
 from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.table.rows import (
     Floats,
@@ -30,7 +32,6 @@ from wrenchbook.surrogate.table.rows import (
 from wrenchbook.surrogate.table.space import LOAD_UNITS, LOADS, OUTPUTS
 
 from .answer import Answer, Batch, no_answers, over_tolerance, within
-from .doubt import UNKNOWN_AT_ZERO_LOAD, DoubtLaw
 from .exact_rows import RowLaw, sources_at
 from .explain import explain_axes, explain_linear
 from .limits import within_limits, within_limits_many
@@ -181,7 +182,6 @@ class GroupLaw:
     def __init__(self, table: Group) -> None:
         self.table = table
         self.by_row = RowLaw(table)
-        self.doubts = DoubtLaw(table)
         self._made: dict[str, Method] = {}
 
     def __getattr__(self, name: str) -> Any:
@@ -221,8 +221,6 @@ class GroupLaw:
         state, reason = int(told.state[0]), ""
         if state != COVERED:
             reason = found.reason(np.array(wrench, dtype=float))
-        elif not self.doubts.none and (reason := self.doubts.of_one(wrench)):
-            state = OUTSIDE if reason == UNKNOWN_AT_ZERO_LOAD else THIN
         allowed = self.allowed.of(tolerance)
         if state == COVERED and not within(error, allowed):
             unknown = None if isfinite(sum(error)) else self._why_unknown(wrench)
@@ -248,9 +246,7 @@ class GroupLaw:
         told = self._method(name).estimate(asked)
         state = told.state.copy()
         over = ~(told.error <= np.array(allowed)).all(axis=1)
-        together, at_rest = self.doubts.of_many(asked)
-        state[(state == COVERED) & at_rest] = OUTSIDE
-        state[(state == COVERED) & (over | together)] = THIN
+        state[(state == COVERED) & over] = THIN
         unknown = ~np.isfinite(told.error).all(axis=1)
         told.error[unknown] = np.nan
         return self.by_row.put_into(asked, Batch(told.displacement, told.error, state), allowed)
@@ -271,8 +267,7 @@ class GroupLaw:
         if name == "linear" and len(self.used):
             found = self.answer(wrench, tolerance, name)
             return explain_linear(self.fit, self.used, self.members, asked, found)
-        limit = tolerance or self.tolerance
-        return explain_axes(self.table.axes, self.members, asked, limit)
+        return explain_axes(self.table.axes, self.members, asked)
 
     def source_of(self, wrench: Sequence[float]) -> str | None:
         """Return the source of the row at or beside a wrench, N and N·m; None if none is.
@@ -295,9 +290,9 @@ class GroupLaw:
 
     def _why_unknown(self, wrench: Sequence[float]) -> str:
         """Return why the error of an answer to a wrench (6,), N and N·m, is not known."""
-        if not self.by_kriging:
-            return UNKNOWN_ERROR
         kriging = self.kriging
+        if kriging is None:
+            return UNKNOWN_ERROR
         if not kriging.knows_errors:
             return ERRORS_UNKNOWN
         bars = kriging.answer_many(np.asarray(wrench, dtype=float).reshape(1, 6))[1]
@@ -310,4 +305,8 @@ class GroupLaw:
             for load in range(6)
             if not low[load] <= wrench[load] <= high[load]
         ]
-        return "; ".join(found) or TOO_FAR
+        if found:
+            return "; ".join(found)
+        asked = kriging.scaling.loads(np.asarray(wrench, dtype=float)[None])
+        together = (besides(asked, kriging.scaling) <= kriging.together).all()
+        return TOO_FAR if together else UNKNOWN_TOGETHER

@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from tests.surrogate.law.answer import Answer, over_tolerance
-from wrenchbook.surrogate.answer import COVERED, NAMES, OUTSIDE, THIN, allowed_by
+from tests.surrogate.law.answer import Answer
+from wrenchbook.surrogate.answer import COVERED, NAMES, OUTSIDE
 from wrenchbook.surrogate.axes.axes import OFF_HULL, Axes
-from wrenchbook.surrogate.axes.axis_table import SOUND
 from wrenchbook.surrogate.table.axes import AXES, LoadAxis
 from wrenchbook.surrogate.table.compliance import ComplianceFit
-from wrenchbook.surrogate.table.rows import Floats, Rows, Tolerance
+from wrenchbook.surrogate.table.rows import Floats, Rows
 from wrenchbook.surrogate.table.space import LOADS, OUTPUTS
 
 from .reasons import Look, look, why_axis
@@ -23,7 +22,6 @@ def explain_axes(
     composition: Axes,
     members: Sequence[tuple[int, ...]],
     wrench: Floats,
-    tolerance: Tolerance | None,
 ) -> list[dict[str, Any]]:
     """Return what each axis answers to its own loads of a wrench, and from which rows.
 
@@ -35,7 +33,7 @@ def explain_axes(
     """
     found = composition.evaluate(wrench[None])
     return [
-        _axis(composition, members, index, wrench, int(found.states[0, index]), tolerance)
+        _axis(composition, members, index, wrench, int(found.states[0, index]))
         for index in range(len(AXES))
     ]
 
@@ -73,18 +71,11 @@ def _axis(
     index: int,
     wrench: Floats,
     worst: int,
-    tolerance: Tolerance | None,
 ) -> dict[str, Any]:
     axis, seen = AXES[index], look(composition, index, wrench)
-    bars = seen.found.error[0]
-    state = OUTSIDE if worst >= OFF_HULL else THIN if worst > SOUND else COVERED
+    state = OUTSIDE if worst >= OFF_HULL else COVERED
     reason = why_axis(composition, index, wrench) if state != COVERED else ""
-    if tolerance is not None and state == COVERED:
-        own = np.where(np.isin(np.arange(6), axis.outputs), bars, 0.0)
-        over = over_tolerance(own.tolist(), allowed_by(tolerance))
-        state, reason = (THIN, f"axis {axis.name}: {over}") if over else (state, "")
-    told = bars if np.isfinite(bars[list(axis.outputs)]).all() else None
-    return _part(axis, wrench, seen.found.additive[0], told) | {
+    return _part(axis, wrench, seen.found.additive[0], None) | {
         "coverage": NAMES[state],
         "reason": reason,
         "rows": _rows_of(seen, members),

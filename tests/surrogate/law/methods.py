@@ -7,8 +7,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from wrenchbook.surrogate.answer import COVERED, METHODS, OUTSIDE, THIN, UnknownMethodError
-from wrenchbook.surrogate.axes.axes import OFF_HULL, Axes, Composed
+from wrenchbook.surrogate.answer import COVERED, METHODS, OUTSIDE, UnknownMethodError
+from wrenchbook.surrogate.axes.axes import OFF_HULL, Axes
 from wrenchbook.surrogate.build import Group
 from wrenchbook.surrogate.kriging import Kriging
 from wrenchbook.surrogate.table.compliance import ComplianceFit
@@ -19,56 +19,16 @@ from .reasons import why_not
 
 
 class Reference(Protocol):
-    """The best estimate a table allows."""
+    """What the errors of other methods are measured from: displacements and 95 % error bars."""
 
-    def estimate(self, wrenches: Floats) -> tuple[Floats, Floats]:
-        """Return displacements and 95 % error bars, (n, 6) each, m and rad, at wrenches (n, 6)."""
-        ...
-
-    def against(self, wrenches: Floats, composed: Composed) -> tuple[Floats, Floats]:
-        """Return what `estimate` does, (n, 6) each, m and rad, with the axes' answers at hand."""
+    def __call__(self, wrenches: Floats, /) -> tuple[Floats, Floats]:
+        """Return (n, 6) each, m and rad, at wrenches (n, 6), N and N·m."""
         ...
 
 
-class KrigingReference:
-    """The kriging, where it is the default method."""
-
-    def __init__(self, kriging: Kriging) -> None:
-        self.kriging = kriging
-        self.estimate = kriging.answer_many
-
-    def against(self, wrenches: Floats, composed: Composed) -> tuple[Floats, Floats]:
-        """See `Reference`; (n, 6) each, m and rad."""
-        return self.estimate(wrenches)
-
-
-class AxesReference:
-    """The additive composition, and what full wrenches show of loads of several axes together.
-
-    Parameters
-    ----------
-    composition : Axes
-    interaction : Kriging or None
-        Through what the additive composition misses the full wrenches by; None where there are too
-        few, or where they are points of the axes themselves.
-    """
-
-    def __init__(self, composition: Axes, interaction: Kriging | None) -> None:
-        self.axes, self.interaction = composition, interaction
-
-    def estimate(self, wrenches: Floats) -> tuple[Floats, Floats]:
-        """See `Reference`; (n, 6) each, m and rad, at wrenches (n, 6), N and N·m."""
-        return self.against(wrenches, self.axes.evaluate(wrenches))
-
-    def against(self, wrenches: Floats, composed: Composed) -> tuple[Floats, Floats]:
-        """See `Reference`; the error bars of axes and interaction add up in quadrature.
-
-        Displacements and error bars are (n, 6) each, m and rad, at wrenches (n, 6), N and N·m.
-        """
-        if self.interaction is None:
-            return composed.additive, composed.error
-        missed, own = self.interaction.answer_many(wrenches)
-        return composed.additive + missed, np.sqrt(composed.error**2 + own**2)
+def unknown(wrenches: Floats) -> tuple[Floats, Floats]:
+    """Return a reference that knows nothing, (n, 6) each, m and rad."""
+    return np.zeros((len(wrenches), 6)), np.full((len(wrenches), 6), np.nan)
 
 
 class Estimates(NamedTuple):
@@ -122,12 +82,9 @@ class StraightDirection(Method):
         """Answer wrenches, shape (n, 6), N and N·m."""
         composed = self.axes.evaluate(wrenches)
         displacement = composed.additive if self.name == "additive" else composed.griddata
-        best, error = self.reference.against(wrenches, composed)
+        best, error = self.reference(wrenches)
+        coverage = np.where(composed.state >= OFF_HULL, OUTSIDE, COVERED)
         error = np.abs(displacement - best) + error
-        off = (composed.state >= OFF_HULL)[:, None]
-        # Off the hull an answer may be as wrong as the step from there is long.
-        error = np.where(off, np.maximum(error, composed.error), error)
-        coverage = np.where(off[:, 0], OUTSIDE, np.where(composed.state > 0, THIN, COVERED))
         return Estimates(displacement, error, coverage.astype(np.uint8))
 
     def reason(self, wrench: Floats) -> str:
@@ -142,23 +99,16 @@ class GaussianProcess(Method):
     ----------
     kriging : Kriging
     load_range : LoadRange
-    reference : Reference or None
-        None where the kriging is the table's default method: then its own error bars hold.
     """
 
     name = "kriging"
 
-    def __init__(
-        self, kriging: Kriging, load_range: LoadRange, reference: Reference | None = None
-    ) -> None:
-        self.kriging, self.load_range, self.reference = kriging, load_range, reference
+    def __init__(self, kriging: Kriging, load_range: LoadRange) -> None:
+        self.kriging, self.load_range = kriging, load_range
 
     def estimate(self, wrenches: Floats) -> Estimates:
         """Answer wrenches, shape (n, 6), N and N·m."""
         displacement, error = self.kriging.answer_many(wrenches)
-        if self.reference is not None:
-            best, own = self.reference.estimate(wrenches)
-            error = np.abs(displacement - best) + own
         outside = ~self.load_range.holds(wrenches)
         state = np.where(outside, OUTSIDE, COVERED).astype(np.uint8)
         return Estimates(displacement, error, state)
@@ -191,7 +141,7 @@ class Linear(Method):
         # Rounding is that of the sum's parts, which may cancel.
         error = self.fit.error + ROUNDING * np.abs(wrenches) @ np.abs(self.fit.matrix).T
         if self.reference is not None:
-            best, bars = self.reference.estimate(wrenches)
+            best, bars = self.reference(wrenches)
             error = np.maximum(error, np.abs(displacement - best) + bars)
         unknown = self._unknown(wrenches).any(axis=1)
         error[unknown] = np.nan
@@ -236,9 +186,10 @@ def check(name: str) -> None:
 
 def reference_of(table: Group) -> Reference:
     """Return what the answers of methods are compared with for their error bars."""
-    if table.by_kriging and table.kriging is not None:
-        return KrigingReference(table.kriging)
-    return AxesReference(table.axes, table.interaction)
+    if table.is_exact:
+        exact = Linear(table.fit, table.load_range, None)
+        return lambda wrenches: exact.estimate(wrenches)[:2]
+    return unknown if table.kriging is None else table.kriging.answer_many
 
 
 def _straight(table: Any, name: str) -> Method:
@@ -248,10 +199,8 @@ def _straight(table: Any, name: str) -> Method:
 def _gaussian(table: Any) -> Method:
     if table.kriging is None:  # too few rows, or rows that contradict each other
         return method_of(table, table.default)
-    own = table.default == "kriging"
-    return GaussianProcess(table.kriging, table.load_range, None if own else table.reference)
+    return GaussianProcess(table.kriging, table.load_range)
 
 
 def _linear(table: Any) -> Method:
-    exact = table.linear and table.fit.complete
-    return Linear(table.fit, table.load_range, None if exact else table.reference)
+    return Linear(table.fit, table.load_range, None if table.is_exact else table.reference)

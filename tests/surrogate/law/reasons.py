@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wrenchbook.surrogate.axes.axes import NO_ROWS, OFF_HULL, Axes, Composed
-from wrenchbook.surrogate.axes.axis_table import DEGENERATE, FEWEST, LARGEST, SOUND, AxisTable
+from wrenchbook.surrogate.axes.axes import INSIDE, NO_ROWS, OFF_HULL, Axes, Composed
+from wrenchbook.surrogate.axes.axis_table import AxisTable
 from wrenchbook.surrogate.table.axes import AXES, LoadAxis
 from wrenchbook.surrogate.table.rows import ZERO_LOAD, Floats
 from wrenchbook.surrogate.table.space import LOAD_UNITS, LOADS
@@ -17,7 +17,7 @@ def why_not(composition: Axes, wrench: Floats) -> str:
     """Return why the axes do not cover a wrench, shape (6,), N and N·m; empty if they do."""
     found = composition.evaluate(wrench[None])
     worst = int(found.state[0])
-    if worst == SOUND:
+    if worst == INSIDE:
         return ""
     reasons = [
         why_axis(composition, index, wrench)
@@ -58,43 +58,12 @@ def why_axis(composition: Axes, index: int, wrench: Floats) -> str:
     state = int(seen.found.states[0, index])
     if state in (OFF_HULL, NO_ROWS):
         return _why_outside(axis, composition.tables[index], wrench)
-    if seen.table is not None and seen.simplex is not None and state > SOUND:
-        return why_weak(seen.table, seen.simplex)
     if composition.evaluate(wrench[None]).states[0, index] >= OFF_HULL:
         return (
             f"axis {axis.name}: {_amount(axis.inputs[1], wrench)} alone, from which the "
             "composition counts, lies outside the rows"
         )
     return ""
-
-
-def why_weak(table: AxisTable, simplex: int) -> str:
-    """Return why an axis is thin in a simplex."""
-    name, points = table.axis.name, len(table.values)
-    if table.state[simplex] == SOUND:
-        loads = ", ".join(LOADS[load] for load in table.axis.inputs)
-        return (
-            f"axis {name}: {table.n_multi_load} of its rows have several of {loads} at once, at "
-            f"least {FEWEST} are needed to tell what they do together"
-        )
-    if not table.enough:
-        return (
-            f"axis {name}: {points} row{'s' if points > 1 else ''}, "
-            f"at least {table.min_points} are needed to tell the error"
-        )
-    if table.shape_state[simplex] == SOUND:
-        return (
-            f"axis {name}: {table.errors_shown} of its {points} rows show errors between rows "
-            "(left out, within the others, with four values of each load or more), at least "
-            f"{FEWEST} are needed"
-        )
-    if table.state[simplex] == DEGENERATE:
-        return f"axis {name}: the rows around this wrench lie almost in one plane or line"
-    most = LARGEST[table.triangulation.dimension]
-    return (
-        f"axis {name}: the rows around this wrench are far apart, "
-        f"{table.fractions()[simplex]:.0%} of the load range lies between them (at most {most:.0%})"
-    )
 
 
 def _amount(load: int, wrench: Floats) -> str:

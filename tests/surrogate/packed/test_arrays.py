@@ -11,7 +11,7 @@ from wrenchbook.surrogate.kernel.format import PackedTableError, pieces
 from wrenchbook.surrogate.kernel.replies import METHODS, InverseError
 from wrenchbook.surrogate.packed.arrays import BLOCKS, HEADER, check, header
 
-FIRST = "axes/vertex", "kriging/x", "residual/x", "/state"
+FIRST = "axes/vertex", "kriging/x", "/state"
 TABLES = "solved", "clean and full", "second derivatives", "linear"
 
 

@@ -285,7 +285,7 @@ def test_nothing_is_said_to_be_saved_where_there_are_no_rows() -> None:
 
 
 def test_a_rig_that_measured_some_outputs_has_a_bound_of_those() -> None:
-    rows = table(coupled, full_wrenches(30, 1))
+    rows = table(coupled, np.concatenate((CORNERS, full_wrenches(60, 1))))
     moved = rows.displacement.copy()
     moved[:, 3:] = np.nan
     between_rows = dict.fromkeys(PLANAR, (-0.9, 0.9))
