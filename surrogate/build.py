@@ -106,8 +106,6 @@ class Group:
             lambda: self.kriging,
             linear=linear,
         )
-        if self.by_axes and (thinning := self.axes.thinning):
-            self.choice = replace(self.choice, reason=f"{self.choice.reason}; {thinning}")
         self.full_wrenches = count_multi_axis(self.used, load_range) if self.has_axes else 0
         self.row_index = RowIndex(rows.wrench, load_range.scale)
         self.steepest = STEEPER * self.ranges

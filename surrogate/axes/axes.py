@@ -178,16 +178,6 @@ class Axes:
             _cuts(self.tables, moment, cuts) for moment, cuts in zip((3, 4, 5), known, strict=True)
         )
 
-    @property
-    def thinning(self) -> str:
-        """Text that names the axes made of a choice of their points; empty if none is."""
-        thinned = [
-            f"axis {table.axis.name} of {len(table.values)} of its {table.n_candidates} points"
-            for table in self.tables
-            if table is not None and table.n_candidates > len(table.values)
-        ]
-        return f"an even choice is triangulated: {', '.join(thinned)}" if thinned else ""
-
     def summary(self) -> list[dict[str, Any]]:
         """Return, per axis, rows, spans, covered part of the range and error bars, JSON-able."""
         return [_axis_summary(*each) for each in zip(AXES, self.tables, strict=True)]

@@ -246,15 +246,11 @@ def test_bars_never_vanish_even_where_nothing_is_left_to_learn() -> None:
     assert (np.abs(displacement - ASKED / HIGH * 1e-3) <= bar).all()
 
 
-@pytest.mark.parametrize(("most", "rows", "equations"), [(150, 90, 150), (50, 50, 50)])
-def test_beyond_one_factor_some_rows_have_slopes_then_there_are_only_some_rows(
-    most: int, rows: int, equations: int
-) -> None:
-    table = solved(COUPLED, spread_wrenches(10, 60, 31))
-    kriging = Kriging.build(table, RANGE, settings=KrigingSettings(dense_equations=most))
-    of_rows = f"{rows} of {len(table)} rows ({equations} of {7 * len(table)} equations)"
-    assert kriging.detail == f"kriging, one factor over {of_rows}"
-    assert kriging.equations.known[:, 0].all()
+def test_of_solves_too_many_for_one_factor_those_far_apart_answer_and_are_told() -> None:
+    rows = solved(COUPLED, np.concatenate((full_wrenches(40, 31), 1e-2 * full_wrenches(40, 32))))
+    kriging = Kriging.build(rows, RANGE, settings=KrigingSettings(dense_equations=300))
+    assert kriging.detail == "kriging, one factor over 42 of 80 rows (294 of 560 equations)"
+    assert (np.abs(kriging.equations.x).max(axis=1) > 0.05).sum() == 40
     assert kriging.knows_errors
 
 
