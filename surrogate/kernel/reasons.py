@@ -18,8 +18,9 @@ FEW_ROWS = (
     "compliance one for each input; solve or import more"
 )
 UNKNOWN_TOGETHER = (
-    "no row has several loads at once as large as those of this wrench: what they do together is "
-    "not known, nor how large the error is; solve or import such rows"
+    "no row, or of rows without tangents too few, has several loads at once as large as those of "
+    "this wrench: what they do together is not known, nor how large the error is; solve or import "
+    "such rows"
 )
 UNKNOWN_ERROR = "no row tells how far this answer may be wrong"
 LEAVES_LIMITS = "the estimate leaves what tables may hold, 20 degrees and 10 m, and is not given"

@@ -126,6 +126,11 @@ def full_rows(equations: Equations, scaling: Scaling) -> NDArray[np.bool_]:
     return ~np.any([~loaded[:, ~group].any(axis=1) for group in groups], axis=0)
 
 
+def few_are_full(full: NDArray[np.bool_], settings: KrigingSettings) -> bool:
+    """Return whether nearly all rows (n,) load one axis each, so that they stand for queries."""
+    return bool(full.sum() < min(settings.full_rows, len(full) / 2))
+
+
 def query_points(
     equations: Equations, scaling: Scaling, span: Floats, settings: KrigingSettings
 ) -> Floats:
@@ -139,8 +144,7 @@ def query_points(
     fixed = high - low <= FIXED_WIDTH * NEAR
     low, high = np.where(fixed, (low + high) / 2, [low, high])
     queries = spread_wrenches(LoadRange(low, high, scaling.space), QUERIES)
-    full = full_rows(equations, scaling)
-    if full.sum() < min(settings.full_rows, len(full) / 2):
+    if few_are_full(full_rows(equations, scaling), settings):
         at_rest = scaling.loads(np.zeros((1, equations.loads)))
         loaded = np.abs(equations.x - at_rest) > ZERO_LOAD
         loaded = loaded[np.linspace(0, len(loaded) - 1, QUERIES).round().astype(np.intp)]

@@ -10,7 +10,14 @@ import numpy as np
 
 from ..table.merging import Observations, merge
 from ..table.rows import NEAR, SMALLEST, Floats, LoadRange, Rows
-from .calibration import Calibration, calibrated, of_posterior, query_points
+from .calibration import (
+    Calibration,
+    calibrated,
+    few_are_full,
+    full_rows,
+    of_posterior,
+    query_points,
+)
 from .correlation import Hyperparameters, Mask, block, covariance
 from .equations import (
     Equations,
@@ -134,7 +141,10 @@ class Kriging:
         with one_thread():
             span = span_of(equations, scaling, settings)
             beyond = settings.beyond_rows ** (-1 / len(equations))  # as of the span
-            together = besides(equations.x, scaling).max(axis=0) * beyond + NEAR
+            shown, full = np.ones(len(equations), dtype=bool), full_rows(equations, scaling)
+            if few_are_full(full, settings) and not equations.known[:, 1:].any():
+                shown = ~full  # bars are then those of wrenches of one axis
+            together = besides(equations.x[shown], scaling).max(axis=0) * beyond + NEAR
             points = query_points(equations, scaling, span, settings)
             by_values = equations.n_derivatives == 1
             some = equations.take(evenly(len(equations), CANDIDATES)) if by_values else equations
