@@ -152,6 +152,8 @@ class Kriging:
             through = induced(equations, estimate, settings) if by_values else None
             noise = estimate.noise if through is None else through.noise
             observed = (equations.observations > 0).any(axis=0)
+            readings = np.maximum(equations.observations, equations.measured).sum(axis=0)
+            observed &= readings > 1 + scaling.active.sum()  # or the mean takes all of them
             observation_variance = np.where(observed, noise * equations.typical_noise, 0.0)
             some_rows = f" of {len(used)}" if equations.count < total else ""
             some_equations = f" of {total}" if equations.count < total else ""
@@ -221,7 +223,7 @@ class Kriging:
 
     @property
     def observation_noise(self) -> Floats:
-        """Noise of an observation, 95 %, (6,), m and rad; NaN where it is known or zero."""
+        """Noise of an observation, 95 %, (6,), m and rad; NaN where it is stated, zero or not told."""
         noise = self.settings.half_width * np.sqrt(self.observation_variance) * self.scaling.spread
         return np.where(self.observation_variance > 0, noise, np.nan)
 

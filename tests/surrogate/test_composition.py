@@ -127,7 +127,7 @@ def test_no_load_answers_the_row_at_no_load_or_what_the_axes_interpolate_there()
     assert min(empty.error) > 0
     assert empty.coverage == "covered"
     rows = table(lambda x: smooth(x) + 1e-3, np.concatenate((scaled, np.zeros((1, 6)))))
-    assert build(rows, RANGE).answer([0.0] * 6).displacement == tuple(
+    assert build(rows, RANGE).answer([0.0] * 6, method="griddata").displacement == tuple(
         rows.displacement[-1].tolist()
     )
 

@@ -95,7 +95,7 @@ def test_six_independent_rows_of_a_linear_component_tell_its_compliance() -> Non
     np.testing.assert_allclose(answer.displacement, COMPLIANCE @ [10, 20, 30, 4, 5, 6], rtol=1e-12)
     assert min(answer.error or ()) > 0  # measured once each, of unknown accuracy
     few = build(Rows.of(wrench[:5], wrench[:5] @ COMPLIANCE), RANGE, linear=True)
-    assert few.default == "griddata"
+    assert few.default == "additive"
 
 
 def test_the_bar_of_a_fitted_compliance_holds_its_residual() -> None:
