@@ -8,7 +8,7 @@ import pytest
 from tests.surrogate.calibrating import Shipped, shipped
 from tests.surrogate.law import build
 from wrenchbook.surrogate.build import Table
-from wrenchbook.surrogate.kriging.calibration import Level, calibrate
+from wrenchbook.surrogate.kriging.calibration import Errors, factors_of
 from wrenchbook.surrogate.table.rows import Rows
 
 NOT_UZ = [0, 1, 3, 4, 5]
@@ -89,8 +89,7 @@ def test_outputs_that_no_row_holds_make_no_bar_narrower() -> None:
 
     def factors(of: np.ndarray) -> np.ndarray:
         ones = np.ones(len(of))
-        level = Level(np.arange(len(of)), of, np.abs(of), ones)
-        return calibrate(iter([level]), 6, ones, 0.0).factors[0]
+        return factors_of(Errors(of, np.abs(of), ones), 7, 6)
 
     assert factors(only)[2] == pytest.approx(factors(errors[:, [2] * 6])[2])
     assert factors(only)[2] > 0.5 * factors(errors)[2]
