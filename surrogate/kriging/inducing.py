@@ -288,9 +288,9 @@ def factor_of(
     b, h = sums.b / ratio, sums.h / ratio
     inverse = np.linalg.inv(A + np.eye(len(A)))
     # R'R = I - inv(B), R lower: the Cholesky factor from the last row up.
-    told = np.eye(len(A)) - (inverse + inverse.T) / 2
-    told[np.diag_indices_from(told)] += TINY
-    R = np.linalg.cholesky(told[::-1, ::-1])[::-1, ::-1].T
+    gained = np.eye(len(A)) - (inverse + inverse.T) / 2
+    gained[np.diag_indices_from(gained)] += TINY
+    R = np.linalg.cholesky(gained[::-1, ::-1])[::-1, ::-1].T
     precision = H - G.T @ inverse @ G + np.eye(len(H)) / settings.mean_variance
     mean_covariance = np.asarray(np.linalg.inv(precision), dtype=float)
     coefficients = mean_covariance @ (h - G.T @ inverse @ b)

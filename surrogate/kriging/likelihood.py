@@ -93,11 +93,7 @@ def _hyperparameters(logarithms: Floats, equations: Equations) -> Hyperparameter
 
 
 def estimated(
-    equations: Equations,
-    scaling: Scaling,
-    points: Floats,
-    settings: KrigingSettings,
-    columns: Floats | None = None,
+    equations: Equations, scaling: Scaling, points: Floats, settings: KrigingSettings
 ) -> Estimate:
     """Return the covariances of outputs and the noise of rows.
 
@@ -105,12 +101,12 @@ def estimated(
 
     Parameters
     ----------
-    points, columns : ndarray
+    points : ndarray
         See `estimate_noise`.
     """
     ones = np.ones_like(scaling.spread)
     if (equations.unit_noise[:, ~scaling.constant] > settings.nugget).any():
-        return estimate_noise(equations, scaling, points, settings, columns)
+        return estimate_noise(equations, scaling, points, settings)
     chosen = equations.take(spread_rows(equations, settings.likelihood_equations))
     # The groups without the outputs that vary by rounding only, and with enough rows.
     varying = [

@@ -101,15 +101,9 @@ class NoisyRows(NamedTuple):
 
 
 def noisy_rows(
-    equations: Equations, scaling: Scaling, settings: KrigingSettings, columns: Floats | None = None
+    equations: Equations, scaling: Scaling, settings: KrigingSettings
 ) -> list[NoisyRows]:
-    """Return the rows whose noise is estimated, for each group of outputs.
-
-    Parameters
-    ----------
-    columns : ndarray, shape (n, c), optional
-        Further columns of the mean at the rows' values.
-    """
+    """Return the rows whose noise is estimated, for each group of outputs."""
     unit, found = equations.unit_noise, []
     with_noise = (unit > 0) & equations.measured & ~scaling.constant
     size = np.log(np.where(with_noise, unit, 1.0)).sum(axis=0)
@@ -125,8 +119,6 @@ def noisy_rows(
         parts[:, 0] = group.noise
         if (parts[known] > 0).all():
             terms = mean_terms(rows.x, known)
-            if columns is not None:
-                terms = np.concatenate((terms, columns[group.rows]), axis=1)
             left, sizes, _ = np.linalg.svd(terms / np.sqrt(parts[known])[:, None])
             # What rows vary less by than this the mean's prior holds, not they.
             basis = left[:, (sizes > sizes[0] / np.sqrt(settings.mean_variance)).sum() :]
@@ -304,11 +296,7 @@ def _contracted_values(
 
 
 def estimate_noise(
-    equations: Equations,
-    scaling: Scaling,
-    points: Floats,
-    settings: KrigingSettings,
-    columns: Floats | None = None,
+    equations: Equations, scaling: Scaling, points: Floats, settings: KrigingSettings
 ) -> Estimate:
     """Return the noise and the kernels of outputs.
 
@@ -318,16 +306,13 @@ def estimate_noise(
     ----------
     points : ndarray, shape (m, 6), half ranges
         Where answers' variance is averaged: see `Estimate.widening`.
-    columns : ndarray, shape (n, c), optional
-        Further columns of the mean at the rows' values.
     """
     parts = []
     for limit in (settings.search_equations, settings.likelihood_equations):
         count = np.searchsorted(np.cumsum(equations.known.sum(axis=1)), limit)
         rows = np.linspace(0, len(equations) - 1, max(min(int(count), len(equations)), 1))
         chosen = np.unique(rows.round().astype(np.intp))
-        some = None if columns is None else columns[chosen]
-        parts.append(noisy_rows(equations.take(chosen), scaling, settings, some))
+        parts.append(noisy_rows(equations.take(chosen), scaling, settings))
     few, many = parts
     if all(len(rows.squares) for rows in few):
         few = [rows.output(index) for rows in few for index in range(len(rows.outputs))]

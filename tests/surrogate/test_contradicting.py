@@ -87,7 +87,8 @@ def test_outputs_that_no_row_holds_make_no_bar_narrower() -> None:
     only = errors * np.array([0, 0, 1, 0, 0, 0])
 
     def factors(of: np.ndarray) -> np.ndarray:
-        return factors_of(Errors(of, np.abs(of), np.ones(len(of))), 7, 6)
+        ones = np.ones(len(of))
+        return factors_of(Errors(of, np.abs(of), ones), 7, 6)
 
     assert factors(only)[2] == pytest.approx(factors(errors[:, [2] * 6])[2])
     assert factors(only)[2] > 0.5 * factors(errors)[2]

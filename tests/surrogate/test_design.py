@@ -233,9 +233,9 @@ def test_a_table_of_which_no_row_tells_an_error_covers_nothing_but_has_next_wren
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Its error bars were infinite, or no numbers, and so was what would be left of them."""
-    monkeypatch.setattr(
-        calibration, "_level", lambda *_: None
-    )  # as rounding leaves it of a few rows
+    none = calibration.Errors(np.empty((0, 6)), np.empty((0, 6)), np.empty(0))
+    # As rounding leaves it of a few rows.
+    monkeypatch.setattr(calibration, "left_out_as_far", lambda *_: (none, none))
     wrenches = spread_wrenches(RANGE, 20)
     surrogate = build(Rows.of(wrenches, wrenches * 1e-6, source=["fea"] * 20), RANGE)
     assert surrogate.kriging is not None

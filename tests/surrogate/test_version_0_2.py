@@ -28,4 +28,6 @@ def test_an_hdf5_table_answers_as_it_did(then):
     assert meta.load_range.space.is_default
     table = build(rows, meta.load_range, tolerance=meta.tolerance, linear=False)
     found = packed_of(table).batch(then["wrenches"]).outputs
-    np.testing.assert_allclose(found, then["kriging"], rtol=1e-9)
+    # At no load the kriging answers too, and its sum has rounding errors.
+    rounding = 1e-12 * np.abs(then["kriging"]).max()
+    np.testing.assert_allclose(found, then["kriging"], rtol=1e-9, atol=rounding)
