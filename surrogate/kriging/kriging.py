@@ -223,7 +223,7 @@ class Kriging:
 
     @property
     def observation_noise(self) -> Floats:
-        """Noise of an observation, 95 %, (6,), m and rad; NaN where it is stated, zero or not told."""
+        """Noise of an observation, 95 %, (6,), m and rad; NaN where stated, zero or not told."""
         noise = self.settings.half_width * np.sqrt(self.observation_variance) * self.scaling.spread
         return np.where(self.observation_variance > 0, noise, np.nan)
 
