@@ -210,6 +210,10 @@ def induced(equations: Equations, estimate: Estimate, settings: KrigingSettings)
         base = _prior_factor(pseudo, estimate.kernels[group.outputs[0]], settings)
         sums = sums_of(equations, group, pseudo.x, base)
         ratios, variances = likely_noise(sums, settings)
+        # An output that does not vary has no noise that tells anything of the others'.
+        varying = estimate.noise[group.outputs] > 0
+        if varying.any():
+            ratios[~varying] = np.exp(np.log(ratios[varying]).mean())
         noise[group.outputs] = ratios * variances / typical[group.outputs]
         factors.append(factor_of(sums, group.outputs, ratios, variances, base, pseudo, settings))
     return Inducing(pseudo, factors, noise)

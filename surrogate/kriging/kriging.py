@@ -371,10 +371,14 @@ def span_of(equations: Equations, scaling: Scaling, settings: KrigingSettings) -
 
     Rows that are spread evenly over an interval leave so much of it beyond the outermost ones, at
     most, at the confidence of the settings: of n uniform numbers the largest is above the part
-    a^(1/n) of their interval with the probability 1 - a. A load that takes no part has no ends.
+    a^(1/n) of their interval with the probability 1 - a. Of rows that are not, n is twice the
+    number in the outer half: those in the middle show nothing of the ends, and take nothing away. A
+    load that takes no part has no ends.
     """
     low, high = equations.x.min(axis=0), equations.x.max(axis=0)
-    margin = (settings.beyond_rows ** (-1 / len(equations)) - 1) * (high - low) + NEAR
+    outer = (np.abs(equations.x - (low + high) / 2) >= (high - low) / 4).sum(axis=0)
+    n = np.minimum(2 * outer, len(equations))
+    margin = (settings.beyond_rows ** (-1 / n) - 1) * (high - low) + NEAR
     ends = np.stack((low - margin, high + margin))
     return np.where(scaling.active, ends, [[-np.inf], [np.inf]])
 

@@ -22,6 +22,7 @@ from .rows import NEAR, ZERO_LOAD, Floats, LoadRange, Rows
 DIRECTIONS = 3  # each leaves about a tenth of 30,000 rows
 ALONG = 1 + 1e-6  # of a distance along a direction, whose ends are of size 1 (2e-16 over 1e-6)
 EQUAL = 12  # decimals of scaled loads to which rows are one before any distance is measured
+MAX_PAIRS = 10_000_000  # of rows near each other, each counted twice: 80 MB
 SOLVED = "fea"  # the source of a row that repeats exactly
 # Wrenches that are near each other are so along any direction; of others few are. The parts
 # are roots of primes, of which no two loads' steps cancel, and their sum is 1, so that what is
@@ -264,9 +265,17 @@ def close_groups(points: Floats) -> NDArray[np.intp]:
         is_close[order[1:][close]] = True
         is_close[order[:-1][close]] = True
         remaining = remaining[is_close]
-    near = remaining
-    pairs = near[KDTree(distinct[near]).query_pairs(NEAR, p=np.inf, output_type="ndarray")]
-    size = len(distinct)
+    near, size = remaining, len(distinct)
+    # Readings of a load that is held crowd: those of a cell are one, and the first of each stands
+    # for it, in ever larger cells until the pairs that are left fit into memory.
+    shown, cell, edge = np.arange(len(near)), np.arange(len(near)), NEAR
+    tree = KDTree(distinct[near])
+    while tree.count_neighbors(tree, NEAR, p=np.inf) > MAX_PAIRS:
+        cells = np.floor(distinct[near] / edge)
+        _, shown, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+        tree, edge = KDTree(distinct[near[shown]]), 2 * edge
+    pairs = near[shown[tree.query_pairs(NEAR, p=np.inf, output_type="ndarray")]]
+    pairs = np.concatenate((pairs, np.stack((near, near[shown[cell.reshape(-1)]]), axis=1)))
     links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(size, size))
     label = np.asarray(connected_components(links, directed=False)[1])[group]
     _, first, number = np.unique(label, return_index=True, return_inverse=True)

@@ -1,9 +1,12 @@
 """Rows that are almost one, found without measuring all distances."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
+from wrenchbook.surrogate.table import merging
 from wrenchbook.surrogate.table.merging import NEAR, close_groups, merge
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, unknown_column
 
@@ -57,3 +60,23 @@ def test_a_column_nobody_knows_takes_no_memory_however_rows_are_picked_and_joine
     assert np.isnan(joined.compliance[:6]).all()
     assert (joined.compliance[6:] == known.compliance).all()
     assert np.isnan(unknown_column(3, 6)).all()
+
+
+def test_readings_of_a_held_load_are_one_row_in_memory_that_does_not_grow_by_their_square(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(merging, "MAX_PAIRS", 1000)
+    rng = np.random.default_rng(4)
+    held = np.repeat(rng.uniform(-1, 1, (3, 6)), 400, axis=0)
+    points = held + rng.uniform(-1e-7, 1e-7, held.shape)
+    asked: list[int] = []
+
+    class Counting(merging.KDTree):
+        def query_pairs(self, *args: Any, **options: Any) -> np.ndarray:
+            pairs = super().query_pairs(*args, **options)
+            asked.append(len(pairs))
+            return pairs
+
+    monkeypatch.setattr(merging, "KDTree", Counting)
+    assert merging.close_groups(points).tolist() == [0] * 400 + [1] * 400 + [2] * 400
+    assert max(asked) <= 1000

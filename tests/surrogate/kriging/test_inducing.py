@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.surrogate.responses import HIGH, RANGE, coupled
+from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.kriging import Kriging, inducing
 from wrenchbook.surrogate.kriging.correlation import Hyperparameters, covariance, mean_terms
 from wrenchbook.surrogate.kriging.equations import Equations, scaling_of, values_of, within
@@ -17,6 +18,7 @@ from wrenchbook.surrogate.kriging.factor import KrigingFactor, OutputGroup, fact
 from wrenchbook.surrogate.kriging.inducing import Inducing, induced, values_between
 from wrenchbook.surrogate.kriging.noise import Estimate
 from wrenchbook.surrogate.kriging.settings import DEFAULTS
+from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.table.merging import merge
 from wrenchbook.surrogate.table.rows import Rows
 
@@ -177,3 +179,28 @@ def test_a_kriging_of_many_rows_says_how_many_it_is_of() -> None:
     assert np.median(bars / size) <= 5
     outside = (np.abs(values - coupled(ASKED)) > errors)[np.isfinite(errors).all(axis=1)]
     assert (outside.mean(axis=0) <= 0.1).all()
+
+
+def test_an_output_that_does_not_vary_leaves_the_bars_of_the_others() -> None:
+    rows = measured(600, 0.003)
+    still = rows.displacement * np.array([1.0, 1.0, 1.0, 0.0, 1.0, 0.0])
+    alone = Kriging.build(rows, RANGE).answer_many(ASKED * HIGH)[1]
+    beside = Kriging.build(replace(rows, displacement=still), RANGE).answer_many(ASKED * HIGH)[1]
+    ratios = np.nanmedian(beside[:, [0, 1, 2, 4]] / alone[:, [0, 1, 2, 4]], axis=0)
+    assert ((ratios > 0.7) & (ratios < 1.4)).all()
+
+
+def test_bars_hold_and_are_of_the_errors_size_where_some_rows_lack_an_output() -> None:
+    rows = measured(600, 0.003)
+    moved = rows.displacement.copy()
+    moved[np.random.default_rng(5).uniform(size=moved.shape) < 0.03] = np.nan
+    one = np.zeros(moved.shape, dtype=bool)
+    one[5, 2] = True
+    for lacking in (one, np.isnan(moved)):
+        table = build(
+            replace(rows, displacement=np.where(lacking, np.nan, rows.displacement)), RANGE
+        )
+        found = packed_of(table).batch(ASKED * HIGH, method="kriging")
+        error = np.abs(found.outputs - coupled(ASKED))
+        assert (error <= found.errors).mean(axis=0).min() >= 0.9
+        assert (np.median(found.errors, axis=0) <= 10 * np.median(error, axis=0)).all()
