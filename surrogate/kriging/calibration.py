@@ -13,6 +13,7 @@ of those that do.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -126,17 +127,53 @@ def full_rows(equations: Equations, scaling: Scaling) -> NDArray[np.bool_]:
     return ~np.any([~loaded[:, ~group].any(axis=1) for group in groups], axis=0)
 
 
-def few_are_full(full: NDArray[np.bool_], settings: KrigingSettings) -> bool:
-    """Return whether nearly all rows (n,) load one axis each, so that they stand for queries."""
-    return bool(full.sum() < min(settings.full_rows, len(full) / 2))
+class Kind(NamedTuple):
+    """Rows whose errors, left out, are those of queries like them.
+
+    Attributes
+    ----------
+    rows : ndarray of bool, shape (n,)
+    queries : ndarray, shape (m, 6), half ranges
+    together : ndarray, shape (2,), half ranges
+        See `besides`.
+    """
+
+    rows: NDArray[np.bool_]
+    queries: Floats
+    together: Floats
 
 
-def query_points(
+def kinds_of(
     equations: Equations, scaling: Scaling, span: Floats, settings: KrigingSettings
-) -> Floats:
-    """Return points like those of queries, spread over the span of rows, (m, 6), half ranges.
+) -> list[Kind]:
+    """Return the kinds of rows: those that load several axes, unless they are few, and others.
 
-    Where nearly all rows load one axis each, these have the loads at once that rows have.
+    Few of several axes stand beside the others, and for queries of one axis.
+    """
+    full = full_rows(equations, scaling)
+    few = full.sum() < min(settings.full_rows, len(full) / 2)
+    kinds = [(full | True, ~full)] if few else [(full, full | True), (~full, ~full)]
+    found = []
+    for rows, shown in kinds:
+        if shown.any():
+            together = most_together(equations.x[shown], scaling, settings)
+            found.append(Kind(rows, query_points(span, together, scaling), together))
+    return found
+
+
+def most_together(x: Floats, scaling: Scaling, settings: KrigingSettings) -> Floats:
+    """Return the most that points (n, k) load besides their main load, and group (2,): `besides`.
+
+    With the margin that the span of so many rows has; half ranges.
+    """
+    return besides(x, scaling).max(axis=0) * settings.beyond_rows ** (-1 / len(x)) + NEAR
+
+
+def query_points(span: Floats, together: Floats, scaling: Scaling) -> Floats:
+    """Return points like those of queries whose errors rows show, (m, 6), half ranges.
+
+    They are spread over the span of the rows, (2, 6); loads besides the main one, and besides the
+    main load group, are no larger than those that rows have `together`, (2,): see `besides`.
     """
     active = np.isfinite(span[0])
     low, high = np.where(active, np.clip(span, -1.0, 1.0), 0.0)
@@ -144,12 +181,35 @@ def query_points(
     fixed = high - low <= FIXED_WIDTH * NEAR
     low, high = np.where(fixed, (low + high) / 2, [low, high])
     queries = spread_wrenches(LoadRange(low, high, scaling.space), QUERIES)
-    if few_are_full(full_rows(equations, scaling), settings):
-        at_rest = scaling.loads(np.zeros((1, equations.loads)))
-        loaded = np.abs(equations.x - at_rest) > ZERO_LOAD
-        loaded = loaded[np.linspace(0, len(loaded) - 1, QUERIES).round().astype(np.intp)]
-        queries = np.where(loaded, queries, at_rest)
-    return queries
+    at_rest = scaling.loads(np.zeros((1, queries.shape[1])))
+    apart = queries - at_rest
+    for level, most in zip(load_groups(scaling), together, strict=True):
+        beside = np.stack([np.where(group, 0.0, np.abs(apart)).max(axis=1) for group in level])
+        main = level[beside.argmin(axis=0)]
+        apart = np.where(main | fixed, apart, np.clip(apart, -most, most))
+    return at_rest + apart
+
+
+def load_groups(scaling: Scaling) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return each load alone, (k, k), and the load groups, (g, k): axes, or interfaces."""
+    groups = scaling.space.kriging_groups[:-1] > 0  # the last sees all loads
+    return np.eye(groups.shape[1], dtype=bool), groups
+
+
+def besides(x: Floats, scaling: Scaling) -> Floats:
+    """Return how large loads of points (n, k) are besides their main one, and group, (n, 2).
+
+    The largest load but one, and the largest that is not of the wrench's main load group (an axis,
+    or an interface of several): 0 at a load, and at a wrench of one axis, alone; half ranges.
+    """
+    apart = np.abs(x - scaling.loads(np.zeros((1, x.shape[1]))))
+    return np.stack(
+        [
+            np.min([np.where(group, 0.0, apart).max(axis=1) for group in level], axis=0)
+            for level in load_groups(scaling)
+        ],
+        axis=1,
+    )
 
 
 def left_out_as_far(
@@ -200,7 +260,7 @@ def calibrated(
     neighbours: Neighbourhoods,
     alone: LeftOutRows,
     scaling: Scaling,
-    queries: Floats,
+    kinds: Sequence[Kind],
     widenings: Floats,
     settings: KrigingSettings,
 ) -> Calibration:
@@ -210,7 +270,7 @@ def calibrated(
     ----------
     alone : LeftOutRows
         Each row left out by itself.
-    queries : ndarray, shape (m, 6), half ranges
+    kinds : sequence of Kind
     widenings : ndarray, shape (q,), dimensionless
         See `Estimate.widening`.
     """
@@ -220,36 +280,37 @@ def calibrated(
         return Calibration.unknown(outputs, settings)
     if subset.count <= 1 + scaling.active.sum():  # the mean takes all of them
         return Calibration.unknown(outputs, settings)
-    value = np.zeros((len(queries), equations.n_derivatives), dtype=np.bool_)
-    value[:, 0] = True
-    whole = np.sqrt(
-        factor.variance_of(*factor.explained_at(queries, value), factor.mean_covariance)
-    )
-    across = block(queries, equations.x, factor.hyperparameters, 1, equations.n_derivatives)
-    sigma = neighbours.deviations(queries, across.reshape(len(queries), -1))
-    full = full_rows(subset, scaling)
-    rows = np.flatnonzero(full | (full.sum() < settings.full_rows))
-    chosen = np.linspace(0, len(rows) - 1, min(len(rows), settings.left_out_rows))
-    rows = rows[chosen.round().astype(np.intp)]
-    distant = settings.comparable * float(np.median(whole))
-    far, near = left_out_as_far(factor, alone, rows, distant, settings)
-    if len(far.sigma) < settings.min_left_out:
-        return Calibration.unknown(outputs, settings)
     numbers = 1 + equations.loads, equations.data.shape[2]
-    factors = factors_of(far, *numbers)
-    if len(near.sigma) > len(far.sigma):  # a few neighbours tell no tail
-        factors = np.maximum(factors, factors_of(near, *numbers))
-    # Rows are left out of the whole factor; answers have the deviation of a neighbourhood.
-    wider = float(np.quantile(sigma / whole, WIDER))
-    factors = factors / wider
+    factors, max_sigma = np.zeros(outputs), 0.0
+    for kind in kinds:
+        value = np.zeros((len(kind.queries), equations.n_derivatives), dtype=np.bool_)
+        value[:, 0] = True
+        explained = factor.explained_at(kind.queries, value)
+        whole = np.sqrt(factor.variance_of(*explained, factor.mean_covariance))
+        across = block(kind.queries, equations.x, factor.hyperparameters, 1, value.shape[1])
+        sigma = neighbours.deviations(kind.queries, across.reshape(len(value), -1))
+        rows = np.flatnonzero(kind.rows[factor.output_group.rows])
+        chosen = np.linspace(0, len(rows) - 1, min(len(rows), settings.left_out_rows))
+        rows = rows[chosen.round().astype(np.intp)]
+        distant = settings.comparable * float(np.median(whole))
+        far, near = left_out_as_far(factor, alone, rows, distant, settings)
+        # Rows are left out of the whole factor; answers have the deviation of a neighbourhood.
+        wider = float(np.quantile(sigma / whole, WIDER))
+        if len(far.sigma) >= settings.min_left_out:
+            factors = np.maximum(factors, factors_of(far, *numbers) / wider)
+            # As far as left-out rows and their neighbourhoods can be, comparable both ways.
+            widest = float((sigma / whole).max())
+            max_sigma = max(max_sigma, float(far.sigma.max()) * widest / settings.comparable)
+        if len(near.sigma) > max(len(far.sigma), settings.min_left_out):  # few tell no tail
+            factors = np.maximum(factors, factors_of(near, *numbers) / wider)
+    if not max_sigma:
+        return Calibration.unknown(outputs, settings)
     if factor.output_group.noise.any():
         # Noise hides the errors of left-out rows: bars hold the posterior, and what it leaves open.
         freedom = max(len(subset) - (1.0 + scaling.active.sum()), 1.0)
         least = widenings * settings.posterior_width
         factors = np.maximum(factors, least * widening(freedom, equations.data.shape[2]))
-    # As far as left-out rows and their neighbourhoods can be, comparable both ways.
-    widest = float((sigma / whole).max())
-    return Calibration(factors, float(far.sigma.max()) * widest / settings.comparable)
+    return Calibration(factors, max_sigma)
 
 
 def of_posterior(factor: KrigingFactor, table: Floats, settings: KrigingSettings) -> Calibration:

@@ -12,11 +12,11 @@ from ..table.merging import Observations, merge
 from ..table.rows import NEAR, SMALLEST, Floats, LoadRange, Rows
 from .calibration import (
     Calibration,
+    besides,
     calibrated,
-    few_are_full,
-    full_rows,
+    kinds_of,
+    most_together,
     of_posterior,
-    query_points,
 )
 from .correlation import Hyperparameters, Mask, block, covariance
 from .equations import (
@@ -140,15 +140,14 @@ class Kriging:
         tangent[:, untold] = np.nan
         with one_thread():
             span = span_of(equations, scaling, settings)
-            beyond = settings.beyond_rows ** (-1 / len(equations))  # as of the span
-            shown, full = np.ones(len(equations), dtype=bool), full_rows(equations, scaling)
-            if few_are_full(full, settings) and not equations.known[:, 1:].any():
-                shown = ~full  # bars are then those of wrenches of one axis
-            together = besides(equations.x[shown], scaling).max(axis=0) * beyond + NEAR
-            points = query_points(equations, scaling, span, settings)
+            kinds = kinds_of(equations, scaling, span, settings)
+            # Slopes of a few rows show what several axes do together.
+            sloped = equations.known[:, 1:].any()
+            all_rows_together = most_together(equations.x, scaling, settings)
+            together = all_rows_together if sloped else kinds[0].together
             by_values = equations.n_derivatives == 1
             some = equations.take(evenly(len(equations), CANDIDATES)) if by_values else equations
-            estimate = estimated(some, scaling, points, settings)
+            estimate = estimated(some, scaling, kinds[0].queries, settings)
             through = induced(equations, estimate, settings) if by_values else None
             noise = estimate.noise if through is None else through.noise
             observed = (equations.observations > 0).any(axis=0)
@@ -206,7 +205,7 @@ class Kriging:
                     equations, factor, table, settings, whole=through is not None
                 )
                 neighbourhoods.append(neighbours)
-                rest = scaling, points, estimate.widening[outputs], settings
+                rest = scaling, kinds, estimate.widening[outputs], settings
                 calibrations.append(
                     calibrated(equations, neighbours, alone, *rest)
                     if through is None
@@ -381,21 +380,3 @@ def span_of(equations: Equations, scaling: Scaling, settings: KrigingSettings) -
     margin = (settings.beyond_rows ** (-1 / n) - 1) * (high - low) + NEAR
     ends = np.stack((low - margin, high + margin))
     return np.where(scaling.active, ends, [[-np.inf], [np.inf]])
-
-
-def besides(x: Floats, scaling: Scaling) -> Floats:
-    """Return how large loads of points (n, k) are besides their main one, and group, (n, 2).
-
-    The largest load but one, and the largest that is not of the wrench's main load group (an axis,
-    or an interface of several): 0 at a load, and at a wrench of one axis, alone; half ranges.
-    """
-    apart = np.abs(x - scaling.loads(np.zeros((1, x.shape[1]))))
-    groups = scaling.space.kriging_groups[:-1] > 0  # the last sees all loads
-    levels = np.eye(x.shape[1], dtype=bool), groups
-    return np.stack(
-        [
-            np.min([np.where(group, 0.0, apart).max(axis=1) for group in level], axis=0)
-            for level in levels
-        ],
-        axis=1,
-    )
