@@ -7,6 +7,7 @@ span. Rows that were left out with another count no further: twins and rows of a
 calibrate what lies far from them, nor keep spread rows from doing so. Each by itself, where they
 are the most, they show the errors of answers near rows, which may be more of their deviation
 (kinks): the larger factor holds.
+Rows of one axis stand for queries of one axis, and rows of several for queries of several.
 Errors are not known where fewer than six rows get as far as queries, and far beyond the deviations
 of those that do.
 """
