@@ -120,11 +120,10 @@ def errors_of(factor: KrigingFactor, out: LeftOutRows, rows: Indices) -> Errors:
     return Errors(above[finite], sizes[finite], sigma[finite])
 
 
-def full_rows(equations: Equations, scaling: Scaling) -> NDArray[np.bool_]:
-    """Return which rows load more than one load group, shape (n,)."""
-    at_rest = scaling.loads(np.zeros((1, equations.loads)))
-    loaded = np.abs(equations.x - at_rest) > ZERO_LOAD
-    groups = equations.groups[:-1] > 0  # the last sees all loads
+def full_rows(x: Floats, scaling: Scaling) -> NDArray[np.bool_]:
+    """Return which rows x (n, k) load more than one load group, shape (n,)."""
+    loaded = np.abs(x - scaling.loads(np.zeros((1, x.shape[1])))) > ZERO_LOAD
+    _, groups = load_groups(scaling)
     return ~np.any([~loaded[:, ~group].any(axis=1) for group in groups], axis=0)
 
 
@@ -144,22 +143,43 @@ class Kind(NamedTuple):
     together: Floats
 
 
-def kinds_of(
-    equations: Equations, scaling: Scaling, span: Floats, settings: KrigingSettings
-) -> list[Kind]:
-    """Return the kinds of rows: those that load several axes, unless they are few, and others.
+def kinds_of(x: Floats, scaling: Scaling, span: Floats, settings: KrigingSettings) -> list[Kind]:
+    """Return the kinds of rows x (n, k): those that load several axes, and others.
 
-    Few of several axes stand beside the others, and for queries of one axis.
+    Few of several axes stand beside the others, and for queries of one axis. Where they span what
+    all rows do they show the errors of all queries.
     """
-    full = full_rows(equations, scaling)
-    few = full.sum() < min(settings.full_rows, len(full) / 2)
-    kinds = [(full | True, ~full)] if few else [(full, full | True), (~full, ~full)]
+    full = full_rows(x, scaling)
+    if full.sum() < min(settings.full_rows, len(full) / 2):
+        kinds = [(full | True, ~full)]
+    else:
+        kinds = [(full, full | True), (~full, ~full)]
+        low, high = span_of(x[full], scaling, settings)
+        if (low <= x.min(axis=0)).all() and (high >= x.max(axis=0)).all():
+            kinds = kinds[:1]
     found = []
     for rows, shown in kinds:
         if shown.any():
-            together = most_together(equations.x[shown], scaling, settings)
+            together = most_together(x[shown], scaling, settings)
             found.append(Kind(rows, query_points(span, together, scaling), together))
     return found
+
+
+def span_of(x: Floats, scaling: Scaling, settings: KrigingSettings) -> Floats:
+    """Return the ends of the loads that rows span, shape (2, 6), half ranges.
+
+    Rows that are spread evenly over an interval leave so much of it beyond the outermost ones, at
+    most, at the confidence of the settings: of n uniform numbers the largest is above the part
+    a^(1/n) of their interval with the probability 1 - a. Of rows that are not, n is twice the
+    number in the outer half: those in the middle show nothing of the ends, and take nothing away. A
+    load that takes no part has no ends.
+    """
+    low, high = x.min(axis=0), x.max(axis=0)
+    outer = (np.abs(x - (low + high) / 2) >= (high - low) / 4).sum(axis=0)
+    n = np.minimum(2 * outer, len(x))
+    margin = (settings.beyond_rows ** (-1 / n) - 1) * (high - low) + NEAR
+    ends = np.stack((low - margin, high + margin))
+    return np.where(scaling.active, ends, [[-np.inf], [np.inf]])
 
 
 def most_together(x: Floats, scaling: Scaling, settings: KrigingSettings) -> Floats:

@@ -17,6 +17,7 @@ from .calibration import (
     kinds_of,
     most_together,
     of_posterior,
+    span_of,
 )
 from .correlation import Hyperparameters, Mask, block, covariance
 from .equations import (
@@ -139,8 +140,8 @@ class Kriging:
         untold = (np.ptp(equations.x, axis=0) <= NEAR) & (len(tangents) == 0)
         tangent[:, untold] = np.nan
         with one_thread():
-            span = span_of(equations, scaling, settings)
-            kinds = kinds_of(equations, scaling, span, settings)
+            span = span_of(equations.x, scaling, settings)
+            kinds = kinds_of(equations.x, scaling, span, settings)
             # Slopes of a few rows show what several axes do together.
             sloped = equations.known[:, 1:].any()
             all_rows_together = most_together(equations.x, scaling, settings)
@@ -363,20 +364,3 @@ def _usable(
             f"{len(equations)}: solve or import more"
         )
     return within_one_factor(equations, settings), equations.count
-
-
-def span_of(equations: Equations, scaling: Scaling, settings: KrigingSettings) -> Floats:
-    """Return the ends of the loads that rows span, shape (2, 6), half ranges.
-
-    Rows that are spread evenly over an interval leave so much of it beyond the outermost ones, at
-    most, at the confidence of the settings: of n uniform numbers the largest is above the part
-    a^(1/n) of their interval with the probability 1 - a. Of rows that are not, n is twice the
-    number in the outer half: those in the middle show nothing of the ends, and take nothing away. A
-    load that takes no part has no ends.
-    """
-    low, high = equations.x.min(axis=0), equations.x.max(axis=0)
-    outer = (np.abs(equations.x - (low + high) / 2) >= (high - low) / 4).sum(axis=0)
-    n = np.minimum(2 * outer, len(equations))
-    margin = (settings.beyond_rows ** (-1 / n) - 1) * (high - low) + NEAR
-    ends = np.stack((low - margin, high + margin))
-    return np.where(scaling.active, ends, [[-np.inf], [np.inf]])
