@@ -161,7 +161,8 @@ def kinds_of(x: Floats, scaling: Scaling, span: Floats, settings: KrigingSetting
     for rows, shown in kinds:
         if shown.any():
             together = most_together(x[shown], scaling, settings)
-            found.append(Kind(rows, query_points(span, together, scaling), together))
+            queries = query_points(span, together, x[rows & shown], scaling)
+            found.append(Kind(rows, queries, together))
     return found
 
 
@@ -190,11 +191,12 @@ def most_together(x: Floats, scaling: Scaling, settings: KrigingSettings) -> Flo
     return besides(x, scaling).max(axis=0) * settings.beyond_rows ** (-1 / len(x)) + NEAR
 
 
-def query_points(span: Floats, together: Floats, scaling: Scaling) -> Floats:
-    """Return points like those of queries whose errors rows show, (m, 6), half ranges.
+def query_points(span: Floats, together: Floats, x: Floats, scaling: Scaling) -> Floats:
+    """Return points like those of queries whose errors rows x (n, k) show, (m, k), half ranges.
 
-    They are spread over the span of the rows, (2, 6); loads besides the main one, and besides the
-    main load group, are no larger than those that rows have `together`, (2,): see `besides`.
+    They are spread over the span of the rows, (2, k), and have the loads at once that one of them
+    has; besides the main load, and the main load group, no larger ones than rows have `together`,
+    (2,): see `besides`.
     """
     active = np.isfinite(span[0])
     low, high = np.where(active, np.clip(span, -1.0, 1.0), 0.0)
@@ -203,7 +205,9 @@ def query_points(span: Floats, together: Floats, scaling: Scaling) -> Floats:
     low, high = np.where(fixed, (low + high) / 2, [low, high])
     queries = spread_wrenches(LoadRange(low, high, scaling.space), QUERIES)
     at_rest = scaling.loads(np.zeros((1, queries.shape[1])))
-    apart = queries - at_rest
+    loaded = np.abs(x - at_rest) > ZERO_LOAD
+    loaded = loaded[np.linspace(0, len(loaded) - 1, QUERIES).round().astype(np.intp)]
+    apart = np.where(loaded | fixed, queries - at_rest, 0.0)
     for level, most in zip(load_groups(scaling), together, strict=True):
         beside = np.stack([np.where(group, 0.0, np.abs(apart)).max(axis=1) for group in level])
         main = level[beside.argmin(axis=0)]
