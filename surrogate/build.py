@@ -115,9 +115,10 @@ class Group:
         if_unknown = np.where(self.merged.rows.source == SOLVED, 0.0, np.nan)[:, None]
         self.row_uncertainty = np.where(np.isnan(uncertainty), if_unknown, uncertainty)
         readings = self.merged.observations.number
-        if self.by_kriging and readings.any():
+        if self.by_kriging and self.kriging is not None and readings.any():
             # A mean of readings has their noise, however near each other they happen to be.
-            noise = self.observation_noise / np.sqrt(np.maximum(readings, 1.0))
+            noise = self.observation_noise * self.kriging.noise_widening
+            noise = noise / np.sqrt(np.maximum(readings, 1.0))
             known = (readings > 0) & np.isfinite(noise)
             self.row_uncertainty = np.where(known, noise, self.row_uncertainty)
         self.build_s = thread_time() - started
