@@ -26,13 +26,14 @@ import numpy as np
 from .answer import Allowed, allowed_of
 from .axes.axes import Axes, build_axes
 from .findings.comparison import MAX_ROWS as MAX_COMPARED
-from .findings.comparison import differences
+from .findings.comparison import beyond_noise
 from .findings.find import without_effects
 from .kriging import (
     Kriging,
     SingularCovarianceError,
     TooFewRowsError,
 )
+from .kriging.effects import sessions_of
 from .methods import MethodChoice, choose
 from .solver_error import SolverError, bars_are_complete
 from .table.axes import OffAxis, count_multi_axis
@@ -114,9 +115,10 @@ class Group:
         if_unknown = np.where(self.merged.rows.source == SOLVED, 0.0, np.nan)[:, None]
         self.row_uncertainty = np.where(np.isnan(uncertainty), if_unknown, uncertainty)
         readings = self.merged.observations.number
-        if self.by_kriging and readings.any():
+        if self.by_kriging and self.kriging is not None and readings.any():
             # A mean of readings has their noise, however near each other they happen to be.
-            noise = self.observation_noise / np.sqrt(np.maximum(readings, 1.0))
+            noise = self.observation_noise * self.kriging.noise_widening
+            noise = noise / np.sqrt(np.maximum(readings, 1.0))
             known = (readings > 0) & np.isfinite(noise)
             self.row_uncertainty = np.where(known, noise, self.row_uncertainty)
         self.build_s = thread_time() - started
@@ -315,7 +317,7 @@ def build(
         )
         for outputs, part in _by_output(of_part)
     ]
-    rig_error = np.maximum(rig_error, _between_sources(of_part, load_range, groups))
+    rig_error = rig_error + _between_sources(of_part, load_range, groups)
     return Table(
         rows,
         load_range,
@@ -331,22 +333,23 @@ def build(
 
 
 def _between_sources(rows: Rows, load_range: LoadRange, groups: Sequence[Group]) -> Floats:
-    """Return how far answers are from measured or solved rows by a factor or an offset, (m,).
+    """Return how far answers are from the rows of a source by a factor or an offset, (m,).
 
-    m and rad, over the range of each output; of outputs that the kriging answers. Answers of a
-    table whose rows contradict each other are those of neither.
+    m and rad, over the range of each output; of outputs that the kriging answers. A source is the
+    solver or a session of measured rows: answers of a table whose rows contradict each other are
+    those of neither.
     """
-    solved, largest = rows.source == SOLVED, np.zeros(rows.displacement.shape[1])
-    for group in groups if solved.any() and not solved.all() else ():
+    source, largest = np.zeros(len(rows), dtype=np.intp), np.zeros(rows.displacement.shape[1])
+    measured = rows.source != SOLVED
+    source[measured] = 1 + sessions_of(rows.take(np.flatnonzero(measured)))
+    sources = np.unique(source)
+    for group in groups if len(sources) > 1 else ():
         if group.kriging is None or not group.by_kriging:
             continue
-        for of_source in (solved, ~solved):
-            at = np.flatnonzero(of_source & load_range.holds(rows.wrench))
-            some = rows.take(at[:: max(len(at) // MAX_COMPARED, 1)])
-            answers = group.kriging.answer_many(some.wrench)[0]
-            factor, offset = differences(some.displacement, answers, np.zeros_like(answers))
-            error = np.abs(offset) + np.abs(factor) * group.ranges
-            outputs = list(group.outputs)
+        for number in sources:
+            at = np.flatnonzero((source == number) & load_range.holds(rows.wrench))
+            some, outputs = rows.take(at[:: max(len(at) // MAX_COMPARED, 1)]), list(group.outputs)
+            error = beyond_noise(some.displacement, group.kriging.answer_many(some.wrench)[0])
             largest[outputs] = np.maximum(largest, error)[outputs]
     return largest
 

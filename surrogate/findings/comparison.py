@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.stats import t as student
 
+from ..calibration import CONFIDENCE
 from ..table.rows import Floats
 from ..table.space import OUTPUTS
 from .response import CONFIDENT, REMARKABLE, RigFinding
@@ -23,22 +25,51 @@ def differences(moved: Floats, expected: Floats, bars: Floats) -> Floats:
     moved, expected, bars : ndarray, shape (n, 6), m and rad
         What was measured, what another table answers, and its error bars; NaN where unknown.
     """
-    found = np.zeros((2, moved.shape[1]))
-    for output, (y, x, bar) in enumerate(zip(moved.T, expected.T, bars.T, strict=True)):
-        known = np.isfinite(y) & np.isfinite(x) & np.isfinite(bar)
-        size = float(np.ptp(x[known])) if known.sum() >= MIN_ROWS else 0.0
-        if size <= 0:
+    known = np.isfinite(bars)
+    size, pair, deviation, _ = _fitted(moved, np.where(known, expected, np.nan))
+    some = size > 0
+    bar = np.nanmedian(np.where(known, bars, np.nan)[:, some], axis=0)
+    least = CONFIDENT * deviation[:, some] + bar / size[some]
+    some[some] = (np.abs(pair[:, some]) > np.maximum(least, REMARKABLE)).any(axis=0)
+    return np.where(some, pair * np.stack((np.ones_like(size), size)), 0.0)
+
+
+def beyond_noise(moved: Floats, expected: Floats) -> Floats:
+    """Return how far answers are from rows by a factor and an offset, shape (m,), m and rad.
+
+    Over the range of each output. Of a factor and an offset that noise may make, at the confidence
+    of error bars in all outputs, nothing counts; of larger ones what its square leaves.
+
+    Parameters
+    ----------
+    moved, expected : ndarray, shape (n, m), m and rad
+        What was measured, and what a table answers; NaN where unknown.
+    """
+    size, pair, deviation, freedom = _fitted(moved, expected)
+    by_chance = student.isf((1 - CONFIDENCE) / (2 * pair.size), freedom) * deviation
+    return np.sqrt(np.maximum(pair**2 - by_chance**2, 0.0)).sum(axis=0) * size
+
+
+def _fitted(moved: Floats, expected: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return each output's range, factor and offset over it, their deviations, and freedom.
+
+    Shapes (m,), (2, m), (2, m) and (m,); all 0, and the freedom 1, of outputs of too few rows.
+    """
+    size, freedom = np.zeros(moved.shape[1]), np.ones(moved.shape[1])
+    pair, deviation = np.zeros((2, 2, moved.shape[1]))
+    for output, (y, x) in enumerate(zip(moved.T, expected.T, strict=True)):
+        known = np.isfinite(y) & np.isfinite(x)
+        range_of_output = float(np.ptp(x[known])) if known.sum() >= MIN_ROWS else 0.0
+        if range_of_output <= 0:
             continue
-        terms = np.column_stack((x[known], np.full(known.sum(), size)))
+        terms = np.column_stack((x[known], np.full(known.sum(), range_of_output)))
         off = y[known] - x[known]
-        pair = np.linalg.lstsq(terms, off, rcond=None)[0]
-        rest = off - terms @ pair
-        noise = np.sqrt(float(rest @ rest) / (known.sum() - 2))
-        deviation = noise * np.sqrt(np.diag(np.linalg.inv(terms.T @ terms)))
-        least = CONFIDENT * deviation + np.median(bar[known]) / size
-        if (np.abs(pair) > np.maximum(least, REMARKABLE)).any():
-            found[:, output] = pair[0], pair[1] * size
-    return found
+        pair[:, output] = np.linalg.lstsq(terms, off, rcond=None)[0]
+        rest = off - terms @ pair[:, output]
+        size[output], freedom[output] = range_of_output, known.sum() - 2
+        noise = np.sqrt(float(rest @ rest) / freedom[output])
+        deviation[:, output] = noise * np.sqrt(np.diag(np.linalg.inv(terms.T @ terms)))
+    return size, pair, deviation, freedom
 
 
 def comparison_findings(

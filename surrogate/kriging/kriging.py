@@ -64,6 +64,8 @@ class Kriging:
     scaling : Scaling
     observation_variance : ndarray, shape (6,), spreads squared
         Of an observation of unknown uncertainty.
+    noise_widening : ndarray, shape (6,), dimensionless
+        See `noise.Estimate`.
     tangent : ndarray, shape (6, 6), SI
         Mean tangent of the rows: the derivative by loads that take no part; NaN by loads that no
         row varies where none brings slopes.
@@ -93,6 +95,7 @@ class Kriging:
     settings: KrigingSettings
     scaling: Scaling
     observation_variance: Floats
+    noise_widening: Floats
     tangent: Floats
     equations: Equations
     neighbourhoods: tuple[Neighbourhoods, ...]
@@ -214,7 +217,8 @@ class Kriging:
                 )
         parts = equations, tuple(neighbourhoods), tuple(calibrations)
         arrays = weights, coefficients, deviation, rounding, errors, span, together
-        return cls(settings, scaling, observation_variance, tangent, *parts, *arrays, detail)
+        noises = observation_variance, estimate.noise_widening
+        return cls(settings, scaling, *noises, tangent, *parts, *arrays, detail)
 
     @property
     def hyperparameters(self) -> Hyperparameters:

@@ -115,7 +115,7 @@ def estimated(
     ]
     groups = [group for group in varying if len(group.outputs) and len(group.rows)]
     kernel = maximise(chosen, groups, settings=settings)
-    return Estimate((kernel,) * len(ones), ones, np.zeros_like(ones), ones)
+    return Estimate((kernel,) * len(ones), ones, np.zeros_like(ones), ones, ones)
 
 
 def within_one_factor(equations: Equations, settings: KrigingSettings) -> Equations:

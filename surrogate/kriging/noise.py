@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from ..calibration import CONFIDENCE
 from ..table.rows import Floats
 from .correlation import Hyperparameters, covariance, matern, mean_terms
 from .equations import Equations, Scaling
@@ -56,12 +57,15 @@ class Estimate(NamedTuple):
         What `Equations.unit_noise` is multiplied by.
     widening : ndarray, shape (6,), dimensionless
         The deviation of what is not known of a response, over that of the one kernel.
+    noise_widening : ndarray, shape (6,), dimensionless
+        The deviation that noise has at most, at the confidence of error bars, over its estimate.
     """
 
     kernels: tuple[Hyperparameters, ...]
     variance: Floats
     noise: Floats
     widening: Floats
+    noise_widening: Floats
 
 
 class NoisyRows(NamedTuple):
@@ -320,16 +324,17 @@ def estimate_noise(
         sets = [([one], [other]) for one, other in zip(few, many, strict=True)]
     else:
         sets = [(few, many)]
-    variance, noise, widening = np.ones((3, len(scaling.spread)))
+    variance, noise, widening, noise_widening = np.ones((4, len(scaling.spread)))
+    arrays = variance, noise, widening, noise_widening
     kernels: list[Hyperparameters | None] = [None] * len(scaling.spread)
     for some, all_rows in sets:
-        kernel = _of_one_kernel(some, all_rows, points, settings, (variance, noise, widening))
+        kernel = _of_one_kernel(some, all_rows, points, settings, arrays)
         for rows in all_rows:
             for output in rows.outputs:
                 kernels[output] = kernel
     first = next(kernel for kernel in kernels if kernel is not None)
-    noise = np.where([kernel is None for kernel in kernels], 0.0, noise)
-    return Estimate(tuple(kernel or first for kernel in kernels), variance, noise, widening)
+    noise[[kernel is None for kernel in kernels]] = 0.0
+    return Estimate(tuple(kernel or first for kernel in kernels), *arrays)
 
 
 def _of_one_kernel(
@@ -337,9 +342,9 @@ def _of_one_kernel(
     many: list[NoisyRows],
     points: Floats,
     settings: KrigingSettings,
-    arrays: tuple[Floats, Floats, Floats],
+    arrays: tuple[Floats, Floats, Floats, Floats],
 ) -> Hyperparameters:
-    """Return the kernel of some outputs; fill in process variance, noise and widening.
+    """Return the kernel of some outputs; fill in process variance, noise and both widenings.
 
     `few` rows are those that the kernel is searched with.
     """
@@ -384,8 +389,16 @@ def _of_one_kernel(
             ]
             mean_noise = float(shares @ given)
             own = variance_of(each[chosen], index, mean_noise)
-            variance, noise, widening = arrays
+            variance, noise, widening, noise_widening = arrays
             variance[output], noise[output] = own, mean_noise / rows.scale[index]
+            # Few rows leave open how much of what they differ by is noise: the mean of a wide
+            # posterior, itself uncertain, was a third of the noise of 30 to 60 rows.
+            noises = np.concatenate([one.noise[:, index] for one in each])
+            order, weight = np.argsort(noises), share[:, :, index].ravel()
+            below = np.cumsum(weight[order]) - weight[order] / 2
+            level = 1 - (1 - CONFIDENCE) / len(noise)
+            most = np.exp(np.interp(level, below, np.log(noises[order])))
+            noise_widening[output] = np.sqrt(max(float(most) / mean_noise, 1.0))
             mean, known = _answers(rows, index, kernels[chosen], mean_noise, own, points, settings)
             total = np.zeros(len(points))
             used = np.flatnonzero(shares > settings.least_share)

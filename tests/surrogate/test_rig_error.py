@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -126,3 +128,64 @@ def test_both_branches_of_motions_are_inside() -> None:
             true = rig.respond(asked) + sign * 0.01 * rig.size
             held.append((np.abs(found.outputs - true) <= found.errors)[known].mean())
     assert np.mean(held) > 0.9
+
+
+def sessions(
+    counts: tuple[int, ...], factors: tuple[float, ...], noise: float, output: int | None = None
+) -> tuple[Rows, np.ndarray]:
+    """Rows of several imports of one part, and what each reads in place of it, (s, 6)."""
+    rng = np.random.default_rng([3, *counts])
+    scales = np.ones((len(counts), 6))
+    scales[:, range(6) if output is None else [output]] = np.reshape(factors, (-1, 1))
+    session = np.repeat(np.arange(len(counts)), counts)
+    loads = rng.uniform(-1, 1, (len(session), 6))
+    moved = RESPONSES["clearance"](loads)
+    off = noise * np.ptp(moved, axis=0) * rng.normal(size=moved.shape)
+    moved = scales[session] * moved + off
+    rows = Rows.of(loads * HIGH, moved, source=["rig"] * len(loads), session=1.0 + session)
+    return rows, scales
+
+
+@pytest.mark.parametrize("output", [None, 1])
+@pytest.mark.parametrize(
+    ("counts", "factors", "noise"),
+    [
+        ((150, 150), (1.0, 1.02), 0.002),
+        ((150, 150), (1.0, 1.02), 0.01),
+        ((60, 60), (1.0, 1.1), 0.002),
+        ((60, 60), (1.0, 1.1), 0.01),
+        ((100, 30), (1.0, 1.05), 0.002),
+        ((60, 60, 60), (1.0, 1.05, 0.95), 0.01),
+    ],
+)
+def test_bars_hold_sessions_that_differ_by_a_factor(
+    counts: tuple[int, ...], factors: tuple[float, ...], noise: float, output: int | None
+) -> None:
+    """Of covered answers 21 to 53 % were outside of either session's truth."""
+    rows, scales = sessions(counts, factors, noise, output)
+    found, truth = packed_of(build(rows, RANGE)).batch(ASKED * HIGH), RESPONSES["clearance"](ASKED)
+    known = np.isfinite(found.errors).all(axis=1)
+    for scale in scales:
+        outside = np.abs(found.outputs - scale * truth) > found.errors
+        assert outside[known].mean(axis=0).max() <= 0.1
+
+
+@pytest.mark.parametrize("noise", [0.001, 0.01, 0.03])
+@pytest.mark.parametrize("counts", [(150, 150), (60, 60), (40, 40, 40), (150, 20)])
+def test_sessions_of_one_truth_widen_no_bar_by_a_tenth(
+    counts: tuple[int, ...], noise: float
+) -> None:
+    rows, _ = sessions(counts, (1.0,) * len(counts), noise)
+    table = build(rows, RANGE)
+    bars = packed_of(table).batch(ASKED * HIGH).errors
+    assert (table.rig_error <= 0.1 * np.nanmedian(bars, axis=0)).all()
+
+
+def test_the_offset_of_a_session_counts_once() -> None:
+    rows, _ = sessions((150, 150), (1.0, 1.0), 0.002)
+    size = np.ptp(rows.displacement, axis=0)
+    moved = rows.displacement + 0.03 * size * (rows.session == 2)[:, None]
+    rows = replace(rows, displacement=moved)
+    alone = without_effects(rows, RANGE)[1]
+    np.testing.assert_allclose(build(rows, RANGE).rig_error, alone, rtol=0.05)
+    assert (alone > 0.015 * size).all()

@@ -10,6 +10,7 @@ import pytest
 from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
+from wrenchbook.surrogate.table.space import space_of
 
 SCALE = np.array([900.0] * 3 + [90.0] * 3)
 RANGE = LoadRange(-SCALE, SCALE)
@@ -69,3 +70,39 @@ def test_error_bars_of_noisy_sweeps_hold_the_noise(
     outside = np.abs(found.outputs - 5e-4 * asked) > found.errors
     assert not found.coverage.any()
     assert outside.mean() < 0.1
+
+
+def cubic(loads: np.ndarray) -> np.ndarray:
+    """Return a response of cubes and products of loads, (n, k), m and rad."""
+    return 1e-3 * (loads + 0.15 * loads**3 + 0.1 * loads * np.roll(loads, 2, axis=1))
+
+
+@pytest.mark.parametrize(("count", "interfaces"), [(20, 1), (30, 1), (40, 1), (60, 1), (40, 2)])
+@pytest.mark.parametrize("noise", [0.001, 0.005])
+def test_bars_of_few_measured_rows_hold_their_readings(
+    count: int, interfaces: int, noise: float
+) -> None:
+    """Noise was a third of what it is: 35 to 50 % of the readings were outside."""
+    scale, names = np.tile(SCALE, interfaces), ("left", "right")
+    space = space_of(names[:interfaces]) if interfaces > 1 else RANGE.space
+    span, outside, ratios = LoadRange(-scale, scale, space), [], []
+    for seed in range(12):
+        rng = np.random.default_rng([seed, count])
+        loads = rng.uniform(-1, 1, (count, len(scale)))
+        off = rng.normal(size=loads.shape) * noise * np.ptp(cubic(loads), axis=0)
+        rows = Rows.of(loads * scale, cubic(loads) + off, space, source=["rig"] * count)
+        (group,) = build(rows, span).groups
+        assert group.by_kriging
+        outside.append(np.abs(off) > group.row_uncertainty)
+        ratios.append(group.row_uncertainty / (1.96 * noise * np.ptp(cubic(loads), axis=0)))
+    assert np.concatenate(outside).mean(axis=0).max() <= 0.1
+    assert np.median(ratios) < (2.5 if count == 60 else 10)
+
+
+def test_stated_uncertainties_are_the_bars_of_their_rows() -> None:
+    rng = np.random.default_rng(6)
+    loads, stated = rng.uniform(-1, 1, (40, 6)), np.full((40, 6), 2e-5)
+    moved = cubic(loads) + 1e-5 * rng.normal(size=loads.shape)
+    rows = Rows.of(loads * SCALE, moved, source=["rig"] * 40, uncertainty=stated)
+    (group,) = build(rows, RANGE).groups
+    np.testing.assert_allclose(group.row_uncertainty, stated, rtol=1e-12)

@@ -69,4 +69,6 @@ def test_bars_of_solves_and_of_a_softer_rig_at_some_of_their_wrenches_hold_both(
     for factor in (1.0, softer):
         off = np.abs(found.outputs - factor * response(asked))
         assert (off > found.errors)[known].mean() < 0.05
-    assert table.rig_error.any() == (softer > 1)
+    # Noise of readings at the solves' wrenches is in the answers there, and tells of no rig.
+    size = np.ptp(response(asked), axis=0)
+    assert (table.rig_error > 1e-3 * size).any() == (softer > 1)

@@ -49,7 +49,7 @@ def estimate(equations: Equations, ratio: float) -> Estimate:
     """Return one kernel, and noise as so much of the process."""
     variance = np.full(6, 0.1)
     noise = ratio * variance / equations.typical_noise
-    return Estimate((KERNEL,) * 6, variance, noise, np.ones(6))
+    return Estimate((KERNEL,) * 6, variance, noise, *np.ones((2, 6)))
 
 
 def through(equations: Equations, ratio: float) -> Inducing:
