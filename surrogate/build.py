@@ -22,9 +22,11 @@ from time import thread_time
 from typing import Any
 
 import numpy as np
+from scipy.stats import t as student
 
 from .answer import Allowed, allowed_of
 from .axes.axes import Axes, build_axes
+from .calibration import LEVEL
 from .findings.comparison import MAX_ROWS as MAX_COMPARED
 from .findings.comparison import beyond_noise
 from .findings.find import without_effects
@@ -115,13 +117,27 @@ class Group:
         if_unknown = np.where(self.merged.rows.source == SOLVED, 0.0, np.nan)[:, None]
         self.row_uncertainty = np.where(np.isnan(uncertainty), if_unknown, uncertainty)
         readings = self.merged.observations.number
-        if self.by_kriging and self.kriging is not None and readings.any():
+        if readings.any():
             # A mean of readings has their noise, however near each other they happen to be.
-            noise = self.observation_noise * self.kriging.noise_widening
-            noise = noise / np.sqrt(np.maximum(readings, 1.0))
-            known = (readings > 0) & np.isfinite(noise)
-            self.row_uncertainty = np.where(known, noise, self.row_uncertainty)
+            noise = self._noise_of_a_reading() / np.sqrt(np.maximum(readings, 1.0))
+            self.row_uncertainty = np.where(readings > 0, noise, self.row_uncertainty)
         self.build_s = thread_time() - started
+
+    def _noise_of_a_reading(self) -> Floats:
+        """Return the noise of one reading, 95 %, (m,), m and rad; NaN where nothing tells it.
+
+        That of the kriging; else what all repeated readings scatter by, with Student's t.
+        """
+        number, scatter = self.merged.observations
+        freedom = np.maximum(number - 1, 0.0).sum(axis=0)
+        total = scatter.sum(axis=0)
+        repeated = np.where(total > 0, total / np.maximum(freedom, 1.0), np.nan)
+        noise = student.ppf((1 + LEVEL) / 2, np.maximum(freedom, 1.0)) * np.sqrt(repeated)
+        if not self.by_kriging or self.kriging is None:
+            return noise
+        told = self.observation_noise * self.kriging.noise_widening
+        told = np.where(np.isnan(told), noise, told)
+        return np.where(self.kriging.scaling.constant, self.kriging.floor, told)
 
     @property
     def default(self) -> str:

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.surrogate.law.answer import Answer, Batch, within
-from wrenchbook.surrogate.answer import COVERED
+from wrenchbook.surrogate.answer import COVERED, THIN
 from wrenchbook.surrogate.build import STEEPER, Group
+from wrenchbook.surrogate.kernel.reasons import UNKNOWN_ERROR
 from wrenchbook.surrogate.table.rows import Floats, Rows, acting, acting_wrench
 
 
@@ -55,6 +56,8 @@ class RowLaw:
         if told is None:
             return found
         moved, error = tuple(told.displacement.tolist()), tuple(told.error.tolist())
+        if (np.isnan(told.error) & np.isfinite(told.displacement)).any():
+            return Answer(moved, None, "thin", UNKNOWN_ERROR, "row")
         return Answer(moved, error, "covered", "", "row")
 
     def at(self, wrench: Sequence[float], allowed: Sequence[float]) -> Beside | None:
@@ -76,7 +79,8 @@ class RowLaw:
         for place, row in zip(doubtful[rows >= 0], rows[rows >= 0].tolist(), strict=True):
             if (told := self._told_by(row, asked[place], allowed)) is not None:
                 found.displacement[place], found.error[place] = told.displacement, told.error
-                found.coverage[place] = COVERED
+                unknown = np.isnan(told.error) & np.isfinite(told.displacement)
+                found.coverage[place] = THIN if unknown.any() else COVERED
         return found
 
     def _place(self, wrench: Sequence[float]) -> int:
