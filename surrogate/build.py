@@ -112,15 +112,11 @@ class Group:
         self.full_wrenches = count_multi_axis(self.used, load_range) if self.has_axes else 0
         self.row_index = RowIndex(rows.wrench, load_range.scale)
         self.steepest = STEEPER * self.ranges
-        # A solve repeats itself; the uncertainty of an observation may be unknown.
-        uncertainty = self.merged.rows.uncertainty
-        if_unknown = np.where(self.merged.rows.source == SOLVED, 0.0, np.nan)[:, None]
-        self.row_uncertainty = np.where(np.isnan(uncertainty), if_unknown, uncertainty)
-        readings = self.merged.observations.number
-        if readings.any():
-            # A mean of readings has their noise, however near each other they happen to be.
-            noise = self._noise_of_a_reading() / np.sqrt(np.maximum(readings, 1.0))
-            self.row_uncertainty = np.where(readings > 0, noise, self.row_uncertainty)
+        # A solve repeats itself; a mean of readings has their noise, however near each other they
+        # happen to be.
+        stated, readings = self.merged.rows.uncertainty, self.merged.observations.number
+        noise = self._noise_of_a_reading() / np.sqrt(np.maximum(readings, 1.0))
+        self.row_uncertainty = np.where(readings > 0, noise, np.nan_to_num(stated))
         self.build_s = thread_time() - started
 
     def _noise_of_a_reading(self) -> Floats:

@@ -10,7 +10,7 @@ import pytest
 
 from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.law import build
-from tests.surrogate.responses import HIGH, RANGE, full_wrenches, six
+from tests.surrogate.responses import HIGH, RANGE, full_wrenches, six, smooth, table
 from wrenchbook.surrogate.build import Table
 from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.table.merging import RowIndex
@@ -31,13 +31,27 @@ def few(*, tangents: bool = True) -> Table:
 
 def test_a_reading_whose_uncertainty_nobody_stated_has_no_error() -> None:
     """It was covered with an error of 0, at 3 % noise."""
-    rows = Rows.of(0.9 * full_wrenches(6, 3) * RANGE.scale, np.full((6, 6), 1e-4))
+    rows = table(smooth, 0.9 * full_wrenches(6, 3))
     stated = replace(rows, uncertainty=np.full((6, 6), 2e-6))
     found = [packed_of(build(one, RANGE)).batch(rows.wrench) for one in (rows, stated)]
-    assert (found[0].coverage == found[1].coverage).all()
-    assert not found[0].coverage.any()
+    assert (found[0].coverage == 1).all()
     assert np.isnan(found[0].errors).all()
+    assert (found[1].coverage == 0).all()
     assert (found[1].errors == 2e-6).all()
+
+
+def test_readings_that_repeat_tell_their_noise_without_a_kriging() -> None:
+    rng, sigma, held, known = np.random.default_rng(8), 1e-6, [], []
+    for _ in range(200):
+        wrench = 0.9 * full_wrenches(3, 3) * RANGE.scale
+        moved = smooth(0.9 * full_wrenches(3, 3)) + rng.normal(size=(4, 3, 6)) * sigma
+        rows = Rows.of(np.tile(wrench, (4, 1)), moved.reshape(12, 6))
+        found = packed_of(build(rows, RANGE)).batch(wrench)
+        assert (found.coverage == 0).all()
+        held.append(np.abs(found.outputs - smooth(0.9 * full_wrenches(3, 3))) <= found.errors)
+        known.append(found.errors)
+    assert np.mean(held) == pytest.approx(0.95, abs=0.02)
+    assert np.median(known) == pytest.approx(sigma, rel=0.5)  # 2.26 sigma over the root of four
 
 
 def steps(count: int) -> np.ndarray:
@@ -106,7 +120,8 @@ def test_a_row_stands_for_no_wrench_where_that_alone_moves_more_than_is_allowed(
 
 
 def test_one_row_at_rest_says_nothing_of_the_loads_beside_it() -> None:
-    table = build(Rows.of(np.zeros((1, 6)), np.zeros((1, 6))), RANGE)
+    stated = np.full((1, 6), 1e-6)
+    table = build(Rows.of(np.zeros((1, 6)), np.zeros((1, 6)), uncertainty=stated), RANGE)
     assert table.answer([0.0] * 6).coverage == "covered"
     assert table.answer([1e-4, 0, 0, 0, 0, 0]).coverage != "covered"
 

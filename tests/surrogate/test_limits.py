@@ -76,7 +76,7 @@ def test_a_table_leaves_out_estimates_beyond_the_limits(partial: bool) -> None:
 
 def test_a_row_beyond_the_limits_answers_its_own_wrench() -> None:
     """No import takes one, but what a table has it tells."""
-    rows = Rows.of([[0, 0, 3.0, 0, 0, 0]], [[0, 0, 30.0, 0, 0, 0]])
+    rows = Rows.of([[0, 0, 3.0, 0, 0, 0]], [[0, 0, 30.0, 0, 0, 0]], source=np.array(["fea"]))
     answer = build(rows, _RANGE).answer(rows.wrench[0].tolist())
     assert (answer.method, answer.coverage) == ("row", "covered")
     assert answer.displacement == tuple(rows.displacement[0].tolist())
