@@ -268,7 +268,7 @@ static int are_shown_together(const wb_kriging *k, int inputs, const double *at)
 /* Why the errors of an answer are not known. */
 void wb_kriging_reasons(const wb_table *t, const wb_kriging *k, wb_work *work, const double *w,
                         wb_result *a) {
-    double at[WB_MAX], sigma[WB_MAX];
+    double at[WB_MAX] = {0}, sigma[WB_MAX];
     int before = a->reasons, far = -1;
     for (int s = 0; s < k->factors; s++)
         if (!(*k->factor[s].max_sigma > 0)) {

@@ -60,7 +60,7 @@ def test_a_wrench_that_a_thin_table_does_not_cover_is_warned_of_once():
     wrenches = np.random.default_rng(1).uniform(-0.1, 0.1, (2, 6)) * HIGH
     joint = MujocoJoint(model, data, packed_table(stiffening(wrenches), SPAN))
     with pytest.warns(
-        JointWarning, match=r"bar at tip 'tip': the wrench of a step is outside.*more rows"
+        JointWarning, match=r"bar at tip 'tip': the wrench of a step is thin.*more rows"
     ):
         joint.step()
     with warnings.catch_warnings():
