@@ -87,6 +87,10 @@ bench: $(VENV)/.installed-dev  ## one benchmark: make bench NAME=kernel; without
 fuzz: $(VENV)/.installed-dev
 	WRENCHBOOK_FUZZ=10000 $(BIN)/python -m pytest tests/fuzz -s -p no:cacheprovider
 
+# 60 faults put into the sources, one at a time: an hour; ONLY=ledger takes those of one part
+mutants: $(VENV)/.installed-dev
+	$(BIN)/python -m tests.mutants
+
 # 200 times kill -9 of server, solver or both, and of imports: no job lost, no row twice
 kills: $(VENV)/.installed-dev
 	WRENCHBOOK_KILLS=200 $(BIN)/python -m pytest tests/service/test_kill.py \
