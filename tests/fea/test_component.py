@@ -108,31 +108,6 @@ def test_a_node_group_without_a_whole_face_weighs_every_node_the_same(tmp_path):
     np.testing.assert_allclose(section.centre, [0.02, 0.01 / 3, 0.01 / 3])
 
 
-@pytest.mark.parametrize(
-    ("changes", "where", "said"),
-    [
-        ({"interface__section": "tpi"}, "interface.section", '"tpi"; did you mean "tip"?'),
-        ({"interface__section": "TIP"}, "interface.section", 'did you mean "tip"?'),
-        ({"interface__section": "x"}, "interface.section", "(it has root, tip, low edge)"),
-        ({"interface__section": "soft"}, "interface.section", "is a group of cells"),
-        ({"interface__section": "low edge"}, "interface.section", "lies on one line"),
-        ({"interface__section": "root"}, "interface.section", "are fixed by [supports]"),
-        ({"supports__fixed": ["root", "rot"]}, "supports.fixed[1]", 'did you mean "root"?'),
-        ({"supports__fixed": ["low edge"]}, "supports.fixed", "on one line"),
-        ({"material__1__region": "stif"}, "material[1].region", '"stif"; did you mean "stiff"?'),
-        ({"material__1__region": "soft"}, "material[1].region", "shares cells"),
-        ({"material": BLOCKS["material"][:1]}, "material", "8 cells have no material"),
-    ],
-)
-def test_a_group_that_will_not_do_is_named_with_its_key_and_what_there_is(changes, where, said):
-    assert said in mistakes(**changes)[where]
-
-
-def test_a_second_material_for_all_is_a_mistake():
-    both = [BLOCKS["material"][0] | {"region": "all"}, BLOCKS["material"][1] | {"region": "all"}]
-    assert "twice" in mistakes(material=both)["material[1].region"]
-
-
 def test_every_missing_group_is_told_at_once():
     found = mistakes(interface__section="a", supports__fixed=["b"], material__0__region="c")
     assert {"interface.section", "supports.fixed[0]", "material[0].region"} <= set(found)

@@ -4,7 +4,7 @@ import pytest
 
 from tests.fea.boxes import box
 from tests.fea.written_deck import deck_lines
-from wrenchbook.fea.bundle.read import BundleError, read_bundle
+from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.check import as_text
 from wrenchbook.fea.check import report as check
 
@@ -173,12 +173,6 @@ def test_an_integration_other_than_the_decks_is_a_warning(tmp_path):
     toml = TOML.replace("[analysis]", '[analysis]\nintegration = "reduced"')
     (found,) = warnings(block(tmp_path, toml=toml, element="C3D20"))
     assert "has C3D20; [analysis] says" in found
-
-
-def test_two_integrations_in_one_deck_need_a_decision(tmp_path):
-    more = "*ELEMENT, TYPE=C3D20\n" + ",".join(map(str, range(900, 921))) + "\n"
-    with pytest.raises(BundleError, match="C3D20R"):
-        read_bundle(block(tmp_path, more))
 
 
 def test_a_hybrid_element_is_named_with_what_is_solved_instead(tmp_path):

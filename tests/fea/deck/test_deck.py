@@ -30,12 +30,6 @@ def failure(bundle, wrench=WRENCH, folder=None):
     return caught.value
 
 
-def mistakes(folder, **deck):
-    with pytest.raises(BundleError) as caught:
-        component(folder, **deck)
-    return {problem.where: problem.message for problem in caught.value.problems}
-
-
 @given(st.lists(NUMBER, min_size=6, max_size=6))
 def test_a_number_goes_into_the_deck_with_12_decimals_and_20_characters_at_most(loads):
     words = filled(b"$FX,$FY,$FZ\n$MX , $MY,$MZ", loads).replace(b"\n", b",").split(b",")
@@ -286,42 +280,6 @@ def test_a_linear_deck_may_hold_freedoms_and_print_roundoff(tmp_path):
 def test_a_wrench_is_six_finite_numbers(tmp_path, wrench):
     with pytest.raises(ValueError, match="six finite numbers"):
         solve(component(tmp_path), wrench)
-
-
-@pytest.mark.parametrize(
-    ("deck", "where", "said"),
-    [
-        ({"output": {"reader": "numbrs"}}, "deck.output.reader", 'did you mean "numbers"'),
-        ({"output": {"reader": "numbers"}}, "deck.output.file", "missing"),
-        ({"output": {"reader": "calculix-dat", "point": "R"}}, "deck.output.rotation", "missing"),
-        ({"files": ["nothere.inp"]}, "deck.files[0]", "there is no file"),
-        ({"files": ["../solver.py"]}, "deck.files[0]", "directly in the bundle's folder"),
-        ({"files": ["job.inp"]}, "deck.files[0]", "is the deck itself"),
-        ({"unit": "furlong"}, "deck.unit", "none of m, "),
-        ({"timeout": 0}, "deck.timeout", "above 0"),
-        ({"moment": "spatal"}, "deck.moment", 'did you mean "spatial"'),
-        ({"command": []}, "deck.command", "at least 1"),
-        ({"comand": []}, "deck.comand", 'did you mean "command"'),
-    ],
-)
-def test_a_mistake_in_the_deck_table_is_named(tmp_path, deck, where, said):
-    found = mistakes(tmp_path, **deck)
-    assert said in found[where]
-
-
-def test_what_a_deck_would_not_heed_is_a_mistake(tmp_path):
-    from wrenchbook.fea.bundle.read import bundle_of
-
-    component(tmp_path)
-    deck = {"file": "job.inp", "command": ["x"], "output": {"reader": "numbers", "file": "f"}}
-    frame = {"section": "s", "coupling": "rigid", "axes": [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]}
-    table = {
-        "name": "n", "title": "t", "deck": deck, "interface": frame | {"locked": ["ux"]},
-        "range": {"force": [1, 1, 1], "moment": [1, 1, 1]},
-    }  # fmt: skip
-    with pytest.raises(BundleError) as caught:
-        bundle_of(table, tmp_path)
-    assert [each.where for each in caught.value.problems] == ["interface.axes", "interface.locked"]
 
 
 def test_the_fingerprint_covers_all_that_can_change_a_decks_answer(tmp_path):
