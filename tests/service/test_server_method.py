@@ -2,11 +2,9 @@
 
 import pytest
 from starlette.testclient import TestClient
-from typer.testing import CliRunner
 
 from tests.service.live import as_rows, clean_wrenches, moved
 from tests.until import until
-from wrenchbook.service.cli.main import app
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.workspace import Settings
 
@@ -39,10 +37,3 @@ def test_the_servers_method_answers_a_request_that_names_none(http, method):
 def test_the_method_of_a_request_goes_before_the_servers(http):
     asked = {**WRENCH, "method": "additive"}
     assert http.post(f"{CALL}/displacement", json=asked).json()["method"] == "additive"
-
-
-def test_serve_refuses_a_method_that_there_is_not(tmp_path):
-    words = ["serve", "--data", str(tmp_path), "--method", "cubic"]
-    found = CliRunner().invoke(app, words)
-    assert found.exit_code == 2
-    assert "cubic" in found.output

@@ -44,54 +44,10 @@ def test_another_file_can_be_named(shown, tmp_path):
     other = tmp_path / "other.toml"
     other.write_text('log_format = "json"\n')
     assert shown("--config", str(other))["log_format"] == "json"
-    assert "no file" in shown("--config", str(tmp_path / "none.toml"))
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("prot = 1", "no setting prot"),
-        ("port = 70000", "port in"),
-        ('port = "many"', "port in"),
-        ('log_level = "loud"', "log_level in"),
-        ("port = ", "cannot be read as TOML"),
-        ('data = "elsewhere"', "cannot name another one"),
-        ("[port]\nx = 1", "port in"),
-    ],
-)
-def test_a_mistake_in_the_file_is_named_and_nothing_starts(shown, tmp_path, text, said):
-    (tmp_path / "wrenchbook.toml").write_text(text)
-    assert said in shown()
-
-
-def test_an_unknown_setting_is_refused_with_the_closest_name(shown, tmp_path):
-    (tmp_path / "wrenchbook.toml").write_text("queue_limt = 1")
-    assert "did you mean queue_limit?" in shown()
-
-
-def test_an_unknown_variable_is_refused_with_the_closest_name(shown):
-    assert "did you mean WRENCHBOOK_PORT?" in shown(WRENCHBOOK_PROT="1")
-
-
-def test_a_variable_that_cannot_be_is_named_as_such(shown):
-    assert "WRENCHBOOK_SOLVERS" in shown(WRENCHBOOK_SOLVERS="-1")
 
 
 def test_an_empty_variable_is_none(shown):
     assert shown(WRENCHBOOK_PORT="")["port"] == 8000
-
-
-def test_a_file_is_no_data_directory(shown, tmp_path):
-    (tmp_path / "file").touch()
-    assert "is no data directory" in shown("--data", str(tmp_path / "file"))
-
-
-def test_a_data_directory_that_cannot_be_made_is_refused_at_the_start():
-    """It served, accepted nothing, and printed a traceback for each component."""
-    words = ["serve", "--data", "/proc/none", "--port", "0"]  # nobody can make anything there
-    found = CliRunner().invoke(app, words, env={"COLUMNS": "1000"})
-    assert found.exit_code == 2
-    assert "/proc/none cannot be made" in found.output
 
 
 def test_a_data_directory_that_cannot_be_written_is_refused_at_the_start():

@@ -59,22 +59,6 @@ def test_the_text_says_the_frequency(bar, capsys):
     assert "first natural frequency" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--mass", "-2"], "zero or more"),
-        (["--inertia", "1,2,3"], "need --mass"),
-        (["--mass", "1", "--inertia", "1,2"], "three numbers"),
-        (["--mass", "1", "--centre", "nan,0,0"], "finite"),
-        (["--mass", "1", "--inertia", "1,a,2"], '"1,a,2" must be numbers with commas between them'),
-    ],
-)
-def test_a_mass_that_cannot_be_is_a_usage_error(bar, capsys, words, message):
-    with pytest.raises(SystemExit, match="2"):
-        main(["check", *words, str(bar)])
-    assert message in capsys.readouterr().err
-
-
 def test_a_mass_on_a_deck_is_said_to_count_for_nothing():
     warnings = report(SHIPPED / "plate_ccx", Riding.of(5.0))["warnings"]
     assert "no natural frequency: its solver gives none" in warnings[-1]["message"]
