@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -11,6 +13,7 @@ from typing import Any
 
 import pytest
 from rich.console import Console
+from rich.table import Table
 
 import wrenchbook
 from tests.refusals import assert_told, cases
@@ -18,9 +21,11 @@ from tests.service.live import served
 from tests.service.stub_server import Answer, Stub, running_stub
 from tests.service.test_client_calls import COVERED, QUEUED
 from wrenchbook.fea.bundle.shipped import SHIPPED
+from wrenchbook.service.cli.jobs import event_line
 from wrenchbook.service.cli.main import main
-from wrenchbook.service.cli.render import matrix_table
-from wrenchbook.service.client import Client, ProblemError
+from wrenchbook.service.cli.progress import Pace
+from wrenchbook.service.cli.render import Screen, matrix_table
+from wrenchbook.service.client import Client, Event, ProblemError
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -408,3 +413,77 @@ def test_a_shell_completes_the_components_of_a_data_directory(monkeypatch, tmp_p
 
 def test_a_completion_without_a_server_is_empty_and_quiet(monkeypatch):
     assert completions(monkeypatch, "query --server http://127.0.0.1:9 p") == []
+
+
+@pytest.mark.parametrize(
+    "text", ["\x1b]0;mine\x07", "\x1b[2J", "a\x00b", "\x9b2J", "\u202egpj.exe"]
+)
+def test_a_text_of_others_steers_no_terminal(text):
+    screen = Screen(file=io.StringIO(), width=60, force_terminal=True)
+    table = Table("title")
+    table.add_row(text)
+    screen.print(table)
+    screen.print(text, markup=False, highlight=False, style="red")
+    told = screen.file.getvalue()  # pyright: ignore[reportAttributeAccessIssue]
+    assert text not in told
+    assert told.count("\N{REPLACEMENT CHARACTER}") >= 2
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+def test_a_pace_says_solves_a_minute_and_the_time_left():
+    clock = Clock()
+    pace = Pace(100, clock)
+    assert pace.note() == ""
+    clock.now, pace.ended = 30.0, 20
+    assert pace.note() == "40 solves/min, at most 2 min left"
+    assert pace.note(in_round=5) == "50 solves/min, at most 2 min left"
+    clock.now, pace.ended = 60.0, 60
+    assert pace.note() == "60 solves/min, at most 40 s left"
+
+
+def test_events_are_told_in_words():
+    job = {"id": 3, "component": "plate", "status": "running"}
+    running = Event("job", job | {"progress": {"fraction": 0.5, "message": "step 2"}})
+    failed = Event("job", job | {"status": "failed", "error": {"kind": "k", "message": "m"}})
+    done = Event("job", job | {"status": "done", "row": 9, "error": None})
+    assert event_line(running) == "job 3 of plate: running, 50% step 2"
+    assert event_line(failed) == "job 3 of plate: failed, k: m"
+    assert event_line(done) == "job 3 of plate: done, row 9"
+    table = {"component": "plate", "table_version": 4, "rows": 4}
+    assert event_line(Event("table", table)) == "plate: table version 4, 4 rows"
+    assert event_line(Event("hello", {"tables": {}})) == ""
+
+
+def test_ctrl_c_cancels_the_solves_of_a_fill_and_no_others(tmp_path: Path):
+    """A fill that was interrupted left its solves in the queue."""
+    with served(tmp_path) as client:
+        other = client.solve("plate", [1, 2, -3], [0, 0, 0]).job
+        assert other is not None
+        # A shell starts its background commands with SIGINT ignored, and children inherit it.
+        words = ["env", "--default-signal=INT", sys.executable, "-P", "-m", "wrenchbook"]
+        words += ["fill", "plate", "--budget", "3"]
+        words += ["--server", client.url]
+        with subprocess.Popen(
+            words,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        ) as command:
+            assert command.stdout is not None
+            assert command.stdout.readline() == "choosing wrenches for plate\n"
+            assert command.stdout.readline()  # the round: its solves are queued
+            command.send_signal(signal.SIGINT)
+            _, errors = command.communicate(timeout=60)
+        states = {job.id: job.status for job in client.jobs("plate")}
+        assert states.pop(other.id) == "waiting"
+        assert set(states.values()) == {"cancelled"}
+        assert command.returncode == 130
+        assert " ".join(errors.split()) == (
+            f"Interrupted: {len(states)} solve(s) of this command cancelled."
+        )

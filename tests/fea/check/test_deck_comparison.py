@@ -1,7 +1,9 @@
 """What `check` tells of a deck: read, ignored, in contradiction to the component."""
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.fea.boxes import box
@@ -10,6 +12,7 @@ from tests.refusals import assert_told, cases, changed
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.check import as_text
 from wrenchbook.fea.check import report as check
+from wrenchbook.fea.inspection import stacked_singly
 
 BLOCK = Path(__file__).parent / "block"
 TOML = (BLOCK / "component.toml").read_text("utf-8")
@@ -78,3 +81,38 @@ def test_held_reference_nodes_are_supports_of_what_they_move(tmp_path):
     text = AGREES.replace("FOOT, 1, 3", "9001, 1, 6")
     text = text.replace("*RIGID BODY, NSET=HEAD", "*RIGID BODY, NSET=FOOT")
     assert warnings(block(tmp_path, text)) == []
+
+
+def arch(folder, across, integration):
+    """Write a half circle of radius 0.3 m, 10 x 10 mm, of 40 cells along."""
+    mesh = box("hex20", (across, across, 40), (0.01, 0.01, 1.0))
+    x, y, z = mesh.points.T
+    radius, angle = 0.3 + x, np.pi * (z - 0.5)
+    points = np.column_stack([radius * np.cos(angle), y, radius * np.sin(angle)])
+    lines = deck_lines(replace(mesh, points=points), 1e-3, integration)
+    (folder / "block.inp").write_text("\n".join(lines) + "\n")
+    text = TOML.replace("point = [0.01, 0.01, 0.06]\n", "").replace("rigid", "distributed")
+    (folder / "component.toml").write_text(text)
+    return check(folder)
+
+
+def test_an_arch_of_single_reduced_cells_is_refused_as_an_hourglass(tmp_path):
+    report = arch(tmp_path, 1, "reduced")
+    (problem,) = report["problems"]
+    assert problem["where"] == "analysis.integration"
+    assert "40 hex20 cells" in problem["message"]
+    assert "hourglass" in problem["message"]
+
+
+@pytest.mark.parametrize(("across", "integration"), [(1, "full"), (2, "reduced")])
+def test_full_integration_or_two_cells_across_make_it_ready_and_far_from_buckling(
+    tmp_path, across, integration
+):
+    report = arch(tmp_path, across, integration)
+    assert report["ok"]
+    assert report["solver_error"]["buckling"] is None
+
+
+@pytest.mark.parametrize(("cells", "count"), [((1, 1, 1), 0), ((1, 2, 5), 0), ((1, 1, 2), 2)])
+def test_a_single_cell_and_a_layer_are_no_stack(cells, count):
+    assert len(stacked_singly(box("hex20", cells, (0.01, 0.02, 0.05)))) == count
