@@ -46,12 +46,6 @@ def test_an_unknown_component_a_wrong_body_and_a_wrong_method_are_problems(http)
         assert reply.json()["status"] == reply.status_code
 
 
-def test_a_name_with_signs_in_it_is_read_as_the_framework_reads_it(http):
-    reply = http.post("/v1/components/no%20body/displacement", json={"force": [0, 0, 1]})
-    assert reply.status_code == 404
-    assert "no body" in reply.json()["detail"]
-
-
 def test_the_call_is_in_the_openapi_document_all_the_same(http):
     call = document(http)["paths"]["/v1/components/{name}/displacement"]["post"]
     schema = call["requestBody"]["content"]["application/json"]["schema"]
