@@ -10,7 +10,6 @@ from tests.validation.clamped import attached
 from wrenchbook.fea.bundle.read import bundle_of
 from wrenchbook.fea.component import build
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.spec.problems import BundleError
 
 TABLE = {
     "name": "part",
@@ -35,15 +34,6 @@ def part(mesh, folder, supports, *, young=3e9, poisson=0.3, nonlinear=False, **i
         "analysis": {"nonlinear": nonlinear},
     }
     return build(bundle_of(table, folder), mesh)
-
-
-def mistakes(*what, **options):
-    """Return {where: message} of a component that cannot be built."""
-    try:
-        part(*what, **options)
-    except BundleError as error:
-        return {one.where: one.message for one in error.problems}
-    return {}
 
 
 def turned(one, rotation):

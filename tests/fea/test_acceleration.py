@@ -150,19 +150,6 @@ def test_check_names_the_range_and_what_the_acceleration_moves(tmp_path):
     assert "by the acceleration alone right moves by" in words
 
 
-def test_an_acceleration_without_a_density_is_refused_by_check_with_a_remedy(tmp_path):
-    (tmp_path / "component.toml").write_text(link(nonlinear=False).replace("density = 2700.0", ""))
-    (problem,) = check(tmp_path)["problems"]
-    assert problem["where"] == "material[0].density"
-    assert "[inputs.acceleration] needs each material's density, in kg/m^3" in problem["message"]
-
-
-@pytest.mark.parametrize("most", [[20, 20, 0], [20, 20], [[-1, 1], 20, 20]])
-def test_a_range_that_is_not_three_numbers_above_zero_is_refused(tmp_path, most):
-    with pytest.raises(BundleError, match=r"inputs\.acceleration\.range.*m/s\^2"):
-        bundle_of(table({"acceleration": {"range": most}}), tmp_path)
-
-
 def test_inputs_without_the_acceleration_are_refused(tmp_path):
     own = solver(tmp_path, cells=(1, 1, 2))
     with pytest.raises(ValueError, match=r"9 finite numbers.*then ax, ay, az"):

@@ -7,7 +7,7 @@ import pytest
 
 from tests.fea.boxes import box
 from tests.fea.calculix import require_ccx
-from tests.fea.supports import PLANES, TABLE, largest, mistakes, part
+from tests.fea.supports import PLANES, TABLE, largest, part
 from tests.validation import calculix, second_opinion
 from wrenchbook.fea.bundle.read import bundle_of
 from wrenchbook.fea.check.findings import motion_problems
@@ -229,45 +229,6 @@ def test_springs_and_planes_together_hold_a_part(tmp_path):
     assert motion_problems(one, bodies_of(one.mesh), coincident_nodes(one.mesh)) == []
     expected = 1.0 / (3e9 * 0.1 * 0.06) + 1e-6
     assert Solver(one).compliance[2, 2] == pytest.approx(expected, rel=1e-9)
-
-
-ASYMMETRIC = np.array(FULL) + 1e3 * np.eye(6, k=1)
-
-
-@pytest.mark.parametrize(
-    ("changes", "where", "said"),
-    [
-        ({"stiffness": [1.0] * 5}, "stiffness", "a list of 6 numbers"),
-        ({"stiffness": ASYMMETRIC.tolist()}, "stiffness", "must be symmetric"),
-        ({"stiffness": [-1.0] + [1.0] * 5}, "stiffness", "give energy back"),
-        ({"stiffness": (np.ones((6, 6)) - 0.5 * np.eye(6)).tolist()}, "stiffness", "energy back"),
-        ({"stiffness": [0.0] * 6}, "stiffness", "is zero"),
-        ({"stiffness": [[1.0] * 6] * 5}, "stiffness", "a list of 6 numbers"),
-        ({"stiffness": [[1.0] * 6] * 5 + [[1.0]]}, "stiffness", "a list of 6 numbers"),
-        ({"coupling": "soft"}, "coupling", "none of"),
-        ({"group": "z9"}, "group", "the mesh has no facet or node group"),
-        ({"group": "z1"}, "group", "shares 21 nodes with"),
-        ({"group": "pin"}, "group", "of its nodes are fixed by [supports]"),
-        ({"group": "pin"}, "group", "its free motions would move them off"),
-        ({"locked": ["ux"]}, "locked", "unknown key"),
-    ],
-)
-def test_a_mistake_in_a_bushing_is_named_with_its_key(tmp_path, changes, where, said):
-    nodes = mesh().points
-    inner = (nodes[:, 2] > 0.3) & (nodes[:, 2] < 0.7)
-    whole = replace(mesh(), node_groups={"pin": np.flatnonzero(inner & (nodes[:, 0] > 0.01))})
-    supports = {"bushing": [bushing() | changes]}
-    if "fixed" in said:
-        supports["fixed"] = ["pin"]
-    if "motions" in said:
-        supports["sliding"] = [{"group": "pin", "directions": ["x"]}]
-    found = mistakes(whole, tmp_path, supports)
-    assert any(said in message for key, message in found.items() if f".{where}" in key), found
-
-
-def test_two_bushings_on_the_same_nodes_are_a_mistake(tmp_path):
-    found = mistakes(mesh(), tmp_path, {"bushing": [bushing(), bushing(coupling="distributed")]})
-    assert "shares 21 nodes" in found["supports.bushing[1].group"]
 
 
 def test_several_interfaces_move_on_one_spring(tmp_path):

@@ -6,9 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.fea.shipped_meshes import COMPONENTS, hot_bracket, link
 from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
 from wrenchbook.fea.component import build
 from wrenchbook.fea.coupling.section import section_of_facets
+from wrenchbook.fea.solve import Solver
 
 SHIPPED = Path(__file__).parents[2] / "data" / "components"
 FILES = Path(__file__).parent / "mesh" / "meshfiles"
@@ -108,31 +110,6 @@ def test_a_node_group_without_a_whole_face_weighs_every_node_the_same(tmp_path):
     np.testing.assert_allclose(section.centre, [0.02, 0.01 / 3, 0.01 / 3])
 
 
-@pytest.mark.parametrize(
-    ("changes", "where", "said"),
-    [
-        ({"interface__section": "tpi"}, "interface.section", '"tpi"; did you mean "tip"?'),
-        ({"interface__section": "TIP"}, "interface.section", 'did you mean "tip"?'),
-        ({"interface__section": "x"}, "interface.section", "(it has root, tip, low edge)"),
-        ({"interface__section": "soft"}, "interface.section", "is a group of cells"),
-        ({"interface__section": "low edge"}, "interface.section", "lies on one line"),
-        ({"interface__section": "root"}, "interface.section", "are fixed by [supports]"),
-        ({"supports__fixed": ["root", "rot"]}, "supports.fixed[1]", 'did you mean "root"?'),
-        ({"supports__fixed": ["low edge"]}, "supports.fixed", "on one line"),
-        ({"material__1__region": "stif"}, "material[1].region", '"stif"; did you mean "stiff"?'),
-        ({"material__1__region": "soft"}, "material[1].region", "shares cells"),
-        ({"material": BLOCKS["material"][:1]}, "material", "8 cells have no material"),
-    ],
-)
-def test_a_group_that_will_not_do_is_named_with_its_key_and_what_there_is(changes, where, said):
-    assert said in mistakes(**changes)[where]
-
-
-def test_a_second_material_for_all_is_a_mistake():
-    both = [BLOCKS["material"][0] | {"region": "all"}, BLOCKS["material"][1] | {"region": "all"}]
-    assert "twice" in mistakes(material=both)["material[1].region"]
-
-
 def test_every_missing_group_is_told_at_once():
     found = mistakes(interface__section="a", supports__fixed=["b"], material__0__region="c")
     assert {"interface.section", "supports.fixed[0]", "material[0].region"} <= set(found)
@@ -169,3 +146,31 @@ def test_the_spring_is_held_on_its_axis_and_guided():
     assert built.interfaces[0].point.tolist() == [0, 0, 0.088]
     assert built.interfaces[0].coupling == "rigid"
     assert built.interfaces[0].locked == ("ux", "uy", "rx", "ry")
+
+
+@pytest.mark.parametrize(("name", "text"), [("link", link()), ("hot_bracket", hot_bracket())])
+def test_a_shipped_mesh_file_is_what_its_generator_writes(name, text):
+    assert (COMPONENTS / name / f"{name}.inp").read_text() == text
+
+
+def test_the_link_bends_less_than_a_tube_without_flanges_and_more_than_with_rigid_ones():
+    """Euler's beam with the shear of a thin tube, over its whole length and between flanges."""
+    found = Solver(read_bundle(COMPONENTS / "link")).linear.compliance
+    inertia, area = np.pi / 4 * (0.0125**4 - 0.011**4), np.pi * (0.0125**2 - 0.011**2)
+
+    def deflection(near: float, far: float) -> float:
+        bent = ((0.35 - near) ** 3 - (0.35 - far) ** 3) / 3 / (70e9 * inertia)
+        return bent + (far - near) * 2 / (70e9 / 2.66 * area)
+
+    assert deflection(0.006, 0.344) < found[8, 8] < deflection(0, 0.35)
+    assert not found[:6].any()
+
+
+def test_the_hot_bracket_bends_down_when_heated_as_timoshenkos_strip():
+    """Aluminium above, steel below, each 3 mm: the arm's curvature, 5 %."""
+    found = Solver(read_bundle(COMPONENTS / "hot_bracket")).linear.compliance[:, 6]
+    ratio, thickness = 210 / 70, 0.006
+    curvature = 24 * (23.5e-6 - 12e-6) / thickness / (14 + ratio + 1 / ratio)
+    turned = curvature * (0.1 - 0.006)
+    assert found[4] == pytest.approx(turned, rel=5e-2)
+    assert found[2] < 0

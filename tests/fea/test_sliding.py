@@ -7,7 +7,7 @@ import pytest
 
 from tests.fea.boxes import box
 from tests.fea.calculix import require_ccx
-from tests.fea.supports import PLANES, largest, mistakes, part, stress, turned
+from tests.fea.supports import PLANES, largest, part, stress, turned
 from tests.validation import calculix, second_opinion
 from tests.validation.patch import distort
 from wrenchbook.fea.check.findings import motion_problems
@@ -152,29 +152,3 @@ def test_a_motion_that_sliding_supports_leave_free_is_named(tmp_path, sliding, s
     found = motion_problems(one, bodies_of(mesh), coincident_nodes(mesh))
     assert [problem.where for problem in found] == (["supports"] if said else [])
     assert all(said in problem.message for problem in found)
-
-
-@pytest.mark.parametrize(
-    ("changes", "where", "said"),
-    [
-        ({"group": "x9"}, "supports.sliding[0].group", "the mesh has no facet or node group"),
-        ({"directions": ["w"]}, "supports.sliding[0].directions", "none of x, y, z"),
-        ({"directions": []}, "supports.sliding[0].directions", "at least 1"),
-        ({"axes": [[1, 0, 0]]}, "supports.sliding[0].axes", "three directions"),
-        ({"stiff": 1}, "supports.sliding[0].stiff", "unknown key"),
-        ({"group": "z1"}, "interface.section", "its free motions would move them off"),
-    ],
-)
-def test_a_mistake_in_a_sliding_support_is_named_with_its_key(tmp_path, changes, where, said):
-    supports = {"fixed": ["z0"], "sliding": [PLANES[0] | changes]}
-    assert said in mistakes(box("hex20", (2, 2, 2)), tmp_path, supports)[where]
-
-
-def test_a_distributed_section_must_be_free_to_follow_its_mean(tmp_path):
-    supports = {"fixed": ["z0"], "sliding": [{"group": "z1", "directions": ["x"]}]}
-    found = mistakes(box("hex20", (2, 2, 2)), tmp_path, supports, coupling="distributed")
-    assert "21 of its nodes slide" in found["interface.section"]
-
-
-def test_supports_that_hold_nothing_are_a_mistake(tmp_path):
-    assert "holds nothing" in mistakes(box("hex20", (2, 2, 2)), tmp_path, {})["supports"]

@@ -311,22 +311,6 @@ def test_inputs_without_the_temperature_are_refused(tmp_path):
         own.solve({"": LOADS, "temprature": 20.0})
 
 
-def test_a_bundle_lacks_what_its_temperature_needs(tmp_path):
-    bare = {key: value for key, value in ALUMINIUM.items() if key != "thermal_expansion"}
-    whole = table({"fixed": ["start"]}, bare)
-    assert "1/K" in mistakes(tmp_path, whole)["material[0].thermal_expansion"]
-    rubber = ALUMINIUM | {"law": "neo-hookean"}
-    assert "isotropic" in mistakes(tmp_path, table({"fixed": ["start"]}, rubber))["material[0].law"]
-    wrong = ALUMINIUM | {"thermal_expansion": 23.0}
-    found = mistakes(tmp_path, table({"fixed": ["start"]}, wrong))
-    assert "23e-6" in found["material[0].thermal_expansion"]
-    fallen = {"temperature": {"range": [50, 20], "reference": 20}}
-    found = mistakes(tmp_path, table({"fixed": ["start"]}, inputs=fallen))
-    assert "rise" in found["inputs.temperature.range"]
-    deck = {"file": "a.inp", "command": ["ccx", "{job}"]}
-    assert "[deck] takes none" in mistakes(tmp_path, whole | {"deck": deck})["inputs.temperature"]
-
-
 def test_a_measured_part_may_have_a_temperature_without_a_field(tmp_path):
     whole = table({"fixed": ["start"]})
     only = {key: whole[key] for key in ("name", "title", "range", "inputs")}

@@ -9,7 +9,6 @@ from wrenchbook.fea.bundle.read import bundle_of
 from wrenchbook.fea.component import build
 from wrenchbook.fea.mesh.io.temperature_field import shape_on
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.spec.problems import BundleError
 
 REFERENCE, HOTTEST = 20.0, 120.0
 SIZE = np.array([0.02, 0.02, 0.4])
@@ -78,31 +77,6 @@ def test_a_field_that_is_the_same_everywhere_answers_as_none(tmp_path):
     np.testing.assert_allclose(field, uniform, rtol=1e-9, atol=1e-15)
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("x,y,z,T\n0,0,0\n", "four finite numbers a line"),
-        ("x,y,z,T\n0,0,0,warm\n", "cannot be read"),
-        ("x,y,z,T\n0,0,0,nan\n", "four finite numbers a line"),
-        ("x,y,z,T\n0,0,0,20\n", "nothing is heated"),
-        ("x,y,z,T\n", "four finite numbers a line"),
-    ],
-)
-@pytest.mark.filterwarnings("ignore:loadtxt")
-def test_a_file_without_temperatures_is_named(tmp_path, text, words):
-    (tmp_path / "hot.csv").write_text(text)
-    with pytest.raises(BundleError) as error:
-        bar(tmp_path)
-    (problem,) = error.value.problems
-    assert problem.where == "inputs.temperature.field"
-    assert words in problem.message
-
-
-def test_a_file_that_is_not_in_the_bundle_is_named(tmp_path):
-    with pytest.raises(BundleError, match="no file"):
-        bar(tmp_path)
-
-
 def test_another_field_is_another_fingerprint(tmp_path):
     found = []
     for rise in (10.0, 11.0):
@@ -124,19 +98,3 @@ def test_points_of_a_plane_or_a_line_are_interpolated_in_it(tmp_path, kept):
     (tmp_path / "t.csv").write_text("x,y,z,T\n" + text + "\n")
     found = shape_on(nodes, tmp_path / "t.csv", 0.0) * rise.max()
     np.testing.assert_allclose(found, 100 * (2 + nodes[:, kept] @ slope[kept]), rtol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("T,x,y,z\n20,0,0,0\n30,1,0,0\n", "line of names"),
-        ("0,0,0,30\n1,0,0,40\n", "line of names"),
-        ("x,y,z,T\n0,0,0,30\n0,0,0,90\n", "twice, with two temperatures"),
-        ("x,y,z,T\n300,0,0,30\n0,500,0,50\n", "must be in m"),
-    ],
-)
-def test_a_field_that_is_not_the_parts_is_refused(tmp_path, text, words):
-    (tmp_path / "t.csv").write_text(text)
-    nodes = np.random.default_rng(1).uniform(0, 1, (20, 3))
-    with pytest.raises(BundleError, match=words):
-        shape_on(nodes, tmp_path / "t.csv", 0.0)

@@ -8,40 +8,11 @@ import numpy as np
 
 from tests.fea.boxes import box
 from tests.fea.components import component
+from tests.refusals import GOOD
 from wrenchbook.fea.component import AttachedInterface
 from wrenchbook.fea.coupling.section import section_of_facets
 
-LINK = """
-name = "two_ends"
-title = "Link between two joints"
-[mesh]
-generator = "bar"
-length = 0.4
-width = 0.02
-height = 0.02
-cells_along = 10
-[[material]]
-region = "all"
-youngs_modulus = 70e9
-poisson_ratio = 0.33
-density = 2700.0
-yield_strength = 240e6
-[[interface]]
-name = "left"
-section = "start"
-coupling = "rigid"
-held = true
-[[interface]]
-name = "right"
-section = "end"
-coupling = "distributed"
-range = {force = [20, 20, 200], moment = [5, 5, 5]}
-[analysis]
-nonlinear = false
-[tolerance]
-translation = 1e-3
-rotation = 1e-2
-"""
+LINK = (GOOD / "link" / "component.toml").read_text("utf-8")
 
 
 def rod_between_loads(folder):

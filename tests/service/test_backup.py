@@ -366,15 +366,6 @@ def test_a_restore_that_fails_half_way_says_where_the_former_files_are(
     assert (aside / "ledger.sqlite").read_bytes() == before
 
 
-def test_a_file_in_a_folder_that_is_not_there_is_refused_before_the_work(tmp_path):
-    """A report was solved for minutes first, and then its page could not be written."""
-    page = str(tmp_path / "none" / "report.html")
-    for words in (["report", "bar", "--html", page], ["backup", page], ["export", "bar", page]):
-        found = CliRunner().invoke(app, words, env={"COLUMNS": "1000"})
-        assert found.exit_code == 2
-        assert "there is no folder" in found.output
-
-
 def test_a_directory_whose_jobs_are_being_run_is_not_restored_into(backup, tmp_path):
     from wrenchbook.service.jobs.dispatcher import Lease
 

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+import io
 import json
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rich.console import Console
+from rich.table import Table
 
 import wrenchbook
+from tests.refusals import assert_told, cases
 from tests.service.live import served
 from tests.service.stub_server import Answer, Stub, running_stub
 from tests.service.test_client_calls import COVERED, QUEUED
+from wrenchbook.fea.bundle.shipped import SHIPPED
+from wrenchbook.service.cli.jobs import event_line
 from wrenchbook.service.cli.main import main
-from wrenchbook.service.cli.render import matrix_table
-from wrenchbook.service.client import Client, ProblemError
+from wrenchbook.service.cli.progress import Pace
+from wrenchbook.service.cli.render import Screen, matrix_table
+from wrenchbook.service.client import Client, Event, ProblemError
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -29,7 +37,7 @@ def stub() -> Iterator[Stub]:
 
 
 @pytest.fixture
-def run(stub: Stub, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+def run(stub: Stub, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Run:
     monkeypatch.setenv("WRENCHBOOK_SERVER", stub.url)
 
     def command(*words: str) -> tuple[int, str, str]:
@@ -37,7 +45,7 @@ def run(stub: Stub, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixtu
         monkeypatch.setattr(sys, "argv", ["wrenchbook", *words])
         with pytest.raises(SystemExit) as ended:
             main()
-        printed = capsys.readouterr()
+        printed = capfd.readouterr()
         return int(ended.value.code or 0), printed.out, " ".join(printed.err.split())
 
     return command
@@ -75,20 +83,6 @@ def test_query_sends_loads_by_interface_and_prints_each_displacement(stub: Stub,
     assert "force" not in stub.seen[0].body
     assert "link left" in out
     assert "link right" in out
-
-
-@pytest.mark.parametrize(
-    ("option", "text", "message"),
-    [
-        ("--load", "right", "'right': write a name, = and numbers"),
-        ("--load", "right=1,2", "--load right needs 3 or 6 numbers"),
-        ("--input", "T=hot", "'hot' is not a number"),
-    ],
-)
-def test_query_refuses_a_load_it_cannot_read(run: Run, option: str, text: str, message: str):
-    status, _, errors = run("query", "link", option, text)
-    assert status == 1
-    assert message in errors
 
 
 def test_query_with_seconds_to_wait_waits(stub: Stub, run: Run):
@@ -161,36 +155,24 @@ def test_a_rejected_query_prints_its_reason_and_the_tolerance(stub: Stub, run: R
     assert refused.value.body["tolerance"] == limit
 
 
-@pytest.mark.parametrize(
-    ("words", "code", "says"),
-    [
-        (("query", "bar", "--server", "127.0.0.1:9"), 1, "start a server with: wrenchbook serve"),
-        (("solve", "bar", "--server", "127.0.0.1:9"), 1, "start a server with: wrenchbook serve"),
-        (("query", "bar", "--server", "ftp://x"), 1, "write http://127.0.0.1:8000"),
-        (("query", "bar", "--force", "nan", "0", "0"), 1, "fx is nan, not finite"),
-        (("query", "bar", "--on-thin", "maybe"), 1, "on_thin must be one of queue, wait"),
-        (("query", "bar", "--force", "1", "2"), 2, "'--force' requires 3 arguments"),
-        (
-            ("query", "bar", "--force", "1", "2", "--moment", "0", "0", "1"),
-            2,
-            "--force needs 3 numbers; --moment follows 2",
-        ),
-        (
-            ("fill", "bar", "--tolerance-translation", "1e-6"),
-            2,
-            "give --tolerance-translation and",
-        ),
-        (("qeury", "bar"), 2, "No such command 'qeury'"),
-    ],
-)
+@cases(__file__, "cli")
 def test_a_slip_on_the_command_line_is_named_and_nothing_is_sent(
-    stub: Stub, run: Run, words: tuple[str, ...], code: int, says: str
+    stub: Stub, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, case: dict[str, Any]
 ):
-    status, out, errors = run(*words)
-    assert (status, out) == (code, "")
-    assert says in errors
-    assert "Traceback" not in errors
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "1000")
+    files = case.get("files", {})
+    for name, text in files.items():
+        Path(name).write_text(text)
+    for name, value in case.get("env", {}).items():
+        monkeypatch.setenv(name, value)
+    status, out, errors = run(*case["argv"].replace("SHIPPED", str(SHIPPED)).split())
+    said, quiet = (" ".join(out.split()), errors) if "stdout" in case else (errors, out)
+    assert (status, quiet) == (case["status"], "")
+    assert_told(case, [said])
+    assert "Traceback" not in said
     assert stub.seen == []
+    assert {path.name for path in tmp_path.iterdir()} == set(files)
 
 
 def test_help_names_the_command_and_not_the_file_that_was_run():
@@ -241,13 +223,6 @@ def test_fill_for_a_joint_says_so_to_the_server(stub: Stub, run: Run):
     )
     assert run("fill", "plate", "--for-joint")[0] == 0
     assert stub.seen[0].body["for_joint"] is True
-
-
-def test_fill_wants_both_ranges_or_none(stub: Stub, run: Run):
-    status, _, says = run("fill", "plate", "--force-range", "-1", "1", "0", "0", "-50", "-20")
-    assert status == 2
-    assert "--force-range and --moment-range together" in says
-    assert stub.seen == []
 
 
 def test_query_with_derivatives_asks_for_them_and_prints_them(stub: Stub, run: Run):
@@ -438,3 +413,77 @@ def test_a_shell_completes_the_components_of_a_data_directory(monkeypatch, tmp_p
 
 def test_a_completion_without_a_server_is_empty_and_quiet(monkeypatch):
     assert completions(monkeypatch, "query --server http://127.0.0.1:9 p") == []
+
+
+@pytest.mark.parametrize(
+    "text", ["\x1b]0;mine\x07", "\x1b[2J", "a\x00b", "\x9b2J", "\u202egpj.exe"]
+)
+def test_a_text_of_others_steers_no_terminal(text):
+    screen = Screen(file=io.StringIO(), width=60, force_terminal=True)
+    table = Table("title")
+    table.add_row(text)
+    screen.print(table)
+    screen.print(text, markup=False, highlight=False, style="red")
+    told = screen.file.getvalue()  # pyright: ignore[reportAttributeAccessIssue]
+    assert text not in told
+    assert told.count("\N{REPLACEMENT CHARACTER}") >= 2
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+def test_a_pace_says_solves_a_minute_and_the_time_left():
+    clock = Clock()
+    pace = Pace(100, clock)
+    assert pace.note() == ""
+    clock.now, pace.ended = 30.0, 20
+    assert pace.note() == "40 solves/min, at most 2 min left"
+    assert pace.note(in_round=5) == "50 solves/min, at most 2 min left"
+    clock.now, pace.ended = 60.0, 60
+    assert pace.note() == "60 solves/min, at most 40 s left"
+
+
+def test_events_are_told_in_words():
+    job = {"id": 3, "component": "plate", "status": "running"}
+    running = Event("job", job | {"progress": {"fraction": 0.5, "message": "step 2"}})
+    failed = Event("job", job | {"status": "failed", "error": {"kind": "k", "message": "m"}})
+    done = Event("job", job | {"status": "done", "row": 9, "error": None})
+    assert event_line(running) == "job 3 of plate: running, 50% step 2"
+    assert event_line(failed) == "job 3 of plate: failed, k: m"
+    assert event_line(done) == "job 3 of plate: done, row 9"
+    table = {"component": "plate", "table_version": 4, "rows": 4}
+    assert event_line(Event("table", table)) == "plate: table version 4, 4 rows"
+    assert event_line(Event("hello", {"tables": {}})) == ""
+
+
+def test_ctrl_c_cancels_the_solves_of_a_fill_and_no_others(tmp_path: Path):
+    """A fill that was interrupted left its solves in the queue."""
+    with served(tmp_path) as client:
+        other = client.solve("plate", [1, 2, -3], [0, 0, 0]).job
+        assert other is not None
+        # A shell starts its background commands with SIGINT ignored, and children inherit it.
+        words = ["env", "--default-signal=INT", sys.executable, "-P", "-m", "wrenchbook"]
+        words += ["fill", "plate", "--budget", "3"]
+        words += ["--server", client.url]
+        with subprocess.Popen(
+            words,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        ) as command:
+            assert command.stdout is not None
+            assert command.stdout.readline() == "choosing wrenches for plate\n"
+            assert command.stdout.readline()  # the round: its solves are queued
+            command.send_signal(signal.SIGINT)
+            _, errors = command.communicate(timeout=60)
+        states = {job.id: job.status for job in client.jobs("plate")}
+        assert states.pop(other.id) == "waiting"
+        assert set(states.values()) == {"cancelled"}
+        assert command.returncode == 130
+        assert " ".join(errors.split()) == (
+            f"Interrupted: {len(states)} solve(s) of this command cancelled."
+        )

@@ -167,11 +167,6 @@ def test_a_backup_and_its_restore_are_described_as_json(run: Run, tmp_path: Path
     assert (restored["data"], restored["former"]) == (again, None)
 
 
-def test_an_export_to_stdout_and_json_exclude_each_other(run: Run):
-    status, out = run("export", "plate", "-", "--json")
-    assert (status, "name one instead of -" in " ".join(out.split())) == (2, True)
-
-
 def test_followed_jobs_are_a_json_document_a_line(stub: Stub, run: Run, monkeypatch):
     from wrenchbook.service.client import Client, Event
 
@@ -233,33 +228,6 @@ def test_a_condensed_part_tells_its_frames(run, tmp_path):
         assert found["free"][0] == pytest.approx(arrays["free"][0], rel=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (("condense", "bar", "bar.txt"), "the file is an .npz"),
-        (("condense", "bar", "nowhere/bar.npz"), "there is no folder"),
-        (("converge", "bar", "--plot", "errors.png"), "the page is an .html file"),
-        (("converge", "bar", "--plot", "nowhere/errors.html"), "there is no folder"),
-        (("converge", "plate_ccx"), "the [deck] is solved by its command"),
-    ],
-)
-def test_a_file_that_cannot_be_written_is_refused_before_anything_is_solved(
-    run, tmp_path, monkeypatch, words, says
-):
-    monkeypatch.chdir(tmp_path)
-    command, part, *rest = words
-    status, said = run(command, str(SHIPPED / part), *rest)
-    assert status != 0
-    assert says in said
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_part_that_cannot_be_condensed_says_why(run, tmp_path):
-    status, _ = run("condense", str(tmp_path), str(tmp_path / "none.npz"), "--json")
-    assert status == 1
-    assert not (tmp_path / "none.npz").exists()
-
-
 def test_a_study_of_finer_meshes_tells_order_and_limit(run, tmp_path):
     folder = tmp_path / "bar"
     shutil.copytree(SHIPPED / "bar", folder)
@@ -272,8 +240,3 @@ def test_a_study_of_finer_meshes_tells_order_and_limit(run, tmp_path):
     assert found["order"][2] == pytest.approx(2, abs=0.5)
     assert found["extrapolated"][2] > found["values"][0][2]
     assert "cell size, mm" in page.read_text(encoding="utf-8")
-
-
-def test_a_part_that_cannot_be_refined_says_why(run, tmp_path):
-    status, _ = run("converge", str(tmp_path), "--json")
-    assert status == 1

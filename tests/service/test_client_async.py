@@ -26,7 +26,6 @@ from wrenchbook.service.client.mount import Mount
 DONE = {"id": 1, "status": "done"}
 PROBLEM = {"type": "urn:x", "title": "No such job", "status": 404, "detail": "there are 1 to 7"}
 CALLS = sorted(name for name in dir(Client) if not name.startswith("_"))
-ITERATORS = ("events", "fill_until")
 OWN = ("abandon",)  # of the connection
 
 

@@ -1,6 +1,8 @@
 """Answers in notebooks: HTML tables and pandas."""
 
+import re
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -101,3 +103,17 @@ def test_a_file_that_is_no_table_is_an_error_of_wrenchbook(tmp_path):
     (tmp_path / "a.wbt").write_bytes(b"no table")
     with pytest.raises(wrenchbook.TableError, match="not a packed table"):
         wrenchbook.Table.open(tmp_path / "a.wbt")
+
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_every_file_of_a_walk_exists():
+    text = (ROOT / "service" / "README.md").read_text()
+    walks = text.partition("## Request flow")[2].partition("\n## ")[0]
+    named = set(re.findall(r"`((?:\w+/)*\w+\.py)`", walks))
+    files = [str(file.relative_to(ROOT)) for file in ROOT.glob("*/**/*.py")]
+    assert len(named) > 30
+    assert [
+        name for name in named if not any(f"/{file}".endswith(f"/{name}") for file in files)
+    ] == []

@@ -172,13 +172,6 @@ def test_the_command_line_writes_each_form(served, solve, tmp_path, monkeypatch)
     assert json.loads((tmp_path / "shape.json").read_bytes())["component"] == "sheet"
 
 
-def test_an_unknown_ending_is_refused_before_anybody_is_asked(tmp_path):
-    done = CliRunner().invoke(app, ["deformed", "sheet", str(tmp_path / "a.obj")])
-    assert isinstance(done.exception, ValueError)
-    assert "there are .glb, .vtu, .json" in str(done.exception)
-    assert not list(tmp_path.iterdir())
-
-
 def test_many_at_once_are_answered_and_others_with_them(served, solve):
     client, folder, _ = served
     asked = 0.5 * wrenches(sheet(folder), 12, seed=4)

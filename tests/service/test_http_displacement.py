@@ -112,14 +112,6 @@ def test_reject_is_a_problem_that_names_the_coverage(http):
     assert http.get("/v1/jobs").json()["jobs"] == []
 
 
-@pytest.mark.parametrize(("number", "status"), [(0, 422), (2**63, 404), (10**22, 404)])
-def test_a_job_number_no_ledger_can_hold_is_no_mistake_of_the_server(http, number, status):
-    calls = [("GET", ""), ("DELETE", ""), ("POST", "/retry"), ("GET", "/files")]
-    assert {http.request(verb, f"/v1/jobs/{number}{rest}").status_code for verb, rest in calls} == {
-        status
-    }
-
-
 def test_a_failed_solve_is_a_problem_with_kind_and_remedy(http, stand_in):
     stand_in("diverges")
     reply = ask(http, on_thin="wait", wait_s=20)
@@ -222,12 +214,6 @@ def test_a_bad_body_is_422_with_the_place_and_changes_nothing(http, body, place)
     assert problem["errors"][0]["loc"] == place
     assert problem["errors"][0]["msg"]
     assert http.get("/v1/jobs").json()["jobs"] == []
-
-
-def test_an_unknown_component_is_404_and_names_those_there_are(http):
-    reply = http.post("/v1/components/nope/displacement", json=WRENCH)
-    assert reply.status_code == 404
-    assert "plate_thin" in reply.json()["detail"]
 
 
 def test_a_batch_answers_in_order_and_queues_what_is_thin(http):

@@ -60,10 +60,3 @@ def test_a_fill_for_a_joint_is_taken(http, stand_in):
     reply = http.post(CALL, json={"budget": 2, "for_joint": True})
     assert reply.status_code == 202
     assert len(reply.json()["jobs"]) == 2
-
-
-@pytest.mark.parametrize("more", [{"outputs": ["uz"]}, {"range": {"force": NONE, "moment": NONE}}])
-def test_a_fill_for_a_joint_is_of_the_whole_range_and_all_outputs(http, more):
-    reply = http.post(CALL, json={"for_joint": True} | more)
-    assert reply.status_code == 422
-    assert "for_joint: a joint needs one interface that moves, all of the" in reply.json()["detail"]

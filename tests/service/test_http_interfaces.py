@@ -59,12 +59,6 @@ def test_a_load_at_no_interface_is_422_with_its_place(link, body, place):
     assert [one["loc"] for one in reply.json()["errors"]] == [place]
 
 
-def test_loads_by_interface_are_refused_where_there_is_one(http):
-    reply = http.post("/v1/components/plate/displacement", json=RIGHT)
-    assert reply.status_code == 422
-    assert "force and moment" in reply.json()["detail"]
-
-
 def test_a_batch_has_the_digits_of_the_single_answers(solved):
     single = solved.post(f"{URL}/displacement", json=RIGHT).json()["displacements"]["right"]
     wrench = [0.0] * 6 + [0.0, 10.0, 1.0, 0.0, 0.0, 0.0]

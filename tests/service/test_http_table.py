@@ -143,18 +143,6 @@ def test_solves_of_another_setup_are_refused_by_row(http):
     assert "measured" in reply.json()["errors"][0]["message"]
 
 
-def test_an_unknown_export_unit_is_422(rig):
-    load(rig, as_csv(measured(3)))
-    reply = rig.get(CALL, params={"format": "csv", "force": "mm"})
-    assert reply.status_code == 422
-
-
-def test_a_table_of_unknown_media_type_is_refused_with_what_to_do(rig):
-    reply = rig.post(CALL, content=b"x", headers={"content-type": "application/pdf"})
-    assert reply.status_code == 415
-    assert "text/csv" in reply.json()["detail"]
-
-
 PLATE = "/v1/components/plate_thin/table"
 KINDS = {
     "csv": "text/csv",

@@ -9,6 +9,7 @@ import pytest
 
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
 from wrenchbook.service.library.component import (
+    MAX_NAMES,
     Component,
     ComponentExistsError,
     LibraryUnavailableError,
@@ -223,3 +224,16 @@ def test_a_component_edited_while_it_is_read_is_read_again(library, tmp_path, mo
     file.write_text(file.read_text().replace('title = "', 'title = "Before: ', 1))
     assert library["rig"].title.startswith("Before: ")
     assert library["rig"].title.startswith("After: Before: ")
+
+
+def test_a_small_library_is_told_as_a_whole():
+    assert str(UnknownComponentError("x", ["bar", "plate"])).endswith("has: bar, plate.")
+    assert str(UnknownComponentError("x", [])).endswith("has: none yet.")
+
+
+def test_of_a_large_library_the_names_most_like_it_are_told():
+    known = [f"rig_{number:04d}" for number in range(1000)] + ["bracket"]
+    told = str(UnknownComponentError("brakcet", known))
+    assert "bracket" in told
+    assert f"and {len(known) - MAX_NAMES} more" in told
+    assert len(told) < 400

@@ -82,12 +82,6 @@ def test_a_load_that_no_part_bears_is_422_in_every_other_form(asked, load):
     assert asked.get(f"{RIG}/deformed?fx={load}").status_code in (409, 422)
 
 
-@pytest.mark.parametrize("job", [2**63, 2**70])
-def test_a_job_of_a_number_that_no_ledger_holds_is_404(asked, job):
-    assert asked.get(f"/v1/jobs/{job}").status_code == 404
-    assert asked.post(f"/v1/jobs/{job}/retry").status_code == 404
-
-
 @pytest.mark.parametrize(
     "body",
     [

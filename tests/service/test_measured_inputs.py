@@ -90,25 +90,6 @@ def test_an_added_component_is_read_from_its_file(http):
     assert read.further[0].reference == 20.0
 
 
-@pytest.mark.parametrize(
-    ("entries", "words"),
-    [
-        ({}, "range"),
-        ({"range": SPAN, "interface": TWO}, "is of each [[interface]]"),
-        ({"interface": TWO[:1]}, "is one alone"),
-        ({"interface": [TWO[0], TWO[0]]}, "a name is there twice"),
-        ({"interface": [{"name": "a b", "range": SPAN}, TWO[0]]}, "will not do"),
-        ({"range": SPAN, "inputs": {"temperature": {"range": [9, 1], "reference": 2}}}, "rise"),
-        ({"range": SPAN, "inputs": {"pressure": {"range": [0, 1]}}}, "pressure"),
-    ],
-)
-def test_a_mistake_in_a_measured_component_is_refused_by_name(http, entries, words):
-    reply = add(http, **entries)
-    assert reply.status_code == 422
-    assert words in reply.text
-    assert http.get("/v1/components/rig").status_code == 404
-
-
 def test_a_thin_query_of_a_measured_component_says_that_nothing_is_solved(http):
     add(http, interface=TWO)
     body = {"loads": {"left": {"force": [1, 0, 0], "moment": [0, 0, 0]}}}

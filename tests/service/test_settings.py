@@ -6,9 +6,14 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from starlette.testclient import TestClient
 from typer.testing import CliRunner
 
+from tests.service.live import as_rows, clean_wrenches, moved
+from tests.until import until
+from wrenchbook.service import workspace
 from wrenchbook.service.cli.main import app
+from wrenchbook.service.http.app import create_app
 from wrenchbook.service.settings import OTHERS, PREFIX, Settings
 
 
@@ -44,54 +49,10 @@ def test_another_file_can_be_named(shown, tmp_path):
     other = tmp_path / "other.toml"
     other.write_text('log_format = "json"\n')
     assert shown("--config", str(other))["log_format"] == "json"
-    assert "no file" in shown("--config", str(tmp_path / "none.toml"))
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("prot = 1", "no setting prot"),
-        ("port = 70000", "port in"),
-        ('port = "many"', "port in"),
-        ('log_level = "loud"', "log_level in"),
-        ("port = ", "cannot be read as TOML"),
-        ('data = "elsewhere"', "cannot name another one"),
-        ("[port]\nx = 1", "port in"),
-    ],
-)
-def test_a_mistake_in_the_file_is_named_and_nothing_starts(shown, tmp_path, text, said):
-    (tmp_path / "wrenchbook.toml").write_text(text)
-    assert said in shown()
-
-
-def test_an_unknown_setting_is_refused_with_the_closest_name(shown, tmp_path):
-    (tmp_path / "wrenchbook.toml").write_text("queue_limt = 1")
-    assert "did you mean queue_limit?" in shown()
-
-
-def test_an_unknown_variable_is_refused_with_the_closest_name(shown):
-    assert "did you mean WRENCHBOOK_PORT?" in shown(WRENCHBOOK_PROT="1")
-
-
-def test_a_variable_that_cannot_be_is_named_as_such(shown):
-    assert "WRENCHBOOK_SOLVERS" in shown(WRENCHBOOK_SOLVERS="-1")
 
 
 def test_an_empty_variable_is_none(shown):
     assert shown(WRENCHBOOK_PORT="")["port"] == 8000
-
-
-def test_a_file_is_no_data_directory(shown, tmp_path):
-    (tmp_path / "file").touch()
-    assert "is no data directory" in shown("--data", str(tmp_path / "file"))
-
-
-def test_a_data_directory_that_cannot_be_made_is_refused_at_the_start():
-    """It served, accepted nothing, and printed a traceback for each component."""
-    words = ["serve", "--data", "/proc/none", "--port", "0"]  # nobody can make anything there
-    found = CliRunner().invoke(app, words, env={"COLUMNS": "1000"})
-    assert found.exit_code == 2
-    assert "/proc/none cannot be made" in found.output
 
 
 def test_a_data_directory_that_cannot_be_written_is_refused_at_the_start():
@@ -138,3 +99,34 @@ def test_every_option_of_serve_is_a_setting(shown):
     found = CliRunner().invoke(app, ["serve", "--help"], env={"COLUMNS": "1000"})
     for name in shown():
         assert f"--{name.replace('_', '-')}" in found.output
+
+
+CALL = "/v1/components/rig"
+WRENCH = {"force": [12.0, 0, 0], "moment": [0, 1.5, 2.5], "on_thin": "estimate"}
+
+
+@pytest.fixture(params=["griddata", "linear"])
+def method(request):
+    return request.param
+
+
+@pytest.fixture
+def http(tmp_path, method):
+    with TestClient(create_app(workspace.Settings(tmp_path, solvers=0, method=method))) as http:
+        span = {"force": [100.0] * 3, "moment": [10.0] * 3}
+        http.post("/v1/components", json={"name": "rig", "title": "rig", "range": span})
+        rows = as_rows(clean_wrenches(), moved(clean_wrenches()))
+        http.post(f"{CALL}/table?format=json", json={"rows": rows})
+        until(lambda: http.get(CALL).json()["table_version"] == len(rows))
+        yield http
+
+
+def test_the_servers_method_answers_a_request_that_names_none(http, method):
+    assert http.post(f"{CALL}/displacement", json=WRENCH).json()["method"] == method
+    batch = {"wrenches": [[12.0, 0, 0, 0, 1.5, 2.5]], "on_thin": "estimate"}
+    assert http.post(f"{CALL}/displacements", json=batch).json()["method"] == method
+
+
+def test_the_method_of_a_request_goes_before_the_servers(http):
+    asked = {**WRENCH, "method": "additive"}
+    assert http.post(f"{CALL}/displacement", json=asked).json()["method"] == "additive"

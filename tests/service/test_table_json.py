@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.refusals import assert_told, cases
 from tests.service.table_files import read_json
 
-ZEROS = [0.0] * 6
 ROW: dict[str, Any] = {"wrench": [1, 2, 3, 4, 5, 6], "displacement": [1e-3] * 6}
 
 
@@ -33,59 +33,31 @@ def test_rows_become_si_arrays():
     assert table.seq.tolist() == [1, 2]
 
 
-@pytest.mark.parametrize(
-    ("row", "field", "says"),
-    [
-        ({"displacement": ZEROS}, "wrench", "is missing; write [fx, fy, fz, mx, my, mz] in SI"),
-        ({"wrench": ZEROS}, "displacement", "is missing"),
-        ({**ROW, "wrench": [1] * 5}, "wrench", "is not a list of six numbers"),
-        ({**ROW, "wrench": "1,2,3"}, "wrench", "is not a list of six numbers"),
-        ({**ROW, "wrench": [1, 2, "3", 4, 5, 6]}, "wrench[2]", '"3" is not a number'),
-        ({**ROW, "wrench": [True, 0, 0, 0, 0, 0]}, "wrench[0]", "true is not a number"),
-        ({**ROW, "displacement": [None] * 6}, "displacement[0]", "needs at least one"),
-        ({**ROW, "wrench": [0, None, 0, 0, 0, 0]}, "wrench[1]", "null is not a number"),
-        ({**ROW, "wrench": [math.nan, 0, 0, 0, 0, 0]}, "wrench[0]", "is not finite"),
-        ({**ROW, "wrench": [10**400, 0, 0, 0, 0, 0]}, "wrench[0]", "is not finite"),
-        ({**ROW, "displacement": [0, 0, 0, 0.3, 0.2, 0]}, "displacement[3]", "a table ends at 20"),
-        ({**ROW, "displacement": [0, 11, 0, 0, 0, 0]}, "displacement[1]", "a table ends at 10 m"),
-        ({**ROW, "compliance": [1] * 36}, "compliance", "is not six lists of six numbers"),
-        ({**ROW, "compliance": [[None] * 6] * 6}, "compliance[0][0]", "null is not a number"),
-        ({**ROW, "uncertainty": [-1, 0, 0, 0, 0, 0]}, "uncertainty[0]", "is not negative"),
-        ({**ROW, "uncertainty": 1e-6}, "uncertainty", "is not a list of six numbers"),
-        ({**ROW, "source": 3}, "source", "is not a text"),
-        ({**ROW, "note": "a\0b"}, "note", "zero byte"),
-        ({**ROW, "note": "\ud800"}, "note", "half a character"),
-        ({**ROW, "moment": [0, 0, 0]}, "moment", "is not a key of a row; there are wrench"),
-        ([1, 2, 3], "row", "is not a row"),
-    ],
-)
-def test_each_kind_of_bad_row_is_named_by_its_place_and_key(row: Any, field: str, says: str):
-    table = read(ROW, row, ROW)
-    assert (table.errors[0].row, table.errors[0].field) == (2, field)
+@cases(__file__, "json_rows")
+def test_each_kind_of_bad_row_is_named_by_its_place_and_key(case):
+    good = json.dumps(ROW)
+    table = read_json(f'{{"rows": [{good}, {case["row"]}, {good}]}}')
+    assert (table.errors[0].row, table.errors[0].field) == (2, case["field"])
     assert {error.row for error in table.errors} == {2}
-    assert says in table.errors[0].message
+    assert_told(case, [table.errors[0].message])
     assert table.seq.tolist() == [1, 3]
 
 
-@pytest.mark.parametrize(
-    ("text", "field", "says"),
-    [
-        ("", "file", "is not JSON"),
-        ("{", "file", "is not JSON"),
-        (b"\xff\xfe\xff", "file", "is not JSON"),
-        ("[" * 100_000, "file", "is not JSON"),
-        ("[]", "rows", "is not a table; write"),
-        ("{}", "rows", "is not a table; write"),
-        ('{"rows": []}', "rows", "there is no row"),
-        ('{"rows": [1], "units": "imperial"}', "units", "a JSON table is in SI"),
-        ('{"rows": [1], "unit": "SI"}', "unit", "is not a key of a table"),
-    ],
-)
-def test_a_file_that_is_no_table_says_so(text: str | bytes, field: str, says: str):
+def no_table(text: str | bytes, field: str) -> str:
     table = read_json(text)
     assert [(error.row, error.field) for error in table.errors] == [(0, field)]
-    assert says in table.errors[0].message
     assert len(table) == 0
+    return table.errors[0].message
+
+
+@cases(__file__, "json_files")
+def test_a_file_that_is_no_table_says_so(case):
+    assert_told(case, [no_table(case["text"], case["field"])])
+
+
+@pytest.mark.parametrize("text", [b"\xff\xfe\xff", "[" * 100_000])
+def test_a_file_that_no_parser_reads_is_not_json(text: str | bytes):
+    assert "is not JSON" in no_table(text, "file")
 
 
 def test_1e_400_does_not_become_zero():

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.service.ledger_rows import NewRow, insert
 from wrenchbook.service.formats import (
     Options,
     ReadResult,
@@ -22,7 +23,9 @@ from wrenchbook.service.formats import (
 )
 from wrenchbook.service.formats.options import ParsedTable
 from wrenchbook.service.ledger import About, Ledger, NotedRows
+from wrenchbook.service.ledger.rows import MAX_CHANGES
 from wrenchbook.service.library.component import Component
+from wrenchbook.service.library.library import Library
 from wrenchbook.service.tables.exporting import ExportFormat, ExportRequest, export_table
 from wrenchbook.service.tables.importing import import_files
 from wrenchbook.service.tables.rows import ExportRows
@@ -264,4 +267,21 @@ def test_an_exported_table_of_a_link_is_imported_to_the_same_rows(tmp_path, form
         again = ExportRows(lot)
     for name in COLUMNS:
         assert np.array_equal(getattr(again, name), getattr(rows, name), equal_nan=True), name
+    ledger.close()
+
+
+RANGE = [[-10.0, 10.0]] * 3
+
+
+def test_an_export_holds_all_rows_of_a_table_larger_than_one_part_of_the_news(tmp_path):
+    ledger = Ledger(tmp_path / "ledger.sqlite")
+    library = Library(tmp_path / "components", tmp_path / "none")
+    library.add_table_only(name="rig", title="rig", range={"force": RANGE, "moment": RANGE})
+    count = MAX_CHANGES + 2
+    rows = (NewRow((load / count, 0, 0, 0, 0, 0), (load,) * 6) for load in range(count))
+    insert(ledger, "rig", "", rows)
+    path = tmp_path / "rig.csv"
+    version = export_table(ledger, library["rig"], ExportRequest("csv", {}), path)
+    assert len(path.read_text().splitlines()) == 1 + count
+    assert version == ledger.last_seq("rig")
     ledger.close()

@@ -5,6 +5,7 @@ from decimal import Decimal
 
 import pytest
 
+from tests.refusals import assert_told, cases
 from wrenchbook.service.formats.cells import (
     FORCE,
     MOMENT,
@@ -72,33 +73,18 @@ def test_moments_are_products_however_they_are_joined(unit: str, factor: float):
     assert float(si_factor(unit, MOMENT)) == pytest.approx(factor, rel=1e-15)
 
 
-@pytest.mark.parametrize(
-    ("unit", "quantity", "says"),
-    [
-        ("mm", FORCE, "[mm] is not a unit of force; a force takes for example N, kN, lbf, kgf"),
-        ("lb", FORCE, "lb is a mass; write lbf"),
-        ("ft-lb", MOMENT, "lb is a mass; write lbf"),
-        ("kg", FORCE, "kg is a mass; write kgf"),
-        ("nm", MOMENT, "upper and lower case differ: did you mean [N*m]?"),
-        ("MM", TRANSLATION, "did you mean [mm]?"),
-        ("mil", TRANSLATION, "mil is an angle to a unit library; write thou"),
-        ("percent", ROTATION, "[percent] is not a unit of rotation"),
-        ("degC", ROTATION, "not a unit of rotation"),
-        ("N", MOMENT, "a moment takes for example N*m"),
-        ("quatsch", FORCE, "the unit [quatsch] is not known"),
-        ("", FORCE, "is not a unit that can be read"),
-        ("1", ROTATION, "is not a unit that can be read"),
-        ("N/m", FORCE, "is not a unit that can be read"),
-        ("10**10**10", FORCE, "is not a unit that can be read"),
-        ("__import__('os')", FORCE, "is not a unit that can be read"),
-        ("N" * 5000, FORCE, "is not a unit that can be read"),
-        ("dBm", FORCE, "[dBm]"),
-    ],
-)
-def test_a_unit_that_does_not_fit_says_what_to_write(unit, quantity, says):
+@cases(__file__, "units")
+def test_a_unit_that_does_not_fit_says_what_to_write(case):
+    quantity = {one.name: one for one in (FORCE, MOMENT, ROTATION, TRANSLATION)}[case["quantity"]]
     with pytest.raises(UnitError) as caught:
-        si_factor(unit, quantity)
-    assert says in str(caught.value)
+        si_factor(case["unit"], quantity)
+    assert_told(case, [str(caught.value)])
+    assert len(str(caught.value)) < 200
+
+
+def test_a_unit_of_5000_letters_is_told_in_a_line():
+    with pytest.raises(UnitError, match="is not a unit that can be read") as caught:
+        si_factor("N" * 5000, FORCE)
     assert len(str(caught.value)) < 200
 
 

@@ -9,13 +9,11 @@ from tests.fea.two_interfaces import LINK, rod_between_loads
 from wrenchbook.fea.bundle.read import bundle_of, read_bundle
 from wrenchbook.fea.check import as_text
 from wrenchbook.fea.check import report as check
-from wrenchbook.fea.component import build
 from wrenchbook.fea.solve import solve
 from wrenchbook.fea.spec.problems import BundleError
 from wrenchbook.fea.spec.schema import FREEDOMS
 
 RANGE = "range = {force = [20, 20, 200], moment = [5, 5, 5]}"
-TOP_RANGE = "[range]\nforce = [1, 1, 1]\nmoment = [1, 1, 1]\n"
 
 
 def write(folder, *changes):
@@ -25,13 +23,6 @@ def write(folder, *changes):
         text = text.replace(old, new)
     (folder / "component.toml").write_text(text)
     return folder
-
-
-def problems(folder, *changes):
-    """Return {where: message} of what reading and building such a link complains of."""
-    with pytest.raises(BundleError) as caught:
-        build(read_bundle(write(folder, *changes)))
-    return {one.where: one.message for one in caught.value.problems}
 
 
 def test_a_link_has_two_interfaces_in_the_order_of_the_file(tmp_path):
@@ -56,52 +47,6 @@ def test_names_and_what_is_held_change_the_fingerprint(tmp_path):
     renamed = read_bundle(write(tmp_path, ('"right"', '"tip"'))).fingerprint
     supports = ("held = true", RANGE + "\n[supports]\nfixed = ['side']")
     assert len({own, renamed, read_bundle(write(tmp_path, supports)).fingerprint}) == 3
-
-
-def test_without_supports_one_interface_must_be_held(tmp_path):
-    message = problems(tmp_path, ("held = true", RANGE))["supports"]
-    assert "or held = true in one [[interface]]" in message
-
-
-def test_sections_that_share_nodes_are_named_with_one_of_them(tmp_path):
-    told = problems(tmp_path, ('"end"', '"side"'))
-    message = told["interface[1].section"]
-    assert '"right" shares 16 nodes with "left", such as the one at (0, -0.01, -0.01) m' in message
-
-
-def test_a_section_that_is_fixed_or_missing_is_named_by_its_interface(tmp_path):
-    fixed = ("[analysis]", '[supports]\nfixed = ["end"]\n[analysis]')
-    assert "fixed by [supports]" in problems(tmp_path, fixed)["interface[1].section"]
-    assert 'did you mean "end"' in problems(tmp_path, ('"end"', '"endd"'))["interface[1].section"]
-
-
-@pytest.mark.parametrize(
-    ("change", "where", "words"),
-    [
-        (('"right"', '"left"'), "interface", "a name is there twice"),
-        (('"right"', '"Right end"'), "interface[1].name", "a-z, 0-9"),
-        (('name = "right"\n', ""), "interface[1].name", "missing"),
-        ((RANGE, "held = true"), "interface", "only one can be held"),
-        ((RANGE, ""), "interface[1].range", "missing"),
-        (("held = true", "held = true\n" + RANGE), "interface[0].held", "leave it out"),
-        (("[analysis]", TOP_RANGE + "[analysis]"), "range", "is of each"),
-    ],
-)
-def test_what_several_interfaces_cannot_say_is_refused(tmp_path, change, where, words):
-    assert words in problems(tmp_path, change)[where]
-
-
-def test_a_single_interface_is_written_without_a_list(tmp_path):
-    one = LINK[: LINK.index("[[interface]]")] + LINK[LINK.rindex("[[interface]]") :]
-    (tmp_path / "component.toml").write_text(one + '[supports]\nfixed = ["start"]\n')
-    with pytest.raises(BundleError, match=r"write \[interface\], without a name"):
-        read_bundle(tmp_path)
-
-
-def test_a_deck_has_one_interface(tmp_path):
-    deck = '[deck]\nfile = "a.inp"\ncommand = ["ccx"]\noutput = {reader = "numbers", file = "u"}\n'
-    (tmp_path / "a.inp").touch()
-    assert "one interface" in problems(tmp_path, ("[analysis]", deck + "[analysis]"))["interface"]
 
 
 def test_the_check_reports_each_interface(tmp_path):

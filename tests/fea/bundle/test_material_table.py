@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from tests.validation.clamped import attached
 from wrenchbook.fea.bundle.read import read_bundle
@@ -53,38 +52,6 @@ def test_a_neo_hookean_material_has_the_two_constants_of_small_strains():
         0.4999,
         None,
     )
-
-
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        ({"law": "orthotropc"}, 'did you mean "orthotropic"'),
-        ({"youngs_modulus": 135e9}, "youngs_modulus"),
-        ({"youngs_modulus": [135e9, 10e9, -1.0]}, "above 0"),
-        ({"youngs_modulus": [135e9, 10e9, float("inf")]}, "finite"),
-        ({"youngs_modulus": [5e-324, 10e9, 10e9]}, "must be from 1e-100 to 1e+100 Pa, not 4.9"),
-        ({"youngs_modulus": [1e308] * 3}, "youngs_modulus[2]: must be from 1e-100 to 1e+100 Pa"),
-        ({"poisson_ratio": [1e308] * 3}, "no material has these"),
-        ({"shear_modulus": [5e9, 5e9]}, "3 numbers [G12, G13, G23] in Pa"),
-        ({"poisson_ratio": [4.0, 0.3, 0.4]}, "no material has these"),
-        ({"poisson_ratio": [0.3, 0.3, 1.1]}, "no material has these"),
-        ({"youngs_modulus": [1e9] * 3, "poisson_ratio": [0.49] * 3}, "lock"),
-        ({"axes": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}, "right-handed"),
-        ({"axes": [[1, 0, 0], [1, 1, 0], [0, 0, 1]]}, "square to each other"),
-        ({"law": "isotropic"}, "youngs_modulus"),
-    ],
-)
-def test_what_no_orthotropic_material_is_names_its_key_and_what_to_do(change, told):
-    material, problems = read(CARBON | change)
-    assert material is None
-    assert told in " ".join(problems)
-
-
-def test_a_missing_constant_is_named():
-    for key in ("youngs_modulus", "poisson_ratio", "shear_modulus"):
-        material, problems = read({k: v for k, v in CARBON.items() if k != key})
-        assert material is None
-        assert f"material[0].{key}" in problems[0]
 
 
 def test_moduli_of_very_different_sizes_are_a_material():

@@ -68,12 +68,6 @@ def test_a_table_only_bundle_is_fine_and_has_nothing_to_solve(tmp_path):
     assert "unknowns" not in report
 
 
-def test_a_wrong_call_ends_with_2(capsys):
-    with pytest.raises(SystemExit, match="2"):
-        main(["check"])
-    assert "usage" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     "module",
     [

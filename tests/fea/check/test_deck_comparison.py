@@ -1,66 +1,30 @@
 """What `check` tells of a deck: read, ignored, in contradiction to the component."""
 
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
 import pytest
 
 from tests.fea.boxes import box
 from tests.fea.written_deck import deck_lines
-from wrenchbook.fea.bundle.read import BundleError, read_bundle
+from tests.refusals import assert_told, cases, changed
+from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.check import as_text
 from wrenchbook.fea.check import report as check
+from wrenchbook.fea.inspection import stacked_singly
 
-TOML = """name = "block"
-title = "Block"
-[mesh]
-file = "block.inp"
-unit = "mm"
-[[material]]
-region = "all"
-youngs_modulus = 70e9
-poisson_ratio = 0.33
-density = 2700.0
-[supports]
-fixed = ["z0"]
-[interface]
-section = "z1"
-point = [0.01, 0.01, 0.06]
-coupling = "rigid"
-[analysis]
-nonlinear = false
-[range]
-force = [10, 10, 10]
-moment = [1, 1, 1]
-"""
-AGREES = """*NODE, NSET=REF
-9001, 10, 10, 60
-*ELSET, ELSET=EALL, GENERATE
-1, 16
-*NSET, NSET=FOOT, ELSET=z0
-*NSET, NSET=HEAD, ELSET=z1
-*NSET, NSET=SIDE, ELSET=x0
-*MATERIAL, NAME=ALU
-*ELASTIC
-70000., 0.33
-*DENSITY
-2.7e-9
-*SOLID SECTION, ELSET=EALL, MATERIAL=ALU
-*RIGID BODY, NSET=HEAD, REF NODE=9001
-*BOUNDARY
-FOOT, 1, 3
-*STEP, NLGEOM
-*STATIC
-*CLOAD
-9001, 3, -5.
-*END STEP
-"""
+BLOCK = Path(__file__).parent / "block"
+TOML = (BLOCK / "component.toml").read_text("utf-8")
+AGREES = (BLOCK / "agrees.inp").read_text("utf-8")
 
 
-def block(folder, more=AGREES, toml=TOML, element=None):
+def block(folder, more=AGREES, element="C3D20R", case=None):
     """Write a bundle of a block of 20 x 20 x 60 mm on a deck with `more` in it."""
     lines = list(deck_lines(box("hex20", (2, 2, 4), (0.02, 0.02, 0.06)), 1e-3))
-    text = "\n".join(lines) + "\n" + more
-    if element:
-        text = text.replace("C3D20R", element)
-    (folder / "block.inp").write_text(text)
+    deck = "\n".join(lines).replace("C3D20R", element) + f"\n{more}"
+    toml, deck = changed(f"{TOML}\0{deck}", case or {"change": {}}).split("\0")
+    (folder / "block.inp").write_text(deck)
     (folder / "component.toml").write_text(toml)
     return folder
 
@@ -75,79 +39,11 @@ def test_a_deck_that_agrees_with_its_component_gives_no_warning(tmp_path):
     assert warnings(block(tmp_path)) == []
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("70000., 0.33", "210000., 0.33", "youngs_modulus 210000, with lengths in mm 2.1e+11"),
-        ("70000., 0.33", "70000., 0.3", "poisson_ratio 0.3"),
-        ("2.7e-9", "2.7e-6", "density 2.7e-06, with lengths in mm 2.7e+06 in SI"),
-        ("FOOT, 1, 3", "FOOT, 1, 3\nHEAD, 2", '"HEAD" along y; 21 of its nodes are free'),
-        ("FOOT, 1, 3", "HEAD, XSYMM", '"HEAD" along x; 21 of its nodes are free'),
-        ("FOOT, 1, 3", "33, 1, 3", "1 of its nodes are free"),
-        ("NSET=HEAD, REF", "NSET=SIDE, REF", "no interface or bushing"),
-        ("9001, 10, 10, 60", "9001, 10, 10, 90", "interface.point is (0.01, 0.01, 0.06)"),
-        ("*STEP, NLGEOM", "*EQUATION\n2\n1, 1, 1., 2, 1, -1.\n*STEP", "*EQUATION ties nodes"),
-        ("*STEP, NLGEOM", "*MPC\nBEAM, 1, 2\n*STEP", "*MPC ties nodes"),
-        ("*STEP, NLGEOM", "*TRANSFORM, NSET=FOOT\n1,0,0,0,1,0\n*STEP", "*TRANSFORM turns"),
-        ("*STEP, NLGEOM", "*SPRING, ELSET=E\n\n5.\n*STEP", "*SPRING is not solved"),
-        ("*STEP, NLGEOM", "*ELEMENT, TYPE=MASS\n999, 5\n*STEP", "MASS is not solved"),
-        ("*DENSITY", "*EXPANSION, TYPE=ORTHO\n1e-5\n*DENSITY", "of type ORTHO is not compared"),
-        ("70000., 0.33", "seven, 0.33", "*ELASTIC is not understood"),
-    ],
-)
-def test_what_a_deck_says_otherwise_is_a_warning_with_its_line(tmp_path, old, new, words):
-    assert AGREES.count(old) == 1
-    found = warnings(block(tmp_path, AGREES.replace(old, new)))
-    assert len(found) == 1
-    assert words in found[0]
-    assert found[0].startswith("line ")
-
-
-def test_a_coupling_of_another_kind_is_a_warning(tmp_path):
-    coupling = "*COUPLING, REF NODE=9001, SURFACE=S, CONSTRAINT NAME=C\n*DISTRIBUTING\n1, 6\n"
-    surface = "*SURFACE, NAME=S, TYPE=NODE\nHEAD\n"
-    text = AGREES.replace("*RIGID BODY, NSET=HEAD, REF NODE=9001\n", surface + coupling)
-    (found,) = warnings(block(tmp_path, text))
-    assert 'as a "distributed" coupling; interface says "rigid"' in found
-
-
-def test_thermal_expansion_is_compared_where_both_have_one(tmp_path):
-    text = AGREES.replace("*DENSITY", "*EXPANSION\n12e-6\n*DENSITY")
-    toml = TOML.replace("density", "thermal_expansion = 23e-6\ndensity")
-    toml += "[inputs.temperature]\nrange = [0, 40]\nreference = 20\n"
-    (found,) = warnings(block(tmp_path, text, toml))
-    assert "thermal_expansion 1.2e-05" in found
-
-
-@pytest.mark.parametrize(
-    ("keyword", "without", "words"),
-    [
-        ("*EXPANSION\n12e-6\n*DENSITY", "", "thermal_expansion 1.2e-05"),
-        ("*DENSITY", "density = 2700.0\n", "density 2.7e-09"),
-    ],
-)
-def test_a_constant_that_the_component_lacks_is_a_warning(tmp_path, keyword, without, words):
-    toml = TOML.replace(without, "") if without else TOML
-    (found,) = warnings(block(tmp_path, AGREES.replace("*DENSITY", keyword), toml))
-    assert words in found
-    assert found.endswith("the component has none")
-
-
-@pytest.mark.parametrize(
-    ("law", "words"),
-    [
-        ('"neo-hookean"\nyoungs_modulus = 3e6\npoisson_ratio = 0.33', "has 3e+06"),
-        (
-            '"orthotropic"\nyoungs_modulus = [70e9, 9e9, 9e9]\npoisson_ratio = [0.3, 0.3, 0.3]\n'
-            "shear_modulus = [4e9, 4e9, 4e9]",
-            'isotropic; the component has law = "orthotropic"',
-        ),
-    ],
-)
-def test_another_law_than_the_decks_is_a_warning(tmp_path, law, words):
-    toml = TOML.replace("youngs_modulus = 70e9\npoisson_ratio = 0.33", f"law = {law}")
-    (found,) = warnings(block(tmp_path, toml=toml.replace("nonlinear = false", "nonlinear = true")))
-    assert words in found
+@cases(__file__, "warned")
+def test_what_a_deck_says_otherwise_is_a_warning_with_its_line(tmp_path, case):
+    (found,) = warnings(block(tmp_path, case=case))
+    assert_told(case, [found])
+    assert found.startswith("line ")
 
 
 def test_read_and_ignored_keywords_are_listed_with_their_lines(tmp_path):
@@ -170,15 +66,9 @@ def test_the_integration_is_that_of_the_decks_elements(tmp_path, element, integr
 
 
 def test_an_integration_other_than_the_decks_is_a_warning(tmp_path):
-    toml = TOML.replace("[analysis]", '[analysis]\nintegration = "reduced"')
-    (found,) = warnings(block(tmp_path, toml=toml, element="C3D20"))
+    case = {"change": {"[analysis]": '[analysis]\nintegration = "reduced"'}}
+    (found,) = warnings(block(tmp_path, element="C3D20", case=case))
     assert "has C3D20; [analysis] says" in found
-
-
-def test_two_integrations_in_one_deck_need_a_decision(tmp_path):
-    more = "*ELEMENT, TYPE=C3D20\n" + ",".join(map(str, range(900, 921))) + "\n"
-    with pytest.raises(BundleError, match="C3D20R"):
-        read_bundle(block(tmp_path, more))
 
 
 def test_a_hybrid_element_is_named_with_what_is_solved_instead(tmp_path):
@@ -191,3 +81,38 @@ def test_held_reference_nodes_are_supports_of_what_they_move(tmp_path):
     text = AGREES.replace("FOOT, 1, 3", "9001, 1, 6")
     text = text.replace("*RIGID BODY, NSET=HEAD", "*RIGID BODY, NSET=FOOT")
     assert warnings(block(tmp_path, text)) == []
+
+
+def arch(folder, across, integration):
+    """Write a half circle of radius 0.3 m, 10 x 10 mm, of 40 cells along."""
+    mesh = box("hex20", (across, across, 40), (0.01, 0.01, 1.0))
+    x, y, z = mesh.points.T
+    radius, angle = 0.3 + x, np.pi * (z - 0.5)
+    points = np.column_stack([radius * np.cos(angle), y, radius * np.sin(angle)])
+    lines = deck_lines(replace(mesh, points=points), 1e-3, integration)
+    (folder / "block.inp").write_text("\n".join(lines) + "\n")
+    text = TOML.replace("point = [0.01, 0.01, 0.06]\n", "").replace("rigid", "distributed")
+    (folder / "component.toml").write_text(text)
+    return check(folder)
+
+
+def test_an_arch_of_single_reduced_cells_is_refused_as_an_hourglass(tmp_path):
+    report = arch(tmp_path, 1, "reduced")
+    (problem,) = report["problems"]
+    assert problem["where"] == "analysis.integration"
+    assert "40 hex20 cells" in problem["message"]
+    assert "hourglass" in problem["message"]
+
+
+@pytest.mark.parametrize(("across", "integration"), [(1, "full"), (2, "reduced")])
+def test_full_integration_or_two_cells_across_make_it_ready_and_far_from_buckling(
+    tmp_path, across, integration
+):
+    report = arch(tmp_path, across, integration)
+    assert report["ok"]
+    assert report["solver_error"]["buckling"] is None
+
+
+@pytest.mark.parametrize(("cells", "count"), [((1, 1, 1), 0), ((1, 2, 5), 0), ((1, 1, 2), 2)])
+def test_a_single_cell_and_a_layer_are_no_stack(cells, count):
+    assert len(stacked_singly(box("hex20", cells, (0.01, 0.02, 0.05)))) == count

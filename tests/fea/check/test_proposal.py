@@ -8,7 +8,9 @@ import pytest
 
 from tests.fea.boxes import box
 from tests.fea.cae import make
+from tests.fea.check.test_load_cases import HELD, LISTED, archive, bulk
 from tests.fea.written_deck import deck_lines
+from tests.refusals import assert_told, cases, changed
 from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.check.commands import main
@@ -18,34 +20,6 @@ from wrenchbook.fea.mesh.mapping import folded_cells, volumes
 from wrenchbook.fea.solve import Solver
 
 LOAD = np.array([50.0, 0, 0, 0, 0, 0.8])
-
-CUBE = """*NODE
-1,0,0,0
-2,10,0,0
-3,10,10,0
-4,0,10,0
-5,0,0,30
-6,10,0,30
-7,10,10,30
-8,0,10,30
-*ELEMENT,TYPE=C3D8,ELSET=E
-1,1,2,3,4,5,6,7,8
-*NSET,NSET=FIX
-1,2,3,4
-*NSET,NSET=TIP
-5,6,7,8
-*MATERIAL,NAME=ST
-*ELASTIC
-210000,0.3
-*SOLID SECTION,ELSET=E,MATERIAL=ST
-*BOUNDARY
-FIX,1,3
-*STEP
-*STATIC
-*CLOAD
-TIP,3,-25
-*END STEP
-"""
 
 
 def table(coupling="rigid", section="z1", integration="reduced", **more):
@@ -99,21 +73,30 @@ def test_loads_of_the_deck_are_the_range_and_its_points_loads(tmp_path):
     np.testing.assert_allclose(range_.high, [50, 50, 50, 0.8, 0.8, 0.8])
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("*Elastic\n70000., 0.33\n", "", "youngs_modulus and poisson_ratio"),
-        ("Set-Foot, ENCASTRE\n", "", "the deck holds nothing"),
-        ("m_Set-1, 6, 800.\n", "", "the deck lacks force or moment; 50 N and 5 N·m stand"),
-    ],
-)
-def test_what_a_deck_lacks_is_named_and_stands_in_the_component(tmp_path, old, new, words):
-    text = make.abaqus()
-    assert old in text
-    (tmp_path / "a.inp").write_text(text.replace(old, new))
-    found = propose(tmp_path / "a.inp", tmp_path / "new", "mm")
-    assert any(words in one for one in found["decide"])
-    assert words in (tmp_path / "new" / "component.toml").read_text()
+DECKS = {name: (make.HERE / name).read_text("utf-8") for name in ("patran.bdf", "archive.cdb")}
+DECKS |= {"abaqus.inp": make.abaqus(), "cube.inp": (make.HERE / "cube.inp").read_text("utf-8")}
+DECKS |= {"steps.inp": HELD, "bulk.bdf": bulk(), "listed.cdb": archive(LISTED["all"])}
+DECKS |= {"link.inp": (SHIPPED / "link" / "link.inp").read_text("utf-8")}
+
+
+@cases(__file__, "proposed")
+def test_what_a_deck_lacks_or_cannot_say_is_named(tmp_path, capsys, case):
+    deck = tmp_path / case["deck"]
+    deck.write_text(changed(DECKS[deck.name], case), "utf-8")
+    place = case["place"]
+    if place == "refused":
+        with pytest.raises(BundleError) as caught:
+            propose(deck, tmp_path / "new", "mm", case.get("case"))
+        told = [str(problem) for problem in caught.value.problems]
+    elif place == "printed":
+        assert main(["new", str(deck), str(tmp_path / "new")]) == 1
+        told = capsys.readouterr().out.splitlines()
+    else:
+        told = propose(deck, tmp_path / "new", "mm")[place]
+    assert_told(case, told)
+    assert len(told) == case.get("of", len(told))
+    if place == "decide":
+        assert case["words"][0] in (tmp_path / "new" / "component.toml").read_text()
 
 
 def test_a_proposal_without_supports_is_not_ready_and_its_check_lists_the_groups(tmp_path):
@@ -129,21 +112,6 @@ def test_what_is_not_taken_over_is_named_with_its_line(tmp_path):
     (tmp_path / "a.inp").write_text(text)
     (left,) = propose(tmp_path / "a.inp", tmp_path / "new", "mm")["left"]
     assert left.startswith(f"line {text[: text.index('*Equation')].count(chr(10)) + 1}: *EQUATION")
-
-
-@pytest.mark.parametrize(
-    ("name", "line", "left"),
-    [
-        ("patran.bdf", "CELAS2  7       5.0     1       1", "CELAS2 (1)"),
-        ("patran.bdf", "CONM2   8       1       0       5.0", "CONM2 (1)"),
-        ("archive.cdb", "CE,R5.0,DEFI,       1,       1,       0", "CE (1)"),
-    ],
-)
-def test_cards_of_other_solvers_that_count_are_named(tmp_path, name, line, left):
-    text = (make.HERE / name).read_text()
-    end = "ENDDATA" if name.endswith("bdf") else "/GO"
-    (tmp_path / name).write_text(text.replace(end, f"{line}\n{end}"))
-    assert propose(tmp_path / name, tmp_path / "new", "mm")["left"] == [left]
 
 
 def test_lengths_in_inches_go_with_pounds(tmp_path):
@@ -199,33 +167,6 @@ def test_a_folder_that_cannot_be_made_and_a_deck_that_cannot_be_read_are_named(t
     for deck in (tmp_path / "none.inp", tmp_path):
         assert main(["new", str(deck), str(tmp_path / "new")]) == 1
         assert f"{deck}: cannot be read" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("NSET=FIX", "NSET", "line 12: *NSET has no name for its set; write NSET=NAME"),
-        ("TIP,3,-25", "TIP,3", "TIP, 3 needs a node or set, a freedom and a value"),
-        ("210000,", "-210000,", "material[0].youngs_modulus: must be above 0"),
-    ],
-)
-def test_slips_of_a_deck_are_named_with_what_to_do(tmp_path, capsys, old, new, words):
-    (tmp_path / "a.inp").write_text(CUBE.replace(old, new), encoding="utf-8")
-    assert main(["new", str(tmp_path / "a.inp"), str(tmp_path / "new")]) == 1
-    assert words in capsys.readouterr().out
-
-
-def test_a_case_of_a_deck_without_steps_is_refused_with_what_to_do(tmp_path):
-    text = (SHIPPED / "link" / "link.inp").read_text(encoding="utf-8")
-    (tmp_path / "a.inp").write_text(text, encoding="utf-8")
-    with pytest.raises(BundleError, match='no "last"; it has no steps: leave --case out'):
-        propose(tmp_path / "a.inp", tmp_path / "new", case="last")
-
-
-def test_a_node_in_a_coordinate_system_of_its_own_is_refused_with_its_line(tmp_path):
-    (tmp_path / "a.bdf").write_text("BEGIN BULK\nGRID,1,7,0.,0.,0.\nENDDATA\n")
-    with pytest.raises(BundleError, match="line 2: GRID"):
-        propose(tmp_path / "a.bdf", tmp_path / "new")
 
 
 def test_the_command_ends_with_one_where_something_is_left_to_decide(tmp_path, capsys):
@@ -358,10 +299,3 @@ def test_large_field_cards_and_continuations_with_names_are_read(tmp_path):
     (material,) = read_bundle(tmp_path / "new").materials
     assert (material.youngs_modulus, material.poisson_ratio) == (70e9, 0.33)
     assert material.density == pytest.approx(2700)
-
-
-def test_a_free_field_card_of_too_many_fields_is_refused(tmp_path):
-    nodes = ",".join(map(str, range(1, 11)))
-    (tmp_path / "a.bdf").write_text(f"BEGIN BULK\nCTETRA,1,1,{nodes}\nENDDATA\n")
-    with pytest.raises(BundleError, match="line 2: has more than 8 fields"):
-        propose(tmp_path / "a.bdf", tmp_path / "new")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.fea.calculix import require_ccx
+from tests.refusals import cases, changed
 from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
 from wrenchbook.fea.check import report
 from wrenchbook.fea.component import build
@@ -163,24 +164,13 @@ class TestWithCalculix:
         with pytest.raises(SolveFailed, match="not_linear"):
             solve(replace(bundle, analysis=analysis), BENT)
 
-    @pytest.mark.parametrize(
-        ("old", "new", "kind", "said"),
-        [
-            ("FIXED, 1, 3", "FIXED, 1, 1", "not_converged", "cutbacks|diverge|smaller"),
-            ("FIXED, 1, 3", "FIXD, 1, 3", "solver_failed", "node set FIXD"),
-            ("*NODE, NSET=ALL", "*INCLUDE, INPUT=no.inp\n*NODE", "solver_failed", "no.inp"),
-            ("*NODE PRINT, NSET=ROT\nU\n", "", "bad_output", '"ROT"'),
-            ("INC=1000", "INC=1", "not_converged", "increments reached"),
-        ],
-    )
-    def test_what_ccx_complains_of_is_a_named_failure(self, tmp_path, old, new, kind, said):
+    @cases(__file__, "ccx")
+    def test_what_ccx_complains_of_is_a_named_failure(self, tmp_path, case):
         bundle = written(tmp_path, nonlinear(bar(tmp_path)))
-        text = bundle.deck.file.read_text()
-        assert text.count(old) == 1
-        bundle.deck.file.write_text(text.replace(old, new))
-        with pytest.raises(SolveFailed, match=said) as caught:
+        bundle.deck.file.write_text(changed(bundle.deck.file.read_text(), case))
+        with pytest.raises(SolveFailed, match=case["words"]) as caught:
             solve(bundle, BENT)
-        assert caught.value.kind == kind
+        assert caught.value.kind == case["kind"]
 
     def test_a_floating_linear_deck_is_a_named_failure(self, tmp_path):
         """CalculiX factorises a singular stiffness and prints what comes out."""

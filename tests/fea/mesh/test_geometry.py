@@ -53,12 +53,6 @@ def with_mesh(**keys):
     return table
 
 
-def mistakes(table, folder):
-    with pytest.raises(BundleError) as caught:
-        mesh_of(bundle_of(table, folder).mesh)
-    return {problem.where: problem.message for problem in caught.value.problems}
-
-
 def test_faces_are_listed_in_metres_with_area_centre_and_outward_normal(folder):
     faces, (body,) = list_shape(folder / "bracket.step")
     assert len(faces) == 9
@@ -110,58 +104,6 @@ def test_another_process_makes_the_same_mesh_to_the_last_bit(folder):
     told = {subprocess.run(command, capture_output=True, check=True).stdout for _ in range(2)}
     assert len(told) == 1
     assert len(told.pop()) == 65
-
-
-@pytest.mark.parametrize(
-    ("group", "where", "said"),
-    [
-        ({"plane": "z", "at": 0.1}, "plane", "no plane face at z = 0.1 m (there are at: 0, 0.008"),
-        ({"radius": 0.01}, "radius", "no cylinder of radius 0.01 m (there are: 0.008)"),
-        ({"near": [0, 0, 0]}, "near", "on the edge between face 1, 2, 3"),
-        ({"near": [[1, 0, 0], [0.004, 0.03, 0.058]]}, "near", "0.92 m off the nearest face"),
-        ({"faces": [3, 77]}, "faces", "no face 77; the geometry has 1 to 9"),
-    ],
-)
-def test_a_group_that_names_no_face_is_told_what_there_is(folder, group, where, said):
-    found = mistakes(with_mesh(groups={"wall": group}), folder)
-    assert said in found[f"mesh.groups.wall.{where}"]
-
-
-@pytest.mark.parametrize(
-    ("keys", "where", "said"),
-    [
-        ({"size": None}, "mesh.size", "a number in m"),
-        ({"size": 0}, "mesh.size", "above 0"),
-        ({"size": 1e-5}, "mesh.size", "the most is 2 million"),
-        ({"unit": "mm"}, "mesh.unit", "holds its length unit"),
-        ({"order": 1}, "mesh.order", "must be 2, not 1"),
-        ({"circle": 3}, "mesh.circle", "unknown key"),
-        ({"\0circle": 3}, r"mesh.\x00circle", "unknown key"),
-        ({"groups": {"|x": {"radius": -1}}}, "mesh.groups.|x.radius", "above 0 (m)"),
-        ({"curvature": 2}, "mesh.curvature", "from 3"),
-        ({"curvature": 0}, "mesh.curvature", "from 3"),
-        ({"groups": {"a": {}}}, "mesh.groups.a.faces", "choose by faces, near, plane or radius"),
-        ({"groups": {"a": 3}}, "mesh.groups.a", "must be a table"),
-        ({"groups": {"a": {"nearr": [0, 0, 0]}}}, "mesh.groups.a.nearr", 'did you mean "near"'),
-        ({"groups": {"a": {"near": [0, 0]}}}, "mesh.groups.a.near", "3 numbers in m"),
-        ({"groups": {"a": {"near": [[0, 0, "x"]]}}}, "mesh.groups.a.near[0][2]", "finite"),
-        ({"groups": {"a": {"plane": "x"}}}, "mesh.groups.a.at", "missing"),
-        ({"groups": {"a": {"at": 1}}}, "mesh.groups.a.plane", "missing"),
-        ({"groups": {"a": {"plane": "w", "at": 1}}}, "mesh.groups.a.plane", "none of x, y, z"),
-        ({"groups": {"a": {"faces": [0]}}}, "mesh.groups.a.faces[0]", "from 1 to"),
-        ({"groups": {"a": {"faces": [10**13, 7]}}}, "mesh.groups.a.faces[0]", "to 1000000000, as"),
-        ({"groups": {"a": {"faces": []}}}, "mesh.groups.a.faces", "at least 1"),
-        ({"groups": {"a": {"faces": [1, 1]}}}, "mesh.groups.a.faces", "twice"),
-        ({"groups": {"a": {"radius": -1}}}, "mesh.groups.a.radius", "above 0"),
-        ({"groups": {"a": {"bodies": [1]}}}, "mesh.groups.a.bodies", "unknown key"),
-        ({"regions": {"all": {"bodies": [1]}}}, "mesh.regions.all", "another name"),
-        ({"regions": {"b": {"plane": "x", "at": 1}}}, "mesh.regions.b.plane", "unknown key"),
-        ({"regions": {"b": {"bodies": [2]}}}, "mesh.regions.b.bodies", "no body 2"),
-        ({"file": "broken.step"}, "mesh.file", "cannot be read as a STEP file"),
-    ],
-)
-def test_every_key_of_a_geometry_is_checked(folder, keys, where, said):
-    assert said in mistakes(with_mesh(**keys), folder)[where]
 
 
 def test_a_size_in_millimetres_is_warned_of(folder):

@@ -3,69 +3,12 @@
 import numpy as np
 import pytest
 
-from wrenchbook.fea.bundle.read import BundleError
+from tests.refusals import GOOD
 from wrenchbook.fea.coupling.section import section_of_facets
 from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.mesh.mapping import volumes
 
-# Two 1 x 1 x 1 cubes side by side along x, one with 8 and one with 20 nodes apart from it, and a
-# reference node of its own, as decks have them.
-DECK = """*HEADING
-two cubes
-** a comment
-*Node, nset=Nall
- 1, 0., 0., 0.
- 2, 1., 0., 0.
- 3, 1., 1., 0.
- 4, 0., 1., 0.
- 5, 0., 0., 1.
- 6, 1., 0., 1.
- 7, 1., 1., 1.
- 8, 0., 1., 1.
-*NODE
- 11, 2., 0., 0.
- 12, 2., 1., 0.
- 13, 2., 0., 1.
- 14, 2., 1., 1.
-*NODE, NSET=REF
- 99, 5., 0.5
-*ELEMENT, TYPE=S4
- 50, 1, 4, 8, 5
-*ELEMENT, type=c3d8,
- elset=Left
- 7, 1, 2, 3, 4,
- 5, 6, 7, 8
-*ELEMENT, TYPE=C3D8I, ELSET=RIGHT
- 9, 2, 11, 12, 3, 6, 13, 14, 7
-*ELEMENT, TYPE=MASS, ELSET=weights
- 60, 1
-*ELSET, ELSET=both
- left, RIGHT
-*ELSET, ELSET=range, GENERATE
- 7, 9, 2
-*NSET, NSET=Grip, GENERATE
- 1, 4, 3
- 5, 8, 3
-*NSET, NSET=more
- GRIP, 2,
-*NSET, NSET=tail, ELSET=Right
-*SURFACE, NAME=Tip, TYPE=ELEMENT
- Right, S4
-*SURFACE, NAME=top
- 7, S2
- 9, S2
-*SURFACE, NAME=corner, TYPE=NODE
- grip, 1.0
- 2, 1.0
-*MATERIAL, NAME=steel
-*ELASTIC
- 210000., 0.3
-*STEP
-*STATIC
-*BOUNDARY
- Grip, 1, 3
-*END STEP
-"""
+DECK = (GOOD / "two_cubes" / "cubes.inp").read_text("utf-8")
 
 
 def read(tmp_path, text=DECK):
@@ -135,7 +78,6 @@ WEDGE = """*NODE
 1,1,2,3,4,5,6
 """
 HEX = DECK[DECK.index("*Node") : DECK.index("*NODE\n")] + "*ELEMENT,TYPE=C3D8\n1,1,2,3,4,5,6,7,8\n"
-HALF = 2**0.5 / 2
 OF_FACES = [
     (TET, [(0, 0, -0.5), (0, -0.5, 0), (0.5, 0.5, 0.5), (-0.5, 0, 0)]),
     (WEDGE, [(0, 0, -0.5), (0, 0, 0.5), (0, -1, 0), (1, 1, 0), (-1, 0, 0)]),
@@ -157,50 +99,6 @@ def test_faces_are_numbered_as_the_manuals_of_both_solvers_number_them(tmp_path,
         np.testing.assert_allclose(
             np.sign((corners.mean(axis=0) - inside) @ expected), 1.0, atol=1e-12
         )
-
-
-def changed(old, new):
-    assert DECK.count(old) == 1
-    return DECK.replace(old, new)
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        (DECK + "*INCLUDE, INPUT=other.inp\n", "*INCLUDE is not read"),
-        (DECK + "*NCOPY, CHANGE NUMBER=10\n", "*NCOPY is not read"),
-        (DECK + "*PART, NAME=A\n*PART, NAME=B\n", "*PART comes twice"),
-        (DECK + "*INSTANCE, NAME=A-1, PART=A\n", 'of a part "A" that is not defined'),
-        (DECK + "*NODE\n 5, 0., 0., 3.\n", "the *NODE of line 4 has it at (0, 0, 1)"),
-        (DECK + "*NODE\n 5, 0., 0., 3.\n", "line 56: *NODE has node 5 at (0, 0, 3)"),
-        (DECK + "*NODE\n 12, 0., 0., 3.\n", "the *NODE of line 13 has it at (2, 1, 0)"),
-        (changed(" 9, 2, 11, 12, 3", " 7, 2, 11, 12, 3"), "*ELEMENT of line 22 has it too"),
-        (changed("TYPE=C3D8I", "TYPE=C3D27"), "C3D27 is not read"),
-        (changed("*NODE\n 11", "*NODE, SYSTEM=C\n 11"), "local system"),
-        (changed(" GRIP, 2,", " grab, 2"), 'a set "grab" that is not defined'),
-        (changed(" Right, S4", " Right, SPOS"), 'face "SPOS"'),
-        (changed(" Right, S4", " Right, S7"), "S7 of element 9"),
-        (changed(" 7, S2", " 77, S2"), "element 77"),
-        (changed(" 9, 2, 11, 12, 3", " 9, 2, 11, 12"), "9 each"),
-        (changed(" 9, 2, 11, 12, 3", " 9, 2, 11, 1234, 3"), "node 1234"),
-        (changed(" 9, 2, 11, 12, 3", " 7, 2, 11, 12, 3"), "element 7 again"),
-        (changed(" 8, 0., 1., 1.", " 8, zero, 1., 1."), "zero"),
-    ],
-)
-def test_what_cannot_be_read_is_refused_with_its_reason(tmp_path, text, said):
-    with pytest.raises(BundleError) as caught:
-        read(tmp_path, text)
-    assert said in caught.value.problems[0].message
-
-
-def test_a_refusal_names_the_line(tmp_path):
-    with pytest.raises(BundleError, match=r"line 2: \*INCLUDE"):
-        read(tmp_path, "** x\n*INCLUDE, INPUT=a\n")
-
-
-def test_a_deck_without_elements_says_so(tmp_path):
-    with pytest.raises(BundleError, match="no cells at all"):
-        read(tmp_path, "*NODE\n1,0,0,0\n")
 
 
 # One cube, whose assembly has a reference point that is node 1 of its own, as Abaqus/CAE writes it.

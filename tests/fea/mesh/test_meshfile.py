@@ -192,16 +192,6 @@ def test_a_file_that_meshio_cannot_read_is_a_mistake_and_prints_nothing(tmp_path
     assert capsys.readouterr() == ("", "")
 
 
-def test_a_mesh_of_surfaces_only_is_refused(tmp_path):
-    path = bar_file(tmp_path / "a.vtu", lambda nodes, tip: [("quad8", tip)])
-    assert "no solid cells (it has quad8)" in refusal(path)
-
-
-def test_a_kind_of_cell_the_solver_does_not_know_is_named(tmp_path):
-    path = bar_file(tmp_path / "a.vtu", lambda nodes, tip: [("pyramid", nodes[:, :5])])
-    assert "kind pyramid" in refusal(path)
-
-
 def test_a_group_of_facets_off_the_solid_is_named(tmp_path):
     def cells(nodes, tip):
         return [("hexahedron20", nodes), ("quad", np.array([[0, 1, 2, 3]]))]
@@ -209,13 +199,6 @@ def test_a_group_of_facets_off_the_solid_is_named(tmp_path):
     loose = {"loose": [np.zeros(16, dtype=int), np.ones(1, dtype=int)]}
     message = refusal(bar_file(tmp_path / "a.vtu", cells, cell_data=loose))
     assert 'group "loose" with 1 facets that are not faces' in message
-
-
-def test_coordinates_that_are_not_numbers_are_refused(tmp_path):
-    bar = Bar(1.0, 0.02, 0.02, cells_along=1).mesh()
-    bar.points[0, 0] = np.nan
-    meshio.Mesh(bar.points, [("hexahedron20", bar.blocks[0].nodes)]).write(tmp_path / "a.vtu")
-    assert "not finite" in refusal(tmp_path / "a.vtu")
 
 
 @pytest.mark.parametrize("wrong", [-1, 4, 2**40])

@@ -10,7 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tests.service.client.answers import LinearTable, ScriptedTable, answer, client_with
+from tests.service.client.answers import (
+    TOLERANCE,
+    LinearTable,
+    ScriptedTable,
+    answer,
+    bar_compliance,
+    client_with,
+)
 from wrenchbook.service.client import ServerTimeout, ServerUnreachable, conventions
 from wrenchbook.service.client.mount import (
     DisplacementUnknown,
@@ -19,7 +26,7 @@ from wrenchbook.service.client.mount import (
     SensorError,
     require_weight,
 )
-from wrenchbook.service.client.mount.mount import from_world
+from wrenchbook.service.client.mount.mount import first_frequency, from_world
 
 TURNED = Rotation.from_rotvec([0.3, -0.8, 1.1]).as_matrix()
 POINT = np.array([0.4, -0.2, 1.5])
@@ -353,3 +360,41 @@ def test_numbers_of_another_kind_or_count_are_refused():
         Mount(LinearTable(), "plate", "x", POINT)
     with pytest.raises(ValueError, match="three numbers each"):
         mounted().wrench_of([0, 0, 1, 2], [0, 0, 0], [0, 0, 1])
+
+
+def told(frequency):
+    facts = {"has_fea": True, "tolerance": TOLERANCE, "vibration": {"first_frequency": frequency}}
+    return client_with(
+        component=lambda _: facts,
+        compliance=lambda _: {"matrix": bar_compliance().tolist()},
+    )
+
+
+def made(source, **options):
+    return Mount(source, "bar", np.eye(3), np.zeros(3), **options)
+
+
+def test_a_mass_on_a_weightless_bar_swings_as_in_closed_form():
+    compliance, mass = bar_compliance(), np.diag([7.0, 7.0, 7.0, 0.0, 0.0, 0.0])
+    expected = 1 / (2 * np.pi * np.sqrt(7.0 * compliance[2, 2]))
+    assert first_frequency(None, compliance, mass) == pytest.approx(expected, rel=1e-12)
+
+
+def test_the_server_tells_the_frequency_where_the_ramp_alone_is_given():
+    with pytest.warns(MountWarning, match="2.7 periods of its first natural frequency, 27 Hz"):
+        made(told(27.0), ramp_time=0.1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        made(told(27.0), ramp_time=0.3)
+
+
+def test_what_is_carried_lowers_the_frequency():
+    with pytest.warns(MountWarning, match="rings"):
+        made(told(27.0), ramp_time=0.3, carried=10.0)
+
+
+def test_a_component_without_any_mass_is_said_to_be_unknown():
+    source = told(27.0)
+    source.component = lambda _: {"has_fea": True, "tolerance": TOLERANCE, "vibration": None}
+    with pytest.warns(MountWarning, match="no density"):
+        made(source, ramp_time=0.1)

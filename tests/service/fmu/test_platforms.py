@@ -142,12 +142,6 @@ def test_without_ziglang_platforms_are_refused_before_the_server_is_called(monke
     assert "pip install ziglang" in str(run.exception)
 
 
-def test_platforms_are_refused_for_other_files(tmp_path):
-    run = CliRunner().invoke(app, ["export", "bar", str(tmp_path / "t.csv"), "--platforms", "all"])
-    assert run.exit_code == 2
-    assert "--platforms are for .fmu files" in " ".join(run.output.split())
-
-
 def test_an_fmu_of_this_machine_needs_no_ziglang(table, monkeypatch):
     monkeypatch.setattr(export, "_compiled", lambda ending, target=None: repr(target).encode())
     monkeypatch.setattr(export.build, "compiler_command", lambda target=None: ["cc"])
