@@ -27,7 +27,7 @@ LONGEST = (
     "acceptance/test_main_job.py",
     "acceptance/test_nothing_lost.py",
     "surrogate/kernel/test_kernel.py",
-    "surrogate/kernel/test_parity.py",
+    "surrogate/kernel/test_replies.py",
     "surrogate/kernel/test_same_bits.py",
     "service/engines/test_conformance.py",
     "acceptance/test_paper.py",

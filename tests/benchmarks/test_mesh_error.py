@@ -16,7 +16,7 @@ from tests.benchmarks import step_parts
 from tests.benchmarks.kinds_of_parts import kinds
 from tests.fea.accuracy.test_accuracy import BRACKET
 from tests.fea.geometry import draw_bracket, drawing
-from tests.surrogate.law.solver_share import widened_many
+from tests.surrogate.law import mesh_errors
 from wrenchbook.fea.accuracy.estimate import accuracy_of
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
@@ -96,8 +96,7 @@ def told(name, found, more=""):
 
 def bars_of(solver, wrenches, moved, tangents):
     """The mesh's part of the error bars of answers with these displacements and tangents."""
-    error = SolverError({**accuracy_of(solver), "linearity": None})
-    return widened_many(error, np.zeros(moved.shape), wrenches, moved, tangents)
+    return mesh_errors(SolverError(accuracy_of(solver)), wrenches, moved, tangents)
 
 
 def continued(fine, middle, ratio):

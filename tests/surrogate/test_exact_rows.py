@@ -71,8 +71,9 @@ def test_a_rounding_error_beside_a_row_is_covered_as_the_row_is(tangents: bool) 
             assert found.error is not None
             missed = np.abs(np.array(found.displacement) - SMOOTH(asked[None] / HIGH)[0])
             assert (missed <= np.array(found.error) + 1e-18).all()  # of numbers below 0.01
-            assert table.has_row(asked.tolist()) == bool((asked == row).all())
-            assert table.source_of(asked.tolist()) == table.rows.source[0]
+            told = packed_of(table).answer(asked.tolist())
+            assert told.exact == bool((asked == row).all())
+            assert told.source == table.rows.source[0]
         assert table.answer((row + 3e-6 * step).tolist()).coverage != "covered"
 
 
@@ -90,10 +91,9 @@ def test_the_bar_beside_a_row_grows_from_the_rows_own_in_proportion(tangents: bo
 
 
 def test_single_answers_batches_and_derivatives_beside_a_row_agree() -> None:
-    """Of the kernel to the last bit: of numpy's products single and batch may differ by one."""
     table = few()
     asked = np.concatenate([table.rows.wrench + share * steps(6) for share in (*BESIDE, 3e-6)])
-    packed = packed_of(table.table)
+    packed = packed_of(table)
     found, slopes = packed.batch(asked), packed.derivatives(asked)
     for place, wrench in enumerate(asked.tolist()):
         answer = packed.answer(wrench)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,8 @@ import pytest
 
 from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.law import build
-from tests.surrogate.law.derivative import derivatives_at
-from tests.surrogate.law.whole_bars import whole_bar, whole_bars
 from tests.surrogate.responses import HIGH, RANGE
+from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.hdf5 import read_table, write_table
 from wrenchbook.surrogate.table.meta import TableMeta
@@ -41,26 +41,25 @@ def test_no_call_of_a_table_sees_the_loads_on_locked_freedoms(partial: bool) -> 
     table = guided(partial)
     bare = np.concatenate((table.rows.wrench[:5], table.rows.wrench[5:15] * 0.7))
     full = bare + np.isin(np.arange(6), LOCKED) * 2.0 * HIGH  # beyond the range
-    found, expected = table.batch(full), table.batch(bare)
+    packed = packed_of(table)
+    found, expected = packed.batch(full), packed.batch(bare)
     assert not expected.coverage.any()
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_array_equal(one, other)
-    np.testing.assert_array_equal(table.near_rows(full), table.near_rows(bare))
-    assert table.near_rows(full).sum() == 5
-    bars = whole_bars(table, bare, expected)
-    np.testing.assert_array_equal(whole_bars(table, full, found), bars)
-    slopes = derivatives_at(table, full)
-    np.testing.assert_array_equal(slopes, derivatives_at(table, bare))
-    known = np.isfinite(expected.displacement[0])
+    slopes = packed.derivatives(full)
+    np.testing.assert_array_equal(slopes, packed.derivatives(bare))
+    known = np.isfinite(expected.outputs[0])
     assert not slopes[:, known][:, :, LOCKED].any()
     for with_all, without in zip(full.tolist(), bare.tolist(), strict=True):
-        answer = table.answer(with_all)
-        assert answer == table.answer(without)
-        assert whole_bar(table, with_all, answer, None) == whole_bar(table, without, answer, None)
-        assert table.source_of(with_all) == table.source_of(without)
-        assert table.has_row(with_all) == table.has_row(without)
-        np.testing.assert_array_equal(table.row_tangent(with_all), table.row_tangent(without))
-        assert table.explain(with_all) == table.explain(without)
+        for tolerance in (None, [0.0] * 6):  # by the method, and at rows by the row
+            assert packed.answer(with_all, tolerance) == packed.answer(without, tolerance)
+        axes = [table.explain(asked) for asked in (with_all, without)]
+        for axis in chain(*axes):
+            del axis["inputs"]
+        assert axes[0] == axes[1]
+    assert [packed.answer(one, [0.0] * 6).method == "row" for one in full] == [True] * 5 + [
+        False
+    ] * 10
 
 
 def test_a_file_has_the_names_of_the_locked_freedoms(tmp_path: Path) -> None:

@@ -40,8 +40,8 @@ def some_table(seed: int, most: int = 40) -> Rows:
 @given(SEEDS)
 def test_a_row_returns_itself(seed: int) -> None:
     rows = some_table(seed)
-    told = axes_of(rows).estimate(rows.wrench * (1 - 1e-12))  # those on the hull are not beyond it
-    assert (told.state != 2).all()
+    told = axes_of(rows).by_method(rows.wrench * (1 - 1e-12))  # those on the hull are not beyond it
+    assert (told.coverage != 2).all()
     off = np.array([[1, 2, 3], [0, 2, 4], [0, 1, 5]])
     for axis in range(3):
         mine = (rows.wrench[:, off[axis]] == 0).all(axis=1)
@@ -54,8 +54,8 @@ def test_a_row_returns_itself(seed: int) -> None:
 def test_a_row_of_a_table_of_one_axis_returns_all_its_outputs(seed: int) -> None:
     rows = some_table(seed)
     rows = rows.take((rows.wrench[:, 1:4] == 0).all(axis=1))
-    told = axes_of(rows).estimate(rows.wrench)
-    inside = told.state != 2
+    told = axes_of(rows).by_method(rows.wrench)
+    inside = told.coverage != 2
     outputs = [0, 3, 4, 5]
     np.testing.assert_allclose(
         told.displacement[inside][:, outputs],
@@ -91,8 +91,8 @@ def test_one_more_row_changes_only_the_simplices_around_it(seed: int) -> None:
     before, after = axes_of(rows), axes_of(more)
     asked = np.zeros((300, 6))
     asked[:, [0, 4, 5]] = rng.uniform(-0.85, 0.85, (300, 3))
-    old = before.estimate(asked * HIGH).displacement[:, 0]
-    fresh = after.estimate(asked * HIGH).displacement[:, 0]
+    old = before.by_method(asked * HIGH).displacement[:, 0]
+    fresh = after.by_method(asked * HIGH).displacement[:, 0]
     table_x = after.axes.tables[0]
     assert table_x is not None
     shape = table_x.triangulation

@@ -66,9 +66,9 @@ def test_answers_on_a_grids_planes_do_not_jump() -> None:
     plane[:, 0] = 0.5  # a plane of the grid
     near = plane.copy()
     near[:, 0] += 1e-9
-    on, beside = (axes.estimate(x * HIGH) for x in (plane, near))
-    assert (on.state == beside.state).all()
-    assert (on.state < 2).all()
+    on, beside = (axes.by_method(x * HIGH) for x in (plane, near))
+    assert (on.coverage == beside.coverage).all()
+    assert (on.coverage < 2).all()
     np.testing.assert_allclose(on.displacement, beside.displacement, atol=1e-11)
 
 

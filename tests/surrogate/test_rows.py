@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.surrogate.law.exact_rows import STEEPER
+from wrenchbook.surrogate.build import STEEPER
 from wrenchbook.surrogate.table import rows as limits
 from wrenchbook.surrogate.table.rows import LoadRange, RowError, Rows, Tolerance
 

@@ -9,7 +9,7 @@ from tests.benchmarks.step_parts import drill, fillet
 from tests.fea.boxes import box
 from tests.fea.components import component
 from tests.fea.geometry import draw_bracket, drawing
-from tests.surrogate.law.solver_share import widened, widened_many
+from tests.surrogate.law import mesh_errors
 from wrenchbook.fea.accuracy import estimate
 from wrenchbook.fea.accuracy.convergence import coarser
 from wrenchbook.fea.accuracy.estimate import accuracy_of, accuracy_or_why, beyond_linear
@@ -103,9 +103,9 @@ def test_near_buckling_the_mesh_counts_for_more(tmp_path):
     )
     moved = np.array([one.displacement for one in found])
     tangents = np.array([one.compliance for one in found])
-    known, none = SolverError(accuracy_of(own)), np.zeros((2, 6))
-    at_small = widened_many(known, none, wrenches)
-    by_tangent = widened_many(known, none, wrenches, moved, tangents)
+    known = SolverError(accuracy_of(own))
+    at_small = np.array([known.parts(wrench)["mesh"] for wrench in wrenches])
+    by_tangent = mesh_errors(known, wrenches, moved, tangents)
     moves = np.abs(moved) > 1e-6 * np.abs(moved).max()
     assert (at_small[0, 1:3] < 0.2 * true[0, 1:3]).all()
     assert (by_tangent[moves] >= true[moves]).all()
@@ -119,7 +119,7 @@ def test_a_load_that_the_guide_takes_widens_no_bar(tmp_path):
     assert told["loads"] == [3000, 0, 10, 1, 1, 0]
     error = SolverError(told)
     alone, taken = [-100.0, 0, 1, 0, 0, 0], [-100.0, 10, 1, 0, 0, 1]
-    assert widened(error, (0.0,) * 6, alone) == widened(error, (0.0,) * 6, taken)
+    assert error.parts(alone) == error.parts(taken)
 
 
 def test_the_bar_of_a_bracket_at_12_mm_holds_what_its_mesh_is_off(bracket):

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from tests.service.fmu.made import answers, judged, opened, packed, slopes, solved, wrenches_of
-from tests.surrogate.kernel.kinds import KINDS, asked_of, six, special_of, table_of
+from tests.surrogate.kernel.kinds import KINDS, asked_of, special_of, table_of
+from wrenchbook.surrogate.answer import six
 from wrenchbook.surrogate.table.rows import Tolerance
 
 TABLES = sorted(set(KINDS) - {"empty", "only beyond the range"})

@@ -1,8 +1,7 @@
-"""Kinds of tables, their packed forms, and the numpy law that they are compared with."""
+"""Kinds of tables, their packed forms, and wrenches to ask them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
@@ -11,12 +10,10 @@ import numpy as np
 from tests.service.live import FULL, clean_wrenches, full_wrenches, moved, tangents
 from tests.surrogate.energies import PARTS, part
 from tests.surrogate.law import Law, build
-from tests.surrogate.law.whole_bars import whole_bars
 from tests.surrogate.responses import HIGH
 from tests.surrogate.softening import softening_table
 from wrenchbook.surrogate.build import Table
 from wrenchbook.surrogate.kernel.binding import PackedTable
-from wrenchbook.surrogate.kriging import Kriging
 from wrenchbook.surrogate.packed.writer import pack
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
@@ -174,23 +171,6 @@ def special_of(table: Table, count: int, seed: int = 2) -> np.ndarray:
     return np.concatenate((asked, rows, near))
 
 
-def six(tolerance: Tolerance | None) -> list[float] | None:
-    """A tolerance as the kernel takes it."""
-    return tolerance and [tolerance.translation] * 3 + [tolerance.rotation] * 3
-
-
-def by_numpy(
-    table: Table,
-    asked: np.ndarray,
-    tolerance: Tolerance | None = None,
-    method: str | None = None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Displacements and total errors, (n, 6), and coverage, (n,), by the numpy law."""
-    found = table.batch(asked, tolerance, method)
-    errors = whole_bars(table, asked, found, tolerance, method)
-    return found.displacement, errors, found.coverage
-
-
 def size_of(table: Table) -> np.ndarray:
     """What each output is compared relative to, (6,), m and rad: its largest row."""
     size = np.nanmax(np.abs(table.rows.displacement), axis=0, initial=0.0)
@@ -200,66 +180,13 @@ def size_of(table: Table) -> np.ndarray:
 
 def rounding_of(table: Table) -> np.ndarray:
     """What sums of a kriging may lose to rounding, (6,), m and rad: no error bar is below it."""
-    return _of_krigings(table, lambda kriging: kriging.rounding)
-
-
-def deviation_of(table: Table) -> np.ndarray:
-    """The process deviation of a kriging, (6,), m and rad; 0 without one.
-
-    Where the triangle of all rows gives sigma, times what its size multiplies rounding by.
-    """
-
-    def part(kriging: Kriging) -> np.ndarray:
-        lost = np.ones(len(kriging.deviation))
-        for neighbours, calibration in zip(
-            kriging.neighbourhoods, kriging.calibrations, strict=True
-        ):
-            factor = neighbours.factor
-            if neighbours.whole:
-                size = factor.hyperparameters.prior(1)[0] * np.abs(factor.T).max()
-                wide = max(1.0, TRIANGLE * size) * calibration.factors.max() ** 2
-                lost[factor.output_group.outputs] = wide
-        return kriging.deviation * np.sqrt(lost)
-
-    return _of_krigings(table, part)
-
-
-def _of_krigings(table: Table, part: Callable[[Kriging], np.ndarray]) -> np.ndarray:
-    """The sum of a part in spreads, (6,), over a table's krigings, m and rad."""
     found = np.zeros(6)
     for group in table.groups:
         if group.kriging is not None:
-            own = part(group.kriging) * group.kriging.scaling.spread
-            found[list(group.outputs)] += own[list(group.outputs)]
+            lost = group.kriging.rounding * group.kriging.scaling.spread
+            found[list(group.outputs)] += lost[list(group.outputs)]
     return found
 
 
 SAME = 1e-12  # of an output's range
 SIGMA = 1e-9  # of an error
-SIGMA_AT_ROWS = 1e-5  # of an error: sigma at a row is the root of a difference
-TRIANGLE = 5e-3  # of the size of a triangle of all rows, in units of `SQUARED`: 20 eps
-SQUARED = 1e-12  # of the process variance: what sigma squared loses as such a difference
-
-
-def assert_law(
-    table: Table,
-    packed: PackedTable,
-    asked: np.ndarray,
-    tolerance: Tolerance | None = None,
-    method: str | None = None,
-    sigma: float = SIGMA,
-) -> None:
-    """Compare all numbers and coverage with those of the numpy law, at wrenches (n, 6).
-
-    Errors are the same to rounding, `sigma` of themselves, and what a small sigma loses.
-    """
-    outputs, errors, coverage = by_numpy(table, asked, tolerance, method)
-    found = packed.batch(asked, six(tolerance), method)
-    near = SAME * np.maximum(size_of(table), np.abs(np.nan_to_num(outputs))) + rounding_of(table)
-    np.testing.assert_array_equal(found.coverage, coverage)
-    np.testing.assert_array_equal(np.isnan(found.outputs), np.isnan(outputs))
-    np.testing.assert_array_equal(np.isnan(found.errors), np.isnan(errors))
-    assert (np.nan_to_num(np.abs(found.outputs - outputs)) <= near).all()
-    known = np.nan_to_num(errors)
-    loose = near + sigma * known + SQUARED * deviation_of(table) ** 2 / np.fmax(known, near)
-    assert (np.nan_to_num(np.abs(found.errors - errors)) <= loose).all()

@@ -1,16 +1,10 @@
-"""The kernel answers what the numpy law does, to 1e-12 of an output's range.
-
-A kriging's weights may be 1e8 times what they sum to: there no number is right beyond what its
-`rounding` states, nor a sigma near its least beyond 1e-9 of itself.
-"""
+"""What replies of any kind of table say, beside the golden answers."""
 
 import math
 import re
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from tests.service.live import moved
 from tests.surrogate import responses
@@ -18,16 +12,10 @@ from tests.surrogate.kernel.kinds import (
     KINDS,
     RANGE,
     SAME,
-    SIGMA_AT_ROWS,
-    SQUARED,
     asked_of,
-    assert_law,
-    by_numpy,
     clean,
-    deviation_of,
     packed_of,
     rounding_of,
-    six,
     size_of,
     special_of,
     table_of,
@@ -35,73 +23,43 @@ from tests.surrogate.kernel.kinds import (
 from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.law import build
 from tests.surrogate.responses import full_wrenches
-from wrenchbook.surrogate.answer import BY_AXES, METHODS, within_tolerance_many
-from wrenchbook.surrogate.kernel.binding import PackedTable
-from wrenchbook.surrogate.kernel.explain import explain
-from wrenchbook.surrogate.packed.writer import pack
+from wrenchbook.surrogate.answer import BY_AXES, METHODS, six, within_tolerance_many
+from wrenchbook.surrogate.packed.writer import packed_of as pack
 from wrenchbook.surrogate.table.rows import Rows, Tolerance
 from wrenchbook.surrogate.table.space import OUTPUTS
 
-LOCKED = [(), (1,), (0, 4, 5)]
+ROOT = 1e-5  # of the process deviation: sigma near a row is the root of a difference
 
 
-def assert_same(kind, asked, tolerance=None, method=None, locked=()):
-    """Compare all numbers and coverage at some wrenches."""
-    assert_law(table_of(kind, locked), packed_of(kind, locked), asked, tolerance, method)
+@pytest.mark.parametrize("kind", sorted(set(KINDS) - {"softening"}))  # whose mesh widens errors
+def test_the_kriging_answers_as_the_one_that_was_calibrated(kind):
+    table = table_of(kind)
+    asked = np.concatenate((asked_of(table, 200, span=1.3), special_of(table, 80)))
+    found = packed_of(kind).batch(asked, None, "kriging", without_rows=True)
+    for group in table.groups:
+        if group.kriging is None:
+            continue
+        outputs = list(group.outputs)
+        moved, errors = (part[:, outputs] for part in group.kriging.answer_many(asked))
+        given = np.isfinite(found.outputs[:, outputs])
+        near = SAME * np.fmax(size_of(table), np.abs(found.outputs)) + rounding_of(table)
+        near = near[:, outputs]
+        assert (np.abs(found.outputs[:, outputs] - moved) <= near)[given].all()
+        known = given & np.isfinite(errors).all(axis=1, keepdims=True)
+        np.testing.assert_array_equal(np.isfinite(found.errors[:, outputs]), known)
+        deviation = (group.kriging.deviation * group.kriging.scaling.spread)[outputs]
+        loose = near + ROOT * (errors + deviation)
+        assert (np.abs(found.errors[:, outputs] - errors) <= loose)[known].all()
 
 
-tolerances = st.none() | st.builds(
-    Tolerance, st.floats(-8, -3).map(lambda x: 10**x), st.floats(-8, -2).map(lambda x: 10**x)
-)
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    kind=st.sampled_from(sorted(KINDS)),
-    seed=st.integers(0, 2**32 - 1),
-    span=st.sampled_from([0.4, 1.0, 1.3, 4.0]),
-    tolerance=tolerances,
-    method=st.none() | st.sampled_from(METHODS),
-    locked=st.sampled_from(LOCKED),
-)
-def test_the_kernel_answers_as_numpy_does(kind, seed, span, tolerance, method, locked):
-    assert_same(kind, asked_of(table_of(kind), 20, seed, span), tolerance, method, locked)
-
-
-@pytest.mark.parametrize("kind", sorted(KINDS))
-def test_every_kind_of_table_has_the_numbers_of_numpy_at_random_wrenches(kind):
-    assert_same(kind, asked_of(table_of(kind), 400))
-
-
-@pytest.mark.parametrize("kind", sorted(KINDS))
-def test_wrenches_of_few_loads_and_of_rows_have_the_numbers_of_numpy(kind):
-    """Between two simplices either may answer, each with its own coverage.
-
-    So may the hull and what is 1e-8 beyond it: scipy takes more of that than DESIGN's 1e-9.
-    """
-    table, asked = table_of(kind), special_of(table_of(kind), 120)
-    outputs, errors, coverage = by_numpy(table, asked)
-    found = packed_of(kind).batch(asked)
-    near = SAME * size_of(table) + rounding_of(table) + SAME * np.nan_to_num(np.abs(outputs))
-    same = found.coverage == coverage
-    assert same.mean() > 0.95
-    assert (np.nan_to_num(np.abs(found.outputs - outputs))[same] <= near[same]).all()
-    known = np.nan_to_num(errors)
-    lost = SQUARED * deviation_of(table) ** 2 / np.fmax(known, near)
-    loose = near + SIGMA_AT_ROWS * known + lost
-    assert (np.nan_to_num(np.abs(found.errors - errors))[same] <= loose[same]).all()
-
-
-def test_both_take_the_same_of_equally_near_rows():
+def test_the_kernel_takes_the_same_of_equally_near_rows_as_the_build():
     x = np.concatenate((np.eye(6), -np.eye(6), np.zeros((1, 6)), full_wrenches(12, 4)))
     table = build(solved(RESPONSES["strongly_coupled"], x), responses.RANGE)
-    packed = PackedTable.from_bytes(b"".join(pack(table)))
     own = table.rows.wrench
     asked = np.array([(own[i] + own[j]) / 2 for i in range(12) for j in range(i)])
-    expected = table.batch(asked, method="kriging").error
+    expected = table.kriging.answer_many(asked)[1]
     assert np.isfinite(expected).all(axis=1).mean() > 0.5
-    found = packed.batch(asked, None, "kriging").errors
-    np.testing.assert_allclose(found, expected, rtol=1e-4)
+    np.testing.assert_allclose(pack(table).batch(asked, None, "kriging").errors, expected, 1e-4)
 
 
 STEP = 3e-5  # of the load range: central differences then err by up to 1e-6 of a slope
@@ -137,22 +95,15 @@ def test_derivatives_are_differences_of_values(kind, method):
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
-def test_replies_have_the_words_rows_and_judgements_of_the_numpy_law(kind):
+def test_a_reply_of_a_row_names_it_and_its_sources(kind):
     table, packed = table_of(kind), packed_of(kind)
-    asked = np.concatenate((asked_of(table, 40, span=1.2), table.rows.wrench[:10]))
-    for wrench in asked.tolist():
-        expected, found = table.answer(wrench), packed.answer(wrench)
-        assert found.coverage == expected.coverage
-        assert found.missing == expected.missing
-        if expected.displacement is None or found.outputs is not None:
-            assert found.reason == expected.reason
-            assert found.method == expected.method
+    for wrench in table.rows.wrench[:10]:
+        found = packed.answer(wrench.tolist(), [0.0] * 6)
         if found.method == "row":
-            assert found.source == table.source_of(wrench)
-            assert found.exact == table.has_row(wrench)
-            assert (table.rows.wrench[table.rows.seq == found.row] == wrench).all() or (
-                not found.exact
-            )
+            same = (table.rows.wrench == wrench).all(axis=1)
+            assert found.exact
+            assert found.row in table.rows.seq[same]
+            assert found.source == ", ".join(dict.fromkeys(table.rows.source[same].tolist()))
 
 
 def test_the_reason_tells_the_rows_of_every_group_of_outputs_that_is_off_its_rows():
@@ -162,35 +113,27 @@ def test_the_reason_tells_the_rows_of_every_group_of_outputs_that_is_off_its_row
     told[::2, 2] = np.nan
     told[::3, 4] = np.nan
     table = build(Rows.of(wrenches, told), RANGE)
-    packed = PackedTable.from_bytes(b"".join(pack(table)))
-    spans = set()
+    packed, spans = pack(table), set()
+    assert len(table.groups) == 3
     for wrench in asked_of(table, 40).tolist():
         found = packed.answer(wrench, None, "griddata").reason
-        assert found == table.answer(wrench, None, "griddata").reason
         spans |= set(re.findall(r"axis x: [^;]*", found)) if "lies outside" in found else set()
     assert len(spans) > 40
 
 
-def test_without_a_kriging_the_method_that_answers_for_it_is_told():
-    """The numpy law said `kriging`, which the table has not."""
-    table, packed = table_of("one row"), packed_of("one row")
-    found, law = (one.answer([1.0] * 6, None, "kriging") for one in (packed, table))
-    assert (found.method, law.method) == ("additive", "additive")
-
-
 @pytest.mark.parametrize("kind", ["solved", "linear", "softening", "partial", "clean"])
 def test_whole_errors_are_judged_by_the_tolerance(kind):
-    table, asked = table_of(kind), asked_of(table_of(kind), 60)
-    errors = by_numpy(table, asked)[1]
+    table, packed, asked = table_of(kind), packed_of(kind), asked_of(table_of(kind), 60)
+    errors = packed.batch(asked).errors
     # No answer has just this error, which rounding would judge.
     known = np.where(np.isnan(errors), 0.0, errors).reshape(-1, 2, 3)
     translation, rotation = 1e-12 + 1.0001 * np.quantile(known, 0.7, axis=(0, 2))
     tolerance = Tolerance(translation, rotation)
-    errors = by_numpy(table, asked, tolerance)[1]
+    errors = packed.batch(asked, six(tolerance)).errors
     expected = within_tolerance_many(errors, tolerance)
     if not table.bars_are_complete:
         expected = [None] * len(asked)
-    found = [packed_of(kind).answer(w, six(tolerance)).within_tolerance for w in asked.tolist()]
+    found = [packed.answer(w, six(tolerance)).within_tolerance for w in asked.tolist()]
     assert found == expected
 
 
@@ -207,27 +150,6 @@ def test_the_parts_of_an_error_are_those_of_the_solver():
     assert unknown.error == unknown.interpolation
     told = packed_of("clean").answer([1.0] * 6)
     assert told.discretisation == (0.0,) * 6
-
-
-@pytest.mark.parametrize("kind", sorted(set(KINDS) - {"empty", "only beyond the range"}))
-def test_the_detail_of_an_answer_is_that_of_the_numpy_law(kind):
-    table, packed = table_of(kind), packed_of(kind)
-    for wrench in asked_of(table, 12, span=1.05).tolist():
-        expected, found = table.explain(wrench), explain(packed, wrench)
-        assert len(found) == len(expected)
-        for one, other in zip(found, expected, strict=True):
-            for key in ("axis", "inputs", "coverage", "reason"):
-                assert one[key] == other[key], key
-            if one["coverage"] != "outside":  # there two facets of a hull may be as near
-                assert one["rows"] == other["rows"]
-            for key in ("outputs", "error"):
-                assert (one[key] is None) == (other[key] is None)
-                if one[key] is not None:
-                    assert list(one[key]) == list(other[key])
-                    values = list(other[key].values())
-                    np.testing.assert_allclose(
-                        list(one[key].values()), values, rtol=1e-9, atol=1e-18
-                    )
 
 
 def test_a_table_of_partial_outputs_names_those_that_no_row_holds():
@@ -253,7 +175,7 @@ def test_estimates_beyond_the_limits_of_tables_are_not_given():
     assert np.nanmax(np.linalg.norm(found.outputs[:, 3:], axis=1)) <= math.radians(20.0)
 
 
-@pytest.mark.parametrize("locked", LOCKED[1:])
+@pytest.mark.parametrize("locked", [(1,), (0, 4, 5)])
 def test_loads_on_locked_freedoms_change_nothing(locked):
     asked = asked_of(table_of("solved"), 50)
     other = asked.copy()
