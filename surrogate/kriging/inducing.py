@@ -22,6 +22,8 @@ var(w) besides.
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -206,16 +208,24 @@ def induced(equations: Equations, estimate: Estimate, settings: KrigingSettings)
     )
     factors, noise = list[KrigingFactor](), estimate.noise.copy()
     relative = replace(equations, noise=np.maximum(unit, settings.nugget * typical))
-    for group in output_groups(relative, typical, settings, estimate.kernels):
+
+    def summed(group: OutputGroup) -> tuple[OutputGroup, Factor, Sums]:
         base = _prior_factor(pseudo, estimate.kernels[group.outputs[0]], settings)
-        sums = sums_of(equations, group, pseudo.x, base)
-        ratios, variances = likely_noise(sums, settings)
-        # An output that does not vary has no noise that tells anything of the others'.
-        varying = estimate.noise[group.outputs] > 0
-        if varying.any():
-            ratios[~varying] = np.exp(np.log(ratios[varying]).mean())
-        noise[group.outputs] = ratios * variances / typical[group.outputs]
-        factors.append(factor_of(sums, group.outputs, ratios, variances, base, pseudo, settings))
+        return group, base, sums_of(equations, group, pseudo.x, base)
+
+    groups = output_groups(relative, typical, settings, estimate.kernels)
+    # Each group in a thread of its own: the same bits on any number of processors.
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for group, base, sums in pool.map(summed, groups):
+            ratios, variances = likely_noise(sums, settings)
+            # An output that does not vary has no noise that tells anything of the others'.
+            varying = estimate.noise[group.outputs] > 0
+            if varying.any():
+                ratios[~varying] = np.exp(np.log(ratios[varying]).mean())
+            noise[group.outputs] = ratios * variances / typical[group.outputs]
+            factors.append(
+                factor_of(sums, group.outputs, ratios, variances, base, pseudo, settings)
+            )
     return Inducing(pseudo, factors, noise)
 
 
