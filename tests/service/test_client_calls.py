@@ -158,7 +158,7 @@ def test_beyond_range_is_sent_where_it_is_asked_for_and_nowhere_else(stub: Stub,
     ],
 )
 def test_a_call_is_given_the_time_that_it_lets_the_server_hold_it_back(stub: Stub, ask, held):
-    stub.answers(Answer(COVERED, delay=1.5))
+    stub.answers(Answer(held=True))
     says = pytest.raises(ServerTimeout, match=f"within {held:g} s")
     with Client(stub.url, timeout=0.2) as client, says:
         ask(client)

@@ -6,6 +6,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from tests.service.document import document
+from tests.until import until
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.library.library import Library
@@ -224,10 +225,7 @@ def test_a_running_job_tells_its_progress(http, stand_in):
     stand_in("endless")
     body = {"force": [1, 2, 3], "moment": [0, 0, 0]}
     job = http.post("/v1/components/plate_thin/solve", json=body).json()["job"]
-    for _ in range(100):
-        progress = http.get(job["url"], params={"wait_s": 0.1}).json().get("progress")
-        if progress:
-            break
+    progress = until(lambda: http.get(job["url"]).json().get("progress"))
     assert progress == {"fraction": 0.25, "message": "still going"}
     http.delete(job["url"])
 

@@ -286,9 +286,9 @@ class Jobs:
 
 
 async def entered(waiting, count):
-    """Return once so many wait."""
-    while len(waiting._waiters) < count:  # noqa: ASYNC110 (there is nothing that tells)
-        await asyncio.sleep(0.01)
+    """Let the loop go on until so many have come and one of them waits."""
+    while len(waiting._waiters) < count or waiting._looking is None:  # noqa: ASYNC110 (there is nothing that tells)
+        await asyncio.sleep(0)
 
 
 def test_two_thousand_polls_take_one_look_and_no_thread_each():

@@ -1,12 +1,12 @@
 """Tables that are built beside each other and beside the answers."""
 
 import threading
-import time
 
 import pytest
 
 from tests.service.ledger_rows import insert
 from tests.service.test_durable_tables import RANGE, Site, new_rows
+from tests.until import until
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.tables import build, store
@@ -90,13 +90,14 @@ def test_rows_that_come_during_a_build_are_built_together_after_it(open_tables, 
     assert tables.catch_up("big", 20)
     may_build.clear()
     before = len(built)
-    for number in range(20):
+    insert(ledger, "big", "", new_rows(1, first=60))
+    until(lambda: len(built) > before)
+    for number in range(1, 20):
         insert(ledger, "big", "", new_rows(1, first=60 + number))
-        time.sleep(0.03)
     may_build.set()
     assert tables.catch_up("big", 20)
     assert len(tables.surrogate("big").rows) == 80
-    assert len(built) - before <= 6
+    assert len(built) - before == 4
 
 
 def test_two_large_tables_are_built_one_after_the_other_and_small_ones_beside_them(

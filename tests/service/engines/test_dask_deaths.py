@@ -120,6 +120,18 @@ def test_a_worker_that_is_stopped_holds_nothing_up_for_long(own, cluster):
     worker.send_signal(signal.SIGCONT)
 
 
+def test_no_call_waits_for_a_scheduler_that_is_stopped(own, cluster):
+    cluster.start_scheduler()
+    cluster.start_worker()
+    engine, attempt = own.engine(), own.attempt("endless")
+    cluster.scheduler.send_signal(signal.SIGSTOP)
+    for call in (engine.submit, engine.poll, engine.cancel, engine.poll):
+        call(attempt)
+    assert engine.trouble is None
+    cluster.scheduler.send_signal(signal.SIGCONT)
+    own.end(engine, attempt)
+
+
 def test_cancelling_what_a_stopped_worker_has_comes_to_an_end(own, cluster):
     cluster.start_scheduler()
     worker = cluster.start_worker()
