@@ -28,17 +28,6 @@ def test_queue_beyond_the_range_answers_202_with_job_null_and_the_reason(http, h
 
 
 @pytest.mark.parametrize(
-    ("call", "fields"), [("displacement", {"on_thin": "wait", "wait_s": 1}), ("solve", {})]
-)
-def test_waiting_for_a_solve_beyond_the_range_is_409(http, high, call, fields):
-    reply = http.post(f"{NAME}/{call}", json={"force": [0, 0, 2 * high], **fields})
-    assert reply.status_code == 409
-    assert reply.headers["content-type"] == "application/problem+json"
-    assert "beyond_range" in reply.json()["detail"]
-    assert jobs(http) == []
-
-
-@pytest.mark.parametrize(
     ("call", "fields"),
     [("displacement", {}), ("displacement", {"on_thin": "wait", "wait_s": 0}), ("solve", {})],
 )
@@ -74,15 +63,3 @@ def test_a_binary_batch_takes_beyond_range_as_a_query_parameter(http, high):
     assert http.post(call, content=content, headers=headers).headers["wrenchbook-jobs"] == "0"
     reply = http.post(call, content=content, headers=headers, params={"beyond_range": True})
     assert reply.headers["wrenchbook-jobs"] == "1"
-
-
-@pytest.mark.parametrize("fields", [{}, {"on_thin": "wait"}])
-def test_a_table_without_a_setup_is_409_within_and_beyond_its_range(http, fields):
-    body = {"name": "rig", "title": "rig", "range": {"force": [1] * 3, "moment": [1] * 3}}
-    assert http.post("/v1/components", json=body).status_code == 201
-    for force in (0.5, 50.0):
-        reply = http.post(
-            "/v1/components/rig/displacement", json={"force": [force, 0, 0], **fields}
-        )
-        assert reply.status_code == 409
-        assert "finite-element setup" in reply.json()["detail"]

@@ -1,7 +1,6 @@
 """The batch call's binary form, over a real socket and against the JSON form."""
 
 import numpy as np
-import pytest
 
 from tests.service.test_http_displacement import load_plane_table
 from wrenchbook.surrogate.kernel.binding import PackedTable
@@ -58,25 +57,6 @@ def test_tolerance_and_method_are_query_parameters(http):
     plain = np.frombuffer(post(http, wrenches).content).reshape(-1, 13)
     assert (strict[:, 12] == 1).any()
     assert not np.array_equal(additive[:, :6], plain[:, :6])
-
-
-@pytest.mark.parametrize(
-    ("content", "options", "place"),
-    [
-        (b"12345", {}, "body"),
-        (np.array([[0, 0, np.nan, 0, 0, 0.0]]).tobytes(), {}, "wrenches.0.2"),
-        (np.zeros((1, 6)).tobytes(), {"on_thin": "maybe"}, "on_thin"),
-        (np.zeros((1, 6)).tobytes(), {"translation": 1e-3}, "rotation"),
-        (np.zeros((1, 6)).tobytes(), {"translation": -1, "rotation": 1}, "translation"),
-        (np.zeros((1, 6)).tobytes(), {"methd": "linear"}, "methd"),
-        (np.zeros((1, 6)).tobytes(), {"method": "magic"}, "method"),
-    ],
-)
-def test_a_bad_binary_batch_is_422_with_the_place(http, content, options, place):
-    load_plane_table(http)
-    reply = http.post(CALL, params=options, content=content, headers=BINARY)
-    assert reply.status_code == 422, reply.text
-    assert reply.json()["errors"][0]["loc"] == place
 
 
 def test_an_empty_binary_batch_is_answered_with_nothing(http):

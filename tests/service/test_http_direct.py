@@ -33,25 +33,6 @@ def test_so_it_is_in_pieces_and_on_every_call_of_small_bodies(http, call):
     assert "65,536 bytes" in body["detail"]
 
 
-def test_an_unknown_component_a_wrong_body_and_a_wrong_method_are_problems(http):
-    body = {"force": [0, 0, 1], "moment": [0, 0, 0]}
-    unknown = http.post("/v1/components/nobody/displacement", json=body)
-    wrong = http.post(CALL, json={**body, "forse": 1})
-    listed = http.get(CALL)
-    nested = http.post("/v1/components/a/b/displacement", json=body)
-    found = [reply.status_code for reply in (unknown, wrong, listed, nested)]
-    assert found == [404, 422, 405, 404]
-    for reply in (unknown, wrong, listed, nested):
-        assert reply.headers["content-type"] == "application/problem+json"
-        assert reply.json()["status"] == reply.status_code
-
-
-def test_a_name_with_signs_in_it_is_read_as_the_framework_reads_it(http):
-    reply = http.post("/v1/components/no%20body/displacement", json={"force": [0, 0, 1]})
-    assert reply.status_code == 404
-    assert "no body" in reply.json()["detail"]
-
-
 def test_the_call_is_in_the_openapi_document_all_the_same(http):
     call = document(http)["paths"]["/v1/components/{name}/displacement"]["post"]
     schema = call["requestBody"]["content"]["application/json"]["schema"]

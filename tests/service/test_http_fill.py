@@ -1,7 +1,6 @@
 """Filling a table only within a scene's range and for its outputs."""
 
 import numpy as np
-import pytest
 
 CALL = "/v1/components/plate_thin/fill"
 NONE = [[0.0, 0.0]] * 3
@@ -35,35 +34,8 @@ def test_a_fill_of_some_outputs_is_taken(http, stand_in):
     assert len(reply.json()["jobs"]) == 2
 
 
-@pytest.mark.parametrize(
-    ("more", "place"),
-    [
-        ({"outputs": ["u_z"]}, "outputs.0"),
-        ({"outputs": []}, "outputs"),
-        ({"range": {"force": [[1, -1], [0, 0], [0, 0]], "moment": NONE}}, "range.force.0"),
-        ({"range": {"force": [[0, 1e9], [0, 0], [0, 0]], "moment": NONE}}, "range.force.0"),
-        ({"range": {"force": NONE, "moment": [[0, 0], [0, 0], [-1e9, 0]]}}, "range.moment.2"),
-        ({"range": {"force": NONE}}, "range.moment"),
-        ({"range": {"force": NONE, "moment": NONE, "torque": NONE}}, "range.torque"),
-        ({"ranges": 1}, "ranges"),
-    ],
-)
-def test_a_range_or_outputs_that_cannot_be_are_422_and_nothing_is_queued(http, more, place):
-    reply = http.post(CALL, json=more)
-    assert reply.status_code == 422
-    assert place in [error["loc"] for error in reply.json()["errors"]]
-    assert http.get("/v1/jobs").json()["jobs"] == []
-
-
 def test_a_fill_for_a_joint_is_taken(http, stand_in):
     stand_in("endless")
     reply = http.post(CALL, json={"budget": 2, "for_joint": True})
     assert reply.status_code == 202
     assert len(reply.json()["jobs"]) == 2
-
-
-@pytest.mark.parametrize("more", [{"outputs": ["uz"]}, {"range": {"force": NONE, "moment": NONE}}])
-def test_a_fill_for_a_joint_is_of_the_whole_range_and_all_outputs(http, more):
-    reply = http.post(CALL, json={"for_joint": True} | more)
-    assert reply.status_code == 422
-    assert "for_joint: a joint needs one interface that moves, all of the" in reply.json()["detail"]

@@ -42,12 +42,6 @@ def test_a_fill_that_cannot_reach_the_tolerance_says_the_solves_it_would_take(ht
     assert "further solves, an estimate by the rate so far" in reason
 
 
-def test_an_output_that_the_component_has_not_is_422_with_its_place(http):
-    reply = filled(http, outputs=["left.ux", "ux"])
-    assert reply.status_code == 422
-    assert reply.json()["errors"][0]["loc"] == "outputs.1"
-
-
 def test_the_compliance_has_the_names_of_the_space(http):
     reply = http.get("/v1/components/two_ends/compliance")
     assert reply.status_code == 200

@@ -131,39 +131,6 @@ def test_a_wrench_outside_the_range_is_kept_told_and_not_solved_by_itself(http, 
     assert len(both["jobs"]) == 2
 
 
-@pytest.mark.parametrize("call", ["recording", "envelope"])
-@pytest.mark.parametrize(
-    "body",
-    [
-        {},
-        {"wrenches": [[1, 2, 3]]},
-        {"wrenches": [["1", 0, 0, 0, 0, 0]]},
-        {"wrenches": [], "client": "a"},
-        {"wrenches": [], "client": "", "sequence": 1},
-        {"wrenches": [], "client": "a", "sequence": -1},
-        {"wrenches": [], "colour": 1},
-    ],
-)
-def test_a_wrong_body_is_422_and_changes_nothing(http, call, body):
-    reply = http.post(f"{PLATE}/{call}", json=body)
-    assert reply.status_code == 422
-    assert reply.json()["errors"]
-    found = http.get(f"{PLATE}/{call}").json()
-    assert found.get("total", found.get("count")) == 0
-
-
-def test_a_float64_block_of_odd_length_not_finite_or_too_large_is_refused(http):
-    bad = wrenches_of(2)
-    bad[1, 3] = np.nan
-    contents = [b"x" * 47, bad.astype("<f8").tobytes(), bytes(48 * 10_001)]
-    for content in contents:
-        reply = http.post(f"{PLATE}/recording", content=content, **BINARY)
-        assert reply.status_code == 422, reply.text
-    large = http.post(f"{PLATE}/recording", content=bytes(10_000_000), **BINARY)
-    assert large.status_code == 413
-    assert http.get(f"{PLATE}/recording").json()["total"] == 0
-
-
 def test_recording_queues_nothing(http):
     post(http, "recording", wrenches_of(200))
     post(http, "envelope", wrenches_of(200))

@@ -62,28 +62,6 @@ def test_a_withdrawn_row_leaves_table_and_export_and_restore_brings_it_back(http
     assert exported(http) == before
 
 
-@pytest.mark.parametrize(
-    ("method", "path", "status"),
-    [
-        ("DELETE", "rig/table/99", 404),
-        ("POST", "rig/table/99/restore", 404),
-        ("DELETE", "plate/table/1", 404),
-        ("DELETE", "nope/table/1", 404),
-        ("POST", "rig/table/1/restore", 409),
-        ("DELETE", "rig/table/0", 422),
-        ("DELETE", "rig/table/99999999999999999999", 422),
-    ],
-)
-def test_withdrawing_what_cannot_be_is_a_problem(http, rig, method, path, status):
-    reply = http.request(method, f"/v1/components/{path}")
-    assert (reply.status_code, reply.headers["content-type"]) == (
-        status,
-        "application/problem+json",
-    )
-    assert reply.json()["detail"]
-    assert http.get("/v1/components/rig").json()["rows"] == 5
-
-
 def test_withdrawing_twice_is_409(http, rig):
     assert http.delete(f"/v1/components/rig/table/{rig[0]}").status_code == 200
     reply = http.delete(f"/v1/components/rig/table/{rig[0]}")

@@ -80,32 +80,6 @@ def test_the_cut_table_answers_as_the_whole_one(http):
     assert cut.answer(np.eye(N)[6]).coverage == "outside"
 
 
-@pytest.mark.parametrize(
-    ("wanted", "place"),
-    [
-        ({"loads": {"middle": {}}}, "loads.middle"),
-        ({"inputs": {"humidity": [0, 1]}}, "inputs.humidity"),
-        ({"force": [1, 1, 1], "moment": [1, 1, 1]}, "force"),
-        ({"loads": {"left": {"force": [1, 1, [0, 9]]}}}, "loads.left.force.2"),
-        ({"loads": {"left": {"moment": [1, 1, [1, 0]]}}}, "loads.left.moment.2"),
-        ({"loads": {"left": {"torque": [1, 1, 1]}}}, "loads.left.torque"),
-        ({"inputs": {"temperature": [0, 9]}}, "inputs.temperature"),
-        ({"loads": {}, "outputs": ["left.ux", "ux"]}, "outputs.1"),
-        ({}, "force"),
-    ],
-)
-def test_a_scene_that_cannot_be_is_422_with_the_place_of_the_mistake(http, wanted, place):
-    reply = planned(http, wanted)
-    assert reply.status_code == 422
-    assert f"components.two_ends.{place}" in [one["loc"] for one in reply.json()["errors"]]
-
-
-def test_loads_by_interface_of_a_component_with_one_interface_are_422(http):
-    reply = planned(http, {"loads": {"left": {"force": [1, 1, 1]}}}, "bar")
-    assert reply.status_code == 422
-    assert "one interface" in reply.json()["errors"][0]["msg"]
-
-
 def test_a_component_without_rows_is_planned(http):
     add_component(http, "bare")
     assert http.app.state.workspace.tables.catch_up("bare", 30.0)

@@ -143,18 +143,6 @@ def test_solves_of_another_setup_are_refused_by_row(http):
     assert "measured" in reply.json()["errors"][0]["message"]
 
 
-def test_an_unknown_export_unit_is_422(rig):
-    load(rig, as_csv(measured(3)))
-    reply = rig.get(CALL, params={"format": "csv", "force": "mm"})
-    assert reply.status_code == 422
-
-
-def test_a_table_of_unknown_media_type_is_refused_with_what_to_do(rig):
-    reply = rig.post(CALL, content=b"x", headers={"content-type": "application/pdf"})
-    assert reply.status_code == 415
-    assert "text/csv" in reply.json()["detail"]
-
-
 PLATE = "/v1/components/plate_thin/table"
 KINDS = {
     "csv": "text/csv",
@@ -509,11 +497,6 @@ def test_a_rejection_has_its_reason_and_the_tolerance_that_was_applied(rig, call
 
 def test_an_import_waits_no_longer_than_it_may(rig, slow_build):
     assert load(rig, as_csv(measured(5)), wait_s=0.05).json()["in_use"] is False
-
-
-@pytest.mark.parametrize("wait_s", ["-1", "601", "nan", "inf", "soon"])
-def test_a_wait_that_is_none_is_refused(rig, wait_s):
-    assert load(rig, as_csv(measured(5)), wait_s=wait_s).status_code == 422
 
 
 def test_two_slow_tables_of_one_key_do_not_block_the_imports_of_others(monkeypatch):
