@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -13,19 +13,13 @@ from rich.console import Console
 
 import wrenchbook
 from tests.service.live import served
-from tests.service.stub_server import Answer, Stub, running_stub
+from tests.service.stub_server import Answer, Stub
 from tests.service.test_client_calls import COVERED, QUEUED
 from wrenchbook.service.cli.main import main
 from wrenchbook.service.cli.render import matrix_table
 from wrenchbook.service.client import Client, ProblemError
 
 Run = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def stub() -> Iterator[Stub]:
-    with running_stub() as running:
-        yield running
 
 
 @pytest.fixture

@@ -7,12 +7,11 @@ import contextlib
 import inspect
 import socket
 import threading
-from collections.abc import Iterator
 
 import pytest
 
 from tests.service.live import add_table, as_rows, clean_wrenches, moved, served
-from tests.service.stub_server import Answer, Stub, running_stub
+from tests.service.stub_server import Answer, Stub
 from wrenchbook.service.client import (
     Client,
     ProblemError,
@@ -28,13 +27,6 @@ PROBLEM = {"type": "urn:x", "title": "No such job", "status": 404, "detail": "th
 CALLS = sorted(name for name in dir(Client) if not name.startswith("_"))
 ITERATORS = ("events", "fill_until")
 OWN = ("abandon",)  # of the connection
-
-
-@pytest.fixture
-def stub() -> Iterator[Stub]:
-    with running_stub() as running:
-        running.answers(Answer(DONE))
-        yield running
 
 
 @pytest.mark.parametrize("name", [name for name in CALLS if name not in OWN])

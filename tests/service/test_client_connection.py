@@ -5,30 +5,16 @@ from __future__ import annotations
 import json
 import socket
 import threading
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from select import select
 
 import pytest
 
-from tests.service.stub_server import Answer, Stub, running_stub
+from tests.service.stub_server import Answer, Stub
 from tests.until import until
 from wrenchbook.service.client import Client, ProblemError, ServerTimeout, ServerUnreachable
 
 DONE = {"id": 1, "status": "done"}
-
-
-@pytest.fixture
-def stub() -> Iterator[Stub]:
-    with running_stub() as running:
-        running.answers(Answer(DONE))
-        yield running
-
-
-@pytest.fixture
-def client(stub: Stub) -> Iterator[Client]:
-    with Client(stub.url, timeout=5.0) as made:
-        yield made
 
 
 def test_calls_in_a_loop_stay_on_one_socket(stub: Stub, client: Client):

@@ -35,13 +35,6 @@ RANGE = LoadRange(-10 * np.ones(6), 10 * np.ones(6))
 WARM = space_of([""], [Input("temperature", "K", "scalar")])
 
 
-@pytest.fixture
-def ledger(tmp_path):
-    ledger = Ledger(tmp_path / "ledger.sqlite")
-    yield ledger
-    ledger.close()
-
-
 def outcome_of(thirds):
     tangent = np.eye(6).tolist()
     return {"displacement": [1e-6] * 6, "compliance": tangent, "curvature": thirds}

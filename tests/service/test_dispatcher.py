@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.service.attempts import wait_for_sweeps
+from tests.service.conftest import SOLVERS
 from tests.service.ledger_rows import stored
 from tests.until import until
 from wrenchbook.service.jobs.attempt import EngineError, attempt_folder
@@ -14,8 +15,6 @@ from wrenchbook.service.jobs.dispatcher import Dispatcher
 from wrenchbook.service.jobs.solver_pool import LocalEngine
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
 
-HERE = Path(__file__).parent
-SOLVERS = f"{HERE}:{HERE.parents[1]}"  # stand_in.py, and the sources under test
 WRENCH = (1.0, 2.0, 3.0, 0.0, 0.0, 0.5)
 
 

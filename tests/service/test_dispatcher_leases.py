@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.service.attempts import wait_for_sweeps
+from tests.service.conftest import SOLVERS
 from tests.service.ledger_rows import stored
 from tests.service.simulated import SimulatedEngine
 from tests.until import until
@@ -19,7 +20,6 @@ from wrenchbook.service.jobs.dispatcher import Dispatcher, Lease
 from wrenchbook.service.ledger import Beat, Ledger
 
 HERE = Path(__file__).parent
-SOLVERS = f"{HERE}:{HERE.parents[1]}"  # stand_in.py, and the sources under test
 
 
 class Bench:

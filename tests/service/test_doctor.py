@@ -8,8 +8,8 @@ import sqlite3
 import pytest
 from typer.testing import CliRunner
 
-from tests.service.ledger_rows import stored
-from tests.service.test_durable_tables import Site, new_rows
+from tests.service.ledger_rows import new_rows, stored
+from tests.service.test_durable_tables import Site
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.ops.doctor import examine

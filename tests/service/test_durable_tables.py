@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.service.ledger_rows import NewRow, insert, stored
+from tests.service.ledger_rows import insert, new_rows, stored
 from tests.surrogate.law import Law
 from tests.until import until
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
@@ -24,13 +24,6 @@ from wrenchbook.service.workspace import Watcher
 from wrenchbook.surrogate.table.hdf5 import read_table, write_table
 
 RANGE = [[-10.0, 10.0]] * 3
-
-
-def new_rows(count, first=0):
-    return [
-        NewRow((i % 10, 0, 0, 0, 0, i // 10), (i * 1e-6, 0, 0, 0, 0, 1e-7))
-        for i in range(first, first + count)
-    ]
 
 
 class Site:

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from tests.service.attempts import asked, ended
+from tests.service.conftest import SOLVERS
 from tests.until import until
 from wrenchbook.service.files import lock as flock
 from wrenchbook.service.jobs import solver_pool
@@ -23,8 +24,6 @@ from wrenchbook.service.jobs.attempt import (
 )
 from wrenchbook.service.jobs.solver_pool import LocalEngine
 
-HERE = Path(__file__).parent
-SOLVERS = f"{HERE}:{HERE.parents[1]}"  # stand_in.py, and the sources under test
 SPEC = Attempt(1, 1, "bar", "/nowhere", "f1", (1.0, 2.0, 3.0, 0.0, 0.0, 0.0))
 
 

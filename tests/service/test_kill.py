@@ -13,13 +13,13 @@ from pathlib import Path
 
 import pytest
 
+from tests.service.conftest import SOLVERS
 from tests.service.ledger_rows import stored
 from tests.until import until
 from wrenchbook.service.jobs.attempt import LOCK, attempt_folder, solver_began
 from wrenchbook.service.ledger import Ledger
 
 HERE = Path(__file__).parent
-SOLVERS = f"{HERE}:{HERE.parents[1]}"  # stand_in.py, and the sources under test
 KILLS = int(os.environ.get("WRENCHBOOK_KILLS", "6"))
 JOBS = 8
 

@@ -23,13 +23,6 @@ ROWS = [
 ]
 
 
-@pytest.fixture
-def ledger(tmp_path):
-    ledger = Ledger(tmp_path / "ledger.sqlite")
-    yield ledger
-    ledger.close()
-
-
 def test_inserted_rows_come_back_bit_for_bit_in_their_order(ledger):
     rng = np.random.default_rng(1)
     new = NewRow(

@@ -4,8 +4,8 @@ import threading
 
 import pytest
 
-from tests.service.ledger_rows import insert
-from tests.service.test_durable_tables import RANGE, Site, new_rows
+from tests.service.ledger_rows import insert, new_rows
+from tests.service.test_durable_tables import RANGE, Site
 from tests.until import until
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.library.library import Library

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from tests.service.ledger_rows import NewRow, insert, stored
+from tests.service.ledger_rows import insert, new_rows, stored
 from tests.until import until
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.library.library import Library
@@ -18,13 +18,6 @@ from wrenchbook.service.tables.store import TableStore
 from wrenchbook.service.workspace import Watcher
 
 RANGE = [[-10.0, 10.0]] * 3
-
-
-def new_rows(count, first=0):
-    return [
-        NewRow((i % 10, 0, 0, 0, 0, i // 10), (i * 1e-6, 0, 0, 0, 0, 1e-7))
-        for i in range(first, first + count)
-    ]
 
 
 class Part:

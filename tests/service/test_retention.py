@@ -3,20 +3,11 @@
 import threading
 import time
 
-import pytest
-
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.settings import Settings
 from wrenchbook.service.workers.builder import DAY, prune, shorten_log
 
 NONE = Settings(keep_days=0, keep_count=0, keep_failed_days=0, keep_failed_count=0)
-
-
-@pytest.fixture
-def ledger(tmp_path):
-    ledger = Ledger(tmp_path / "ledger.sqlite")
-    yield ledger
-    ledger.close()
 
 
 def end_job(ledger, number, *, good=True):

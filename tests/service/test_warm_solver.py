@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.service.attempts import asked, ended
+from tests.service.conftest import SOLVERS
 from tests.until import until
 from wrenchbook.service.jobs import solver
 from wrenchbook.service.jobs.attempt import (
@@ -23,7 +24,6 @@ from wrenchbook.service.jobs.attempt import (
 from wrenchbook.service.jobs.solver_pool import LocalEngine
 
 HERE = Path(__file__).parent
-SOLVERS = f"{HERE}:{HERE.parents[1]}"  # stand_in.py, and the sources under test
 
 
 class Site:

@@ -13,13 +13,6 @@ WRENCH = (1.0, 0, 0, 0, 0, 0)
 
 
 @pytest.fixture
-def ledger(tmp_path):
-    opened = Ledger(tmp_path / "ledger.sqlite")
-    yield opened
-    opened.close()
-
-
-@pytest.fixture
 def watcher(ledger):
     watching = Watcher(ledger)
     watching.start()
