@@ -41,7 +41,7 @@ def test_both_clients_are_made_with_the_same_parameters():
 
 
 def test_fifty_calls_are_on_the_wire_at_once(stub: Stub):
-    together = threading.Barrier(50, timeout=20.0)
+    together = threading.Barrier(50, timeout=60.0)
 
     def respond(seen) -> Answer:
         together.wait()  # fifty requests are inside at once
@@ -72,7 +72,7 @@ def test_a_cancelled_call_leaves_the_client_usable(stub: Stub):
 
     def respond(_) -> Answer:
         inside.set()
-        release.wait(20)
+        release.wait(60)
         return Answer({"id": 2, "status": "running"})
 
     async def cancelled() -> int:
@@ -127,7 +127,7 @@ def test_a_cancelled_filling_sends_no_further_request(stub: Stub):
         if seen.method == "POST":
             return Answer({"jobs": [{"id": 1, "status": "running"}], "stage": "first"})
         inside.set()
-        release.wait(20)
+        release.wait(60)
         return Answer({"id": 1, "status": "running"})
 
     async def cancelled() -> None:

@@ -59,7 +59,7 @@ class Site:
 
     def insert(self, count, first=0, name="rig"):
         insert(self.ledger, name, "", new_rows(count, first))
-        assert self.tables.catch_up(name, 20), self.tables.faults()
+        assert self.tables.catch_up(name, 60), self.tables.faults()
 
     def wrenches(self, name="rig"):
         return sorted(map(tuple, self.tables.surrogate(name).rows.wrench.tolist()))
@@ -168,7 +168,7 @@ def test_a_table_file_that_cannot_tell_withdrawn_rows_is_told_of(site):
     copy = shutil.copy(site.folder / "ledger.sqlite", site.folder / "copy")
     site.open()
     site.ledger.withdraw("rig", stored(site.ledger, "rig")[4].seq)
-    assert site.tables.catch_up("rig", 20)
+    assert site.tables.catch_up("rig", 60)
     site.close()
     rows, meta = read_table(site.file())
     write_table(site.file(), rows, replace(meta, edits=None))
@@ -206,7 +206,7 @@ def test_a_withdrawn_row_leaves_the_table_and_its_file_and_comes_back(site):
     site.insert(10)
     gone = stored(site.ledger, "rig")[4]
     site.ledger.withdraw("rig", gone.seq)
-    assert site.tables.catch_up("rig", 20)
+    assert site.tables.catch_up("rig", 60)
     version = site.tables.surrogate("rig").version
     assert gone.wrench not in site.wrenches()
     for _ in range(2):
@@ -215,7 +215,7 @@ def test_a_withdrawn_row_leaves_the_table_and_its_file_and_comes_back(site):
         assert gone.wrench not in site.wrenches()
         assert site.tables.surrogate("rig").version == version
     site.ledger.restore("rig", gone.seq)
-    assert site.tables.catch_up("rig", 20)
+    assert site.tables.catch_up("rig", 60)
     assert site.wrenches() == expected(10)
     assert site.tables.surrogate("rig").version > version
 
@@ -398,7 +398,7 @@ def test_the_packed_file_of_another_component_or_of_other_rows_is_not_answered_f
     site.insert(30)
     before = answer_of(site)
     insert(site.ledger, "other", "", [replace_displacement(row) for row in new_rows(30)])
-    assert site.tables.catch_up("other", 20)
+    assert site.tables.catch_up("other", 60)
     foreign = packed_files(site, "other")[0].read_bytes()
     site.close()
     packed_files(site)[0].write_bytes(foreign)

@@ -156,7 +156,7 @@ def test_a_second_fill_asks_for_other_wrenches(http, stand_in):
 
 
 def test_solve_answers_from_fea_whatever_the_table_says(http):
-    body = {"force": [1, 2, 3], "moment": [0, 0, 0], "wait_s": 20}
+    body = {"force": [1, 2, 3], "moment": [0, 0, 0], "wait_s": 60}
     reply = http.post("/v1/components/plate_thin/solve", json=body)
     assert reply.status_code == 200
     assert reply.json()["source"] == "fea"
@@ -184,7 +184,7 @@ def test_a_running_job_tells_its_progress(http, stand_in):
 
 
 def test_the_files_of_an_attempt_come_as_a_zip(http):
-    body = {"force": [1, 2, 3], "moment": [0, 0, 0], "wait_s": 20}
+    body = {"force": [1, 2, 3], "moment": [0, 0, 0], "wait_s": 60}
     job = http.post("/v1/components/plate_thin/solve", json=body).json()["job"]
     content = http.get(f"{job['url']}/files").content
     assert {"spec.json", "result.json"} <= set(zipfile.ZipFile(io.BytesIO(content)).namelist())
@@ -192,7 +192,7 @@ def test_the_files_of_an_attempt_come_as_a_zip(http):
 
 def test_the_files_of_a_done_job_that_were_deleted_are_not_called_not_started(http, folder):
     """The answer was: Job 2 has not started."""
-    body = {"force": [1, 0, 0], "moment": [0, 0, 0], "wait_s": 20}
+    body = {"force": [1, 0, 0], "moment": [0, 0, 0], "wait_s": 60}
     job = http.post("/v1/components/plate_thin/solve", json=body).json()["job"]["id"]
     shutil.rmtree(folder / "jobs" / str(job))
     reply = http.get(f"/v1/jobs/{job}/files")

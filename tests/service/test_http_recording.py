@@ -189,7 +189,7 @@ def test_a_failed_solve_is_told_and_not_tried_again_by_itself(http, stand_in):
     stand_in("diverges")
     post(http, "recording", wrenches_of(1))
     job = http.post(f"{PLATE}/recording/start").json()["jobs"][0]
-    http.get(job["url"], params={"wait_s": 30})
+    http.get(job["url"], params={"wait_s": 60})
     again = http.post(f"{PLATE}/recording/start").json()
     assert (again["failed"], again["jobs"]) == (1, [])
     assert "retry" in again["reason"]

@@ -85,7 +85,7 @@ def test_the_cut_table_answers_as_the_whole_one(http):
 
 def test_a_component_without_rows_is_planned(http):
     add_component(http, "bare")
-    assert http.app.state.workspace.tables.catch_up("bare", 30.0)
+    assert http.app.state.workspace.tables.catch_up("bare", 60)
     plan = planned(http, SCENE, "bare").json()["components"]["bare"]
     assert plan["decision"] == "table"
 

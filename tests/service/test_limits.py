@@ -51,7 +51,7 @@ def live(tmp_path_factory):
 
 
 def opened(client):
-    return socket.create_connection((client._host, client._port), timeout=20)
+    return socket.create_connection((client._host, client._port), timeout=60)
 
 
 HUGE = [1e160, -1e308, 1.0000001e100]

@@ -1,7 +1,13 @@
 """What people see while solves go on."""
 
+import io
+
+import pytest
+from rich.table import Table
+
 from wrenchbook.service.cli.jobs import event_line
 from wrenchbook.service.cli.progress import Pace
+from wrenchbook.service.cli.render import Screen
 from wrenchbook.service.client import Event
 
 
@@ -34,3 +40,20 @@ def test_events_are_told_in_words():
     table = {"component": "plate", "table_version": 4, "rows": 4}
     assert event_line(Event("table", table)) == "plate: table version 4, 4 rows"
     assert event_line(Event("hello", {"tables": {}})) == ""
+
+
+# -- texts of others -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "text", ["\x1b]0;mine\x07", "\x1b[2J", "a\x00b", "\x9b2J", "\u202egpj.exe"]
+)
+def test_a_text_of_others_steers_no_terminal(text):
+    screen = Screen(file=io.StringIO(), width=60, force_terminal=True)
+    table = Table("title")
+    table.add_row(text)
+    screen.print(table)
+    screen.print(text, markup=False, highlight=False, style="red")
+    told = screen.file.getvalue()  # pyright: ignore[reportAttributeAccessIssue]
+    assert text not in told
+    assert told.count("\N{REPLACEMENT CHARACTER}") >= 2

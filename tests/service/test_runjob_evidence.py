@@ -2,11 +2,13 @@
 
 import json
 from dataclasses import replace
+from importlib.metadata import version
 
 import meshio
 import pytest
 
 from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.service.files.program import code_digest
 from wrenchbook.service.jobs import solver as runjob
 from wrenchbook.service.jobs.attempt import Attempt, prepare, read_outcome
 
@@ -74,3 +76,24 @@ def test_what_an_engineer_should_know_is_in_the_log(tmp_path, capsys, height, to
     assert code == runjob.DONE
     assert ("Scaled condition about" in capsys.readouterr().out) is told
     assert not (folder / "history.json").exists()
+
+
+# -- what goes with an answer --------------------------------------------------------------------
+
+
+def test_the_warnings_of_the_check_reach_the_outcome_of_an_attempt(tmp_path):
+    code, outcome, _ = attempt(tmp_path, [0, 0, 1e-3, 0, 0, 0], height=0.004)
+    assert code == 0
+    assert any("long and thin" in note for note in outcome.notes)
+
+
+def test_an_attempt_without_warnings_has_no_notes(tmp_path):
+    _, outcome, _ = attempt(tmp_path, [0, 0, 1e-3, 0, 0, 0])
+    assert outcome.notes == []
+
+
+def test_an_outcome_names_version_and_code_digest_of_its_solver(tmp_path):
+    _, outcome, _ = attempt(tmp_path, [0, 0, 1e-3, 0, 0, 0])
+    number, digest = outcome.program.split("+")
+    assert number in (version("wrenchbook"), "unknown")
+    assert digest == code_digest("fea", "service/jobs")[:12]
