@@ -54,3 +54,17 @@ def test_a_thousand_workers_are_served_at_200_jobs_a_second_on_one_core(tmp_path
     assert most <= WORKERS
     assert len(engine.submitted) == JOBS
     assert JOBS / used >= 200
+
+
+def test_an_idle_dispatcher_costs_next_to_nothing(tmp_path):
+    ledger = Ledger(tmp_path / "ledger.sqlite")
+    engine = SimulatedEngine(2, lambda _: 0.0)
+    dispatcher = Dispatcher(ledger, engine, lambda name: tmp_path / name, tmp_path / "jobs")
+    dispatcher.start()
+    time.sleep(0.1)
+    before = time.process_time()
+    time.sleep(0.5)
+    assert time.process_time() - before < 0.05
+    dispatcher.stop()
+    engine.close()
+    ledger.close()

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from tests.until import until
 from wrenchbook.service.jobs.attempt import ALIVE, Attempt, read_attempt
 
 
@@ -16,3 +17,10 @@ def asked(folder, **needs):
 def ended(engine, folder):
     """Whether the engine knows the attempt in a folder to have ended."""
     return engine.poll(asked(folder)) not in ALIVE
+
+
+def wait_for_sweeps(dispatcher, count=2):
+    """Return once a dispatcher has looked so many times more for what others left."""
+    for _ in range(count):
+        last = dispatcher._next_sweep
+        until(lambda last=last: dispatcher._next_sweep != last)

@@ -7,7 +7,11 @@ import pytest
 from starlette.testclient import TestClient
 
 import tests.building  # noqa: F401
+from tests.service.stub_server import Answer, running_stub
+from wrenchbook.service.client import Client
+from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.http.app import create_app
+from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.workspace import Settings
 
 HERE = Path(__file__).parent
@@ -44,3 +48,29 @@ def folder(tmp_path):
 def http(folder, stand_in):
     with TestClient(create_app(Settings(folder, solvers=2))) as client:
         yield client
+
+
+@pytest.fixture
+def ledger(tmp_path):
+    ledger = Ledger(tmp_path / "ledger.sqlite")
+    yield ledger
+    ledger.close()
+
+
+@pytest.fixture
+def store(tmp_path):
+    return FieldStore(tmp_path / "fields")
+
+
+@pytest.fixture
+def stub():
+    """A stub of a server, whose answers a test gives; until then a job that is done."""
+    with running_stub() as running:
+        running.answers(Answer({"id": 1, "status": "done"}))
+        yield running
+
+
+@pytest.fixture
+def client(stub):
+    with Client(stub.url, timeout=60.0) as made:
+        yield made

@@ -27,6 +27,14 @@ class NewRow:
     curvature: Sequence[float] | None = None
 
 
+def new_rows(count: int, first: int = 0) -> list[NewRow]:
+    """Rows that lie on a grid of the first and the last load."""
+    return [
+        NewRow((i % 10, 0, 0, 0, 0, i // 10), (i * 1e-6, 0, 0, 0, 0, 1e-7))
+        for i in range(first, first + count)
+    ]
+
+
 def noted(new: Iterable[NewRow], fingerprint: str = "", space: Space = DEFAULT) -> NotedRows:
     """Rows as columns; those without a fingerprint get the one given."""
     rows = list(new)

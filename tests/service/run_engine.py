@@ -4,7 +4,6 @@ It says when each has ended, and then waits to be killed, its solver waiting for
 """
 
 import sys
-import time
 from functools import partial
 from pathlib import Path
 
@@ -18,4 +17,4 @@ for folder in map(Path, sys.argv[1:]):
     print("submitted", flush=True)
     until(partial(ended, engine, folder))
     print("ended", flush=True)
-time.sleep(60)
+sys.stdin.read()

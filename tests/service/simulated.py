@@ -15,7 +15,7 @@ class SimulatedEngine:
     ----------
     slots : int
     seconds : callable
-        Gives how long an attempt takes; None lets it run for ever.
+        Gives how long an attempt takes; None lets it run until `end_all`.
     """
 
     def __init__(self, slots, seconds, name="simulated"):
@@ -24,7 +24,7 @@ class SimulatedEngine:
         self.submitted, self.cancelled = [], []
         self._seconds = seconds
         self._states = {}
-        self._due = []
+        self._due, self._held = [], []
         self._ties = itertools.count()
         self._changed = threading.Condition()
         self._listeners = []
@@ -36,11 +36,21 @@ class SimulatedEngine:
         with self._changed:
             self.submitted.append(attempt.task)
             self._states[attempt.task] = "running"
-            if seconds is not None:
-                due = time.monotonic() + seconds, next(self._ties), attempt
-                heapq.heappush(self._due, due)
-                if self._due[0] is due:
-                    self._changed.notify()
+            if seconds is None:
+                self._held.append(attempt)
+                return
+            due = time.monotonic() + seconds, next(self._ties), attempt
+            heapq.heappush(self._due, due)
+            if self._due[0] is due:
+                self._changed.notify()
+
+    def end_all(self):
+        """End now what would run for ever."""
+        with self._changed:
+            for attempt in self._held:
+                heapq.heappush(self._due, (0.0, next(self._ties), attempt))
+            self._held.clear()
+            self._changed.notify()
 
     def attach(self, attempt):
         self._states.setdefault(attempt.task, "lost")

@@ -3,9 +3,11 @@
 import os
 import signal
 import subprocess
+import threading
 import time
 from pathlib import Path
 
+from tests.until import until
 from wrenchbook.service.jobs.attempt import Outcome, write_outcome
 
 
@@ -34,8 +36,7 @@ def slow(spec, report):
 def endless(spec, report):
     """Outlasts every test, but not by much: a failed one must leave nothing behind for good."""
     report(0.25, "still going")
-    for _ in range(6000):
-        time.sleep(0.02)
+    threading.Event().wait(120)
 
 
 def deaf(spec, report):
@@ -118,11 +119,14 @@ def slow_first(spec, report):
 
 def waits_for_a_word(spec, report):
     """Ends when a file `go` appears in its folder."""
-    for _ in range(6000):
-        if Path("go").exists():
-            return {"displacement": displacement(spec.wrench)}
-        time.sleep(0.02)
-    raise TimeoutError("nobody said go")
+    until(Path("go").exists, 120)
+    return {"displacement": displacement(spec.wrench)}
+
+
+def reports_until_go(spec, report):
+    """Tells how far it is, and ends when a file `go` appears in its folder."""
+    report(0.25, "still going")
+    return waits_for_a_word(spec, report)
 
 
 def count_start(spec):
@@ -135,15 +139,6 @@ def counted_until_go(spec, report):
     """Counts its starts, and ends when a file `go` appears in its folder."""
     count_start(spec)
     return waits_for_a_word(spec, report)
-
-
-def counted(spec, report):
-    """Slow, and counts its starts."""
-    count_start(spec)
-    for step in range(75):
-        report(step / 75, f"step {step}")
-        time.sleep(0.02)
-    return {"displacement": displacement(spec.wrench)}
 
 
 def reads_its_bundle(spec, report):

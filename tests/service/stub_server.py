@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -35,7 +34,7 @@ class Answer:
     status: int = 200
     kind: str = "application/json"
     close: bool = False
-    delay: float = 0.0
+    held: bool = False  # does not come while the stub runs
     drop: bool = False  # close the connection instead of answering
     headers: dict[str, str] = field(default_factory=dict)
 
@@ -61,7 +60,7 @@ class Stub:
 @contextmanager
 def running_stub() -> Iterator[Stub]:
     """Run a stub on a free port of 127.0.0.1."""
-    stub = Stub()
+    stub, ended = Stub(), threading.Event()
 
     class Handler(BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"
@@ -78,11 +77,11 @@ def running_stub() -> Iterator[Stub]:
             )
             stub.seen.append(seen)
             answer = stub.respond(seen)
-            if answer.delay:
-                time.sleep(answer.delay)
-            if not answer.drop:
+            if answer.held:
+                ended.wait()
+            elif not answer.drop:
                 self._send(answer)
-            self.close_connection = answer.close or answer.drop
+            self.close_connection = answer.close or answer.drop or answer.held
 
         do_GET = do_POST = do_DELETE = handle_any  # noqa: N815 (http.server names them)
 
@@ -114,5 +113,6 @@ def running_stub() -> Iterator[Stub]:
         try:
             yield stub
         finally:
+            ended.set()
             server.shutdown()
             thread.join()

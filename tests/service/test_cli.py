@@ -7,7 +7,7 @@ import json
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from rich.table import Table
 import wrenchbook
 from tests.refusals import assert_told, cases
 from tests.service.live import served
-from tests.service.stub_server import Answer, Stub, running_stub
+from tests.service.stub_server import Answer, Stub
 from tests.service.test_client_calls import COVERED, QUEUED
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.service.cli.jobs import event_line
@@ -28,12 +28,6 @@ from wrenchbook.service.cli.render import Screen, matrix_table
 from wrenchbook.service.client import Client, Event, ProblemError
 
 Run = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def stub() -> Iterator[Stub]:
-    with running_stub() as running:
-        yield running
 
 
 @pytest.fixture
@@ -458,6 +452,9 @@ def test_events_are_told_in_words():
     table = {"component": "plate", "table_version": 4, "rows": 4}
     assert event_line(Event("table", table)) == "plate: table version 4, 4 rows"
     assert event_line(Event("hello", {"tables": {}})) == ""
+
+
+# -- Ctrl-C --------------------------------------------------------------------------------------
 
 
 def test_ctrl_c_cancels_the_solves_of_a_fill_and_no_others(tmp_path: Path):

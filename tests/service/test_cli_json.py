@@ -17,7 +17,7 @@ import pytest
 import typer
 
 from tests.service.client.joint_scenes import linear_table
-from tests.service.stub_server import Answer, Stub, running_stub
+from tests.service.stub_server import Answer, Stub
 from tests.service.test_cli import EXTREMES, QUEUED_NONE, RECORDED
 from tests.service.test_client_calls import COVERED
 from wrenchbook.fea.bundle.shipped import SHIPPED
@@ -89,12 +89,6 @@ def leaves(command: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, Any]
         yield " ".join(path), command
     for word, child in (children or {}).items():
         yield from leaves(child, (*path, word))
-
-
-@pytest.fixture
-def stub() -> Iterator[Stub]:
-    with running_stub() as running:
-        yield running
 
 
 @pytest.fixture

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.service.live import served
-from tests.service.stub_server import Answer, Stub, running_stub
+from tests.service.stub_server import Answer, Stub
 from wrenchbook.service.client import Client, Job, ProblemError, ServerTimeout
 from wrenchbook.service.client.errors import InvalidArgument
 
@@ -37,18 +36,6 @@ QUEUED = {
     "reason": "axis z: no rows yet",
     "job": {"id": 7, "status": "waiting", "url": "/v1/jobs/7"},
 }
-
-
-@pytest.fixture
-def stub() -> Iterator[Stub]:
-    with running_stub() as running:
-        yield running
-
-
-@pytest.fixture
-def client(stub: Stub) -> Iterator[Client]:
-    with Client(stub.url, timeout=5.0) as made:
-        yield made
 
 
 def test_a_covered_answer_becomes_arrays(stub: Stub, client: Client):
@@ -158,7 +145,7 @@ def test_beyond_range_is_sent_where_it_is_asked_for_and_nowhere_else(stub: Stub,
     ],
 )
 def test_a_call_is_given_the_time_that_it_lets_the_server_hold_it_back(stub: Stub, ask, held):
-    stub.answers(Answer(COVERED, delay=1.5))
+    stub.answers(Answer(held=True))
     says = pytest.raises(ServerTimeout, match=f"within {held:g} s")
     with Client(stub.url, timeout=0.2) as client, says:
         ask(client)

@@ -78,7 +78,7 @@ def test_what_is_added_comes_in_blocks_in_order_under_counted_keys(server, recor
 
 def test_adding_does_not_wait_for_a_server_that_hangs(server, recorder):
     release = threading.Event()
-    server.respond = lambda _: (release.wait(20), Answer({"recorded": 1}, 201))[1]
+    server.respond = lambda _: (release.wait(60), Answer({"recorded": 1}, 201))[1]
     for _ in range(1000):
         recorder.add(WRENCH)
     assert recorder.pending == 1000  # no answer has come

@@ -2,29 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import parse_qsl
 
 import pytest
 from typer.testing import CliRunner
 
-from tests.service.stub_server import Answer, Stub, running_stub
+from tests.service.stub_server import Answer, Stub
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.client import Client, InvalidArgument, ProblemError
 from wrenchbook.service.client.library import table_format
-
-
-@pytest.fixture
-def stub() -> Iterator[Stub]:
-    with running_stub() as running:
-        yield running
-
-
-@pytest.fixture
-def client(stub: Stub) -> Iterator[Client]:
-    with Client(stub.url, timeout=5.0) as made:
-        yield made
 
 
 def test_a_table_is_imported_from_a_file_a_text_or_bytes(stub: Stub, client, tmp_path: Path):

@@ -39,7 +39,7 @@ def edit(toml, **changes):
 
 
 def solve(http):
-    reply = http.post(f"{CALL}/solve", json={**WRENCH, "wait_s": 20}).json()
+    reply = http.post(f"{CALL}/solve", json={**WRENCH, "wait_s": 60}).json()
     assert reply["source"] == "fea", reply
     return reply["job"]["id"]
 
@@ -100,7 +100,7 @@ def settled(http, check):
 
 def solve_many(http, count):
     for step in range(count):
-        body = {"force": [10.0 + step, 0.0, -20.0], "moment": [0.0, 3.0, 0.0], "wait_s": 20}
+        body = {"force": [10.0 + step, 0.0, -20.0], "moment": [0.0, 3.0, 0.0], "wait_s": 60}
         assert http.post(f"{CALL}/solve", json=body).json()["source"] == "fea"
 
 

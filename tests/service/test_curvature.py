@@ -35,13 +35,6 @@ RANGE = LoadRange(-10 * np.ones(6), 10 * np.ones(6))
 WARM = space_of([""], [Input("temperature", "K", "scalar")])
 
 
-@pytest.fixture
-def ledger(tmp_path):
-    ledger = Ledger(tmp_path / "ledger.sqlite")
-    yield ledger
-    ledger.close()
-
-
 def outcome_of(thirds):
     tangent = np.eye(6).tolist()
     return {"displacement": [1e-6] * 6, "compliance": tangent, "curvature": thirds}
@@ -117,13 +110,13 @@ def test_a_table_and_its_file_have_it(tmp_path):
     site = Site(tmp_path)
     site.open("rig")
     insert(site.ledger, "rig", "", [ROW])
-    assert site.tables.catch_up("rig", 20)
+    assert site.tables.catch_up("rig", 60)
     assert site.tables.surrogate("rig").rows.curvature.tolist() == [list(THIRDS)]
     site.close()
     for path in tmp_path.glob("ledger.sqlite*"):
         path.unlink()
     site.open()
-    assert site.tables.catch_up("rig", 20)
+    assert site.tables.catch_up("rig", 60)
     assert [row.curvature for row in stored(site.ledger, "rig")] == [THIRDS]
     site.close()
 

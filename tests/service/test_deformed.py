@@ -7,7 +7,7 @@ import pytest
 
 from tests.service.surfaces import keep, sheet, solved, solver, wrenches, write_bundle
 from wrenchbook.service.fields.deformed import DeformedSurfaces, NoFieldsError, TooFarError
-from wrenchbook.service.fields.store import FieldStore, key_of
+from wrenchbook.service.fields.store import key_of
 from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.table.rows import Rows, Tolerance
 
@@ -22,11 +22,6 @@ def plate(tmp_path_factory):
     fields, rows = solved(folder, wrenches(component, ROWS))
     asked = wrenches(component, CHECKS, seed=2)
     return component, rows, fields, asked, solved(folder, asked)[0]
-
-
-@pytest.fixture
-def store(tmp_path):
-    return FieldStore(tmp_path / "fields")
 
 
 @pytest.fixture

@@ -7,17 +7,14 @@ import pytest
 from tests.service.ledger_rows import stored
 from wrenchbook.service.jobs.attempt import Attempt, Outcome, prepare, write_outcome
 from wrenchbook.service.jobs.dispatcher import record
-from wrenchbook.service.ledger import Ledger, StaleAttemptError
+from wrenchbook.service.ledger import StaleAttemptError
 
 WRENCH = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-@pytest.fixture
-def ledger(tmp_path):
-    ledger = Ledger(tmp_path / "ledger.sqlite")
+@pytest.fixture(autouse=True)
+def _job(ledger):
     ledger.accept("bar", "f1", WRENCH)
-    yield ledger
-    ledger.close()
 
 
 def ended(ledger, folder, outcome=None):

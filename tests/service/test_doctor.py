@@ -8,8 +8,8 @@ import sqlite3
 import pytest
 from typer.testing import CliRunner
 
-from tests.service.ledger_rows import stored
-from tests.service.test_durable_tables import Site, new_rows
+from tests.service.ledger_rows import new_rows, stored
+from tests.service.test_durable_tables import Site
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.ops.doctor import examine
@@ -96,11 +96,11 @@ def test_a_healed_row_reaches_a_server_that_had_left_it_out(folder):
     (folder / "tables" / "rig.h5").rename(keep)  # the server has to read the ledger
     site = Site(folder)
     site.open()
-    assert site.tables.catch_up("rig", 20)
+    assert site.tables.catch_up("rig", 60)
     assert len(site.tables.surrogate("rig").rows) == 59
     shutil.copy(keep, folder / "tables" / "rig.h5")
     assert "repaired" in kinds(examine(folder, repair=True))
-    assert site.tables.catch_up("rig", 20)
+    assert site.tables.catch_up("rig", 60)
     assert len(site.tables.surrogate("rig").rows) == 60
     site.close()
 
@@ -182,7 +182,7 @@ def test_rows_that_a_server_has_put_back_are_not_counted_as_gone(folder):
     site = Site(folder)
     site.open()
     for name in ("rig", "other"):
-        assert site.tables.catch_up(name, 20)
+        assert site.tables.catch_up(name, 60)
     site.close()
     found = examine(folder, repair=True)
     assert content(folder) == before

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.service.ledger_rows import NewRow, insert, stored
+from tests.service.ledger_rows import insert, new_rows, stored
 from tests.surrogate.law import Law
 from tests.until import until
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
@@ -24,13 +24,6 @@ from wrenchbook.service.workspace import Watcher
 from wrenchbook.surrogate.table.hdf5 import read_table, write_table
 
 RANGE = [[-10.0, 10.0]] * 3
-
-
-def new_rows(count, first=0):
-    return [
-        NewRow((i % 10, 0, 0, 0, 0, i // 10), (i * 1e-6, 0, 0, 0, 0, 1e-7))
-        for i in range(first, first + count)
-    ]
 
 
 class Site:
@@ -66,7 +59,7 @@ class Site:
 
     def insert(self, count, first=0, name="rig"):
         insert(self.ledger, name, "", new_rows(count, first))
-        assert self.tables.catch_up(name, 20), self.tables.faults()
+        assert self.tables.catch_up(name, 60), self.tables.faults()
 
     def wrenches(self, name="rig"):
         return sorted(map(tuple, self.tables.surrogate(name).rows.wrench.tolist()))
@@ -175,7 +168,7 @@ def test_a_table_file_that_cannot_tell_withdrawn_rows_is_told_of(site):
     copy = shutil.copy(site.folder / "ledger.sqlite", site.folder / "copy")
     site.open()
     site.ledger.withdraw("rig", stored(site.ledger, "rig")[4].seq)
-    assert site.tables.catch_up("rig", 20)
+    assert site.tables.catch_up("rig", 60)
     site.close()
     rows, meta = read_table(site.file())
     write_table(site.file(), rows, replace(meta, edits=None))
@@ -213,7 +206,7 @@ def test_a_withdrawn_row_leaves_the_table_and_its_file_and_comes_back(site):
     site.insert(10)
     gone = stored(site.ledger, "rig")[4]
     site.ledger.withdraw("rig", gone.seq)
-    assert site.tables.catch_up("rig", 20)
+    assert site.tables.catch_up("rig", 60)
     version = site.tables.surrogate("rig").version
     assert gone.wrench not in site.wrenches()
     for _ in range(2):
@@ -222,7 +215,7 @@ def test_a_withdrawn_row_leaves_the_table_and_its_file_and_comes_back(site):
         assert gone.wrench not in site.wrenches()
         assert site.tables.surrogate("rig").version == version
     site.ledger.restore("rig", gone.seq)
-    assert site.tables.catch_up("rig", 20)
+    assert site.tables.catch_up("rig", 60)
     assert site.wrenches() == expected(10)
     assert site.tables.surrogate("rig").version > version
 
@@ -405,7 +398,7 @@ def test_the_packed_file_of_another_component_or_of_other_rows_is_not_answered_f
     site.insert(30)
     before = answer_of(site)
     insert(site.ledger, "other", "", [replace_displacement(row) for row in new_rows(30)])
-    assert site.tables.catch_up("other", 20)
+    assert site.tables.catch_up("other", 60)
     foreign = packed_files(site, "other")[0].read_bytes()
     site.close()
     packed_files(site)[0].write_bytes(foreign)

@@ -13,7 +13,7 @@ from wrenchbook.service.jobs.attempt import DECK, Attempt, Outcome, prepare, rea
 from wrenchbook.service.jobs.solver_pool import LocalEngine
 
 ENDLESS = (
-    "open('pid.part', 'w').write(str(os.getpid()))\nos.rename('pid.part', 'pid')\ntime.sleep(60)"
+    "open('pid.part', 'w').write(str(os.getpid()))\nos.rename('pid.part', 'pid')\nsignal.pause()"
 )
 
 

@@ -2,15 +2,17 @@
 
 import os
 import signal
-import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from tests.service.attempts import asked, ended
+from tests.service.conftest import SOLVERS
 from tests.until import until
 from wrenchbook.service.files import lock as flock
+from wrenchbook.service.jobs import solver_pool
 from wrenchbook.service.jobs.attempt import (
     ALIVE,
     Attempt,
@@ -22,8 +24,6 @@ from wrenchbook.service.jobs.attempt import (
 )
 from wrenchbook.service.jobs.solver_pool import LocalEngine
 
-HERE = Path(__file__).parent
-SOLVERS = f"{HERE}:{HERE.parents[1]}"  # stand_in.py, and the sources under test
 SPEC = Attempt(1, 1, "bar", "/nowhere", "f1", (1.0, 2.0, 3.0, 0.0, 0.0, 0.0))
 
 
@@ -44,11 +44,12 @@ def solver_pid(folder):
 
 
 def test_a_submitted_attempt_is_running_at_once_and_then_finished(tmp_path):
-    folder, engine = attempt(tmp_path), engine_with("slow")
+    folder, engine = attempt(tmp_path), engine_with("reports_until_go")
     engine.submit(asked(folder))
     assert engine.poll(asked(folder)) in ALIVE
     until(lambda: read_progress(folder))
     assert 0 <= read_progress(folder).fraction < 1
+    (folder / "go").touch()
     until(lambda: ended(engine, folder))
     assert engine.poll(asked(folder)) == "finished"
     outcome = read_outcome(replace(SPEC, folder=folder))
@@ -86,15 +87,19 @@ def test_cancelling_before_the_solver_has_begun_ends_it_as_well(tmp_path):
     until(lambda: ended(engine, folder))
 
 
-def test_a_solver_that_does_not_hear_is_killed_after_the_grace(tmp_path):
-    folder, engine = attempt(tmp_path), engine_with("deaf", grace=0.3)
+def test_a_solver_that_does_not_hear_is_killed_after_the_grace(tmp_path, monkeypatch):
+    folder, engine = attempt(tmp_path), engine_with("deaf", grace=60.0)
     engine.submit(asked(folder))
     until(lambda: read_progress(folder))
-    started = time.monotonic()
+    now = [0.0]
+    monkeypatch.setattr(solver_pool, "time", SimpleNamespace(monotonic=lambda: now[0]))
     engine.cancel(asked(folder))
+    now[0] = 59.0
+    assert not ended(engine, folder)
+    assert Path(f"/proc/{solver_pid(folder)}").exists()
+    now[0] = 61.0
     until(lambda: ended(engine, folder))
     assert engine.poll(asked(folder)) == "lost"
-    assert time.monotonic() - started >= 0.3
 
 
 def test_a_second_solver_in_the_same_folder_is_refused(tmp_path):

@@ -39,11 +39,6 @@ def attempt(tmp_path):
     return folder
 
 
-@pytest.fixture
-def store(tmp_path):
-    return FieldStore(tmp_path / "fields")
-
-
 def kept(store, attempt, wrench=WRENCH, fingerprint="f1", **changes):
     leave(attempt, wrench, fields(**changes))
     return store.take(attempt, "plate", fingerprint, wrench)

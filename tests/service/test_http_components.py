@@ -6,6 +6,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from tests.service.document import document
+from tests.until import until
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.library.library import Library
@@ -154,13 +155,8 @@ def test_a_second_fill_asks_for_other_wrenches(http, stand_in):
     assert not {job["id"] for job in first} & {job["id"] for job in second}
 
 
-def test_fill_of_a_table_without_a_setup_is_409(http):
-    http.post("/v1/components", json=TABLE_ONLY)
-    assert http.post("/v1/components/rig/fill", json={}).status_code == 409
-
-
 def test_solve_answers_from_fea_whatever_the_table_says(http):
-    body = {"force": [1, 2, 3], "moment": [0, 0, 0], "wait_s": 20}
+    body = {"force": [1, 2, 3], "moment": [0, 0, 0], "wait_s": 60}
     reply = http.post("/v1/components/plate_thin/solve", json=body)
     assert reply.status_code == 200
     assert reply.json()["source"] == "fea"
@@ -182,16 +178,13 @@ def test_a_running_job_tells_its_progress(http, stand_in):
     stand_in("endless")
     body = {"force": [1, 2, 3], "moment": [0, 0, 0]}
     job = http.post("/v1/components/plate_thin/solve", json=body).json()["job"]
-    for _ in range(100):
-        progress = http.get(job["url"], params={"wait_s": 0.1}).json().get("progress")
-        if progress:
-            break
+    progress = until(lambda: http.get(job["url"]).json().get("progress"))
     assert progress == {"fraction": 0.25, "message": "still going"}
     http.delete(job["url"])
 
 
 def test_the_files_of_an_attempt_come_as_a_zip(http):
-    body = {"force": [1, 2, 3], "moment": [0, 0, 0], "wait_s": 20}
+    body = {"force": [1, 2, 3], "moment": [0, 0, 0], "wait_s": 60}
     job = http.post("/v1/components/plate_thin/solve", json=body).json()["job"]
     content = http.get(f"{job['url']}/files").content
     assert {"spec.json", "result.json"} <= set(zipfile.ZipFile(io.BytesIO(content)).namelist())
@@ -199,7 +192,7 @@ def test_the_files_of_an_attempt_come_as_a_zip(http):
 
 def test_the_files_of_a_done_job_that_were_deleted_are_not_called_not_started(http, folder):
     """The answer was: Job 2 has not started."""
-    body = {"force": [1, 0, 0], "moment": [0, 0, 0], "wait_s": 20}
+    body = {"force": [1, 0, 0], "moment": [0, 0, 0], "wait_s": 60}
     job = http.post("/v1/components/plate_thin/solve", json=body).json()["job"]["id"]
     shutil.rmtree(folder / "jobs" / str(job))
     reply = http.get(f"/v1/jobs/{job}/files")

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from tests.service.live import add_table
 from tests.service.surfaces import sheet, solved, wrenches, write_bundle
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.client import ProblemError
@@ -93,26 +92,6 @@ def test_the_reply_tells_the_frame(served, solve):
     assert (raw["force"], raw["moment"], raw["simplified"]) == (FORCE, MOMENT, None)
 
 
-@pytest.mark.parametrize(
-    ("query", "place"),
-    [
-        ("fx=nan", "query.fx"),
-        ("fz=inf", "query.fz"),
-        ("fx=1e999", "query.fx"),
-        ("mx=one", "query.mx"),
-        ("Fx=1", "Fx"),
-        ("force=1", "force"),
-        ("fx=1&fx=2", "fx"),
-        ("format=obj", "query.format"),
-    ],
-)
-def test_a_question_with_mistakes_is_refused(served, query, place):
-    client, *_ = served
-    error = refused(client.call, "GET", f"{PATH}?{query}")
-    assert error.status == 422
-    assert [one["loc"] for one in error.errors] == [place]
-
-
 def test_far_beyond_the_range_it_is_refused(served, solve):
     client, *_ = served
     assert refused(client.deformed, "sheet", [1e300, 0, 0]).status == 409
@@ -121,14 +100,6 @@ def test_far_beyond_the_range_it_is_refused(served, solve):
 def test_a_component_that_is_not_there_is_unknown(served):
     client, *_ = served
     assert refused(client.deformed, "nobody", FORCE).status == 404
-
-
-def test_a_table_alone_has_no_surface(served):
-    client, *_ = served
-    add_table(client, "measured", [{"wrench": [0] * 6, "displacement": [0] * 6}])
-    error = refused(client.deformed, "measured", [1.0, 0, 0])
-    assert error.status == 409
-    assert "without a finite-element setup" in error.detail
 
 
 def test_the_linear_plate_answers_every_wrench_once_one_is_solved(served):

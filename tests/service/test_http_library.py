@@ -27,13 +27,6 @@ def http(tmp_path):
         yield client
 
 
-@pytest.fixture
-def ledger(tmp_path):
-    opened = Ledger(tmp_path / "ledger.sqlite")
-    yield opened
-    opened.close()
-
-
 def load(http, rows, name="rig", **query):
     lines = [HEADER, *(",".join(map(repr, row)) for row in np.asarray(rows).tolist())]
     path = f"/v1/components/{name}/table"

@@ -16,8 +16,8 @@ def test_wrenches_that_differ_in_loads_on_locked_freedoms_are_one_job_with_one_r
     """A loop of 8 s made 68 jobs: both of these were solved, with one answer."""
     full = {"force": [0.5, -0.5, -6], "moment": [0.001, 0.002, 0.003]}
     bare = {"force": [0, 0, -6], "moment": [0, 0, 0.003]}
-    first = http.post(f"{NAME}/solve", json={**full, "wait_s": 20}).json()
-    again = http.post(f"{NAME}/solve", json={**bare, "wait_s": 20}).json()
+    first = http.post(f"{NAME}/solve", json={**full, "wait_s": 60}).json()
+    again = http.post(f"{NAME}/solve", json={**bare, "wait_s": 60}).json()
     assert len(jobs(http)) == 1
     assert (first["job"], first["row"]) == (again["job"], again["row"])
     assert first["translation"] == again["translation"]
@@ -28,7 +28,7 @@ def test_wrenches_that_differ_in_loads_on_locked_freedoms_are_one_job_with_one_r
 
 def test_the_table_answers_a_full_wrench_by_the_row_without_the_idle_loads(http):
     bare = {"force": [0, 0, -6], "moment": [0, 0, 0.003]}
-    solved = http.post(f"{NAME}/solve", json={**bare, "wait_s": 20}).json()
+    solved = http.post(f"{NAME}/solve", json={**bare, "wait_s": 60}).json()
     full = {"force": [0.5, -0.5, -6], "moment": [0.001, 0.002, 0.003], "on_thin": "estimate"}
     until(lambda: http.post(f"{NAME}/displacement", json=full).json()["method"] == "row")
     found = http.post(f"{NAME}/displacement", json=full).json()
@@ -52,7 +52,7 @@ def test_a_fill_asks_for_no_wrench_twice_and_for_none_that_is_known(http):
     for _ in range(6):
         reply = http.post(f"{NAME}/fill", json={"budget": 30}).json()
         for job in reply["jobs"]:
-            found = http.get(f"/v1/jobs/{job['id']}", params={"wait_s": 20}).json()
+            found = http.get(f"/v1/jobs/{job['id']}", params={"wait_s": 60}).json()
             assert found["status"] == "done"
             wrench = (*found["force"], *found["moment"])
             assert wrench not in seen
@@ -66,7 +66,7 @@ def test_a_fill_comes_to_its_end_though_most_loads_are_locked(http):
     for _ in range(8):
         reply = http.post(f"{NAME}/fill", json={"budget": 30}).json()
         for job in reply["jobs"]:
-            http.get(f"/v1/jobs/{job['id']}", params={"wait_s": 20})
+            http.get(f"/v1/jobs/{job['id']}", params={"wait_s": 60})
         if not reply["jobs"]:
             break
         first = reply["stage"] == "first"

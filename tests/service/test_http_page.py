@@ -185,7 +185,7 @@ def test_the_surface_of_an_unsolved_part_is_there_to_draw(http):
 @pytest.fixture(scope="module")
 def failed(http, folder):
     """The folder of a failed job's attempt."""
-    solve = {"force": [0, 0, 1], "wait_s": 30}
+    solve = {"force": [0, 0, 1], "wait_s": 60}
     assert http.post("/v1/components/plate_thin/solve", json=solve).status_code == 424
     return folder / "jobs" / "1" / "1"
 

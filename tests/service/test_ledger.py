@@ -28,13 +28,6 @@ def no_backoff(monkeypatch):
     monkeypatch.setattr("wrenchbook.service.ledger.jobs.BACKOFF_SECONDS", (0.0, 0.0, 0.0))
 
 
-@pytest.fixture
-def ledger(tmp_path):
-    ledger = Ledger(tmp_path / "ledger.sqlite")
-    yield ledger
-    ledger.close()
-
-
 def accept(ledger, *wrench):
     return ledger.accept("plate", "f1", wrench or WRENCH)[0]
 

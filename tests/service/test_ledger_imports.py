@@ -21,13 +21,6 @@ from wrenchbook.surrogate.table.rows import Rows
 SOLVE = ("plate", "f1", (1.0, 0, 0, 0, 0, 0))
 
 
-@pytest.fixture
-def ledger(tmp_path):
-    made = Ledger(tmp_path / "ledger.sqlite")
-    yield made
-    made.close()
-
-
 def columns(count, seed=1):
     rng = np.random.default_rng(seed)
     return (

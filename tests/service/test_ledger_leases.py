@@ -1,17 +1,8 @@
 """Who looks after a running attempt: engine, task key, owner, heartbeat."""
 
-import pytest
-
 from wrenchbook.service.ledger import Ledger
 
 WRENCH = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-
-
-@pytest.fixture
-def ledger(tmp_path):
-    ledger = Ledger(tmp_path / "ledger.sqlite")
-    yield ledger
-    ledger.close()
 
 
 def accepted(ledger, count):

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from wrenchbook.service.ledger import BlockKeyError, Ledger
+from wrenchbook.service.ledger import BlockKeyError
 from wrenchbook.service.recording import store as recordings
 from wrenchbook.service.recording.store import RecordingStore
 from wrenchbook.surrogate.table.rows import LoadRange
@@ -21,13 +21,6 @@ class Library(dict):
 
 def store_of(ledger):
     return RecordingStore(SimpleNamespace(library=Library(), ledger=ledger))
-
-
-@pytest.fixture
-def ledger(tmp_path):
-    opened = Ledger(tmp_path / "ledger.sqlite")
-    yield opened
-    opened.close()
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@
 import pytest
 
 from tests.service.ledger_rows import stored
-from wrenchbook.service.ledger import STATUSES, InvalidTransitionError, Ledger
+from wrenchbook.service.ledger import STATUSES, InvalidTransitionError
 from wrenchbook.service.ledger.jobs import BACKOFF_SECONDS, TRANSITIONS
 
 WRENCH = (1.0, 0, 0, 0, 0, 0)
@@ -31,12 +31,9 @@ EVENTS = {
 }
 
 
-@pytest.fixture
-def ledger(tmp_path):
-    ledger = Ledger(tmp_path / "ledger.sqlite")
+@pytest.fixture(autouse=True)
+def _job(ledger):
     ledger.accept("bar", "f", WRENCH)
-    yield ledger
-    ledger.close()
 
 
 @pytest.mark.parametrize("status", STATUSES)

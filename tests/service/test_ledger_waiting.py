@@ -24,7 +24,7 @@ def test_a_writer_that_waits_begins_once_the_other_has_ended(path):
     waiting.start()
     assert ledger.jobs() == []
     other.execute("COMMIT")
-    waiting.join(30)
+    waiting.join(60)
     assert [job.wrench for job in ledger.jobs()] == [WRENCH]
     other.close()
     ledger.close()

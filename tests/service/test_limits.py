@@ -51,7 +51,7 @@ def live(tmp_path_factory):
 
 
 def opened(client):
-    return socket.create_connection((client._host, client._port), timeout=20)
+    return socket.create_connection((client._host, client._port), timeout=60)
 
 
 HUGE = [1e160, -1e308, 1.0000001e100]
@@ -280,9 +280,9 @@ class Jobs:
 
 
 async def entered(waiting, count):
-    """Return once so many wait."""
-    while len(waiting._waiters) < count:  # noqa: ASYNC110 (there is nothing that tells)
-        await asyncio.sleep(0.01)
+    """Let the loop go on until so many have come and one of them waits."""
+    while len(waiting._waiters) < count or waiting._looking is None:  # noqa: ASYNC110 (there is nothing that tells)
+        await asyncio.sleep(0)
 
 
 def test_two_thousand_polls_take_one_look_and_no_thread_each():

@@ -1,12 +1,12 @@
 """Tables that are built beside each other and beside the answers."""
 
 import threading
-import time
 
 import pytest
 
-from tests.service.ledger_rows import insert
-from tests.service.test_durable_tables import RANGE, Site, new_rows
+from tests.service.ledger_rows import insert, new_rows
+from tests.service.test_durable_tables import RANGE, Site
+from tests.until import until
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.tables import build, store
@@ -42,7 +42,7 @@ def slow_build(monkeypatch):
     def held(component, *rest):
         built.append((component.name, "starts"))
         if component.name.startswith("big"):
-            assert may_build.wait(30)
+            assert may_build.wait(60)
         built.append((component.name, "ends"))
         return build_table(component, *rest)
 
@@ -62,7 +62,7 @@ def test_small_tables_answer_before_a_large_one_is_built_at_the_start(open_table
     with pytest.raises(TableBehindError, match="cannot answer yet"):
         tables.surrogate("big")
     may_build.set()
-    assert tables.catch_up("big", 20)
+    assert tables.catch_up("big", 60)
     assert len(tables.surrogate("big").rows) == 60
     assert "big" not in tables.building()
 
@@ -72,14 +72,14 @@ def test_a_row_of_one_table_does_not_wait_for_the_build_of_another(open_tables, 
     may_build, _ = slow_build
     may_build.set()
     tables, ledger = open_tables({"big": 60, "small": 3})
-    assert tables.catch_up("big", 20)
+    assert tables.catch_up("big", 60)
     may_build.clear()
     insert(ledger, "big", "", new_rows(1, first=60))
     insert(ledger, "small", "", new_rows(1, first=3))
-    assert tables.catch_up("small", 5)
+    assert tables.catch_up("small", 60)
     assert len(tables.surrogate("big").rows) == 60
     may_build.set()
-    assert tables.catch_up("big", 20)
+    assert tables.catch_up("big", 60)
     assert len(tables.surrogate("big").rows) == 61
 
 
@@ -87,16 +87,17 @@ def test_rows_that_come_during_a_build_are_built_together_after_it(open_tables, 
     may_build, built = slow_build
     may_build.set()
     tables, ledger = open_tables({"big": 60})
-    assert tables.catch_up("big", 20)
+    assert tables.catch_up("big", 60)
     may_build.clear()
     before = len(built)
-    for number in range(20):
+    insert(ledger, "big", "", new_rows(1, first=60))
+    until(lambda: len(built) > before)
+    for number in range(1, 20):
         insert(ledger, "big", "", new_rows(1, first=60 + number))
-        time.sleep(0.03)
     may_build.set()
-    assert tables.catch_up("big", 20)
+    assert tables.catch_up("big", 60)
     assert len(tables.surrogate("big").rows) == 80
-    assert len(built) - before <= 6
+    assert len(built) - before == 4
 
 
 def test_two_large_tables_are_built_one_after_the_other_and_small_ones_beside_them(
@@ -105,15 +106,15 @@ def test_two_large_tables_are_built_one_after_the_other_and_small_ones_beside_th
     may_build, built = slow_build
     may_build.set()
     tables, ledger = open_tables({"big1": 60, "big2": 60, "small": 3})
-    assert all(tables.catch_up(name, 20) for name in ("big1", "big2", "small"))
+    assert all(tables.catch_up(name, 60) for name in ("big1", "big2", "small"))
     may_build.clear()
     built.clear()
     for name in ("big1", "big2"):
         insert(ledger, name, "", new_rows(1, first=60))
     insert(ledger, "small", "", new_rows(1, first=3))
-    assert tables.catch_up("small", 20)
+    assert tables.catch_up("small", 60)
     may_build.set()
-    assert all(tables.catch_up(name, 20) for name in ("big1", "big2"))
+    assert all(tables.catch_up(name, 60) for name in ("big1", "big2"))
     large = [step for step in built if step[0] != "small"]
     assert large in (
         [(name, step) for name in order for step in ("starts", "ends")]

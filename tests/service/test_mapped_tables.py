@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from tests.service.ledger_rows import NewRow, insert, stored
+from tests.service.ledger_rows import insert, new_rows, stored
 from tests.until import until
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.library.library import Library
@@ -18,13 +18,6 @@ from wrenchbook.service.tables.store import TableStore
 from wrenchbook.service.workspace import Watcher
 
 RANGE = [[-10.0, 10.0]] * 3
-
-
-def new_rows(count, first=0):
-    return [
-        NewRow((i % 10, 0, 0, 0, 0, i // 10), (i * 1e-6, 0, 0, 0, 0, 1e-7))
-        for i in range(first, first + count)
-    ]
 
 
 class Part:
@@ -75,16 +68,16 @@ def both(tmp_path):
 def test_a_component_and_rows_added_by_one_part_are_answered_by_all(both):
     _, reader = both
     reader.add("new", 4)
-    assert reader.tables.catch_up("new", 20)
+    assert reader.tables.catch_up("new", 60)
     assert len(reader.tables.surrogate("new").rows) == 4
 
 
 def test_a_version_replaces_the_one_before_and_its_file(both, tmp_path):
     _, reader = both
     reader.add("new", 4)
-    assert reader.tables.catch_up("new", 20)
+    assert reader.tables.catch_up("new", 60)
     insert(reader.ledger, "new", "", new_rows(2, 4))
-    assert reader.tables.catch_up("new", 20)
+    assert reader.tables.catch_up("new", 60)
     assert len(reader.tables.surrogate("new").rows) == 6
     assert len(list((tmp_path / "tables").glob("new-*.wbt"))) == 1
 
@@ -92,11 +85,11 @@ def test_a_version_replaces_the_one_before_and_its_file(both, tmp_path):
 def test_a_table_that_was_replaced_still_gives_its_bytes_to_a_request_that_has_it(both):
     _, reader = both
     reader.add("new", 4)
-    assert reader.tables.catch_up("new", 20)
+    assert reader.tables.catch_up("new", 60)
     old = reader.tables.surrogate("new")
     content, checksum = old.packed.content, old.packed.checksum
     insert(reader.ledger, "new", "", new_rows(2, 4))
-    assert reader.tables.catch_up("new", 20)
+    assert reader.tables.catch_up("new", 60)
     assert (old.packed.content, old.packed.checksum) == (content, checksum)
     assert len(old.rows) == 4
     assert old.surrogate().version == old.version
@@ -117,7 +110,7 @@ def test_a_file_of_another_component_or_of_other_rows_answers_nothing(both, tmp_
     _, reader = both
     for name, count in (("new", 4), ("other", 9)):
         reader.add(name, count)
-        assert reader.tables.catch_up(name, 20)
+        assert reader.tables.catch_up(name, 60)
     before, folder = answer_of(reader), tmp_path / "tables"
     other = next(folder.glob("other-*.wbt")).read_bytes()
     stray = folder / "new-999.wbt"
@@ -132,22 +125,22 @@ def test_a_file_of_another_component_or_of_other_rows_answers_nothing(both, tmp_
 def test_an_older_version_that_is_written_last_answers_nothing(both, tmp_path):
     _, reader = both
     reader.add("new", 4)
-    assert reader.tables.catch_up("new", 20)
+    assert reader.tables.catch_up("new", 60)
     old = next((tmp_path / "tables").glob("new-*.wbt"))
     content = old.read_bytes()
     insert(reader.ledger, "new", "", new_rows(2, 4))
-    assert reader.tables.catch_up("new", 20)
+    assert reader.tables.catch_up("new", 60)
     newest = reader.tables.surrogate("new").version
     old.write_bytes(content)
     reader.add("other", 3)
-    assert reader.tables.catch_up("other", 20)  # which looks at the folder after that
+    assert reader.tables.catch_up("other", 60)  # which looks at the folder after that
     assert reader.tables.surrogate("new").version == newest
 
 
 def test_files_of_no_component_and_of_other_versions_go_at_a_start(tmp_path):
     with part(tmp_path, TableBuilder), part(tmp_path, MappedTables) as reader:
         reader.add("new", 4)
-        assert reader.tables.catch_up("new", 20)
+        assert reader.tables.catch_up("new", 60)
     folder = tmp_path / "tables"
     own = next(folder.glob("new-*.wbt"))
     for name in ("new-999.wbt", "gone-4.wbt"):
@@ -161,14 +154,14 @@ def test_a_component_that_was_unreadable_for_a_moment_is_built_again(both, tmp_p
     monkeypatch.setattr("wrenchbook.service.library.library.LOOK_SECONDS", 0.0)
     _, reader = both
     reader.add("new", 4)
-    assert reader.tables.catch_up("new", 20)
+    assert reader.tables.catch_up("new", 60)
     setup, away = tmp_path / "components" / "new" / "component.toml", tmp_path / "away"
     setup.rename(away)
     for one in both:
         assert "new" not in one.library.names()
     away.rename(setup)
     insert(reader.ledger, "new", "", new_rows(2, 4))
-    assert reader.tables.catch_up("new", 20)
+    assert reader.tables.catch_up("new", 60)
     assert len(reader.tables.surrogate("new").rows) == 6
 
 
@@ -176,15 +169,15 @@ def test_a_stale_file_is_gone_once_the_builder_has_started(tmp_path, monkeypatch
     """Its table takes long to build; no process may answer from the old one meanwhile."""
     with part(tmp_path, TableBuilder) as builder, part(tmp_path, MappedTables) as reader:
         reader.add("new", 4)
-        assert reader.tables.catch_up("new", 20)
+        assert reader.tables.catch_up("new", 60)
         reader.ledger.withdraw("new", stored(reader.ledger, "new")[0].seq)
-        assert reader.tables.catch_up("new", 20)
+        assert reader.tables.catch_up("new", 60)
         builder.tables.stop()
         reader.ledger.restore("new", 1)
     may_build, build = threading.Event(), builds.build_table
 
     def slow(*given):
-        assert may_build.wait(20)
+        assert may_build.wait(60)
         return build(*given)
 
     monkeypatch.setattr(builds, "build_table", slow)
@@ -194,7 +187,7 @@ def test_a_stale_file_is_gone_once_the_builder_has_started(tmp_path, monkeypatch
         with pytest.raises(TableBehindError, match="has rows and cannot answer yet"):
             reader.tables.surrogate("new")
         may_build.set()
-        assert reader.tables.catch_up("new", 20)
+        assert reader.tables.catch_up("new", 60)
         assert len(reader.tables.surrogate("new").rows) == 4
 
 
@@ -209,10 +202,10 @@ def test_a_component_without_rows_answers_at_once(both):
 def test_a_component_edited_on_the_disk_answers_by_its_new_range(both, tmp_path):
     _, reader = both
     reader.add("new", 4)
-    assert reader.tables.catch_up("new", 20)
+    assert reader.tables.catch_up("new", 60)
     file = tmp_path / "components" / "new" / "component.toml"
     file.write_text(file.read_text().replace("10.0", "20.0"))
-    assert reader.tables.catch_up("new", 20)
+    assert reader.tables.catch_up("new", 60)
     assert reader.tables.surrogate("new").load_range.high[0] == 20.0
 
 
@@ -220,7 +213,7 @@ def test_without_a_builder_the_last_version_answers_and_newer_rows_are_told_miss
     with part(tmp_path, MappedTables) as reader:
         with part(tmp_path, TableBuilder, leave=False) as builder:
             builder.add("new", 4)
-            assert reader.tables.catch_up("new", 20)
+            assert reader.tables.catch_up("new", 60)
             builder.state._lock = _dropped(builder.state._lock)
         insert(reader.ledger, "new", "", new_rows(2, 4))
         assert len(reader.tables.surrogate("new").rows) == 4
@@ -240,11 +233,11 @@ def test_the_next_builder_goes_on_where_the_one_before_was_killed(tmp_path):
     with part(tmp_path, MappedTables) as reader:
         with part(tmp_path, TableBuilder, leave=False) as builder:
             builder.add("new", 4)
-            assert reader.tables.catch_up("new", 20)
+            assert reader.tables.catch_up("new", 60)
             builder.state._lock = _dropped(builder.state._lock)
         insert(reader.ledger, "new", "", new_rows(2, 4))
         with part(tmp_path, TableBuilder):
-            assert reader.tables.catch_up("new", 20)
+            assert reader.tables.catch_up("new", 60)
             assert len(reader.tables.surrogate("new").rows) == 6
             assert trouble_of(reader) is None
 
@@ -270,7 +263,7 @@ def test_what_the_builder_says_is_wrong_is_known_to_all(tmp_path, monkeypatch):
 def test_a_damaged_file_is_told_and_the_version_before_goes_on(both, tmp_path):
     _, reader = both
     reader.add("new", 4)
-    assert reader.tables.catch_up("new", 20)
+    assert reader.tables.catch_up("new", 60)
     (tmp_path / "tables" / "new-999.wbt").write_bytes(b"nonsense")
     assert "packed table" in until(lambda: reader.tables.faults().get("new"))
     assert len(reader.tables.surrogate("new").rows) == 4
@@ -280,14 +273,14 @@ def test_rows_are_in_use_only_once_every_web_worker_answers_from_them(both, tmp_
     """A query right after an import was answered by another worker's older table."""
     _, reader = both
     reader.add("new", 4)
-    assert reader.tables.catch_up("new", 20)
+    assert reader.tables.catch_up("new", 60)
     with part(tmp_path, MappedTables) as late:
         assert isinstance(late.tables, MappedTables)
-        assert late.tables.catch_up("new", 20)
+        assert late.tables.catch_up("new", 60)
         may_map, map_new = threading.Event(), late.tables._map_new
 
         def slow():
-            assert may_map.wait(20)
+            assert may_map.wait(60)
             map_new()
 
         monkeypatch.setattr(late.tables, "_map_new", slow)
@@ -295,6 +288,6 @@ def test_rows_are_in_use_only_once_every_web_worker_answers_from_them(both, tmp_
         until(lambda: len(reader.tables.surrogate("new").rows) == 6)
         assert not reader.tables.catch_up("new", 0)
         may_map.set()
-        assert reader.tables.catch_up("new", 20)
+        assert reader.tables.catch_up("new", 60)
         assert len(late.tables.surrogate("new").rows) == 6
     assert reader.tables.catch_up("new", 20)  # a worker that has ended is not waited for

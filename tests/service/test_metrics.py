@@ -145,9 +145,9 @@ def test_a_batch_counts_its_wrenches_by_coverage():
 
 def test_jobs_solves_and_failures_are_told_by_status_and_kind(http, stand_in):
     stand_in("quick")
-    http.post("/v1/components/spring/solve", json={"force": [0, 0, -5], "wait_s": 30})
+    http.post("/v1/components/spring/solve", json={"force": [0, 0, -5], "wait_s": 60})
     stand_in("diverges")
-    http.post("/v1/components/spring/solve", json={"force": [0, 0, -7], "wait_s": 30})
+    http.post("/v1/components/spring/solve", json={"force": [0, 0, -7], "wait_s": 60})
     found = samples(http)
     assert found["wrenchbook_jobs", "done"] == 1
     assert found["wrenchbook_failed_jobs", "not_converged"] == 1

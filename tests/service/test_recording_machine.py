@@ -10,6 +10,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
+from tests.service.test_ledger_recorded import Library
 from wrenchbook.service.ledger import BlockKeyError, Ledger, packed
 from wrenchbook.service.recording.store import RecordingStore
 from wrenchbook.surrogate.table.rows import LoadRange
@@ -21,11 +22,6 @@ BLOCKS = st.lists(st.tuples(LOADS, st.just(0.0), LOADS, *[st.just(0.0)] * 3), ma
 NAMES = st.sampled_from(["bar", "plate"])
 KINDS = st.sampled_from(["recording", "envelope"])
 MERGE = 1e-6 * 10.0 * (1 + 1e-9)
-
-
-class Library(dict):
-    def __missing__(self, name):
-        return SimpleNamespace(name=name, load_range=RANGE, acting=lambda wrenches: wrenches)
 
 
 class Reference:

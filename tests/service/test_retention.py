@@ -3,20 +3,11 @@
 import threading
 import time
 
-import pytest
-
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.settings import Settings
 from wrenchbook.service.workers.builder import DAY, prune, shorten_log
 
 NONE = Settings(keep_days=0, keep_count=0, keep_failed_days=0, keep_failed_count=0)
-
-
-@pytest.fixture
-def ledger(tmp_path):
-    ledger = Ledger(tmp_path / "ledger.sqlite")
-    yield ledger
-    ledger.close()
 
 
 def end_job(ledger, number, *, good=True):
@@ -86,14 +77,12 @@ def test_a_long_log_is_brought_in_and_emptied(ledger):
     assert ledger.counts()["waiting"] == 2000
 
 
-def test_a_log_that_somebody_reads_is_left_without_waiting_long(ledger):
+def test_a_log_that_somebody_reads_is_left_before_the_reading_ends(ledger):
     ledger.accept("rig", "f", [1.0] * 6)
     with ledger.reading() as db:
         db.execute("SELECT count(*) FROM jobs").fetchone()
         ledger.accept("rig", "f", [2.0] * 6)
-        started = time.monotonic()
         assert not shorten_log(ledger, longest=0)
-        assert time.monotonic() - started < 5
     assert ledger.accept("rig", "f", [3.0] * 6)[1]
 
 

@@ -14,18 +14,11 @@ from tests.service.document import document
 from tests.service.following import wait_for_version
 from tests.service.live import FULL, as_rows, full_wrenches, moved, served, tangents
 from tests.service.spaces import SPACE, M, N, add_link
+from tests.service.test_http_derivative import load
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.workspace import Settings
 
 LOADS = [10.0, 3.0, -20.0, 1.0, 3.0, -2.0]
-
-
-def load(http, name, wrenches, compliances=None):
-    body = {"name": name, "title": name, "range": {"force": [100] * 3, "moment": [10] * 3}}
-    assert http.post("/v1/components", json=body).status_code == 201
-    rows = as_rows(wrenches, moved(wrenches), compliances)
-    reply = http.post(f"/v1/components/{name}/table", json={"rows": rows})
-    wait_for_version(http, name, reply.json()["table_version"])
 
 
 @pytest.fixture(scope="module")

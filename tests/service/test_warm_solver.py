@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.service.attempts import asked, ended
+from tests.service.conftest import SOLVERS
 from tests.until import until
 from wrenchbook.service.jobs import solver
 from wrenchbook.service.jobs.attempt import (
@@ -23,7 +24,6 @@ from wrenchbook.service.jobs.attempt import (
 from wrenchbook.service.jobs.solver_pool import LocalEngine
 
 HERE = Path(__file__).parent
-SOLVERS = f"{HERE}:{HERE.parents[1]}"  # stand_in.py, and the sources under test
 
 
 class Site:
@@ -200,13 +200,14 @@ def test_a_closed_engine_leaves_no_solver_that_waits(site):
     engine = site.engine()
     pid = site.seen(engine, 1)["pid"]
     engine.close()
-    until(lambda: not lives(pid), seconds=5)
+    until(lambda: not lives(pid))
 
 
 def serve(folders, solver):
     environment = dict(os.environ, WRENCHBOOK_SOLVE=f"stand_in:{solver}", PYTHONPATH=SOLVERS)
     command = [sys.executable, str(HERE / "run_engine.py"), *map(str, folders)]
-    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE)
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    return subprocess.Popen(command, env=environment, **pipes)
 
 
 def kill(server):
@@ -222,7 +223,7 @@ def test_a_solver_whose_server_is_killed_ends_its_attempt_and_then_itself(site):
     kill(server)
     until(lambda: (folder / "result.json").exists())
     assert outcome_in(folder).displacement[0] == 1e-6
-    until(lambda: not lives(pid), seconds=5)
+    until(lambda: not lives(pid))
 
 
 def test_a_solver_that_has_not_begun_when_its_server_is_killed_begins_all_the_same(site):
@@ -245,7 +246,7 @@ def test_a_solver_that_waits_for_work_ends_when_its_server_is_killed(site):
     assert outcome_in(folders[0]).further["seen"]["pid"] == pid
     assert lives(pid)
     kill(server)
-    until(lambda: not lives(pid), seconds=5)
+    until(lambda: not lives(pid))
 
 
 def test_an_outcome_waits_for_room_on_a_full_disk(tmp_path, monkeypatch):

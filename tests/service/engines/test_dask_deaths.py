@@ -18,7 +18,7 @@ def test_a_worker_that_dies_is_replaced_and_its_solver_ends_with_it(own, cluster
     solver = psutil.Process(own.pid(attempt))
     until(lambda: own.has_begun(attempt))
     kill(worker)
-    solver.wait(20)
+    solver.wait(60)
     cluster.start_worker()
     until(lambda: own.starts(attempt) == 2)
     own.go(attempt)
@@ -34,7 +34,7 @@ def test_what_a_solver_started_ends_with_its_worker_too(own, cluster):
     until((folder / "child").exists)
     child = psutil.Process(int(until((folder / "child").read_text)))
     kill(worker)
-    child.wait(20)
+    child.wait(60)
 
 
 def test_a_worker_and_its_solver_that_die_together_count_for_nothing(own, cluster):
@@ -118,6 +118,18 @@ def test_a_worker_that_is_stopped_holds_nothing_up_for_long(own, cluster):
     assert own.end(engine, attempt) == "finished"
     assert own.starts(attempt) == 2
     worker.send_signal(signal.SIGCONT)
+
+
+def test_no_call_waits_for_a_scheduler_that_is_stopped(own, cluster):
+    cluster.start_scheduler()
+    cluster.start_worker()
+    engine, attempt = own.engine(), own.attempt("endless")
+    cluster.scheduler.send_signal(signal.SIGSTOP)
+    for call in (engine.submit, engine.poll, engine.cancel, engine.poll):
+        call(attempt)
+    assert engine.trouble is None
+    cluster.scheduler.send_signal(signal.SIGCONT)
+    own.end(engine, attempt)
 
 
 def test_cancelling_what_a_stopped_worker_has_comes_to_an_end(own, cluster):

@@ -8,16 +8,8 @@ from tests.service.engines.conftest import dask_bench
 from tests.until import until
 from wrenchbook.service.jobs.attempt import solver_began
 from wrenchbook.service.jobs.dispatcher import Dispatcher
-from wrenchbook.service.ledger import Ledger
 
 THREADS = 2  # of the cluster's worker, which is given twice as many attempts
-
-
-@pytest.fixture
-def ledger(tmp_path):
-    ledger = Ledger(tmp_path / "ledger.sqlite")
-    yield ledger
-    ledger.close()
 
 
 @pytest.fixture

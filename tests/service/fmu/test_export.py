@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer import BadParameter
 
-from tests.service.fmu.made import LOADS, OUTPUTS, Opened, need_compiler, packed, solved
+from tests.service.fmu.made import LOADS, OUTPUTS, Opened, need_compiler, packed
 from tests.service.live import FULL, add_table, as_rows, full_wrenches, moved, served, tangents
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.fmu import export
@@ -28,11 +28,6 @@ from wrenchbook.surrogate.kernel.build import KernelBuildError
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 RANGE = LoadRange(-FULL, FULL)
-
-
-@pytest.fixture(scope="module")
-def table():
-    return solved("plate_thin", 18, 20)
 
 
 @pytest.mark.parametrize(

@@ -20,22 +20,11 @@ from tests.service.fmu.made import (
     answers,
     opened,
     packed,
-    solved,
     wrenches_of,
 )
 
 NAMES = ["Fx", "Fy", "Fz", "Mx", "My", "Mz", "ux", "uy", "uz", "rx", "ry", "rz"]
 INNER = [150.0, -100.0, -600.0, 10.0, 20.0, 5.0]
-
-
-@pytest.fixture(scope="module")
-def table():
-    return solved("plate_thin", 18, 20)
-
-
-@pytest.fixture(scope="module")
-def fmu(table, tmp_path_factory):
-    return opened(table, tmp_path_factory.mktemp("fmu"))
 
 
 def test_fmpy_finds_nothing_to_object_to(fmu):

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from tests.service.fmu.made import need_compiler, packed, solved, wrenches_of
+from tests.service.fmu.made import need_compiler, packed, wrenches_of
 from tests.service.stub_server import Answer, running_stub
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.fmu.export import LIBRARY_FILES, make_library
@@ -24,11 +24,6 @@ from wrenchbook.surrogate.packed.writer import pack
 ROOT = Path(__file__).parents[3]
 SCENES = ROOT / "data" / "scenes"
 HEADER = (kernel_build.FOLDER / "wrenchbook.h").read_text()
-
-
-@pytest.fixture(scope="module")
-def table():
-    return solved("plate_thin", 18, 20)
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from fmpy.validation import validate_fmu
 from typer.testing import CliRunner
 
 from tests.service.fmu import binaries
-from tests.service.fmu.made import BARS, LOADS, OUTPUTS, Opened, packed, solved, wrenches_of
+from tests.service.fmu.made import BARS, LOADS, OUTPUTS, Opened, packed, wrenches_of
 from tests.service.stub_server import Answer, running_stub
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.fmu import export
@@ -28,11 +28,6 @@ LINKERS = {"__dso_handle", "_mh_dylib_header"}  # symbols that the linker of zig
 HEADER = Path(export.__file__).parent / "c" / "fmi2Functions.h"
 # Of FMI 2.0, for co-simulation and model exchange.
 FUNCTIONS = set(re.findall(r"^#define (fmi2\w+)\s+fmi2FullName", HEADER.read_text(), re.M))
-
-
-@pytest.fixture(scope="module")
-def table():
-    return solved("plate_thin", 18, 20)
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from io import BytesIO
 import numpy as np
 import pytest
 
-from tests.service.fmu.made import need_compiler, opened, packed
+from tests.service.fmu.made import need_compiler, packed
 from tests.surrogate.test_space import range_of, solved
 from wrenchbook.service.fmu.export import make_library
 from wrenchbook.surrogate.build import build
@@ -27,11 +27,6 @@ COVERAGE, TOLERANCE = N + 2 * M, [N + 2 * M + 1, N + 2 * M + 2]
 def table():
     load_range = range_of(SPACE)
     return build(solved(SPACE, spread_wrenches(load_range, 40)), load_range)
-
-
-@pytest.fixture(scope="module")
-def fmu(table, tmp_path_factory):
-    return opened(table, tmp_path_factory.mktemp("fmu"))
 
 
 def test_variables_have_the_names_and_units_of_the_space(fmu):

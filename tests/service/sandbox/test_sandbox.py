@@ -111,10 +111,10 @@ def test_a_parser_that_disarms_its_deadline_is_ended_by_the_server(run, monkeypa
 
 
 def test_the_time_limit_is_of_the_processor_and_a_busy_machine_has_ten_times_as_long(run):
-    (part,) = run("timers", Limits(seconds=20.0))
-    assert 15.0 < part.fields["processor"] < 20.1
-    assert part.fields["hard"] == 21
-    assert 100.0 < part.fields["elapsed"] < 200.1
+    (part,) = run("timers", Limits(seconds=2000.0))  # what is left of it, whatever has passed
+    assert 1000.0 < part.fields["processor"] <= 2000.1
+    assert part.fields["hard"] == 2001
+    assert 10_000.0 < part.fields["elapsed"] <= 20_000.1
 
 
 def test_no_more_files_are_read_at_once_than_there_are_places(sandbox, run, monkeypatch):
