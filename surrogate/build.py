@@ -22,7 +22,7 @@ from time import thread_time
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from .answer import Allowed, allowed_of
 from .axes.axes import Axes, build_axes
@@ -128,7 +128,7 @@ class Group:
         freedom = np.maximum(number - 1, 0.0).sum(axis=0)
         total = scatter.sum(axis=0)
         repeated = np.where(total > 0, total / np.maximum(freedom, 1.0), np.nan)
-        noise = student.ppf((1 + LEVEL) / 2, np.maximum(freedom, 1.0)) * np.sqrt(repeated)
+        noise = stdtrit(np.maximum(freedom, 1.0), (1 + LEVEL) / 2) * np.sqrt(repeated)
         if not self.by_kriging or self.kriging is None:
             return noise
         told = self.observation_noise * self.kriging.noise_widening

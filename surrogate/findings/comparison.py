@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from ..calibration import CONFIDENCE
 from ..table.rows import Floats
@@ -46,7 +46,7 @@ def beyond_noise(moved: Floats, expected: Floats) -> Floats:
         What was measured, and what a table answers; NaN where unknown.
     """
     size, pair, deviation, freedom = _fitted(moved, expected)
-    by_chance = student.isf((1 - CONFIDENCE) / (2 * pair.size), freedom) * deviation
+    by_chance = stdtrit(freedom, 1 - (1 - CONFIDENCE) / (2 * pair.size)) * deviation
     return np.sqrt(np.maximum(pair**2 - by_chance**2, 0.0)).sum(axis=0) * size
 
 

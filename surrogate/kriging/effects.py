@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from ..table.polynomial import terms_of
 from ..table.rows import ZERO_LOAD, Floats, LoadRange, Rows
@@ -228,7 +228,7 @@ def _estimated(
         # Rows at rest tell nothing of a loop.
         freedom[1] = max(np.count_nonzero(signs[:, output]) - count, 1)
         half_width[:, output] = np.where(
-            shown, student.isf(CHANCE / 2, freedom) * deviation[:, output], np.inf
+            shown, -stdtrit(freedom, CHANCE / 2) * deviation[:, output], np.inf
         )
     if np.abs(x).max(axis=1).min() > NO_LOAD:
         half_width[0] = np.inf

@@ -79,6 +79,7 @@ def compliance(name: str, table: Newest) -> Response:
 @router.get(
     "/glance",
     summary="Covered, thin and outside parts of the range, and total error bars",
+    responses=refused(409),
 )
 def glance(name: str, workspace: Opened) -> Response:
     table = workspace.tables.surrogate(name)
@@ -155,7 +156,11 @@ def surface(name: str, workspace: Opened) -> Response:
     return json_reply({"component": name, **drawn})
 
 
-@router.get("/drawing", summary="Rows to draw, at most `most`, and the coverage of a grid")
+@router.get(
+    "/drawing",
+    summary="Rows to draw, at most `most`, and the coverage of a grid",
+    responses=refused(409),
+)
 def drawing(
     name: str,
     table: Newest,
@@ -203,7 +208,11 @@ def _spread(places: Places, count: int) -> Places:
     return places[np.linspace(0, len(places) - 1, count).astype(np.intp)]
 
 
-@router.get("/response", summary="What the table answers along one load, with its total error bars")
+@router.get(
+    "/response",
+    summary="What the table answers along one load, with its total error bars",
+    responses=refused(409),
+)
 def response(
     name: str,
     table: Newest,
