@@ -159,7 +159,7 @@ def test_source_of_a_partly_measured_table_is_that_of_the_row_itself() -> None:
     surrogate = build(Rows.of(CLEAN * HIGH, moved, source=source), RANGE)
     assert surrogate.rows.partial
     told = [
-        packed_of(surrogate).answer((CLEAN[place] * HIGH).tolist(), [0.0] * 6).source
+        packed_of(surrogate).answer(surrogate.rows.wrench[place].tolist(), [0.0] * 6).source
         for place in (20, 50, 0)
     ]
     assert told == ["rig 20", "rig 50", None]  # the first rows lack outputs, which others tell

@@ -39,7 +39,8 @@ def same_as_one_by_one(surrogate: Group, asked: np.ndarray) -> None:
         np.testing.assert_allclose(
             batch.displacement[place], answer.displacement or blank, rtol=1e-9, atol=1e-15
         )
-        np.testing.assert_allclose(batch.error[place], answer.error or blank, rtol=1e-7, atol=1e-12)
+        bars = np.array(answer.error or blank, dtype=float)
+        np.testing.assert_allclose(batch.error[place], bars, rtol=1e-7, atol=1e-12)
 
 
 def test_a_grid_is_triangulated_without_flat_simplices() -> None:

@@ -24,7 +24,7 @@ def test_the_parts_add_up_to_what_a_bar_grows_by():
     np.testing.assert_allclose(parts["mesh"], MESH @ np.abs(wrench), rtol=1e-5)
     np.testing.assert_allclose(parts["linearity"], 0.2**2 * np.array(BENT["linearity"]))
     rows = Rows.of([wrench], np.ones(6), source=["fea"])
-    found = packed_of(build(rows, UNIT, solver_error=error)).answer(wrench)
+    found = packed_of(build(rows, UNIT, solver_error=error)).answer(rows.wrench[0].tolist())
     grown = np.sum([parts["mesh"], parts["linearity"]], axis=0)
     assert found.interpolation == (0.0,) * 6
     np.testing.assert_allclose(found.error, grown, rtol=1e-5)
