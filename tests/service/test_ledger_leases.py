@@ -46,6 +46,14 @@ def test_an_attempt_is_submitted_until_its_owner_says_it_began(ledger):
     assert ledger.job(second.id).began is None
 
 
+def test_an_attempt_keeps_the_beginning_that_was_told_first(ledger):
+    accepted(ledger, 1)
+    job = ledger.claim("me")
+    for start in (12.5, 99.0):
+        ledger.beat("me", "local", {(job.id, 1): start})
+    assert ledger.job(job.id).began == 12.5
+
+
 def test_a_beginning_that_comes_late_changes_nothing(ledger):
     accepted(ledger, 2)
     over, adopted = ledger.claim_many("me", "local", 2)
