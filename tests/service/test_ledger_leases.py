@@ -72,6 +72,19 @@ def test_a_new_attempt_has_not_begun_though_the_one_before_had(ledger):
     assert ledger.job(job.id).began is None
 
 
+def test_an_attempt_that_is_given_back_with_a_delay_is_not_claimed_at_once(ledger):
+    job = accepted(ledger, 1)[0]
+    ledger.claim("me")
+    ledger.release(job.id, 1, delay=3600.0)
+    assert ledger.claim("me") is None
+
+
+def test_a_running_job_is_an_open_one(ledger):
+    first, second = accepted(ledger, 2)
+    ledger.claim("me")
+    assert [job.id for job in ledger.open_jobs("bar", "f1")] == [first.id, second.id]
+
+
 def test_claims_and_beats_make_the_heartbeat_grow(ledger):
     accepted(ledger, 1)
     assert ledger.leases() == {}
