@@ -131,9 +131,9 @@ class Group:
         noise = stdtrit(np.maximum(freedom, 1.0), (1 + LEVEL) / 2) * np.sqrt(repeated)
         if not self.by_kriging or self.kriging is None:
             return noise
-        told = self.observation_noise * self.kriging.noise_widening
-        told = np.where(np.isnan(told), noise, told)
-        return np.where(self.kriging.scaling.constant, self.kriging.floor, told)
+        by_kriging = self.observation_noise * self.kriging.noise_widening
+        by_kriging = np.where(np.isnan(by_kriging), noise, by_kriging)
+        return np.where(self.kriging.scaling.constant, self.kriging.floor, by_kriging)
 
     @property
     def default(self) -> str:
