@@ -300,11 +300,12 @@ def factor_of(
     ratio = float(np.exp(np.log(ratios).mean()))
     A, G, H = sums.A / ratio, sums.G / ratio, sums.H / ratio
     b, h = sums.b / ratio, sums.h / ratio
-    inverse = np.linalg.inv(A + np.eye(len(A)))
-    # R'R = I - inv(B), R lower: the Cholesky factor from the last row up.
-    gained = np.eye(len(A)) - (inverse + inverse.T) / 2
-    gained[np.diag_indices_from(gained)] += TINY
-    R = np.linalg.cholesky(gained[::-1, ::-1])[::-1, ::-1].T
+    values, vectors = np.linalg.eigh(A)
+    values = np.maximum(values, 0.0)
+    inverse = (vectors / (1 + values)) @ vectors.T
+    # R'R = I - inv(B), R lower, by its root: what rounding leaves of that may not be definite.
+    root = np.sqrt(values / (1 + values) + TINY)[:, None] * vectors.T
+    R = np.linalg.qr(root[:, ::-1], mode="r")[::-1, ::-1]
     precision = H - G.T @ inverse @ G + np.eye(len(H)) / settings.mean_variance
     mean_covariance = np.asarray(np.linalg.inv(precision), dtype=float)
     coefficients = mean_covariance @ (h - G.T @ inverse @ b)
@@ -312,7 +313,8 @@ def factor_of(
     TF = solve_triangular(R, inverse @ G, lower=True, trans=1)
     # The readings at the inducing wrenches, L inv(A) b, and the noise of each given the others'.
     lower = solve_triangular(base.T, np.eye(len(A)), lower=True)
-    pseudo.data[:, 0, outputs] = lower @ np.linalg.solve(A + TINY * np.eye(len(A)), b)
+    data = vectors @ ((vectors.T @ b) / (values + TINY)[:, None])
+    pseudo.data[:, 0, outputs] = lower @ data
     noise = 1 / np.einsum("ij,ij->j", base.T, A @ base.T)
     group = OutputGroup(outputs, np.arange(len(A)), noise)
     # One triangle for outputs that are alike: variances of answers are in proportion to the noise.

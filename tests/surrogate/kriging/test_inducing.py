@@ -204,3 +204,19 @@ def test_bars_hold_and_are_of_the_errors_size_where_some_rows_lack_an_output() -
         error = np.abs(found.outputs - coupled(ASKED))
         assert (error <= found.errors).mean(axis=0).min() >= 0.9
         assert (np.nanmedian(found.errors, axis=0) <= 10 * np.median(error, axis=0)).all()
+
+
+def test_rows_that_tell_some_wrenches_and_others_not_at_all_have_a_factor(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Rounding left what the rows tell indefinite, and the table could not be built."""
+    summed = inducing.sums_of
+
+    def of_any_condition(*arguments: object) -> inducing.Sums:
+        sums = summed(*arguments)  # pyright: ignore[reportArgumentType]
+        basis = np.linalg.qr(np.random.default_rng(3).normal(size=sums.A.shape))[0]
+        return sums._replace(A=(basis * np.logspace(-16, 14, len(basis))) @ basis.T)
+
+    monkeypatch.setattr(inducing, "sums_of", of_any_condition)
+    factor = Kriging.build(measured(600, 0.003), RANGE).neighbourhoods[0].factor
+    assert np.isfinite(factor.T).all()
