@@ -20,7 +20,6 @@ from typing import NamedTuple
 import numpy as np
 
 from ..kriging.correlation import Hyperparameters, covariance
-from ..kriging.effects import directions
 from ..table.rows import ZERO_LOAD, Floats, LoadRange, Rows
 from .response import RobustFit
 
@@ -28,6 +27,7 @@ SAMPLE = 300  # rows: slopes are known to a tenth of the noise of a reading, in 
 # Kernels: lengths in half ranges are exp(-theta / 2), weights those of the term of all loads.
 KERNELS = tuple((theta, weight) for theta in (1.4, 0.0, -1.4, -2.8) for weight in (-3.0, 1.0))
 RATIOS = np.exp(np.arange(-14.0, 8.0))  # noise over process variance
+STEP = 0.05  # of the largest usual step of an output: smaller steps have no direction
 PRIOR = 1e3  # deviations of the readings: of coefficients of the mean; wide, and finite
 
 
@@ -65,7 +65,7 @@ def slopes_at_zero(rows: Rows, load_range: LoadRange, response: RobustFit) -> Sl
         signs = np.sign(np.where(np.abs(x) > ZERO_LOAD, x, 0.0))
         columns = []
         for output in outputs:
-            loop = directions(response.expected[:, output])[chosen[pattern]]
+            loop = _directions(response.expected[:, output])[chosen[pattern]]
             own = x[:, output]  # a cubic response and one of 5th degree are no jump
             beside = np.ones(len(x)), time[pattern], loop, own**3, own**5
             columns.append(np.column_stack((x, signs, *beside)))
@@ -78,6 +78,15 @@ def slopes_at_zero(rows: Rows, load_range: LoadRange, response: RobustFit) -> Sl
     deviation = 2 * np.sqrt(spread[own, 6 + own, 6 + own])
     matrix, covariances = found[:, :6] / scale, spread[:, :6, :6] / np.outer(scale, scale)
     return Slopes(matrix, covariances, 2 * found[own, 6 + own], deviation)
+
+
+def _directions(expected: Floats) -> Floats:
+    """Return the sign of an output's change from the row before, (n,); 0 where it rests."""
+    if not len(expected):
+        return expected
+    steps = np.diff(expected, prepend=expected[0])
+    usual = np.percentile(np.abs(steps), 90)
+    return np.where(np.abs(steps) > STEP * usual, np.sign(steps), 0.0)
 
 
 def _averaged(x: Floats, y: Floats, columns: list[Floats]) -> tuple[Floats, Floats]:

@@ -31,7 +31,8 @@ Indices = NDArray[np.intp]
 
 SAMPLE = 300  # rows show effects to an eighth of the noise of a reading, in a third of a second
 SESSIONS = 8  # with effects of their own, those of the most rows; all others count as one
-STEP = 0.05  # of the largest usual step of an output: smaller steps have no direction
+# Deviations of a step of the response, and of a loop, that make it sure: a wrong direction in 700.
+SURE = 3.0
 ROUNDS = 3  # of directions and response in turn
 # Probability that an effect of nothing counts: of six outputs and some four effects each, one file
 # in a hundred has one.
@@ -42,6 +43,7 @@ MISFIT = 3e-4
 PRIOR = 0.3  # deviation of effects, spreads of the output: a tenth of its range
 # Half ranges: a response may have a kink at no load, and only readings there tell an offset.
 NO_LOAD = 0.01
+BLOCK = 65_536  # rows at once: some 20 MB
 RANK = 1e-9  # of the largest: columns that are no other direction
 SAME = 1e-6  # of an effect: what rounding may put outside of the directions that rows tell
 TINY = 1e-24  # spreads squared: rounding of equal values
@@ -93,21 +95,28 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     middle[:, count:] -= middle[:, count:].mean(axis=1, keepdims=True)
     if len(good) > SAMPLE:
         good = np.sort(np.random.default_rng(0).choice(good, SAMPLE, replace=False))
-    terms, moved = terms_of(rows.wrench / load_range.scale), rows.displacement
+    steps, moved = terms_of(rows.wrench / load_range.scale), rows.displacement
+    terms = steps[good]
+    for at in places:
+        steps[at[1:]] -= steps[at[:-1]]
+        steps[at[:1]] = 0.0
     mean, deviation, half_width = np.zeros((3, 2 + 2 * count, outputs))
-    measured = np.isfinite(moved[good]).T
-    for known in np.unique(measured, axis=0):
-        these, some = np.flatnonzero((measured == known).all(axis=1)), good[known]
+    shown = np.isfinite(moved[good]).T
+    for output in np.flatnonzero(shown.any(axis=1)):
+        known, has_loop = shown[output].copy(), False
+        # The loop itself bends the response that tells the directions: settled after a round.
+        for _ in range(ROUNDS):
+            beside = np.column_stack((terms, signs[good, output]))[known]
+            signs[:, output], has_loop = sure_directions(beside, moved[good, output][known], steps)
+        if has_loop:  # it is in other rows too, on a side that is not known
+            shown[output] &= signs[good, output] != 0
+    for known in np.unique(shown, axis=0):
+        these, some = np.flatnonzero((shown == known).all(axis=1)), good[known]
         if not len(some):
             continue
-        for output in these:
-            # The loop itself bends the response that tells the directions: settled after a round.
-            for _ in range(ROUNDS):
-                beside = np.column_stack((terms, signs[:, output]))
-                fit = np.linalg.lstsq(beside[some], moved[some, output], rcond=RANK)[0]
-                for at in places:
-                    signs[at, output] = directions(terms[at] @ fit[:-1])
-        part = _estimated(rows.take(some), load_range, these, signs[some], middle[some])
+        part = _estimated(
+            rows.take(some), load_range, these, signs[np.ix_(some, these)], middle[some]
+        )
         mean[:, these], deviation[:, these], half_width[:, these] = part
     size = np.where(np.abs(mean) > half_width, mean, 0.0)
     offset = size[2 + count :]
@@ -135,13 +144,27 @@ def sessions_of(rows: Rows) -> Indices:
     return np.unique(number[index], return_inverse=True)[1]
 
 
-def directions(expected: Floats) -> Floats:
-    """Return the sign of an output's change from the row before, (n,); 0 where it rests."""
-    if not len(expected):
-        return expected
-    steps = np.diff(expected, prepend=expected[0])
-    usual = np.percentile(np.abs(steps), 90)
-    return np.where(np.abs(steps) > STEP * usual, np.sign(steps), 0.0)
+def sure_directions(x: Floats, y: Floats, steps: Floats) -> tuple[Floats, bool]:
+    """Return the sign of an output's change where it is sure, (n,), else 0; and if it has a loop.
+
+    Parameters
+    ----------
+    x, y : ndarray, shapes (k, t + 1) and (k,)
+        Terms of the response and signs of rows, and their readings.
+    steps : ndarray, shape (n, t)
+        The change of the terms from the row before.
+    """
+    left, sizes, right = np.linalg.svd(x, full_matrices=False)
+    few = sizes > RANK * sizes[0]
+    along, back = left[:, few].T @ y, right[few].T / sizes[few]
+    rest = y - left[:, few] @ along
+    noise = np.sqrt(rest @ rest / max(len(y) - few.sum(), 1))
+    change, deviation = steps @ (back @ along)[:-1], np.empty(len(steps))
+    for at in range(0, len(steps), BLOCK):
+        deviation[at : at + BLOCK] = np.linalg.norm(steps[at : at + BLOCK] @ back[:-1], axis=1)
+    deviation *= noise
+    has_loop = abs(back[-1] @ along) > SURE * noise * np.linalg.norm(back[-1])
+    return np.where(np.abs(change) > SURE * deviation, np.sign(change), 0.0), bool(has_loop)
 
 
 def _estimated(

@@ -305,7 +305,7 @@ def factor_of(
     inverse = (vectors / (1 + values)) @ vectors.T
     # R'R = I - inv(B), R lower, by its root: what rounding leaves of that may not be definite.
     root = np.sqrt(values / (1 + values) + TINY)[:, None] * vectors.T
-    R = np.linalg.qr(root[:, ::-1], mode="r")[::-1, ::-1]
+    R = np.asarray(np.linalg.qr(root[:, ::-1], mode="r"))[::-1, ::-1]
     precision = H - G.T @ inverse @ G + np.eye(len(H)) / settings.mean_variance
     mean_covariance = np.asarray(np.linalg.inv(precision), dtype=float)
     coefficients = mean_covariance @ (h - G.T @ inverse @ b)
