@@ -31,7 +31,7 @@ Indices = NDArray[np.intp]
 
 SAMPLE = 300  # rows show effects to an eighth of the noise of a reading, in a third of a second
 SESSIONS = 8  # with effects of their own, those of the most rows; all others count as one
-# Deviations of a step of the response, and of a loop, that make it sure: a wrong direction in 700.
+# Deviations of a step of the response that make it sure: a wrong direction in 700.
 SURE = 3.0
 ROUNDS = 3  # of directions and response in turn
 # Probability that an effect of nothing counts: of six outputs and some four effects each, one file
@@ -103,21 +103,23 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     mean, deviation, half_width = np.zeros((3, 2 + 2 * count, outputs))
     shown = np.isfinite(moved[good]).T
     for output in np.flatnonzero(shown.any(axis=1)):
-        known, has_loop = shown[output].copy(), False
+        known = shown[output]
         # The loop itself bends the response that tells the directions: settled after a round.
         for _ in range(ROUNDS):
             beside = np.column_stack((terms, signs[good, output]))[known]
-            signs[:, output], has_loop = sure_directions(beside, moved[good, output][known], steps)
-        if has_loop:  # it is in other rows too, on a side that is not known
-            shown[output] &= signs[good, output] != 0
-    for known in np.unique(shown, axis=0):
-        these, some = np.flatnonzero((shown == known).all(axis=1)), good[known]
-        if not len(some):
-            continue
-        part = _estimated(
-            rows.take(some), load_range, these, signs[np.ix_(some, these)], middle[some]
-        )
-        mean[:, these], deviation[:, these], half_width[:, these] = part
+            signs[:, output] = sure_directions(beside, moved[good, output][known], steps)
+    some = shown.any(axis=1)
+    # A loop is in rows without a sure direction too, on a side that is not known: its size is that
+    # of the others.
+    for _ in range(2):
+        for known in np.unique(shown[some], axis=0):
+            these, of = np.flatnonzero(some & (shown == known).all(axis=1)), good[known]
+            part = _estimated(
+                rows.take(of), load_range, these, signs[np.ix_(of, these)], middle[of]
+            )
+            mean[:, these], deviation[:, these], half_width[:, these] = part
+        some = np.abs(mean[1]) > half_width[1]
+        shown[some] &= signs[good][:, some].T != 0
     size = np.where(np.abs(mean) > half_width, mean, 0.0)
     offset = size[2 + count :]
     if offset.any():  # if they differ in one output they are not the same in any
@@ -144,8 +146,8 @@ def sessions_of(rows: Rows) -> Indices:
     return np.unique(number[index], return_inverse=True)[1]
 
 
-def sure_directions(x: Floats, y: Floats, steps: Floats) -> tuple[Floats, bool]:
-    """Return the sign of an output's change where it is sure, (n,), else 0; and if it has a loop.
+def sure_directions(x: Floats, y: Floats, steps: Floats) -> Floats:
+    """Return the sign of an output's change where it is sure, (n,), else 0.
 
     Parameters
     ----------
@@ -163,8 +165,7 @@ def sure_directions(x: Floats, y: Floats, steps: Floats) -> tuple[Floats, bool]:
     for at in range(0, len(steps), BLOCK):
         deviation[at : at + BLOCK] = np.linalg.norm(steps[at : at + BLOCK] @ back[:-1], axis=1)
     deviation *= noise
-    has_loop = abs(back[-1] @ along) > SURE * noise * np.linalg.norm(back[-1])
-    return np.where(np.abs(change) > SURE * deviation, np.sign(change), 0.0), bool(has_loop)
+    return np.where(np.abs(change) > SURE * deviation, np.sign(change), 0.0)
 
 
 def _estimated(
