@@ -32,7 +32,6 @@ from ..table.axes import (
     LoadAxis,
     OffAxis,
     axis_rows,
-    evenly_chosen,
     single_axis_rows,
 )
 from ..table.compliance import ComplianceFit
@@ -84,7 +83,7 @@ def _axis_table(
     before: AxisTable | None,
 ) -> AxisTable | None:
     clean = axis_rows(rows, load_range, axis, fit, "exclude")
-    table = _thinned(clean, load_range, before) if len(clean.points) else None
+    table = axis_table(clean, load_range, before) if len(clean.points) else None
     if off_axis == "exclude" or single_axis_rows(rows, load_range).any(axis=1).all():
         return table
     chosen = axis_rows(rows, load_range, axis, fit, off_axis)
@@ -94,14 +93,7 @@ def _axis_table(
         return None
     if table is not None and chosen.single_axis.all():
         return table
-    return _thinned(chosen, load_range, before)
-
-
-def _thinned(rows: AxisRows, load_range: LoadRange, before: AxisTable | None) -> AxisTable:
-    """Return the table of an axis' rows, or of an even choice of them where they are many."""
-    chosen = evenly_chosen(rows.points)
-    some = rows if chosen.all() else rows.take(chosen)
-    return axis_table(some, load_range, before, len(rows.points))
+    return axis_table(chosen, load_range, before)
 
 
 def _worth_joining(rows: AxisRows, table: AxisTable) -> AxisRows:

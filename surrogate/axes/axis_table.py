@@ -45,8 +45,6 @@ class AxisTable:
     Attributes
     ----------
     rows : AxisRows
-    n_candidates : int
-        Points before an even choice of them was triangulated.
     triangulation : Triangulation
         Over the scaled inputs.
     scale : ndarray, shape (3,), N and N·m
@@ -60,7 +58,6 @@ class AxisTable:
     def __init__(self, rows: AxisRows, load_range: LoadRange) -> None:
         """Triangulate the rows, at least one."""
         self.rows, self.axis = rows, rows.axis
-        self.n_candidates = len(rows.points)
         self.scale = load_range.scale[list(rows.axis.inputs)]
         self.triangulation = Triangulation(rows.points)
         self.values = rows.displacement
@@ -70,10 +67,10 @@ class AxisTable:
             recovered = recovered_slopes(self.triangulation, self.values)
             self.slopes = np.where(stored, rows.tangent, recovered)
 
-    def of(self, rows: AxisRows, n_candidates: int) -> AxisTable:
+    def of(self, rows: AxisRows) -> AxisTable:
         """Return this table for rows of the same numbers, which may have other indices."""
         table = copy(self)
-        table.rows, table.n_candidates = rows, n_candidates
+        table.rows = rows
         return table
 
     def fractions(self) -> Floats:
@@ -118,9 +115,7 @@ class AxisTable:
         return AxisResult(outputs, simplices, np.ones(len(x), dtype=bool), x)
 
 
-def axis_table(
-    rows: AxisRows, load_range: LoadRange, before: AxisTable | None, n_candidates: int
-) -> AxisTable:
+def axis_table(rows: AxisRows, load_range: LoadRange, before: AxisTable | None) -> AxisTable:
     """Return the table of an axis' rows, at least one.
 
     Parameters
@@ -128,11 +123,9 @@ def axis_table(
     before : AxisTable or None
         Of another version: taken over where it was made of the same numbers, the only
         input.
-    n_candidates : int
-        Points that the rows were chosen from.
     """
     scale = load_range.scale[list(rows.axis.inputs)]
     usable = before is not None and np.array_equal(before.scale, scale)
     if before is None or not usable or not rows.equals(before.rows):
         before = AxisTable(rows, load_range)
-    return before.of(rows, n_candidates)
+    return before.of(rows)

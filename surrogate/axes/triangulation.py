@@ -7,10 +7,8 @@ a single point: qhull refuses flat input.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import combinations_with_replacement
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +19,8 @@ from ..table.rows import Floats
 Indices = NDArray[np.intp]
 
 FLAT = 1e-9  # of the points' extent: what lies closer to a plane, a line or a point is in it
+ROUNDED = 2e-14  # of a barycentric coordinate, some 100 roundings: still inside
+STEPS = 64  # of a walk, which takes some 5 from the simplex of the nearest middle
 ON_HULL = 1e-9  # of the way to the middle: rounding may put points of the hull so much outside
 SLIVER = 1e-10  # volume over cubed longest edge (or the like) below which a simplex is degenerate
 SHEAR = np.eye(3) + 1e-3 * np.array([[0.31, 0.77, -0.53], [0.19, -0.41, 0.97], [-0.61, 0.37, 0.23]])
@@ -37,21 +37,6 @@ NEIGHBOURS = {1: 5, 2: 10, 3: 18}  # of a patch, by dimension: not quite two for
 RIDGE = 1e-10  # of the patch's size: keeps points on one quadric from a singular fit
 NEARER = 0.1  # added to squared distances (of the farthest) before weights are their inverse
 CHUNK = 4096  # patches fitted at once: their normal equations fit the cache
-
-
-class ShearedDelaunay(Delaunay):
-    """The triangulation of points (n, d) that is Delaunay's once they are sheared."""
-
-    def __init__(self, points: Floats, shear: Floats) -> None:
-        super().__init__(points @ shear.T)
-        self._shear = shear
-
-    def find_simplex(
-        self, xi: ArrayLike, bruteforce: bool = False, tol: Any = None
-    ) -> NDArray[np.int32]:
-        """Return the simplex of each point (k, d), dimensionless and not sheared, or -1."""
-        sheared = np.asarray(xi, dtype=float) @ self._shear.T
-        return super().find_simplex(sheared, bruteforce=bruteforce, tol=tol)
 
 
 class Triangulation:
@@ -97,9 +82,8 @@ class Triangulation:
                 basis = np.linalg.svd(self.points - self.origin, full_matrices=False)[2]
 
     def _connect(self, flat: Floats) -> None:
-        """Make the simplices and the point location of the flattened points, shape (n, d)."""
+        """Make the simplices of the flattened points, shape (n, d)."""
         if self.dimension == 0:
-            self._find: Callable[[Floats], Indices] = _single_simplex
             self.simplices = np.zeros((1, 1), dtype=np.intp)
             self.neighbours = np.full((1, 1), -1, dtype=np.intp)
             self.weights = np.zeros((1, 0, 3))
@@ -116,15 +100,14 @@ class Triangulation:
         coordinates as they are.
         """
         points = self.points if self.dimension == 3 else flat
-        self.delaunay = Delaunay(points)
-        flattened = int(_flat(points, self.delaunay.simplices).sum())
+        delaunay = Delaunay(points)
+        flattened = int(_flat(points, delaunay.simplices).sum())
         if flattened:
-            sheared = ShearedDelaunay(points, SHEAR[: self.dimension, : self.dimension])
+            sheared = Delaunay(points @ SHEAR[: self.dimension, : self.dimension].T)
             if _flat(points, sheared.simplices).sum() < flattened:
-                self.delaunay = sheared
-        self._find = partial(_find_in_order, self.delaunay)
-        self.simplices = self.delaunay.simplices.astype(np.intp)
-        self.neighbours = self.delaunay.neighbors.astype(np.intp)
+                delaunay = sheared
+        self.simplices = delaunay.simplices.astype(np.intp)
+        self.neighbours = delaunay.neighbors.astype(np.intp)
         edges = points[self.simplices[:, :-1]] - points[self.simplices[:, -1:]]
         self.weights = inverses(edges).transpose(0, 2, 1)
         if self.dimension < 3:
@@ -134,7 +117,6 @@ class Triangulation:
     def _connect_line(self, along: Floats) -> None:
         order = np.argsort(along)
         stations = along[order]
-        self._find = partial(_interval, stations)
         self.simplices = np.stack((order[:-1], order[1:]), axis=1)
         index = np.arange(len(self.simplices))
         self.neighbours = np.stack((index + 1, index - 1), axis=1)
@@ -168,12 +150,32 @@ class Triangulation:
         return simplices
 
     def _find_flat(self, points: Floats) -> Indices:
-        if self.dimension == 3:
-            return self._find(points)
+        """Walk from the simplex with the nearest middle over the face that a point is behind.
+
+        In a Delaunay triangulation no such walk comes back (Devillers, Pion and Teillaud 2002,
+        "Walking in a triangulation").
+        """
         centred = points - self.origin
-        flat = centred @ self.basis.T
-        off = np.abs(centred - flat @ self.basis).max(axis=1, initial=0.0)
-        return np.where(off > self.slack, -1, self._find(flat))
+        off = np.abs(centred - centred @ self.basis.T @ self.basis).max(axis=1, initial=0.0)
+        simplices = self._middles.query(points)[1]
+        walking = np.arange(len(points))
+        for _ in range(STEPS):
+            parts = self.barycentric(simplices[walking], points[walking])
+            behind, least = parts.argmin(axis=1), parts.min(axis=1)
+            goes_on = (least < -ROUNDED) | self.degenerate[simplices[walking]]
+            walking, behind = walking[goes_on], behind[goes_on]
+            simplices[walking] = self.neighbours[simplices[walking], behind]
+            walking = walking[simplices[walking] >= 0]
+        for point in walking:  # flat simplices may turn it back: compare it with all
+            every = np.arange(len(self.simplices))
+            least = self.barycentric(every, points[[point]]).min(axis=1)
+            least[self.degenerate] = -np.inf
+            simplices[point] = least.argmax() if least.max() >= -ROUNDED else -1
+        return np.where(off > self.slack, -1, simplices)
+
+    @cached_property
+    def _middles(self) -> KDTree:
+        return KDTree(self.points[self.simplices].mean(axis=1))
 
     def flattened(self, x: Floats) -> Floats:
         """Return points in the coordinates of what the points span.
@@ -277,27 +279,6 @@ def inverses(edges: Floats) -> Floats:
             return np.stack((d, -b, -c, a), axis=1).reshape(-1, 2, 2) * over
         a, b, c = edges[:, 0], edges[:, 1], edges[:, 2]
         return np.stack((np.cross(b, c), np.cross(c, a), np.cross(a, b)), axis=2) * over
-
-
-def _single_simplex(flat: Floats) -> Indices:
-    """Return the only simplex, 0, for each position, shape (k, 0)."""
-    return np.zeros(len(flat), dtype=np.intp)
-
-
-def _find_in_order(delaunay: Delaunay, flat: Floats) -> Indices:
-    """Walk to the points, shape (k, d), in an order that makes the walks short."""
-    order = curve_order(flat)
-    simplices = np.empty(len(flat), dtype=np.intp)
-    simplices[order] = delaunay.find_simplex(flat[order])
-    return simplices
-
-
-def _interval(stations: Floats, flat: Floats) -> Indices:
-    """Return which interval of ascending stations each position, shape (k, 1), lies in, or -1."""
-    along = flat[:, 0]
-    intervals = np.clip(np.searchsorted(stations, along, side="right") - 1, 0, len(stations) - 2)
-    inside = (along >= stations[0]) & (along <= stations[-1])
-    return np.where(inside, intervals, -1)
 
 
 def nearest_points(facets: Floats, x: Floats) -> tuple[Floats, NDArray[np.intp]]:

@@ -102,12 +102,14 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
         steps[at[:1]] = 0.0
     mean, deviation, half_width = np.zeros((3, 2 + 2 * count, outputs))
     shown = np.isfinite(moved[good]).T
-    for output in np.flatnonzero(shown.any(axis=1)):
+    told: dict[int, tuple[Floats, Floats]] = {}
+    for output in np.flatnonzero(shown.any(axis=1)).tolist():
         known = shown[output]
         # The loop itself bends the response that tells the directions: settled after a round.
         for _ in range(ROUNDS):
             beside = np.column_stack((terms, signs[good, output]))[known]
-            signs[:, output] = sure_directions(beside, moved[good, output][known], steps)
+            told[output] = beside, moved[good, output][known]
+            signs[good, output] = sure_directions(*told[output], steps[good])
     some = shown.any(axis=1)
     # A loop is in rows without a sure direction too, on a side that is not known: its size is that
     # of the others.
@@ -126,6 +128,8 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
         offset[:] = mean[2 + count :]
     most = np.where(size != 0, np.abs(size) + half_width, 0.0)
     zero, loop, drift, _ = np.split(size, [1, 2, 2 + count])
+    for output in np.flatnonzero(loop).tolist():
+        signs[:, output] = sure_directions(*told[output], steps)
     bar = most[1] + 0.5 * most[2 : 2 + count].max(axis=0) + most[2 + count :].max(axis=0)
     # Where sessions differ, what they have in common is no displacement of the part either.
     common = np.abs(mean[0]) + DEFAULTS.half_width * deviation[0]

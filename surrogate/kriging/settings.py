@@ -79,9 +79,9 @@ class KrigingSettings:
     # the response beside the noise: of 900 and 100,000 rows with 0.3 % noise 75 and 252.
     many_rows: int = 400
     inducing: int = 1000
-    # Of more measured rows so many are taken evenly: a tenth of a millisecond each, and 100,000
-    # tell the mean to a fortieth of their noise.
-    most_rows: int = 200_000
+    # Of more measured rows so many are taken evenly: a tenth of a millisecond each, and they tell
+    # the mean to a fortieth of their noise.
+    most_rows: int = 100_000
     # So many of these bring their second derivatives too: 2 of 12 rows (126 equations) give bars of
     # 60 solves that are 1.1 times as wide as those of 20 rows with all (560 equations); 5 of 5
     # (140) are 1.6 times as wide.

@@ -138,6 +138,7 @@ def axis_rows(
 ) -> AxisRows:
     """Choose the rows of one axis, take the off-axis part out of them, and merge equal points.
 
+    Of many rows an even choice stands for all: of those of this axis alone, and of the others.
     A row that loads this axis alone is used as it is; that of another axis never is. A row
     of several axes follows `off_axis`: "correct" subtracts the fitted compliance times its off-axis
     loads (and leaves the row out if the fit does not know those loads), "ignore" uses it as it
@@ -146,23 +147,32 @@ def axis_rows(
     single_axis = single_axis_rows(rows, load_range)
     mine = single_axis[:, AXES.index(axis)]
     joining = ~single_axis.any(axis=1) & (off_axis != "exclude")
-    displacement = rows.displacement.copy() if joining.any() else rows.displacement
-    if off_axis == "correct" and joining.any():
-        loads = np.where(np.isin(np.arange(6), axis.others), rows.wrench, 0.0)
-        joining &= ~((np.abs(loads) > ZERO_LOAD * load_range.scale) & ~fit.known).any(axis=1)
-        displacement[joining] -= loads[joining] @ fit.matrix.T
-    # At the points of single-axis rows these alone count.
-    inputs, indices = list(axis.inputs), np.flatnonzero(mine | joining)
+    inputs, others = list(axis.inputs), list(axis.others)
+    if off_axis == "correct":
+        loaded = np.abs(rows.wrench) > ZERO_LOAD * load_range.scale
+        joining &= ~(loaded[:, others] & ~fit.known[others]).any(axis=1)
+    scaled = (rows.wrench / load_range.scale)[:, inputs] + 0.0
+    indices = [np.flatnonzero(each) for each in (mine, joining)]
+    indices = np.concatenate([each[evenly_chosen(scaled[each])] for each in indices])
+    indices.sort()
+    displacement = rows.displacement[indices]
     if joining.any():
-        group = close_groups((rows.wrench[indices] / load_range.scale)[:, inputs])
-        indices = indices[mine[indices] | ~np.isin(group, group[mine[indices]])]
+        # At the points of single-axis rows these alone count.
+        group = close_groups(scaled[indices])
+        kept = mine[indices] | ~np.isin(group, group[mine[indices]])
+        indices, displacement = indices[kept], displacement[kept]
+    if off_axis == "correct":
+        loads = np.where(np.isin(np.arange(6), others), rows.wrench[indices], 0.0)
+        displacement = np.where(
+            mine[indices][:, None], displacement, displacement - loads @ fit.matrix.T
+        )
     # Multi-axis rows may have one point; `seq` is a row's index, so that these are the members.
     merged = merge(
         replace(
             rows.take(indices),
             seq=indices,
             wrench=np.where(np.isin(np.arange(6), inputs), rows.wrench[indices], 0.0),
-            displacement=displacement[indices],
+            displacement=displacement,
             curvature=np.empty((len(indices), 0)),
         ),
         load_range,

@@ -255,22 +255,25 @@ def close_groups(points: Floats) -> NDArray[np.intp]:
     distinct = ordered[new]
     # The points that another one may be near to, by what they are along a few directions. Points
     # that are near each other are so along any direction; of others few are.
-    remaining = np.arange(len(distinct))
+    remaining, most = np.arange(len(distinct)), 0
     directions = np.random.default_rng(0).uniform(0.5, 1.0, (DIRECTIONS, distinct.shape[1]))
     for direction in directions:
         along = distinct[remaining] @ direction
         order = np.argsort(along)
-        close = np.diff(along[order]) <= NEAR * direction.sum() * ALONG
+        reach = NEAR * direction.sum() * ALONG
+        ends = np.searchsorted(along[order], along[order] + reach, side="right")
+        after = ends - np.arange(1, len(order) + 1)  # points within reach
+        most = 2 * after.sum()
         is_close = np.zeros(len(remaining), dtype=bool)
-        is_close[order[1:][close]] = True
-        is_close[order[:-1][close]] = True
+        is_close[order[after > 0]] = True
+        is_close[order[1:][after[:-1] > 0]] = True
         remaining = remaining[is_close]
     near, size = remaining, len(distinct)
     # Readings of a load that is held crowd: those of a cell are one, and the first of each stands
     # for it, in ever larger cells until the pairs that are left fit into memory.
     shown, cell, edge = np.arange(len(near)), np.arange(len(near)), NEAR
     tree = KDTree(distinct[near])
-    while tree.count_neighbors(tree, NEAR, p=np.inf) > MAX_PAIRS:
+    while most > MAX_PAIRS and tree.count_neighbors(tree, NEAR, p=np.inf) > MAX_PAIRS:
         cells = np.floor(distinct[near] / edge)
         _, shown, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
         tree, edge = KDTree(distinct[near[shown]]), 2 * edge

@@ -92,7 +92,7 @@ def test_griddata_is_faster_than_three_bare_calls(
     scaled = full_wrenches(100_000, 3) * span
     single, batch, python, many = rates(surrogate, scaled * HIGH, tmp_path)
     bare = [
-        (LinearNDInterpolator(one.triangulation.delaunay, one.values), scaled[:, one.axis.inputs])
+        (LinearNDInterpolator(one.triangulation.points, one.values), scaled[:, one.axis.inputs])
         for one in surrogate.axes.tables
         if one is not None
     ]
