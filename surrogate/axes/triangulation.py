@@ -157,7 +157,7 @@ class Triangulation:
         """
         centred = points - self.origin
         off = np.abs(centred - centred @ self.basis.T @ self.basis).max(axis=1, initial=0.0)
-        simplices = self._middles.query(points)[1]
+        simplices = np.asarray(self._middles.query(points)[1], dtype=np.intp)
         walking = np.arange(len(points))
         for _ in range(STEPS):
             parts = self.barycentric(simplices[walking], points[walking])
