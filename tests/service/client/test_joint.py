@@ -53,8 +53,9 @@ def test_the_kernels_rate_is_the_sum_over_the_modes(dt):
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("dt", [5e-4, 1e-3, 2e-3, 5e-3])
-@pytest.mark.parametrize("at", ["0 0 0", "0.02 0 0.03"])
+@pytest.mark.parametrize(
+    ("dt", "at"), [(1e-3, "0 0 0"), (1e-3, "0.02 0 0.03"), (5e-3, "0.02 0 0.03")]
+)
 def test_a_hanging_mass_sags_as_its_weight_bends_the_bar(dt, at):
     model, data = scene(sphere(5, at), dt)
     joint = MujocoJoint(model, data, TABLE, damping=0.3)
@@ -68,7 +69,7 @@ def test_a_hanging_mass_sags_as_its_weight_bends_the_bar(dt, at):
     np.testing.assert_allclose(joint.wrench, load, atol=1e-7)
 
 
-@pytest.mark.parametrize("dt", [5e-4, 1e-3, 2e-3])
+@pytest.mark.parametrize("dt", [1e-3, 2e-3])
 @pytest.mark.parametrize("at", ["0 0 0", "1e-6 0 0"], ids=["diagonal", "full"])
 def test_a_mass_on_a_bar_swings_at_its_frequency_and_keeps_its_amplitude(dt, at):
     point = f'<inertial mass="5" pos="{at}" diaginertia="1e-4 1e-4 1e-4"/>'
@@ -154,7 +155,7 @@ FOOT = {
 
 
 @pytest.mark.parametrize("solref", ["0.02 1", "0.01 1", "0.004 1"])
-@pytest.mark.parametrize("dt", [5e-4, 1e-3, 2e-3, 4e-3])
+@pytest.mark.parametrize("dt", [1e-3, 4e-3])
 def test_a_foot_pressed_on_a_contact_does_not_chatter(solref, dt):
     model, data = scene(sphere(3, geom=f'solref="{solref}"'), dt, **FOOT)
     joint, forces = MujocoJoint(model, data, TABLE, damping=0.05), []

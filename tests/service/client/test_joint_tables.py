@@ -254,15 +254,16 @@ def test_a_joint_without_its_inputs_is_refused(inputs, words):
         Joint(WARM, inputs=inputs)
 
 
-@pytest.mark.parametrize("make", [Joint, LinearPart.of])
-def test_what_is_no_table_is_refused(make):
-    with pytest.raises(InvalidArgument, match="takes a Table"):
-        make(None)
-
-
 @pytest.mark.parametrize(
-    ("options", "text"), [({"damping": "0.1"}, "damping"), ({"method": "x"}, "unknown method")]
+    ("make", "text"),
+    [
+        (lambda: Joint(None), "takes a Table"),
+        (lambda: LinearPart.of(None), "takes a Table"),
+        (lambda: LinearPart.of(linear_table(), [0.0] * 5), "6 finite numbers"),
+        (lambda: Joint(linear_table(), damping="0.1"), "damping"),
+        (lambda: Joint(linear_table(), method="x"), "unknown method"),
+    ],
 )
-def test_an_option_of_another_kind_is_refused(options: dict, text: str):
+def test_an_argument_of_another_kind_is_refused(make, text: str):
     with pytest.raises(InvalidArgument, match=text):
-        Joint(linear_table(bar_compliance()), **options)
+        make()
