@@ -106,10 +106,11 @@ def test_two_logs_go_as_one_form(stub: Stub, client: Client, tmp_path: Path):
 def test_an_export_has_the_format_of_its_ending_and_the_bytes_that_came(
     stub: Stub, tmp_path: Path, name: str, kind: str
 ):
-    stub.answers(Answer(b"\x89HDF\r\n", kind="application/octet-stream"))
+    content = b"{}\n" if kind in ("csv", "json") else b"\x89HDF\r\n"
+    stub.answers(Answer(content, kind="application/octet-stream"))
     run = CliRunner().invoke(app, ["export", "bar", str(tmp_path / name), "--server", stub.url])
     assert run.exit_code == 0, run.output
-    assert (tmp_path / name).read_bytes() == b"\x89HDF\r\n"
+    assert (tmp_path / name).read_bytes() == content
     assert stub.seen[0].path == f"/v1/components/bar/table?format={kind}"
 
 

@@ -111,24 +111,6 @@ def test_the_linear_plate_answers_every_wrench_once_one_is_solved(served):
     assert ten.stress.largest == pytest.approx(10 * one.stress.largest, rel=1e-9)
 
 
-def test_a_row_without_a_surface_gets_one_as_the_text_says(served, solve):
-    client, _, data = served
-    asked = [0.0, 0.0, -333.0]
-    client.displacement("sheet", asked, on_thin="wait", wait_s=120)
-    row = client.solve("sheet", asked).raw["row"]
-    kept = client.deformed("sheet", asked).displacement
-    shutil.rmtree(data / "fields" / "sheet")
-    assert "none of its" in refused(client.deformed, "sheet", asked).detail
-    client.call("DELETE", f"/v1/components/sheet/table/{row}")
-    client.displacement("sheet", asked, on_thin="wait", wait_s=120)
-    answer = client.solve("sheet", asked)
-    if answer.job is not None:
-        client.wait(answer.job.id, 120)
-    found = client.deformed("sheet", asked)
-    assert found.source == "row"
-    np.testing.assert_array_equal(found.displacement, kept)
-
-
 def test_the_command_line_writes_each_form(served, solve, tmp_path, monkeypatch):
     client, *_ = served
     client.displacement("sheet", FORCE, MOMENT, on_thin="wait", wait_s=120)
@@ -220,3 +202,21 @@ def test_where_nothing_tells_of_the_mesh_the_reply_says_that_and_how_to_learn_it
     assert found.within_tolerance is None
     assert found.error.max() == found.error_parts["table"]
     assert sweep["bars_are_whole"] is False
+
+
+def test_a_row_without_a_surface_gets_one_as_the_text_says(served, solve):
+    client, _, data = served
+    asked = [0.0, 0.0, -333.0]
+    client.displacement("sheet", asked, on_thin="wait", wait_s=120)
+    row = client.solve("sheet", asked).raw["row"]
+    kept = client.deformed("sheet", asked).displacement
+    shutil.rmtree(data / "fields" / "sheet")
+    assert "none of its" in refused(client.deformed, "sheet", asked).detail
+    client.call("DELETE", f"/v1/components/sheet/table/{row}")
+    client.displacement("sheet", asked, on_thin="wait", wait_s=120)
+    answer = client.solve("sheet", asked)
+    if answer.job is not None:
+        client.wait(answer.job.id, 120)
+    found = client.deformed("sheet", asked)
+    assert found.source == "row"
+    np.testing.assert_array_equal(found.displacement, kept)
