@@ -26,6 +26,7 @@ LONGEST = (
     "surrogate/test_error_bars.py",
     "acceptance/test_main_job.py",
     "acceptance/test_nothing_lost.py",
+    "acceptance/test_one_law.py",
     "surrogate/kernel/test_kernel.py",
     "surrogate/kernel/test_replies.py",
     "surrogate/kernel/test_same_bits.py",
