@@ -34,6 +34,7 @@ def tables() -> dict[str, tuple[Rows, dict[str, Any]]]:
     """Rows of tables that have no finite elements, and what else the component is given."""
     mixed = np.concatenate((clean(15), full_wrenches(20)))
     near = np.concatenate((mixed, full_wrenches(3) + 1e-8 * FULL, mixed[-6:]))
+    rigs = np.array(["rig"] * len(mixed) + ["other rig"] * 9)
     solved, few = full_wrenches(20), full_wrenches(5)
     beyond = np.concatenate((clean(20), 3 * full_wrenches(4)))
     partial = moved(mixed)
@@ -52,7 +53,7 @@ def tables() -> dict[str, tuple[Rows, dict[str, Any]]]:
         "kriging": (as_rows(solved, moved(solved), tangents(solved)), {"tolerance": LIMIT}),
         "few_with_tangents": (as_rows(few, moved(few), tangents(few)), {}),
         "measured": (told(as_rows(rig, moved(rig) + 3e-5), uncertainty=doubt), {}),
-        "near_each_other": (as_rows(near, moved(near)), {}),
+        "near_each_other": (told(as_rows(near, moved(near)), source=rigs), {}),
         "partial": (as_rows(mixed, partial), {"tolerance": LIMIT}),
         "thin": (as_rows(clean(4), moved(clean(4))), {}),
         "planar": (as_rows(grid((2, 3), 5), moved(grid((2, 3), 5))), {}),

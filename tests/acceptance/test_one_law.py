@@ -41,7 +41,8 @@ from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.hdf5 import read_table
 from wrenchbook.surrogate.table.rows import Tolerance
 
-SORTS = ("inside", "beyond", "far", "none", "none, negative", "single", "few", "row", "near a row")
+SORTS = ("inside", "beyond", "far", "none", "none, negative", "single", "few")
+SORTS += ("row", "first row", "near a row")
 
 
 def wrench_of(sort: str, kind: Kind, random: np.random.Generator) -> np.ndarray:
@@ -58,8 +59,8 @@ def wrench_of(sort: str, kind: Kind, random: np.random.Generator) -> np.ndarray:
     if sort in ("single", "few"):
         acts = random.permutation(len(scale)) < (1 if sort == "single" else random.integers(2, 5))
         return np.where(acts, parts * span[1], random.choice([0.0, -0.0]))
-    if len(row) and sort in ("row", "near a row"):
-        near = random.choice(row)
+    if len(row) and "row" in sort:
+        near = row[0] if sort == "first row" else random.choice(row)
         return near + (1.5e-6 * parts * scale if sort == "near a row" else 0.0)
     return wrench
 
@@ -131,7 +132,7 @@ def test_the_questions_reach_all_that_a_reply_can_say(asked):
     assert said["coverage"] == {"covered", "thin", "outside"}
     assert said["within"] == {True, False, None}
     assert said["methods"] >= {"griddata", "additive", "kriging", "linear", "row", "estimate"}
-    assert said["sources"] >= {None, "table", "fea"}
+    assert said["sources"] >= {None, "table", "fea", "rig"}
     reasons = " ".join(one for reply in replies for one in reply.reasons)
     for words in ("20 degrees and 10 m", "has exactly this wrench", "not measured in any row: ry"):
         assert words in reasons

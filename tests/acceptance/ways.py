@@ -416,7 +416,9 @@ WAYS: dict[str, Callable[[Kind, Question], Said | None]] = {
     "C program, batch": c_batch,
     "downloaded table": partial(table, made=lambda kind: kind.table),
     "opened table": partial(table, made=lambda kind: Table.open(kind.path)),
-    "pickled table": partial(table, made=lambda kind: pickle.loads(pickle.dumps(kind.table))),
+    "pickled table": partial(
+        table, made=lambda kind: pickle.loads(pickle.dumps(Table.open(kind.path)))
+    ),
     "table, batch": table_batch,
     "HTTP": http,
     "client": partial(client, derivatives=False),

@@ -383,6 +383,8 @@ def test_a_scene_takes_loads_by_interface_and_further_inputs(link):
     assert wanted["range"]["loads"]["right"]["force"][2] == [-1.0, 0.0]
     assert wanted["range"]["inputs"] == {"temperature": [0.0, 1.0]}
     assert wanted["outputs"] == ["right.uz", "right.rx"]
+    with pytest.raises(SceneError, match=r"components.link.loads.right: unknown torque"):
+        Scene({"link": {"loads": {"right": {"torque": [0, 0, 0]}}}})
     with pytest.raises(SceneError, match=r"components.link.inputs.temperature: \[low, high\]"):
         Scene({"link": {"loads": {}, "inputs": {"temperature": "warm"}}})
 
