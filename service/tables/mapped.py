@@ -339,11 +339,15 @@ class MappedTables:
                 self.wake()
 
     def _map_new(self) -> None:
-        status = self._state.read()
+        status, failed = self._state.read(), None
         for name, files in self._store.packed_files().items():
             if name in self._library:
                 component = self._library[name]
-                next((file for file in files if self._map(component, file)), None)
+                try:
+                    next((file for file in files if self._map(component, file)), None)
+                except Exception as error:  # the other tables are mapped all the same
+                    self._unread[name], failed = repr(error), error
+                    continue
                 if not any(self._refused.get(file.path) == (file, component) for file in files):
                     self._unread.pop(name, None)
         mapped = {name: _mark(table) for name, table in self.present().items()}
@@ -354,6 +358,8 @@ class MappedTables:
         with self._changed:
             self._status = status
             self._changed.notify_all()
+        if failed is not None:
+            raise failed
 
     def _map(self, component: Component, file: PackedFile) -> bool:
         """Take a file up unless it is of anything else; return whether it is taken up."""

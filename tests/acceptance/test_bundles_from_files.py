@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from tests.fea.geometry import draw_bracket
-from wrenchbook.service.client import ProblemError
 
 YOUNG = 210e9
 LENGTH, SIDE = 0.2, 0.02
@@ -118,11 +117,11 @@ bolt = {radius = 0.008}
 """
 
 
-def bracket_bundle(folder, mesh=BRACKET_MESH):
+def bracket_bundle(folder):
     step = draw_bracket(folder / "bracket.step").read_bytes()
     text = set_up(
         "bracket",
-        mesh,
+        BRACKET_MESH,
         poisson=0.3,
         supports="wall",
         section="bolt",
@@ -150,14 +149,3 @@ def test_a_bracket_from_a_step_file_becomes_a_covered_table(server, tmp_path):
     assert error[3:].max() <= 5e-5
     # It hangs down under a load downwards, and by far more than the tolerance.
     assert told.translation[2] < -1e-5
-
-
-def test_a_bracket_whose_groups_name_no_face_is_refused_with_what_there_is(server, tmp_path):
-    client = server.start()
-    mesh = BRACKET_MESH.replace("at = 0}", "at = 0.5}")
-    with pytest.raises(ProblemError) as caught:
-        client.add_component(bracket_bundle(tmp_path, mesh))
-    assert caught.value.status == 422
-    (problem,) = caught.value.errors
-    assert problem["loc"] == "mesh.groups.wall.plane"
-    assert "there are at: 0, 0.008, 0.08" in problem["msg"]

@@ -1,13 +1,7 @@
 """The main job with real servers, real solvers and the simulator's client."""
 
-import contextlib
-import os
-import signal
-
 import numpy as np
 import pytest
-
-from tests.until import until
 
 WRENCH = ([0.0, 0.0, -60.0], [0.0, 5.0, 0.0])
 
@@ -41,24 +35,6 @@ def test_a_thin_table_is_solved_filled_and_then_covers(server):
     assert error[3:].max() <= tolerance["rotation"]
 
 
-def test_killed_servers_and_solvers_lose_no_accepted_job_and_double_no_row(server):
-    client = server.start()
-    wrenches = np.zeros((5, 6))
-    wrenches[:, 2] = -np.arange(1.0, 6.0) * 50
-    jobs = [client.solve("plate_thin", wrench).job for wrench in wrenches]  # nothing is joined
-    assert len({job.id for job in jobs}) == 5
-    _wait_until_running(client)
-    server.kill()
-    client = server.start()
-    _wait_until_running(client)
-    _kill_a_solver(server.folder)
-    for job in jobs:
-        assert client.wait(job, timeout=120).status == "done"
-    rows = client.call_json("GET", "/v1/components/plate_thin/table")["rows"]
-    asked = sorted(tuple(wrench) for wrench in wrenches.tolist())
-    assert sorted(tuple(row["wrench"]) for row in rows) == asked
-
-
 def test_a_restarted_server_answers_as_before(server):
     client = server.start()
     client.solve("bar", *WRENCH, wait_s=60)
@@ -70,21 +46,3 @@ def test_a_restarted_server_answers_as_before(server):
     after = server.start().displacement("bar", [1, 2, 3], [4, 5, 6])
     assert after.vector.tolist() == before.vector.tolist()
     assert after.table_version == before.table_version
-
-
-def _wait_until_running(client):
-    until(lambda: client.jobs("plate_thin", "running"))
-
-
-def _kill_a_solver(folder):
-    """Kill a solver of this server; its pid stands in the lock it holds."""
-
-    def killed():
-        for lock in folder.glob("jobs/*/*/lock"):
-            if not lock.with_name("result.json").exists() and lock.read_text().strip():
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(int(lock.read_text()), signal.SIGKILL)
-                    return True
-        return False
-
-    until(killed)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import inspect
-import socket
 import threading
 
 import pytest
@@ -31,12 +30,9 @@ OWN = ("abandon",)  # of the connection
 @pytest.mark.parametrize("name", [name for name in CALLS if name not in OWN])
 def test_each_call_of_the_client_has_the_same_signature_in_the_asynchronous_one(name: str):
     ours, theirs = getattr(AsyncClient, name), getattr(Client, name)
+    assert inspect.signature(AsyncClient) == inspect.signature(Client)
     assert inspect.signature(ours) == inspect.signature(theirs)
     assert ours.__doc__ == theirs.__doc__
-
-
-def test_both_clients_are_made_with_the_same_parameters():
-    assert inspect.signature(AsyncClient) == inspect.signature(Client)
 
 
 def test_fifty_calls_are_on_the_wire_at_once(stub: Stub):
@@ -53,17 +49,6 @@ def test_fifty_calls_are_on_the_wire_at_once(stub: Stub):
 
     stub.respond = respond
     assert asyncio.run(gathered()) == list(range(50))
-
-
-def test_awaited_calls_in_a_loop_stay_on_one_socket(stub: Stub):
-    async def looped() -> None:
-        async with AsyncClient(stub.url, timeout=5.0) as client:
-            for _ in range(20):
-                await client.job(1)
-
-    asyncio.run(looped())
-    assert len(stub.seen) == 20
-    assert len(set(stub.sockets)) == 1
 
 
 def test_a_cancelled_call_leaves_the_client_usable(stub: Stub):
@@ -156,17 +141,6 @@ def test_a_client_goes_from_one_event_loop_to_the_next(stub: Stub):
     assert len(set(stub.sockets)) == 2
 
 
-def test_a_connection_that_the_server_closed_is_opened_again(stub: Stub):
-    async def twice() -> None:
-        async with AsyncClient(stub.url, timeout=5.0) as client:
-            stub.answers(Answer(DONE, close=True), Answer(DONE))
-            await client.job(1)
-            assert (await client.job(1)).ended
-
-    asyncio.run(twice())
-    assert len(stub.seen) == 2
-
-
 def outcome(url: str, call: str, *args, timeout: float = 5.0) -> tuple[BaseException, ...]:
     """The errors of the blocking client and of the asynchronous one."""
 
@@ -211,77 +185,6 @@ def test_a_wrong_argument_is_the_same_error_in_both_clients_and_nothing_is_sent(
     assert not stub.seen
 
 
-CHUNKED = (
-    b"HTTP/1.1 100 Continue\r\n\r\nHTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n"
-    b'10;x=1\r\n{"id": 1, "statu\r\n9\r\ns":"done"\r\n1\r\n}\r\n0\r\nTrailer: t\r\n\r\n'
-)
-CLOSED = b'HTTP/1.0 200 OK\r\n\r\n{"id": 1, "status": "done"}'
-
-
-@pytest.mark.parametrize("whole", [CHUNKED, CLOSED], ids=["chunked", "closed"])
-def test_an_unusual_response_is_read_as_by_the_blocking_client(whole: bytes):
-    async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        await reader.readuntil(b"\r\n\r\n")
-        writer.write(whole)
-        writer.close()
-
-    async def asked() -> bool:
-        async with await asyncio.start_server(answer, "127.0.0.1", 0) as server:
-            port = server.sockets[0].getsockname()[1]
-            async with AsyncClient(f"http://127.0.0.1:{port}", timeout=5.0) as client:
-                return (await client.job(1)).ended
-
-    assert asyncio.run(asked())
-
-
-@pytest.mark.parametrize("whole", [b"", b"SSH-2.0-x\r\n\r\n", CHUNKED[:-20], CHUNKED[:60]])
-def test_a_response_that_breaks_off_is_no_answer(whole: bytes):
-    async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        await reader.readuntil(b"\r\n\r\n")
-        writer.write(whole)
-        writer.close()
-
-    async def asked() -> None:
-        async with await asyncio.start_server(answer, "127.0.0.1", 0) as server:
-            port = server.sockets[0].getsockname()[1]
-            async with AsyncClient(f"http://127.0.0.1:{port}", timeout=5.0) as client:
-                await client.job(1)
-
-    with pytest.raises(ServerUnreachable, match=r"no answer from|ended the connection before"):
-        asyncio.run(asked())
-
-
-def test_a_server_that_is_restarting_is_waited_for(monkeypatch: pytest.MonkeyPatch):
-    """The port refuses connections until the first pause between two attempts."""
-    with socket.socket() as bound:
-        bound.bind(("127.0.0.1", 0))
-        url = f"http://127.0.0.1:{bound.getsockname()[1]}"
-        pauses: list[float] = []
-
-        def begin_to_listen(seconds: float) -> None:
-            pauses.append(seconds)
-            bound.listen()
-            threading.Thread(target=answer_once, args=(bound,)).start()
-
-        async def asked() -> bool:
-            monkeypatch.setattr("wrenchbook.service.client.transport._pause", begin_to_listen)
-            async with AsyncClient(url, timeout=5.0) as client:
-                return (await client.job(1)).ended
-
-        assert asyncio.run(asked())
-    assert len(pauses) == 1
-
-
-def answer_once(bound: socket.socket) -> None:
-    """Answer one request with a job that is done."""
-    other, _ = bound.accept()
-    with other:
-        other.recv(65_536)
-        other.sendall(
-            b"HTTP/1.1 200 OK\r\nContent-Length: 26\r\n\r\n" + b'{"id": 1,"status": "done"} '
-        )
-
-
 def test_a_mount_says_that_it_needs_the_blocking_client():
     client = AsyncClient("http://127.0.0.1:9")
     with pytest.raises(TypeError, match="give a Client"):
@@ -301,11 +204,6 @@ def test_events_rounds_tables_and_plans_of_a_server_are_awaited(tmp_path):
                 with pytest.raises(ProblemError, match="409"):
                     [found async for found in client.fill_until("part")]
                 table = await client.download("part")
-                answer = await client.displacement("part", [0, 0, -5.0], on_thin="estimate")
-                here = table.answer([0, 0, -5.0])
-                assert answer.vector is not None
-                assert here.vector is not None
-                assert here.vector.tolist() == answer.vector.tolist()
                 assert not await asyncio.to_thread(table.refresh)
                 table.close()
                 plans = await scene.plan(client)

@@ -38,28 +38,79 @@ QUEUED = {
 }
 
 
-def test_a_covered_answer_becomes_arrays(stub: Stub, client: Client):
-    stub.answers(Answer(COVERED))
-    answer = client.displacement("plate", [0, 0, -800], [0, 40, 0])
-    assert stub.seen[0].method == "POST"
-    assert stub.seen[0].path == "/v1/components/plate/displacement"
+WRENCH = {"force": [1.0, 2.0, 3.0], "moment": [0.0, 0.0, 0.0]}
+BATCH = {"displacements": [[0] * 6], "errors": [[0] * 6], "coverage": ["covered"], "jobs": []}
+JOB = {"id": 3, "status": "failed", "url": "/v1/jobs/3", "component": "bar", "jobs": []}
+CHOSEN = {"on_thin": "wait", "wait_s": 0.5, "method": "linear", "detail": True}
+SENT = {  # the call, its answer, and what is sent: method, path and body
     # Only the three plain fields: that is the body the server reads fastest.
-    assert stub.seen[0].body == {
-        "force": [0.0, 0.0, -800.0],
-        "moment": [0.0, 40.0, 0.0],
-        "on_thin": "queue",
-    }
-    assert answer.translation is not None
-    assert answer.translation.tolist() == COVERED["translation"]
-    assert answer.vector is not None
-    assert answer.vector.tolist() == [*COVERED["translation"], *COVERED["rotation"]]
-    assert answer.error_vector is not None
-    assert answer.error_vector.tolist()[2] == 3e-6
-    assert (answer.coverage, answer.source, answer.method) == ("covered", "table", "griddata")
-    assert (answer.table_version, answer.elapsed_us, answer.job) == (17, 38.1, None)
-    assert answer.covered
-    with pytest.raises(ValueError, match="read-only"):
-        answer.translation[0] = 1.0
+    "displacement": (
+        lambda on: on.displacement("plate", [1, 2, 3]), COVERED,
+        "POST", "/v1/components/plate/displacement", WRENCH | {"on_thin": "queue"}),
+    "its options": (
+        lambda on: on.displacement("my plate", [1, 2, 3], tolerance=(1e-6, 1e-5), **CHOSEN),
+        COVERED,
+        "POST", "/v1/components/my%20plate/displacement",
+        WRENCH | CHOSEN | {"tolerance": {"translation": 1e-6, "rotation": 1e-5}}),
+    "beyond the range": (
+        lambda on: on.displacement("plate", [1, 2, 3], beyond_range=True), COVERED,
+        "POST", "/v1/components/plate/displacement",
+        WRENCH | {"on_thin": "queue", "beyond_range": True}),
+    "batch": (
+        lambda on: on.displacements("plate", [[1.0] * 6], beyond_range=True), BATCH,
+        "POST", "/v1/components/plate/displacements",
+        {"wrenches": [[1.0] * 6], "on_thin": "queue", "beyond_range": True}),
+    "binary batch": (
+        lambda on: on.displacements("plate", [[1.0] * 6], beyond_range=True, binary=True),
+        np.zeros(13).tobytes(),
+        "POST", "/v1/components/plate/displacements?on_thin=queue&beyond_range=true", None),
+    "solve": (
+        lambda on: on.solve("plate", [1, 2, 3]), COVERED,
+        "POST", "/v1/components/plate/solve", WRENCH),
+    "solve beyond the range": (
+        lambda on: on.solve("plate", [1, 2, 3], beyond_range=True), COVERED,
+        "POST", "/v1/components/plate/solve", WRENCH | {"beyond_range": True}),
+    "jobs": (
+        lambda on: on.jobs(component="bar", status="failed"), JOB,
+        "GET", "/v1/jobs?component=bar&status=failed", None),
+    "cancel": (lambda on: on.cancel(3), JOB, "DELETE", "/v1/jobs/3", None),
+    "retry": (lambda on: on.retry(Job.read(JOB)), JOB, "POST", "/v1/jobs/3/retry", None),
+    "cancel all that wait": (
+        lambda on: on.cancel_jobs("bar"), {"cancelled": 3},
+        "DELETE", "/v1/jobs?component=bar&status=waiting", None),
+    "cancel those that run": (
+        lambda on: on.cancel_jobs(status="running"), {"cancelled": 3},
+        "DELETE", "/v1/jobs?status=running", None),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("call", "answer", "method", "path", "body"), SENT.values(), ids=SENT)
+def test_a_call_goes_as_the_contract_says(
+    stub: Stub, client: Client, call, answer, method, path, body
+):
+    kind = "application/octet-stream" if isinstance(answer, bytes) else "application/json"
+    stub.answers(Answer(answer, kind=kind))
+    call(client)
+    (seen,) = stub.seen
+    assert (seen.method, seen.path) == (method, path)
+    assert body is None or seen.body == body
+
+
+def test_a_batch_has_jobs_by_wrench_and_says_why_others_have_none(stub: Stub, client: Client):
+    jobs = [
+        {"index": 1, "id": 9, "status": "waiting", "url": "/v1/jobs/9"},
+        {"index": 2, "id": None, "reason": "beyond-range"},
+    ]
+    coverage = ["covered", "thin", "outside"]
+    body = {"displacements": [[1.0] * 6, [None] * 6, None], "errors": [[0.1] * 6, None, None]}
+    stub.answers(Answer({**body, "coverage": coverage, "jobs": jobs}, status=202))
+    found = client.displacements("plate", np.ones((3, 6)))
+    assert (len(found), found.covered.tolist()) == (3, [True, False, False])
+    assert np.isnan(found.displacements[1:]).all()
+    assert (found.jobs[1].id, found.jobs[1].component) == (9, "plate")
+    assert found.no_job == {2: "beyond-range"}
+    stub.answers(Answer({"displacements": [], "errors": [], "coverage": [], "jobs": []}))
+    assert client.displacements("plate", []).displacements.shape == (0, 6)
 
 
 def test_a_queued_answer_has_its_job_and_no_pose(stub: Stub, client: Client):
@@ -74,65 +125,12 @@ def test_a_queued_answer_has_its_job_and_no_pose(stub: Stub, client: Client):
     assert answer.reason == "axis z: no rows yet"
     with pytest.raises(ValueError, match="wait for job 7"):
         answer.apply(np.eye(3), np.zeros(3))
-
-
-def test_the_options_of_the_main_call_go_as_the_contract_says(stub: Stub, client: Client):
-    stub.answers(Answer(COVERED))
-    client.displacement(
-        "my plate",
-        [1, 2, 3],
-        on_thin="wait",
-        wait_s=0.5,
-        tolerance=(1e-6, 1e-5),
-        method="linear",
-        detail=True,
-    )
-    assert stub.seen[0].path == "/v1/components/my%20plate/displacement"
-    assert stub.seen[0].body == {
-        "force": [1.0, 2.0, 3.0],
-        "moment": [0.0, 0.0, 0.0],
-        "on_thin": "wait",
-        "wait_s": 0.5,
-        "tolerance": {"translation": 1e-6, "rotation": 1e-5},
-        "method": "linear",
-        "detail": True,
-    }
-
-
-def test_an_estimate_that_no_solve_was_queued_for_says_why(stub: Stub, client: Client):
     full = {**QUEUED, "job": None, "reason": "64 jobs of queries are open: the queue is full"}
     stub.answers(Answer(full, status=202))
     answer = client.displacement("plate", [0, 0, -800])
-    assert answer.job is None
-    assert not answer.covered
-    assert answer.reason == "64 jobs of queries are open: the queue is full"
+    assert (answer.job, answer.covered, answer.reason) == (None, False, full["reason"])
     with pytest.raises(ValueError, match=r"not known .*the queue is full"):
         answer.apply(np.eye(3), np.zeros(3))
-
-
-def test_a_batch_says_by_wrench_why_no_solve_was_queued(stub: Stub, client: Client):
-    jobs = [
-        {"index": 0, "id": 9, "status": "waiting", "url": "/v1/jobs/9"},
-        {"index": 1, "id": None, "reason": "beyond-range"},
-    ]
-    body = {"displacements": [None] * 2, "errors": [None] * 2, "coverage": ["thin", "outside"]}
-    stub.answers(Answer({**body, "jobs": jobs}, status=202))
-    answers = client.displacements("plate", np.ones((2, 6)))
-    assert list(answers.jobs) == [0]
-    assert answers.no_job == {1: "beyond-range"}
-
-
-def test_beyond_range_is_sent_where_it_is_asked_for_and_nowhere_else(stub: Stub, client: Client):
-    empty = {"displacements": [[0] * 6], "errors": [[0] * 6], "coverage": ["covered"], "jobs": []}
-    stub.answers(Answer(COVERED), Answer(empty), Answer(COVERED), Answer(COVERED))
-    client.displacement("plate", [9, 0, 0], on_thin="wait", beyond_range=True)
-    client.displacements("plate", [[9, 0, 0, 0, 0, 0]], beyond_range=True)
-    client.solve("plate", [9, 0, 0], beyond_range=True)
-    client.solve("plate", [9, 0, 0])
-    assert [one.body.get("beyond_range") for one in stub.seen] == [True, True, True, None]
-    stub.answers(Answer(np.zeros((1, 13)).tobytes(), kind="application/octet-stream"))
-    client.displacements("plate", [[9, 0, 0, 0, 0, 0]], beyond_range=True, binary=True)
-    assert stub.seen[-1].path.endswith("/displacements?on_thin=queue&beyond_range=true")
 
 
 @pytest.mark.parametrize(
@@ -149,36 +147,6 @@ def test_a_call_is_given_the_time_that_it_lets_the_server_hold_it_back(stub: Stu
     says = pytest.raises(ServerTimeout, match=f"within {held:g} s")
     with Client(stub.url, timeout=0.2) as client, says:
         ask(client)
-
-
-def test_a_batch_keeps_unknown_rows_as_nan_and_jobs_by_wrench(stub: Stub, client: Client):
-    stub.answers(
-        Answer(
-            {
-                "displacements": [[1, 2, 3, 4, 5, 6], [None] * 6, None],
-                "errors": [[0.1] * 6, [None] * 6, None],
-                "coverage": ["covered", "thin", "outside"],
-                "jobs": [{"index": 2, "id": 9, "status": "waiting", "url": "/v1/jobs/9"}],
-                "table_version": 3,
-                "elapsed_us": 50.0,
-            },
-            status=202,
-        )
-    )
-    answers = client.displacements("plate", np.ones((3, 6)), on_thin="queue")
-    assert stub.seen[0].body == {"wrenches": [[1.0] * 6] * 3, "on_thin": "queue"}
-    assert len(answers) == 3
-    assert answers.displacements[0].tolist() == [1, 2, 3, 4, 5, 6]
-    assert np.isnan(answers.displacements[1:]).all()
-    assert np.isnan(answers.errors[1:]).all()
-    assert answers.covered.tolist() == [True, False, False]
-    assert list(answers.jobs) == [2]
-    assert (answers.jobs[2].id, answers.jobs[2].component) == (9, "plate")
-
-
-def test_an_empty_batch_is_an_empty_answer(stub: Stub, client: Client):
-    stub.answers(Answer({"displacements": [], "errors": [], "coverage": [], "jobs": []}))
-    assert client.displacements("plate", []).displacements.shape == (0, 6)
 
 
 @pytest.mark.parametrize(
@@ -225,9 +193,10 @@ def test_a_problem_becomes_an_exception_that_reads_well(stub: Stub, client: Clie
         "detail": "Nothing was changed.",
         "errors": [{"loc": "force.1", "msg": "a number is needed"}],
     }
-    stub.answers(Answer(problem, status=422, kind="application/problem+json"))
+    stub.answers(Answer({**problem, "coverage": "thin"}, 422, "application/problem+json"))
     with pytest.raises(ProblemError) as caught:
         client.displacement("plate", [0, 0, 0])
+    assert caught.value.body["coverage"] == "thin"
     assert caught.value.status == 422
     assert caught.value.title == problem["title"]
     assert caught.value.errors == problem["errors"]
@@ -246,14 +215,6 @@ def test_a_library_of_several_pages_is_listed_whole(stub: Stub, client: Client):
     )
     assert client.components() == [first, second]
     assert [one.path for one in stub.seen] == ["/v1/components", following]
-
-
-def test_a_refusal_with_409_keeps_all_members_of_the_problem(stub: Stub, client: Client):
-    problem = {"title": "Not covered", "status": 409, "detail": "Ask to queue.", "coverage": "thin"}
-    stub.answers(Answer(problem, status=409, kind="application/problem+json"))
-    with pytest.raises(ProblemError, match="409 Not covered: Ask to queue") as caught:
-        client.displacement("plate", [0, 0, 0], on_thin="reject")
-    assert caught.value.body["coverage"] == "thin"
 
 
 def test_an_error_from_a_proxy_is_a_problem_too(stub: Stub, client: Client):
@@ -279,18 +240,12 @@ def test_wait_polls_until_the_job_has_ended(stub: Stub, client: Client):
     assert all(one.path.startswith("/v1/jobs/7?wait_s=") for one in stub.seen)
 
 
-def test_wait_takes_the_answer_that_solve_returned(stub: Stub, client: Client):
+def test_wait_takes_an_answer_that_has_a_job_and_says_what_else_it_takes(stub: Stub, client):
     stub.answers(Answer(QUEUED, status=202), Answer({"id": 7, "status": "done"}))
     assert client.wait(client.solve("plate", [0, 0, 1])).status == "done"
-
-
-def test_wait_says_that_a_complete_answer_has_no_job(stub: Stub, client: Client):
     stub.answers(Answer(COVERED))
     with pytest.raises(InvalidArgument, match=r"an answer that has a job, not.*complete"):
         client.wait(client.displacement("plate", [0, 0, 1]))
-
-
-def test_wait_says_what_a_job_is(client: Client):
     with pytest.raises(InvalidArgument, match=r"a job is a Job, its number, or an answer.*'bar'"):
         client.wait("bar")  # type: ignore[arg-type]
 
@@ -308,30 +263,6 @@ def test_a_failed_job_says_why_and_what_to_do(stub: Stub, client: Client):
     job = client.wait(7)
     assert job.ended
     assert job.failure == "not_converged. No balance at 0.7. Lower the load"
-
-
-def test_jobs_are_listed_cancelled_and_retried(stub: Stub, client: Client):
-    one = {"id": 3, "status": "failed", "url": "/v1/jobs/3", "component": "bar"}
-    stub.respond = lambda seen: Answer({"jobs": [one]} if "?" in seen.path else one)
-    assert client.jobs(component="bar", status="failed")[0].component == "bar"
-    client.cancel(3)
-    client.retry(client.jobs("bar")[0])
-    assert [(seen.method, seen.path) for seen in stub.seen] == [
-        ("GET", "/v1/jobs?component=bar&status=failed"),
-        ("DELETE", "/v1/jobs/3"),
-        ("GET", "/v1/jobs?component=bar"),
-        ("POST", "/v1/jobs/3/retry"),
-    ]
-
-
-def test_many_jobs_are_cancelled_in_one_call_waiting_ones_unless_told(stub: Stub, client: Client):
-    stub.answers(Answer({"cancelled": 3}))
-    assert client.cancel_jobs("bar") == 3
-    client.cancel_jobs(status="running")
-    assert [(seen.method, seen.path) for seen in stub.seen] == [
-        ("DELETE", "/v1/jobs?component=bar&status=waiting"),
-        ("DELETE", "/v1/jobs?status=running"),
-    ]
 
 
 def test_a_server_says_how_many_jobs_it_has_cancelled(tmp_path: Path):
@@ -371,21 +302,6 @@ def test_fill_until_stops_when_a_whole_round_fails(stub: Stub, client: Client):
         else Answer({"jobs": [{"id": 1, "status": "waiting"}]}, status=202)
     )
     assert len(list(client.fill_until("plate", budget=50))) == 1
-
-
-def test_a_large_batch_goes_and_comes_as_float64(stub: Stub, client: Client):
-    block = np.arange(2 * 13, dtype="<f8").reshape(2, 13)
-    block[:, 12] = [0, 2]
-    stub.answers(Answer(block.tobytes(), kind="application/octet-stream"))
-    answers = client.displacements(
-        "plate", np.ones((2, 6)), on_thin="estimate", tolerance=(1e-6, 1e-5), binary=True
-    )
-    assert stub.seen[0].path == (
-        "/v1/components/plate/displacements?on_thin=estimate&translation=1e-06&rotation=1e-05"
-    )
-    assert answers.displacements[1].tolist() == [13, 14, 15, 16, 17, 18]
-    assert answers.errors[0].tolist() == [6, 7, 8, 9, 10, 11]
-    assert answers.coverage.tolist() == ["covered", "outside"]
 
 
 @pytest.mark.parametrize(

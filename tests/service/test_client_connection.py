@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import http.client
 import json
 import socket
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from select import select
 
 import pytest
@@ -13,6 +15,7 @@ import pytest
 from tests.service.stub_server import Answer, Stub
 from tests.until import until
 from wrenchbook.service.client import Client, ProblemError, ServerTimeout, ServerUnreachable
+from wrenchbook.service.client.transport import Connection, receive
 
 DONE = {"id": 1, "status": "done"}
 
@@ -193,3 +196,78 @@ def test_a_forked_child_leaves_its_parents_connection_alone(
     assert len(set(stub.sockets)) == 2
     assert parents[0].sock is not None  # neither closed nor written to by the child
     parents[0].close()
+
+
+# -- answers as they come -------------------------------------------------------------------------
+
+
+OK = b"HTTP/1.1 200 OK\r\nContent-Length: 8\r\nETag: 7\r\n\r\n" + b'{"a": 1}'
+CHUNKED = (
+    b'HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n4\r\n{"a"\r\n4\r\n: 1}\r\n0\r\n\r\n'
+)
+
+
+@contextmanager
+def answering(*pieces):
+    """A socket on which these pieces come, each when the one before has been taken."""
+    here, there = socket.socketpair()
+    here.settimeout(10)
+
+    def feed():
+        for piece in pieces:
+            there.sendall(piece)
+        there.shutdown(socket.SHUT_WR)
+
+    thread = threading.Thread(target=feed)
+    thread.start()
+    try:
+        yield here
+    finally:
+        here.close()
+        thread.join()
+        there.close()
+
+
+@pytest.mark.parametrize("whole", [OK, CHUNKED], ids=["length", "chunked"])
+def test_an_answer_may_come_in_any_pieces(whole):
+    for cut in range(1, len(whole)):
+        here, there = socket.socketpair()
+        with here, there:
+            here.settimeout(10)
+            there.sendall(whole[:cut])
+            timer = threading.Timer(0.0, there.sendall, [whole[cut:]])
+            timer.start()
+            assert receive(here, "POST").content == b'{"a": 1}'
+            timer.join()
+
+
+@pytest.mark.parametrize(
+    ("whole", "status", "content", "will_close"),
+    [
+        (OK, 200, b'{"a": 1}', False),
+        (b"HTTP/1.1 204 No Content\r\n\r\n", 204, b"", False),
+        (b"HTTP/1.1 200 OK\r\nContent-Length: 0\r\n\r\n", 200, b"", False),
+        (b"HTTP/1.1 200 OK\r\n\r\nall that comes", 200, b"all that comes", True),
+        (b"HTTP/1.0 200 OK\r\nContent-Length: 2\r\n\r\nok", 200, b"ok", True),
+        (OK.replace(b"ETag: 7", b"Connection: close"), 200, b'{"a": 1}', True),
+        (b"HTTP/1.1 100 Continue\r\n\r\n" + OK, 200, b'{"a": 1}', False),
+        (OK.replace(b"Content-Length: 8", b"content-length:8"), 200, b'{"a": 1}', False),
+        (OK.replace(b"200 OK", b"404 Not Found"), 404, b'{"a": 1}', False),
+    ],
+)
+def test_an_unusual_answer_is_read_as_http_client_reads_it(whole, status, content, will_close):
+    with answering(whole) as wire:
+        found = receive(wire, "POST")
+    assert (found.status, found.content, found.will_close) == (status, content, will_close)
+
+
+@pytest.mark.parametrize("whole", [b"", OK[:40], OK[:-1], b"SSH-2.0-x\r\n\r\n", CHUNKED[:-9]])
+def test_an_answer_that_breaks_off_or_is_none_is_said_to(whole):
+    """As that of a mail server, which is no server of ours."""
+    with answering(whole) as wire, pytest.raises((http.client.HTTPException, OSError)):
+        receive(wire, "POST")
+
+
+def test_a_head_with_a_line_break_in_it_is_not_sent():
+    with pytest.raises(ValueError, match="printable"):
+        Connection("http://127.0.0.1:9").call("GET", "/a", headers={"X": "1\r\nY: 2"})

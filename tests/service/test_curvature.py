@@ -12,7 +12,6 @@ import pytest
 
 from tests.service.ledger_rows import NewRow, insert, noted, stored
 from tests.service.table_files import read_csv, read_json, write_json
-from tests.service.test_durable_tables import Site
 from wrenchbook.service.formats import UnitError, layout, write_hdf5
 from wrenchbook.service.formats.columns import columns_of
 from wrenchbook.service.formats.options import Options
@@ -42,15 +41,6 @@ def outcome_of(thirds):
 
 def component(name, tmp_path, load_range):
     return Component(name, name, tmp_path, "", False, True, load_range, None, False)
-
-
-def test_a_ledger_that_is_opened_again_has_it_to_the_bit(tmp_path):
-    ledger = Ledger(tmp_path / "ledger.sqlite")
-    insert(ledger, "plate", "f1", [ROW, replace(ROW, wrench=(3.0,) * 6, curvature=None)])
-    ledger.close()
-    again = Ledger(tmp_path / "ledger.sqlite")
-    assert [row.curvature for row in stored(again, "plate")] == [THIRDS, None]
-    again.close()
 
 
 def test_an_older_ledger_has_none_and_takes_some(tmp_path):
@@ -104,21 +94,6 @@ def test_the_outcome_of_a_job_becomes_a_row_with_it(ledger, tmp_path, thirds, st
     record(ledger, attempt)
     assert ledger.job(job.id).status == status
     assert [row.curvature for row in stored(ledger, "bar")] == [thirds] * (status == "done")
-
-
-def test_a_table_and_its_file_have_it(tmp_path):
-    site = Site(tmp_path)
-    site.open("rig")
-    insert(site.ledger, "rig", "", [ROW])
-    assert site.tables.catch_up("rig", 60)
-    assert site.tables.surrogate("rig").rows.curvature.tolist() == [list(THIRDS)]
-    site.close()
-    for path in tmp_path.glob("ledger.sqlite*"):
-        path.unlink()
-    site.open()
-    assert site.tables.catch_up("rig", 60)
-    assert [row.curvature for row in stored(site.ledger, "rig")] == [THIRDS]
-    site.close()
 
 
 @pytest.mark.parametrize("space", [DEFAULT, WARM], ids=["default", "temperature"])

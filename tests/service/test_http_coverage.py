@@ -7,7 +7,7 @@ import pytest
 
 from tests.service.following import wait_for_version
 from tests.service.live import FULL, as_rows, full_wrenches, moved, tangents
-from tests.service.test_http_displacement import load_plane_table
+from tests.service.test_http_displacement import add, load, load_plane_table
 
 CALL = "/v1/components/plane"
 
@@ -37,8 +37,6 @@ def test_compliance_is_the_6x6_with_its_checks(http):
 
 def test_compliance_at_no_load_is_the_tangent_and_not_a_fit_over_the_range(http):
     """The page showed the fit, 2.17e-6, as "at no load"; the tangent is 3.00e-6."""
-    range_ = {"force": [100.0] * 3, "moment": [10.0] * 3}
-    http.post("/v1/components", json={"name": "soft", "title": "soft", "range": range_})
     wrenches = full_wrenches(40)
     load(http, "soft", as_rows(wrenches, moved(wrenches), tangents(wrenches)))
     body = http.get("/v1/components/soft/compliance").json()
@@ -50,32 +48,26 @@ def test_compliance_at_no_load_is_the_tangent_and_not_a_fit_over_the_range(http)
     assert (mean < 0.9 * np.diag(tangent)).all()
     assert body["origin"] == "fitted"
     rest = np.zeros((1, 6))
-    load(http, "soft", as_rows(rest, moved(rest), tangent[None]))
+    add(http, "soft", as_rows(rest, moved(rest), tangent[None]))
     body = http.get("/v1/components/soft/compliance").json()
     assert body["tangent_origin"] == "row"
     assert body["tangent"] == tangent.tolist()
 
 
 def test_the_tangent_at_no_load_is_null_where_no_row_tells_it(http):
-    range_ = {"force": [100.0] * 3, "moment": [10.0] * 3}
-    http.post("/v1/components", json={"name": "rig", "title": "rig", "range": range_})
+    load(http, "rig", [])
     empty = http.get("/v1/components/rig/compliance").json()
     assert (empty["tangent"], empty["tangent_origin"]) == ([[None] * 6] * 6, "none")
     wrenches = np.zeros((9, 6))
     wrenches[:, 2] = np.linspace(-100, 100, 9)
     partial = moved(wrenches)
     partial[:, 4] = np.nan
-    load(http, "rig", as_rows(wrenches, partial))
+    add(http, "rig", as_rows(wrenches, partial))
     told = http.get("/v1/components/rig/compliance").json()["tangent"]
     assert [[value is not None for value in line] for line in told] == [
         [load == 2 and output != 4 for load in range(6)] for output in range(6)
     ]
     assert told[2][2] == pytest.approx(1e-6, rel=0.05)
-
-
-def load(http, name, rows):
-    reply = http.post(f"/v1/components/{name}/table", json={"rows": rows})
-    assert reply.status_code == 200, reply.text
 
 
 @pytest.mark.parametrize("call", ["coverage", "compliance"])
@@ -111,29 +103,38 @@ def rig(http):
     return http
 
 
-def test_what_was_not_measured_is_null_and_what_was_is_a_number(rig):
+def test_what_was_not_measured_is_null_and_empty_in_answers_and_exports(rig):
     wrench = {"force": [0, 0, 33], "moment": [2, 0, 0], "on_thin": "estimate"}
     body = rig.post(f"{RIG}/displacement", json=wrench).json()
-    assert body["translation"][:2] == [None, None]
-    assert body["translation"][2] == pytest.approx(0.332e-3)
-    assert body["rotation"] == [None] * 3
-    assert body["error"]["translation"][0] is None
-    assert body["coverage"] == "covered"
+    assert body["translation"] == [None, None, pytest.approx(0.332e-3)]
+    assert (body["rotation"], body["coverage"]) == ([None] * 3, "covered")
     assert "not measured in any row: ux, uy, rx, ry, rz" in body["reason"]
-
-
-def test_a_batch_and_an_export_have_null_and_empty_fields(rig):
-    body = {"wrenches": [[0, 0, 33, 2, 0, 0]], "on_thin": "estimate"}
-    row = rig.post(f"{RIG}/displacements", json=body).json()["displacements"][0]
-    assert row[:2] + row[3:] == [None] * 5
-    exported = rig.get(f"{RIG}/table").json()["rows"][0]
-    assert exported["displacement"][0] is None
+    rows = rig.get(f"{RIG}/table").json()["rows"]
+    assert rows[0]["displacement"][0] is None
     assert rig.get(f"{RIG}/table?format=csv").text.splitlines()[1].count(",,") >= 2
-    again = rig.post(f"{RIG}/table", json={"rows": rig.get(f"{RIG}/table").json()["rows"]})
-    assert again.json()["existing"] == 30
+    assert rig.post(f"{RIG}/table", json={"rows": rows}).json()["existing"] == 30
 
 
 def test_the_component_says_what_no_row_holds(rig):
     summary = rig.get(RIG).json()["coverage"]
     assert summary["unmeasured"] == ["ux", "uy", "rx", "ry", "rz"]
     assert summary["rows_per_output"]["uz"] == 30
+
+
+def test_a_component_says_which_method_answers_and_why_and_detail_says_how(http):
+    wrenches = full_wrenches(30)
+    load(http, "solved", as_rows(wrenches, moved(wrenches), tangents(wrenches)))
+    coverage = http.get("/v1/components/solved").json()["coverage"]
+    assert coverage["method"] == "kriging"
+    assert "left-out rows" in coverage["method_reason"]
+    assert 0.0 < coverage["errors_left_out"]["kriging"] < 0.01
+    assert "one factor over 30 rows" in coverage["method_detail"]
+    for more, said in (
+        ({}, None),
+        ({"detail": True}, coverage["method_detail"]),
+        ({"detail": True, "method": "griddata"}, "asked for"),
+    ):
+        body = {"force": [10.0, 0.0, -20.0], "moment": [0.0, 3.0, 0.0], **more}
+        body["on_thin"] = "estimate"
+        reply = http.post("/v1/components/solved/displacement", json=body).json()
+        assert reply.get("method_detail") == said

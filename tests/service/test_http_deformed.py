@@ -2,17 +2,22 @@
 
 import json
 import shutil
+import sqlite3
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from tests.service.live import served as server_of
 from tests.service.surfaces import sheet, solved, wrenches, write_bundle
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.client import ProblemError
+from wrenchbook.service.ops.backup import back_up
+from wrenchbook.service.ops.restore import restore
 from wrenchbook.service.workers.private import private_server
 
+QUERY = "fx=100&fy=-50&fz=-900&mx=10&my=20&mz=-5"
 FORCE, MOMENT = [100.0, -50.0, -900.0], [10.0, 20.0, -5.0]
 PATH = "/v1/components/sheet/deformed"
 
@@ -21,11 +26,13 @@ PATH = "/v1/components/sheet/deformed"
 def served(tmp_path_factory):
     """A server with the plate and one linear one, and the plate's folder."""
     place = tmp_path_factory.mktemp("served")
-    folder = write_bundle(place)
+    folders = write_bundle(place), write_bundle(place, "flat", nonlinear=False)
     with private_server(place / "data", 2) as client:
-        client.add_component(folder)
-        client.add_component(write_bundle(place, "flat", nonlinear=False))
-        yield client, folder, place / "data"
+        for folder in folders:
+            with (folder / "component.toml").open("a") as file:
+                file.write("\n[tolerance]\ntranslation = 1e-6\nrotation = 1.0\n")
+            client.add_component(folder)
+        yield client, folders[0], place / "data"
 
 
 @pytest.fixture(scope="module")
@@ -83,6 +90,7 @@ def test_elsewhere_it_is_flagged(served, solve):
     found = client.deformed("sheet", [0, 0, 500])
     assert (found.source, found.coverage, found.error) == ("rows", "thin", None)
     assert client.deformed("sheet", [1500, 0, 0]).coverage == "outside"
+    assert refused(client.deformed, "sheet", [1e300, 0, 0]).status == 409
 
 
 def test_the_reply_tells_the_frame(served, solve):
@@ -90,16 +98,6 @@ def test_the_reply_tells_the_frame(served, solve):
     raw = client.deformed("sheet", FORCE, MOMENT).raw
     assert raw["frame"] == {"point": [0, 0, 0.004], "axes": np.eye(3).tolist()}
     assert (raw["force"], raw["moment"], raw["simplified"]) == (FORCE, MOMENT, None)
-
-
-def test_far_beyond_the_range_it_is_refused(served, solve):
-    client, *_ = served
-    assert refused(client.deformed, "sheet", [1e300, 0, 0]).status == 409
-
-
-def test_a_component_that_is_not_there_is_unknown(served):
-    client, *_ = served
-    assert refused(client.deformed, "nobody", FORCE).status == 404
 
 
 def test_the_linear_plate_answers_every_wrench_once_one_is_solved(served):
@@ -111,24 +109,6 @@ def test_the_linear_plate_answers_every_wrench_once_one_is_solved(served):
     one, ten = client.deformed("flat", [0, 0, -1]), client.deformed("flat", [0, 0, -10])
     np.testing.assert_allclose(ten.displacement, 10 * one.displacement, rtol=1e-12)
     assert ten.stress.largest == pytest.approx(10 * one.stress.largest, rel=1e-9)
-
-
-def test_a_row_without_a_surface_gets_one_as_the_text_says(served, solve):
-    client, _, data = served
-    asked = [0.0, 0.0, -333.0]
-    client.displacement("sheet", asked, on_thin="wait", wait_s=120)
-    row = client.solve("sheet", asked).raw["row"]
-    kept = client.deformed("sheet", asked).displacement
-    shutil.rmtree(data / "fields" / "sheet")
-    assert "none of its" in refused(client.deformed, "sheet", asked).detail
-    client.call("DELETE", f"/v1/components/sheet/table/{row}")
-    client.displacement("sheet", asked, on_thin="wait", wait_s=120)
-    answer = client.solve("sheet", asked)
-    if answer.job is not None:
-        client.wait(answer.job.id, 120)
-    found = client.deformed("sheet", asked)
-    assert found.source == "row"
-    np.testing.assert_array_equal(found.displacement, kept)
 
 
 def test_the_command_line_writes_each_form(served, solve, tmp_path, monkeypatch):
@@ -151,3 +131,92 @@ def test_many_at_once_are_answered_and_others_with_them(served, solve):
         quick = client.displacement("sheet", FORCE, MOMENT, on_thin="estimate")
     assert len({one.displacement.tobytes() for one in shapes}) == 12
     assert quick.translation is not None
+
+
+def shares_of(client, name):
+    """The mesh's and the linearity's share of the interface's bars, (6,), m and rad."""
+    body = json.dumps({"force": FORCE, "moment": MOMENT, "detail": True, "on_thin": "estimate"})
+    headers = {"Content-Type": "application/json"}
+    path = f"/v1/components/{name}/displacement"
+    parts = client.call("POST", path, body.encode(), headers=headers).json()["error_parts"]
+    causes = [cause for cause in ("mesh", "linearity") if cause in parts]
+    return {cause: np.concatenate(list(parts[cause].values())) for cause in causes}
+
+
+@pytest.fixture
+def client(served, solve):
+    """The server once both plates are solved."""
+    client, *_ = served
+    client.displacement("flat", FORCE, MOMENT, on_thin="wait", wait_s=120)
+    return client
+
+
+@pytest.mark.parametrize("name", ["sheet", "flat"])
+def test_the_middle_of_the_interface_has_at_least_the_bar_of_the_displacement(client, name):
+    found = client.deformed(name, FORCE, MOMENT)
+    middle = np.linalg.norm(found.vertices, axis=1).argmin()
+    assert np.linalg.norm(found.vertices[middle]) < 1e-9
+    own = sum(shares_of(client, name).values())
+    assert found.error[middle] >= np.linalg.norm(own[:3]) > 1e-6
+
+
+def test_the_reply_tells_the_largest_of_each_share_and_where_it_is_from(client):
+    parts = client.deformed("sheet", FORCE, MOMENT).error_parts
+    assert list(parts) == ["table", "mesh", "mesh_basis"]
+    assert parts["mesh"] > 1e-6 > 1e-12 > parts["table"] > 0
+    assert "finer mesh of" in parts["mesh_basis"]
+
+
+def test_a_glb_tells_the_shares_in_its_extras_and_a_header(client):
+    reply = client.call("GET", f"/v1/components/sheet/deformed?{QUERY}&format=gltf")
+    size = int.from_bytes(reply.content[12:16], "little")
+    (mesh,) = json.loads(reply.content[20 : 20 + size])["meshes"]
+    told = client.deformed("sheet", FORCE, MOMENT)
+    assert mesh["extras"]["error_parts"] == told.error_parts
+    assert mesh["extras"]["within_tolerance"] is False
+    assert reply.headers["Wrenchbook-Within-Tolerance"] == "false"
+
+
+def test_a_sweep_has_the_bars_of_the_displacement(client):
+    sweep = client.call("GET", "/v1/components/flat/response?load=fz&points=3").json()
+    answer = client.displacement("flat", [0, 0, sweep["at"][2]], on_thin="estimate")
+    np.testing.assert_allclose(sweep["error"][2], answer.error_vector, rtol=1e-9)
+    assert sweep["bars_are_whole"] is True
+
+
+def test_where_nothing_tells_of_the_mesh_the_reply_says_that_and_how_to_learn_it(
+    client, served, tmp_path
+):
+    back_up(served[2], tmp_path / "a.backup")
+    restore(tmp_path / "a.backup", tmp_path / "data")
+    shutil.copytree(served[2] / "fields", tmp_path / "data" / "fields", dirs_exist_ok=True)
+    db = sqlite3.connect(tmp_path / "data" / "ledger.sqlite")
+    with db:
+        db.execute("DELETE FROM solver_errors")
+    db.close()
+    with server_of(tmp_path / "data") as client:
+        found = client.deformed("sheet", FORCE, MOMENT)
+        sweep = client.call("GET", "/v1/components/sheet/response?load=fz&points=3").json()
+    assert found.error_parts["mesh"] is None
+    assert "the next solve of this component estimates it" in found.error_parts["mesh_basis"]
+    assert found.within_tolerance is None
+    assert found.error.max() == found.error_parts["table"]
+    assert sweep["bars_are_whole"] is False
+
+
+def test_a_row_without_a_surface_gets_one_as_the_text_says(served, solve):
+    client, _, data = served
+    asked = [0.0, 0.0, -333.0]
+    client.displacement("sheet", asked, on_thin="wait", wait_s=120)
+    row = client.solve("sheet", asked).raw["row"]
+    kept = client.deformed("sheet", asked).displacement
+    shutil.rmtree(data / "fields" / "sheet")
+    assert "none of its" in refused(client.deformed, "sheet", asked).detail
+    client.call("DELETE", f"/v1/components/sheet/table/{row}")
+    client.displacement("sheet", asked, on_thin="wait", wait_s=120)
+    answer = client.solve("sheet", asked)
+    if answer.job is not None:
+        client.wait(answer.job.id, 120)
+    found = client.deformed("sheet", asked)
+    assert found.source == "row"
+    np.testing.assert_array_equal(found.displacement, kept)

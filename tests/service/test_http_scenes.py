@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from starlette.testclient import TestClient
 
 from tests.service.live import (
     FULL,
@@ -20,6 +21,9 @@ from tests.service.live import (
     served,
     tangents,
 )
+from tests.service.spaces import SPACE, N, add_component, add_link
+from wrenchbook.service.cli import render
+from wrenchbook.service.cli.main import _loads
 from wrenchbook.service.client import (
     Client,
     InvalidArgument,
@@ -29,6 +33,14 @@ from wrenchbook.service.client import (
     Table,
 )
 from wrenchbook.service.client.mount import DisplacementUnknown, Mount, MountWarning
+from wrenchbook.service.demand import QueryStatistics
+from wrenchbook.service.fmu.export import make_fmu
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.ledger import Ledger
+from wrenchbook.service.tables.mapped import ServedTable
+from wrenchbook.service.workspace import Settings
+from wrenchbook.surrogate.answer import UnknownMethodError
+from wrenchbook.surrogate.table.rows import LoadRange
 
 CALL = "/v1/scenes/plan"
 NONE = [[0.0, 0.0]] * 3
@@ -97,12 +109,6 @@ def test_a_fill_of_a_scene_that_is_rigid_queues_nothing(http):
     assert http.get("/v1/jobs").json()["jobs"] == []
 
 
-def test_a_load_on_a_locked_freedom_is_no_load_of_the_scene(http):
-    spans = {"force": [[-1, 1]] * 3, "moment": [[-0.01, 0.01]] * 3}
-    reply = http.post(CALL, json={"components": {"spring": spans}})
-    assert reply.json()["components"]["spring"]["loads"] == ["fz", "mz"]
-
-
 def test_a_scene_of_more_components_than_may_be_is_422_with_the_place(http):
     reply = http.post(CALL, json={"components": {f"c{n}": PLANAR for n in range(65)}})
     assert (reply.status_code, reply.json()["errors"][0]["loc"]) == (422, "components")
@@ -122,29 +128,15 @@ def test_a_scene_plans_itself_by_a_client(client: Client):
 READ = [0, 2, 4]
 
 
-def asked_on_rig() -> np.ndarray:
-    """Wrenches of the scene on the rig, (50, 6), N and N m."""
+def test_outputs_that_a_scene_leaves_out_are_unknown_and_the_others_as_of_the_whole_table(client):
+    part, whole = client.download("rig", scene=Scene(ON_RIG)), client.download("rig")
     asked = full_wrenches(50, 3) * np.isin(np.arange(6), READ)
     asked[:, 2] = -np.abs(asked[:, 2])
-    return asked
-
-
-def test_a_downloaded_scene_answers_as_the_whole_table_and_as_the_server(client: Client):
-    part, whole = client.download("rig", scene=Scene(ON_RIG)), client.download("rig")
-    asked = asked_on_rig()
-    found, full = part.batch(asked), whole.batch(asked)
-    far = client.displacements("rig", asked, on_thin="estimate")
-    for other in (full, far):
-        np.testing.assert_array_equal(found.displacements[:, READ], other.displacements[:, READ])
-        np.testing.assert_array_equal(found.errors[:, READ], other.errors[:, READ])
-
-
-def test_outputs_that_a_scene_leaves_out_are_unknown(client: Client):
-    part, asked = client.download("rig", scene=Scene(ON_RIG)), asked_on_rig()
-    assert np.isnan(part.batch(asked).displacements[:, [1, 3, 5]]).all()
-    one = part.answer(asked[0, :3], asked[0, 3:], derivatives=True)
-    assert one.derivative is not None
-    np.testing.assert_array_equal(np.isnan(one.derivative).all(axis=1), [0, 1, 0, 1, 0, 1])
+    found, full = part.batch(asked, derivatives=True), whole.batch(asked)
+    np.testing.assert_array_equal(found.displacements[:, READ], full.displacements[:, READ])
+    np.testing.assert_array_equal(found.errors[:, READ], full.errors[:, READ])
+    for unknown in (found.displacements[:, [1, 3, 5]], found.derivatives[:, [1, 3, 5]]):
+        assert np.isnan(unknown).all()
 
 
 def test_a_downloaded_scene_tells_the_plan_that_it_follows(client: Client):
@@ -252,3 +244,162 @@ def test_a_mount_on_a_scenes_table_takes_what_is_not_read_as_zero_only_if_told(c
     assert np.array_equal(mount.displacement[read], table.answer(wrench).vector[read])
     assert mount.displacement[[0, 2, 4]].all()
     assert not mount.displacement[[1, 3, 5]].any()
+
+
+# -- several interfaces and a temperature ----------------------------------------------------------
+
+
+SCENE = {
+    "loads": {"left": {"force": [1, [0, 0], [0, 0]], "moment": [[0, 0.5], [0, 0], [0, 0]]}},
+    "inputs": {"temperature": [-0.5, 0.5]},
+    "outputs": ["left.ux", "left.rz"],
+}
+
+
+@pytest.fixture(scope="module")
+def link(tmp_path_factory):
+    with TestClient(create_app(Settings(tmp_path_factory.mktemp("two_ends"), solvers=0))) as client:
+        add_link(client, has_fea=True)
+        add_link(client, 1, "straight", linear=True)
+        yield client
+
+
+def planned(link, wanted, name="two_ends"):
+    return link.post("/v1/scenes/plan", json={"components": {name: wanted}})
+
+
+def test_a_nonlinear_component_is_looked_up_with_the_reason(link):
+    plan = planned(link, SCENE).json()["components"]["two_ends"]
+    assert plan["decision"] == "table"
+    assert "one interface" in plan["reason"]
+    assert plan["loads"] == ["left.fx", "left.mx", "temperature"]
+    assert plan["outputs"] == ["left.ux", "left.rz"]
+    assert plan["solves"] == {"whole": 2 * N + 3, "scene": 9}
+    assert plan["axes"] == {}
+
+
+def test_a_linear_component_has_the_matrix_of_the_loads_that_occur(link):
+    plan = planned(link, SCENE, "straight").json()["components"]["straight"]
+    matrix = link.app.state.workspace.surrogate("straight").fit.matrix
+    assert plan["decision"] == "linear"
+    occurring = [0, 3, N - 1]
+    found = np.array(plan["compliance"])
+    np.testing.assert_array_equal(found[:, occurring], matrix[:, occurring])
+    assert not np.delete(found, occurring, axis=1).any()
+
+
+def test_a_further_input_that_is_left_out_has_its_whole_range(link):
+    plan = planned(link, {"loads": {"left": {"force": [1, 1, 1]}}}).json()["components"]["two_ends"]
+    assert plan["loads"] == ["left.fx", "left.fy", "left.fz", "temperature"]
+
+
+def test_a_scene_without_any_load_is_rigid(link):
+    add_component(link, "solved", has_fea=True)
+    wanted = {"inputs": {"temperature": [0, 0]}}
+    plan = planned(link, wanted, "solved").json()["components"]["solved"]
+    assert plan["decision"] == "rigid"
+
+
+def test_a_component_without_rows_is_planned(link):
+    add_component(link, "bare")
+    assert link.app.state.workspace.tables.catch_up("bare", 60)
+    plan = planned(link, SCENE, "bare").json()["components"]["bare"]
+    assert plan["decision"] == "table"
+
+
+def filled(link, **more):
+    return link.post("/v1/components/two_ends/fill", json={"budget": 3, **more})
+
+
+def test_solves_of_a_fill_lie_within_the_loads_of_its_interface(link):
+    wanted = {"loads": {"left": {"force": [0.5, 0.5, 0.5]}}, "inputs": {"temperature": [0, 0.5]}}
+    limit = {"translation": 1e-5, "rotation": 1e-5}
+    reply = filled(link, range=wanted, outputs=["left.ux"], tolerance=limit)
+    assert reply.status_code == 202, reply.text
+    wrenches = link.app.state.workspace.submission.pending_wrenches("two_ends")
+    assert len(wrenches) == 3
+    assert (np.abs(wrenches[:, :3]) <= 0.5).all()
+    assert not wrenches[:, 3 : N - 1].any()
+    assert (wrenches[:, N - 1] >= 0).all()
+
+
+def test_a_fill_that_cannot_reach_the_tolerance_says_the_solves_it_would_take(link):
+    reason = filled(link, tolerance={"translation": 1e-4, "rotation": 1e-4}).json()["reason"]
+    assert "further solves, an estimate by the rate so far" in reason
+
+
+def test_compliance_coverage_and_envelope_have_the_names_of_the_space(link):
+    reply = link.get("/v1/components/two_ends/compliance").json()
+    assert reply["columns"][N - 1] == "temperature [degC]"
+    heads = [column.header for column in render.compliance_tables(reply)[0].columns]
+    assert (heads[1], heads[-1]) == ("left.fx", "temperature")
+    assert link.get("/v1/components/two_ends/coverage").status_code == 200
+    link.post("/v1/components/two_ends/envelope", json={"wrenches": [[0.1] * N]})
+    found = link.get("/v1/components/two_ends/envelope").json()
+    assert found["inputs"][-1] == "temperature"
+    assert len(found["inputs"]) == len(found["min"]) == N
+    assert len(found["outputs"]) == len(found["displacement_bound"])
+
+
+def test_the_demand_map_of_many_inputs_outlasts_a_restart(tmp_path):
+    span = LoadRange(-np.ones(N), np.ones(N), SPACE)
+    ledger = Ledger(tmp_path / "ledger.sqlite")
+    counts = QueryStatistics(ledger)
+    counts.note("two_ends", span, tuple([0.4] * N), "thin")
+    counts.save()
+    ledger.close()
+    ledger = Ledger(tmp_path / "ledger.sqlite")
+    found = QueryStatistics(ledger).map_of("two_ends", span)
+    ledger.close()
+    assert found["asked"] == 1
+    assert len(found["cells"][0]["wrench"]) == N
+
+
+def test_a_method_of_axes_is_422_for_several_interfaces(link):
+    for call, body in (
+        ("displacement", {"loads": {"left": {"force": [0.2, 0, 0]}}, "inputs": {"temperature": 0}}),
+        ("displacements", {"wrenches": [[0.0] * N]}),
+    ):
+        body = {**body, "method": "griddata", "on_thin": "estimate"}
+        reply = link.post(f"/v1/components/two_ends/{call}", json=body)
+        assert reply.status_code == 422, reply.text
+        assert "one wrench at one interface" in reply.json()["detail"]
+    packed = link.app.state.workspace.surrogate("two_ends").packed
+    with pytest.raises(UnknownMethodError, match="one wrench at one interface"):
+        make_fmu("two_ends", packed, "griddata")
+    assert ServedTable(packed, method="griddata").default == "kriging"
+
+
+def test_a_scene_takes_loads_by_interface_and_further_inputs(link):
+    span = {"force": [[0, 0], [0, 0], [-1, 0]], "moment": [0, 0, 0]}
+    need = {
+        "loads": {"right": span},
+        "inputs": {"temperature": [0, 1]},
+        "outputs": ["right.uz", "right.rx"],
+    }
+    scene = Scene({"two_ends": need})
+    assert planned(link, scene.components["two_ends"]).status_code == 200
+    wanted = scene.wanted("two_ends")
+    assert wanted["range"]["loads"]["right"]["force"][2] == [-1.0, 0.0]
+    assert wanted["range"]["inputs"] == {"temperature": [0.0, 1.0]}
+    assert wanted["outputs"] == ["right.uz", "right.rx"]
+    with pytest.raises(SceneError, match=r"components.link.loads.right: unknown torque"):
+        Scene({"link": {"loads": {"right": {"torque": [0, 0, 0]}}}})
+    with pytest.raises(SceneError, match=r"components.link.inputs.temperature: \[low, high\]"):
+        Scene({"link": {"loads": {}, "inputs": {"temperature": "warm"}}})
+
+
+@pytest.mark.parametrize(
+    ("option", "load", "further"),
+    [("--load right", ["right=1,0,0", "right=2,0,0"], None), ("--input t", None, ["t=1", "t=2"])],
+)
+def test_an_option_that_is_given_twice_for_one_name_is_refused(option, load, further):
+    with pytest.raises(InvalidArgument, match=f"{option} is given twice"):
+        _loads(None, None, load, further)
+
+
+def test_the_list_of_components_has_the_forces_by_interface():
+    loads = {"force": [[-1, 1]] * 3, "moment": [[-2, 2]] * 3}
+    named = {"name": "arm", "title": "An arm", "rows": 3, "has_fea": True, "linear": False}
+    named["range"] = {"loads": {"left": loads, "right": loads}}
+    assert list(render.component_table([named]).columns[4].cells) == ["left 1 1 1; right 1 1 1"]

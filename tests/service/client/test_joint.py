@@ -53,8 +53,9 @@ def test_the_kernels_rate_is_the_sum_over_the_modes(dt):
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("dt", [5e-4, 1e-3, 2e-3, 5e-3])
-@pytest.mark.parametrize("at", ["0 0 0", "0.02 0 0.03"])
+@pytest.mark.parametrize(
+    ("dt", "at"), [(1e-3, "0 0 0"), (1e-3, "0.02 0 0.03"), (5e-3, "0.02 0 0.03")]
+)
 def test_a_hanging_mass_sags_as_its_weight_bends_the_bar(dt, at):
     model, data = scene(sphere(5, at), dt)
     joint = MujocoJoint(model, data, TABLE, damping=0.3)
@@ -68,7 +69,7 @@ def test_a_hanging_mass_sags_as_its_weight_bends_the_bar(dt, at):
     np.testing.assert_allclose(joint.wrench, load, atol=1e-7)
 
 
-@pytest.mark.parametrize("dt", [5e-4, 1e-3, 2e-3])
+@pytest.mark.parametrize("dt", [1e-3, 2e-3])
 @pytest.mark.parametrize("at", ["0 0 0", "1e-6 0 0"], ids=["diagonal", "full"])
 def test_a_mass_on_a_bar_swings_at_its_frequency_and_keeps_its_amplitude(dt, at):
     point = f'<inertial mass="5" pos="{at}" diaginertia="1e-4 1e-4 1e-4"/>'
@@ -154,7 +155,7 @@ FOOT = {
 
 
 @pytest.mark.parametrize("solref", ["0.02 1", "0.01 1", "0.004 1"])
-@pytest.mark.parametrize("dt", [5e-4, 1e-3, 2e-3, 4e-3])
+@pytest.mark.parametrize("dt", [1e-3, 4e-3])
 def test_a_foot_pressed_on_a_contact_does_not_chatter(solref, dt):
     model, data = scene(sphere(3, geom=f'solref="{solref}"'), dt, **FOOT)
     joint, forces = MujocoJoint(model, data, TABLE, damping=0.05), []
@@ -272,39 +273,51 @@ def test_the_law_for_other_simulators_is_that_in_mujoco():
     np.testing.assert_allclose(here.wrench, there.wrench, rtol=1e-6, atol=1e-6)
 
 
-def test_two_joints_of_one_tip_are_refused():
-    joint = MujocoJoint(*scene(sphere(3)), TABLE)
-    with pytest.raises(JointError, match="two joints have one tip"):
-        step_joints(joint, joint)
-
-
-def test_joints_of_two_scenes_are_refused():
-    with pytest.raises(JointError, match="joints of one scene"):
-        step_joints(*(MujocoJoint(*scene(sphere(3)), TABLE) for _ in range(2)))
+STATE = {"R": np.eye(3), "p": np.zeros(3), "velocity": np.zeros(6), "inverse_mass": np.eye(6)}
 
 
 @pytest.mark.parametrize(
-    ("velocity", "dt"),
-    [(np.zeros(6), 0.0), (np.zeros(6), -1e-3), (np.zeros(6), np.nan), (np.full(6, np.nan), 1e-3)],
-)
-def test_a_step_that_is_none_and_a_velocity_that_is_no_number_are_refused(velocity, dt):
-    with pytest.raises(InvalidArgument, match="a step is above zero"):
-        Joint(TABLE).step(np.eye(3), np.zeros(3), velocity, np.eye(6), dt)
-
-
-@pytest.mark.parametrize(
-    ("R", "p", "velocity", "inverse_mass", "words"),
+    ("changed", "words"),
     [
-        (np.eye(3), np.zeros(2), np.zeros(6), np.eye(6), r"not \(2,\), \(6,\)"),
-        (np.eye(3), np.zeros(3), np.zeros(3), np.eye(6), r"\(3,\) and \(6, 6\)$"),
-        (np.eye(3), np.zeros(3), np.zeros(6), np.eye(3), r"\(3, 3\)$"),
-        (np.eye(3), np.full(3, np.nan), np.zeros(6), np.eye(6), "finite numbers"),
-        (np.diag([1.0, 1.0, -1.0]), np.zeros(3), np.zeros(6), np.eye(6), "right-handed"),
+        *(({"dt": dt}, "a step is above zero") for dt in (0.0, -1e-3, np.nan)),
+        ({"velocity": np.full(6, np.nan)}, "a step is above zero"),
+        ({"p": np.zeros(2)}, r"not \(2,\), \(6,\)"),
+        ({"velocity": np.zeros(3)}, r"\(3,\) and \(6, 6\)$"),
+        ({"inverse_mass": np.eye(3)}, r"\(3, 3\)$"),
+        ({"p": np.full(3, np.nan)}, "finite numbers"),
+        ({"R": np.diag([1.0, 1.0, -1.0])}, "right-handed"),
     ],
 )
-def test_a_state_that_is_none_is_refused_by_name(R, p, velocity, inverse_mass, words):
+def test_a_state_that_is_none_is_refused_by_name(changed, words):
     with pytest.raises(InvalidArgument, match=words):
-        Joint(TABLE).step(R, p, velocity, inverse_mass, 1e-3)
+        Joint(TABLE).step(*(STATE | {"dt": 1e-3} | changed).values())
+
+
+@pytest.mark.parametrize(
+    ("pieces", "options", "words"),
+    [
+        ({"joints": SLIDES}, {}, "must have 3 slides and a ball, in this order"),
+        ({"joints": '<joint type="ball"/>' + SLIDES}, {}, "3 slides and a ball, in this order"),
+        ({"joints": FREEDOMS.replace('"1 0 0"', '"0 1 1"', 1)}, {}, "axes in the order x, y, z"),
+        ({"joints": FREEDOMS.replace('"ball"', '"ball" damping="1"')}, {}, "has damping"),
+        ({"joints": FREEDOMS.replace('"slide"', '"slide" stiffness="9"', 1)}, {}, "has stiffness"),
+        ({"option": 'integrator="RK4"'}, {}, "RK4"),
+        ({}, {"tip": "hand"}, "no body 'hand'; it has 'base', 'tip'"),
+        ({}, {"damping": -0.1}, "damping"),
+        ({}, {"damping": math.nan}, "damping"),
+    ],
+)
+def test_a_scene_that_has_not_the_parts_freedoms_is_refused_by_name(pieces, options, words):
+    model, data = scene(sphere(1), **pieces)
+    with pytest.raises((JointError, InvalidArgument), match=words):
+        MujocoJoint(model, data, TABLE, **options)
+
+
+def test_two_joints_of_one_tip_or_of_two_scenes_are_refused():
+    one, other = (MujocoJoint(*scene(sphere(3)), TABLE) for _ in range(2))
+    for joints, words in (((one, one), "two joints have one tip"), ((one, other), "of one scene")):
+        with pytest.raises(JointError, match=words):
+            step_joints(*joints)
 
 
 def test_beyond_the_range_the_wrench_goes_on_linearly_with_one_warning():
@@ -356,47 +369,6 @@ def test_a_heavy_mass_ends_with_an_error_and_not_with_a_pose_far_away():
     with pytest.raises(JointRangeError), pytest.warns(JointWarning):
         run()
     assert np.abs(data.qpos).max() < 10
-
-
-@pytest.mark.parametrize(
-    ("joints", "words"),
-    [
-        (SLIDES, "must have 3 slides and a ball, in this order"),
-        ('<joint type="ball"/>' + SLIDES, "must have 3 slides and a ball, in this order"),
-        (FREEDOMS.replace('"1 0 0"', '"0 1 1"', 1), "axes in the order x, y, z"),
-        (FREEDOMS.replace('"ball"', '"ball" damping="1"'), "has damping"),
-        (FREEDOMS.replace('"slide"', '"slide" stiffness="9"', 1), "has stiffness"),
-    ],
-)
-def test_joints_that_are_not_the_parts_freedoms_are_refused_by_name(joints, words):
-    model, data = scene(sphere(1), joints=joints)
-    with pytest.raises(JointError, match=words):
-        MujocoJoint(model, data, TABLE)
-
-
-def test_a_runge_kutta_integrator_is_refused():
-    model, data = scene(sphere(1), option='integrator="RK4"')
-    with pytest.raises(JointError, match="RK4"):
-        MujocoJoint(model, data, TABLE)
-
-
-def test_a_body_that_is_not_there_is_refused_with_the_names_that_are():
-    model, data = scene(sphere(1))
-    with pytest.raises(JointError, match="no body 'hand'; it has 'base', 'tip'"):
-        MujocoJoint(model, data, TABLE, tip="hand")
-
-
-@pytest.mark.parametrize("damping", [-0.1, math.nan])
-def test_a_damping_that_is_no_share_is_refused(damping):
-    with pytest.raises(InvalidArgument, match="damping"):
-        Joint(TABLE, damping)
-
-
-def test_the_coverage_is_that_of_the_wrench():
-    model, data = scene(sphere(5))
-    joint = MujocoJoint(model, data, TABLE)
-    joint.step()
-    assert joint.coverage == "covered"
 
 
 def test_a_rotation_vector_is_the_inverse_of_its_matrix():

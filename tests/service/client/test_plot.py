@@ -77,20 +77,18 @@ def test_a_deformed_part_is_drawn_displaced_by_a_tenth_of_its_size(pyplot):
     np.testing.assert_allclose(axes.collections[0].get_array(), [0, 1e-3 / 3])
 
 
-def test_a_client_without_a_component_says_which_argument_is_missing(client, pyplot):
-    with pytest.raises(ValueError, match="name one with component="):
-        plot.response(client, "fx", "ux")
-
-
-@pytest.mark.parametrize(("load", "output"), [("ux", "ux"), ("fx", "fx")])
-def test_a_wrong_name_lists_those_there_are(client, load, output):
-    with pytest.raises(ValueError, match=r"is none of (fx, fy|ux, uy)"):
-        plot.response(client, load, output, component="rig")
-
-
-def test_two_equal_loads_span_no_plane(client):
-    with pytest.raises(ValueError, match="two different loads"):
-        plot.coverage(client, "fx", "fx", component="rig")
+@pytest.mark.parametrize(
+    ("draw", "names", "words"),
+    [
+        (plot.response, ("fx", "ux"), "name one with component="),
+        (plot.response, ("ux", "ux", "rig"), "is none of fx, fy"),
+        (plot.response, ("fx", "fx", "rig"), "is none of ux, uy"),
+        (plot.coverage, ("fx", "fx", "rig"), "two different loads"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused_with_what_can(client, draw, names, words):
+    with pytest.raises(ValueError, match=words):
+        draw(client, *names[:2], **({"component": names[2]} if names[2:] else {}))
 
 
 def test_without_matplotlib_the_error_names_the_extra(client, monkeypatch):

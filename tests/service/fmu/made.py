@@ -92,10 +92,11 @@ class Opened:
         return found
 
     @contextmanager
-    def running(self, kind=FMU2Slave, tolerance=(0.0, 0.0), references=TOLERANCE):
+    def running(self, kind=FMU2Slave, tolerance=(0.0, 0.0)):
         """An instance that answers."""
         found = self.instance(kind)
-        found.setReal(references, tolerance)
+        named = {one.name: one.valueReference for one in self.description.modelVariables}
+        found.setReal([named[f"tolerance_{k}"] for k in ("translation", "rotation")], tolerance)
         found.setupExperiment()
         found.enterInitializationMode()
         found.exitInitializationMode()
@@ -112,30 +113,34 @@ def opened(table: Table, folder: Path, method: str | None = None) -> Opened:
     return Opened(make_fmu("plate", packed(table), method), folder)
 
 
-def answers(instance, wrenches: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Displacements and bars, (n, 6), and coverage, (n,), that an instance gives."""
-    numbers, flags = np.empty((len(wrenches), 12)), np.empty(len(wrenches), dtype=int)
+def answers(instance, wrenches: np.ndarray, m: int = 6) -> tuple[np.ndarray, ...]:
+    """Displacements and bars, (k, m), and coverage, (k,), that an instance gives."""
+    k, n = wrenches.shape
+    numbers, flags = np.empty((k, 2 * m)), np.empty(k, dtype=int)
     for place, wrench in enumerate(wrenches):
-        instance.setReal(LOADS, wrench)
-        numbers[place] = instance.getReal(OUTPUTS + BARS)
-        flags[place] = instance.getInteger(COVERAGE)[0]
-    return numbers[:, :6], numbers[:, 6:], flags
+        instance.setReal(list(range(n)), wrench)
+        numbers[place] = instance.getReal(list(range(n, n + 2 * m)))
+        flags[place] = instance.getInteger([n + 2 * m])[0]
+    return numbers[:, :m], numbers[:, m:], flags
 
 
-def judged(instance, wrenches: np.ndarray) -> list[bool | None]:
+def judged(instance, wrenches: np.ndarray, m: int = 6) -> list[bool | None]:
     """What an instance says of each wrench: whether the whole bar is within the tolerance."""
     found: list[bool | None] = []
+    n = wrenches.shape[1]
     for wrench in wrenches:
-        instance.setReal(LOADS, wrench)
-        found.append({1: True, 0: False, -1: None}[instance.getInteger(WITHIN)[0]])
+        instance.setReal(list(range(n)), wrench)
+        found.append({1: True, 0: False, -1: None}[instance.getInteger([n + 2 * m + 3])[0]])
     return found
 
 
-def slopes(instance, wrenches: np.ndarray) -> np.ndarray:
-    """du/dw, (n, 6, 6), by directional derivatives along one load after another."""
-    found = np.empty((len(wrenches), 6, 6))
+def slopes(instance, wrenches: np.ndarray, m: int = 6) -> np.ndarray:
+    """du/dw, (k, m, n), by directional derivatives along one load after another."""
+    k, n = wrenches.shape
+    found = np.empty((k, m, n))
     for place, wrench in enumerate(wrenches):
-        instance.setReal(LOADS, wrench)
-        for load in LOADS:
-            found[place, :, load] = instance.getDirectionalDerivative(OUTPUTS, [load], [1.0])
+        instance.setReal(list(range(n)), wrench)
+        for load in range(n):
+            along = instance.getDirectionalDerivative(list(range(n, n + m)), [load], [1.0])
+            found[place, :, load] = along
     return found

@@ -26,6 +26,7 @@ from wrenchbook.surrogate.answer import UnknownMethodError
 from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.kernel.build import KernelBuildError
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
+from wrenchbook.surrogate.table.space import Input, space_of
 
 RANGE = LoadRange(-FULL, FULL)
 
@@ -59,6 +60,19 @@ def test_the_description_of_one_interface_is_the_stored_one():
     summary = "table version 1, 38 rows, method kriging"
     written = (Path(__file__).parent / "modelDescription.xml").read_bytes()
     assert describe("plate", "{0}", "wrenchbook 1", summary) == written
+
+
+def test_variables_of_several_interfaces_have_the_names_and_units_of_the_space():
+    hot = Input("temperature", "degC", "scalar", zero=20.0)
+    space = space_of(("left", "right"), [hot])
+    root = ElementTree.fromstring(describe("ends", "{0}", "now", "a table", space))
+    found = [(one.get("name"), one.find("*").attrib) for one in root.iter("ScalarVariable")]
+    assert (found[0][0], found[0][1]["unit"]) == ("left.fx", "N")
+    assert found[12] == ("temperature", {"unit": "degC", "start": "20"})
+    names = [name for name, _ in found[13:]]
+    assert names[:12] == list(space.output_names)
+    assert names[12] == "error_left.ux"
+    assert [one.get("name") for one in root.iter("Unit")][-1] == "degC"
 
 
 def guid(content):

@@ -105,17 +105,6 @@ def test_a_state_is_kept_put_back_and_written(fmu):
         other.freeFMUstate(again)
 
 
-@pytest.mark.parametrize("damage", [lambda b: b[:-1], lambda b: b"x" + b[1:], lambda b: b"", bytes])
-def test_bytes_that_are_no_state_are_refused(fmu, damage):
-    with fmu.running() as instance:
-        state = instance.getFMUstate()
-        written = instance.serializeFMUstate(state)
-        wrong = bytes(len(written)) if damage is bytes else damage(written)
-        with pytest.raises(fmpy.fmi1.FMICallException):
-            instance.deSerializeFMUstate(wrong)
-        instance.freeFMUstate(state)
-
-
 def test_instances_in_many_threads_do_not_disturb_each_other(fmu, table):
     asked = [wrenches_of(table, 300, seed=seed) for seed in range(6)]
     found = [None] * len(asked)
@@ -138,15 +127,60 @@ def test_instances_in_many_threads_do_not_disturb_each_other(fmu, table):
 # --- attacks
 
 
-@pytest.mark.parametrize("number", [np.nan, np.inf, -np.inf])
-def test_an_input_that_is_not_finite_is_refused_and_nothing_is_set(fmu, number):
+def serialized(instance):
+    state = instance.getFMUstate()
+    written = instance.serializeFMUstate(state)
+    instance.freeFMUstate(state)
+    return written
+
+
+# fmt: off
+NO_NUMBERS = (np.nan, np.inf, -np.inf)
+WRONG = {
+    **{f"load {x}": lambda on, x=x: on.setReal(LOADS, [1.0] * 5 + [x]) for x in NO_NUMBERS},
+    **{f"step {x}": lambda on, x=x: on.doStep(0.0, x) for x in (-1.0, np.nan, np.inf)},
+    **{f"set {x}": lambda on, x=x: on.setReal(x, [1.0] * len(x))
+       for x in ([6], [18], [99], [2**32 - 1], [0, 6], TOLERANCE)},
+    "read a real that is none": lambda on: on.getReal([99]),
+    "read an integer that is none": lambda on: on.getInteger([0]),
+    "state cut off": lambda on: on.deSerializeFMUstate(serialized(on)[:-1]),
+    "state of another table": lambda on: on.deSerializeFMUstate(b"x" + serialized(on)[1:]),
+    "state of nothing": lambda on: on.deSerializeFMUstate(b""),
+    "state of zeros": lambda on: on.deSerializeFMUstate(bytes(len(serialized(on)))),
+}
+EARLY = {
+    **{f"tolerance {x}": lambda on, x=x: on.setReal(TOLERANCE, [x, 1.0])
+       for x in (-1.0, np.nan, np.inf)},
+    "exit": lambda on: on.exitInitializationMode(),
+    "terminate": lambda on: on.terminate(),
+    "step": lambda on: on.doStep(0.0, 0.1),
+}
+# fmt: on
+
+
+@pytest.mark.parametrize("call", WRONG.values(), ids=WRONG)
+def test_a_call_that_is_wrong_is_refused_and_changes_nothing(fmu, call):
     with fmu.running() as instance:
         instance.setReal(LOADS, INNER)
-        before = instance.getReal(LOADS + OUTPUTS)
+        before = instance.getReal(LOADS + OUTPUTS + BARS)
         with pytest.raises(fmpy.fmi1.FMICallException):
-            instance.setReal(LOADS, [1.0] * 5 + [number])
+            call(instance)
+        assert instance.getReal(LOADS + OUTPUTS + BARS) == before
+
+
+@pytest.mark.parametrize("call", EARLY.values(), ids=EARLY)
+def test_a_call_before_its_time_or_a_tolerance_that_is_none_is_refused(fmu, call):
+    instance = fmu.instance()
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        call(instance)
+    instance.freeInstance()
+
+
+def test_a_refusal_says_why(fmu):
+    with fmu.running() as instance:
+        with pytest.raises(fmpy.fmi1.FMICallException):
+            instance.setReal(LOADS, [np.nan] * 6)
         assert "finite" in instance.said[-1]
-        assert instance.getReal(LOADS + OUTPUTS) == before
 
 
 @pytest.mark.parametrize("method", ["kriging", "griddata", "additive", "linear"])
@@ -177,47 +211,6 @@ def test_nothing_is_set_once_it_is_terminated(fmu):
             instance.doStep(0.0, 0.1)
         instance.reset()
         instance.setReal(LOADS, INNER)
-
-
-@pytest.mark.parametrize("step", [-1.0, np.nan, np.inf])
-def test_a_step_that_is_none_is_refused(fmu, step):
-    with fmu.running() as instance, pytest.raises(fmpy.fmi1.FMICallException):
-        instance.doStep(0.0, step)
-
-
-def test_calls_out_of_order_are_refused(fmu):
-    instance = fmu.instance()
-    for call in (instance.exitInitializationMode, instance.terminate):
-        with pytest.raises(fmpy.fmi1.FMICallException):
-            call()
-    with pytest.raises(fmpy.fmi1.FMICallException):
-        instance.doStep(0.0, 0.1)
-    instance.freeInstance()
-
-
-@pytest.mark.parametrize(
-    ("references", "numbers"),
-    [([6], [1.0]), ([18], [1.0]), ([99], [1.0]), ([2**32 - 1], [1.0]), ([0, 6], [1.0, 1.0])],
-)
-def test_what_is_no_input_is_not_set(fmu, references, numbers):
-    with fmu.running() as instance:
-        with pytest.raises(fmpy.fmi1.FMICallException):
-            instance.setReal(references, numbers)
-        assert instance.getReal([0]) == [0.0]
-        with pytest.raises(fmpy.fmi1.FMICallException):
-            instance.getReal([99])
-        with pytest.raises(fmpy.fmi1.FMICallException):
-            instance.getInteger([0])
-
-
-@pytest.mark.parametrize("tolerance", [-1.0, np.nan, np.inf])
-def test_a_tolerance_is_a_number_above_zero_and_fixed_later(fmu, tolerance):
-    instance = fmu.instance()
-    with pytest.raises(fmpy.fmi1.FMICallException):
-        instance.setReal(TOLERANCE, [tolerance, 1.0])
-    instance.freeInstance()
-    with fmu.running() as instance, pytest.raises(fmpy.fmi1.FMICallException):
-        instance.setReal(TOLERANCE, [1.0, 1.0])
 
 
 def test_a_wrong_guid_is_refused_by_name(fmu, capfd):
@@ -290,3 +283,19 @@ def test_instances_come_and_go_without_leaving_memory_behind(fmu):
     for _ in range(40):  # of some 3 MB each
         fmu.instance(FMU2Slave).freeInstance()
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 40_000  # kB
+
+
+def test_every_moment_says_about_which_point_it_is(fmu):
+    told = {one.name: one.description for one in fmu.description.modelVariables}
+    for name in ("Mx", "My", "Mz"):
+        assert told[name] == "load, N.m, about the interface point where it is now"
+    assert "interface point where it is now" in fmu.description.description
+
+
+def test_a_directional_derivative_of_error_bars_is_what_they_differ_by(fmu, table):
+    asked, step = wrenches_of(table, 1, 0.5)[0], 1e-4 * table.load_range.scale
+    low, high = packed(table).batch([asked - step, asked + step]).errors
+    with fmu.running() as instance:
+        instance.setReal(LOADS, asked)
+        found = instance.getDirectionalDerivative(BARS, LOADS, step)
+    np.testing.assert_allclose(found, (high - low) / 2, rtol=1e-2)

@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 
 from tests.service.fmu.made import need_compiler, packed, wrenches_of
 from tests.service.stub_server import Answer, running_stub
+from tests.surrogate.kernel.kinds import packed_of as packed_kind
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.fmu.export import LIBRARY_FILES, make_library
 from wrenchbook.surrogate.kernel import build as kernel_build
@@ -35,10 +36,9 @@ def folder(table, tmp_path_factory):
     return found
 
 
-def run(program, *words):
-    ran = subprocess.run(
-        [str(program), *map(str, words)], capture_output=True, text=True, timeout=60, check=False
-    )
+def run(program, *words, **more):
+    command = [str(program), *map(str, words)]
+    ran = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, **more)
     return ran.returncode, ran.stdout.splitlines(), ran.stderr
 
 
@@ -63,15 +63,39 @@ def assert_answers_are_those_of_python(program, folder, table, mark=None):
         np.testing.assert_array_equal([pair[1] for pair in pairs], reply.error or unknown)
 
 
-@pytest.mark.slow
-def test_the_library_compiles_by_the_readmes_line_and_has_the_bits_of_python(folder, table):
+def readmes_line(folder, word):
+    """The command of a README that begins with a word."""
     lines = [line.strip() for line in (folder / "README.txt").read_text().splitlines()]
-    compile_line = next(line for line in lines if line.startswith("cc "))
-    line = " ".join([*need_compiler(), compile_line.removeprefix("cc ")])
+    return next(line for line in lines if line.startswith(word))
+
+
+@pytest.fixture(scope="module")
+def example(folder):
+    """The example, compiled by the README's line."""
+    line = " ".join([*need_compiler(), readmes_line(folder, "cc ").removeprefix("cc ")])
     subprocess.run(line, shell=True, cwd=folder, check=True, timeout=200)
-    run_line = next(line for line in lines if line.startswith("./example "))
-    subprocess.run(run_line, shell=True, cwd=folder, check=True, timeout=60)
-    assert_answers_are_those_of_python(folder / "example", folder, table)
+    return folder / "example"
+
+
+@pytest.mark.slow
+def test_the_library_compiles_by_the_readmes_line_and_has_the_bits_of_python(
+    example, folder, table
+):
+    subprocess.run(readmes_line(folder, "./"), shell=True, cwd=folder, check=True, timeout=60)
+    assert_answers_are_those_of_python(example, folder, table)
+    code, _, error = run(example, folder / "README.txt", *"123456")
+    assert (code, "not a packed table" in error) == (1, True)
+
+
+@pytest.mark.slow
+def test_the_example_takes_all_inputs_of_several_interfaces(example, tmp_path):
+    known = packed_kind("two interfaces")
+    with zipfile.ZipFile(BytesIO(make_library("ends", known))) as archive:
+        archive.extractall(tmp_path)
+    words = readmes_line(tmp_path, "./example ").split()[1:]
+    code, lines, error = run(example, *words, cwd=tmp_path)
+    assert code == 0, error
+    assert tuple(float(line.split()[0]) for line in lines[1:]) == known.answer([1.0] * 12).outputs
 
 
 @pytest.mark.slow

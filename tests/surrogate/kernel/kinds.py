@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from functools import partial as partial_of
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,15 @@ from tests.surrogate.energies import PARTS, part
 from tests.surrogate.law import Law, build
 from tests.surrogate.responses import HIGH
 from tests.surrogate.softening import softening_table
+from tests.surrogate.test_space import SPACES, range_of, solved_with_second
 from wrenchbook.surrogate.build import Table
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.packed.writer import pack
 from wrenchbook.surrogate.solver_error import SolverError
+from wrenchbook.surrogate.table.axes import OffAxis
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
+from wrenchbook.surrogate.table.space import Space
+from wrenchbook.surrogate.table.spread import spread_wrenches
 
 RANGE = LoadRange(-FULL, FULL)
 SOLVED = Path(__file__).parents[1] / "tables"
@@ -98,6 +103,12 @@ def bent(second: int) -> Table:
     return build(rows, LoadRange(-1.1 * HIGH, 1.1 * HIGH))
 
 
+def off_axis(way: OffAxis) -> Table:
+    """Rows of one axis that bear a little of others, and rows of all loads."""
+    wrenches = np.concatenate((clean(12) + 1e-3 * full_wrenches(36), full_wrenches(10)))
+    return build(Rows.of(wrenches, moved(wrenches)), RANGE, off_axis=way)
+
+
 def repeated() -> Table:
     """Rows of one wrench, and near each other, of several sources."""
     wrenches = np.concatenate((clean(12), full_wrenches(6), full_wrenches(6)))
@@ -113,6 +124,10 @@ KINDS = {
     ),
     "clean": lambda: measured(clean(60)),
     "clean and full": lambda: measured(np.concatenate((clean(40), full_wrenches(30)))),
+    **{
+        f"clean and full, off-axis loads {way}": partial_of(off_axis, way)
+        for way in ("ignore", "exclude")
+    },
     "full": lambda: measured(full_wrenches(60)),
     "few with tangents": lambda: tangent_rows(6),
     "second derivatives": lambda: bent(20),
@@ -138,10 +153,19 @@ KINDS = {
 }
 
 
+def of_space(space: Space) -> Table:
+    """Solves of several interfaces or further inputs, which bring second derivatives."""
+    load_range = range_of(space)
+    return build(solved_with_second(space, spread_wrenches(load_range, 12)), load_range)
+
+
+OF_SPACES = {name: partial_of(of_space, space) for name, space in SPACES.items()}
+
+
 @cache
 def table_of(kind: str, locked: tuple[int, ...] = ()) -> Table:
     """The table of a kind, built once."""
-    table = KINDS[kind]().table
+    table = (KINDS | OF_SPACES)[kind]().table
     table.locked = locked
     for group in table.groups:
         group.locked = locked
@@ -155,16 +179,16 @@ def packed_of(kind: str, locked: tuple[int, ...] = ()) -> PackedTable:
 
 
 def asked_of(table: Table, count: int, seed: int = 1, span: float = 1.1) -> np.ndarray:
-    """Random wrenches, (count, 6), within so much of the load range."""
+    """Random wrenches, (count, n), within so much of the load range."""
     loads = table.load_range
-    x = np.random.default_rng(seed).uniform(-span, span, (count, 6))
+    x = np.random.default_rng(seed).uniform(-span, span, (count, len(loads.low)))
     return (loads.low + loads.high) / 2 + x * loads.scale
 
 
 def special_of(table: Table, count: int, seed: int = 2) -> np.ndarray:
     """Wrenches of few loads, of one, of none, of rows and near rows."""
     rng = np.random.default_rng(seed)
-    asked = asked_of(table, count, seed) * (rng.random((count, 6)) < 0.4)
+    asked = asked_of(table, count, seed) * (rng.random((count, len(table.load_range.low))) < 0.4)
     asked[0] = 0.0
     rows = table.rows.wrench[: count // 4]
     near = rows + rng.uniform(-1, 1, rows.shape) * table.load_range.scale * 9e-7
@@ -172,15 +196,15 @@ def special_of(table: Table, count: int, seed: int = 2) -> np.ndarray:
 
 
 def size_of(table: Table) -> np.ndarray:
-    """What each output is compared relative to, (6,), m and rad: its largest row."""
+    """What each output is compared relative to, (m,), m and rad: its largest row."""
     size = np.nanmax(np.abs(table.rows.displacement), axis=0, initial=0.0)
-    size = np.fmax(size, 1e-3 * np.repeat(size.reshape(2, 3).max(axis=1), 3))
+    size = np.fmax(size, 1e-3 * np.repeat(size.reshape(-1, 3).max(axis=1), 3))
     return np.where(size > 0, size, 1.0)
 
 
 def rounding_of(table: Table) -> np.ndarray:
-    """What sums of a kriging may lose to rounding, (6,), m and rad: no error bar is below it."""
-    found = np.zeros(6)
+    """What sums of a kriging may lose to rounding, (m,), m and rad: no error bar is below it."""
+    found = np.zeros(table.rows.displacement.shape[1])
     for group in table.groups:
         if group.kriging is not None:
             lost = group.kriging.rounding * group.kriging.scaling.spread

@@ -9,75 +9,33 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.surrogate.kernel.kinds import KINDS, RANGE, asked_of, packed_of, special_of, table_of
+from tests.surrogate.kernel.kinds import RANGE, asked_of, packed_of, table_of
 from wrenchbook.surrogate.answer import ANSWERED, METHODS, NAMES, UnknownMethodError
 from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.kernel import binding
 from wrenchbook.surrogate.kernel import build as kernel_build
 from wrenchbook.surrogate.kernel.binding import PackedTable
-from wrenchbook.surrogate.kernel.format import write_file
 from wrenchbook.surrogate.kernel.replies import InverseError
 from wrenchbook.surrogate.packed.writer import pack
 from wrenchbook.surrogate.table.rows import Rows
 
-PAGE = Path(__file__).parents[3] / "data" / "docs" / "how-to" / "c.md"
-
 
 @pytest.fixture(scope="module")
-def program_text():
-    """The program of the page on C and C++."""
-    return PAGE.read_text().split("```c\n")[1].split("```")[0]
-
-
-def same_bits(one, other):
-    return all(a.tobytes() == b.tobytes() for a, b in zip(one, other, strict=True))
-
-
-@pytest.mark.parametrize("kind", sorted(KINDS))
-def test_a_batch_has_the_bits_of_single_answers(kind):
-    packed = packed_of(kind)
-    asked = np.concatenate((asked_of(table_of(kind), 150), special_of(table_of(kind), 40)))
-    for method in (None, "griddata", "kriging"):
-        found = packed.batch(asked, None, method)
-        for place, wrench in enumerate(asked.tolist()):
-            reply = packed.answer(wrench, None, method)
-            outputs = [np.nan if x is None else x for x in reply.outputs or (None,) * 6]
-            error = [np.nan if x is None else x for x in reply.error or (None,) * 6]
-            np.testing.assert_array_equal(found.outputs[place], outputs)
-            np.testing.assert_array_equal(found.errors[place], error)
-            assert NAMES[found.coverage[place]] == reply.coverage
-
-
-@pytest.mark.parametrize("kind", ["clean", "solved", "partial", "clean and full"])
-@pytest.mark.parametrize("method", [None, "additive"])
-def test_threads_change_no_bit(kind, method):
-    packed, asked = packed_of(kind), asked_of(table_of(kind), 20_000)
-    alone = packed.batch(asked, None, method)
-    for threads in (2, 3, 8):
-        assert same_bits(alone, packed.batch(asked, None, method, threads))
-    slopes = packed.derivatives(asked[:9000], None, method)
-    assert slopes.tobytes() == packed.derivatives(asked[:9000], None, method, threads=3).tobytes()
-
-
-def test_the_order_and_the_company_of_wrenches_change_no_bit():
-    packed, asked = packed_of("clean"), asked_of(table_of("clean"), 6000)
-    whole = packed.batch(asked)
-    order = np.random.default_rng(1).permutation(len(asked))
-    assert same_bits([column[order] for column in whole], packed.batch(asked[order]))
-    assert same_bits([column[:7] for column in whole], packed.batch(asked[:7]))
+def plain_library(tmp_path_factory) -> Path:
+    """The kernel as on a processor without AVX2, and by another compiler's choice."""
+    sources = [str(path) for path in kernel_build.FOLDER.glob("wb_*.c")]
+    library = tmp_path_factory.mktemp("plain") / "plain.so"
+    flags = ["-std=c11", "-O1", "-ffp-contract=off", "-DWB_SHARED", "-DWB_VECTORS=", "-fPIC"]
+    command = [_compiler("gcc", "cc"), *flags, "-shared", "-o", str(library), *sources]
+    subprocess.run([*command, "-lm", "-lpthread"], check=True)
+    return library
 
 
 @pytest.mark.parametrize("kind", ["solved", "clean and full", "uncertain", "second derivatives"])
-def test_other_optimisation_and_vectors_change_no_bit(kind, tmp_path, monkeypatch):
-    """As on a processor without AVX2, and by another compiler's choice of instructions."""
-    sources = [str(path) for path in kernel_build.FOLDER.glob("wb_*.c")]
-    other = tmp_path / "other.so"
-    flags = ["-std=c11", "-O1", "-ffp-contract=off", "-DWB_SHARED", "-DWB_VECTORS=", "-fPIC"]
-    command = [_compiler("gcc", "cc"), *flags, "-shared", "-o", str(other), *sources]
-    subprocess.run([*command, "-lm", "-lpthread"], check=True)
+def test_other_optimisation_and_vectors_change_no_bit(kind, plain_library, monkeypatch):
     packed, asked = packed_of(kind), asked_of(table_of(kind), 300)
     expected = packed.batch(asked), packed.derivatives(asked[:50])
-    monkeypatch.setattr(binding, "ready_library", lambda: other)
+    monkeypatch.setattr(binding, "ready_library", lambda: plain_library)
     binding.kernel.cache_clear()
     try:
         again = packed_of.__wrapped__(kind)
@@ -193,52 +151,6 @@ def _compiler(*names: str) -> str:
     return found
 
 
-@pytest.mark.parametrize("language", ["c", "c++"])
-@pytest.mark.parametrize("kind", ["solved", "clean"])
-def test_the_readmes_program_has_the_bits_of_python(program_text, tmp_path, language, kind):
-    """Compiled as C with the sources, and as C++ against the library."""
-    assert len(program_text.splitlines()) <= 20
-    source = tmp_path / ("program.c" if language == "c" else "program.cpp")
-    source.write_text(program_text)
-    write_file(tmp_path / "plate.wbt", pack(table_of(kind)))
-    program = tmp_path / "program"
-    include = ["-O2", f"-I{kernel_build.FOLDER}", "-o", str(program)]
-    if language == "c":
-        sources = [str(path) for path in kernel_build.FOLDER.glob("wb_*.c")]
-        flags = [one for one in kernel_build.FLAGS if one != "-DWB_SHARED"]
-        command = [_compiler("gcc", "cc"), *flags, *include, str(source), *sources]
-    else:
-        built = kernel_build.ready_library()
-        link = [str(built), f"-Wl,-rpath,{built.parent}"]
-        command = [_compiler("g++", "c++"), *include, str(source), *link]
-    subprocess.run([*command, "-lm", "-lpthread"], check=True)
-    packed = PackedTable.open(tmp_path / "plate.wbt")
-    for wrench in asked_of(table_of(kind), 10).tolist():
-        loads = [load.hex() for load in wrench]
-        ran = subprocess.run([program, tmp_path / "plate.wbt", *loads], capture_output=True)
-        assert not ran.returncode, ran.stderr
-        lines = [line.split() for line in ran.stdout.decode().splitlines()]
-        reply = packed.answer(wrench)
-        assert lines[0] == [reply.coverage, reply.method]
-        outputs, errors = zip(*(map(float, line) for line in lines[1:]), strict=True)
-        assert outputs == reply.outputs
-        unknown = reply.error is None and np.isnan(errors).all()
-        assert unknown or errors == reply.error
-
-
-def test_the_program_says_why_a_table_cannot_be_opened(program_text, tmp_path):
-    source = tmp_path / "program.c"
-    source.write_text(program_text)
-    program = tmp_path / "program"
-    sources = [str(path) for path in kernel_build.FOLDER.glob("wb_*.c")]
-    include = [f"-I{kernel_build.FOLDER}", "-o", str(program), "-lm", "-lpthread"]
-    subprocess.run([_compiler("gcc", "cc"), str(source), *sources, *include], check=True)
-    (tmp_path / "plate.wbt").write_bytes(b"no table")
-    ran = subprocess.run([program, tmp_path / "plate.wbt", *"123456"], capture_output=True)
-    assert ran.returncode == 1
-    assert b"not a packed table" in ran.stderr
-
-
 def test_codes_are_those_of_the_header():
     header = (kernel_build.FOLDER / "wrenchbook.h").read_text()
     for number, name in enumerate(METHODS):
@@ -251,6 +163,8 @@ def test_codes_are_those_of_the_header():
 
 def test_a_library_of_other_sources_is_compiled_anew(tmp_path, monkeypatch):
     library = tmp_path / kernel_build.library_path().name
+    quick = tuple(flag for flag in kernel_build.FLAGS if not flag.startswith("-O"))
+    monkeypatch.setattr(kernel_build, "FLAGS", quick)
     monkeypatch.setattr(kernel_build, "library_path", lambda *_: library)
     assert kernel_build.ready_library() == library
     made = library.stat().st_mtime_ns

@@ -8,13 +8,21 @@ from typing import Any
 
 import numpy as np
 
+from tests.fea.two_interfaces import rod_between_loads
 from tests.service.live import FULL, add_rows, add_table, as_rows, full_wrenches, moved, tangents
+from tests.service.spaces import SPACE
+from tests.service.test_http_weight import BUNDLE as HANGING
+from tests.service.test_http_weight import HANGS
 from tests.service.test_runjob_evidence import BUNDLE
+from tests.surrogate.energies import PARTS, part
 from tests.surrogate.kernel.kinds import clean, grid
+from tests.surrogate.responses import HIGH
 from tests.surrogate.softening import SOFT, column
+from tests.surrogate.test_space import range_of, solved
 from wrenchbook.service.client import Client
 from wrenchbook.service.settings import Settings
 from wrenchbook.service.workspace import Workspace
+from wrenchbook.surrogate.table.spread import spread_wrenches
 
 Rows = list[dict[str, Any]]
 LIMIT = {"translation": 1e-5, "rotation": 1e-5}  # m, rad
@@ -26,6 +34,7 @@ def tables() -> dict[str, tuple[Rows, dict[str, Any]]]:
     """Rows of tables that have no finite elements, and what else the component is given."""
     mixed = np.concatenate((clean(15), full_wrenches(20)))
     near = np.concatenate((mixed, full_wrenches(3) + 1e-8 * FULL, mixed[-6:]))
+    rigs = np.array(["rig"] * len(mixed) + ["other rig"] * 9)
     solved, few = full_wrenches(20), full_wrenches(5)
     beyond = np.concatenate((clean(20), 3 * full_wrenches(4)))
     partial = moved(mixed)
@@ -33,20 +42,29 @@ def tables() -> dict[str, tuple[Rows, dict[str, Any]]]:
     rig = np.concatenate((clean(8), full_wrenches(12)))
     doubt = 1e-6 * np.abs(np.random.default_rng(5).normal(size=(len(rig), 6)))
     doubt[:, 5] *= 100
+    part_rows = part(PARTS["stiffening"], 1).rows(np.random.default_rng(2).uniform(-1, 1, (20, 6)))
+    curved = as_rows(part_rows.wrench, part_rows.displacement, part_rows.compliance)
+    told(curved[:12], curvature=part_rows.curvature[:12])
     return {
+        "curved": (curved, {"range": by_parts(1.1 * HIGH)}),
         "clean": (as_rows(clean(40), moved(clean(40))), {}),
         "clean_and_full": (as_rows(mixed, moved(mixed)), {"tolerance": LIMIT}),
         "full": (as_rows(full_wrenches(40), moved(full_wrenches(40))), {}),
         "kriging": (as_rows(solved, moved(solved), tangents(solved)), {"tolerance": LIMIT}),
         "few_with_tangents": (as_rows(few, moved(few), tangents(few)), {}),
         "measured": (told(as_rows(rig, moved(rig) + 3e-5), uncertainty=doubt), {}),
-        "near_each_other": (as_rows(near, moved(near)), {}),
+        "near_each_other": (told(as_rows(near, moved(near)), source=rigs), {}),
         "partial": (as_rows(mixed, partial), {"tolerance": LIMIT}),
         "thin": (as_rows(clean(4), moved(clean(4))), {}),
         "planar": (as_rows(grid((2, 3), 5), moved(grid((2, 3), 5))), {}),
         "one_row": (as_rows(few[:1], moved(few[:1])), {}),
         "beyond": (as_rows(beyond, moved(beyond)), {}),
     }
+
+
+def by_parts(loads: np.ndarray) -> dict[str, list[float]]:
+    """Loads (6,), N and N·m, as a range of the API."""
+    return {"force": loads[:3].tolist(), "moment": loads[3:].tolist()}
 
 
 def told(rows: Rows, **columns: Any) -> Rows:
@@ -57,8 +75,13 @@ def told(rows: Rows, **columns: Any) -> Rows:
     return rows
 
 
-SOLVED = ("bar", "bar_unknown", "spring", "softening")
-"""Those of components with finite elements: linear, known in part, guided, growing soft."""
+SOLVED = ("bar", "bar_unknown", "spring", "softening", "hanging", "rod")
+"""Those of components with finite elements.
+
+They are linear, known in part, guided, growing soft, under their own weight, and of two interfaces
+and a temperature.
+"""
+SAG = np.array([0, 0, -1e-5, 0, 2e-5, 0])  # m and rad
 KINDS = (*tables(), *SOLVED, "nothing")
 
 
@@ -68,6 +91,14 @@ def prepare(folder: Path) -> None:
     bundle.mkdir(parents=True)
     text = BUNDLE.format(height=0.1, across=2, poisson=0.3).replace('"block"', '"softening"')
     (bundle / "component.toml").write_text(text)
+    for name in ("hanging", "rod"):
+        (folder / "components" / name).mkdir()
+    hangs = HANGING.format(name="hanging", nonlinear="false", **HANGS)
+    (folder / "components" / "hanging" / "component.toml").write_text(hangs)
+    rod = rod_between_loads(folder / "components" / "rod") / "component.toml"
+    text = rod.read_text().replace("nonlinear = false", "nonlinear = true")
+    text = text.replace("density", "thermal_expansion = 23e-6\ndensity", 1)
+    rod.write_text(text + "[inputs.temperature]\nrange = [0, 120]\nreference = 20\n")
     workspace = Workspace(Settings(folder, solvers=0))
     loads = {name: workspace.library[name].load_range.scale.tolist() for name in SOLVED[::2]}
     linear = {"mesh": (1e-9 * np.eye(6)).tolist(), "linearity": [1e-7] * 6, "loads": loads["bar"]}
@@ -102,7 +133,19 @@ def load(client: Client) -> None:
     _add_solved(client, "spring", as_rows(guided, reached, slopes))
     soft = column(np.linspace(0.0, 0.85, 18))
     _add_solved(client, "softening", as_rows(soft.wrench, soft.displacement, soft.compliance))
+    C = compliance[None]
+    _add_solved(client, "hanging", as_rows(np.zeros((1, 6)), SAG[None], 1e-4 * C))
+    _add_solved(client, "rod", rod_rows())
     client.call("DELETE", "/v1/jobs")  # of linear components, which are solved once they are there
+
+
+def rod_rows() -> Rows:
+    """Rows of a smooth response of two interfaces and a temperature."""
+    span = np.array([20, 20, 5000, 5, 5, 5] * 2 + [60.0])
+    asked = spread_wrenches(range_of(SPACE), 40)
+    rows = solved(SPACE, asked)
+    hot = np.array([0.0] * 12 + [60.0])
+    return as_rows(asked * span + hot, 1e-2 * rows.displacement, 1e-2 * rows.compliance / span)
 
 
 def _add(client: Client, name: str, rows: Rows, about: dict[str, Any]) -> None:
