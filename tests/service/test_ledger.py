@@ -1,6 +1,7 @@
 """What the ledger promises about jobs."""
 
 import os
+import sqlite3
 import threading
 import time
 
@@ -9,62 +10,23 @@ import pytest
 
 from tests.service.ledger_rows import stored
 from wrenchbook.service.ledger import (
+    STATUSES,
     InvalidTransitionError,
     Ledger,
     LedgerError,
     LedgerUnavailableError,
-    StaleAttemptError,
     UnknownJobError,
+    connection,
 )
-from wrenchbook.service.ledger.jobs import BACKOFF_SECONDS
+from wrenchbook.service.ledger.jobs import BACKOFF_SECONDS, TRANSITIONS
 
 WRENCH = (1.0, -2.0, 3.5, 0.0, 0.0, 1e-3)
 ANSWER = (1e-6, 2e-6, 3e-6, 4e-6, 5e-6, 6e-6)
 ERROR = {"kind": "not_converged", "message": "no equilibrium", "remedy": "smaller steps"}
 
 
-@pytest.fixture
-def no_backoff(monkeypatch):
-    monkeypatch.setattr("wrenchbook.service.ledger.jobs.BACKOFF_SECONDS", (0.0, 0.0, 0.0))
-
-
 def accept(ledger, *wrench):
     return ledger.accept("plate", "f1", wrench or WRENCH)[0]
-
-
-def test_an_accepted_job_is_there_after_the_ledger_is_opened_again(ledger, tmp_path):
-    job, created = ledger.accept("plate", "f1", WRENCH)
-    ledger.close()
-    again = Ledger(tmp_path / "ledger.sqlite")
-    assert created
-    assert again.job(job.id) == job
-    assert (job.status, job.wrench, job.attempt) == ("waiting", WRENCH, 0)
-    again.close()
-
-
-def test_the_same_wrench_is_the_same_job_however_often_it_is_asked(ledger):
-    first, created = ledger.accept("plate", "f1", WRENCH)
-    second, created_again = ledger.accept("plate", "f1", np.array(WRENCH))
-    assert (created, created_again) == (True, False)
-    assert first == second
-    assert ledger.counts() == dict.fromkeys(("running", "done", "failed", "cancelled"), 0) | {
-        "waiting": 1
-    }
-
-
-def test_minus_zero_is_zero_and_the_last_bit_counts(ledger):
-    job = accept(ledger, 0.0, 1.0, 0, 0, 0, 0)
-    assert accept(ledger, -0.0, 1.0, 0, 0, 0, 0).id == job.id
-    assert accept(ledger, 0.0, np.nextafter(1.0, 2.0), 0, 0, 0, 0).id != job.id
-
-
-def test_another_component_or_fingerprint_is_another_job(ledger):
-    ids = {
-        ledger.accept(component, fingerprint, WRENCH)[0].id
-        for component in ("plate", "bar")
-        for fingerprint in ("f1", "f2")
-    }
-    assert len(ids) == 4
 
 
 @pytest.mark.parametrize(
@@ -83,53 +45,6 @@ def test_a_wrench_of_fewer_than_six_finite_numbers_is_refused_and_changes_nothin
     assert ledger.jobs() == []
 
 
-def test_the_status_is_no_part_of_the_key(ledger):
-    job = accept(ledger)
-    ledger.claim("me")
-    assert accept(ledger).status == "running"
-    ledger.fail(job.id, 1, ERROR)
-    failed = accept(ledger)
-    assert (failed.id, failed.status, failed.error) == (job.id, "failed", ERROR)
-    ledger.retry(job.id)
-    ledger.claim("me")
-    row = ledger.commit(job.id, 2, ANSWER)
-    done = accept(ledger)
-    assert (done.id, done.status, done.row) == (job.id, "done", row.seq)
-
-
-def test_a_cancelled_job_waits_again_when_its_wrench_is_asked_for_again(ledger):
-    job = accept(ledger)
-    ledger.cancel(job.id)
-    assert ledger.accept("plate", "f1", WRENCH, reopen_cancelled=False)[0].status == "cancelled"
-    assert ledger.accept("plate", "f1", WRENCH) == (ledger.job(job.id), False)
-    assert ledger.job(job.id).status == "waiting"
-
-
-def test_many_are_accepted_in_their_order_with_one_job_for_equal_ones(ledger):
-    wrenches = [(i % 3, 0, 0, 0, 0, 0) for i in range(6)]
-    jobs = ledger.accept_many("plate", "f1", wrenches)
-    assert [job.wrench[0] for job in jobs] == [0, 1, 2, 0, 1, 2]
-    assert len({job.id for job in jobs}) == len(ledger.jobs()) == 3
-    assert ledger.accept_many("plate", "f1", []) == []
-
-
-def test_the_oldest_waiting_job_is_claimed_first_and_urgent_ones_before_it(ledger):
-    first, second, third = (accept(ledger, i, 0, 0, 0, 0, 0) for i in range(3))
-    urgent, created = ledger.accept("plate", "f1", third.wrench, priority=1)
-    assert (urgent.id, created) == (third.id, False)
-    order = [ledger.claim("me").id for _ in range(3)]
-    assert order == [third.id, first.id, second.id]
-    assert ledger.claim("me") is None
-
-
-def test_a_claimed_job_runs_its_next_attempt_under_its_owner(ledger):
-    accept(ledger)
-    job = ledger.claim("me")
-    assert (job.status, job.attempt, job.owner) == ("running", 1, "me")
-    assert job.started >= job.created
-    assert ledger.running() == [job]
-
-
 def test_a_commit_writes_row_and_status_together(ledger):
     job = accept(ledger)
     ledger.claim("me")
@@ -144,14 +59,6 @@ def test_a_commit_writes_row_and_status_together(ledger):
     assert done.finished >= done.started
 
 
-def test_a_second_commit_returns_the_row_there_is(ledger):
-    job = accept(ledger)
-    ledger.claim("me")
-    row = ledger.commit(job.id, 1, ANSWER)
-    assert ledger.commit(job.id, 1, (9, 9, 9, 9, 9, 9)) == row
-    assert stored(ledger, "plate") == [row]
-
-
 def test_a_commit_of_an_answer_that_is_not_finite_leaves_the_job_running(ledger):
     job = accept(ledger)
     ledger.claim("me")
@@ -159,37 +66,6 @@ def test_a_commit_of_an_answer_that_is_not_finite_leaves_the_job_running(ledger)
         ledger.commit(job.id, 1, (float("nan"), 0, 0, 0, 0, 0))
     assert ledger.job(job.id).status == "running"
     assert stored(ledger, "plate") == []
-
-
-def test_what_a_stale_attempt_says_does_not_count(ledger, no_backoff):
-    job = accept(ledger)
-    ledger.claim("me")
-    ledger.lose(job.id, 1)
-    for report in (
-        lambda: ledger.commit(job.id, 1, ANSWER),
-        lambda: ledger.fail(job.id, 1, ERROR),
-        lambda: ledger.lose(job.id, 1),
-        lambda: ledger.release(job.id, 1),
-    ):
-        with pytest.raises(StaleAttemptError, match="attempt 1"):
-            report()
-    assert ledger.claim("me").attempt == 2
-    with pytest.raises(StaleAttemptError, match="no longer counts"):
-        ledger.commit(job.id, 1, ANSWER)
-    assert stored(ledger, "plate") == []
-
-
-def test_the_fourth_lost_attempt_fails_the_job_and_says_what_to_do(ledger, no_backoff):
-    job = accept(ledger)
-    for attempt in (1, 2, 3):
-        ledger.claim("me")
-        assert ledger.lose(job.id, attempt).status == "waiting"
-    ledger.claim("me")
-    failed = ledger.lose(job.id, 4)
-    assert (failed.status, failed.error["kind"]) == ("failed", "solver_died")
-    assert "log.txt" in failed.error["remedy"]
-    again = ledger.retry(job.id)
-    assert (again.status, again.lost, again.error) == ("waiting", 0, None)
 
 
 def test_a_job_whose_solver_died_is_not_started_again_at_once(ledger, monkeypatch):
@@ -208,64 +84,10 @@ def test_a_job_whose_solver_died_is_not_started_again_at_once(ledger, monkeypatc
     assert ledger.claim("me").attempt == 4
 
 
-def test_an_attempt_given_back_does_not_count_as_lost(ledger):
-    job = accept(ledger)
-    for attempt in range(1, 6):
-        ledger.claim("me")
-        assert ledger.release(job.id, attempt).status == "waiting"
-    assert ledger.job(job.id).lost == 0
-
-
-def test_a_running_attempt_can_be_adopted_by_one_only(ledger):
-    job = accept(ledger)
-    ledger.claim("dead")
-    assert ledger.adopt(job.id, 1, "dead", "first").owner == "first"
-    assert ledger.adopt(job.id, 1, "dead", "second") is None
-    assert ledger.job(job.id).attempt == 1
-
-
-def test_a_cancelled_job_takes_no_answer(ledger):
-    job = accept(ledger)
-    ledger.claim("me")
-    assert ledger.cancel(job.id).status == "cancelled"
-    with pytest.raises(StaleAttemptError):
-        ledger.commit(job.id, 1, ANSWER)
-    assert ledger.cancel(job.id).status == "cancelled"
-
-
-def test_a_done_job_can_be_neither_cancelled_nor_retried(ledger):
-    job = accept(ledger)
-    ledger.claim("me")
-    ledger.commit(job.id, 1, ANSWER)
-    for forbidden in (ledger.cancel, ledger.retry):
-        with pytest.raises(InvalidTransitionError, match="it is final unless its row is withdrawn"):
-            forbidden(job.id)
-    assert ledger.job(job.id).status == "done"
-
-
-def test_a_refused_change_names_what_is_possible(ledger):
-    job = accept(ledger)
-    with pytest.raises(
-        InvalidTransitionError, match="cannot retry it; possible now: cancel, claim"
-    ):
-        ledger.retry(job.id)
-
-
 def test_a_job_that_is_not_there_is_named(ledger):
     for call in (ledger.job, ledger.cancel, ledger.retry):
         with pytest.raises(UnknownJobError, match="there is no job 7"):
             call(7)
-
-
-def test_jobs_are_listed_newest_first_and_by_component_and_status(ledger):
-    ids = [accept(ledger, i, 0, 0, 0, 0, 0).id for i in range(4)]
-    other, _ = ledger.accept("bar", "f1", WRENCH)
-    ledger.cancel(ids[1])
-    assert [job.id for job in ledger.jobs()] == [other.id, *reversed(ids)]
-    assert [job.id for job in ledger.jobs("plate", limit=2)] == [ids[3], ids[2]]
-    assert [job.id for job in ledger.jobs("plate", "cancelled")] == [ids[1]]
-    assert ledger.counts("plate")["waiting"] == 3
-    assert ledger.counts("spring")["waiting"] == 0
 
 
 def test_listeners_hear_of_each_commit_and_not_of_questions(ledger):
@@ -306,26 +128,6 @@ def test_a_closed_ledger_says_so(ledger):
             call()
 
 
-def test_many_threads_accept_and_claim_each_job_once(ledger):
-    wrenches = [(i, 0, 0, 0, 0, 0) for i in range(20)]
-    claimed = []
-
-    def work(name):
-        for wrench in wrenches:
-            ledger.accept("plate", "f1", wrench)
-        while job := ledger.claim(name):
-            claimed.append(job.id)
-            ledger.commit(job.id, job.attempt, ANSWER)
-
-    threads = [threading.Thread(target=work, args=(f"t{i}",)) for i in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert sorted(claimed) == sorted(set(claimed)) == sorted(job.id for job in ledger.jobs())
-    assert len(stored(ledger, "plate")) == len(ledger.jobs(status="done")) == 20
-
-
 @pytest.mark.parametrize("before", [None, 0o644, 0o660])
 def test_a_ledger_and_its_log_are_no_ones_but_their_owners(tmp_path, before):
     """Everybody on the machine could read them; one of an earlier version is closed too."""
@@ -344,3 +146,137 @@ def test_a_ledger_and_its_log_are_no_ones_but_their_owners(tmp_path, before):
     assert modes.pop("ledger.sqlite-acknowledged") == 0o600
     # A group that was let in on purpose stays.
     assert set(modes.values()) == {0o660 if before == 0o660 else 0o600}
+
+
+# What brings a job about that is at its first attempt, or in line for it.
+BEFORE = {
+    "waiting": lambda ledger: None,
+    "running": lambda ledger: ledger.claim("me"),
+    "done": lambda ledger: ledger.claim("me") and ledger.commit(1, 1, ANSWER),
+    "failed": lambda ledger: ledger.claim("me") and ledger.fail(1, 1, ERROR),
+    "cancelled": lambda ledger: ledger.cancel(1),
+}
+EVENTS = {
+    "claim": lambda ledger: ledger.claim("me"),
+    "begin": lambda ledger: ledger.beat("me", "local", {(1, 1): 5.0}),
+    "adopt": lambda ledger: ledger.adopt(1, 1, "me", "you"),
+    "commit": lambda ledger: ledger.commit(1, 1, (1e-6,) * 6),
+    "fail": lambda ledger: ledger.fail(1, 1, ERROR),
+    "lose": lambda ledger: ledger.lose(1, 1),
+    "release": lambda ledger: ledger.release(1, 1),
+    "cancel": lambda ledger: ledger.cancel(1),
+    "retry": lambda ledger: ledger.retry(1),
+    "reopen": lambda ledger: accept(ledger),
+}
+
+
+@pytest.mark.parametrize("status", STATUSES)
+@pytest.mark.parametrize("event", EVENTS)
+def test_an_event_leads_where_the_table_of_transitions_says_or_changes_nothing(
+    ledger, status, event
+):
+    accept(ledger)
+    BEFORE[status](ledger)
+    if status == "done" and event == "reopen":
+        ledger.withdraw("plate", 1)
+    before, expected = ledger.job(1), TRANSITIONS.get((status, event))
+    assert (before.status, before.error) == (status, ERROR if status == "failed" else None)
+    if expected is not None or event in ("claim", "begin", "adopt", "reopen"):
+        EVENTS[event](ledger)
+    elif (status, event) == ("done", "commit"):  # once more: the row that it has
+        assert EVENTS[event](ledger).seq == before.row
+    else:
+        final = "it is final unless its row is withdrawn" if status == "done" else "possible now: "
+        stale = "attempt 1 no longer counts"
+        with pytest.raises(InvalidTransitionError, match=f"is {status}.*({final}|{stale})"):
+            EVENTS[event](ledger)
+    job = ledger.job(1)
+    assert job.status == (expected or status)
+    assert (job.owner is not None) == (job.status == "running")
+    if expected is None:
+        assert job == before
+
+
+def test_the_table_of_transitions_names_no_event_that_nothing_brings_about():
+    assert {event for _, event in TRANSITIONS} == {*EVENTS, "give up"}
+
+
+def test_the_fourth_lost_attempt_fails_the_job_with_its_cause_and_a_remedy(ledger, monkeypatch):
+    monkeypatch.setattr("wrenchbook.service.ledger.jobs.BACKOFF_SECONDS", (0.0, 0.0, 0.0))
+    job = accept(ledger)
+    for attempt in range(1, 5):
+        ledger.claim("me")
+        ended = ledger.lose(job.id, attempt, f"killed by SIGSEGV, attempt {attempt}")
+    assert (ended.status, ended.error["kind"]) == ("failed", "solver_died")
+    assert ended.error["message"].endswith("the last time: killed by SIGSEGV, attempt 4")
+    assert "log.txt" in ended.error["remedy"]
+    again = ledger.retry(job.id)
+    assert (again.status, again.lost, again.error) == ("waiting", 0, None)
+
+
+def test_a_task_key_names_the_attempt_and_differs_between_data_directories(ledger, tmp_path):
+    other = Ledger(tmp_path / "other")
+    keys = []
+    for directory in (ledger, other):
+        job = accept(directory)
+        claimed = directory.claim("me", "dask")
+        assert (claimed.owner, claimed.engine) == ("me", "dask")
+        assert claimed.task.startswith(f"{job.id}-1-")
+        assert directory.job(job.id) == claimed
+        keys.append(claimed.task)
+    assert keys[0] != keys[1]
+    other.close()
+
+
+def test_an_attempt_that_is_given_back_with_a_delay_is_not_claimed_at_once(ledger):
+    job = accept(ledger)
+    ledger.claim("me")
+    ledger.release(job.id, 1, delay=3600.0)
+    assert ledger.claim("me") is None
+
+
+def test_claims_and_beats_make_the_heartbeat_grow(ledger):
+    accept(ledger)
+    assert ledger.leases() == {}
+    ledger.claim("me", "dask")
+    ledger.beat("me", "dask")
+    lease = ledger.leases()["me"]
+    assert (lease.engine, lease.beat) == ("dask", 2)
+    ledger.end_lease("me")
+    assert ledger.leases() == {}
+
+
+# -- writers that wait for each other ------------------------------------------------------------
+
+
+@pytest.fixture
+def other(ledger):
+    """Hold the ledger by another connection, inside a transaction."""
+    other = connection.connect(ledger.path)
+    other.execute("BEGIN IMMEDIATE")
+    yield other
+    other.close()
+
+
+def test_a_writer_that_waits_begins_once_the_other_has_ended(ledger, other):
+    waiting = threading.Thread(target=lambda: accept(ledger))
+    waiting.start()
+    assert ledger.jobs() == []
+    other.execute("COMMIT")
+    waiting.join(60)
+    assert [job.wrench for job in ledger.jobs()] == [WRENCH]
+
+
+def test_a_ledger_that_stays_busy_is_told_of_and_usable_afterwards(ledger, other, monkeypatch):
+    monkeypatch.setattr(connection, "BUSY_SECONDS", 0.05)
+    with pytest.raises(LedgerUnavailableError, match="locked"):
+        accept(ledger)
+    monkeypatch.undo()
+    other.execute("ROLLBACK")
+    assert accept(ledger).id == 1
+
+
+def test_what_is_no_lock_is_told_at_once(other):
+    with pytest.raises(sqlite3.OperationalError, match="within a transaction"):
+        connection.begin(other)
+    assert other.execute("PRAGMA busy_timeout").fetchone() == (30_000,)

@@ -8,18 +8,28 @@ from wrenchbook.service.ledger import Ledger
 
 WORK = """
 import sys
+import threading
 from wrenchbook.service.ledger import Ledger
 print("ready", flush=True)
 sys.stdin.readline()
 ledger = Ledger(sys.argv[1])
-for load in range(int(sys.argv[3])):
-    ledger.accept("bar", "f", (load, 0, 0, 0, 0, 0))
-    if job := ledger.claim(sys.argv[2]):
+def commit(name):
+    job = ledger.claim(name)
+    if job:
         ledger.commit(job.id, job.attempt, [load * 1e-6 for load in job.wrench])
-        print(job.id)
-while job := ledger.claim(sys.argv[2]):
-    ledger.commit(job.id, job.attempt, [load * 1e-6 for load in job.wrench])
-    print(job.id)
+        print(f"{job.id}\\n", end="")
+    return job
+def work(name):
+    for load in range(int(sys.argv[3])):
+        ledger.accept("bar", "f", (load, 0, 0, 0, 0, 0))
+        commit(name)
+    while commit(name):
+        pass
+threads = [threading.Thread(target=work, args=(sys.argv[2] + name,)) for name in "ab"]
+for thread in threads:
+    thread.start()
+for thread in threads:
+    thread.join()
 ledger.close()
 """
 
@@ -41,15 +51,15 @@ def start_together(path, count, jobs):
     return workers
 
 
-def test_processes_that_open_accept_and_claim_at_once_share_each_job_once(tmp_path):
+def test_threads_of_processes_that_open_accept_and_claim_at_once_share_each_job_once(tmp_path):
     path = tmp_path / "ledger.sqlite"
-    workers = start_together(path, 3, 200)
+    workers = start_together(path, 3, 100)
     printed = [worker.communicate(timeout=60)[0] for worker in workers]
     assert [worker.returncode for worker in workers] == [0, 0, 0]
     claimed = sorted(int(line) for text in printed for line in text.split())
     ledger = Ledger(path)
     assert claimed == sorted(job.id for job in ledger.jobs(status="done", limit=1000))
-    assert sorted(row.wrench[0] for row in stored(ledger, "bar")) == list(range(200))
+    assert sorted(row.wrench[0] for row in stored(ledger, "bar")) == list(range(100))
     ledger.close()
 
 

@@ -45,14 +45,6 @@ def test_inserted_rows_come_back_bit_for_bit_in_their_order(ledger):
     assert [row.seq for row in rows] == sorted(row.seq for row in rows)
 
 
-def test_inserting_a_table_twice_changes_nothing_the_second_time(ledger):
-    assert insert(ledger, "plate", "f1", ROWS) == (10, 0)
-    version = ledger.last_seq()
-    assert insert(ledger, "plate", "f1", [*ROWS, ROWS[0]]) == (0, 11)
-    assert ledger.last_seq() == version
-    assert len(stored(ledger, "plate")) == 10
-
-
 def test_a_row_differs_by_displacement_uncertainty_source_component_and_fingerprint(ledger):
     row = ROWS[1]
     variants = [
@@ -94,27 +86,6 @@ def test_one_bad_row_keeps_all_of_them_out(ledger, bad):
     assert stored(ledger, "plate") == []
 
 
-def test_rows_after_a_seq_and_of_a_fingerprint_are_what_a_follower_reads(ledger):
-    insert(ledger, "plate", "f1", ROWS[:3])
-    seen = ledger.last_seq("plate")
-    insert(ledger, "bar", "f1", ROWS[:2])
-    insert(ledger, "plate", "f2", ROWS[3:5])
-    assert ledger.last_seq("plate") == ledger.last_seq() > seen
-    assert [row.wrench[0] for row in stored(ledger, "plate", after=seen)] == [3, 4]
-    assert [row.fingerprint for row in stored(ledger, "plate", "f1")] == ["f1"] * 3
-    assert (ledger.last_seq("spring"), stored(ledger, "spring")) == (0, [])
-
-
-def test_a_job_whose_very_row_was_imported_before_is_done_with_that_row(ledger):
-    insert(ledger, "plate", "f1", [replace(ROWS[1], source="fea")])
-    imported = stored(ledger, "plate")[0]
-    job, _ = ledger.accept("plate", "f1", ROWS[1].wrench)
-    ledger.claim("me")
-    assert ledger.commit(job.id, 1, ROWS[1].displacement) == imported
-    assert ledger.job(job.id).row == imported.seq
-    assert stored(ledger, "plate") == [imported]
-
-
 def test_a_row_that_is_not_there_is_named(ledger):
     with pytest.raises(UnknownRowError, match="no row 3"):
         ledger.row(3)
@@ -136,68 +107,6 @@ def test_the_version_differs_after_own_commits_and_not_after_reading(ledger):
     assert ledger.version() != before
 
 
-def test_twenty_thousand_rows_go_in_and_come_out(ledger):
-    compliance = np.eye(6).tolist()
-    many = [
-        NewRow((i, 0, 0, 0, 0, 0), (i * 1e-6, 0, 0, 0, 0, 0), "measured", compliance)
-        for i in range(20_000)
-    ]
-    assert insert(ledger, "plate", "f1", many) == (20_000, 0)
-    assert len(stored(ledger, "plate")) == 20_000
-
-
-def test_a_file_of_another_program_is_refused_and_left_as_it_is(tmp_path):
-    path = tmp_path / "ledger.sqlite"
-    foreign = sqlite3.connect(path)
-    foreign.execute("CREATE TABLE notes (text)")
-    foreign.commit()
-    foreign.close()
-    before = path.read_bytes()
-    with pytest.raises(LedgerFileError, match="another program"):
-        Ledger(path)
-    assert path.read_bytes() == before
-
-
-def test_a_file_that_is_no_database_is_refused_with_what_to_do(tmp_path):
-    path = tmp_path / "ledger.sqlite"
-    path.write_bytes(b"not a database at all, but long enough to be read as one" * 20)
-    with pytest.raises(LedgerFileError, match="Move it away"):
-        Ledger(path)
-
-
-def test_a_ledger_of_a_newer_schema_is_refused_with_what_to_do(tmp_path):
-    path = tmp_path / "ledger.sqlite"
-    Ledger(path).close()
-    newer = sqlite3.connect(path)
-    newer.execute("PRAGMA user_version = 99")
-    newer.close()
-    with pytest.raises(LedgerFileError, match="newer wrenchbook"):
-        Ledger(path)
-
-
-def test_a_folder_that_cannot_be_opened_is_named(tmp_path):
-    (tmp_path / "ledger.sqlite").mkdir()
-    with pytest.raises(LedgerFileError, match="cannot open"):
-        Ledger(tmp_path / "ledger.sqlite")
-
-
-def test_a_withdrawn_row_is_gone_for_readers_and_followers_and_comes_back(ledger):
-    insert(ledger, "plate", "f1", ROWS[:3])
-    seen = ledger.last_seq("plate")
-    ledger.withdraw("plate", 2)
-    assert [row.seq for row in stored(ledger, "plate")] == [1, 3]
-    assert ledger.row(2).origin == "t.csv:1"
-    row_changes = ledger.row_changes("plate", seen)
-    assert (len(row_changes.rows), row_changes.gone) == (0, {2})
-    assert row_changes.last_seq == ledger.last_seq("plate") == ledger.last_seq() > seen
-    ledger.restore("plate", 2)
-    assert [row.seq for row in stored(ledger, "plate")] == [1, 2, 3]
-    back = ledger.row_changes("plate", row_changes.last_seq)
-    assert (back.rows.seq.tolist(), back.gone) == ([2], {2})
-    insert(ledger, "plate", "f1", ROWS[3:4])
-    assert ledger.row_changes("plate", back.last_seq).rows.seq.tolist() == [back.last_seq + 1]
-
-
 def test_withdrawing_what_is_not_there_or_twice_is_refused_by_name(ledger):
     insert(ledger, "plate", "f1", ROWS[:1])
     for component, seq in (("plate", 2), ("bar", 1)):
@@ -208,20 +117,6 @@ def test_withdrawing_what_is_not_there_or_twice_is_refused_by_name(ledger):
     ledger.withdraw("plate", 1)
     with pytest.raises(RowStatusError, match="row 1 is withdrawn already"):
         ledger.withdraw("plate", 1)
-
-
-@pytest.mark.parametrize("same", [True, False])
-def test_a_job_whose_row_is_withdrawn_is_solved_again_when_it_is_asked_for(ledger, same):
-    job, _ = ledger.accept("plate", "f1", ROWS[1].wrench)
-    ledger.claim("me")
-    first = ledger.commit(job.id, 1, ROWS[1].displacement)
-    ledger.withdraw("plate", first.seq)
-    again, created = ledger.accept("plate", "f1", ROWS[1].wrench)
-    assert (again.id, again.status, again.row, created) == (job.id, "waiting", None, False)
-    ledger.claim("me")
-    second = ledger.commit(job.id, 2, ROWS[1].displacement if same else (1, 0, 0, 0, 0, 0))
-    assert (second.seq == first.seq) == same
-    assert [row.seq for row in stored(ledger, "plate")] == [second.seq]
 
 
 def damage(ledger, column, seq=2):
@@ -342,32 +237,50 @@ def test_a_ledger_that_cannot_be_written_is_read_and_later_written(tmp_path, mon
     patient.close()
 
 
-def test_news_told_in_parts_are_the_news_told_at_once(ledger):
-    rows = [NewRow((i, 0, 0, 0, 0, 0), (1e-6 * i, 0, 0, 0, 0, 0)) for i in range(1, 31)]
-    insert(ledger, "plate", "", rows)
-    seqs = [row.seq for row in stored(ledger, "plate")]
-    for seq in seqs[3:12:2]:
-        ledger.withdraw("plate", seq)
-    ledger.restore("plate", seqs[5])
-    held, after, parts = {}, 0, 0
-    while True:
-        row_changes = ledger.row_changes("plate", after, most=4)
-        held = {seq: None for seq in held if seq not in row_changes.gone}
-        held |= dict.fromkeys(row_changes.rows.seq.tolist())
-        after, parts = row_changes.last_seq, parts + 1
-        if parts == 2:  # what happens meanwhile is told as well
-            ledger.withdraw("plate", seqs[0])
-            ledger.restore("plate", seqs[7])
-        if row_changes.whole:
-            break
-    assert parts > 5
-    assert after == ledger.last_seq("plate")
-    assert sorted(held) == [row.seq for row in stored(ledger, "plate")]
+def database(path, *statements):
+    file = sqlite3.connect(path)
+    for statement in statements:
+        file.execute(statement)
+    file.commit()
+    file.close()
 
 
-def test_new_rows_of_a_setup_are_counted_beyond_any_limit(tmp_path):
-    ledger = Ledger(tmp_path / "ledger.sqlite")
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda path: database(path, "CREATE TABLE notes (text)"), "another program"),
+        (lambda path: path.write_bytes(b"long enough to be read as a database" * 20), "Move it aw"),
+        (
+            lambda path: [Ledger(path).close(), database(path, "PRAGMA user_version = 99")],
+            "newer w",
+        ),
+        (lambda path: path.mkdir(), "cannot open"),
+    ],
+    ids=["of another program", "no database", "of a newer version", "a folder"],
+)
+def test_a_file_that_is_no_ledger_of_this_version_is_refused_and_left_as_it_is(
+    tmp_path, make, says
+):
+    path = tmp_path / "foreign"
+    make(path)
+    before = path.is_file() and path.read_bytes()
+    with pytest.raises(LedgerFileError, match=says):
+        Ledger(path)
+    assert path.is_dir() or path.read_bytes() == before
+
+
+def test_a_job_whose_row_is_withdrawn_may_be_solved_to_another_row(ledger):
+    job, _ = ledger.accept("plate", "f1", ROWS[1].wrench)
+    ledger.claim("me")
+    first = ledger.commit(job.id, 1, ROWS[1].displacement)
+    ledger.withdraw("plate", first.seq)
+    ledger.accept("plate", "f1", ROWS[1].wrench)
+    ledger.claim("me")
+    second = ledger.commit(job.id, 2, (1, 0, 0, 0, 0, 0))
+    assert [row.seq for row in stored(ledger, "plate")] == [second.seq]
+
+
+def test_new_rows_of_a_setup_are_counted_beyond_any_limit(ledger):
     insert(ledger, "rig", "f", [NewRow((i, 0, 0, 0, 0, 0), (1e-6,) * 6) for i in range(660)])
     insert(ledger, "rig", "g", [NewRow((1, 2, 0, 0, 0, 0), (1e-6,) * 6)])
     assert (ledger.count_new("rig", "f", 0), ledger.count_new("rig", "f", 660)) == (660, 0)
-    ledger.close()
