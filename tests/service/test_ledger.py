@@ -2,13 +2,18 @@
 
 import os
 import sqlite3
+import subprocess
+import sys
 import threading
 import time
+from contextlib import closing
 
 import numpy as np
 import pytest
 
 from tests.service.ledger_rows import stored
+from tests.until import until
+from wrenchbook.service import workspace
 from wrenchbook.service.ledger import (
     STATUSES,
     InvalidTransitionError,
@@ -19,6 +24,9 @@ from wrenchbook.service.ledger import (
     connection,
 )
 from wrenchbook.service.ledger.jobs import BACKOFF_SECONDS, TRANSITIONS
+from wrenchbook.service.settings import Settings
+from wrenchbook.service.workers.builder import DAY, prune, shorten_log
+from wrenchbook.service.workspace import Watcher
 
 WRENCH = (1.0, -2.0, 3.5, 0.0, 0.0, 1e-3)
 ANSWER = (1e-6, 2e-6, 3e-6, 4e-6, 5e-6, 6e-6)
@@ -197,6 +205,12 @@ def test_an_event_leads_where_the_table_of_transitions_says_or_changes_nothing(
         assert job == before
 
 
+def test_a_cancelled_job_waits_again_where_whoever_asks_reopens_it(ledger):
+    job = ledger.cancel(accept(ledger).id)
+    assert ledger.accept("plate", "f1", WRENCH, reopen_cancelled=False) == (job, False)
+    assert accept(ledger).status == "waiting"
+
+
 def test_the_table_of_transitions_names_no_event_that_nothing_brings_about():
     assert {event for _, event in TRANSITIONS} == {*EVENTS, "give up"}
 
@@ -280,3 +294,248 @@ def test_what_is_no_lock_is_told_at_once(other):
     with pytest.raises(sqlite3.OperationalError, match="within a transaction"):
         connection.begin(other)
     assert other.execute("PRAGMA busy_timeout").fetchone() == (30_000,)
+
+
+# -- threads of processes ------------------------------------------------------------------------
+
+WORK = """
+import sys
+import threading
+from wrenchbook.service.ledger import Ledger
+print("ready", flush=True)
+sys.stdin.readline()
+ledger = Ledger(sys.argv[1])
+def commit(name):
+    job = ledger.claim(name)
+    if job:
+        ledger.commit(job.id, job.attempt, [load * 1e-6 for load in job.wrench])
+        print(f"{job.id}\\n", end="")
+    return job
+def work(name):
+    for load in range(int(sys.argv[3])):
+        ledger.accept("bar", "f", (load, 0, 0, 0, 0, 0))
+        commit(name)
+    while commit(name):
+        pass
+threads = [threading.Thread(target=work, args=(sys.argv[2] + name,)) for name in "ab"]
+for thread in threads:
+    thread.start()
+for thread in threads:
+    thread.join()
+ledger.close()
+"""
+
+
+def test_threads_of_processes_that_open_accept_and_claim_at_once_share_each_job_once(tmp_path):
+    path, pipe = tmp_path / "ledger.sqlite", subprocess.PIPE
+    commands = [[sys.executable, "-c", WORK, str(path), f"worker {n}", "100"] for n in range(3)]
+    workers = [subprocess.Popen(one, stdin=pipe, stdout=pipe, text=True) for one in commands]
+    for worker in workers:
+        assert worker.stdout.readline() == "ready\n"
+    for worker in workers:
+        worker.stdin.write("go\n")
+        worker.stdin.flush()
+    printed = [worker.communicate(timeout=60)[0] for worker in workers]
+    assert [worker.returncode for worker in workers] == [0, 0, 0]
+    claimed = sorted(int(line) for text in printed for line in text.split())
+    ledger = Ledger(path)
+    assert claimed == sorted(job.id for job in ledger.jobs(status="done", limit=1000))
+    assert sorted(row.wrench[0] for row in stored(ledger, "bar")) == list(range(100))
+    ledger.close()
+
+
+# -- the watcher: commits of this and of another process, files, listeners that fail -------------
+
+
+@pytest.fixture
+def watcher(ledger):
+    watching = Watcher(ledger)
+    watching.start()
+    yield watching
+    watching.stop()
+
+
+def test_a_commit_of_this_and_of_another_process_is_noticed_within_a_moment(
+    ledger, watcher, tmp_path
+):
+    noticed = threading.Event()
+    watcher.on_change(noticed.set)
+    ledger.accept("bar", "f", WRENCH)
+    assert noticed.wait(60)
+    noticed.clear()
+    other = Ledger(tmp_path / "ledger.sqlite")
+    other.claim("another")
+    assert noticed.wait(60)
+    other.close()
+
+
+def test_nothing_is_noticed_without_a_commit(ledger, watcher):
+    calls = []
+    watcher.on_change(lambda: calls.append(1))
+    ledger.jobs()
+    looks = []
+    watcher.on_change(lambda: None, lambda: looks.append(1))
+    until(lambda: len(looks) > 5)
+    assert not calls
+
+
+def test_a_file_is_watched_along_until_its_subscription_ends(watcher, tmp_path):
+    file = tmp_path / "note"
+    noticed = threading.Event()
+    end = watcher.on_change(noticed.set, file.exists)
+    file.touch()
+    assert noticed.wait(60)
+    end()
+    noticed.clear()
+    file.unlink()
+    looks = []
+    watcher.on_change(lambda: None, lambda: looks.append(1))
+    until(lambda: len(looks) > 5)
+    assert not noticed.is_set()
+
+
+def test_a_listener_that_fails_is_called_again_and_keeps_no_other_from_it(
+    ledger, watcher, monkeypatch
+):
+    monkeypatch.setattr(workspace, "TROUBLE_S", 0.05)
+    calls, noticed = [], threading.Event()
+
+    def fails():
+        calls.append(1)
+        if len(calls) < 3:
+            raise RuntimeError("no memory")
+
+    watcher.on_change(fails)
+    watcher.on_change(noticed.set)
+    ledger.accept("bar", "f", WRENCH)
+    assert noticed.wait(60)
+    until(lambda: len(calls) == 3)
+
+
+def test_a_ledger_that_cannot_be_read_and_then_can_is_noticed(ledger, watcher, monkeypatch):
+    def unreadable():
+        raise LedgerUnavailableError("the disk is gone")
+
+    noticed = threading.Event()
+    watcher.on_change(noticed.set)
+    with monkeypatch.context() as broken:
+        broken.setattr(ledger, "version", unreadable)
+        assert noticed.wait(60)
+        noticed.clear()
+    assert noticed.wait(60)
+
+
+# -- nothing grows without bound, and nothing that is needed goes --------------------------------
+
+NONE = Settings(keep_days=0, keep_count=0, keep_failed_days=0, keep_failed_count=0)
+
+
+def end_job(ledger, number, *, good=True):
+    ledger.accept("rig", "f", [float(number)] * 6)
+    job = ledger.claim("me")
+    folder = ledger.path.parent / "jobs" / str(job.id) / str(job.attempt)
+    folder.mkdir(parents=True)
+    (folder / "result.json").write_text("{}")
+    if good:
+        ledger.commit(job.id, job.attempt, [number * 1e-6] * 6)
+    else:
+        error = {"kind": "k", "message": "m", "remedy": "r"}
+        ledger.fail(job.id, job.attempt, error)
+    return job.id
+
+
+def pruned(ledger, settings, *, stopping=False):
+    stop = threading.Event()
+    if stopping:
+        stop.set()
+    return prune(ledger, ledger.path.parent / "jobs", settings, stop)
+
+
+def left(ledger):
+    return sorted(int(one.name) for one in (ledger.path.parent / "jobs").iterdir())
+
+
+def test_the_newest_folders_are_kept_and_failed_ones_longer(ledger):
+    done = [end_job(ledger, n) for n in range(6)]
+    failed = [end_job(ledger, 10 + n, good=False) for n in range(3)]
+    assert pruned(ledger, Settings(keep_count=2, keep_failed_count=2)) == 5
+    assert left(ledger) == sorted([*done[-2:], *failed[-2:]])
+    assert ledger.counts() | {"done": 6, "failed": 3} == ledger.counts()
+
+
+def test_folders_are_removed_by_age_and_a_clock_set_back_removes_none(ledger, monkeypatch):
+    jobs = [end_job(ledger, n) for n in range(3)]
+    now = time.time()
+    monkeypatch.setattr(time, "time", lambda: now - 1000 * DAY)
+    assert pruned(ledger, Settings()) == 0
+    monkeypatch.setattr(time, "time", lambda: now + 29 * DAY)
+    assert pruned(ledger, Settings()) == 0
+    monkeypatch.setattr(time, "time", lambda: now + 31 * DAY)
+    assert pruned(ledger, Settings()) == len(jobs)
+
+
+def test_what_waits_runs_or_is_unknown_is_left_alone(ledger):
+    folder = ledger.path.parent / "jobs"
+    reopened = end_job(ledger, 1, good=False)
+    ledger.retry(reopened)
+    (folder / "owners").mkdir()
+    (folder / "4711" / "1").mkdir(parents=True)
+    assert pruned(ledger, NONE) == 0
+    assert {one.name for one in folder.iterdir()} == {str(reopened), "owners", "4711"}
+
+
+def test_pruning_ends_when_it_is_told_to(ledger):
+    end_job(ledger, 1)
+    assert pruned(ledger, NONE, stopping=True) == 0
+
+
+def test_a_long_log_is_brought_in_and_emptied(ledger):
+    ledger.accept_many("rig", "f", [[float(n)] * 6 for n in range(2000)])
+    assert ledger.sizes()["log"] > 0
+    assert shorten_log(ledger, longest=0)
+    assert ledger.sizes()["log"] == 0
+    assert ledger.counts()["waiting"] == 2000
+
+
+def test_a_log_that_somebody_reads_is_left_before_the_reading_ends(ledger):
+    ledger.accept("rig", "f", [1.0] * 6)
+    with ledger.reading() as db:
+        db.execute("SELECT count(*) FROM jobs").fetchone()
+        ledger.accept("rig", "f", [2.0] * 6)
+        assert not shorten_log(ledger, longest=0)
+    assert ledger.accept("rig", "f", [3.0] * 6)[1]
+
+
+def test_acknowledged_jobs_that_a_cut_log_has_lost_are_told_and_never_renumbered(tmp_path):
+    """Half of the log cut off: SQLite opens it without a word."""
+    path, log = tmp_path / "l.sqlite", tmp_path / "l.sqlite-wal"
+    ledger = Ledger(path)
+    for number in range(20):
+        ledger.accept("rig", "f", [float(number)] * 6)
+    whole, content = path.read_bytes(), log.read_bytes()
+    ledger.close()
+    path.write_bytes(whole)
+    log.write_bytes(content[: len(content) // 2])
+    again = Ledger(path)
+    kept = again.counts()["waiting"]
+    assert 0 < kept < 20
+    (said,) = again.losses()
+    assert f"jobs {kept + 1} to 20 were acknowledged" in said
+    assert again.accept("rig", "f", [99.0] * 6)[0].id == 21
+    again.close()
+    with closing(Ledger(path)) as third:
+        assert len(third.losses()) == 1  # told until somebody settles it, and once
+
+
+def test_a_note_that_is_damaged_missing_or_unwritable_is_no_loss(ledger):
+    ledger.accept("rig", "f", [1.0] * 6)
+    ledger.close()
+    note = ledger.path.with_name(f"{ledger.path.name}-acknowledged")
+    for content in (b"", b"99 99\n12345678", b"\xff" * 40):
+        note.write_bytes(content)
+        with closing(Ledger(ledger.path)) as again:
+            assert again.losses() == []
+    note.unlink()
+    note.mkdir()
+    with closing(Ledger(ledger.path)) as again:
+        assert again.accept("rig", "f", [2.0] * 6)[1]

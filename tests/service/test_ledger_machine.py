@@ -83,9 +83,15 @@ class LedgerAgainstReference(RuleBasedStateMachine):
         assert expected.key == key
         if (expected.status == "cancelled" and reopen) or expected.row in self.withdrawn:
             expected.status, expected.lost, expected.row = "waiting", 0, None
-            expected.priority = priority
+            expected.began = None
         if expected.status == "waiting":
             expected.priority = max(expected.priority, priority)
+
+    @precondition(lambda self: self.jobs)
+    @rule(pick=st.integers(0, 20), priority=st.sampled_from([0, 1]), reopen=st.booleans())
+    def accept_again(self, pick, priority, reopen):
+        component, fingerprint, wrench = self.jobs[self.some_job(pick)].key
+        self.accept(component, fingerprint, wrench, priority, reopen)
 
     @rule(component=COMPONENTS, wrenches=st.lists(WRENCHES, max_size=4))
     def accept_many(self, component, wrenches):
@@ -98,7 +104,7 @@ class LedgerAgainstReference(RuleBasedStateMachine):
             assert expected.key == (component, "f", job.wrench)
             if expected.status == "cancelled" or expected.row in self.withdrawn:
                 expected.status, expected.lost, expected.row = "waiting", 0, None
-                expected.priority = 0
+                expected.began = None
 
     @rule(count=st.integers(1, 3), owner=st.sampled_from(["me", "you"]))
     def claim(self, count, owner):
