@@ -23,7 +23,7 @@ from wrenchbook.service.ledger import (
     UnknownJobError,
     connection,
 )
-from wrenchbook.service.ledger.jobs import BACKOFF_SECONDS, TRANSITIONS
+from wrenchbook.service.ledger.jobs import BACKOFF_SECONDS, FORGOTTEN_SECONDS, TRANSITIONS
 from wrenchbook.service.settings import Settings
 from wrenchbook.service.workers.builder import DAY, prune, shorten_log
 from wrenchbook.service.workspace import Watcher
@@ -258,6 +258,16 @@ def test_claims_and_beats_make_the_heartbeat_grow(ledger):
     assert (lease.engine, lease.beat) == ("dask", 2)
     ledger.end_lease("me")
     assert ledger.leases() == {}
+
+
+def test_a_lease_left_by_a_kill_goes_after_a_day_unless_its_owner_has_a_job(ledger, monkeypatch):
+    accept(ledger)
+    ledger.claim("has a job")
+    ledger.beat("has none", "local")
+    later = time.time() + FORGOTTEN_SECONDS + 1
+    monkeypatch.setattr("wrenchbook.service.ledger.jobs.time.time", lambda: later)
+    ledger.end_lease("ends now")
+    assert ledger.leases().keys() == {"has a job"}
 
 
 # -- writers that wait for each other ------------------------------------------------------------
