@@ -249,6 +249,16 @@ def test_an_attempt_that_is_given_back_with_a_delay_is_not_claimed_at_once(ledge
     assert ledger.claim("me") is None
 
 
+def test_a_running_attempt_is_adopted_by_one_only_and_keeps_its_first_beginning(ledger):
+    job = accept(ledger)
+    ledger.claim("dead")
+    for start in (12.5, 99.0):
+        ledger.beat("dead", "local", {(job.id, 1): start})
+    assert ledger.adopt(job.id, 1, "dead", "first").owner == "first"
+    assert ledger.adopt(job.id, 1, "dead", "second") is None
+    assert (ledger.job(job.id).attempt, ledger.job(job.id).began) == (1, 12.5)
+
+
 def test_claims_and_beats_make_the_heartbeat_grow(ledger):
     accept(ledger)
     assert ledger.leases() == {}

@@ -299,4 +299,4 @@ class LedgerAgainstReference(RuleBasedStateMachine):
 
 
 TestLedgerAgainstReference = LedgerAgainstReference.TestCase
-TestLedgerAgainstReference.settings = settings(max_examples=60, stateful_step_count=30)
+TestLedgerAgainstReference.settings = settings(max_examples=60, stateful_step_count=40)
