@@ -17,6 +17,7 @@ from wrenchbook.service.formats.columnar import read_hdf5 as hdf5_file
 from wrenchbook.service.formats.csv import read_csv as csv_file
 from wrenchbook.service.formats.json import read_json as json_file
 from wrenchbook.service.formats.options import FileMistake, Options, ReadReport
+from wrenchbook.service.formats.read import read_table_file
 from wrenchbook.surrogate.table.rows import Rows, joined
 
 
@@ -69,3 +70,24 @@ def write_csv(table: Any, units: Mapping[str, str] | None = None) -> str:
 
 def write_json(table: Any, about: Mapping[str, Any] | None = None) -> str:
     return "".join(json_text([table], about or {}))
+
+
+ZERO = Options(missing_loads="zero")
+
+
+def read(content: bytes, options: Options = ZERO) -> tuple[ReadTable, ReadReport]:
+    """What an import makes of a file of any format; loads without a column were zero."""
+    report = ReadReport()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "upload"
+        path.write_bytes(content)
+        pieces = list(read_table_file(path, options, report))
+    return read_table(pieces, report), report
+
+
+def written(write: Any, table: ReadTable, units: Mapping[str, str] | None = None) -> bytes:
+    """The file that one of the writers makes."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "export"
+        write(path, [table], layout_of(table, units), {"contract": "SI", "component": "rig"})
+        return path.read_bytes()

@@ -1,6 +1,5 @@
 """Who is let in: each call of the document, with each kind of key, and from each kind of place."""
 
-import asyncio
 import errno
 import io
 import zipfile
@@ -12,8 +11,6 @@ from starlette.testclient import TestClient
 from wrenchbook.service.client import Client
 from wrenchbook.service.http.access import Permission, Rates, SecuritySettings, security_settings
 from wrenchbook.service.http.app import create_app
-from wrenchbook.service.http.body import counted as counted_
-from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.keys import Key, Keyring, digest_of, is_loopback
 from wrenchbook.service.workspace import Settings
 
@@ -179,11 +176,6 @@ def test_keys_are_made_listed_and_revoked_over_http_and_the_secret_is_told_once(
     assert locked.delete("/v1/keys/eve", headers=admin).status_code == 404
 
 
-def test_a_server_without_keys_lets_nobody_make_the_first_over_http(unlocked):
-    assert unlocked.post("/v1/keys", json={"name": "eve", "scope": "admin"}).status_code == 409
-    assert unlocked.get("/v1/keys").status_code == 409
-
-
 def test_a_private_servers_own_key_is_good_for_all(locked):
     own = bearer("the-server's-own")
     assert locked.get("/v1/keys", headers=own).status_code == 200
@@ -226,13 +218,6 @@ def test_what_a_key_may_send_does_not_grow_with_the_processes(tmp_path, clock, p
     # A burst and what the time gives; a process may hold a hundredth of a second's unused.
     most = max(2.0 * rate, 1.0) + rate * (passed - 0.2)
     assert most - 1 - processes * max(1, 0.01 * rate) <= allowed <= most + 1
-
-
-def test_a_key_that_asks_too_often_takes_nothing_from_another(tmp_path, clock):
-    path = tmp_path / "rates"
-    busy, other = (permissions(path, 1.0, 1, name)[0] for name in ("busy", "other"))
-    assert [busy.wait() == 0.0 for _ in range(4)] == [True, True, False, False]
-    assert [other.wait() == 0.0 for _ in range(3)] == [True, True, False]
 
 
 def test_a_machine_that_was_started_again_holds_no_key_up(tmp_path, clock):
@@ -371,20 +356,6 @@ def test_every_reply_tells_browsers_to_do_no_more_with_it(unlocked, path):
 def test_loopback_is_what_this_machine_alone_reaches(host, local):
     assert is_loopback(host) is local
     assert security_settings(host, None, None).keys_needed is not local
-
-
-def test_a_body_is_counted_as_it_comes():
-    async def receive():
-        return {"type": "http.request", "body": bytes(10), "more_body": True}
-
-    async def read():
-        counted = counted_(receive, 25)
-        for _ in range(2):
-            await counted()
-        with pytest.raises(HttpProblemError):
-            await counted()
-
-    asyncio.run(read())
 
 
 def test_a_key_that_no_header_can_hold_is_refused_without_telling_it():

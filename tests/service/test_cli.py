@@ -7,6 +7,7 @@ import json
 import signal
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,7 @@ from wrenchbook.service.cli.jobs import event_line
 from wrenchbook.service.cli.main import main
 from wrenchbook.service.cli.progress import Pace
 from wrenchbook.service.cli.render import Screen, matrix_table
-from wrenchbook.service.client import Client, Event, ProblemError
+from wrenchbook.service.client import Client, Event
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -45,108 +46,56 @@ def run(stub: Stub, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixtur
     return command
 
 
-def test_query_sends_what_its_options_say_and_prints_the_reply_as_json(stub: Stub, run: Run):
-    stub.answers(Answer(COVERED))
-    options = ("--force", "1", "2", "3", "--on-thin", "estimate", "--beyond-range", "--json")
-    status, out, _ = run("query", "plate", *options)
-    assert status == 0
-    assert json.loads(out) == COVERED
-    assert stub.seen[0].body["force"] == [1.0, 2.0, 3.0]
-    assert stub.seen[0].body["beyond_range"] is True
+RECORDED = {
+    "total": 5, "kept": 2, "merged": 2, "thinned": 1, "outside": 1, "within": 0.25,
+    "reason": "1 wrenches were thinned out", "wrenches": [[1.0] * 6, [2.0] * 6],
+}  # fmt: skip
+EXTREMES = {
+    "count": 5, "min": [-1.5] * 6, "max": [2.5] * 6, "at_min": [[-1.5] * 6] * 6,
+    "at_max": [[2.5] * 6] * 6, "displacement_bound": [1e-5] * 6, "negligible": None,
+    "bound": {"kind": "estimate", "formula": "f", "coverage": "thin"}, "reason": "no proof",
+}  # fmt: skip
+QUEUED_NONE = {
+    "jobs": [], "solved": 3, "covered": 2, "failed": 0, "beyond_range": 0, "left": 0,
+    "reason": "the table covers all of them",
+}  # fmt: skip
+FILLED = {
+    "component": "plate", "jobs": [], "stage": "met", "reason": "thick enough", "rows": 7,
+    "coverage": "covered",
+}  # fmt: skip
+REPLIES = {
+    "COVERED": COVERED, "QUEUED": QUEUED, "RECORDED": RECORDED, "EXTREMES": EXTREMES,
+    "QUEUED_NONE": QUEUED_NONE, "FILLED": FILLED, "": {},
+}  # fmt: skip
+COMMANDS = tomllib.loads(Path(__file__).with_name("commands.toml").read_text(encoding="utf-8"))
 
 
-def test_query_queues_by_default_and_says_how_to_look_at_the_job(stub: Stub, run: Run):
-    estimate = {"translation": [0.0, 0.0, 1e-5], "rotation": [0.0] * 3}
-    stub.answers(Answer({**QUEUED, **estimate}, status=202))
-    status, out, _ = run("query", "plate")
-    assert status == 0
-    assert stub.seen[0].body["on_thin"] == "queue"
-    says = " ".join(out.split())
-    assert "The values are an estimate: job 7 solves this wrench or one close to it." in says
-    assert "Its state: wrenchbook jobs --component plate" in says
+def reply_of(case: dict[str, Any]) -> Answer:
+    body = {**REPLIES[case.get("as", "")], **case.get("with", {})}
+    body |= dict.fromkeys(case.get("none", ()))
+    return Answer(body, case.get("status", 200), case.get("kind", "application/json"))
 
 
-def test_query_sends_loads_by_interface_and_prints_each_displacement(stub: Stub, run: Run):
-    moved = {"translation": [0.0, 1e-3, 0.0], "rotation": [0.0] * 3, "error": None}
-    parts = {"left": moved, "right": moved}
-    stub.answers(Answer({"component": "link", "coverage": "covered", "displacements": parts}))
-    status, out, _ = run("query", "link", "--load", "right=0,10,1", "--input", "temperature=80")
-    assert status == 0
-    assert stub.seen[0].body["loads"] == {"right": {"force": [0, 10, 1], "moment": [0, 0, 0]}}
-    assert stub.seen[0].body["inputs"] == {"temperature": 80.0}
-    assert "force" not in stub.seen[0].body
-    assert "link left" in out
-    assert "link right" in out
-
-
-def test_query_with_seconds_to_wait_waits(stub: Stub, run: Run):
-    stub.answers(Answer(COVERED))
-    assert run("query", "plate", "--wait-s", "5")[0] == 0
-    assert (stub.seen[0].body["on_thin"], stub.seen[0].body["wait_s"]) == ("wait", 5.0)
-
-
-@pytest.mark.parametrize("command", ["query", "fill"])
-def test_a_tolerance_has_the_same_options_in_query_and_fill(stub: Stub, run: Run, command: str):
-    done = {**COVERED, "jobs": [], "stage": "met", "reason": "", "rows": 7, "coverage": "covered"}
-    stub.answers(Answer(done), Answer(done))
-    options = ("--tolerance-translation", "1e-6", "--tolerance-rotation", "1e-5")
-    assert run(command, "plate", *options)[0] == 0
-    assert stub.seen[0].body["tolerance"] == {"translation": 1e-6, "rotation": 1e-5}
-
-
-def test_fill_takes_the_former_names_of_its_tolerance(stub: Stub, run: Run):
-    stub.answers(
-        Answer({"component": "plate", "jobs": [], "stage": "met", "reason": "thick enough"}),
-        Answer({"name": "plate", "rows": 7}),
-    )
-    assert run("fill", "plate", "--translation", "1e-6", "--rotation", "1e-5")[0] == 0
-    assert stub.seen[0].body["tolerance"] == {"translation": 1e-6, "rotation": 1e-5}
-
-
-def test_query_prints_why_there_is_no_job(stub: Stub, run: Run):
-    stub.answers(Answer({**QUEUED, "job": None, "reason": "the queue is full"}, status=202))
-    status, out, _ = run("query", "plate", "--on-thin", "queue")
-    assert status == 0
-    assert "the queue is full" in out
-
-
-def test_query_and_solve_print_what_the_solver_says_of_its_answer(stub: Stub, run: Run):
-    for command in ("query", "solve"):
-        stub.answers(Answer({**COVERED, "notes": ["mesh: 3 cells are [strongly] distorted"]}))
-        status, out, _ = run(command, "plate")
-        assert status == 0
-        assert "3 cells are [strongly] distorted" in " ".join(out.split())
-
-
-def test_a_refusal_is_one_message_with_each_mistake_and_status_1(stub: Stub, run: Run):
-    problem = {
-        "title": "The request is not of this call's form",
-        "detail": "Nothing was changed.",
-        "errors": [{"loc": "method", "msg": "unknown method 'nope'"}],
-    }
-    stub.answers(Answer(problem, status=422, kind="application/problem+json"))
-    status, _, says = run("query", "plate", "--method", "nope")
-    assert status == 1
-    assert says == (
-        "The request is not of this call's form Nothing was changed. method: unknown method 'nope'"
-    )
-
-
-def test_a_rejected_query_prints_its_reason_and_the_tolerance(stub: Stub, run: Run):
-    limit = {"translation": 1e-6, "rotation": 1e-5}
-    problem = {
-        "title": "The table does not cover this",
-        "detail": "error bar of uz. Tolerance: 1e-06 m, 1e-05 rad.",
-        "tolerance": limit,
-    }
-    for _ in range(2):
-        stub.answers(Answer(problem, status=409, kind="application/problem+json"))
-    status, out, says = run("query", "plate", "--on-thin", "reject")
-    assert (status, out) == (1, "")
-    assert "error bar of uz. Tolerance: 1e-06 m, 1e-05 rad." in says
-    with Client(stub.url) as client, pytest.raises(ProblemError) as refused:
-        client.displacement("plate", [0, 0, 1], [0, 0, 0], on_thin="reject")
-    assert refused.value.body["tolerance"] == limit
+@pytest.mark.parametrize("case", COMMANDS.values(), ids=COMMANDS.keys())
+def test_a_command_sends_what_it_is_given_and_prints_the_reply(
+    stub: Stub, run: Run, case: dict[str, Any]
+):
+    replies = [reply_of(reply) for reply in case["replies"]]
+    stub.answers(*replies)
+    status, out, err = run(*case["argv"].split())
+    assert status == case.get("status", 0), err
+    for seen, sent in zip(stub.seen, case.get("sent", ()), strict="sent" in case):
+        body = seen.body if seen.content else {}
+        assert seen.method == sent.get("method", seen.method)
+        assert seen.path == sent.get("path", seen.path)
+        assert body | sent.get("body", {}) == body
+        assert not set(sent.get("without", ())) & body.keys()
+    shown = " ".join(out.split())
+    assert [words for words in case.get("out", ()) if words not in shown] == []
+    assert [words for words in case.get("err", ()) if words not in err] == []
+    assert [words for words in case.get("absent", ()) if words in shown] == []
+    if "json" in case:
+        assert json.loads(out) == replies[0].body
 
 
 @cases(__file__, "cli")
@@ -179,55 +128,6 @@ def test_help_names_the_command_and_not_the_file_that_was_run():
     assert "Usage: wrenchbook query [OPTIONS]" in run.stdout
 
 
-def test_a_unit_in_brackets_is_printed_and_not_taken_for_a_colour(stub: Stub, run: Run):
-    problem = {
-        "title": "The table has mistakes",
-        "status": 422,
-        "detail": "the first is in row 1, Fz [lbx]: the unit [lbx] is not known",
-        "errors": [{"loc": "row 1.Fz [lbx]", "msg": "the unit [lbx] is not known"}],
-    }
-    stub.answers(Answer(problem, status=422))
-    status, _, err = run("query", "plate", "--force", "1", "2", "3")
-    assert status == 1
-    assert err.count("Fz [lbx]: the unit [lbx] is not known") == 2
-
-
-def test_fill_sends_the_range_and_the_outputs_that_are_wanted(stub: Stub, run: Run):
-    stub.answers(
-        Answer({"component": "plate", "jobs": [], "stage": "met", "reason": "thick enough"}),
-        Answer({"name": "plate", "rows": 7}),
-    )
-    force = ("--force-range", "-1", "1", "0", "0", "-50", "-20")
-    moment = ("--moment-range", "0", "0", "-3", "3", "0", "0")
-    status, out, _ = run("fill", "plate", *force, *moment, "--output", "uz", "--output", "rx")
-    assert status == 0
-    sent = stub.seen[0].body
-    assert sent["range"] == {
-        "force": [[-1, 1], [0, 0], [-50, -20]],
-        "moment": [[0, 0], [-3, 3], [0, 0]],
-    }
-    assert sent["outputs"] == ["uz", "rx"]
-    assert "thick enough" in out
-
-
-def test_fill_for_a_joint_says_so_to_the_server(stub: Stub, run: Run):
-    stub.answers(
-        Answer({"component": "plate", "jobs": [], "stage": "met", "reason": "thick enough"}),
-        Answer({"name": "plate", "rows": 7}),
-    )
-    assert run("fill", "plate", "--for-joint")[0] == 0
-    assert stub.seen[0].body["for_joint"] is True
-
-
-def test_query_with_derivatives_asks_for_them_and_prints_them(stub: Stub, run: Run):
-    told = [[1e-9 * (6 * row + column) for column in range(6)] for row in range(6)]
-    stub.answers(Answer({**COVERED, "derivative": told}))
-    status, out, _ = run("query", "plate", "--force", "1", "2", "3", "--derivatives", "--json")
-    assert status == 0
-    assert stub.seen[0].body["derivatives"] is True
-    assert json.loads(out)["derivative"] == told
-
-
 def test_plan_sends_the_scene_of_a_file_and_prints_what_is_left_out(
     stub: Stub, run: Run, tmp_path: Path
 ):
@@ -257,44 +157,6 @@ def test_plan_sends_the_scene_of_a_file_and_prints_what_is_left_out(
     assert "components.plate.force: three loads" in err
 
 
-RECORDED = {
-    "total": 5, "kept": 2, "merged": 2, "thinned": 1, "outside": 1, "within": 0.25,
-    "reason": "1 wrenches were thinned out", "wrenches": [[1.0] * 6, [2.0] * 6],
-}  # fmt: skip
-EXTREMES = {
-    "count": 5, "min": [-1.5] * 6, "max": [2.5] * 6, "at_min": [[-1.5] * 6] * 6,
-    "at_max": [[2.5] * 6] * 6, "displacement_bound": [1e-5] * 6, "negligible": None,
-    "bound": {"kind": "estimate", "formula": "f", "coverage": "thin"}, "reason": "no proof",
-}  # fmt: skip
-QUEUED_NONE = {
-    "jobs": [], "solved": 3, "covered": 2, "failed": 0, "beyond_range": 0, "left": 0,
-    "reason": "the table covers all of them",
-}  # fmt: skip
-
-
-def test_recording_and_envelope_show_what_was_met(stub: Stub, run: Run):
-    stub.answers(Answer(RECORDED), Answer(EXTREMES))
-    status, out, _ = run("recording", "plate")
-    assert status == 0
-    assert "5 wrenches recorded of plate: 2 kept" in out
-    assert "thinned out" in out
-    status, out, _ = run("envelope", "plate")
-    assert status == 0
-    assert "not known to be negligible" in out
-    assert "no proof" in out
-
-
-def test_recording_starts_with_its_budget_clears_and_not_both(stub: Stub, run: Run):
-    stub.answers(Answer(QUEUED_NONE), Answer({"cleared": 5}))
-    status, out, _ = run("recording", "plate", "--start", "--budget", "7")
-    assert (status, stub.seen[0].body) == (0, {"budget": 7})
-    assert "the table covers all" in out
-    assert "5 wrenches forgotten" in run("recording", "plate", "--clear")[1]
-    assert stub.seen[1].method == "DELETE"
-    assert run("envelope", "plate", "--start", "--clear")[0] != 0
-    assert len(stub.seen) == 2
-
-
 def test_a_matrix_in_a_narrow_terminal_has_all_characters_of_its_numbers(capsys):
     lines = [[-1.2345e-11 * (k + 1)] * 6 for k in range(6)]
     names = ["ux", "uy", "uz", "rx", "ry", "rz"]
@@ -318,17 +180,6 @@ def test_compliance_shows_the_tangent_at_zero_load_and_beside_it_the_mean(stub: 
     assert len([line for line in out.splitlines() if " - " in line]) == 7
     stub.answers(Answer(told))
     assert json.loads(run("compliance", "plate", "--json")[1]) == told
-
-
-def test_resolve_queues_the_wrenches_of_another_setup(stub: Stub, run: Run):
-    stub.answers(Answer(QUEUED_NONE))
-    status, out, _ = run("resolve", "plate", "--budget", "7", "--beyond-range")
-    assert (status, stub.seen[0].body) == (0, {"budget": 7, "beyond_range": True})
-    assert (stub.seen[0].method, stub.seen[0].path) == (
-        "POST",
-        "/v1/components/plate/table/resolve",
-    )
-    assert "0 solves; 5 wrenches were solved or covered before" in out
 
 
 def test_the_command_line_tells_its_version(run: Run):
@@ -360,28 +211,6 @@ def test_a_refused_import_names_the_options_of_the_command_line(run: Run, tmp_pa
         status, _, err = run("import", "rig", file, "--server", client.url)
     assert status == 1
     assert "missing_loads=zero (--missing-loads-zero)" in " ".join(err.split())
-
-
-def test_withdraw_lists_findings_with_the_command_that_withdraws_their_rows(stub: Stub, run: Run):
-    outlier = {"cause": "outlier", "message": "2 rows are far off", "import": 3, "count": 2}
-    stub.answers(Answer({"warnings": [{"where": "mesh", "message": "coarse"}, outlier]}))
-    status, out, _ = run("withdraw", "plate")
-    assert status == 0
-    assert "outlier: 2 rows are far off" in out
-    assert "wrenchbook withdraw plate 3 --finding outlier" in " ".join(out.split())
-    assert "coarse" not in out
-
-
-def test_withdraw_sends_the_import_and_its_finding_and_restores(stub: Stub, run: Run):
-    stub.answers(Answer({"rows": 2, "status": "withdrawn"}), Answer({"rows": 2, "status": "back"}))
-    assert "2 rows withdrawn" in run("withdraw", "plate", "3", "--finding", "outlier")[1]
-    run("withdraw", "plate", "3", "--restore")
-    first, second = stub.seen
-    assert (first.method, first.path) == (
-        "DELETE",
-        "/v1/components/plate/imports/3?finding=outlier",
-    )
-    assert (second.method, second.path) == ("POST", "/v1/components/plate/imports/3/restore")
 
 
 def completions(monkeypatch: pytest.MonkeyPatch, words: str) -> list[str]:
@@ -452,6 +281,18 @@ def test_events_are_told_in_words():
     table = {"component": "plate", "table_version": 4, "rows": 4}
     assert event_line(Event("table", table)) == "plate: table version 4, 4 rows"
     assert event_line(Event("hello", {"tables": {}})) == ""
+
+
+def test_followed_jobs_are_listed_and_then_told_a_line_an_event(stub: Stub, run: Run, monkeypatch):
+    job = {"id": 7, "component": "plate", "status": "done", "row": 9, "error": None}
+    happened = [Event("hello", {"tables": {}}), Event("job", job)]
+    monkeypatch.setattr(Client, "events", lambda *_, **__: iter(happened))
+    waiting = {"id": 8, "component": "plate", "status": "waiting", "attempt": 1}
+    loads = {"force": [1, 2, 3], "moment": [0, 0, 0]}
+    stub.answers(Answer({"jobs": []}), Answer({"jobs": [waiting | loads]}))
+    status, out, _ = run("jobs", "--follow")
+    assert (status, "waiting" in out) == (0, True)
+    assert "job 7 of plate: done, row 9" in out
 
 
 # -- Ctrl-C --------------------------------------------------------------------------------------

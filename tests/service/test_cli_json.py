@@ -18,7 +18,7 @@ import typer
 
 from tests.service.client.joint_scenes import linear_table
 from tests.service.stub_server import Answer, Stub
-from tests.service.test_cli import EXTREMES, QUEUED_NONE, RECORDED
+from tests.service.test_cli import EXTREMES, FILLED, QUEUED_NONE, RECORDED
 from tests.service.test_client_calls import COVERED
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.service.cli.local import PROGRAMS
@@ -31,10 +31,6 @@ ROOT = Path(__file__).parents[2]
 
 COVERAGE = {"method": "kriging", "method_reason": "", "axes": []}
 COMPONENT = {"name": "plate", "rows": 7, "coverage": COVERAGE, "warnings": []}
-FILLED = {
-    "component": "plate", "jobs": [], "stage": "met", "reason": "all is covered", "rows": 7,
-    "coverage": "covered",
-}  # fmt: skip
 IMPORTED = {"inserted": 1, "existing": 0, "errors": [], "dry_run": False}
 REPORTED = {"state": "done", "fraction": 1.0, "message": ""}
 

@@ -172,9 +172,3 @@ def test_resolving_keeps_to_the_load_range_and_needs_a_setup_and_rows(served, to
     assert "beyond_range" in reply["reason"]
     reply = served.post(f"{CALL}/table/resolve", json={"beyond_range": True})
     assert (reply.status_code, len(reply.json()["jobs"])) == (202, 1)
-    wrong = served.post(f"{CALL}/table/resolve", json={"budget": 0})
-    assert wrong.status_code == 422
-    range_ = {"force": [1.0] * 3, "moment": [1.0] * 3}
-    served.post("/v1/components", json={"name": "rig", "title": "rig", "range": range_})
-    assert served.post("/v1/components/rig/table/resolve", json={}).status_code == 409
-    assert served.post("/v1/components/nope/table/resolve", json={}).status_code == 404

@@ -104,16 +104,6 @@ def test_between_rows_the_largest_stress_is_within_its_bar(plate, store, shapes)
     assert inside >= 0.9 * CHECKS
 
 
-def test_a_table_with_half_its_rows_without_fields_answers_from_the_others(plate, store, shapes):
-    component, rows, _, asked, true = plate
-    filled(store, plate, range(0, ROWS, 2))
-    found = shapes.answer(component, rows, asked[0])
-    assert found.rows == tuple(range(1, ROWS, 2))
-    wrong = lengths(found.displacement - true[0].displacement)
-    assert (wrong <= found.error).mean() >= 0.9
-    assert shapes.answer(component, rows, rows.wrench[1]).source == "rows"
-
-
 def test_rows_of_another_fingerprint_or_measured_ones_have_no_fields(plate, store, shapes):
     component, rows, *_ = plate
     filled(store, plate)
@@ -137,17 +127,13 @@ def test_a_damaged_file_is_a_row_without_fields(plate, store, shapes):
     assert (lengths(at.displacement - plate[2][4].displacement) <= at.error).mean() >= 0.9
 
 
-def test_where_all_files_are_damaged_it_says_so(plate, store, shapes):
+def test_fields_or_a_geometry_that_are_gone_are_named_and_not_guessed(plate, store, shapes):
     component, rows, _, asked, _ = plate
-    filled(store, plate, range(3))
-    for row in range(3):
+    filled(store, plate, range(5))
+    for row in range(5):
         file_of(store, plate, row).write_bytes(b"nothing")
     with pytest.raises(NoFieldsError, match="damaged"):
         shapes.answer(component, rows, asked[0])
-
-
-def test_a_geometry_that_is_gone_is_named_and_not_guessed(plate, store, shapes):
-    component, rows, _, asked, _ = plate
     filled(store, plate, range(5))
     for path in (store._folder / component.name).glob("*/*.geometry"):
         path.unlink()
@@ -165,17 +151,12 @@ def test_one_row_answers_flagged_and_without_a_bar(plate, store, shapes):
     assert found.stress.yields is None
 
 
-def test_new_rows_take_part_at_once(plate, store, shapes):
+def test_new_rows_take_part_at_once_and_repeated_ones_count_once(plate, store, shapes):
     component, rows, _, asked, _ = plate
     filled(store, plate, range(5))
     assert len(shapes.answer(component, rows, asked[0]).rows) == 5
     filled(store, plate, range(5, 9))
     assert len(shapes.answer(component, rows, asked[0]).rows) == 9
-
-
-def test_repeated_rows_count_once(plate, store, shapes):
-    component, rows, _, asked, _ = plate
-    filled(store, plate, range(6))
     twice = rows.take([*range(6), *range(6)])
     assert len(shapes.answer(component, twice, asked[0]).rows) == 6
 

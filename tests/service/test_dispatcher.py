@@ -1,7 +1,11 @@
 """The dispatcher: waiting jobs come to be done, failed or cancelled."""
 
 import os
+import secrets
 import signal
+import subprocess
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,11 +13,21 @@ import pytest
 from tests.service.attempts import wait_for_sweeps
 from tests.service.conftest import SOLVERS
 from tests.service.ledger_rows import stored
+from tests.service.simulated import SimulatedEngine
 from tests.until import until
-from wrenchbook.service.jobs.attempt import EngineError, attempt_folder
-from wrenchbook.service.jobs.dispatcher import Dispatcher
+from wrenchbook.service.files import lock as flock
+from wrenchbook.service.jobs.attempt import (
+    LOCK,
+    Attempt,
+    EngineError,
+    Outcome,
+    attempt_folder,
+    prepare,
+    write_outcome,
+)
+from wrenchbook.service.jobs.dispatcher import Dispatcher, Lease, record
 from wrenchbook.service.jobs.solver_pool import LocalEngine
-from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
+from wrenchbook.service.ledger import Beat, Ledger, LedgerUnavailableError, StaleAttemptError
 
 WRENCH = (1.0, 2.0, 3.0, 0.0, 0.0, 0.5)
 
@@ -22,11 +36,12 @@ class Bench:
     """A ledger, its jobs folder, and dispatchers on them."""
 
     def __init__(self, folder):
-        self.jobs_folder = folder / "jobs"
+        self.folder, self.jobs_folder = folder, folder / "jobs"
         self.ledger = Ledger(folder / "ledger.sqlite")
-        self.started = []
+        self.started, self.engines = [], []
 
     def start(self, solver="quick", *, slots=2, bundles=None, engine=None):
+        """Start a dispatcher of solvers that stand in."""
         environment = {"WRENCHBOOK_SOLVE": f"stand_in:{solver}", "PYTHONPATH": SOLVERS}
         engine = engine or LocalEngine(slots, environment=environment)
         bundles = bundles or (lambda name: Path("/bundles") / name)
@@ -35,32 +50,43 @@ class Bench:
         dispatcher.start()
         return dispatcher
 
-    def accept(self, *wrench):
-        return self.ledger.accept("bar", "f1", wrench or WRENCH)[0]
+    def simulate(self, name="far", seconds=0.05, slots=10):
+        """Start a dispatcher of an engine without solvers; return both."""
+        engine = SimulatedEngine(slots, lambda _: seconds, name)
+        self.engines.append(engine)
+        return self.start(engine=engine), engine
 
-    def until(self, job, status, seconds=60):
-        until(lambda: self.ledger.job(job.id).status == status, seconds)
-        return self.ledger.job(job.id)
+    def accept(self, *wrench):
+        return self.ledger.accept("bar", "f1", (*(wrench or WRENCH), *[0.0] * 5)[:6])[0]
+
+    def until(self, job, **wanted):
+        def as_wanted():
+            now = self.ledger.job(job.id)
+            return all(getattr(now, name) == value for name, value in wanted.items()) and now
+
+        return until(as_wanted)
 
     def end(self, job_id):
         until(lambda: self.ledger.job(job_id).is_final, 120)
         return self.ledger.job(job_id)
 
-    def folder(self, job, attempt=1):
+    def attempt(self, job, attempt=1):
         return attempt_folder(self.jobs_folder, job.id, attempt)
 
     def go(self, job):
         """Let a solver end that waits for it."""
-        (self.folder(job) / "go").touch()
+        (self.attempt(job) / "go").touch()
 
     def solver_pid(self, job, attempt=1):
-        lock = self.folder(job, attempt) / "lock"
+        lock = self.attempt(job, attempt) / "lock"
         until(lambda: lock.exists() and lock.read_text().isdigit())
         return int(lock.read_text())
 
     def close(self):
-        for dispatcher in self.started:
-            dispatcher.stop()
+        for program in self.started:
+            program.stop()
+        for engine in self.engines:
+            engine.close()
         self.ledger.close()
 
 
@@ -82,8 +108,8 @@ def test_an_accepted_job_is_solved_and_its_row_is_there(bench):
     row = bench.ledger.row(done.row)
     assert row.displacement == pytest.approx([load * 1e-6 for load in WRENCH], rel=1e-15)
     assert (row.job, row.source, row.fingerprint) == (job.id, "fea", "f1")
-    until(lambda: not (bench.folder(job) / "progress.json").exists())
-    kept = {entry.name for entry in bench.folder(job).iterdir()}
+    until(lambda: not (bench.attempt(job) / "progress.json").exists())
+    kept = {entry.name for entry in bench.attempt(job).iterdir()}
     assert kept == {"spec.json", "lock", "log.txt", "result.json"}
 
 
@@ -116,15 +142,8 @@ def test_a_failure_is_recorded_with_its_reason_and_its_folder_kept_whole(bench):
         "message": "no equilibrium at load factor 0.5",
         "remedy": "use smaller load steps",
     }
-    assert "Traceback" in (bench.folder(failed) / "log.txt").read_text()
+    assert "Traceback" in (bench.attempt(failed) / "log.txt").read_text()
     assert stored(bench.ledger, "bar") == []
-
-
-def test_a_solver_that_dies_is_tried_again_and_given_up_after_four_times(bench):
-    bench.start("dies")
-    failed = bench.end(bench.accept().id)
-    assert (failed.status, failed.attempt) == ("failed", 4)
-    assert failed.error["kind"] == "solver_died"
 
 
 def test_a_solver_that_dies_twice_is_in_time_with_the_third_attempt(bench):
@@ -146,20 +165,6 @@ def test_an_interpreter_that_cannot_start_is_no_dead_solver(bench, monkeypatch):
     monkeypatch.delenv("PYTHONHOME")
     assert bench.end(job.id).status == "done"
     assert dispatcher.trouble is None
-
-
-def test_solver_and_dispatcher_killed_together_again_and_again_never_fail_a_job(bench):
-    """Three kills of both ended an accepted job: nobody had seen the solver die by itself."""
-    job = bench.accept()
-    for attempt in range(1, 7):
-        dispatcher = bench.start("endless")
-        pid = bench.solver_pid(job, attempt)
-        dispatcher.stop(keep_solvers=True)
-        os.kill(pid, signal.SIGKILL)
-        until(lambda pid=pid: not Path(f"/proc/{pid}").exists())
-    bench.start("quick")
-    done = bench.end(job.id)
-    assert (done.status, done.lost) == ("done", 0)
 
 
 def test_a_dispatcher_killed_right_after_its_solver_has_not_seen_it_die(bench, monkeypatch):
@@ -193,7 +198,7 @@ def test_cancelling_ends_the_solver_and_frees_its_slot(bench):
     assert bench.ledger.job(second.id).status == "waiting"
     bench.ledger.cancel(first.id)
     until(lambda: not Path(f"/proc/{pid}").exists())
-    bench.until(second, "running")
+    bench.until(second, status="running")
     assert bench.ledger.job(first.id).status == "cancelled"
 
 
@@ -222,25 +227,13 @@ def test_stopping_ends_the_solvers_and_their_jobs_wait_for_the_next_dispatcher(b
     assert bench.end(job.id).status == "done"
 
 
-def test_solvers_kept_at_the_stop_are_attached_to_by_the_next_dispatcher(bench):
-    dispatcher = bench.start("waits_for_a_word")
-    job = bench.accept()
-    bench.solver_pid(job)
-    dispatcher.stop(keep_solvers=True)
-    assert bench.ledger.job(job.id).status == "running"
-    bench.start("diverges")
-    bench.go(job)
-    done = bench.end(job.id)
-    assert (done.status, done.attempt) == ("done", 1)
-
-
 def test_a_result_that_came_while_nobody_looked_is_committed_at_the_start(bench):
     dispatcher = bench.start("waits_for_a_word")
     job = bench.accept()
     bench.solver_pid(job)
     dispatcher.stop(keep_solvers=True)
     bench.go(job)
-    until((bench.folder(job) / "result.json").exists)
+    until((bench.attempt(job) / "result.json").exists)
     assert bench.ledger.job(job.id).status == "running"
     bench.start("diverges")
     assert bench.end(job.id).status == "done"
@@ -279,22 +272,6 @@ def test_a_running_dispatcher_takes_over_from_one_that_ended(bench):
     done = bench.end(job.id)
     assert (done.status, done.attempt) == ("done", 1)
     second.stop()
-
-
-def test_two_dispatchers_share_the_jobs_and_solve_each_once(bench):
-    bench.start(slots=1)
-    other = Ledger(bench.ledger.path)
-    second = Dispatcher(
-        other, bench.started[0]._engine, lambda name: Path("/bundles"), bench.jobs_folder
-    )
-    second.start()
-    jobs = [bench.accept(load, 0, 0, 0, 0, 0) for load in range(10)]
-    for job in jobs:
-        done = bench.end(job.id)
-        assert (done.status, done.attempt) == ("done", 1)
-    second.stop()
-    other.close()
-    assert len(stored(bench.ledger, "bar")) == 10
 
 
 def test_a_component_that_is_gone_fails_its_jobs_with_what_to_do(bench):
@@ -352,7 +329,7 @@ def test_a_torn_result_is_a_lost_attempt(bench):
     bench.start("slow_first", slots=1)
     job = bench.accept()
     os.kill(bench.solver_pid(job), signal.SIGSTOP)
-    (bench.folder(job) / "result.json").write_text('{"status": "done", "displac')
+    (bench.attempt(job) / "result.json").write_text('{"status": "done", "displac')
     until(lambda: bench.ledger.job(job.id).attempt == 2)
     os.kill(bench.solver_pid(job, 1), signal.SIGKILL)
     done = bench.end(job.id)
@@ -363,3 +340,278 @@ def test_starting_twice_is_refused(bench):
     dispatcher = bench.start()
     with pytest.raises(RuntimeError, match="runs already"):
         dispatcher.start()
+
+
+# -- every way an attempt can end, as the ledger hears it ----------------------------------------
+
+
+@pytest.fixture
+def one_job(ledger):
+    """A ledger with one waiting job."""
+    ledger.accept("bar", "f1", WRENCH)
+    return ledger
+
+
+def ended(ledger, folder, outcome=None):
+    job = ledger.claim("me")
+    attempt = Attempt.of(job, folder)
+    prepare(attempt)
+    if outcome is not None:
+        write_outcome(replace(attempt, bundle="/anywhere"), Outcome.of(outcome))
+    record(ledger, attempt, ledger.lose)
+    return ledger.job(job.id)
+
+
+@pytest.mark.parametrize(
+    ("program", "origin"),
+    [("0.2.0+0123456789ab", "job 1, wrenchbook 0.2.0+0123456789ab"), (None, "job 1")],
+)
+def test_an_answer_becomes_a_row_that_names_the_code_where_its_outcome_does(
+    one_job, tmp_path, program, origin
+):
+    outcome = {"status": "done", "displacement": [1e-6] * 6}
+    done = ended(one_job, tmp_path / "a", outcome | ({"program": program} if program else {}))
+    row = one_job.row(done.row)
+    assert (done.status, row.displacement, row.origin) == ("done", (1e-6,) * 6, origin)
+
+
+def test_recording_twice_makes_one_row(one_job, tmp_path):
+    job = one_job.claim("me")
+    attempt = Attempt.of(job, tmp_path / "a")
+    prepare(attempt)
+    write_outcome(attempt, Outcome("done", displacement=[1e-6] * 6))
+    for _ in range(2):
+        record(one_job, attempt, one_job.lose)
+    assert len(stored(one_job, "bar")) == 1
+
+
+@pytest.mark.parametrize(
+    "outcome",
+    [
+        {"status": "done"},
+        {"status": "done", "displacement": [1, 2, 3]},
+        {"status": "done", "displacement": [None] * 6},
+        {"status": "done", "displacement": "abcdef"},
+        {"status": "done", "displacement": [0] * 6, "compliance": [[1]]},
+        {"status": "failed"},
+        {"status": "failed", "error": {"kind": "half"}},
+    ],
+)
+def test_an_answer_nobody_can_use_fails_the_job(one_job, tmp_path, outcome):
+    failed = ended(one_job, tmp_path / "a", outcome)
+    assert (failed.status, failed.error["kind"]) == ("failed", "bad_answer")
+    assert stored(one_job, "bar") == []
+
+
+def test_a_solver_that_left_nothing_has_died(one_job, tmp_path):
+    job = ended(one_job, tmp_path / "a")
+    assert (job.status, job.lost) == ("waiting", 1)
+
+
+def test_an_attempt_nobody_says_has_died_or_that_was_asked_to_end_is_given_back(one_job, tmp_path):
+    job = ended(one_job, tmp_path / "a", {"status": "cancelled"})
+    assert (job.status, job.lost) == ("waiting", 0)
+    attempt = Attempt.of(one_job.claim("me"), tmp_path / "b")
+    prepare(attempt)
+    record(one_job, attempt)
+    job = one_job.job(job.id)
+    assert (job.status, job.lost) == ("waiting", 0)
+
+
+def test_an_attempt_the_job_has_left_behind_is_refused(one_job, tmp_path):
+    job = one_job.claim("me")
+    attempt = Attempt.of(job, tmp_path / "a")
+    prepare(attempt)
+    write_outcome(attempt, Outcome("done", displacement=[0] * 6))
+    one_job.cancel(job.id)
+    with pytest.raises(StaleAttemptError):
+        record(one_job, attempt, one_job.lose)
+    assert stored(one_job, "bar") == []
+
+
+# -- who takes over whose attempts: engines, heartbeats, dispatchers that are late ---------------
+
+HERE = Path(__file__).parent
+
+
+def beat(number):
+    return Beat("far", number, 0.0)
+
+
+def test_an_owner_whose_lock_is_free_is_lost_at_once_whatever_its_heartbeat(tmp_path):
+    mine = Lease(tmp_path)
+    os.close(flock.take(tmp_path / "dead.lock"))
+    assert mine.is_lost("dead", "far", beat(1))
+    assert mine.is_lost("dead", "far", beat(2))
+    mine.close()
+
+
+def test_a_lease_whose_heartbeat_stands_still_is_lost_within_ten_seconds(tmp_path, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr("wrenchbook.service.jobs.dispatcher.time.monotonic", lambda: now[0])
+    mine = Lease(tmp_path)
+    assert not mine.is_lost("elsewhere", "far", beat(1))
+    now[0] = 7.0
+    assert not mine.is_lost("elsewhere", "far", beat(1))
+    now[0] = 9.0  # and a look a second
+    assert mine.is_lost("elsewhere", "far", beat(1))
+    mine.close()
+
+
+def test_a_heartbeat_that_goes_on_is_life_whatever_the_clocks_say(tmp_path, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr("wrenchbook.service.jobs.dispatcher.time.monotonic", lambda: now[0])
+    mine = Lease(tmp_path)
+    for number in range(1, 20):
+        now[0] += 7.0
+        assert not mine.is_lost("elsewhere", "far", beat(number))
+    mine.close()
+
+
+def test_an_owner_that_ended_its_lease_is_lost_at_once(tmp_path):
+    mine = Lease(tmp_path)
+    assert mine.is_lost("elsewhere", "far", None)
+    assert mine.is_lost("never here", "local", beat(1))
+    mine.close()
+
+
+def test_a_dispatcher_that_is_late_keeps_its_lock_file(tmp_path):
+    """It is alive: without the file everything it claims later would be taken from it at once."""
+    first, second = Lease(tmp_path), Lease(tmp_path)
+    second.remove(first.name)
+    assert not second.is_lost(first.name, "local", beat(1))
+    first.close()
+    assert second.is_lost(first.name, "local", beat(1))
+    second.close()
+
+
+def test_submitted_and_running_are_told_apart(bench):
+    bench.simulate(seconds=None)
+    job = bench.accept()
+    submitted = bench.until(job, status="running")
+    until(lambda: bench.ledger.job(job.id).began)
+    running = bench.ledger.job(job.id)
+    assert running.engine == "far"
+    assert running.task == submitted.task
+    assert running.began >= running.started
+
+
+def test_a_dispatcher_of_another_engine_never_takes_an_attempt_over(bench):
+    first, _ = bench.simulate("far", seconds=None)
+    job = bench.accept()
+    owner = bench.until(job, status="running").owner
+    first.stop(keep_solvers=True)
+    near, other = bench.simulate("near")
+    wait_for_sweeps(near, 5)
+    kept = bench.ledger.job(job.id)
+    assert (kept.status, kept.attempt, kept.owner) == ("running", 1, owner)
+    assert other.submitted == []
+    bench.simulate("far")
+    until(lambda: bench.ledger.job(job.id).owner != owner)
+
+
+def test_an_attempt_whose_engine_nobody_serves_any_more_waits_again(bench, monkeypatch):
+    monkeypatch.setattr("wrenchbook.service.jobs.dispatcher.ABANDONED_SECONDS", 0.3)
+    first, _ = bench.simulate("far", seconds=None)
+    job = bench.accept()
+    bench.until(job, status="running")
+    first.stop(keep_solvers=True)
+    bench.simulate("near")
+    done = bench.until(job, status="done")
+    assert (done.attempt, done.lost, done.engine) == (2, 0, "near")
+
+
+def test_a_dispatcher_of_the_same_engine_goes_on_under_the_same_task(bench):
+    first, engine = bench.simulate("far", seconds=None)
+    job = bench.accept()
+    task = bench.until(job, status="running").task
+    first.stop(keep_solvers=True)
+    second = Dispatcher(bench.ledger, engine, lambda name: bench.folder, bench.folder / "jobs")
+    second.start()
+    engine.end_all()
+    done = bench.until(job, status="done")
+    assert (done.attempt, done.task) == (1, task)
+    assert engine.submitted == [task]
+    second.stop()
+
+
+def test_a_dispatcher_that_was_late_lets_go_of_its_attempt_without_ending_it(bench):
+    _, engine = bench.simulate("far", seconds=None)
+    job = bench.accept()
+    owner = bench.until(job, status="running").owner
+    bench.ledger.adopt(job.id, 1, owner, "another dispatcher, long ago")
+    dispatcher = bench.started[0]
+    until(lambda: not dispatcher._attempts)
+    assert engine.cancelled == []
+
+
+def test_heartbeats_are_written_while_there_are_attempts_and_not_without(bench, monkeypatch):
+    monkeypatch.setattr("wrenchbook.service.jobs.dispatcher.BEAT_SECONDS", 0.1)
+    dispatcher, engine = bench.simulate("far", seconds=None)
+    job = bench.accept()
+    owner = bench.until(job, status="running").owner
+    until(lambda: bench.ledger.leases()[owner].beat >= 4)
+    engine.end_all()
+    bench.until(job, status="done")
+    wait_for_sweeps(dispatcher)
+    resting = bench.ledger.leases()[owner].beat
+    wait_for_sweeps(dispatcher, 5)
+    assert bench.ledger.leases()[owner].beat == resting
+
+
+def test_a_job_cancelled_while_nobody_looked_is_cancelled_at_its_engine_by_its_task(bench):
+    first, _ = bench.simulate("far", seconds=None)
+    job = bench.accept()
+    task = bench.until(job, status="running").task
+    first.stop(keep_solvers=True)
+    bench.ledger.cancel(job.id)
+    _, near = bench.simulate("near")
+    _, far = bench.simulate("far")
+    until(lambda: far.cancelled == [task])
+    assert near.cancelled == []
+
+
+def test_two_dispatchers_of_one_engine_solve_each_job_once(bench):
+    jobs = [bench.accept(load) for load in range(1, 200)]
+    first, second = bench.simulate("far")[1], bench.simulate("far")[1]
+    for job in jobs:
+        done = bench.until(job, status="done")
+        assert (done.attempt, done.lost) == (1, 0)
+    assert len(first.submitted) + len(second.submitted) == len(jobs)
+    assert len(stored(bench.ledger, "bar")) == len(jobs)
+
+
+def test_a_stopped_server_loses_its_attempts_to_another_and_harms_nothing_when_it_goes_on(
+    tmp_path, monkeypatch
+):
+    """SIGSTOP: its lock is held, only its heartbeat tells. Both look after one solver then."""
+    monkeypatch.setenv("WRENCHBOOK_SOLVE", "stand_in:waits_for_a_word")
+    monkeypatch.setenv("PYTHONPATH", SOLVERS)
+    ledger = Ledger(tmp_path / "ledger.sqlite")
+    job = ledger.accept("bar", "f1", (1.0, 0, 0, 0, 0, 0))[0]
+    command = [sys.executable, str(HERE / "run_dispatcher.py"), str(tmp_path)]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    servers = [subprocess.Popen(command, **pipes)]
+    try:
+        folder = attempt_folder(tmp_path / "jobs", job.id, 1)
+        until(lambda: (folder / LOCK).exists() and (folder / LOCK).read_text())
+        until(lambda: ledger.job(job.id).began)
+        owner = ledger.job(job.id).owner
+        servers[0].send_signal(signal.SIGSTOP)
+        servers.append(subprocess.Popen(command, **pipes))
+        until(lambda: ledger.job(job.id).owner != owner, 120)
+        servers[0].send_signal(signal.SIGCONT)
+        later = ledger.accept("bar", "f1", (2.0, 0, 0, 0, 0, 0))[0]
+        until(lambda: ledger.job(later.id).attempt)
+        for one in (job, later):
+            where = attempt_folder(tmp_path / "jobs", one.id, 1)
+            until(where.exists)
+            (where / "go").write_text(secrets.token_hex(2))
+        until(lambda: all(one.status == "done" for one in ledger.jobs()))
+        assert [one.attempt for one in ledger.jobs()] == [1, 1]
+        assert len(stored(ledger, "bar")) == 2
+    finally:
+        for server in servers:
+            server.kill()
+            server.communicate()
+        ledger.close()

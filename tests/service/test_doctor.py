@@ -16,15 +16,20 @@ from wrenchbook.service.ops.doctor import examine
 from wrenchbook.surrogate.table.hdf5 import read_table
 
 
-@pytest.fixture
-def folder(tmp_path):
-    site = Site(tmp_path / "site")
+@pytest.fixture(scope="module")
+def in_order(tmp_path_factory):
+    site = Site(tmp_path_factory.mktemp("doctor") / "site")
     site.open("rig", "other")
     site.insert(60)
     site.insert(20, name="other")
     site.ledger.accept_many("rig", "f", [(float(i), 1, 0, 0, 0, 0) for i in range(30)])
     site.close()
     return site.folder
+
+
+@pytest.fixture
+def folder(in_order, tmp_path):
+    return shutil.copytree(in_order, tmp_path / "site")
 
 
 def rows_of(folder):
@@ -189,15 +194,6 @@ def test_rows_that_a_server_has_put_back_are_not_counted_as_gone(folder):
     assert "up to 0 rows and 30 jobs that were acknowledged are gone" in words(found)
 
 
-def test_a_missing_ledger_is_made_from_the_tables(folder):
-    before = content(folder)
-    (folder / "ledger.sqlite").unlink()
-    assert "there is no ledger.sqlite" in words(examine(folder))
-    assert not (folder / "ledger.sqlite").exists()
-    examine(folder, repair=True)
-    assert content(folder) == before
-
-
 def test_a_log_without_its_ledger_is_never_lost(folder):
     db = sqlite3.connect(folder / "ledger.sqlite")
     db.execute("UPDATE jobs SET priority = 9 WHERE id = 1")
@@ -297,16 +293,15 @@ def test_leftovers_are_told_and_left_alone(folder):
         assert path.exists()
 
 
-def test_a_full_disk_and_a_missing_folder_are_told(folder, monkeypatch, tmp_path):
+def test_what_else_is_wrong_with_a_folder_is_told(folder, monkeypatch, tmp_path):
+    (folder / "components" / "rig" / "component.toml").write_text("name = [")
+    assert "component rig cannot be used" in words(examine(folder))
+    (folder / f".keys.json.{2**31}.7").touch()  # left by a kill
+    assert f".keys.json.{2**31}.7" in words(examine(folder))
     usage = shutil.disk_usage(folder)._replace(free=1000)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
     assert "the disk has 0 MB left" in words(examine(folder))
     assert "no data directory" in words(examine(tmp_path / "nowhere"))
-
-
-def test_a_component_that_cannot_be_read_is_told_by_name(folder):
-    (folder / "components" / "rig" / "component.toml").write_text("name = [")
-    assert "component rig cannot be used" in words(examine(folder))
 
 
 def test_a_foreign_ledger_is_told_and_not_mended(folder):
@@ -333,18 +328,6 @@ def test_the_doctor_mends_rows_while_the_directory_is_in_use(folder):
     assert kinds(examine(folder)) <= {"note"}
 
 
-def test_rows_that_neither_copy_has_are_told_as_lost_and_not_as_mended(folder):
-    """It said that all was in order, and that the ledger had the rows."""
-    overwrite(folder / "ledger.sqlite", 0, 4096)
-    (folder / "tables" / "rig.h5").write_bytes(b"")
-    found = examine(folder, repair=True)
-    lost, table = [one for one in found if one.kind == "fault"]
-    assert lost.what == "up to 60 rows that were acknowledged are gone"
-    assert "tables/rig.h5" in table.what
-    assert all("restore a backup" in one.remedy for one in (lost, table))
-    assert "jobs that were lost: 30" in words(found)
-
-
 def test_a_ledger_that_was_cut_off_gives_the_jobs_of_the_pages_that_are_left(folder):
     ledger = Ledger(folder / "ledger.sqlite")
     ledger.accept_many("rig", "f", [(float(i), 2, 0, 0, 0, 0) for i in range(2000)])
@@ -360,9 +343,17 @@ def test_a_ledger_that_was_cut_off_gives_the_jobs_of_the_pages_that_are_left(fol
     ledger.close()
 
 
-def test_an_empty_ledger_is_told_as_one_that_is_gone(folder):
-    (folder / "ledger.sqlite").write_bytes(b"")
-    assert "ledger.sqlite is empty" in words(examine(folder))
+@pytest.mark.parametrize("empty", [True, False])
+def test_a_missing_or_empty_ledger_is_made_from_the_tables(folder, empty):
+    before, path = content(folder), folder / "ledger.sqlite"
+    path.unlink()
+    if empty:
+        path.touch()
+    said = "ledger.sqlite is empty" if empty else "there is no ledger.sqlite"
+    assert said in words(examine(folder))
+    assert path.exists() == empty
+    examine(folder, repair=True)
+    assert content(folder) == before
 
 
 @pytest.mark.parametrize(
@@ -386,11 +377,6 @@ def test_a_damaged_file_beside_the_ledger_is_told(folder, name, said):
     assert path.exists() == own
 
 
-def test_a_file_that_a_kill_left_half_written_is_told(folder):
-    (folder / f".keys.json.{2**31}.7").touch()
-    assert f".keys.json.{2**31}.7" in words(examine(folder))
-
-
 @pytest.mark.parametrize("damaged", ["ledger.sqlite", "tables/rig.h5"])
 def test_a_repair_on_a_full_disk_says_so_and_loses_nothing(folder, monkeypatch, damaged):
     """It ended by the bare error of the system, without a word on what had been repaired."""
@@ -410,3 +396,15 @@ def test_a_repair_on_a_full_disk_says_so_and_loses_nothing(folder, monkeypatch, 
     assert "make room" in words(found)
     assert "fault" not in kinds(examine(folder, repair=True))
     assert content(folder) == before
+
+
+def test_rows_that_neither_copy_has_are_told_as_lost_and_not_as_mended(folder):
+    """It said that all was in order, and that the ledger had the rows."""
+    overwrite(folder / "ledger.sqlite", 0, 4096)
+    (folder / "tables" / "rig.h5").write_bytes(b"")
+    found = examine(folder, repair=True)
+    lost, table = [one for one in found if one.kind == "fault"]
+    assert lost.what == "up to 60 rows that were acknowledged are gone"
+    assert "tables/rig.h5" in table.what
+    assert all("restore a backup" in one.remedy for one in (lost, table))
+    assert "jobs that were lost: 30" in words(found)

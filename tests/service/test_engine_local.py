@@ -2,25 +2,29 @@
 
 import os
 import signal
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
+from tests.fea.decks import SOFT, WRENCH, component
 from tests.service.attempts import asked, ended
 from tests.service.conftest import SOLVERS
 from tests.until import until
+from wrenchbook.fea.deck import solving
 from wrenchbook.service.files import lock as flock
 from wrenchbook.service.jobs import solver_pool
 from wrenchbook.service.jobs.attempt import (
-    ALIVE,
+    DECK,
     Attempt,
     EngineError,
     Outcome,
     prepare,
     read_outcome,
     read_progress,
+    tidy,
 )
 from wrenchbook.service.jobs.solver_pool import LocalEngine
 
@@ -41,50 +45,6 @@ def attempt(tmp_path):
 def solver_pid(folder):
     until(lambda: (folder / "lock").read_text().isdigit())
     return int((folder / "lock").read_text())
-
-
-def test_a_submitted_attempt_is_running_at_once_and_then_finished(tmp_path):
-    folder, engine = attempt(tmp_path), engine_with("reports_until_go")
-    engine.submit(asked(folder))
-    assert engine.poll(asked(folder)) in ALIVE
-    until(lambda: read_progress(folder))
-    assert 0 <= read_progress(folder).fraction < 1
-    (folder / "go").touch()
-    until(lambda: ended(engine, folder))
-    assert engine.poll(asked(folder)) == "finished"
-    outcome = read_outcome(replace(SPEC, folder=folder))
-    assert outcome.displacement == [1e-6, 2e-6, 3e-6, 0, 0, 0]
-
-
-def test_a_solver_that_is_killed_is_lost(tmp_path):
-    folder, engine = attempt(tmp_path), engine_with("endless")
-    engine.submit(asked(folder))
-    os.kill(solver_pid(folder), signal.SIGKILL)
-    until(lambda: engine.poll(asked(folder)) == "lost")
-
-
-def test_a_folder_without_a_solver_is_lost(tmp_path):
-    assert LocalEngine(1).poll(asked(attempt(tmp_path))) == "lost"
-    assert LocalEngine(1).poll(asked(tmp_path / "never" / "made")) == "lost"
-
-
-def test_another_engine_can_look_after_a_solver_it_did_not_start(tmp_path):
-    folder = attempt(tmp_path)
-    engine_with("endless").submit(asked(folder))
-    other = LocalEngine(1, grace=60.0)  # a solver on a slow disk is not killed
-    other.attach(asked(folder))
-    assert other.poll(asked(folder)) in ALIVE
-    solver_pid(folder)
-    other.cancel(asked(folder))
-    until(lambda: ended(other, folder))
-    assert read_outcome(replace(SPEC, folder=folder)) == Outcome("cancelled")
-
-
-def test_cancelling_before_the_solver_has_begun_ends_it_as_well(tmp_path):
-    folder, engine = attempt(tmp_path), engine_with("endless")
-    engine.submit(asked(folder))
-    engine.cancel(asked(folder))
-    until(lambda: ended(engine, folder))
 
 
 def test_a_solver_that_does_not_hear_is_killed_after_the_grace(tmp_path, monkeypatch):
@@ -122,13 +82,6 @@ def test_solvers_use_one_thread_each_low_priority_and_a_session_of_their_own(tmp
     assert seen["folder"] == str(folder)
 
 
-def test_what_the_solver_prints_is_in_its_log(tmp_path):
-    folder, engine = attempt(tmp_path), engine_with("diverges")
-    engine.submit(asked(folder))
-    until(lambda: ended(engine, folder))
-    assert "NotConvergedError: no equilibrium" in (folder / "log.txt").read_text()
-
-
 def test_a_program_the_solver_started_does_not_keep_the_attempt_alive(tmp_path):
     folder, engine = attempt(tmp_path), engine_with("leaves_a_child")
     engine.submit(asked(folder))
@@ -160,3 +113,71 @@ def test_a_lock_is_held_until_its_holder_lets_go(tmp_path):
     assert flock.take(path) is None
     os.close(held)
     assert not flock.is_locked(path)
+
+
+# -- a deck's solver: its files stay with the attempt, and it ends with it -----------------------
+
+ENDLESS = (
+    "open('pid.part', 'w').write(str(os.getpid()))\nos.rename('pid.part', 'pid')\nsignal.pause()"
+)
+
+
+def submitted(tmp_path, script):
+    """An attempt on a deck solved by `script`, handed to an engine; engine, folder and spec."""
+    (tmp_path / "bundle").mkdir()
+    bundle = component(tmp_path / "bundle", script)
+    write_table(tmp_path / "bundle", bundle)
+    spec = Attempt(3, 1, "scripted", str(tmp_path / "bundle"), bundle.fingerprint, tuple(WRENCH))
+    folder = tmp_path / "jobs" / "3" / "1"
+    prepare(replace(spec, folder=folder))
+    engine = LocalEngine(1, grace=60.0)  # a solver on a slow disk is not killed
+    engine.submit(asked(folder))
+    return engine, folder, spec
+
+
+def write_table(folder, bundle):
+    command = ", ".join(f'"{word}"' for word in bundle.deck.command)
+    (folder / "component.toml").write_text(
+        'name = "scripted"\ntitle = "Solved by a script"\n'
+        f'[deck]\nfile = "job.inp"\nfiles = ["solver.py"]\ncommand = [{command}]\n'
+        'output = {reader = "numbers", file = "{job}.out"}\n'
+        "[range]\nforce = [10, 10, 10]\nmoment = [50, 50, 50]\n"
+    )
+
+
+def alive(pid):
+    state = subprocess.run(["ps", "-o", "stat=", "-p", str(pid)], capture_output=True, text=True)
+    return state.stdout.strip()[:1] not in ("", "Z")
+
+
+def test_the_folder_of_a_deck_stays_with_the_attempt_and_an_unknown_compliance_is_null(tmp_path):
+    engine, folder, spec = submitted(tmp_path, SOFT)
+    until(lambda: ended(engine, folder))
+    outcome = read_outcome(replace(spec, folder=folder))
+    assert outcome.status == "done", outcome
+    assert outcome.displacement == pytest.approx([1e-6 * load for load in WRENCH])
+    assert outcome.compliance is None
+    assert outcome.further["strain_energy"] is None
+    tidy(folder)
+    assert (folder / "deck" / "wrench" / "job.inp").is_file()
+    assert solving.FOLDER == DECK
+
+
+def test_a_failed_deck_is_told_by_its_kind_and_remedy(tmp_path):
+    engine, folder, spec = submitted(tmp_path, "print('no licence'); sys.exit(2)")
+    until(lambda: ended(engine, folder))
+    error = read_outcome(replace(spec, folder=folder)).error
+    assert error["kind"] == "solver_failed"
+    assert "no licence" in error["message"]
+    assert "deck/wrench" in error["remedy"]
+
+
+def test_a_cancelled_attempt_ends_the_decks_solver(tmp_path):
+    engine, folder, spec = submitted(tmp_path, ENDLESS)
+    until(lambda: list(folder.rglob("pid")))
+    pid = int(next(folder.rglob("pid")).read_text())
+    assert alive(pid)
+    engine.cancel(asked(folder))
+    until(lambda: ended(engine, folder))
+    assert read_outcome(replace(spec, folder=folder)) == Outcome("cancelled")
+    until(lambda: not alive(pid))

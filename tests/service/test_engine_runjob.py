@@ -15,7 +15,6 @@ from wrenchbook.service.jobs.attempt import (
     Outcome,
     Progress,
     prepare,
-    read_attempt,
     read_outcome,
     read_progress,
     tidy,
@@ -35,10 +34,6 @@ def error_of(folder):
     outcome = read_outcome(replace(SPEC, folder=folder))
     assert outcome.status == "failed"
     return outcome.error
-
-
-def test_the_spec_is_read_as_it_was_written(folder):
-    assert read_attempt(folder) == replace(SPEC, folder=folder)
 
 
 def test_a_solve_that_succeeds_leaves_its_numbers_bit_for_bit(folder):
@@ -107,19 +102,21 @@ def test_numbers_that_are_not_finite_never_reach_the_file(folder):
     assert outcome.further["history"] == [[0.5, 1, None], [1.0, 2, 1e-9]]
 
 
-def test_progress_is_written_at_most_five_times_a_second(folder):
-    written = []
+def test_progress_is_written_at_most_five_times_a_second(folder, monkeypatch):
+    now, written = [0.0], []
+    monkeypatch.setattr(runjob, "time", types.SimpleNamespace(monotonic=lambda: now[0]))
 
     def solve(spec, report):
-        for step in range(1000):
-            report(step / 1000, f"step {step}")
+        for step in range(101):
+            now[0] = step / 100
+            report(step / 100, f"step {step}")
             written.append(read_progress(folder))
         return {"displacement": [0.0] * 6}
 
     assert read_progress(folder) is None
     runjob.run_attempt(folder, solve)
     assert written[0] == Progress(0.0, "step 0")
-    assert len(set(written)) <= 3
+    assert 5 <= len(set(written)) <= 6
 
 
 def test_a_cancelled_solve_says_so(folder):

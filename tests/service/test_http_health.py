@@ -22,9 +22,7 @@ def building(tmp_path, monkeypatch):
     """A server that has started while the table `big` is built."""
     with TestClient(create_app(Settings(tmp_path, solvers=0))) as http:
         for name, count in (("big", 20), ("small", 3)):
-            http.post("/v1/components", json={"name": name, "title": name, "range": RANGE})
-            rows = [{"wrench": [n, 0, 0, 0, 0, 0], "displacement": [0.0] * 6} for n in range(count)]
-            http.post(f"/v1/components/{name}/table?format=json", json={"rows": rows})
+            add(http, name, count)
     shutil.rmtree(tmp_path / "tables")
     may_build, make = threading.Event(), build.build_table
 
@@ -98,4 +96,8 @@ def test_a_component_that_cannot_be_read_makes_no_server_ready(tmp_path):
         body = reply.json()
         assert (reply.status_code, body["status"], body["ready"]) == (200, "degraded", False)
         assert body["tables"]["rig"] == "broken"
+        assert list(body["broken"]) == ["rig"]
+        (broken,) = http.get("/v1/components").json()["broken"]
+        assert (broken["name"], "name" in broken["reason"]) == ("rig", True)
+        assert "cannot be used" in http.get("/v1/components/rig").json()["detail"]
         assert http.get(READY, params={"component": "rig"}).status_code == 503

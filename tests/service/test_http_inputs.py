@@ -1,11 +1,15 @@
-"""A component with temperature and acceleration as further inputs, over HTTP."""
+"""Components with further inputs or several interfaces, over HTTP."""
 
 import numpy as np
 import pytest
+from starlette.testclient import TestClient
 
+from tests.fea.two_interfaces import LINK
 from tests.service.test_http_components import bundle_zip, upload
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.workspace import Settings
 
-URL = "/v1/components/hot"
+HOT_URL = "/v1/components/hot"
 EXPANSION, LENGTH = 23e-6, 0.4
 HOT = f"""
 name = "hot"
@@ -50,13 +54,18 @@ def inputs(temperature, az=0.0):
 
 def ask(http, temperature, az=0.0, **options):
     body = {**STILL, "inputs": inputs(temperature, az), **options}
-    return http.post(f"{URL}/displacement", json=body)
+    return http.post(f"{HOT_URL}/displacement", json=body)
 
 
-@pytest.fixture
-def hot(http, monkeypatch):
+@pytest.fixture(scope="module")
+def http(tmp_path_factory):
+    with TestClient(create_app(Settings(tmp_path_factory.mktemp("spaces"), solvers=2))) as client:
+        yield client
+
+
+@pytest.fixture(scope="module")
+def hot(http):
     """A server with a linear bar that the embedded solver has solved once."""
-    monkeypatch.delenv("WRENCHBOOK_SOLVE")
     reply = upload(http, bundle_zip(HOT))
     assert reply.status_code == 201, reply.text
     reply = ask(http, 60.0, -9.81, on_thin="wait", wait_s=60)
@@ -90,7 +99,7 @@ def test_temperature_and_acceleration_add_up(hot):
 
 
 def test_a_missing_input_is_422_with_its_place_and_unit(hot):
-    reply = hot.post(f"{URL}/displacement", json={**STILL, "inputs": {"temperature": 30}})
+    reply = hot.post(f"{HOT_URL}/displacement", json={**STILL, "inputs": {"temperature": 30}})
     assert reply.status_code == 422
     assert [one["loc"] for one in reply.json()["errors"]] == ["inputs.ax", "inputs.ay", "inputs.az"]
     assert "m/s^2" in reply.text
@@ -111,7 +120,7 @@ def test_a_job_has_its_inputs_by_name(hot):
 
 def test_the_compliance_has_the_displacement_where_all_inputs_are_zero(hot):
     ask(hot, 20.0, on_thin="wait")
-    body = hot.get(f"{URL}/compliance").json()
+    body = hot.get(f"{HOT_URL}/compliance").json()
     matrix, offset = np.array(body["matrix"]), np.array(body["offset"])
     moved = matrix @ [0, 0, 0, 0, 0, 0, 120.0, 0, 0, 0] + offset
     assert moved[0] == pytest.approx(EXPANSION * 100 * LENGTH, rel=1e-9)
@@ -120,7 +129,79 @@ def test_the_compliance_has_the_displacement_where_all_inputs_are_zero(hot):
 
 
 def test_a_component_names_the_state_that_a_displacement_is_relative_to(hot):
-    words = hot.get(URL).json()["interface"]["displacement"]
+    words = hot.get(HOT_URL).json()["interface"]["displacement"]
     assert words == "relative to the part without loads, at temperature 20 degC, ax 0 m/s^2, " + (
         "ay 0 m/s^2, az 0 m/s^2"
     )
+
+
+# -- two interfaces ------------------------------------------------------------------------------
+
+URL = "/v1/components/two_ends"
+RIGHT = {"loads": {"right": {"force": [0, 10, 1]}}}
+
+
+@pytest.fixture(scope="module")
+def solved(http):
+    """A server with a linear link, held at its left interface, whose compliance is known."""
+    reply = upload(http, bundle_zip(LINK))
+    assert reply.status_code == 201, reply.text
+    reply = http.post(f"{URL}/displacement", json={**RIGHT, "on_thin": "wait", "wait_s": 60})
+    assert reply.status_code == 200, reply.text
+    return http
+
+
+def test_the_component_names_its_inputs_its_range_and_its_interfaces(solved):
+    body = solved.get(URL).json()
+    assert [one["name"] for one in body["space"]["inputs"]][6:8] == ["right.fx", "right.fy"]
+    assert body["range"]["loads"]["right"]["force"][2] == [-200.0, 200.0]
+    assert body["interfaces"]["left"]["held"] is True
+    assert body["interface"] is None
+
+
+def test_a_load_at_one_interface_moves_it_and_not_the_held_one(solved):
+    body = solved.post(f"{URL}/displacement", json=RIGHT).json()
+    assert body["coverage"] == "covered"
+    assert body["displacements"]["left"]["translation"] == [0.0, 0.0, 0.0]
+    moved = body["displacements"]["right"]
+    assert moved["translation"][1] == pytest.approx(10 * moved["translation"][2])
+    assert moved["error"]["translation"][1] > 0.0
+
+
+def test_a_batch_has_the_digits_of_the_single_answers(solved):
+    single = solved.post(f"{URL}/displacement", json=RIGHT).json()["displacements"]["right"]
+    wrench = [0.0] * 6 + [0.0, 10.0, 1.0, 0.0, 0.0, 0.0]
+    many = solved.post(f"{URL}/displacements", json={"wrenches": [wrench]}).json()
+    assert many["displacements"][0][6:9] == single["translation"]
+    assert many["within_tolerance"] == [True]
+    block = np.array([wrench]).astype("<f8").tobytes()
+    kind = {"content-type": "application/octet-stream"}
+    reply = solved.post(f"{URL}/displacements", content=block, headers=kind)
+    numbers = np.frombuffer(reply.content)
+    assert reply.headers["Wrenchbook-Outputs"] == "12"
+    assert numbers.tolist() == many["displacements"][0] + many["errors"][0] + [0.0]
+
+
+def test_the_parts_of_an_error_bar_are_those_of_each_interface(solved):
+    body = solved.post(f"{URL}/displacement", json={**RIGHT, "detail": True}).json()
+    assert set(body["error_parts"]["table"]) == {"left", "right"}
+
+
+def test_the_compliance_is_twelve_by_twelve_and_symmetric(solved):
+    body = solved.get(f"{URL}/compliance").json()
+    matrix = np.array(body["matrix"])
+    assert matrix.shape == (12, 12)
+    assert np.abs(matrix - matrix.T).max() <= 1e-9 * np.abs(matrix).max()
+    assert body["columns"][6] == "right.fx [N]"
+
+
+def test_coverage_has_no_gaps_by_axis(solved):
+    assert solved.get(f"{URL}/coverage").json()["gaps"] == []
+
+
+def test_a_job_has_loads_and_displacements_by_interface(solved):
+    jobs = solved.get("/v1/jobs").json()["jobs"]
+    job = next(one for one in jobs if one["loads"]["right"]["force"] == [0.0, 10.0, 1.0])
+    assert job["loads"]["left"]["moment"] == [0.0] * 3
+    assert job["displacements"]["left"]["translation"] == [0.0] * 3
+    assert job["displacements"]["right"]["translation"][1] != 0.0

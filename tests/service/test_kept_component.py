@@ -9,7 +9,7 @@ import pytest
 from tests.fea.decks import SOFT
 from tests.fea.decks import component as deck_component
 from tests.service.attempts import asked
-from tests.service.test_engine_deck import write_table
+from tests.service.test_engine_local import write_table
 from tests.service.test_runjob_evidence import BUNDLE
 from tests.service.test_warm_solver import until
 from wrenchbook.fea import component

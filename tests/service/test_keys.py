@@ -1,7 +1,6 @@
 """Keys are kept hashed, in one file; servers and commands on it see each other's changes."""
 
 import errno
-import json
 import os
 import stat
 
@@ -31,10 +30,6 @@ def test_the_file_holds_no_secret_and_is_its_owners_alone(keyring, tmp_path):
     secret = keyring.add("ann", "admin")
     assert secret not in (tmp_path / FILE).read_text()
     assert stat.S_IMODE((tmp_path / FILE).stat().st_mode) == 0o600
-
-
-def test_two_secrets_are_never_the_same(keyring):
-    assert len({keyring.add(f"k{n}", "read") for n in range(20)}) == 20
 
 
 def test_a_server_takes_up_what_a_command_changes(keyring, tmp_path):
@@ -77,8 +72,13 @@ def test_a_name_is_one_keys(keyring):
         keyring.revoke("bob")
 
 
-@pytest.mark.parametrize("content", ["", "{", "[]", '{"keys": 3}', '{"keys": [{"name": "x"}]}'])
+@pytest.mark.parametrize(
+    "content", ["", "{", "[]", '{"keys": 3}', '{"keys": [{"name": "x"}]}', "unknown field"]
+)
 def test_damaged_keys_let_nobody_in_and_are_told_of(tmp_path, content):
+    if content == "unknown field":
+        Keyring(tmp_path).add("ann", "read")
+        content = (tmp_path / FILE).read_text().replace('"scope"', '"scope_": "admin", "scope"')
     (tmp_path / FILE).write_text(content)
     with pytest.raises(KeysError, match="wrenchbook keys add"):
         Keyring(tmp_path)
@@ -89,15 +89,6 @@ def test_keys_that_are_damaged_under_a_server_stay_as_they_were(keyring, tmp_pat
     (tmp_path / FILE).write_text("{")
     keyring.look(0.0)
     assert keyring.find(secret) is not None
-
-
-def test_a_key_with_an_unknown_field_is_no_key(keyring, tmp_path):
-    keyring.add("ann", "read")
-    told = json.loads((tmp_path / FILE).read_text())
-    told["keys"][0]["scope_"] = "admin"
-    (tmp_path / FILE).write_text(json.dumps(told))
-    with pytest.raises(KeysError):
-        Keyring(tmp_path)
 
 
 def test_keys_that_a_full_disk_does_not_take_stay_as_they_were(keyring, tmp_path, monkeypatch):

@@ -125,27 +125,6 @@ def test_a_dispatcher_killed_between_claim_and_solver_is_replaced_by_another_att
     assert (site.ledger.job(job.id).attempt, site.ledger.job(job.id).lost) == (2, 0)
 
 
-def test_a_solver_killed_in_the_middle_is_replaced(site):
-    wrenches = wrenches_of(2)
-    site.ledger.accept_many("bar", "f1", wrenches)
-    site.start()
-    until(lambda: site.kill_a_solver(random.Random(1)))
-    site.wait_until_all_done()
-    site.assert_each_job_is_done_with_one_row(wrenches)
-    assert sorted(job.attempt for job in site.ledger.jobs()) == [1, 2]
-
-
-def test_both_killed_at_once_lose_no_job(site):
-    wrenches = wrenches_of(3)
-    site.ledger.accept_many("bar", "f1", wrenches)
-    site.start()
-    until(lambda: site.kill_a_solver(random.Random(1)))
-    site.kill_dispatcher()
-    site.start()
-    site.wait_until_all_done()
-    site.assert_each_job_is_done_with_one_row(wrenches)
-
-
 def test_both_killed_together_ten_times_running_fail_no_job(site):
     """The third time ended an accepted job, though no solver had ever failed."""
     wrenches = wrenches_of(1)

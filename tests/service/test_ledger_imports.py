@@ -80,63 +80,6 @@ def test_rows_of_a_block_have_the_bytes_of_rows_that_come_alone():
         assert repr(record.row(100 + at)) == repr(single.row(100 + at))
 
 
-def test_nothing_of_an_import_is_seen_before_its_end_and_all_of_it_after(ledger):
-    insert(ledger, "rig", "", [NewRow((9.0,) * 6, (0.0,) * 6)])
-    seen = []
-
-    def watched():
-        for block in blocks(50):
-            yield block
-            seen.append(
-                (
-                    ledger.count_rows("rig"),
-                    ledger.last_seq("rig"),
-                    len(ledger.row_changes("rig", 0).rows),
-                    len(stored(ledger, "rig")),
-                )
-            )
-            with pytest.raises(UnknownRowError):
-                ledger.row(20)
-
-    assert ledger.import_rows("rig", watched(), About("kl", "a.csv"))[:2] == (150, 0)
-    assert set(seen) == {(1, 1, 1, 1)}
-    assert ledger.count_rows("rig") == len(ledger.row_changes("rig", 1).rows) + 1 == 151
-
-
-def test_other_components_and_jobs_go_on_during_an_import(ledger):
-    def watched():
-        for lot, block in enumerate(blocks(50)):
-            yield block
-            insert(ledger, "bar", "", [NewRow((lot + 1.0,) * 6, (0.0,) * 6)])
-            ledger.accept("plate", "f1", (lot + 1.0, 0, 0, 0, 0, 0))
-            assert len(ledger.row_changes("bar", 0).rows) == lot + 1
-
-    ledger.import_rows("rig", watched(), About())
-    assert (ledger.count_rows("rig"), ledger.count_rows("bar")) == (150, 3)
-
-
-def test_a_follower_misses_no_row_that_came_during_an_import(ledger):
-    """Rows of the same component that are committed meanwhile are told after it, not before."""
-    after, told = 0, []
-
-    def follow():
-        nonlocal after
-        row_changes = ledger.row_changes("rig", after)
-        told.extend(row_changes.rows.seq.tolist())
-        after = row_changes.last_seq
-
-    def watched():
-        for lot, block in enumerate(blocks(20)):
-            yield block
-            insert(ledger, "rig", "", [NewRow((lot + 1.0,) * 6, (0.0,) * 6)])
-            follow()
-
-    ledger.import_rows("rig", watched(), About())
-    follow()
-    assert len(told) == len(set(told)) == 63
-    assert ledger.digest("rig", after) == ledger.digest("rig", 10**9)
-
-
 @pytest.mark.parametrize("killed", [False, True])
 def test_each_version_during_an_import_is_one_that_the_table_had(ledger, monkeypatch, killed):
     """Rows of another component lie between; after each transaction a reader and a file agree."""
@@ -149,6 +92,7 @@ def test_each_version_during_an_import_is_one_that_the_table_had(ledger, monkeyp
     def look():
         nonlocal after
         version = ledger.last_seq("rig")
+        assert len(stored(ledger, "rig")) == len(live)
         with ledger.table_at("rig", version) as table:
             assert {seq for lot in table.lots for seq in lot.rows.seq} == live
         changes = ledger.row_changes("rig", after)
@@ -194,37 +138,6 @@ def test_each_version_during_an_import_is_one_that_the_table_had(ledger, monkeyp
     assert ledger.digest("rig", after) == ledger.digest("rig", 10**9)
 
 
-@pytest.mark.parametrize("lots", [0, 1, 2])
-def test_an_import_that_is_broken_off_leaves_nothing(ledger, lots):
-    def broken():
-        for lot, block in enumerate(blocks(30)):
-            if lot == lots:
-                raise KilledError
-            yield block
-
-    with pytest.raises(KilledError):
-        ledger.import_rows("rig", broken(), About())
-    assert (ledger.count_rows("rig"), ledger.imports("rig")) == (0, [])
-    assert ledger.import_rows("rig", blocks(30), About())[:2] == (90, 0)
-
-
-def test_what_a_killed_process_left_is_deleted_at_the_next_start(tmp_path, ledger, monkeypatch):
-    def broken():
-        yield from blocks(30, lots=1)
-        monkeypatch.setattr(imports, "_drop_hidden", lambda _: None)  # it has no time for that
-        raise KilledError
-
-    with pytest.raises(KilledError):
-        ledger.import_rows("rig", broken(), About())
-    monkeypatch.undo()
-    ledger.close()
-    again = Ledger(tmp_path / "ledger.sqlite")
-    assert again.last_seq("rig") == 0  # hidden, though not deleted
-    again.drop_abandoned()
-    assert again.import_rows("rig", blocks(30, lots=1), About())[:2] == (30, 0)
-    again.close()
-
-
 def test_an_import_that_runs_is_not_taken_for_abandoned(tmp_path, ledger):
     other = Ledger(tmp_path / "ledger.sqlite")
 
@@ -232,6 +145,9 @@ def test_an_import_that_runs_is_not_taken_for_abandoned(tmp_path, ledger):
         for block in blocks(30):
             yield block
             other.drop_abandoned()
+            assert (ledger.count_rows("rig"), ledger.last_seq("rig")) == (0, 0)
+            with pytest.raises(UnknownRowError):  # it is hidden until the end
+                ledger.row(20)
 
     assert ledger.import_rows("rig", watched(), About())[:2] == (90, 0)
     assert other.count_rows("rig") == 90
@@ -301,12 +217,6 @@ def test_numbers_of_rows_follow_the_file_and_no_number_is_used_by_known_rows(led
     assert ledger.last_seq("rig") == 2501
 
 
-def test_a_second_time_changes_nothing_and_is_no_import(ledger):
-    ledger.import_rows("rig", blocks(30), About("kl", "a.csv"))
-    assert ledger.import_rows("rig", blocks(30), About("kl", "a.csv")) == (0, 90, None)
-    assert len(ledger.imports("rig")) == 1
-
-
 def test_two_imports_at_once_come_one_after_the_other(ledger):
     done = []
 
@@ -337,20 +247,22 @@ def test_a_row_tells_who_brought_it(ledger):
     assert ledger.import_of(row.seq) is None
 
 
-def test_the_table_at_an_old_version_has_the_rows_it_had(ledger):
-    ledger.import_rows("rig", blocks(5, lots=1), About())
-    version = ledger.last_seq("rig")
-    ledger.withdraw("rig", 2)
-    ledger.import_rows("rig", blocks(5, seed=2, lots=1), About())
-    with ledger.table_at("rig", version) as table:
-        assert [seq for lot in table.lots for seq in lot.rows.seq] == [1, 2, 3, 4, 5]
-    with ledger.table_at("rig") as table:
-        assert sum(len(lot.rows) for lot in table.lots) == 9
-        assert table.known == (False, False, False, True, False)
-
-
 def test_known_rows_are_those_in_the_ledger_by_their_keys(ledger):
     first, second, third = blocks(5)
     ledger.import_rows("rig", [first], About())
     keys = [key for block in (first, second, second, third) for key in row_keys("rig", block)]
     assert ledger.known_rows(keys) == set(row_keys("rig", first))
+
+
+def test_each_part_of_an_import_is_on_the_disk_before_the_next_begins(ledger, monkeypatch):
+    """Else the next durable transaction, which is somebody else's, waits for all of them."""
+    told, sync = [], Ledger.sync
+
+    def heard(self):
+        with self.writing():  # nobody holds the ledger meanwhile
+            told.append("synced")
+        sync(self)
+
+    monkeypatch.setattr(Ledger, "sync", heard)
+    assert ledger.import_rows("rig", blocks(5), About())[:2] == (15, 0)
+    assert len(told) == 4  # three blocks, and the keys

@@ -1,16 +1,18 @@
 """Tables that one part of a server builds and another maps: what is seen, when, and what if not."""
 
+import os
 import threading
 from contextlib import contextmanager
 
 import pytest
 
 from tests.service.ledger_rows import insert, new_rows, stored
+from tests.service.test_durable_tables import Site
 from tests.until import until
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.library.library import Library
+from wrenchbook.service.tables import build, mapped, store
 from wrenchbook.service.tables import build as builds
-from wrenchbook.service.tables import mapped, store
 from wrenchbook.service.tables.build import TableBuilder
 from wrenchbook.service.tables.coordinator_state import CoordinatorState, Status
 from wrenchbook.service.tables.mapped import MappedTables, TableBehindError
@@ -61,21 +63,15 @@ def trouble_of(one):
 
 @pytest.fixture
 def both(tmp_path):
+    """A builder and a part that maps a table of four rows, `new`."""
     with part(tmp_path, TableBuilder) as builder, part(tmp_path, MappedTables) as reader:
+        reader.add("new", 4)
+        assert reader.tables.catch_up("new", 60)
         yield builder, reader
-
-
-def test_a_component_and_rows_added_by_one_part_are_answered_by_all(both):
-    _, reader = both
-    reader.add("new", 4)
-    assert reader.tables.catch_up("new", 60)
-    assert len(reader.tables.surrogate("new").rows) == 4
 
 
 def test_a_version_replaces_the_one_before_and_its_file(both, tmp_path):
     _, reader = both
-    reader.add("new", 4)
-    assert reader.tables.catch_up("new", 60)
     insert(reader.ledger, "new", "", new_rows(2, 4))
     assert reader.tables.catch_up("new", 60)
     assert len(reader.tables.surrogate("new").rows) == 6
@@ -84,8 +80,6 @@ def test_a_version_replaces_the_one_before_and_its_file(both, tmp_path):
 
 def test_a_table_that_was_replaced_still_gives_its_bytes_to_a_request_that_has_it(both):
     _, reader = both
-    reader.add("new", 4)
-    assert reader.tables.catch_up("new", 60)
     old = reader.tables.surrogate("new")
     content, checksum = old.packed.content, old.packed.checksum
     insert(reader.ledger, "new", "", new_rows(2, 4))
@@ -105,16 +99,16 @@ def wait_for(one, condition):
         assert one.tables._changed.wait_for(condition, 20)
 
 
-def test_a_file_of_another_component_or_of_other_rows_answers_nothing(both, tmp_path):
+@pytest.mark.parametrize("content", ["another component's", b"nonsense"])
+def test_a_foreign_or_damaged_file_is_told_and_answers_nothing(both, tmp_path, content):
     """A copy of another component's file answered for it as soon as it was there."""
     _, reader = both
-    for name, count in (("new", 4), ("other", 9)):
-        reader.add(name, count)
-        assert reader.tables.catch_up(name, 60)
+    reader.add("other", 9)
+    assert reader.tables.catch_up("other", 60)
     before, folder = answer_of(reader), tmp_path / "tables"
-    other = next(folder.glob("other-*.wbt")).read_bytes()
     stray = folder / "new-999.wbt"
-    stray.write_bytes(other)
+    other = next(folder.glob("other-*.wbt")).read_bytes()
+    stray.write_bytes(content if isinstance(content, bytes) else other)
     wait_for(reader, lambda: "new" in reader.tables.faults())
     assert answer_of(reader) == before
     stray.unlink()
@@ -124,8 +118,6 @@ def test_a_file_of_another_component_or_of_other_rows_answers_nothing(both, tmp_
 
 def test_an_older_version_that_is_written_last_answers_nothing(both, tmp_path):
     _, reader = both
-    reader.add("new", 4)
-    assert reader.tables.catch_up("new", 60)
     old = next((tmp_path / "tables").glob("new-*.wbt"))
     content = old.read_bytes()
     insert(reader.ledger, "new", "", new_rows(2, 4))
@@ -153,8 +145,6 @@ def test_a_component_that_was_unreadable_for_a_moment_is_built_again(both, tmp_p
     """Only what answers looked at it again; the building process never did."""
     monkeypatch.setattr("wrenchbook.service.library.library.LOOK_SECONDS", 0.0)
     _, reader = both
-    reader.add("new", 4)
-    assert reader.tables.catch_up("new", 60)
     setup, away = tmp_path / "components" / "new" / "component.toml", tmp_path / "away"
     setup.rename(away)
     for one in both:
@@ -191,51 +181,18 @@ def test_a_stale_file_is_gone_once_the_builder_has_started(tmp_path, monkeypatch
         assert len(reader.tables.surrogate("new").rows) == 4
 
 
-def test_a_component_without_rows_answers_at_once(both):
-    _, reader = both
-    reader.library.add_table_only(
-        name="bare", title="bare", range={"force": RANGE, "moment": RANGE}
-    )
-    assert reader.tables.surrogate("bare").packed.answer((1.0, 0, 0, 0, 0, 0)).coverage == "outside"
-
-
-def test_a_component_edited_on_the_disk_answers_by_its_new_range(both, tmp_path):
-    _, reader = both
-    reader.add("new", 4)
-    assert reader.tables.catch_up("new", 60)
-    file = tmp_path / "components" / "new" / "component.toml"
-    file.write_text(file.read_text().replace("10.0", "20.0"))
-    assert reader.tables.catch_up("new", 60)
-    assert reader.tables.surrogate("new").load_range.high[0] == 20.0
-
-
-def test_without_a_builder_the_last_version_answers_and_newer_rows_are_told_missing(tmp_path):
+def test_without_a_builder_the_last_version_answers_until_the_next_builder_goes_on(tmp_path):
     with part(tmp_path, MappedTables) as reader:
         with part(tmp_path, TableBuilder, leave=False) as builder:
             builder.add("new", 4)
             assert reader.tables.catch_up("new", 60)
-            builder.state._lock = _dropped(builder.state._lock)
+            os.close(builder.state._lock)  # as the kernel does for a process that is killed
+            builder.state._lock = None
         insert(reader.ledger, "new", "", new_rows(2, 4))
         assert len(reader.tables.surrogate("new").rows) == 4
         with pytest.raises(TableBehindError, match="has ended and is started again"):
             reader.tables.caught_up("new", 0.05)
         assert "has ended" in (trouble_of(reader) or "")
-
-
-def _dropped(lock):
-    """Drop a lock as the kernel does for a process that is killed."""
-    import os
-
-    os.close(lock)
-
-
-def test_the_next_builder_goes_on_where_the_one_before_was_killed(tmp_path):
-    with part(tmp_path, MappedTables) as reader:
-        with part(tmp_path, TableBuilder, leave=False) as builder:
-            builder.add("new", 4)
-            assert reader.tables.catch_up("new", 60)
-            builder.state._lock = _dropped(builder.state._lock)
-        insert(reader.ledger, "new", "", new_rows(2, 4))
         with part(tmp_path, TableBuilder):
             assert reader.tables.catch_up("new", 60)
             assert len(reader.tables.surrogate("new").rows) == 6
@@ -260,20 +217,9 @@ def test_what_the_builder_says_is_wrong_is_known_to_all(tmp_path, monkeypatch):
     state.release()
 
 
-def test_a_damaged_file_is_told_and_the_version_before_goes_on(both, tmp_path):
-    _, reader = both
-    reader.add("new", 4)
-    assert reader.tables.catch_up("new", 60)
-    (tmp_path / "tables" / "new-999.wbt").write_bytes(b"nonsense")
-    assert "packed table" in until(lambda: reader.tables.faults().get("new"))
-    assert len(reader.tables.surrogate("new").rows) == 4
-
-
 def test_rows_are_in_use_only_once_every_web_worker_answers_from_them(both, tmp_path, monkeypatch):
     """A query right after an import was answered by another worker's older table."""
     _, reader = both
-    reader.add("new", 4)
-    assert reader.tables.catch_up("new", 60)
     with part(tmp_path, MappedTables) as late:
         assert isinstance(late.tables, MappedTables)
         assert late.tables.catch_up("new", 60)
@@ -291,3 +237,115 @@ def test_rows_are_in_use_only_once_every_web_worker_answers_from_them(both, tmp_
         assert reader.tables.catch_up("new", 60)
         assert len(late.tables.surrogate("new").rows) == 6
     assert reader.tables.catch_up("new", 20)  # a worker that has ended is not waited for
+
+
+# -- tables that are built beside each other and beside the answers ------------------------------
+
+
+@pytest.fixture
+def open_tables(tmp_path):
+    opened = []
+
+    def start(rows):
+        ledger, library = Ledger(tmp_path / "ledger.sqlite"), Library(tmp_path / "components")
+        for name, count in rows.items():
+            library.add_table_only(name=name, title=name, range={"force": RANGE, "moment": RANGE})
+            insert(ledger, name, "", new_rows(count))
+        ledger.close()
+        site = Site(tmp_path)
+        site.open()
+        opened.append(site)
+        return site.tables, site.ledger
+
+    yield start
+    for site in opened:
+        site.close()
+
+
+@pytest.fixture
+def slow_build(monkeypatch):
+    """Hold the builds of tables named `big` back until the event is set."""
+    may_build, build_table = threading.Event(), build.build_table
+    built = []
+
+    def held(component, *rest):
+        built.append((component.name, "starts"))
+        if component.name.startswith("big"):
+            assert may_build.wait(60)
+        built.append((component.name, "ends"))
+        return build_table(component, *rest)
+
+    monkeypatch.setattr(build, "build_table", held)
+    monkeypatch.setattr(store, "LARGE", 50)
+    yield may_build, built
+    may_build.set()
+
+
+def test_small_tables_answer_before_a_large_one_is_built_at_the_start(open_tables, slow_build):
+    may_build, _ = slow_build
+    small = {f"small{number}": 3 for number in range(5)}
+    tables, _ = open_tables({"big": 60, **small})
+    for name in small:
+        assert len(tables.surrogate(name).rows) == 3
+    assert "big" in tables.building()
+    with pytest.raises(TableBehindError, match="cannot answer yet"):
+        tables.surrogate("big")
+    may_build.set()
+    assert tables.catch_up("big", 60)
+    assert len(tables.surrogate("big").rows) == 60
+    assert "big" not in tables.building()
+
+
+def test_a_row_of_one_table_does_not_wait_for_the_build_of_another(open_tables, slow_build):
+    """A row of another component showed after 29.8 s."""
+    may_build, _ = slow_build
+    may_build.set()
+    tables, ledger = open_tables({"big": 60, "small": 3})
+    assert tables.catch_up("big", 60)
+    may_build.clear()
+    insert(ledger, "big", "", new_rows(1, first=60))
+    insert(ledger, "small", "", new_rows(1, first=3))
+    assert tables.catch_up("small", 60)
+    assert len(tables.surrogate("big").rows) == 60
+    may_build.set()
+    assert tables.catch_up("big", 60)
+    assert len(tables.surrogate("big").rows) == 61
+
+
+def test_rows_that_come_during_a_build_are_built_together_after_it(open_tables, slow_build):
+    may_build, built = slow_build
+    may_build.set()
+    tables, ledger = open_tables({"big": 60})
+    assert tables.catch_up("big", 60)
+    may_build.clear()
+    before = len(built)
+    insert(ledger, "big", "", new_rows(1, first=60))
+    until(lambda: len(built) > before)
+    for number in range(1, 20):
+        insert(ledger, "big", "", new_rows(1, first=60 + number))
+    may_build.set()
+    assert tables.catch_up("big", 60)
+    assert len(tables.surrogate("big").rows) == 80
+    assert len(built) - before == 4
+
+
+def test_two_large_tables_are_built_one_after_the_other_and_small_ones_beside_them(
+    open_tables, slow_build
+):
+    may_build, built = slow_build
+    may_build.set()
+    tables, ledger = open_tables({"big1": 60, "big2": 60, "small": 3})
+    assert all(tables.catch_up(name, 60) for name in ("big1", "big2", "small"))
+    may_build.clear()
+    built.clear()
+    for name in ("big1", "big2"):
+        insert(ledger, name, "", new_rows(1, first=60))
+    insert(ledger, "small", "", new_rows(1, first=3))
+    assert tables.catch_up("small", 60)
+    may_build.set()
+    assert all(tables.catch_up(name, 60) for name in ("big1", "big2"))
+    large = [step for step in built if step[0] != "small"]
+    assert large in (
+        [(name, step) for name in order for step in ("starts", "ends")]
+        for order in (("big1", "big2"), ("big2", "big1"))
+    )

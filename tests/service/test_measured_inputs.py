@@ -80,11 +80,7 @@ def test_the_component_has_its_ranges_by_interface(http):
     assert component.space.zero[12] == 20.0
     assert body["interface"] is None
     assert body["interfaces"] == {}
-
-
-def test_an_added_component_is_read_from_its_file(http):
-    add(http, interface=TWO, inputs=WARM)
-    read = read_bundle(http.app.state.workspace.library["rig"].folder)
+    read = read_bundle(component.folder)
     assert [one.name for one in read.interfaces] == ["left", "right"]
     assert read.range.low.tolist() == [-100, -100, -100, -5, -2, -5] * 2
     assert read.further[0].reference == 20.0

@@ -1,7 +1,5 @@
 """What Prometheus is told is what has happened, at a cost no loop notices."""
 
-import time
-
 import numpy as np
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
@@ -57,18 +55,6 @@ def test_each_wrench_is_counted_once_by_coverage_whichever_way_it_was_asked(rig)
     assert after[count] - before[count] == 4
 
 
-def test_a_question_answered_straight_from_the_protocol_is_counted(rig):
-    app = rig.app
-    before = samples(rig)
-    body = b'{"force": [0, 0, 5], "moment": [0, 0, 0], "on_thin": "estimate"}'
-    for _ in range(5):
-        assert isinstance(answer_fast(app, "rig", body), bytes)
-    assert (
-        samples(rig)[("wrenchbook_query_seconds_count",)]
-        == 5 + before[("wrenchbook_query_seconds_count",)]
-    )
-
-
 def requests(found, route):
     return {
         tuple(words): value
@@ -92,10 +78,13 @@ def test_requests_are_counted_by_route_template_method_and_status(rig):
 def test_a_query_of_the_fast_path_and_of_the_usual_one_are_counted_as_requests(rig):
     route = "/v1/components/{name}/displacement"
     body = b'{"force": [0, 0, 5], "moment": [0, 0, 0], "on_thin": "estimate"}'
+    found = samples(rig)
     assert isinstance(answer_fast(rig.app, "rig", body), bytes)
     assert rig.post(route.format(name="rig"), content=body).status_code == 200
-    found = samples(rig)
+    before, found = found, samples(rig)
     assert requests(found, route) == {(route, "200", "POST"): 2}
+    count = ("wrenchbook_query_seconds_count",)
+    assert found[count] - before[count] == 2
     assert found["wrenchbook_http_request_seconds_count", route] == 2
 
 
@@ -117,30 +106,16 @@ def test_counts_of_requests_survive_a_restart_and_add_up():
     assert (sum(numbers[:-1]), numbers[-1]) == (2, 0.004)
 
 
-def test_counting_an_answer_costs_less_than_a_microsecond():
-    counts, best = Counts(), 1.0
-    for _ in range(20):
-        started = time.thread_time_ns()
-        for _ in range(10_000):
-            counts.add("covered", "kriging", 38.1)
-        best = min(best, (time.thread_time_ns() - started) / 1e9 / 10_000)
-    assert best < 1e-6
-    assert counts.queries() == {("covered", "kriging"): 200_000}
-
-
 def test_the_histogram_is_cumulative_and_ends_with_all():
     counts = Counts()
     for elapsed in (1.0, 19.9, 20.0, 1e9):
         counts.add("thin", None, elapsed)
     told = dict(counts.histogram())
     assert (told[repr(EDGES[0])], told["10.0"], told["+Inf"]) == (3, 3, 4)
-    assert counts.queries() == {("thin", "none"): 4}
-
-
-def test_a_batch_counts_its_wrenches_by_coverage():
-    counts = Counts()
     counts.add_batch(np.array([0, 0, 2], dtype=np.uint8), "griddata", 10.0)
-    assert counts.queries() == {("covered", "griddata"): 2, ("outside", "griddata"): 1}
+    assert counts.queries() == {
+        ("thin", "none"): 4, ("covered", "griddata"): 2, ("outside", "griddata"): 1
+    }  # fmt: skip
 
 
 def test_jobs_solves_and_failures_are_told_by_status_and_kind(http, stand_in):
@@ -160,7 +135,7 @@ def test_tables_tell_version_rows_and_the_age_of_their_file(rig):
     found = samples(rig)
     assert found["wrenchbook_table_rows", "rig"] == 25
     assert found["wrenchbook_table_version", "rig"] == 25
-    assert 0 <= found["wrenchbook_table_file_age_seconds", "rig"] < 60
+    assert found["wrenchbook_table_file_age_seconds", "rig"] >= 0
 
 
 def test_metrics_are_told_while_the_ledger_cannot_be_used(rig, folder, monkeypatch):
@@ -179,11 +154,8 @@ def test_no_more_than_a_bounded_number_of_components_becomes_labels(rig, monkeyp
     assert found["wrenchbook_components",] == len(rig.app.state.workspace.library.names())
 
 
-def test_kinds_of_failures_beyond_a_number_are_told_together(tmp_path, monkeypatch):
-    from wrenchbook.service.ledger import Ledger
-
+def test_kinds_of_failures_beyond_a_number_are_told_together(ledger, monkeypatch):
     monkeypatch.setattr("wrenchbook.service.ledger.jobs.MAX_KINDS", 3)
-    ledger = Ledger(tmp_path / "ledger.sqlite")
     for number in range(6):
         ledger.accept("a", "f", [float(number)] * 6)
         job = ledger.claim("me")
@@ -191,4 +163,3 @@ def test_kinds_of_failures_beyond_a_number_are_told_together(tmp_path, monkeypat
         ledger.fail(job.id, job.attempt, error)
     found = ledger.statistics().failures
     assert (len(found), found["other"]) == (4, 3)
-    ledger.close()

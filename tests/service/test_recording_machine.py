@@ -10,12 +10,10 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from tests.service.test_ledger_recorded import Library
+from tests.service.test_recording_store import Library
 from wrenchbook.service.ledger import BlockKeyError, Ledger, packed
 from wrenchbook.service.recording.store import RecordingStore
-from wrenchbook.surrogate.table.rows import LoadRange
 
-RANGE = LoadRange(np.array([-10.0] * 6), np.array([10.0] * 6))
 # Within 1e-6 of the range of each other, apart, and outside the range.
 LOADS = st.sampled_from([0.0, -0.0, 5e-6, 1.0, -3.0, 11.0])
 BLOCKS = st.lists(st.tuples(LOADS, st.just(0.0), LOADS, *[st.just(0.0)] * 3), max_size=5)

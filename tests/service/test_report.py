@@ -10,7 +10,6 @@ import pytest
 from tests.until import until
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.failure import mechanism
-from wrenchbook.fea.mesh.refine import refined
 from wrenchbook.fea.solve import Solver
 from wrenchbook.service.library.library import SHIPPED
 from wrenchbook.service.report.layout import (
@@ -40,28 +39,34 @@ def report(bar):
     return figures | {"summary": summary_of(figures), "advice": advice_of(figures)}
 
 
-def test_each_line_of_a_report_has_a_cell_for_each_heading(report):
-    """The table of methods named its outputs twice, so that coverage stood below `ux`."""
+def test_a_report_is_json_markdown_and_a_page_that_needs_nothing_from_elsewhere(report):
+    assert json.loads(json.dumps(report))["component"] == "bar"
     for section in sections_of(report):
+        # The table of methods named its outputs twice, so that coverage stood below `ux`.
         assert {len(line) for line in section.lines} <= {len(section.head)}
+        assert "failed" not in section.note.lower()
+    text = as_markdown(report)
+    for word in ("griddata", "linear", "additive", "coarse", "own", "fine (reference)"):
+        assert word in text
+    page = as_page({**report, "title": "</script><b>"})
+    assert page.startswith("<!doctype html>")
+    assert "Error against run time" in page
+    assert '<meta name="viewport" content="width=device-width, initial-scale=1">' in page
+    assert len(page.encode()) < 1_500_000
+    assert page.count("</script>") == 2
+    assert "<script src=" not in page
+    assert "<b>" not in page
 
 
-def test_a_finer_mesh_has_more_unknowns_and_the_same_answer(bar):
-    own, fine = Solver(bar), Solver(refined(bar, 1.5))
-    assert fine.unknowns > 2 * own.unknowns
-    assert np.allclose(fine.compliance, own.compliance, rtol=5e-3, atol=1e-12)
-
-
-def test_the_finest_mesh_is_the_reference(report):
+def test_meshes_and_tables_are_compared_with_the_finest_mesh(report):
     assert [level["level"] for level in report["fea"]] == ["coarse", "own", "fine"]
     assert report["fea"][-1]["error"]["rms"] == [0.0] * 6
     assert max(report["fea"][0]["error"]["rms_relative"]) > 0.0
-
-
-def test_a_linear_table_of_a_linear_component_has_no_lookup_error(report):
     linear = next(e for e in report["tables"] if e["method"] == "linear" and e["rows"] == 13)
     assert max(linear["lookup_error"]["rms_relative"]) < 1e-9
     assert linear["query_us_p50"] > 0
+    assert linear["largest_error"] == max(linear["error"]["rms_relative"])
+    assert linear["largest_error"] == pytest.approx(report["mesh_error"], rel=1e-6)  # exact rows
 
 
 def test_a_table_too_small_for_a_method_has_no_line_of_it(bar):
@@ -88,23 +93,6 @@ def test_the_times_of_a_report_are_processor_times(bar, monkeypatch):
     assert max(entry["build_s"] for entry in figures["tables"]) < 1000
 
 
-def test_the_report_is_plain_json(report):
-    assert json.loads(json.dumps(report))["component"] == "bar"
-
-
-def test_the_page_needs_nothing_from_elsewhere(report):
-    page = as_page(report)
-    assert page.startswith("<!doctype html>")
-    assert "<script src=" not in page
-    assert "Error against run time" in page
-
-
-def test_tables_and_meshes_are_compared_with_one_reference(report):
-    table = next(e for e in report["tables"] if e["method"] == "linear" and e["rows"] == 13)
-    assert table["largest_error"] == max(table["error"]["rms_relative"])
-    assert table["largest_error"] == pytest.approx(report["mesh_error"], rel=1e-6)  # rows are exact
-
-
 def test_a_report_says_which_solves_failed_and_why(bar, monkeypatch):
     """A mesh that is a mechanism left three rows of dashes, and no reason."""
 
@@ -129,28 +117,6 @@ def test_a_report_says_which_solves_failed_and_why(bar, monkeypatch):
     assert notes["Absolute errors against the tolerance"].endswith("see Finite elements.")
     assert reason in as_markdown(figures)
     assert reason in as_page(figures)
-
-
-def test_a_report_without_failures_names_none(report):
-    assert not any("failed" in section.note.lower() for section in sections_of(report))
-
-
-def test_the_page_of_a_report_fits_a_telephone_and_a_mail(report):
-    page = as_page(report)
-    assert '<meta name="viewport" content="width=device-width, initial-scale=1">' in page
-    assert len(page.encode()) < 1_500_000
-
-
-def test_figures_of_a_report_cannot_end_its_script(report):
-    page = as_page({**report, "title": "</script><b>"})
-    assert page.count("</script>") == 2
-    assert "<b>" not in page
-
-
-def test_the_markdown_names_every_method_and_mesh(report):
-    text = as_markdown(report)
-    for word in ("griddata", "linear", "additive", "coarse", "own", "fine (reference)"):
-        assert word in text
 
 
 def test_the_advice_says_within_the_tolerance_of_the_interpolation_error_alone(report):
@@ -215,9 +181,3 @@ def test_a_cancelled_report_is_not_a_failed_one(http, monkeypatch):
     assert http.get(call, params={"format": "state"}).json()["state"] == "running"
     assert http.delete(call).json()["state"] == "none"
     assert http.delete(call).status_code == 200  # none is made
-
-
-def test_a_report_of_a_table_without_a_setup_is_409(http):
-    rig = {"name": "rig", "title": "rig", "range": {"force": [1] * 3, "moment": [1] * 3}}
-    http.post("/v1/components", json=rig)
-    assert http.post("/v1/components/rig/report").status_code == 409

@@ -38,21 +38,11 @@ def test_the_line_wins_over_the_environment_and_that_over_the_file(shown, tmp_pa
     found = shown("--port", "3", WRENCHBOOK_PORT="2", WRENCHBOOK_QUEUE_LIMIT="2")
     assert (found["port"], found["queue_limit"], found["solvers"]) == (3, 2, 1)
     assert found["host"] == "127.0.0.1"
-
-
-def test_a_line_that_says_the_default_wins_too(shown, tmp_path):
-    (tmp_path / "wrenchbook.toml").write_text("port = 1\n")
-    assert shown("--port", "8000")["port"] == 8000
-
-
-def test_another_file_can_be_named(shown, tmp_path):
+    found = shown("--queue-limit", "64", WRENCHBOOK_PORT="")  # a default, and an empty variable
+    assert (found["queue_limit"], found["port"]) == (64, 1)
     other = tmp_path / "other.toml"
     other.write_text('log_format = "json"\n')
     assert shown("--config", str(other))["log_format"] == "json"
-
-
-def test_an_empty_variable_is_none(shown):
-    assert shown(WRENCHBOOK_PORT="")["port"] == 8000
 
 
 def test_a_data_directory_that_cannot_be_written_is_refused_at_the_start():

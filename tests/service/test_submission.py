@@ -67,11 +67,18 @@ def test_a_done_job_is_found_again_even_at_the_limit(opened):
     assert (placed.job.id, placed.job.status, placed.exact) == (job.id, "done", True)
 
 
-def test_a_cancelled_job_is_not_joined_but_asked_for_anew(opened):
+@pytest.mark.parametrize("withdrawn", [False, True])
+def test_a_cancelled_job_or_one_of_a_withdrawn_row_is_not_joined_but_asked_for_anew(
+    opened, withdrawn
+):
     submission, ledger = opened[0], opened[0]._ledger
     wrench = wrenches(submission, 1, 9)
     job = submission.queue(NAME, wrench)[0].job
-    ledger.cancel(job.id)
+    if withdrawn:
+        row = ledger.commit(job.id, ledger.claim("test").attempt, [0.0] * 6)
+        ledger.withdraw(NAME, row.seq)
+    else:
+        ledger.cancel(job.id)
     again = submission.queue(NAME, wrench)[0].job
     assert (again.id, again.status, again.asked_by) == (job.id, "waiting", "query")
 

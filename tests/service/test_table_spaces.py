@@ -64,12 +64,6 @@ def read(path: Path, load_range: LoadRange, **options) -> ReadResult:
     return read_untrusted([path], Options(load_range=load_range, **options))
 
 
-def read_text(folder: Path, text: str, load_range: LoadRange = LINK_RANGE, **options) -> ReadResult:
-    path = folder / "table"
-    path.write_text(text, encoding="utf-8")
-    return read(path, load_range, **options)
-
-
 def write(path: Path, kind: str, table: ParsedTable, load_range: LoadRange) -> None:
     space = load_range.space
     columns = layout(True, True, ("source", "note"), space=space)
@@ -107,107 +101,6 @@ def test_an_export_of_any_space_is_read_back_to_the_same_floats(
     assert again.note == table.note
 
 
-MOVED = "left.ux [mm],right.uz_um,right rx (deg),left.ux_err [mm]"
-LOADS = ",".join(f"left.{axis} [N]" for axis in ("Fx", "fy", "FORCE_Z"))
-LOADS += "," + ",".join(f"Left {axis} [N*mm]" for axis in ("mx", "my", "mz"))
-LOADS += "," + ",".join(f"right_{axis}/kN" for axis in ("fx", "fy", "fz"))
-LOADS += "," + ",".join(f"right.{axis} [Nm]" for axis in ("Mx", "My", "Mz"))
-
-
-def test_todays_spellings_and_units_stand_behind_the_name_of_an_interface(tmp_path):
-    text = f"a title\n{LOADS},T [°C],{MOVED}\n"
-    text += "1,2,3,4,5,6,.007,.008,.009,3,2,1,20.5,1,2,3,0.1\n"
-    found = read_text(tmp_path, text)
-    assert found.report["errors"] == []
-    (piece,) = found.pieces()
-    expected = [1, 2, 3, 0.004, 0.005, 0.006, 7, 8, 9, 3, 2, 1, 20.5]
-    assert piece.wrench.tolist() == [expected]
-    known = [0, 8, 9]
-    assert piece.displacement[0, known].tolist() == [1e-3, 2e-6, np.radians(3)]
-    assert np.flatnonzero(np.isfinite(piece.displacement[0])).tolist() == known
-    assert piece.uncertainty[0, 0] == 1e-4
-
-
-ZERO = "left.fx [N],temperature [degC],left.ux [m]"
-
-
-@pytest.mark.parametrize(
-    ("column", "value", "expected"),
-    [
-        ("temperature [degC]", "20", 20.0),
-        ("TEMPERATURE [K]", "293.15", 20.0),
-        ("temp [K]", "273.15", 0.0),
-        ("T [K]", "0.1", -273.05),
-    ],
-)
-def test_a_temperature_is_in_degrees_celsius_or_kelvin(tmp_path, column, value, expected):
-    text = f"left.fx [N],{column},left.ux [m]\n1,{value},0.1\n"
-    found = read_text(tmp_path, text, missing_loads="zero")
-    assert found.report["errors"] == []
-    (piece,) = found.pieces()
-    assert piece.wrench[0, 12] == expected
-
-
-def test_degrees_celsius_become_kelvin_where_the_component_has_kelvin(tmp_path):
-    space = space_of(scalars=[Input("temperature", "K", "scalar")])
-    span = LoadRange(-np.ones(7), np.array([1.0] * 6 + [400.0]), space)
-    found = read_text(tmp_path, "fx [N],T [degC],ux [m]\n1,20,0\n", span, missing_loads="zero")
-    (piece,) = found.pieces()
-    assert piece.wrench[0, 6] == 293.15
-
-
-@pytest.mark.parametrize(("unit", "value", "expected"), [("g", 1, 9.80665), ("m/s²", 3, 3.0)])
-def test_an_acceleration_is_in_g_or_metres_a_second_squared(tmp_path, unit, value, expected):
-    text = f"fx [N],ax [{unit}],ay [m/s^2],AZ [m/s2],ux [m]\n1,{value},0,-9.81,0\n"
-    (piece,) = read_text(tmp_path, text, HANGING_RANGE, missing_loads="zero").pieces()
-    assert piece.wrench[0, 6:].tolist() == [expected, 0.0, -9.81]
-
-
-@pytest.mark.parametrize(
-    ("header", "message"),
-    [
-        ("left.fx [N],left.ux [m]", "there is no column for temperature; every row needs it"),
-        (f"{ZERO},middle.fy [N]", "no interface 'middle'; there are left, right"),
-        (f"{ZERO},fy [N]", "names no interface; there are left, right: write for example left.fy"),
-        ("left.fx [N],temperature [bar],left.ux [m]", "is not a unit of temperature: degC, K"),
-        ("left.fx [N],temperature,left.ux [m]", "has no unit; write for example temperature"),
-        ("left.fx [N],temprature [K],left.ux [m]", "did you mean temperature?"),
-        ("temperature [K],left.ux [m]", "no load column; name at least one of left.fx [N]"),
-    ],
-)
-def test_a_header_with_a_mistake_is_refused_with_a_remedy(tmp_path, header, message):
-    text = f"{header}\n" + ",".join("1" * (header.count(",") + 1)) + "\n"
-    found = read_text(tmp_path, text, missing_loads="zero")
-    assert found.report["whole"]
-    assert message in " ".join(one["message"] for one in found.report["errors"])
-
-
-def test_a_label_of_100_000_letters_is_refused_at_once(tmp_path):
-    found = read_text(tmp_path, f"{ZERO},{'_a' * 50_000}\n1,2,3,4\n", missing_loads="zero")
-    assert found.report["whole"]
-
-
-def test_loads_of_an_interface_without_columns_are_zero_only_if_the_sender_declares_it(tmp_path):
-    left = LOADS.partition(",right")[0]
-    text = f"{left},temperature [degC],left.ux [m]\n1,2,3,4,5,6,20,0.1\n"
-    refused = read_text(tmp_path, text).report["errors"]
-    assert "no column for right.fx, right.fy" in refused[0]["message"]
-    (piece,) = read_text(tmp_path, text, missing_loads="zero").pieces()
-    assert piece.wrench[0, 6:12].tolist() == [0.0] * 6
-
-
-def test_a_load_far_beyond_the_range_is_a_mistake_of_its_column(tmp_path):
-    found = read_text(tmp_path, f"{ZERO}\n1000,20,0\n1,9000,0\n1,20,0\n", missing_loads="zero")
-    fields = [one["field"] for one in found.report["errors"]]
-    assert fields == ["left.fx [N]", "temperature [degC]"]
-
-
-def test_the_mean_of_the_first_rows_is_not_taken_from_a_temperature(tmp_path):
-    text = f"{ZERO}\n1,20,0.01\n3,30,0.02\n"
-    (piece,) = read_text(tmp_path, text, missing_loads="zero", zero_rows=1).pieces()
-    assert piece.wrench[0, [0, 12]].tolist() == [2.0, 30.0]
-
-
 def test_two_logs_of_a_link_are_joined_by_their_time(tmp_path):
     for name, text in {
         "loads": "time [s],left.fx [N],temperature [K]\n0,1,293.15\n1,3,295.15\n",
@@ -219,13 +112,6 @@ def test_two_logs_of_a_link_are_joined_by_their_time(tmp_path):
     assert found.report["errors"] == []
     (piece,) = found.pieces()
     assert piece.wrench[0, [0, 12]].tolist() == [2.0, 21.0]
-
-
-def test_a_rig_of_one_interface_is_refused_for_several(tmp_path):
-    found = read_text(
-        tmp_path, f"{ZERO}\n1,2,0\n", missing_loads="zero", rig='frame = "x=y,y=x,z=-z"'
-    )
-    assert "a rig is of one interface" in found.report["errors"][0]["message"]
 
 
 @pytest.mark.parametrize("kind", ["json", "hdf5"])

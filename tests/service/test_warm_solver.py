@@ -81,19 +81,14 @@ def lives(pid):
     return state != "Z"
 
 
-def test_one_process_answers_attempt_after_attempt(site):
-    engine = site.engine()
-    seen = [site.seen(engine, number) for number in range(1, 6)]
-    assert [each["answered"] for each in seen] == [1, 2, 3, 4, 5]
-    assert len({each["pid"] for each in seen}) == 1
-
-
-def test_each_attempt_has_its_own_log_and_folder(site):
-    engine = site.engine()
-    for number in (1, 2):
-        assert site.seen(engine, number)["folder"] == str(site.folder / str(number) / "1")
-        log = (site.folder / str(number) / "1" / "log.txt").read_text()
-        assert log == f"answered {number}\n"
+def test_one_process_answers_attempt_after_attempt_each_with_its_own_log_and_folder(site):
+    engine, pids = site.engine(), set()
+    for number in range(1, 6):
+        seen = site.seen(engine, number)
+        assert (seen["answered"], seen["folder"]) == (number, str(site.folder / f"{number}/1"))
+        assert (site.folder / f"{number}/1/log.txt").read_text() == f"answered {number}\n"
+        pids.add(seen["pid"])
+    assert len(pids) == 1
 
 
 def test_a_solver_is_renewed_after_its_number_of_attempts(site):

@@ -2,8 +2,6 @@
 
 import shutil
 
-import pytest
-
 from tests.until import until
 from wrenchbook.service.jobs.attempt import (
     ALIVE,
@@ -17,73 +15,47 @@ from wrenchbook.service.jobs.attempt import (
 )
 
 
-def test_a_submitted_attempt_ends_finished_with_its_answer(bench):
+def test_a_submitted_attempt_ends_finished_with_its_answer_which_stays_once_it_is_forgotten(bench):
     engine, attempt = bench.engine(), bench.attempt("quick")
     engine.submit(attempt)
     assert engine.poll(attempt) in (*ALIVE, "finished")
     assert bench.end(engine, attempt) == "finished"
     assert bench.outcome(attempt).displacement == [1e-6, 2e-6, 3e-6, 0, 0, 0]
+    engine.forget(attempt)
+    assert engine.poll(attempt) == "finished"
 
 
-def test_an_attempt_that_a_solver_is_at_is_running(bench):
-    engine = bench.engine()
-    attempt = bench.started("endless", engine)
-    until(lambda: engine.poll(attempt) == "running")
-    assert solver_began(attempt.folder)
-    engine.cancel(attempt)
-    bench.end(engine, attempt)
-
-
-def test_how_far_a_solver_is_can_be_read_in_the_attempts_folder(bench):
+def test_an_attempt_that_a_solver_is_at_is_running_and_shows_its_progress(bench):
     engine = bench.engine()
     attempt = bench.started("reports_until_go", engine)
     said = until(lambda: read_progress(attempt.folder))
     assert (said.fraction, said.message) == (0.25, "still going")
+    until(lambda: engine.poll(attempt) == "running")
+    assert solver_began(attempt.folder)
     bench.go(attempt)
     bench.end(engine, attempt)
 
 
-def test_a_solve_that_fails_is_finished_and_says_why(bench):
-    engine, attempt = bench.engine(), bench.attempt("diverges")
+def test_a_solve_that_fails_is_finished_with_its_reason_log_and_files(bench):
+    engine, attempt = bench.engine(), bench.attempt("leaves_files")
     engine.submit(attempt)
     assert bench.end(engine, attempt) == "finished"
     error = bench.outcome(attempt).error
     assert (error["kind"], error["remedy"]) == ("not_converged", "use smaller load steps")
-
-
-def test_what_the_solver_printed_is_in_the_log(bench):
-    engine, attempt = bench.engine(), bench.attempt("diverges")
-    engine.submit(attempt)
-    bench.end(engine, attempt)
     assert "NotConvergedError: no equilibrium" in last_words(attempt.folder)
-
-
-def test_files_the_solver_leaves_are_in_the_attempts_folder(bench):
-    engine, attempt = bench.engine(), bench.attempt("leaves_files")
-    engine.submit(attempt)
-    bench.end(engine, attempt)
     assert (attempt.folder / "deck" / "part.dat").read_text() == "a number: 7"
     assert (attempt.folder / "failed.vtu").read_bytes() == bytes(range(256))
 
 
-def test_the_solver_finds_the_files_of_its_component(bench):
-    engine, attempt = bench.engine(), bench.attempt("reads_its_bundle")
-    engine.submit(attempt)
-    bench.end(engine, attempt)
-    assert bench.outcome(attempt).further["seen"] == {
-        "component.toml": 'name = "part"',
-        "part.msh": "a mesh",
-    }
-
-
-def test_a_component_that_was_edited_is_solved_as_it_is_now(bench):
+def test_the_solver_finds_the_files_of_its_component_as_they_are_now(bench):
     engine = bench.engine()
     for text in ("before", "after it"):
         (bench.bundle / "meshes" / "part.msh").write_text(text)
         attempt = bench.attempt("reads_its_bundle")
         engine.submit(attempt)
         bench.end(engine, attempt)
-        assert bench.outcome(attempt).further["seen"]["part.msh"] == text
+        seen = {"component.toml": 'name = "part"', "part.msh": text}
+        assert bench.outcome(attempt).further["seen"] == seen
 
 
 def test_a_solver_that_dies_is_lost_for_good(bench):
@@ -107,15 +79,6 @@ def test_a_cancelled_solver_ends(bench):
     bench.end(engine, attempt)
     until(lambda: bench.pid(attempt) is None)
     assert bench.outcome(attempt) == Outcome("cancelled")
-
-
-def test_a_cancelled_solver_ends_though_the_dispatcher_stops_at_once(bench):
-    engine = bench.engine()
-    attempt = bench.started("endless", engine)
-    engine.cancel(attempt)
-    bench.end(engine, attempt)
-    engine.close()
-    until(lambda: bench.pid(attempt) is None)
 
 
 def test_a_solver_that_does_not_hear_ends_all_the_same(bench):
@@ -243,19 +206,11 @@ def test_what_ends_is_told(bench):
     assert again.task not in told
 
 
-def test_a_settled_attempt_is_forgotten_with_its_answer_in_place(bench):
-    engine, attempt = bench.engine(), bench.attempt("quick")
-    engine.submit(attempt)
-    bench.end(engine, attempt)
-    engine.forget(attempt)
-    assert engine.poll(attempt) == "finished"
-
-
-@pytest.mark.parametrize("solver", ["quick", "diverges", "dies"])
-def test_many_attempts_at_once_each_have_their_own_end(bench, solver):
+def test_many_attempts_at_once_each_have_their_own_end(bench):
     engine = bench.engine()
-    attempts = [bench.attempt(solver) for _ in range(6)]
-    for attempt in attempts:
+    ends = {"quick": "finished", "diverges": "finished", "dies": "lost"}
+    attempts = [(bench.attempt(solver), end) for _ in range(3) for solver, end in ends.items()]
+    for attempt, _ in attempts:
         engine.submit(attempt)
-    states = {bench.end(engine, attempt) for attempt in attempts}
-    assert states == {"lost" if solver == "dies" else "finished"}
+    for attempt, end in attempts:
+        assert bench.end(engine, attempt) == end

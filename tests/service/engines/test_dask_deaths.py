@@ -1,22 +1,30 @@
 """Schedulers, workers and servers that die or hang: no attempt is lost by it, none counts."""
 
-import os
 import signal
+import time
 
 import psutil
+import pytest
 
 from tests.service.engines.cluster import kill
+from tests.service.engines.conftest import dask_bench
 from tests.until import until
-from wrenchbook.service.jobs.attempt import ALIVE, read_progress
+from wrenchbook.service.jobs.attempt import ALIVE, read_progress, solver_began
+from wrenchbook.service.jobs.dispatcher import Dispatcher
 
 
-def test_a_worker_that_dies_is_replaced_and_its_solver_ends_with_it(own, cluster):
+@pytest.mark.parametrize("end", ["alone", "with its solver", "given up by Dask"])
+def test_a_worker_that_dies_is_replaced_and_the_attempt_does_not_count(own, cluster, end):
+    if end == "given up by Dask":
+        cluster.environment["DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES"] = "0"
     cluster.start_scheduler()
     worker = cluster.start_worker()
     engine = own.engine()
     attempt = own.started("counted_until_go", engine)
     solver = psutil.Process(own.pid(attempt))
-    until(lambda: own.has_begun(attempt))
+    until(lambda: own.has_begun(attempt) and engine.poll(attempt) == "running")
+    if end == "with its solver":  # as a machine goes: all of it at once
+        solver.kill()
     kill(worker)
     solver.wait(60)
     cluster.start_worker()
@@ -24,6 +32,7 @@ def test_a_worker_that_dies_is_replaced_and_its_solver_ends_with_it(own, cluster
     own.go(attempt)
     assert own.end(engine, attempt) == "finished"
     assert own.starts(attempt) == 2
+    assert own.outcome(attempt).status == "done"
 
 
 def test_what_a_solver_started_ends_with_its_worker_too(own, cluster):
@@ -35,36 +44,6 @@ def test_what_a_solver_started_ends_with_its_worker_too(own, cluster):
     child = psutil.Process(int(until((folder / "child").read_text)))
     kill(worker)
     child.wait(60)
-
-
-def test_a_worker_and_its_solver_that_die_together_count_for_nothing(own, cluster):
-    cluster.start_scheduler()
-    worker = cluster.start_worker()
-    engine = own.engine()
-    attempt = own.started("counted_until_go", engine)
-    until(lambda: own.has_begun(attempt))
-    os.kill(own.pid(attempt), signal.SIGKILL)  # as a machine goes: all of it at once
-    kill(worker)
-    cluster.start_worker()
-    until(lambda: own.starts(attempt) == 2)
-    own.go(attempt)
-    assert own.end(engine, attempt) == "finished"
-    assert own.starts(attempt) == 2
-
-
-def test_a_task_that_dask_gives_up_for_its_dead_workers_is_ordered_again(own, cluster):
-    cluster.environment["DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES"] = "0"
-    cluster.start_scheduler()
-    worker = cluster.start_worker()
-    engine = own.engine()
-    attempt = own.started("counted_until_go", engine)
-    until(lambda: engine.poll(attempt) == "running")
-    kill(worker)
-    cluster.start_worker()
-    until(lambda: own.starts(attempt) == 2)
-    own.go(attempt)
-    assert own.end(engine, attempt) == "finished"
-    assert own.outcome(attempt).status == "done"
 
 
 def test_a_scheduler_that_dies_is_found_again_with_the_attempts(own, cluster):
@@ -197,3 +176,55 @@ def test_declared_resources_keep_large_solves_from_sharing_a_worker(own, cluster
     until(lambda: own.has_begun(second))
     own.go(second)
     assert own.end(engine, first) == own.end(engine, second) == "finished"
+
+
+# -- jobs that wait in the queue of the cluster: neither their time nor running ------------------
+
+THREADS = 2  # of the cluster's worker, which is given twice as many attempts
+
+
+@pytest.fixture
+def queued(tmp_path, shared_cluster, ledger):
+    """Jobs of which two run until `go`, and two wait in the cluster."""
+    bench = dask_bench(tmp_path, shared_cluster)
+    dispatcher = Dispatcher(ledger, bench.engine(), lambda name: bench.bundle, tmp_path / "jobs")
+    dispatcher.start()
+    wrenches = [(float(load), 0.0, 0.0, 0.0, 0.0, 0.0) for load in range(2 * THREADS)]
+    for wrench in wrenches:
+        ledger.accept("waits_for_a_word", "f1", wrench)
+    until(lambda: len([job for job in ledger.running() if job.began]) == THREADS)
+    until(lambda: len(ledger.running()) == 2 * THREADS)
+    yield ledger.running()
+    dispatcher.stop()
+    bench.leave()
+
+
+def let_all_end(cluster, ledger, jobs):
+    def are_done():
+        for job in jobs:
+            for folder in filter(solver_began, cluster.attempts(job.task)):
+                (folder / "go").touch()
+        return all(ledger.job(job.id).status == "done" for job in jobs)
+
+    until(are_done)
+
+
+def test_no_more_jobs_are_running_than_the_cluster_has_threads(ledger, queued):
+    counts = ledger.counts()
+    assert (counts["running"], counts["waiting"]) == (THREADS, THREADS)
+    assert ledger.statistics().jobs == counts
+    assert sum(job.is_queued for job in queued) == THREADS
+
+
+def test_solve_seconds_and_a_jobs_seconds_leave_out_the_queue_of_the_cluster(
+    ledger, queued, shared_cluster
+):
+    gone = time.time()
+    let_all_end(shared_cluster, ledger, queued)
+    done = [ledger.job(job.id) for job in queued]
+    waited = [ledger.job(job.id) for job in queued if job.is_queued]
+    assert len(waited) == THREADS
+    for job in waited:
+        assert job.began > gone
+        assert job.seconds <= job.finished - gone < job.finished - job.started
+    assert ledger.statistics().solve_seconds == pytest.approx(sum(job.seconds for job in done))

@@ -82,24 +82,18 @@ def test_a_worker_without_the_program_gets_nothing_and_a_scheduler_needs_none(ow
     assert own.end(engine, attempt) == "finished"
 
 
-def test_files_of_100_mb_stay_behind_and_are_named(own, cluster):
+def test_files_of_100_mb_stay_behind_by_name_and_an_answer_of_100_mb_fails(own, cluster):
     cluster.start_scheduler()
     cluster.start_worker()
     engine, attempt = own.engine(), own.attempt("leaves_100_mb")
+    answer = own.attempt("answers_100_mb")
     engine.submit(attempt)
-    assert own.end(engine, attempt) == "finished"
+    engine.submit(answer)
+    assert own.end(engine, attempt) == own.end(engine, answer) == "finished"
     log = (attempt.folder / "log.txt").read_text()
     assert "huge.bin (100000000 bytes)" in log
     assert log.endswith("the last line\n")
     assert len(log) < 1_100_000
     assert not (attempt.folder / "huge.bin").exists()
     assert own.outcome(attempt).status == "done"
-
-
-def test_an_answer_of_100_mb_fails_by_name(own, cluster):
-    cluster.start_scheduler()
-    cluster.start_worker()
-    engine, attempt = own.engine(), own.attempt("answers_100_mb")
-    engine.submit(attempt)
-    assert own.end(engine, attempt) == "finished"
-    assert own.outcome(attempt).error["kind"] == "answer_too_large"
+    assert own.outcome(answer).error["kind"] == "answer_too_large"
