@@ -179,36 +179,6 @@ def test_calculix_finds_the_same_of_a_clamped_arch_with_heat_and_a_load(tmp_path
     assert difference(found, reply.displacement) < 1e-4
 
 
-def test_the_tangents_of_an_arch_with_heat_are_those_of_differences(tmp_path):
-    own = clamped_arch(tmp_path)
-    inputs = np.array([20.0, -1000.0, 100.0, 3.0, 2.0, 1.0, 80.0])
-    found = own.solve(inputs)
-    fields = own.fields(found)
-    for number, step in ((1, 0.5), (3, 0.1), (6, 0.05)):
-        ahead, behind = (own.solve(inputs + s * np.eye(7)[number]) for s in (step, -step))
-        slope = (ahead.displacement - behind.displacement) / (2 * step)
-        assert largest(slope - found.compliance[:, number], slope) < 1e-6
-        slope = (ahead.nodes - behind.nodes) / (2 * step)
-        assert largest(slope - found.tangents[:, :, number], slope) < 1e-6
-        slope = (own.stresses(ahead) - own.stresses(behind)) / (2 * step)
-        assert largest(slope - fields.stress_slopes[:, :, number], slope) < 1e-6
-
-
-@pytest.mark.parametrize("coupling", ["rigid", "distributed"])
-def test_the_tangent_by_temperature_holds_on_bushings_and_sliding_planes(tmp_path, coupling):
-    spring = [3e8, 2e8, 5e8, 2e5, 3e5, 1e5]
-    held = {"group": "z0", "coupling": coupling, "stiffness": spring, "point": [0.1, 0, -0.1]}
-    tables = {"bushing": [held], "sliding": [PLANES[1] | {"group": "line"}]}
-    mesh = block()
-    line = np.flatnonzero(np.abs(mesh.points[:, [1, 2]] - [0.06, 0.2]).max(axis=1) < 1e-9)
-    mesh = replace(mesh, node_groups={"line": line})
-    own = solver(mesh, tmp_path, tables, PLY, nonlinear=True, coupling=coupling)
-    inputs = np.array([*(10 * LOADS), 90.0])
-    found, step = own.solve(inputs), 0.05 * np.eye(7)[6]
-    slope = (own.solve(inputs + step).displacement - own.solve(inputs - step).displacement) / 0.1
-    assert largest(slope - found.compliance[:, 6], slope) < 1e-6
-
-
 def test_a_heated_bar_between_walls_buckles_at_eulers_strain(tmp_path):
     mesh = box("hex20", (2, 2, 20), (0.03, 0.02, 2.0))
     middle = np.flatnonzero(np.abs(mesh.points[:, 2] - 1.0) < 1e-9)

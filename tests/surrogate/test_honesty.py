@@ -22,7 +22,7 @@ from tests.surrogate.responses import (
     smooth,
     table,
 )
-from wrenchbook.surrogate.answer import METHODS, UnknownMethodError
+from wrenchbook.surrogate.answer import METHODS
 from wrenchbook.surrogate.axes.triangulation import Triangulation
 from wrenchbook.surrogate.kernel.reasons import UNKNOWN_TOGETHER
 from wrenchbook.surrogate.packed.writer import packed_of
@@ -164,13 +164,6 @@ def test_source_of_a_partly_measured_table_is_that_of_the_row_itself() -> None:
     ]
     assert told == ["rig 20", "rig 50", None]  # the first rows lack outputs, which others tell
     assert packed_of(surrogate).answer([1.0] * 6).source is None
-
-
-def test_an_unknown_method_has_an_error_of_its_own() -> None:
-    surrogate = build(table(smooth, CLEAN), RANGE)
-    with pytest.raises(UnknownMethodError, match="griddata"):
-        surrogate.answer([1.0] * 6, None, "spline")
-    assert not issubclass(np.linalg.LinAlgError, UnknownMethodError)
 
 
 def test_two_thousandths_of_a_newton_across_the_hull_do_not_jump() -> None:

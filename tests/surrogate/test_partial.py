@@ -59,21 +59,6 @@ def test_each_output_uses_all_rows_that_hold_it_and_no_other() -> None:
     }
 
 
-def test_single_answers_and_batches_agree_and_hold_no_nan_as_a_number() -> None:
-    measured = np.ones((len(SCALED), 6), dtype=bool)
-    measured[:, 4] = False
-    measured[1::2, 0] = False
-    surrogate = build(rows_with(measured), RANGE)
-    asked = np.concatenate((ASKED, 2 * ASKED)) * HIGH
-    batch = surrogate.batch(asked)
-    for place, wrench in enumerate(asked.tolist()):
-        answer = surrogate.answer(wrench)
-        told = [np.nan if one is None else one for one in answer.displacement or [None] * 6]
-        np.testing.assert_allclose(batch.displacement[place], told, rtol=1e-9, atol=1e-15)
-        assert all(one is None or one == one for one in answer.displacement or ())
-    assert surrogate.explain(asked[0].tolist())
-
-
 def test_a_row_without_any_output_is_refused() -> None:
     with pytest.raises(RowError, match="row 1: no displacement"):
         Rows.of(np.zeros(6), np.full(6, np.nan))

@@ -11,13 +11,11 @@ from tests.surrogate.responses import (
     RANGE,
     axes_of,
     clean_wrenches,
-    coupled,
     full_wrenches,
     smooth,
     table,
 )
 from wrenchbook.surrogate.axes.triangulation import Triangulation
-from wrenchbook.surrogate.build import Group
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 
 GRID = np.array(np.meshgrid(*[np.linspace(-1, 1, 5)] * 3)).reshape(3, -1).T
@@ -30,35 +28,11 @@ def grid_table(points: np.ndarray = GRID) -> Rows:
     return table(smooth, wrenches.reshape(-1, 6))
 
 
-def same_as_one_by_one(surrogate: Group, asked: np.ndarray) -> None:
-    batch = surrogate.batch(asked)
-    for place, wrench in enumerate(asked.tolist()):
-        answer = surrogate.answer(wrench)
-        assert answer.coverage == ("covered", "thin", "outside")[batch.coverage[place]]
-        blank = (np.nan,) * 6
-        np.testing.assert_allclose(
-            batch.displacement[place], answer.displacement or blank, rtol=1e-9, atol=1e-15
-        )
-        bars = np.array(answer.error or blank, dtype=float)
-        np.testing.assert_allclose(batch.error[place], bars, rtol=1e-7, atol=1e-12)
-
-
 def test_a_grid_is_triangulated_without_flat_simplices() -> None:
     shape = Triangulation(GRID)
     assert not shape.degenerate.any()
     assert shape.volumes.sum() == pytest.approx(8.0)
     assert (shape.locate(GRID) >= 0).all()
-
-
-def test_an_affine_response_on_a_grid_is_exact() -> None:
-    shape = Triangulation(GRID)
-    x = np.random.default_rng(1).uniform(-1, 1, (2000, 3))
-    x[::2] = np.round(x[::2] * 2) / 2  # half of them on the grid's own planes and corners
-    found = shape.locate(x)
-    told = np.einsum(
-        "kd,kd->k", shape.barycentric(found, x), (GRID @ [1, -2, 3])[shape.simplices[found]]
-    )
-    np.testing.assert_allclose(told, x @ [1, -2, 3], atol=1e-12)
 
 
 def test_answers_on_a_grids_planes_do_not_jump() -> None:
@@ -71,29 +45,6 @@ def test_answers_on_a_grids_planes_do_not_jump() -> None:
     assert (on.coverage == beside.coverage).all()
     assert (on.coverage < 2).all()
     np.testing.assert_allclose(on.displacement, beside.displacement, atol=1e-11)
-
-
-@pytest.mark.parametrize(
-    "rows",
-    [
-        table(smooth, clean_wrenches(25, 1)),
-        table(coupled, np.concatenate((clean_wrenches(25, 1), full_wrenches(30, 2)))),
-        table(smooth, clean_wrenches(3, 1)),
-        table(smooth, clean_wrenches(60, 1)[:60] * [1, 0, 0, 0, 1, 0]),
-        table(smooth, np.eye(6)[[4]]),
-        table(smooth, full_wrenches(4, 1)),
-        grid_table().take(np.arange(125)),
-        Rows.empty(),
-    ],
-    ids=["axes", "full", "few", "plane", "single", "four full", "grid", "none"],
-)
-@pytest.mark.parametrize("method", [None, "linear", "additive"])
-def test_a_batch_says_what_single_answers_say_outside_too(rows: Rows, method: str | None) -> None:
-    surrogate = build(rows, RANGE, linear=method == "linear")
-    rng = np.random.default_rng(5)
-    asked = full_wrenches(60, 5) * 1.3
-    asked[rng.uniform(size=asked.shape) < 0.4] = 0
-    same_as_one_by_one(surrogate, np.concatenate((asked * HIGH, rows.wrench[:5])))
 
 
 def test_slivers_on_the_hull_do_not_blow_up_the_bar() -> None:
@@ -130,11 +81,3 @@ def test_inputs_of_any_size_give_the_same_answers(factor: float) -> None:
         rtol=1e-6,
         atol=1e-12,
     )
-
-
-def test_points_on_the_hull_are_inside() -> None:
-    rng = np.random.default_rng(8)
-    surrogate = build(table(smooth, clean_wrenches(60, 1)), RANGE)
-    face = rng.uniform(-1, 1, (200, 6))
-    face[np.arange(200), rng.integers(0, 6, 200)] = 1.0
-    assert (surrogate.batch(face * HIGH).coverage != 2).all()

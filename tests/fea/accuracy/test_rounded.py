@@ -119,23 +119,15 @@ def test_the_bar_of_the_mesh_holds_the_error_of_a_polygon_for_a_tube(tmp_path, c
     assert (bars <= 3 * errors).all()
 
 
-def test_the_basis_says_how_many_cells_round_are_needed(tmp_path):
-    words = accuracy_of(Solver(tube(tmp_path, 16, 0.05)))["mesh_basis"]
-    assert "turn by up to 22.5 degrees a cell, change it by 5 %" in words
-    assert "with 36 cells round it is 1 %" in words
-
-
 def test_the_check_warns_of_straight_edges_and_prints_their_own_part_of_the_bar(tmp_path):
     tube(tmp_path, 16, 0.05)
     report = check(tmp_path)
     (words,) = (one["message"] for one in report["warnings"])
+    assert "turn by up to 22.5 degrees a cell, change it by 5 %" in words
     assert "with 36 cells round it is 1 %" in words
     found = report["solver_error"]
     np.testing.assert_array_less(found["rounded"]["mesh"], np.array(found["mesh"]) + 1e-300)
     assert "of that by straight edges: (3e-08, 3e-08, 1e-09) m" in as_text(report)
-
-
-def test_a_tube_of_many_cells_round_has_no_warning(tmp_path):
     tube(tmp_path, 64, 0.05)
     assert check(tmp_path)["warnings"] == []
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from tests.fea.boxes import box
 from tests.fea.components import component
@@ -36,18 +37,27 @@ def test_where_load_control_is_refused_the_length_of_the_path_leads_to_the_same_
     assert factors[-1] == 1.0
 
 
+def guided(mesh):
+    return component(mesh, young=YOUNG, poisson=0.0, nonlinear=True, locked=GUIDE)
+
+
+def test_loads_over_eighteen_decades_move_a_guided_bar_by_the_closed_form():
+    bar = Solver(guided(box("hex20", (2, 2, 4), (0.1, 0.1, 0.4))))
+    for force in (*(10.0**n for n in range(-9, 8)), -1.0, -1e3, -1e6):
+        strain = force / (YOUNG * 0.01)
+        found = bar.solve([0, 0, force, 0, 0, 0]).displacement[2] / 0.4
+        expected = strain - 1.5 * strain**2  # of (1 + e) (e + e^2/2) = strain
+        if abs(strain) > 1e-6:
+            law = np.polynomial.Polynomial([-strain, 1.0, 1.5, 0.5])
+            expected = brentq(law, -0.4, 5, xtol=1e-15)
+        assert found == pytest.approx(expected, rel=1e-9)
+
+
 @pytest.mark.parametrize("times", [1.2, 4.0, 1000.0])
 def test_a_squeezed_block_gives_way_at_the_closed_form_of_its_material(times):
     """F = E A l (1 - l^2)/2 has its maximum, E A / sqrt(27), at l = 1/sqrt(3)."""
-    part = component(
-        box("hex20", (2, 2, 2), (1.0, 1.0, 0.5)),
-        young=YOUNG,
-        poisson=0.0,
-        nonlinear=True,
-        locked=GUIDE,
-    )
     most = YOUNG / np.sqrt(27)
-    built = Solver(part)
+    built = Solver(guided(box("hex20", (2, 2, 2), (1.0, 1.0, 0.5))))
     assert built.solve([0, 0, -0.99 * most, 0, 0, 0]).displacement[2] < -0.15
     with pytest.raises(SolveFailed) as caught:
         built.solve([0, 0, -times * most, 0, 0, 0])

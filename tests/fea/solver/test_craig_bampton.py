@@ -95,18 +95,17 @@ def test_a_link_has_a_frame_at_each_end():
     assert translation @ found.mass @ translation == pytest.approx(whole, rel=1e-6)
 
 
-def test_a_locked_freedom_leaves_no_frame():
-    with pytest.raises(ValueError, match="six freedoms"):
-        bar(locked=("ux",)).craig_bampton(2)
-
-
-def test_a_part_without_density_is_refused():
-    solver = bar()
-    light = replace(solver.component, materials=(Material("all", 70e9, 0.3),))
-    with pytest.raises(ValueError, match="density"):
-        Solver(light).craig_bampton(2)
-
-
-def test_no_modes_are_refused():
-    with pytest.raises(ValueError, match="modes"):
-        bar().craig_bampton(0)
+@pytest.mark.parametrize(
+    ("density", "locked", "modes", "words"),
+    [
+        (DENSITY, ("ux",), 2, "six freedoms"),
+        (None, (), 2, "density"),
+        (DENSITY, (), 0, "modes"),
+    ],
+)
+def test_a_part_without_a_frame_a_density_or_modes_is_refused(density, locked, modes, words):
+    part = replace(
+        bar(locked=locked).component, materials=(Material("all", 70e9, 0.3, density=density),)
+    )
+    with pytest.raises(ValueError, match=words):
+        Solver(part).craig_bampton(modes)

@@ -20,9 +20,9 @@ YOUNG = 70e9
 COUPLINGS = ["rigid", "distributed"]
 
 
-def strip(coupling="rigid", **changes):
-    """A thin cantilever along z, 1 m by 10 mm by 10 mm, without Poisson's effect."""
-    mesh = box("hex20", (2, 2, 32), (0.01, 0.01, 1.0))
+def strip(coupling="rigid", thickness=0.01, **changes):
+    """A thin cantilever along z, 1 m by 10 mm wide, without Poisson's effect."""
+    mesh = box("hex20", (2, 2, 32), (thickness, 0.01, 1.0))
     options = {"young": YOUNG, "poisson": 0.0, "nonlinear": True, **changes}
     return component(mesh, coupling=coupling, **options)
 
@@ -38,10 +38,12 @@ BENDING = YOUNG * 0.01**4 / 12
 PLATE_WRENCH = np.array([300.0, 150.0, -25.0, 2.0, 4.0, 3.0])
 
 
+@pytest.mark.parametrize("thickness", [0.01, 0.001])
 @pytest.mark.parametrize("coupling", COUPLINGS)
-def test_a_tip_moment_bends_a_strip_into_a_circle(coupling):
+def test_a_tip_moment_bends_a_strip_into_a_circle(coupling, thickness):
     angle = np.radians(19)
-    found = Solver(strip(coupling)).solve([0, 0, 0, 0, BENDING * angle, 0])
+    moment = YOUNG * 0.01 * thickness**3 / 12 * angle
+    found = Solver(strip(coupling, thickness)).solve([0, 0, 0, 0, moment, 0])
     ux, _, uz, _, ry, _ = found.displacement
     assert ry == pytest.approx(angle, rel=2e-4)
     assert ux == pytest.approx((1 - np.cos(angle)) / angle, rel=2e-4)
