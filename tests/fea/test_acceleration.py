@@ -11,8 +11,6 @@ from tests.fea.supports import TABLE, largest
 from tests.fea.two_interfaces import LINK
 from tests.validation import calculix
 from wrenchbook.fea.bundle.read import bundle_of
-from wrenchbook.fea.check import as_text
-from wrenchbook.fea.check import report as check
 from wrenchbook.fea.component import build
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError
@@ -120,19 +118,6 @@ def test_a_link_between_two_joints_takes_temperature_and_acceleration(tmp_path, 
         ahead, behind = (own.solve(found.wrench + s * np.eye(16)[number]) for s in (step, -step))
         slope = (ahead.displacement - behind.displacement) / (2 * step)
         assert largest(slope - found.compliance[:, number], slope) < 1e-5
-
-
-def test_check_names_the_range_and_what_the_acceleration_moves(tmp_path):
-    (tmp_path / "component.toml").write_text(link(nonlinear=False))
-    report = check(tmp_path)
-    assert report["ok"], report["problems"]
-    assert report["acceleration"] == [20.0, 20.0, 10.0]
-    trial = report["trial"]
-    assert 0 < trial["by_acceleration"][8] < trial["deflection"][8]
-    assert {"ax", "ay", "az"} < set(report["strength"][0])
-    words = as_text(report)
-    assert "acceleration: up to (20, 20, 10) m/s^2" in words
-    assert "by the acceleration alone right moves by" in words
 
 
 def test_inputs_without_the_acceleration_are_refused(tmp_path):

@@ -11,7 +11,6 @@ from tests.fea.supports import PLANES, TABLE, largest, part
 from tests.validation import calculix, second_opinion
 from wrenchbook.fea.bundle.read import bundle_of
 from wrenchbook.fea.check.findings import motion_problems
-from wrenchbook.fea.check.reporting import as_text, report
 from wrenchbook.fea.component import build
 from wrenchbook.fea.export.calculix import deck_of
 from wrenchbook.fea.failure import SolveFailed
@@ -259,42 +258,3 @@ def test_a_solve_of_a_part_on_bushings_starts_from_its_state(tmp_path):
     found = one.solve(WRENCH)
     again = one.solve(WRENCH, start=found.state)
     np.testing.assert_allclose(again.displacement, found.displacement, rtol=1e-9)
-
-
-def test_the_report_counts_what_holds_the_part(tmp_path):
-    (tmp_path / "component.toml").write_text(BUNDLE)
-    told = report(tmp_path)
-    assert told["ok"], told["problems"]
-    sliding = told["supports"]["sliding_nodes"]
-    assert told["supports"] == {"nodes": 0, "sliding_nodes": sliding, "bushings": 1}
-    assert f"supports: 0 nodes fixed, {sliding} sliding; bushings: 1" in as_text(told)
-
-
-BUNDLE = """
-name = "part"
-title = "A bar on a bushing and a plane"
-[mesh]
-generator = "bar"
-length = 1.0
-width = 0.02
-height = 0.02
-[[material]]
-region = "all"
-youngs_modulus = 2e11
-poisson_ratio = 0.3
-[[supports.sliding]]
-group = "side"
-directions = ["y"]
-[[supports.bushing]]
-group = "start"
-coupling = "distributed"
-stiffness = [1e6, 0, 1e6, 1e4, 1e4, 1e4]
-[interface]
-section = "end"
-coupling = "distributed"
-[analysis]
-nonlinear = false
-[range]
-force = [1, 1, 1]
-moment = [1, 1, 1]
-"""

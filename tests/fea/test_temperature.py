@@ -11,8 +11,6 @@ from tests.fea.supports import PLANES, TABLE, largest
 from tests.validation import calculix
 from tests.validation.second_opinion import difference
 from wrenchbook.fea.bundle.read import bundle_of
-from wrenchbook.fea.check import as_text
-from wrenchbook.fea.check import report as check
 from wrenchbook.fea.component import build
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.inspection import warnings_of
@@ -322,34 +320,6 @@ def test_a_solve_is_started_from_a_state_at_another_temperature(tmp_path):
     assert len(again.history) < len(cold.history)
     np.testing.assert_allclose(again.displacement, cold.displacement, rtol=1e-7, atol=1e-12)
     assert not np.array_equal(first.displacement, again.displacement)
-
-
-def test_check_names_the_range_and_what_the_temperature_moves(tmp_path):
-    text = """
-name = "bar"
-title = "A bar"
-mesh = {generator = "bar", length = 1.0, width = 0.02, height = 0.02, cells_along = 8}
-supports = {fixed = ["start"]}
-interface = {section = "end", coupling = "distributed"}
-analysis = {nonlinear = false}
-range = {force = [1, 1, 1], moment = [1, 1, 1]}
-inputs = {temperature = {range = [-40, 120], reference = 20}}
-[[material]]
-region = "all"
-youngs_modulus = 70e9
-poisson_ratio = 0.33
-thermal_expansion = 23e-6
-yield_strength = 240e6
-"""
-    (tmp_path / "component.toml").write_text(text)
-    report = check(tmp_path)
-    assert report["ok"], report["problems"]
-    assert report["trial"]["by_temperature"][0] == pytest.approx(2.3e-3, rel=1e-2)
-    assert report["temperature"] == {"low": -40.0, "high": 120.0, "reference": 20.0}
-    assert report["strength"][0]["temperature"] in (-40.0, 120.0)
-    words = as_text(report)
-    assert "temperature: -40 to 120, reference 20" in words
-    assert "by the temperature alone it moves by (0.0023" in words
 
 
 @pytest.mark.parametrize(

@@ -96,6 +96,15 @@ def test_claims_and_beats_make_the_heartbeat_grow(ledger):
     assert ledger.leases() == {}
 
 
+def test_old_leases_are_deleted_but_those_of_owners_that_still_have_jobs(ledger, monkeypatch):
+    monkeypatch.setattr("wrenchbook.service.ledger.jobs.FORGOTTEN_SECONDS", -1.0)
+    accepted(ledger, 1)
+    ledger.claim("at work")
+    ledger.beat("killed while idle", "local")
+    ledger.end_lease("me")
+    assert set(ledger.leases()) == {"at work"}
+
+
 def test_as_many_jobs_as_asked_for_are_claimed_the_most_urgent_first(ledger):
     accepted(ledger, 3)
     urgent = ledger.accept("bar", "f1", (9.0, 0, 0, 0, 0, 0), priority=1)[0]

@@ -16,6 +16,7 @@ from wrenchbook.service.ledger import (
     UnknownRowError,
     connection,
 )
+from wrenchbook.service.ledger.packing import pack_vector
 
 ROWS = [
     NewRow((i, 0, 0, 0, 0, 0.1 * i), (i * 1e-6, 0, 0, 0, 0, 1e-7), origin=f"t.csv:{i}")
@@ -215,7 +216,10 @@ def test_a_job_whose_row_is_withdrawn_is_solved_again_when_it_is_asked_for(ledge
     job, _ = ledger.accept("plate", "f1", ROWS[1].wrench)
     ledger.claim("me")
     first = ledger.commit(job.id, 1, ROWS[1].displacement)
+    key = pack_vector(ROWS[1].wrench)
+    assert ledger.jobs_for("plate", "f1", [key])[key].row == first.seq
     ledger.withdraw("plate", first.seq)
+    assert ledger.jobs_for("plate", "f1", [key]) == {}
     again, created = ledger.accept("plate", "f1", ROWS[1].wrench)
     assert (again.id, again.status, again.row, created) == (job.id, "waiting", None, False)
     ledger.claim("me")

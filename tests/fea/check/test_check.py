@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.check import report as check
 from wrenchbook.fea.check.commands import main
 
@@ -77,3 +78,17 @@ def test_a_table_only_bundle_is_fine_and_has_nothing_to_solve(tmp_path):
     assert report["ok"]
     assert not report["has_fea"]
     assert "unknowns" not in report
+
+
+def test_the_program_takes_a_mass_that_rides_as_arguments(capsys):
+    words = ["--mass", "2", "--inertia=1,1,2", "--centre=0,0,0.1", str(SHIPPED / "bar")]
+    assert main(["check", "--json", *words]) == 0
+    assert json.loads(capsys.readouterr().out)["vibration"]["riding_mass"] == 2.0
+    assert main(["check", *words]) == 0
+    assert "first natural frequency" in capsys.readouterr().out
+
+
+def test_neither_density_nor_yield_strength_changes_the_fingerprint(tmp_path):
+    text = (SHIPPED / "bar" / "component.toml").read_text("utf-8")
+    (tmp_path / "component.toml").write_text(text.replace("7850.0", "1.0").replace("355e6", "1e6"))
+    assert read_bundle(tmp_path).fingerprint == read_bundle(SHIPPED / "bar").fingerprint

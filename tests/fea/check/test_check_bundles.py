@@ -13,6 +13,7 @@ from tests.fea.check.test_check_findings import cubes
 from tests.fea.geometry import draw_two_bars
 from tests.fea.mesh.test_geometry import BRACKET, toml_of
 from wrenchbook.fea.check import as_text, report
+from wrenchbook.fea.check.trial import largest
 
 
 def write_inp(folder, mesh, *, supports='["root"]', section="tip", young="2e11", extra=""):
@@ -189,3 +190,18 @@ def test_the_text_is_printed_by_the_program(tmp_path):
 def test_every_report_is_json(tmp_path):
     told = report(write_inp(tmp_path, cubes()))
     assert json.loads(json.dumps(told)) == told
+
+
+def test_a_cell_that_names_a_node_twice_is_refused(tmp_path):
+    mesh = box("hex20", (4, 2, 2), (4, 1, 1))
+    mesh.blocks[0].nodes[5, 1] = mesh.blocks[0].nodes[5, 0]
+    told = report(write_inp(tmp_path, mesh))
+    assert not told["ok"]
+    assert messages(told, "problems")
+
+
+def test_the_largest_displacement_over_a_range_is_that_of_its_worst_corner():
+    chance = np.random.default_rng(3)
+    matrix, low, high = chance.normal(size=(6, 6)), -chance.random(6), chance.random(6)
+    ends = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(6, -1)
+    np.testing.assert_allclose(largest(matrix, low, high), np.abs(matrix @ ends).max(axis=1))
