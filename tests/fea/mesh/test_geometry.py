@@ -130,16 +130,6 @@ def test_the_fingerprint_covers_the_file_and_every_key_of_its_meshing(folder):
     assert print_of(order=2) == print_of(size=15e-3) == print_of()
 
 
-def test_reading_a_geometry_bundle_imports_no_gmsh(folder):
-    (folder / "component.toml").write_text(toml_of(BRACKET))
-    code = (
-        "import sys; from wrenchbook.fea.bundle.read import read_bundle; read_bundle(sys.argv[1]);"
-        "sys.exit(any(m in sys.modules for m in ('gmsh', 'skfem', 'meshio')))"
-    )
-    done = subprocess.run([sys.executable, "-c", code, str(folder)], check=False, timeout=60)
-    assert done.returncode == 0
-
-
 def toml_of(table):
     mesh = table["mesh"]
     groups = "\n".join(f"{k} = {inline(v)}" for k, v in mesh["groups"].items())
