@@ -2,6 +2,7 @@
 
 import weakref
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from scipy.optimize import brentq
 from tests.fea.boxes import box
 from tests.fea.components import component
 from wrenchbook.fea.assembly.system import System
+from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.linalg.multifrontal import MultifrontalFactor
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver import load_steps as path
@@ -137,6 +139,27 @@ def test_corrections_with_an_old_tangent_save_a_factorisation_and_change_no_answ
     assert with_chords < len(made) - with_chords
     scale = np.abs(plain.displacement).max()
     np.testing.assert_allclose(answer.displacement, plain.displacement, rtol=0, atol=1e-10 * scale)
+
+
+@pytest.mark.parametrize(
+    ("size", "energy", "norm", "done"),
+    [
+        (1e-7, 1e-6, 1e-6, True),
+        (1e-5, 1e-6, 1e-6, False),
+        (1e-7, 1e-4, 1e-6, False),
+        (1e-7, 1e-6, 1e-4, False),
+    ],
+)
+def test_a_last_correction_is_small_in_displacement_energy_and_forces(size, energy, norm, done):
+    balance = SimpleNamespace(norm=norm, scale=1.0)
+    assert newton.Correction(balance, (None, None), size, energy).converged is done
+
+
+@pytest.mark.parametrize(("coupling", "most"), [("rigid", 15), ("distributed", 14)])
+def test_an_iteration_that_turns_the_interface_beyond_half_a_turn_is_given_up(coupling, most):
+    with pytest.raises(SolveFailed, match="rotation_too_large") as caught:
+        Solver(strip(coupling)).solve([0, 0, 0, 0, BENDING * np.radians(200), 0])
+    assert len(caught.value.history) < most  # it went on for ten more
 
 
 def test_the_history_and_the_progress_tell_each_iteration():
