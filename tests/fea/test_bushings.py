@@ -51,16 +51,6 @@ def lever(at, point):
 
 
 @pytest.mark.parametrize("interface", COUPLINGS)
-def test_the_compliance_of_a_bar_on_a_bushing_is_the_sum_of_both(tmp_path, interface):
-    askew = bushing(FULL, point=POINT.tolist(), axes=TURN.tolist())
-    soft = Solver(on_bushings(tmp_path, askew, coupling=interface))
-    clamped = Solver(part(mesh(), tmp_path, {"fixed": ["z0"]}, coupling=interface))
-    at_bushing = np.kron(np.eye(2), TURN) @ lever(POINT, soft.component.interfaces[0].point)
-    expected = clamped.compliance + at_bushing.T @ np.linalg.solve(FULL, at_bushing)
-    assert largest(soft.compliance - expected, expected) < 1e-9
-
-
-@pytest.mark.parametrize("interface", COUPLINGS)
 def test_a_part_on_one_distributed_bushing_moves_on_it_as_a_rigid_body(tmp_path, interface):
     """Its forces are those of the wrench, so the spring changes no deformation."""
     each = [

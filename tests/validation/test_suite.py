@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.validation import __main__ as validate
-from tests.validation import calculix, plate, spring
+from tests.validation import calculix, plate, spring, supports
 from tests.validation.clamped import shipped
 from tests.validation.finding import CASES, TOPICS, Case, Finding, case
 from tests.validation.spring import PRINTED_14, rod_of
@@ -56,11 +56,21 @@ def test_every_topic_has_cases_each_with_a_title_of_its_own():
     assert all(titles)
 
 
-@pytest.mark.parametrize("check", [plate.annular_plate, spring.small_load, spring.pressed])
+@pytest.mark.parametrize(
+    "check",
+    [
+        plate.annular_plate,
+        spring.small_load,
+        spring.pressed,
+        supports.sliding_stretch,
+        supports.bushing_adds,
+    ],
+)
 def test_a_case_that_needs_no_calculix_passes(check):
     findings = list(check())
-    assert {finding.verdict for finding in findings} <= {"pass", "reported"}
-    assert sum(finding.verdict == "pass" for finding in findings) >= len(findings) / 2
+    verdicts = [finding.verdict for finding in findings]
+    assert "pass" in verdicts
+    assert "FAIL" not in verdicts, findings
 
 
 @pytest.mark.parametrize(
