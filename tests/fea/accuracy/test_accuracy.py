@@ -1,6 +1,7 @@
 """What the solver's own answers may be wrong by, against what finer meshes and theories say."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,29 +23,7 @@ from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.schema import DeclaredRange, MeshFile
 from wrenchbook.surrogate.solver_error import SolverError
 
-BRACKET = """name = "bracket"
-title = "B"
-[mesh]
-file = "bracket.step"
-size = 12e-3
-[mesh.groups]
-base = {plane = "z", at = 0.0}
-tip = {plane = "z", at = 0.058}
-[[material]]
-region = "all"
-youngs_modulus = 70e9
-poisson_ratio = 0.33
-[supports]
-fixed = ["base"]
-[interface]
-section = "tip"
-coupling = "distributed"
-[analysis]
-nonlinear = true
-[range]
-force = [200, 200, 200]
-moment = [5, 5, 5]
-"""
+BRACKET = Path(__file__).with_name("bracket.toml").read_text("utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -65,30 +44,7 @@ def bracket(tmp_path_factory):
     return Solver(read_bundle(folder))
 
 
-COLUMN = """name = "column"
-title = "C"
-[mesh]
-generator = "bar"
-length = 0.2
-width = 0.01
-height = 0.01
-cells_along = 10
-cells_across = 2
-[[material]]
-region = "all"
-youngs_modulus = 70e9
-poisson_ratio = 0.33
-[supports]
-fixed = ["start"]
-[interface]
-section = "end"
-coupling = "rigid"
-[analysis]
-nonlinear = true
-[range]
-force = [3000, 10, 10]
-moment = [1, 1, 1]
-"""
+COLUMN = Path(__file__).with_name("column.toml").read_text("utf-8")
 
 
 def test_near_buckling_the_mesh_counts_for_more(tmp_path):

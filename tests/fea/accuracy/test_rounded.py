@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import meshio
 import numpy as np
@@ -24,27 +25,7 @@ from wrenchbook.fea.solve import Solver
 
 LENGTH, RADIUS = 4.0, 1.0
 
-BUNDLE = """name = "tube"
-title = "A tube"
-[mesh]
-file = "tube.msh"
-unit = "m"
-order = 2
-[[material]]
-region = "all"
-youngs_modulus = 70e9
-poisson_ratio = 0.33
-[supports]
-fixed = ["base"]
-[interface]
-section = "tip"
-coupling = "rigid"
-[analysis]
-nonlinear = true
-[range]
-force = [200, 200, 200]
-moment = [5, 5, 5]
-"""
+BUNDLE = Path(__file__).with_name("tube.toml").read_text("utf-8")
 
 
 def tube(folder, cells, wall, layers=1, along=8):
@@ -147,30 +128,7 @@ def test_a_box_has_none(kind):
     assert not bows_of(second_order(box(kind, (2, 2, 2), (1.0, 1.0, 1.0))))[0].any()
 
 
-STUBBY = """name = "block"
-title = "A block bonded at both ends"
-[mesh]
-generator = "bar"
-length = 0.03
-width = 0.06
-height = 0.04
-cells_along = {along}
-cells_across = {across}
-[[material]]
-region = "all"
-youngs_modulus = 3e6
-poisson_ratio = {ratio}
-[supports]
-fixed = ["start"]
-[interface]
-section = "end"
-coupling = "rigid"
-[analysis]
-nonlinear = true
-[range]
-force = [20, 20, 20]
-moment = [1, 1, 1]
-"""
+STUBBY = Path(__file__).with_name("block.toml").read_text("utf-8")
 
 
 def block(folder, along=5, across=4, ratio=0.3):

@@ -1,6 +1,5 @@
 """What the check says of meshes that an FEA engineer would send back."""
 
-import copy
 import json
 import subprocess
 import sys
@@ -12,7 +11,7 @@ import pytest
 from tests.fea.boxes import box
 from tests.fea.components import component
 from tests.fea.geometry import draw_two_bars
-from tests.fea.mesh.test_geometry import BRACKET, toml_of
+from tests.refusals import GOOD
 from tests.validation.clamped import clamped
 from tests.validation.laminate import strip
 from wrenchbook.fea.bundle.read import read_bundle
@@ -305,12 +304,19 @@ def test_badly_shaped_cells_are_a_warning_with_their_place(tmp_path):
     assert "16 cells are long and thin (aspect ratio over 50; the worst, a hex20 near (" in warning
 
 
+BRACKET = (GOOD / "bracket" / "component.toml").read_text("utf-8")
+GROUPS = BRACKET[BRACKET.index("wall = ") : BRACKET.index("[[material]]")]
+
+
+def two_bars(folder, groups, size="0.015", **drawn):
+    draw_two_bars(folder / "bars.step", **drawn)
+    text = BRACKET.replace("bracket.step", "bars.step").replace(GROUPS, groups)
+    (folder / "component.toml").write_text(text.replace("size = 0.015", f"size = {size}"))
+    return report(folder)
+
+
 def test_a_geometry_lists_its_faces_even_where_the_bundle_has_mistakes(tmp_path):
-    draw_two_bars(tmp_path / "bars.step")
-    table = copy.deepcopy(BRACKET)
-    table["mesh"] |= {"file": "bars.step", "groups": {"wall": {"plane": "x", "at": 7}}}
-    (tmp_path / "component.toml").write_text(toml_of(table))
-    told = report(tmp_path)
+    told = two_bars(tmp_path, 'wall = {plane = "x", at = 7}\n')
     assert [entry["where"] for entry in told["problems"]] == ["mesh.groups.wall.plane"]
     assert len(told["faces"]) == 11
     assert len(told["bodies"]) == 2
@@ -323,13 +329,8 @@ def test_a_geometry_lists_its_faces_even_where_the_bundle_has_mistakes(tmp_path)
 
 
 def test_bodies_that_do_not_touch_are_told_by_the_check(tmp_path):
-    draw_two_bars(tmp_path / "bars.step", space=1.0)
-    table = copy.deepcopy(BRACKET)
-    groups = {"wall": {"plane": "x", "at": 0}, "hole": {"plane": "x", "at": 0.101}}
-    table["mesh"] |= {"file": "bars.step", "size": 0.01, "groups": groups}
-    (tmp_path / "component.toml").write_text(toml_of(table))
-    told = report(tmp_path)
-    (problem,) = messages(told, "problems")
+    groups = 'wall = {plane = "x", at = 0}\nhole = {plane = "x", at = 0.101}\n'
+    (problem,) = messages(two_bars(tmp_path, groups, "0.01", space=1.0), "problems")
     assert "is free: it can move in all six ways" in problem
     assert "1 mm away" in problem
 

@@ -1,6 +1,7 @@
 """What the check reports of bundles: cases of refusals.toml, each a change of a sound bundle."""
 
 import shutil
+from pathlib import Path
 
 import pytest
 
@@ -10,34 +11,7 @@ from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.check import as_text, report
 from wrenchbook.fea.solver.vibration import Riding
 
-BAR = """name = "bar"
-title = "B"
-[mesh]
-generator = "bar"
-length = 1.0
-width = 0.1
-height = 0.1
-cells_along = 4
-cells_across = 2
-[[material]]
-region = "all"
-youngs_modulus = 2e11
-poisson_ratio = 0.3
-density = 7850.0
-[supports]
-fixed = ["start"]
-[interface]
-section = "end"
-coupling = "distributed"
-[analysis]
-nonlinear = false
-[range]
-force = [100.0, 100.0, 100.0]
-moment = [1, 1, 1]
-[tolerance]
-translation = 1e-6
-rotation = 1e-6
-"""
+BAR = Path(__file__).with_name("slender.toml").read_text("utf-8")
 GOOD = {"slender": BAR, "link": LINK}
 
 

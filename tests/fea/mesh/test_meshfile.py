@@ -262,25 +262,16 @@ def test_surfaces_are_facet_groups(tmp_path, name, area, centre):
     np.testing.assert_allclose(section.centre, centre, atol=1e-12)
 
 
-TET = """*NODE
-1,0,0,0
-2,1,0,0
-3,0,1,0
-4,0,0,1
-*ELEMENT,TYPE=C3D4
-1,1,2,3,4
-"""
-WEDGE = """*NODE
-1,0,0,0
-2,1,0,0
-3,0,1,0
-4,0,0,1
-5,1,0,1
-6,0,1,1
-*ELEMENT,TYPE=C3D6
-1,1,2,3,4,5,6
-"""
-HEX = DECK[DECK.index("*Node") : DECK.index("*NODE\n")] + "*ELEMENT,TYPE=C3D8\n1,1,2,3,4,5,6,7,8\n"
+def cell_deck(kind, points):
+    """Return the deck of one cell, by the places of its corners."""
+    nodes = [f"{i},{','.join(point)}" for i, point in enumerate(points.split(), 1)]
+    numbers = ",".join(str(i) for i in range(1, len(nodes) + 1))
+    return "\n".join(["*NODE", *nodes, f"*ELEMENT,TYPE={kind}", f"1,{numbers}", ""])
+
+
+TET = cell_deck("C3D4", "000 100 010 001")
+WEDGE = cell_deck("C3D6", "000 100 010 001 101 011")
+HEX = cell_deck("C3D8", "000 100 110 010 001 101 111 011")
 OF_FACES = [
     (TET, [(0, 0, -0.5), (0, -0.5, 0), (0.5, 0.5, 0.5), (-0.5, 0, 0)]),
     (WEDGE, [(0, 0, -0.5), (0, 0, 0.5), (0, -1, 0), (1, 1, 0), (-1, 0, 0)]),
@@ -305,38 +296,8 @@ def test_faces_are_numbered_as_the_manuals_of_both_solvers_number_them(tmp_path,
 
 
 # One cube, whose assembly has a reference point that is node 1 of its own, as Abaqus/CAE writes it.
-PART = """*Part, name=Cube
-*Node
-{nodes}
-*Element, type=C3D8
-1, 1, 2, 3, 4, 5, 6, 7, 8
-*Nset, nset=Foot
-1, 2, 3, 4
-*Elset, elset=All
-1
-*Solid Section, elset=All, material=Steel
-*End Part
-""".format(nodes=DECK[DECK.index(" 1, 0.") : DECK.index("\n*NODE\n 11")])
-ASSEMBLED = (
-    PART
-    + """*Assembly, name=Assembly
-*Instance, name=Cube-1, part=Cube
-*End Instance
-*Node
-1, {at}
-*Nset, nset=Ref
-1
-*Nset, nset=Head, instance=Cube-1
-5, 6, 7, 8
-*Nset, nset=Both
-Cube-1.Foot, Cube-1.5
-*Elset, elset=_Top, internal, instance=Cube-1
-1
-*Surface, type=ELEMENT, name=Top
-_Top, S2
-*End Assembly
-"""
-)
+PART = Path(__file__).with_name("cube_part.inp").read_text("utf-8")
+ASSEMBLED = PART + Path(__file__).with_name("cube_assembly.inp").read_text("utf-8")
 TWICE = ASSEMBLED.replace("{at}", "0, 0, 9").replace(
     "*End Instance\n",
     "*End Instance\n*Instance, name=Cube-2, part=Cube\n1., 0., 0.\n"

@@ -1,6 +1,7 @@
 """First-order cells: refused, or given midside nodes."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -106,22 +107,7 @@ def test_second_order_cells_stay_as_they_are():
     assert not first_order_problems(mesh)
 
 
-CUBE = """*NODE
-1, 0, 0, 0
-2, 10, 0, 0
-3, 10, 10, 0
-4, 0, 10, 0
-5, 0, 0, 10
-6, 10, 0, 10
-7, 10, 10, 10
-8, 0, 10, 10
-*ELEMENT, TYPE=C3D8I, ELSET=block
-1, 1, 2, 3, 4, 5, 6, 7, 8
-*NSET, NSET=foot
-1, 2, 3, 4
-*NSET, NSET=top
-5, 6, 7, 8
-"""
+CUBE = Path(__file__).with_name("cube.inp").read_text("utf-8")
 
 
 def cube(folder, **mesh):
