@@ -122,7 +122,7 @@ def test_the_spring_with_a_distributed_coupling_linear():
     """C3D20R only: the turn of a section of 1.4 mm is read from differences of printed numbers.
 
     CalculiX prints seven digits, which leave 5e-9 m over arms of half a millimetre: about 1e-5 of
-    the turn. On the C3D10 mesh the difference is 1.1e-5, on this one it stays below 1e-5.
+    the turn.
     """
     part = attached(spring(), locked=(), coupling="distributed")
     agrees(part, [0.1, -0.1, -1.0, 1e-3, 2e-3, -1e-3], nonlinear=False)
