@@ -17,7 +17,7 @@ from wrenchbook.surrogate.kriging.calibration import (
     most_together,
     span_of,
 )
-from wrenchbook.surrogate.kriging.factor import LeftOutRows
+from wrenchbook.surrogate.kriging.factor import KrigingFactor, LeftOutRows
 from wrenchbook.surrogate.kriging.settings import DEFAULTS
 
 RNG = np.random.default_rng(4)
@@ -159,19 +159,38 @@ def test_bars_of_noisy_rows_hold_the_posterior_at_least(monkeypatch: pytest.Monk
     assert (kriging.calibrations[0].factors > DEFAULTS.posterior_width).all()
 
 
-def test_of_rows_that_are_left_out_together_one_counts(monkeypatch: pytest.MonkeyPatch) -> None:
-    counts = []
+def _left_out(monkeypatch: pytest.MonkeyPatch, parts: np.ndarray) -> tuple[Errors, Errors, float]:
+    """Return the errors of rows far and near, and the median deviation at random wrenches."""
+    found = []
     sound = calibration.left_out_as_far
 
-    def noted(*given: object) -> tuple[Errors, Errors]:
-        far, near = sound(*given)  # type: ignore[arg-type]
-        counts.append((len(far.sigma), len(near.sigma)))
-        return far, near
+    def noted(factor: KrigingFactor, *rest: object) -> tuple[Errors, Errors]:
+        points, value = spread(200, 5), np.zeros((200, 7), dtype=bool)
+        value[:, 0] = True
+        deviation = factor.variance_of(*factor.explained_at(points, value), factor.mean_covariance)
+        pair = sound(factor, *rest)  # type: ignore[arg-type]
+        found.append((*pair, float(np.sqrt(np.median(deviation)))))
+        return pair
 
     monkeypatch.setattr(calibration, "left_out_as_far", noted)
-    _kriging("smooth", twins(15, 1e-3, 3))
-    assert counts[0][1] == 30
-    assert 6 <= counts[0][0] <= 15
+    _kriging("smooth", parts)
+    return found[0]
+
+
+def test_of_rows_that_are_left_out_together_one_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    far, near, _ = _left_out(monkeypatch, twins(15, 1e-3, 3))
+    assert len(near.sigma) == 30
+    assert 6 <= len(far.sigma) <= 15
+
+
+def test_rows_of_a_motion_are_left_out_until_they_are_as_far_as_queries(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The median is that of other random wrenches than the product's."""
+    parts = np.concatenate((spread(15, 3), motion(30, 7)))
+    far, near, middle = _left_out(monkeypatch, parts)
+    assert far.sigma.min() > 0.5 * middle
+    assert near.sigma.max() < 0.7 * middle
 
 
 OTHERS = {
