@@ -11,6 +11,7 @@ from scipy.optimize import brentq
 
 from tests.fea.boxes import box
 from tests.fea.components import component
+from tests.validation.clamped import shipped
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.linalg.multifrontal import MultifrontalFactor
@@ -153,6 +154,40 @@ def test_corrections_with_an_old_tangent_save_a_factorisation_and_change_no_answ
 def test_a_last_correction_is_small_in_displacement_energy_and_forces(size, energy, norm, done):
     balance = SimpleNamespace(norm=norm, scale=1.0)
     assert newton.Correction(balance, (None, None), size, energy).converged is done
+
+
+@pytest.mark.parametrize("coupling", COUPLINGS)
+def test_the_first_correction_of_a_small_load_is_the_whole_strain_energy(coupling, monkeypatch):
+    """Its work at supports, nodes and interface over twice the energy, of which it is the root."""
+    sizes, correct = [], newton.correct
+
+    def noted(*arguments):
+        step = correct(*arguments)
+        sizes.append(step.energy)
+        return step
+
+    monkeypatch.setattr(newton, "correct", noted)
+    Solver(plate(coupling)).solve(1e-3 * PLATE_WRENCH)
+    assert sizes[0] == pytest.approx(1, rel=1e-3)
+
+
+def test_steps_of_a_slender_part_aim_at_the_stress_of_the_next():
+    """With the stress of the state itself a spring at nearly its full load takes 13 iterations."""
+    found = Solver(shipped("spring", cells_per_turn=8)).solve([0, 0, -8.0, 0, 0, 0])
+    assert {step.load_factor for step in found.history} == {1.0}
+    assert len(found.history) <= 7
+
+
+@pytest.mark.parametrize("size", [1e-5, 1e-2])
+def test_corrections_that_stay_small_are_given_up_as_roundoff(size, monkeypatch):
+    balance = SimpleNamespace(norm=1.0, scale=1.0, state=SimpleNamespace(interface=np.zeros(6)))
+    tangent = SimpleNamespace(correction=lambda _: (None, None), release=lambda: None)
+    step = newton.Correction(balance, (None, None), size, 1.0)
+    monkeypatch.setattr(newton, "correct", lambda *_: step)
+    system, told = SimpleNamespace(linearise=lambda *_: tangent), []
+    with pytest.raises(newton.Stuck) as caught:
+        newton.find_equilibrium(system, balance, tangent, lambda *one: told.append(one))
+    assert (caught.value.at_roundoff, len(told)) == ((True, 3) if size < 1e-3 else (False, 16))
 
 
 @pytest.mark.parametrize(("coupling", "most"), [("rigid", 15), ("distributed", 14)])
