@@ -51,6 +51,9 @@ def deck_lines(part, wrench, nonlinear=False):
         surface.append(f"*COUPLING, REF NODE={len(part.mesh.points) + 1}, SURFACE=SURF, "
                        "CONSTRAINT NAME=C1")  # fmt: skip
         lines[place : place + 1] = [*surface, "*DISTRIBUTING", "1,3"]
+        # It takes loads of the node by its number alone.
+        node = f"{len(part.mesh.points) + 1}, "
+        lines = [re.sub("^REF, ", node, line) for line in lines]
     return lines
 
 
