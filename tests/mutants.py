@@ -1,9 +1,9 @@
 """Put faults into a copy of the sources, one at a time, and list the test that catches each.
 
-    make mutants [ONLY=calibration]
+    make mutants [ONLY=calibration] [WORKERS=1]
 
-`mutants.toml` has the faults. Those that no test catches are printed, and the exit status is their
-number.
+`mutants.toml` has the faults, and lists of tests, of which the next is run where none of the one
+before fails. Faults that no test catches are printed, and the exit status is their number.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 PARTS = ("fea", "service", "surrogate", "src", "tests", "data", "pyproject.toml", "README.md")
+WORKERS = ("-n", os.environ.get("WORKERS", "2"))
 LIMIT_S = 1800  # a fault may make a loop endless
 FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.MULTILINE)
 
@@ -37,20 +38,25 @@ def run(copy: Path, *command: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def caught_by(copy: Path, file: str, tests: list[str]) -> str:
+def caught_by(copy: Path, file: str, lists: list[str]) -> str:
     """Return the first test that fails in the copy; empty if none does."""
     if file.endswith(".c"):
         built = run(copy, "-m", "wrenchbook.surrogate.kernel.build")
         if built.returncode:
             return "the compiler"
-    try:
-        ran = run(copy, "-m", "pytest", "-qx", "-n", "2", "-p", "no:cacheprovider", *tests)
-    except subprocess.TimeoutExpired:
-        return f"the limit of {LIMIT_S} s"
-    found = FAILED.search(ran.stdout)
-    if ran.returncode not in (0, 1, 2) or (ran.returncode and not found):
-        raise SystemExit(f"pytest did not run:\n{ran.stdout[-3000:]}{ran.stderr[-3000:]}")
-    return found[1] if found else ""
+    for tests in lists:
+        try:
+            ran = run(
+                copy, "-m", "pytest", "-qx", *WORKERS, "-p", "no:cacheprovider", *tests.split()
+            )
+        except subprocess.TimeoutExpired:
+            return f"the limit of {LIMIT_S} s"
+        found = FAILED.search(ran.stdout)
+        if ran.returncode not in (0, 1, 2) or (ran.returncode and not found):
+            raise SystemExit(f"pytest did not run:\n{ran.stdout[-3000:]}{ran.stderr[-3000:]}")
+        if found:
+            return found[1]
+    return ""
 
 
 def main() -> int:
@@ -74,7 +80,7 @@ def main() -> int:
                 if sound.count(old) != 1:
                     raise SystemExit(f"{area['file']} has {sound.count(old)} times: {old}")
                 path.write_text(sound.replace(old, new))
-                test = caught_by(copy, area["file"], area["tests"].split())
+                test = caught_by(copy, area["file"], area["tests"])
                 missed += not test
                 print(f"{name}: {old!r} -> {new!r}: {test or 'NOT CAUGHT'}", flush=True)
             path.write_text(sound)

@@ -6,8 +6,6 @@ Printed; asserted is that nobody is turned away and that the server goes on answ
 from __future__ import annotations
 
 import socket
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -17,6 +15,7 @@ import numpy as np
 import orjson
 import pytest
 
+from tests.benchmarks.test_live import serving
 from tests.service.live import add_table, as_rows, clean_wrenches, full_wrenches, moved
 from wrenchbook.service.client import Client
 from wrenchbook.service.http.server import raise_open_files
@@ -38,21 +37,12 @@ SLOW_HEAD = (
 def served(tmp_path: Path) -> Iterator[tuple[Client, int]]:
     """A server in a process of its own, with a table and a job that nobody solves."""
     raise_open_files()
-    words = [sys.executable, "-m", "wrenchbook.service.cli.main", "serve", "--data", str(tmp_path)]
-    words += ["--port", "0", "--solvers", "0", "--log-level", "warning"]
-    server = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
-    assert server.stdout is not None
-    try:
-        with Client(server.stdout.readline().split()[-1], timeout=60) as client:
-            wrenches = np.concatenate([clean_wrenches(), full_wrenches(30)])
-            add_table(client, "rig", as_rows(wrenches, moved(wrenches)))
-            answer = client.displacement("bar", [0, 0, 1.0], on_thin="queue")
-            assert answer.job is not None
-            yield client, answer.job.id
-    finally:
-        server.terminate()
-        server.wait(60)
-        server.stdout.close()
+    with serving(tmp_path) as (client, _, _):
+        wrenches = np.concatenate([clean_wrenches(), full_wrenches(30)])
+        add_table(client, "rig", as_rows(wrenches, moved(wrenches)))
+        answer = client.displacement("bar", [0, 0, 1.0], on_thin="queue")
+        assert answer.job is not None
+        yield client, answer.job.id
 
 
 def test_the_main_call_beside_idle_slow_and_polling_connections(

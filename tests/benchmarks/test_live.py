@@ -58,13 +58,15 @@ def as_hdf5(wrenches: np.ndarray, displacements: np.ndarray) -> bytes:
 
 
 @contextmanager
-def serving(folder: Path) -> Iterator[tuple[Client, int, int]]:
+def serving(folder: Path, *words: str) -> Iterator[tuple[Client, int, int]]:
     """Serve a folder in a process of its own; give a client, its port and the process' number."""
     command = child_command(
         "wrenchbook.service.cli.main", "serve", "--data", str(folder), "--port", "0"
     )
     server = subprocess.Popen(
-        [*command, "--solvers", "0", "--log-level", "warning"], stdout=subprocess.PIPE, text=True
+        [*command, "--solvers", "0", "--log-level", "warning", *words],
+        stdout=subprocess.PIPE,
+        text=True,
     )
     assert server.stdout is not None
     try:

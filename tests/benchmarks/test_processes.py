@@ -13,7 +13,6 @@ import os
 import selectors
 import socket
 import statistics
-import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,6 +23,7 @@ import orjson
 import psutil
 import pytest
 
+from tests.benchmarks import test_live as live
 from tests.benchmarks.test_http import _tables
 from tests.benchmarks.test_live import (
     Asking,
@@ -33,7 +33,6 @@ from tests.benchmarks.test_live import (
     told,
 )
 from wrenchbook.service.client import Client
-from wrenchbook.service.files.program import child_command
 
 ROUNDS, REQUESTS, CONNECTIONS, PROCESSES = 15, 4000, 16, 2
 ASKED = {"force": [120.0, -80.0, -700.0], "moment": [15.0, 25.0, 4.0]}
@@ -42,10 +41,8 @@ ASKED = {"force": [120.0, -80.0, -700.0], "moment": [15.0, 25.0, 4.0]}
 class Served:
     """A server, its client, and what its processes have used."""
 
-    def __init__(self, server: subprocess.Popen[str], address: str) -> None:
-        self.root = psutil.Process(server.pid)
-        self.port = int(address.rsplit(":", 1)[1])
-        self.client = Client(address, timeout=300)
+    def __init__(self, client: Client, port: int, pid: int) -> None:
+        self.root, self.port, self.client = psutil.Process(pid), port, client
 
     def processes(self) -> list[psutil.Process]:
         return [self.root, *self.root.children(recursive=True)]
@@ -67,22 +64,9 @@ class Served:
 
 @contextmanager
 def serving(folder: Path, processes: int, solvers: int = 0) -> Iterator[Served]:
-    command = child_command(
-        "wrenchbook.service.cli.main", "serve", "--data", str(folder), "--port", "0"
-    )
-    words = ["--solvers", str(solvers), "--log-level", "error", "--processes", str(processes)]
-    server = subprocess.Popen([*command, *words], stdout=subprocess.PIPE, text=True)
-    assert server.stdout is not None
-    try:
-        one = Served(server, server.stdout.readline().rsplit(maxsplit=1)[-1])
-        while not one.client.is_ready():
-            time.sleep(0.05)
-        yield one
-        one.client.close()
-    finally:
-        server.terminate()
-        server.wait(120)
-        server.stdout.close()
+    words = ["--solvers", str(solvers), "--processes", str(processes)]
+    with live.serving(folder, *words) as started:
+        yield Served(*started)
 
 
 def ready(client: Client, version: int) -> None:

@@ -9,7 +9,6 @@ start builds every table; the second one maps the packed files.
 from __future__ import annotations
 
 import os
-import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,10 +18,9 @@ import numpy as np
 import psutil
 import pytest
 
-from tests.benchmarks.test_live import SPAN, made_up
+from tests.benchmarks.test_live import SPAN, made_up, serving
 from tests.service.ledger_rows import NewRow, insert
 from wrenchbook.service.client import Client
-from wrenchbook.service.files.program import child_command
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.library.library import Library
 
@@ -62,23 +60,11 @@ def started(folder: Path, processes: int) -> Iterator[tuple[Client, psutil.Proce
 
     With several processes the first one that answers tells that.
     """
-    command = child_command(
-        "wrenchbook.service.cli.main", "serve", "--data", str(folder), "--port", "0"
-    )
-    words = ["--solvers", "0", "--log-level", "warning", "--processes", str(processes)]
     began = time.perf_counter()
-    server = subprocess.Popen([*command, *words], stdout=subprocess.PIPE, text=True)
-    assert server.stdout is not None
-    try:
-        address = server.stdout.readline().rsplit(maxsplit=1)[-1]
-        with Client(address, timeout=600) as client:
-            while client.call_json("GET", "/health/ready")["building"]:
-                time.sleep(0.02)
-            yield client, psutil.Process(server.pid), time.perf_counter() - began
-    finally:
-        server.terminate()
-        server.wait(120)
-        server.stdout.close()
+    with serving(folder, "--processes", str(processes)) as (client, _, pid):
+        while client.call_json("GET", "/health/ready")["building"]:
+            time.sleep(0.02)
+        yield client, psutil.Process(pid), time.perf_counter() - began
 
 
 @pytest.mark.timeout(1800)

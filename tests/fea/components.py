@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
+from tests.validation.clamped import attached, clamped
 from wrenchbook.fea.assembly.blocks import filled_cells
 from wrenchbook.fea.assembly.body import ElasticBody
-from wrenchbook.fea.component import AttachedInterface, ComponentModel
-from wrenchbook.fea.coupling.section import section_of_facets
 from wrenchbook.fea.spec.material import Material
 from wrenchbook.fea.spec.schema import Analysis
 
@@ -39,16 +39,8 @@ def component(
     integration="reduced",
 ):
     """Clamp one facet group of a mesh and attach the interface to another."""
-    part = section_of_facets(mesh.points, mesh.facet_groups[section])
-    point = part.centre if point is None else np.asarray(point, dtype=float)
-    axes = np.eye(3) if axes is None else np.asarray(axes, dtype=float)
-    attached = AttachedInterface("interface", "", part, point, axes, coupling, tuple(locked))
-    return ComponentModel(
-        bundle=None,
-        mesh=mesh,
-        materials=(Material("all", young, poisson),),
-        material_of_cells=tuple(np.zeros(len(block), dtype=int) for block in mesh.blocks),
-        fixed_nodes=mesh.facet_groups[fixed].node_ids,
-        interfaces=(attached,),
-        analysis=Analysis(nonlinear=nonlinear, integration=integration),
+    part = clamped(
+        mesh, fixed, section, (young, poisson), coupling=coupling, point=point, axes=axes
     )
+    analysis = Analysis(nonlinear=nonlinear, integration=integration)
+    return replace(attached(part, locked=tuple(locked)), bundle=None, analysis=analysis)

@@ -11,8 +11,6 @@ from tests.fea.supports import TABLE, largest
 from tests.fea.two_interfaces import LINK
 from tests.validation import calculix
 from wrenchbook.fea.bundle.read import bundle_of
-from wrenchbook.fea.check import as_text
-from wrenchbook.fea.check import report as check
 from wrenchbook.fea.component import build
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError
@@ -94,21 +92,6 @@ def test_calculix_has_the_same_answer_on_the_same_mesh(tmp_path, nonlinear, most
     assert calculix.worst_gap(found, reply.displacement) < most
 
 
-@pytest.mark.parametrize("coupling", ["rigid", "distributed"])
-def test_the_tangent_by_acceleration_is_that_of_differences(tmp_path, coupling):
-    how = {"nonlinear": True, "youngs_modulus": 2e9, "coupling": coupling}
-    own = solver(tmp_path, PULLED | WARM, **how)
-    inputs = np.array([*(0.2 * LOADS), 70.0, *DOWN])
-    found = own.solve(inputs)
-    fields = own.fields(found)
-    for number, step in ((1, 0.05), (6, 0.05), (7, 0.05), (8, 0.05), (9, 0.05)):
-        ahead, behind = (own.solve(inputs + s * np.eye(10)[number]) for s in (step, -step))
-        slope = (ahead.displacement - behind.displacement) / (2 * step)
-        assert largest(slope - found.compliance[:, number], slope) < 1e-5
-        slope = (own.stresses(ahead) - own.stresses(behind)) / (2 * step)
-        assert largest(slope - fields.stress_slopes[:, :, number], slope) < 1e-5
-
-
 def test_the_work_of_loads_and_acceleration_is_the_strain_energy(tmp_path):
     own = solver(tmp_path, nonlinear=True, youngs_modulus=2e9)
     found = own.solve([*(0.2 * LOADS), *DOWN])
@@ -135,19 +118,6 @@ def test_a_link_between_two_joints_takes_temperature_and_acceleration(tmp_path, 
         ahead, behind = (own.solve(found.wrench + s * np.eye(16)[number]) for s in (step, -step))
         slope = (ahead.displacement - behind.displacement) / (2 * step)
         assert largest(slope - found.compliance[:, number], slope) < 1e-5
-
-
-def test_check_names_the_range_and_what_the_acceleration_moves(tmp_path):
-    (tmp_path / "component.toml").write_text(link(nonlinear=False))
-    report = check(tmp_path)
-    assert report["ok"], report["problems"]
-    assert report["acceleration"] == [20.0, 20.0, 10.0]
-    trial = report["trial"]
-    assert 0 < trial["by_acceleration"][8] < trial["deflection"][8]
-    assert {"ax", "ay", "az"} < set(report["strength"][0])
-    words = as_text(report)
-    assert "acceleration: up to (20, 20, 10) m/s^2" in words
-    assert "by the acceleration alone right moves by" in words
 
 
 def test_inputs_without_the_acceleration_are_refused(tmp_path):

@@ -11,7 +11,6 @@ from tests.fea.supports import PLANES, TABLE, largest, part
 from tests.validation import calculix, second_opinion
 from wrenchbook.fea.bundle.read import bundle_of
 from wrenchbook.fea.check.findings import motion_problems
-from wrenchbook.fea.check.reporting import as_text, report
 from wrenchbook.fea.component import build
 from wrenchbook.fea.export.calculix import deck_of
 from wrenchbook.fea.failure import SolveFailed
@@ -52,16 +51,6 @@ def lever(at, point):
 
 
 @pytest.mark.parametrize("interface", COUPLINGS)
-def test_the_compliance_of_a_bar_on_a_bushing_is_the_sum_of_both(tmp_path, interface):
-    askew = bushing(FULL, point=POINT.tolist(), axes=TURN.tolist())
-    soft = Solver(on_bushings(tmp_path, askew, coupling=interface))
-    clamped = Solver(part(mesh(), tmp_path, {"fixed": ["z0"]}, coupling=interface))
-    at_bushing = np.kron(np.eye(2), TURN) @ lever(POINT, soft.component.interfaces[0].point)
-    expected = clamped.compliance + at_bushing.T @ np.linalg.solve(FULL, at_bushing)
-    assert largest(soft.compliance - expected, expected) < 1e-9
-
-
-@pytest.mark.parametrize("interface", COUPLINGS)
 def test_a_part_on_one_distributed_bushing_moves_on_it_as_a_rigid_body(tmp_path, interface):
     """Its forces are those of the wrench, so the spring changes no deformation."""
     each = [
@@ -80,12 +69,6 @@ def test_a_part_on_one_distributed_bushing_moves_on_it_as_a_rigid_body(tmp_path,
     expected = at_bushing.T @ np.linalg.solve(FULL, at_bushing) / 2
     assert largest(each[0].compliance - each[1].compliance - expected, expected) < 1e-9
     assert each[0].linear.energy_gap < 1e-9
-
-
-def test_a_bar_between_means_stretches_as_theory_has_it(tmp_path):
-    own = on_bushings(tmp_path, bushing(coupling="distributed"), coupling="distributed")
-    expected = 1.0 / (3e9 * 0.1 * 0.06) + 1.0 / SPRING[2]
-    assert Solver(own).compliance[2, 2] == pytest.approx(expected, rel=1e-10)
 
 
 def test_a_bar_on_a_bushing_is_the_clamped_bar_moved_by_the_spring_at_any_rotation(tmp_path):
@@ -252,49 +235,3 @@ def test_several_interfaces_move_on_one_spring(tmp_path):
     assert compliance[8, 2] == pytest.approx(1 / 3.0, rel=1e-4)
     assert compliance[6, 6] == pytest.approx(1 / 5.0 + 1.0 / 9.0, rel=1e-4)
     np.testing.assert_allclose(compliance, compliance.T)
-
-
-def test_a_solve_of_a_part_on_bushings_starts_from_its_state(tmp_path):
-    one = Solver(on_bushings(tmp_path, bushing(coupling="distributed"), nonlinear=True))
-    found = one.solve(WRENCH)
-    again = one.solve(WRENCH, start=found.state)
-    np.testing.assert_allclose(again.displacement, found.displacement, rtol=1e-9)
-
-
-def test_the_report_counts_what_holds_the_part(tmp_path):
-    (tmp_path / "component.toml").write_text(BUNDLE)
-    told = report(tmp_path)
-    assert told["ok"], told["problems"]
-    sliding = told["supports"]["sliding_nodes"]
-    assert told["supports"] == {"nodes": 0, "sliding_nodes": sliding, "bushings": 1}
-    assert f"supports: 0 nodes fixed, {sliding} sliding; bushings: 1" in as_text(told)
-
-
-BUNDLE = """
-name = "part"
-title = "A bar on a bushing and a plane"
-[mesh]
-generator = "bar"
-length = 1.0
-width = 0.02
-height = 0.02
-[[material]]
-region = "all"
-youngs_modulus = 2e11
-poisson_ratio = 0.3
-[[supports.sliding]]
-group = "side"
-directions = ["y"]
-[[supports.bushing]]
-group = "start"
-coupling = "distributed"
-stiffness = [1e6, 0, 1e6, 1e4, 1e4, 1e4]
-[interface]
-section = "end"
-coupling = "distributed"
-[analysis]
-nonlinear = false
-[range]
-force = [1, 1, 1]
-moment = [1, 1, 1]
-"""

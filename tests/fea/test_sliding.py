@@ -20,22 +20,13 @@ TURN = rotation(np.array([0.4, -0.7, 0.3]))
 CORNER = {"coupling": "rigid", "point": [0, 0, 1], "locked": ["ux", "uy", "rx", "ry", "rz"]}
 
 
-@pytest.mark.parametrize("nonlinear", [False, True])
 @pytest.mark.parametrize("kind", ["hex20", "hex27", "tet10", "wedge15"])
-def test_a_block_on_three_sliding_planes_has_one_stress_throughout(tmp_path, kind, nonlinear):
+def test_a_block_on_three_sliding_planes_has_one_stress_throughout(tmp_path, kind):
     mesh = box(kind, (3, 3, 3), warp=distort(0.05), corners_only=True)
-    load = 1e8 if nonlinear else 1.0
-    options = {"coupling": "distributed", "nonlinear": nonlinear}
-    found, solution = stress(
-        part(mesh, tmp_path, {"sliding": PLANES}, **options), [0, 0, load] + [0] * 3
-    )
-    uniform = np.zeros(6)
-    uniform[2] = found[0, 2]
+    options = {"coupling": "distributed", "nonlinear": True}
+    found, _ = stress(part(mesh, tmp_path, {"sliding": PLANES}, **options), [0, 0, 1e8, 0, 0, 0])
+    uniform = np.array([0, 0, found[0, 2], 0, 0, 0])
     assert largest(found - uniform, uniform) < 1e-9
-    if not nonlinear:
-        assert found[0, 2] == pytest.approx(1.0, rel=1e-10)
-        assert solution.displacement[2] == pytest.approx(1 / 3e9, rel=1e-10)
-        assert largest(solution.nodes[:, 0] + 0.3 / 3e9 * mesh.points[:, 0], solution.nodes) < 1e-10
 
 
 def test_sliding_planes_may_lie_askew_to_the_interface_frame(tmp_path):
@@ -83,18 +74,6 @@ def test_a_half_bends_as_the_whole(tmp_path):
     more = Solver(part(whole, tmp_path, fixed, **options)).solve(load)
     assert np.degrees(more.displacement[4]) > 5
     np.testing.assert_allclose(less.displacement, more.displacement, rtol=0, atol=1e-9)
-
-
-def test_the_tangent_on_a_sliding_plane_is_the_derivative_of_the_answer(tmp_path):
-    mesh = box("hex20", (2, 2, 6), (0.1, 0.05, 2.0))
-    cut = {"fixed": ["z0"], "sliding": PLANES[1:2]}
-    one = Solver(part(mesh, tmp_path, cut, nonlinear=True, coupling="distributed"))
-    wrench, step = np.array([9e2, 0, -5e2, 0, 5e2, 0.0]), 1.0
-    found = one.solve(wrench)
-    for load in (0, 2, 4):
-        ahead, behind = (one.solve(wrench + s * np.eye(6)[load]) for s in (step, -step))
-        slope = (ahead.displacement - behind.displacement) / (2 * step)
-        assert largest(slope - found.compliance[:, load], slope) < 1e-6
 
 
 def test_a_symmetric_half_swings_as_the_whole(tmp_path):

@@ -11,11 +11,10 @@ from tests.fea.supports import PLANES, TABLE, largest
 from tests.validation import calculix
 from tests.validation.second_opinion import difference
 from wrenchbook.fea.bundle.read import bundle_of
-from wrenchbook.fea.check import as_text
-from wrenchbook.fea.check import report as check
 from wrenchbook.fea.component import build
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.inspection import warnings_of
+from wrenchbook.fea.mesh.io.temperature_field import shape_on
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError
 from wrenchbook.fea.tensors import rotation
@@ -179,36 +178,6 @@ def test_calculix_finds_the_same_of_a_clamped_arch_with_heat_and_a_load(tmp_path
     assert difference(found, reply.displacement) < 1e-4
 
 
-def test_the_tangents_of_an_arch_with_heat_are_those_of_differences(tmp_path):
-    own = clamped_arch(tmp_path)
-    inputs = np.array([20.0, -1000.0, 100.0, 3.0, 2.0, 1.0, 80.0])
-    found = own.solve(inputs)
-    fields = own.fields(found)
-    for number, step in ((1, 0.5), (3, 0.1), (6, 0.05)):
-        ahead, behind = (own.solve(inputs + s * np.eye(7)[number]) for s in (step, -step))
-        slope = (ahead.displacement - behind.displacement) / (2 * step)
-        assert largest(slope - found.compliance[:, number], slope) < 1e-6
-        slope = (ahead.nodes - behind.nodes) / (2 * step)
-        assert largest(slope - found.tangents[:, :, number], slope) < 1e-6
-        slope = (own.stresses(ahead) - own.stresses(behind)) / (2 * step)
-        assert largest(slope - fields.stress_slopes[:, :, number], slope) < 1e-6
-
-
-@pytest.mark.parametrize("coupling", ["rigid", "distributed"])
-def test_the_tangent_by_temperature_holds_on_bushings_and_sliding_planes(tmp_path, coupling):
-    spring = [3e8, 2e8, 5e8, 2e5, 3e5, 1e5]
-    held = {"group": "z0", "coupling": coupling, "stiffness": spring, "point": [0.1, 0, -0.1]}
-    tables = {"bushing": [held], "sliding": [PLANES[1] | {"group": "line"}]}
-    mesh = block()
-    line = np.flatnonzero(np.abs(mesh.points[:, [1, 2]] - [0.06, 0.2]).max(axis=1) < 1e-9)
-    mesh = replace(mesh, node_groups={"line": line})
-    own = solver(mesh, tmp_path, tables, PLY, nonlinear=True, coupling=coupling)
-    inputs = np.array([*(10 * LOADS), 90.0])
-    found, step = own.solve(inputs), 0.05 * np.eye(7)[6]
-    slope = (own.solve(inputs + step).displacement - own.solve(inputs - step).displacement) / 0.1
-    assert largest(slope - found.compliance[:, 6], slope) < 1e-6
-
-
 def test_a_heated_bar_between_walls_buckles_at_eulers_strain(tmp_path):
     mesh = box("hex20", (2, 2, 20), (0.03, 0.02, 2.0))
     middle = np.flatnonzero(np.abs(mesh.points[:, 2] - 1.0) < 1e-9)
@@ -354,34 +323,6 @@ def test_a_solve_is_started_from_a_state_at_another_temperature(tmp_path):
     assert not np.array_equal(first.displacement, again.displacement)
 
 
-def test_check_names_the_range_and_what_the_temperature_moves(tmp_path):
-    text = """
-name = "bar"
-title = "A bar"
-mesh = {generator = "bar", length = 1.0, width = 0.02, height = 0.02, cells_along = 8}
-supports = {fixed = ["start"]}
-interface = {section = "end", coupling = "distributed"}
-analysis = {nonlinear = false}
-range = {force = [1, 1, 1], moment = [1, 1, 1]}
-inputs = {temperature = {range = [-40, 120], reference = 20}}
-[[material]]
-region = "all"
-youngs_modulus = 70e9
-poisson_ratio = 0.33
-thermal_expansion = 23e-6
-yield_strength = 240e6
-"""
-    (tmp_path / "component.toml").write_text(text)
-    report = check(tmp_path)
-    assert report["ok"], report["problems"]
-    assert report["trial"]["by_temperature"][0] == pytest.approx(2.3e-3, rel=1e-2)
-    assert report["temperature"] == {"low": -40.0, "high": 120.0, "reference": 20.0}
-    assert report["strength"][0]["temperature"] in (-40.0, 120.0)
-    words = as_text(report)
-    assert "temperature: -40 to 120, reference 20" in words
-    assert "by the temperature alone it moves by (0.0023" in words
-
-
 @pytest.mark.parametrize(
     "own",
     [{"range": [-300, 60], "reference": 20}, {"unit": "K", "range": [-20, 60], "reference": 20}],
@@ -389,3 +330,93 @@ yield_strength = 240e6
 def test_a_temperature_below_absolute_zero_is_refused(tmp_path, own):
     found = mistakes(tmp_path, table({"fixed": ["start"]}, inputs={"temperature": own}))
     assert "below absolute zero" in found["inputs.temperature.range"]
+
+
+REFERENCE, HOTTEST = 20.0, 120.0
+SIZE = np.array([0.02, 0.02, 0.4])
+EXPANSION = 23e-6
+STEEL = {
+    "region": "all",
+    "youngs_modulus": 210e9,
+    "poisson_ratio": 0.0,
+    "thermal_expansion": EXPANSION,
+}
+
+
+def write(folder, points, rise):
+    lines = [f"{x},{y},{z},{REFERENCE + one}" for (x, y, z), one in zip(points, rise, strict=True)]
+    (folder / "hot.csv").write_text("x,y,z,T\n" + "\n".join(lines) + "\n")
+
+
+def bar(folder, *, nonlinear=False, cells=(1, 2, 8)):
+    inputs = {"temperature": {"range": [0, HOTTEST], "reference": REFERENCE, "field": "hot.csv"}}
+    whole = table({"fixed": ["z0"]}, STEEL, nonlinear=nonlinear, inputs=inputs)
+    whole["interface"]["coupling"] = "distributed"
+    return Solver(build(bundle_of(whole, folder), box("hex20", cells, tuple(SIZE))))
+
+
+def corners():
+    return np.array(np.meshgrid(*zip([0.0] * 3, SIZE, strict=True))).reshape(3, -1).T
+
+
+def warmed(solver, temperature=HOTTEST):
+    return solver.solve({"": np.zeros(6), "temperature": temperature}).displacement
+
+
+@pytest.mark.parametrize("nonlinear", [False, True])
+def test_a_bar_that_is_warmer_towards_its_end_grows_by_the_mean_rise(tmp_path, nonlinear):
+    points = corners()
+    write(tmp_path, points, 100.0 * points[:, 2] / SIZE[2])
+    moved = warmed(bar(tmp_path, nonlinear=nonlinear))
+    assert moved[2] == pytest.approx(EXPANSION * 50.0 * SIZE[2], rel=3e-3 if nonlinear else 1e-3)
+
+
+def test_a_bar_that_is_warmer_on_one_side_bends_to_an_arc(tmp_path):
+    points = corners()
+    write(tmp_path, points, 100.0 * points[:, 1] / SIZE[1])
+    moved = warmed(bar(tmp_path))
+    curvature = EXPANSION * 100.0 / SIZE[1]
+    assert abs(moved[1]) == pytest.approx(curvature * SIZE[2] ** 2 / 2, rel=2e-3)
+    assert abs(moved[3]) == pytest.approx(curvature * SIZE[2], rel=2e-3)
+
+
+def test_the_input_is_the_temperature_of_the_hottest_point(tmp_path):
+    points = corners()
+    write(tmp_path, points, 7.0 * points[:, 2] / SIZE[2])
+    other = tmp_path / "other"
+    other.mkdir()
+    write(other, points, 100.0 * points[:, 2] / SIZE[2])
+    assert warmed(bar(tmp_path)) == pytest.approx(warmed(bar(other)), rel=1e-12, abs=1e-18)
+
+
+def test_a_field_that_is_the_same_everywhere_answers_as_none(tmp_path):
+    write(tmp_path, corners(), np.full(8, 100.0))
+    field = warmed(bar(tmp_path, nonlinear=True))
+    whole = table({"fixed": ["z0"]}, STEEL, nonlinear=True)
+    whole["interface"]["coupling"] = "distributed"
+    mesh = box("hex20", (1, 2, 8), tuple(SIZE))
+    uniform = warmed(Solver(build(bundle_of(whole, tmp_path), mesh)))
+    np.testing.assert_allclose(field, uniform, rtol=1e-9, atol=1e-15)
+
+
+def test_another_field_is_another_fingerprint(tmp_path):
+    found = []
+    for rise in (10.0, 11.0):
+        write(tmp_path, corners(), np.arange(8.0) * rise)
+        found.append(bar(tmp_path).component.bundle.fingerprint)
+    assert found[0] != found[1]
+
+
+@pytest.mark.parametrize("kept", [[0, 1, 2], [0, 2], [0]], ids=["space", "plane", "line"])
+def test_points_of_a_plane_or_a_line_are_interpolated_in_it(tmp_path, kept):
+    rng = np.random.default_rng(1)
+    points, slope = np.zeros((60, 3)), np.array([1.0, 0.7, -0.4])
+    points[:, kept] = rng.uniform(-1, 1, (60, len(kept)))
+    corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+    points[:8, kept] = corners[:, kept]
+    nodes = rng.uniform(-0.9, 0.9, (40, 3))
+    rise = 100 * (2 + points[:, kept] @ slope[kept])
+    text = "\n".join(f"{x!r},{y!r},{z!r},{t!r}" for x, y, z, t in np.c_[points, rise].tolist())
+    (tmp_path / "t.csv").write_text("x,y,z,T\n" + text + "\n")
+    found = shape_on(nodes, tmp_path / "t.csv", 0.0) * rise.max()
+    np.testing.assert_allclose(found, 100 * (2 + nodes[:, kept] @ slope[kept]), rtol=1e-9)

@@ -102,8 +102,10 @@ def test_estimate_queues_nothing(http):
 
 
 def test_reject_is_a_problem_that_names_the_coverage(http):
-    reply = ask(http, on_thin="reject")
+    limits = {"translation": 3e-5, "rotation": 4e-5}
+    reply = ask(http, on_thin="reject", tolerance=limits)
     assert reply.status_code == 409
+    assert reply.json()["tolerance"] == limits
     assert reply.headers["content-type"] == "application/problem+json"
     assert reply.json()["coverage"] == "outside"
     assert reply.json()["detail"].startswith("the table has no rows. Ask with on_thin")

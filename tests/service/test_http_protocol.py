@@ -14,7 +14,16 @@ import orjson
 import pytest
 
 from tests.refusals import tables
-from tests.service.live import FULL, add_table, as_rows, full_wrenches, moved, served, tangents
+from tests.service.live import (
+    FULL,
+    add_rows,
+    add_table,
+    as_rows,
+    full_wrenches,
+    moved,
+    served,
+    tangents,
+)
 from tests.until import until
 from wrenchbook.service.http import protocol
 from wrenchbook.service.http.access import Permission
@@ -27,12 +36,17 @@ BODY = orjson.dumps(PLAIN)
 
 
 @pytest.fixture(scope="module")
-def port(tmp_path_factory):
+def client(tmp_path_factory):
     wrenches = full_wrenches(40)
     rows = as_rows(wrenches, moved(wrenches), tangents(wrenches))
     with served(tmp_path_factory.mktemp("workspace")) as client:
         add_table(client, "solved", rows, tolerance={"translation": 1.0, "rotation": 1.0})
-        yield int(client.url.rsplit(":", 1)[1])
+        yield client
+
+
+@pytest.fixture(scope="module")
+def port(client):
+    return int(client.url.rsplit(":", 1)[1])
 
 
 @pytest.fixture
@@ -114,6 +128,24 @@ def test_a_plain_question_goes_straight_at_first_and_when_its_head_is_known(stra
     for count in (1, 2, 3):
         assert wire.ask(request())[0] == 200
         assert straight() == count
+
+
+def test_an_estimate_is_counted_on_both_ways_and_says_which_job_solves_a_compliance(wire, client):
+    """A linear part with a measured row has no compliance until it is solved."""
+    row = {"wrench": [100.0, 0, 0, 0, 0, 0], "displacement": [1e-6] * 6, "source": "measured"}
+    add_rows(client, "bar", [row])
+    body = BODY[:-1] + b', "on_thin": "estimate"}'
+    path = "/v1/components/bar/displacement"
+    reason = orjson.loads(wire.ask(request(body, path))[2])["reason"]
+    assert "solves the component's compliance: ask again once it is done" in reason
+    far = body.replace(b"10.0", b"1e4")
+    counts = []
+    for one in (None, far, far[:-1] + b', "detail": false}'):
+        if one:
+            assert orjson.loads(wire.ask(request(one))[2])["coverage"] == "outside"
+        demand = wire.ask(request(b"", "/v1/components/solved/demand", "GET"))[2]
+        counts.append(orjson.loads(demand)["asked"])
+    assert np.diff(counts).tolist() == [1, 1]
 
 
 @pytest.mark.parametrize("fields", [[], ["X-Request-ID: req-7"], ["X-Request-ID: "]])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from tests.surrogate.kriging.responses import Response, noisy_rows, solved, spread_wrenches
 from tests.surrogate.law import build
-from tests.surrogate.responses import HIGH, RANGE, full_wrenches, smooth, table
+from tests.surrogate.responses import HIGH, RANGE, full_wrenches, smooth
 from wrenchbook.surrogate.build import Group
 from wrenchbook.surrogate.design import next_wrenches
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
@@ -93,14 +92,6 @@ class Shipped(NamedTuple):
     true: np.ndarray
 
 
-class Case(NamedTuple):
-    """A table of a made-up response, by name, and whether its bars must hold everywhere."""
-
-    name: str
-    rows: Callable[[Response, int], Rows]
-    calibrated: bool
-
-
 def calibration(
     surrogate: Group,
     wrenches: np.ndarray,
@@ -163,27 +154,6 @@ with_slopes = solved
 def noisy(per_axis: int, full: int, seed: int, told: bool = False) -> Rows:
     """Return measured rows of the smooth response."""
     return noisy_rows(smooth, spread_wrenches(per_axis, full, seed), seed, told)
-
-
-def cases() -> list[Case]:
-    """Return the tables that bars are held against, by the number of clean rows and full ones."""
-    return [
-        Case("15 random", lambda f, seed: solved(f, full_wrenches(15, seed)), True),
-        Case("15 filled", lambda f, seed: filled(f, 15, seed), True),
-        Case("30 random", lambda f, seed: solved(f, full_wrenches(30, seed)), True),
-        Case("39 filled", lambda f, seed: filled(f, 39, seed), True),
-        Case("60 random", lambda f, seed: solved(f, full_wrenches(60, seed)), True),
-        Case("3x30, tangents", lambda f, seed: solved(f, spread_wrenches(30, 0, seed)), True),
-        Case("3x100+40", lambda f, seed: _bare(f, 100, 40, seed), True),
-        Case("3x400+40", lambda f, seed: _bare(f, 400, 40, seed), True),
-        Case("3x30+40", lambda f, seed: _bare(f, 30, 40, seed), True),
-        Case("3x30", lambda f, seed: _bare(f, 30, 0, seed), False),
-        Case("3x100+10", lambda f, seed: _bare(f, 100, 10, seed), False),
-    ]
-
-
-def _bare(response: Response, per_axis: int, full: int, seed: int) -> Rows:
-    return table(response, spread_wrenches(per_axis, full, seed))
 
 
 def shipped(name: str, full: int, clean: int | None = None) -> Shipped:

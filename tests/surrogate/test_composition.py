@@ -105,22 +105,6 @@ def test_affine_responses_are_exact_wherever_the_table_reaches(seed: int) -> Non
     np.testing.assert_allclose(answers.displacement, asked @ slope.T + offset, atol=1e-12)
 
 
-def test_changing_the_units_changes_no_answer() -> None:
-    # The eight corners lie on one sphere: which way their faces are parted would be arbitrary.
-    scaled = clean_wrenches(60, 3) * np.random.default_rng(5).uniform(0.9, 1.0, (180, 6))
-    asked = full_wrenches(100, 4)
-    plain = build(table(smooth, scaled), RANGE).batch(asked * HIGH, method="griddata")
-    # pound-force and inch, centimetre: no estimate is given beyond 20 degrees and 10 m in SI
-    force, moment, length = 4.4482216152605, 0.1129848290276167, 1e2
-    loads = np.repeat([1 / force, 1 / moment], 3)
-    rows = Rows.of(scaled * HIGH * loads, smooth(scaled) * length)
-    load_range = LoadRange(RANGE.low * loads, RANGE.high * loads)
-    other = build(rows, load_range).batch(asked * HIGH * loads, method="griddata")
-    np.testing.assert_allclose(other.displacement / length, plain.displacement, rtol=1e-9)
-    rounding = 1e-10 * np.ptp(plain.displacement, axis=0).max()  # what no bar is told below
-    np.testing.assert_allclose(other.error / length, plain.error, rtol=1e-9, atol=rounding)
-
-
 def test_no_load_answers_the_row_at_no_load_or_what_the_axes_interpolate_there() -> None:
     scaled = clean_wrenches(20, 5)
     rows = table(smooth, scaled)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.surrogate.calibrating import calibration, shipped
-from tests.surrogate.kriging.responses import LINEAR, solved, spread_wrenches
+from tests.surrogate.kriging.responses import solved, spread_wrenches
 from tests.surrogate.law import build
 from tests.surrogate.responses import (
     HIGH,
@@ -12,28 +12,15 @@ from tests.surrogate.responses import (
     axes_of,
     clean_wrenches,
     full_wrenches,
-    six,
     smooth,
     table,
 )
-from wrenchbook.surrogate.answer import METHODS, UnknownMethodError
+from wrenchbook.surrogate.answer import METHODS
 from wrenchbook.surrogate.kriging import Kriging
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 PLATE = shipped("plate_thin", 40, 60)
 PLATE_TABLE = build(PLATE.rows, PLATE.load_range)
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_a_batch_gives_the_numbers_of_single_answers(method: str) -> None:
-    asked = PLATE.asked[:12]
-    batch = PLATE_TABLE.batch(asked, None, method)
-    for place, wrench in enumerate(asked.tolist()):
-        one = PLATE_TABLE.answer(wrench, None, method)
-        assert one.method == method
-        assert one.coverage == ("covered", "thin", "outside")[batch.coverage[place]]
-        np.testing.assert_allclose(batch.displacement[place], one.displacement, rtol=1e-9)
-        np.testing.assert_allclose(batch.error[place], six(one.error), rtol=1e-9)
 
 
 def test_axes_of_the_axes_alone_answers_as_that_of_a_whole_table() -> None:
@@ -115,32 +102,11 @@ def test_a_kriging_that_answers_no_row_left_out_is_not_told_to_have_an_error_of_
     assert choice.reason == "its error at left-out rows is not known"
 
 
-def test_a_linear_component_is_answered_by_its_compliance() -> None:
-    rows = Rows.of(np.zeros((1, 6)), np.zeros((1, 6)), compliance=(LINEAR / HIGH)[None])
-    surrogate = build(rows, RANGE, linear=True)
-    asked = full_wrenches(20, 3)
-    told = surrogate.batch(asked * HIGH)
-    assert surrogate.default == "linear"
-    assert (told.coverage == 0).all()
-    np.testing.assert_allclose(told.displacement, asked @ LINEAR.T, atol=1e-15)
-
-
 def test_another_method_takes_its_difference_from_kriging_into_its_bar() -> None:
     best, plain = (PLATE_TABLE.batch(PLATE.asked, None, name) for name in ("kriging", "griddata"))
     known = plain.coverage != 2
     apart = np.abs(best.displacement - plain.displacement)
     np.testing.assert_allclose(plain.error[known], (apart + best.error)[known], rtol=1e-6)
-
-
-def test_an_unknown_method_is_refused_by_name() -> None:
-    with pytest.raises(UnknownMethodError, match="'rbf'"):
-        PLATE_TABLE.answer([0.0] * 6, None, "rbf")
-
-
-def test_kriging_of_a_table_is_that_of_its_rows() -> None:
-    alone = Kriging.build(PLATE_TABLE.used, PLATE.load_range).answer_many(PLATE.asked)[0]
-    told = PLATE_TABLE.batch(PLATE.asked, None, "kriging").displacement
-    np.testing.assert_allclose(told, alone, rtol=0, atol=1e-10 * np.ptp(alone, axis=0).max())
 
 
 def test_a_table_too_large_for_one_factor_answers_by_the_kriging_and_says_so() -> None:

@@ -9,6 +9,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, smooth, table
+from tests.surrogate.tables.write import COMPONENTS, HERE
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.solve import Solver
+from wrenchbook.surrogate.build import build
+from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.table import hdf5 as store
 from wrenchbook.surrogate.table.hdf5 import TableFileError, read_table, write_table
 from wrenchbook.surrogate.table.meta import SCHEMA_VERSION, TableMeta
@@ -190,3 +195,33 @@ def test_every_column_has_a_checksum_for_other_programs(tmp_path: Path) -> None:
         assert {name: column.fletcher32 for name, column in columns.items()} == dict.fromkeys(
             columns, True
         )
+
+
+def test_a_stored_row_of_plate_thin_is_what_the_shipped_mesh_solves() -> None:
+    """Else write the rows anew: `python -m tests.surrogate.tables.write plate_thin`."""
+    with np.load(HERE / "plate_thin.npz") as file:
+        wrench, displacement = file["wrench"], file["displacement"]
+    bundle = read_bundle(COMPONENTS / "plate_thin")
+    row = len(wrench) // 2
+    solved = Solver(bundle).solve(wrench[row]).displacement
+    error = np.abs(solved - displacement[row]) / np.ptp(displacement, axis=0)
+    assert error.max() < 1e-6
+
+
+FOLDER = Path(__file__).parent / "tables/version_0_2"
+
+
+@pytest.fixture(scope="module")
+def then():
+    with np.load(FOLDER / "answers.npz") as file:
+        return dict(file)
+
+
+def test_an_hdf5_table_answers_as_it_did(then):
+    rows, meta = read_table(FOLDER / "table.h5")
+    assert meta.load_range.space.is_default
+    table = build(rows, meta.load_range, tolerance=meta.tolerance, linear=False)
+    found = packed_of(table).batch(then["wrenches"]).outputs
+    # At no load the kriging answers too, and its sum has rounding errors.
+    rounding = 1e-12 * np.abs(then["kriging"]).max()
+    np.testing.assert_allclose(found, then["kriging"], rtol=1e-9, atol=rounding)

@@ -8,51 +8,14 @@ from tests.surrogate.responses import (
     HIGH,
     RANGE,
     clean_wrenches,
-    coupled,
     full_wrenches,
-    six,
     smooth,
     table,
 )
-from wrenchbook.surrogate.answer import METHODS, NAMES
+from wrenchbook.surrogate.answer import METHODS
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 
 COMPLIANCE = np.diag([1e-8, 2e-8, 3e-8, 1e-7, 2e-7, 3e-7])
-
-
-@pytest.mark.parametrize("method", [None, "griddata", "additive"])
-@pytest.mark.parametrize("tolerance", [None, Tolerance(1e-4, 2e-4)])
-def test_a_batch_gives_the_numbers_of_single_answers(
-    method: str | None, tolerance: Tolerance | None
-) -> None:
-    scaled = np.concatenate((clean_wrenches(60, 1), full_wrenches(30, 2)))
-    surrogate = build(table(coupled, scaled), RANGE)
-    asked = full_wrenches(200, 3) * 1.1
-    asked[::3, 3] = 0.0
-    asked[1::3, [0, 5]] = 0.0
-    asked[::5, 2:] = 0.0
-    asked[::7, :3] = 0.0
-    asked[-30:] = scaled[-30:]
-    batch = surrogate.batch(asked * HIGH, tolerance, method)
-    names = ("covered", "thin", "outside")
-    for place, wrench in enumerate((asked * HIGH).tolist()):
-        one = surrogate.answer(wrench, tolerance, method)
-        assert names[batch.coverage[place]] == one.coverage
-        np.testing.assert_allclose(batch.displacement[place], one.displacement, atol=1e-12)
-        np.testing.assert_allclose(batch.error[place], six(one.error), atol=1e-12)
-    assert set(np.unique(batch.coverage)) == {0, 1, 2}
-
-
-@settings(max_examples=3)
-@given(st.integers(0, 2**32 - 1))
-def test_permuting_the_rows_changes_nothing(seed: int) -> None:
-    rows = table(coupled, np.concatenate((clean_wrenches(12, 1), full_wrenches(20, 2))))
-    order = np.random.default_rng(seed).permutation(len(rows))
-    asked = full_wrenches(40, 3) * HIGH
-    one = build(rows, RANGE).batch(asked)
-    other = build(rows.take(order), RANGE).batch(asked)
-    np.testing.assert_allclose(other.displacement, one.displacement, atol=1e-15)
-    np.testing.assert_array_equal(other.coverage, one.coverage)
 
 
 @settings(max_examples=6)
@@ -166,21 +129,3 @@ def test_a_linear_answer_is_explained_by_what_each_axis_contributes():
     assert [axis["outputs"][f"u{axis['axis']}"] for axis in axes] == pytest.approx(told[:3])
     assert {axis["coverage"] for axis in axes} == {"covered"}
     assert all(axis["rows"] for axis in axes)
-
-
-@pytest.mark.parametrize("rows", [1, 4, 6])
-def test_the_single_answer_of_a_linear_component_has_the_digits_of_a_batch_of_one(
-    rows: int,
-) -> None:
-    compliance = np.random.default_rng(3).normal(size=(6, 6)) * 1e-6
-    loads = np.eye(6)[:rows] * HIGH
-    fitted = build(Rows.of(loads, loads @ compliance.T), RANGE, linear=True)
-    asked = np.random.default_rng(1).uniform(-1.3, 1.3, (60, 6)) * HIGH
-    asked[:20] /= 1.3
-    asked[40:, rows - 1 :] = 0.0
-    for wrench in asked.tolist():
-        one, found = fitted.answer(wrench), fitted.batch([wrench])
-        np.testing.assert_array_equal(one.displacement, found.displacement[0])
-        bars = (np.nan,) * 6 if one.error is None else one.error
-        np.testing.assert_array_equal(bars, found.error[0])
-        assert NAMES.index(one.coverage) == found.coverage[0]

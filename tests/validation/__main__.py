@@ -39,9 +39,15 @@ END = "<!-- validation: end -->"
 _HEADINGS = ("quantity", "source", "reference", "computed", "error", "tolerance", "verdict")
 
 
+def ordered() -> list[Case]:
+    """Return the cases by topic, then in the order of `MODULES`, whichever was imported first."""
+    places = {module.__name__: place for place, module in enumerate(MODULES)}
+    return sorted(CASES, key=lambda c: (TOPICS.index(c.topic), places.get(c.check.__module__, 0)))
+
+
 def run(topic: str) -> Iterator[tuple[Case, Finding]]:
     """Run the cases of a topic, or of ``"all"``, and yield their findings as they come."""
-    for one in sorted(CASES, key=lambda c: TOPICS.index(c.topic)):
+    for one in ordered():
         if topic in ("all", one.topic):
             for finding in one.check():
                 yield one, finding

@@ -50,8 +50,8 @@ def clamped(
         Shape (3, 3), row i the direction of the interface frame's axis i; the mesh's unless given.
     """
     part = section_of_facets(mesh.points, mesh.facet_groups[section])
-    place = part.centre if point is None else point
-    frame = np.eye(3) if axes is None else axes
+    place = part.centre if point is None else np.asarray(point, dtype=float)
+    frame = np.eye(3) if axes is None else np.asarray(axes, dtype=float)
     interface = Interface(section, coupling=coupling, point=place, axes=frame)
     bundle = _bundle(Material("all", *material), fixed, interface, nonlinear)
     return ComponentModel(

@@ -61,6 +61,6 @@ def on_bushing() -> ComponentModel:
     """Return a bar of 0.1 x 0.06 x 1 m whose lower end is on a spring."""
     mesh = box("hex20", (2, 2, 6), (0.1, 0.06, 1.0))
     part, lower = clamped(mesh, "z0", "z1", MATERIAL), clamped(mesh, "z1", "z0", MATERIAL)
-    point = np.array([0.05, 0.02, -0.3])
-    own = AttachedInterface("supports.bushing[0]", "", lower.section, point, _AXES, "rigid", ())
+    point, section = np.array([0.05, 0.02, -0.3]), lower.interfaces[0].section
+    own = AttachedInterface("supports.bushing[0]", "", section, point, _AXES, "rigid", ())
     return replace(part, fixed_nodes=_NONE, bushings=((own, STIFFNESS),))

@@ -3,17 +3,27 @@
 import copy
 import pickle
 import tomllib
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.fea.two_interfaces import LINK, rod_between_loads
 from tests.refusals import GOOD
+from tests.validation.clamped import attached
 from wrenchbook.fea.bundle.read import BundleError, BundleProblem, bundle_of, read_bundle
+from wrenchbook.fea.bundle.shipped import SHIPPED
+from wrenchbook.fea.bundle.tables import MaterialTable
+from wrenchbook.fea.check import as_text
+from wrenchbook.fea.check import report as check
+from wrenchbook.fea.component import build
+from wrenchbook.fea.export.calculix import deck_of
+from wrenchbook.fea.spec.fingerprint import fingerprint
+from wrenchbook.fea.spec.keys import validated
+from wrenchbook.fea.spec.schema import FREEDOMS
 
-SHIPPED = Path(__file__).parents[3] / "data" / "components"
 PLATE = (GOOD / "plate" / "component.toml").read_text("utf-8")
 
 
@@ -113,12 +123,6 @@ def test_a_folder_without_the_file_says_so(tmp_path):
         read_bundle(tmp_path / "nowhere")
 
 
-def test_the_largest_stiffness_of_a_bushing_is_a_number(tmp_path):
-    bushing = 'bushing = [{group = "rim", coupling = "rigid", stiffness = [1e308,1,1,1,1,1]}]'
-    bundle = read_bundle(write(tmp_path, changed('fixed = ["rim"]', bushing)))
-    assert bundle.supports.bushings[0].stiffness[0, 0] == 1e308
-
-
 def test_axes_written_to_a_few_digits_become_exactly_orthonormal(tmp_path):
     text = changed("[[1,0,0],[0,1,0],[0,0,1]]", "[[0.8,0.6,0],[-0.6,0.8000005,0],[0,0,1]]")
     axes = read_bundle(write(tmp_path, text)).interface.axes
@@ -174,3 +178,131 @@ def outcome(table):
         return bundle_of(table, SHIPPED).fingerprint
     except BundleError as error:
         return error.problems
+
+
+RANGE = "range = {force = [20, 20, 200], moment = [5, 5, 5]}"
+
+
+def written_link(folder, *changes):
+    text = LINK
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    (folder / "component.toml").write_text(text)
+    return folder
+
+
+def test_a_link_has_two_interfaces_in_the_order_of_the_file(tmp_path):
+    bundle = read_bundle(written_link(tmp_path))
+    assert [one.name for one in bundle.interfaces] == ["left", "right"]
+    assert [one.held for one in bundle.interfaces] == [True, False]
+    assert bundle.interfaces[0].locked == FREEDOMS
+    np.testing.assert_array_equal(bundle.range.high, [0] * 6 + [20, 20, 200, 5, 5, 5])
+    np.testing.assert_array_equal(bundle.range.low, -bundle.range.high)
+
+
+def test_names_and_what_is_held_change_the_fingerprint(tmp_path):
+    own = read_bundle(written_link(tmp_path)).fingerprint
+    renamed = read_bundle(written_link(tmp_path, ('"right"', '"tip"'))).fingerprint
+    supports = ("held = true", RANGE + "\n[supports]\nfixed = ['side']")
+    assert len({own, renamed, read_bundle(written_link(tmp_path, supports)).fingerprint}) == 3
+
+
+def test_an_interface_that_is_held_in_the_mean_passes_the_check_without_supports(tmp_path):
+    report = check(written_link(tmp_path, ('coupling = "rigid"', 'coupling = "distributed"')))
+    assert report["ok"], report["problems"]
+    assert report["trial"]["deflection"][:6] == [0.0] * 6
+    assert min(report["trial"]["deflection"][6:]) > 0
+
+
+def test_the_check_of_two_loaded_interfaces_finds_their_stress_error_and_buckling(tmp_path):
+    report = check(rod_between_loads(tmp_path))
+    assert report["ok"], report["problems"]
+    error, strength = report["solver_error"], report["strength"][0]
+    assert np.shape(error["mesh"]) == np.shape(error["mesh_stiffness"]) == (12, 12)
+    assert len(error["linearity"]) == 12
+    assert 1.5 < error["buckling"] < 3
+    outer = 5000 / 0.02**2 + 2 * 6 * (0.5 * 20 + 5) / 0.02**3  # Pa, at an edge of the rod
+    assert 0.6 * outer < strength["largest"] < outer
+    assert "; right force (" in as_text(report)
+
+
+def test_a_measured_interface_must_have_its_range(tmp_path):
+    measured = 'name = "m"\ntitle = "M"\n[[interface]]\nname = "a"\n[[interface]]\nname = "b"\n'
+    with pytest.raises(BundleError, match=r"interface\[0\]\.range: missing; write a table"):
+        bundle_of(tomllib.loads(measured), tmp_path)
+
+
+CARBON = {
+    "region": "all",
+    "law": "orthotropic",
+    "youngs_modulus": [135e9, 10e9, 10e9],
+    "poisson_ratio": [0.3, 0.3, 0.4],
+    "shear_modulus": [5e9, 5e9, 3.5e9],
+}
+
+
+def read(table):
+    problems = []
+    material = validated(MaterialTable, table, "material[0]", problems)
+    return material, [str(one) for one in problems]
+
+
+def test_nine_constants_and_their_directions_are_read():
+    axes = [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]
+    material, problems = read(CARBON | {"axes": axes, "density": 1600.0})
+    assert problems == []
+    assert material.orthotropic.shear_moduli == (5e9, 5e9, 3.5e9)
+    np.testing.assert_array_equal(material.orthotropic.axes, axes)
+    assert (material.youngs_modulus, material.density) == (135e9, 1600.0)
+    assert 0 < material.poisson_ratio < 0.4
+
+
+def test_without_axes_the_directions_are_the_meshs():
+    material, _ = read(CARBON)
+    np.testing.assert_array_equal(material.orthotropic.axes, np.eye(3))
+
+
+def test_a_neo_hookean_material_has_the_two_constants_of_small_strains():
+    table = {"region": "all", "law": "neo-hookean", "youngs_modulus": 3e6, "poisson_ratio": 0.4999}
+    material, problems = read(table)
+    assert problems == []
+    assert (material.law, material.poisson_ratio, material.orthotropic) == (
+        "neo-hookean",
+        0.4999,
+        None,
+    )
+
+
+def test_moduli_of_very_different_sizes_are_a_material():
+    """Wood, or a honeycomb: 1 : 1000, with the small ratios that go with it."""
+    young = [1e6, 1e6, 1e9]
+    material, problems = read(
+        CARBON
+        | {"youngs_modulus": young, "poisson_ratio": [0.3, 1e-4, 1e-4], "shear_modulus": [1e5] * 3}
+    )
+    assert problems == []
+    np.testing.assert_allclose(
+        np.diag(np.linalg.inv(material.orthotropic.elasticity))[:3], 1 / np.array(young)
+    )
+
+
+def test_law_and_constants_are_in_the_fingerprint_and_an_isotropic_ones_is_as_it_was():
+    bundle = read_bundle(SHIPPED / "bar")
+    parts = {name: getattr(bundle, name) for name in bundle.__dataclass_fields__}
+    (plain,) = bundle.materials
+    carbon, _ = read(CARBON)
+    turned, _ = read(CARBON | {"axes": [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]})
+    kinds = [plain, replace(plain, law="neo-hookean"), carbon, turned]
+    found = [fingerprint(parts | {"materials": (one,)}) for one in kinds]
+    assert len(set(found)) == 4
+    assert found[0] == bundle.fingerprint
+
+
+def test_a_linear_deck_of_rubber_is_elastic_because_calculix_makes_hyperelastic_nonlinear():
+    part = build(read_bundle(SHIPPED / "plate_thin"))
+    rubber = replace(part.materials[0], law="neo-hookean")
+    part = attached(replace(part, materials=(rubber,)), coupling="rigid")
+    assert "*HYPERELASTIC, NEO HOOKE" in deck_of(part)
+    linear = replace(part, analysis=replace(part.analysis, nonlinear=False))
+    assert "*HYPERELASTIC" not in deck_of(linear)

@@ -125,25 +125,3 @@ def test_an_interface_that_is_locked_throughout_does_not_move(coupling, nonlinea
     assert not found.displacement.any()
     assert not found.compliance.any()
     assert found.strain_energy == 0
-
-
-@pytest.mark.parametrize("nonlinear", [False, True])
-@pytest.mark.parametrize("coupling", COUPLINGS)
-def test_turning_the_part_in_space_turns_its_answer_and_nothing_else(coupling, nonlinear):
-    turn = rotation(np.array([0.7, -1.2, 2.0]))
-    wrench = np.array([2e-3, -1e-3, 5e-3, 1.5e-3, 2e-3, -3e-3])
-    here = solver(coupling, nonlinear=nonlinear).solve(wrench)
-
-    def elsewhere(points):
-        return wobble(points) @ turn.T + [3.0, -4.0, 5.0]
-
-    mesh = box("hex20", (2, 2, 3), (1.0, 1.2, 2.0), warp=elsewhere)
-    options = {"young": 1.0, "coupling": coupling, "nonlinear": nonlinear}
-    point = turn @ POINT + [3.0, -4.0, 5.0]
-    carried = Solver(component(mesh, point=point, axes=turn.T, **options)).solve(wrench)
-    np.testing.assert_allclose(carried.displacement, here.displacement, rtol=1e-9)
-    np.testing.assert_allclose(carried.nodes, here.nodes @ turn.T, atol=1e-10)
-
-    twice = np.kron(np.eye(2), turn)  # the same, told in the axes of space
-    told = Solver(component(mesh, point=point, **options)).solve(twice @ wrench)
-    np.testing.assert_allclose(told.displacement, twice @ here.displacement, rtol=1e-9)

@@ -1,6 +1,5 @@
 """Decks: the wrench goes in, the solver runs, the motion comes back; nothing fails in silence."""
 
-import os
 import subprocess
 import sys
 
@@ -296,7 +295,3 @@ def test_the_check_names_every_missing_placeholder_set_and_include(tmp_path):
     assert len(told) == 3
     for said, message in zip(("no $MZ", 'the set "ROT"', '"mesh.inp"'), told, strict=True):
         assert said in message
-
-
-def test_the_environment_of_this_test_has_a_ps(tmp_path):
-    assert alive(os.getpid())

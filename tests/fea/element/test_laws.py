@@ -1,4 +1,4 @@
-"""Orthotropic and neo-Hookean cells: energy, forces and tangent, and what they become."""
+"""Cells of each law: energy, forces and tangent, and what they become."""
 
 from dataclasses import replace
 
@@ -14,6 +14,7 @@ from wrenchbook.fea.element.st_venant_kirchhoff import (
     turned_elasticity,
 )
 from wrenchbook.fea.mesh.mapping import cell_gradients
+from wrenchbook.fea.mesh.mesh import NODES_PER_CELL
 from wrenchbook.fea.spec.material import Orthotropic
 from wrenchbook.fea.tensors import rotation
 
@@ -23,21 +24,27 @@ CARBON = Orthotropic("all", (135.0, 10.0, 9.0), (0.3, 0.32, 0.45), (5.0, 4.8, 3.
 TURN = rotation(np.array([0.3, -0.8, 0.5]))
 
 
-def places():
-    mesh = box("hex20", (2, 2, 1), warp=lambda p: p + 0.02 * RNG.standard_normal(p.shape))
+def places(kind="hex20"):
+    mesh = box(kind, (2, 2, 1), warp=lambda p: p + 0.02 * RNG.standard_normal(p.shape))
     return mesh, mesh.points[mesh.blocks[0].nodes].transpose(0, 2, 1)
 
 
-def cells(law):
-    mesh, nodes = places()
+def cells(law, kind="hex20"):
+    """Distorted cells, each of a material of its own, and their nodes, (c, 3, a)."""
+    mesh, nodes = places(kind)
     block = mesh.blocks[0]
-    gradients = cell_gradients(mesh.points, block, "full")
+    gradients = cell_gradients(mesh.points, block, "reduced" if law == "isotropic" else "full")
     if law == "orthotropic":
         moduli = turned_elasticity(CARBON.elasticity, TURN)
         return OrthotropicStiffness(gradients, np.array([[moduli]] * len(block))), nodes
+    if law == "isotropic":
+        return Stiffness(gradients, *RNG.uniform(1, 2, (2, len(block)))), nodes
     modes = None
-    if law == "projected":
+    if law.endswith("projected"):
         modes = volume_modes(mesh.points, block, gradients.weights, "full")
+    if law == "isotropic, projected":
+        lame = RNG.uniform(100, 200, len(block)), RNG.uniform(1, 2, len(block))
+        return Stiffness(gradients, *lame, modes), nodes
     lame = RNG.uniform(3, 9, len(block)), RNG.uniform(1, 2, len(block))
     return NeoHookeanStiffness(gradients, *lame, modes), nodes
 
@@ -46,20 +53,61 @@ def tangent(stiffness, displacement, step=None):
     return stiffness.tangent(displacement, step, np.arange(len(stiffness)))
 
 
+def times(matrices, field):
+    return (matrices @ field.reshape(len(field), -1, 1)).reshape(field.shape)
+
+
 LAWS = ["orthotropic", "neo-hookean", "projected"]
 
 
-@pytest.mark.parametrize("law", LAWS)
-def test_the_tangent_is_the_derivative_of_the_forces_and_they_of_the_energy(law):
-    stiffness, nodes = cells(law)
-    u, v = (0.04 * RNG.standard_normal(nodes.shape) for _ in range(2))
+@pytest.mark.parametrize(
+    ("law", "kind", "size", "near"),
+    [("isotropic", kind, 0.1, 2e-8) for kind in NODES_PER_CELL]
+    + [("isotropic, projected", kind, 0.05, 1e-7) for kind in ("hex20", "hex27")]
+    + [(law, "hex20", 0.04, 3e-7) for law in LAWS],
+)
+def test_the_tangent_is_the_derivative_of_the_forces_and_they_of_the_energy(law, kind, size, near):
+    stiffness, nodes = cells(law, kind)
+    u, v = (size * RNG.standard_normal(nodes.shape) for _ in range(2))
     step = 1e-6
     ahead, behind = (stiffness.forces(u + s * step * v) for s in (1, -1))
     slope = (ahead[0] - behind[0]) / (2 * step)
-    pushed = (tangent(stiffness, u) @ v.reshape(len(v), -1, 1)).reshape(v.shape)
-    np.testing.assert_allclose(pushed, slope, atol=3e-7 * np.abs(slope).max())
+    K = tangent(stiffness, u)
+    np.testing.assert_allclose(times(K, v), slope, atol=near * np.abs(slope).max())
+    np.testing.assert_allclose(K, K.swapaxes(1, 2), atol=1e-14 * np.abs(K).max())
     power = (ahead[1] - behind[1]) / (2 * step)
-    assert np.vdot(stiffness.forces(u)[0], v) == pytest.approx(power, rel=1e-6)
+    accuracy = 1e-7 if law == "isotropic" else 1e-6
+    assert np.vdot(stiffness.forces(u)[0], v) == pytest.approx(power, rel=accuracy)
+
+
+def test_small_displacements_keep_their_digits_down_to_1e_minus_20():
+    stiffness, nodes = cells("isotropic")
+    u = RNG.standard_normal(nodes.shape)
+    linear = stiffness.small_strain_forces(u[None])[0]
+    small = stiffness.forces(1e-20 * u)[0] * 1e20
+    np.testing.assert_allclose(small, linear, atol=1e-13 * np.abs(linear).max())
+
+
+def test_the_undeformed_tangent_is_the_small_strain_stiffness():
+    stiffness, nodes = cells("isotropic")
+    u = RNG.standard_normal(nodes.shape)
+    linear = stiffness.small_strain_forces(u[None])[0]
+    for K in (tangent(stiffness, None), tangent(stiffness, np.zeros_like(u))):
+        np.testing.assert_allclose(times(K, u), linear, atol=1e-13 * np.abs(linear).max())
+    products = stiffness.strain_energy_products(np.stack([u, 2 * u]))
+    work = np.vdot(u, linear)
+    np.testing.assert_allclose(products, work * np.array([[1, 2], [2, 4]]), rtol=1e-13)
+
+
+def test_extrapolated_stress_agrees_with_the_stress_as_the_step_vanishes():
+    stiffness, nodes = cells("isotropic")
+    u, change = (0.1 * RNG.standard_normal(nodes.shape) for _ in range(2))
+    proper = tangent(stiffness, u)
+    gaps = [
+        np.abs(tangent(stiffness, u, np.stack([u, size * change])) - proper).max()
+        for size in (1e-2, 1e-3)
+    ]
+    assert gaps[1] == pytest.approx(1e-2 * gaps[0], rel=1e-6)  # quadratic in the step
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -72,12 +120,12 @@ def test_stresses_change_as_their_slopes_say(law):
     np.testing.assert_allclose(slope, (ahead - behind) / 2e-6, atol=3e-7 * np.abs(slope).max())
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", ["isotropic", *LAWS])
 def test_a_rigid_rotation_costs_nothing_and_turns_the_response(law):
     stiffness, nodes = cells(law)
     Q = rotation(np.array([0.5, -1.0, 0.8]))
-    forces, energy, least = stiffness.forces(np.einsum("ij,cja->cia", Q, nodes) - nodes)
-    assert np.abs(forces).max() < 1e-12
+    forces, energy, least = stiffness.forces(np.einsum("ij,cja->cia", Q, nodes) - nodes + 3.0)
+    assert np.abs(forces).max() < (1e-14 if law == "isotropic" else 1e-12)
     assert energy < 1e-25
     assert least == pytest.approx(1.0)
     u = 0.03 * RNG.standard_normal(nodes.shape)
@@ -91,7 +139,7 @@ def test_small_loads_keep_their_digits(law):
     """At a strain of 1e-9 forces and energy are the linear ones to 1e-8, not to roundoff / 1e-9."""
     stiffness, nodes = cells(law)
     u = 1e-9 * RNG.standard_normal(nodes.shape)
-    linear = (tangent(stiffness, None) @ u.reshape(len(u), -1, 1)).reshape(u.shape)
+    linear = times(tangent(stiffness, None), u)
     forces, energy, _ = stiffness.forces(u)
     np.testing.assert_allclose(forces, linear, atol=1e-7 * np.abs(linear).max())
     assert energy == pytest.approx(0.5 * np.vdot(u, linear), rel=1e-7)

@@ -8,8 +8,9 @@ import pytest
 from tests.fea import components
 from tests.fea.boxes import box
 from tests.fea.components import component
+from tests.validation.patch import on_the_surface, solve_with_boundary
+from tests.validation.rates import harmonic_gradient
 from wrenchbook.fea.element.pressure_projection import LARGEST_RATIO, locking, volume_modes
-from wrenchbook.fea.element.st_venant_kirchhoff import Stiffness
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.mapping import cell_gradients
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
@@ -29,24 +30,6 @@ def warped(points):
 
 def body_of(mesh, poisson, held):
     return components.body_of(mesh, ~held, RUBBER, poisson, "full")
-
-
-def on_the_surface(mesh):
-    return ((mesh.points < 1e-9) | (mesh.points > 1 - 1e-9)).any(axis=1)
-
-
-def solve_with_boundary(body, boundary):
-    held = np.where(body.free[:, None], 0.0, boundary)
-    forces = body.small_strain_forces(held[:, :, None])
-    return held - body.tangent(None).solve(forces)[:, :, 0]
-
-
-def harmonic_gradient(points):
-    """Return grad exp(sqrt(2) x) sin(y) sin(z): keeps its volume, in balance for every ratio."""
-    x, y, z = points.T
-    growth, a = np.exp(np.sqrt(2) * x), np.sqrt(2)
-    along = a * growth * np.sin(y) * np.sin(z)
-    return np.stack([along, growth * np.cos(y) * np.sin(z), growth * np.sin(y) * np.cos(z)], axis=1)
 
 
 def displacement_error(kind, divisions, poisson, warp=None):
@@ -169,38 +152,14 @@ def test_only_the_cells_of_the_soft_material_are_projected():
     )
 
 
-def rubber_cells(kind="hex27"):
-    mesh = box(kind, (2, 2, 1), warp=lambda p: p + 0.02 * RNG.standard_normal(p.shape))
-    block: CellBlock = mesh.blocks[0]
-    gradients = cell_gradients(mesh.points, block, "full")
-    modes = volume_modes(mesh.points, block, gradients.weights, "full")
-    lame = RNG.uniform(100, 200, len(block)), RNG.uniform(1, 2, len(block))
-    return mesh, Stiffness(gradients, *lame, modes)
-
-
 def test_the_modes_reproduce_every_linear_function_of_the_place():
-    mesh, stiffness = rubber_cells()
-    weights, modes = stiffness.gradients.weights, stiffness.volume_modes
+    mesh = box("hex27", (2, 2, 1), warp=lambda p: p + 0.02 * RNG.standard_normal(p.shape))
+    weights = cell_gradients(mesh.points, mesh.blocks[0], "full").weights
+    modes = volume_modes(mesh.points, mesh.blocks[0], weights, "full")
     points = reference_element("hex27", "full").values @ mesh.points[mesh.blocks[0].nodes]
     linear = points @ [1.0, -2.0, 3.0] + 5.0
     projected = (modes @ (modes.swapaxes(1, 2) @ linear[..., None]))[..., 0] / weights
     np.testing.assert_allclose(projected, linear, rtol=1e-12)
-
-
-@pytest.mark.parametrize("kind", ["hex20", "hex27"])
-def test_the_projected_tangent_is_the_derivative_of_the_forces_and_they_of_the_energy(kind):
-    mesh, stiffness = rubber_cells(kind)
-    shape = mesh.points[mesh.blocks[0].nodes].transpose(0, 2, 1).shape
-    u, v = (0.05 * RNG.standard_normal(shape) for _ in range(2))
-    step = 1e-6
-    ahead, behind = (stiffness.forces(u + s * step * v) for s in (1, -1))
-    matrices = stiffness.tangent(u, None, np.arange(len(stiffness)))
-    pushed = (matrices @ v.reshape(len(stiffness), -1, 1)).reshape(shape)
-    slope = (ahead[0] - behind[0]) / (2 * step)
-    np.testing.assert_allclose(pushed, slope, atol=1e-7 * np.abs(slope).max())
-    assert np.vdot(stiffness.forces(u)[0], v) == pytest.approx(
-        (ahead[1] - behind[1]) / (2 * step), rel=1e-6
-    )
 
 
 def test_a_rubber_block_sheared_far_converges_and_keeps_its_energy():

@@ -3,11 +3,13 @@
 import copy
 import subprocess
 import sys
+import tomllib
 
 import numpy as np
 import pytest
 
 from tests.fea.geometry import draw_bracket, draw_two_bars, require_gmsh, start
+from tests.refusals import GOOD
 from wrenchbook.fea.bundle.read import BundleError, bundle_of
 from wrenchbook.fea.component import build, mesh_of
 from wrenchbook.fea.inspection import unit_warnings
@@ -17,24 +19,7 @@ from wrenchbook.fea.mesh.mapping import area_weights, volumes
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.schema import BodySelector, GeometryMeshing
 
-BRACKET = {
-    "name": "bracket",
-    "title": "B",
-    "mesh": {
-        "file": "bracket.step",
-        "size": 0.015,
-        "groups": {
-            "wall": {"plane": "x", "at": 0},
-            "hole": {"radius": 0.008},
-            "top": {"near": [0.004, 0.03, 0.058]},
-        },
-    },
-    "material": [{"region": "all", "youngs_modulus": 70e9, "poisson_ratio": 0.33}],
-    "supports": {"fixed": ["wall"]},
-    "interface": {"section": "hole", "coupling": "distributed"},
-    "analysis": {"nonlinear": False},
-    "range": {"force": [100, 100, 100], "moment": [1, 1, 1]},
-}
+BRACKET = tomllib.loads((GOOD / "bracket" / "component.toml").read_text("utf-8"))
 
 
 @pytest.fixture(scope="module")
@@ -128,39 +113,6 @@ def test_the_fingerprint_covers_the_file_and_every_key_of_its_meshing(folder):
     ]
     assert len(set(prints)) == len(prints)
     assert print_of(order=2) == print_of(size=15e-3) == print_of()
-
-
-def test_reading_a_geometry_bundle_imports_no_gmsh(folder):
-    (folder / "component.toml").write_text(toml_of(BRACKET))
-    code = (
-        "import sys; from wrenchbook.fea.bundle.read import read_bundle; read_bundle(sys.argv[1]);"
-        "sys.exit(any(m in sys.modules for m in ('gmsh', 'skfem', 'meshio')))"
-    )
-    done = subprocess.run([sys.executable, "-c", code, str(folder)], check=False, timeout=60)
-    assert done.returncode == 0
-
-
-def toml_of(table):
-    mesh = table["mesh"]
-    groups = "\n".join(f"{k} = {inline(v)}" for k, v in mesh["groups"].items())
-    material = "\n".join(f"{k} = {inline(v)}" for k, v in table["material"][0].items())
-    parts = [f"name = {inline(table['name'])}", f"title = {inline(table['title'])}"]
-    parts += [f"[mesh]\nfile = {inline(mesh['file'])}\nsize = {mesh['size']}"]
-    parts += [f"[mesh.groups]\n{groups}", f"[[material]]\n{material}"]
-    for name in ("supports", "interface", "analysis", "range"):
-        lines = "\n".join(f"{k} = {inline(v)}" for k, v in table[name].items())
-        parts.append(f"[{name}]\n{lines}")
-    return "\n".join(parts) + "\n"
-
-
-def inline(value):
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{k} = {inline(v)}" for k, v in value.items()) + "}"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(inline, value)) + "]"
-    if isinstance(value, bool):
-        return str(value).lower()
-    return f'"{value}"' if isinstance(value, str) else repr(value)
 
 
 def refusal(path):

@@ -1,17 +1,25 @@
 """First-order cells: refused, or given midside nodes."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from tests.fea.boxes import box
+from tests.fea.check.test_check_findings import messages, write_inp
 from tests.fea.components import component
-from wrenchbook.fea.bundle.read import BundleError, bundle_of
+from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
+from wrenchbook.fea.check import report
 from wrenchbook.fea.component import build
+from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.element_order import first_order_problems, second_order
 from wrenchbook.fea.mesh.facets import outer_surface
-from wrenchbook.fea.mesh.mapping import area_weights, volumes
-from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
-from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.mesh.mapping import area_weights, cell_problems, determinants, volumes
+from wrenchbook.fea.mesh.mesh import NODES_PER_CELL, CellBlock, Mesh
+from wrenchbook.fea.mesh.reference_cell import node_coordinates, reference_element
+from wrenchbook.fea.mesh.refine import halved
+from wrenchbook.fea.solve import Solver, solve
 
 FIRST = ("hex8", "tet4", "wedge6")
 YOUNG, POISSON, LENGTH, SIDE = 210e9, 0.3, 0.1, 0.01
@@ -99,22 +107,7 @@ def test_second_order_cells_stay_as_they_are():
     assert not first_order_problems(mesh)
 
 
-CUBE = """*NODE
-1, 0, 0, 0
-2, 10, 0, 0
-3, 10, 10, 0
-4, 0, 10, 0
-5, 0, 0, 10
-6, 10, 0, 10
-7, 10, 10, 10
-8, 0, 10, 10
-*ELEMENT, TYPE=C3D8I, ELSET=block
-1, 1, 2, 3, 4, 5, 6, 7, 8
-*NSET, NSET=foot
-1, 2, 3, 4
-*NSET, NSET=top
-5, 6, 7, 8
-"""
+CUBE = Path(__file__).with_name("cube.inp").read_text("utf-8")
 
 
 def cube(folder, **mesh):
@@ -144,3 +137,133 @@ def test_order_2_in_the_bundle_solves_it_and_is_in_the_fingerprint(tmp_path):
     assert len(built.fixed_nodes) == len(built.interfaces[0].section.node_ids) == 8
     assert Solver(built).compliance[2, 2] == pytest.approx(0.01 / 1e-4 / 1e9, rel=1e-9)
     assert cube(tmp_path, order=2).fingerprint != cube(tmp_path).fingerprint
+
+
+def bent_cell(kind):
+    """One cell with all nodes moved, so that its edges are curved, in groups of each sort."""
+    places = node_coordinates(kind)
+    points = places + 0.04 * np.random.default_rng(0).normal(size=places.shape)
+    blocks = (CellBlock(kind, np.arange(len(points))[None]),)
+    groups = {"skin": outer_surface(blocks)}
+    return Mesh(points, blocks, {"all": (np.array([0]),)}, groups, {"all": np.arange(len(points))})
+
+
+def filled_by(mesh):
+    (block,) = mesh.blocks
+    element = reference_element(block.kind, "mass")
+    maps = np.einsum("pad,cai->cpid", element.slopes, mesh.points[block.nodes])
+    return np.linalg.det(maps) @ element.weights
+
+
+@pytest.mark.parametrize("kind", NODES_PER_CELL)
+def test_eight_cells_fill_the_one_they_come_from(kind):
+    whole = bent_cell(kind)
+    split = halved(whole)
+    assert len(split.blocks[0]) == 8
+    assert (filled_by(split) > 0).all()
+    assert filled_by(split).sum() == pytest.approx(filled_by(whole).sum(), rel=1e-13)
+
+
+@pytest.mark.parametrize("kind", NODES_PER_CELL)
+def test_groups_hold_what_they_held(kind):
+    split = halved(halved(bent_cell(kind)))
+    skin = outer_surface(split.blocks).node_ids
+    np.testing.assert_array_equal(split.facet_groups["skin"].node_ids, skin)
+    np.testing.assert_array_equal(split.node_groups["all"], np.arange(len(split.points)))
+    assert len(split.regions["all"][0]) == 64
+
+
+@pytest.mark.parametrize("kind", NODES_PER_CELL)
+def test_neighbours_share_the_nodes_between_them(kind):
+    mesh = box(kind, (2, 2, 2), (1.0, 1.0, 1.0))
+    split = halved(mesh)
+    assert len(np.unique(np.round(split.points, 9), axis=0)) == len(split.points)
+    corners = outer_surface(split.blocks).node_ids
+    inside = np.delete(split.points, corners, axis=0)
+    assert ((inside > 0) & (inside < 1)).all()
+
+
+def test_parts_that_only_touch_stay_apart():
+    one = box("hex20", (1, 1, 1), (1.0, 1.0, 1.0))
+    nodes = np.concatenate([one.blocks[0].nodes, one.blocks[0].nodes + len(one.points)])
+    points = np.vstack([one.points, one.points + np.array([1, 0, 0])])
+    both = Mesh(points, (CellBlock("hex20", nodes),))
+    assert len(halved(both).points) == 2 * len(halved(one).points)
+
+
+def test_a_node_group_of_two_faces_does_not_get_what_lies_within():
+    mesh = box("hex20", (1, 1, 1), (1.0, 1.0, 1.0))
+    ends = np.flatnonzero((mesh.points[:, 0] == 0) | (mesh.points[:, 0] == 1))
+    split = halved(replace(mesh, node_groups={"ends": ends}))
+    places = split.points[split.node_groups["ends"], 0]
+    assert set(places.tolist()) == {0.0, 1.0}
+    assert len(places) == 2 * 21  # four quad8 facets at each end
+
+
+@pytest.mark.parametrize("kind", ["hex20", "hex27", "tet10", "wedge15"])
+def test_a_finer_mesh_yields_more_as_it_holds_the_fields_of_the_coarser_one(kind):
+    mesh = box(kind, (2, 2, 2), (0.1, 0.1, 0.2))
+    own, fine = (component(one, integration="full") for one in (mesh, halved(mesh)))
+    more = Solver(fine).linear.compliance - Solver(own).linear.compliance
+    assert (np.linalg.eigvalsh(0.5 * (more + more.T)) > 0).all()
+
+
+FOLDED = "turned inside out or flat"
+
+
+def with_swapped_corners(mesh, count):
+    """Swap the first two corners of the first `count` cells."""
+    nodes = mesh.blocks[0].nodes.copy()
+    nodes[:count, [0, 1]] = nodes[:count, [1, 0]]
+    block = CellBlock(mesh.blocks[0].kind, nodes)
+    return Mesh(mesh.points, (block,), mesh.regions, mesh.facet_groups, mesh.node_groups)
+
+
+def bar():
+    return box("hex20", (10, 2, 2), (1.0, 0.1, 0.1))
+
+
+@pytest.mark.parametrize("count", [1, 40])
+def test_swapped_corners_that_no_quadrature_point_sees_are_an_error_of_the_check(tmp_path, count):
+    mesh = with_swapped_corners(bar(), count)
+    assert (determinants(mesh.points, mesh.blocks[0]) > 0).all()
+    told = report(write_inp(tmp_path, mesh))
+    assert not told["ok"]
+    assert any(f"{count} of 40 hex20 cells are {FOLDED}" in m for m in messages(told, "problems"))
+
+
+def test_a_bundle_with_a_folded_cell_is_neither_built_nor_solved(tmp_path):
+    bundle = read_bundle(write_inp(tmp_path, with_swapped_corners(bar(), 1)))
+    for refuse in (build, lambda bundle: solve(bundle, [0, 0, 1, 0, 0, 0])):
+        with pytest.raises(BundleError, match=FOLDED):
+            refuse(bundle)
+
+
+def test_a_component_made_without_a_bundle_is_not_solved_with_a_folded_cell():
+    part = component(with_swapped_corners(bar(), 1), fixed="x0", section="x1")
+    with pytest.raises(SolveFailed, match=FOLDED) as caught:
+        Solver(part)
+    assert caught.value.kind == "inverted_elements"
+
+
+def test_a_cell_flat_but_for_roundoff_at_a_node_is_folded():
+    mesh = box("hex20", (1, 1, 1))
+    points = mesh.points.copy()
+    nodes = mesh.blocks[0].nodes[0]
+    points[nodes[8]] = 0.75 * points[nodes[0]] + 0.25 * points[nodes[1]]  # a quarter point
+    points[nodes[8], 0] += 1e-15
+    (problem,) = cell_problems(Mesh(points, mesh.blocks, {}, {}, {}))
+    assert FOLDED in problem.message
+
+
+@pytest.mark.exact("of cells that are alike, the worst is named: check and solve see the same bits")
+@pytest.mark.parametrize("nonlinear", [False, True])
+def test_what_the_check_warns_of_stands_in_the_notes_of_every_solution(tmp_path, nonlinear):
+    folder = write_inp(tmp_path, box("hex20", (2, 2, 2), (1.0, 0.005, 0.005)), young="2e12")
+    text = (folder / "component.toml").read_text()
+    text = text.replace("nonlinear = false", f"nonlinear = {str(nonlinear).lower()}")
+    (folder / "component.toml").write_text(text)
+    warned = [f"{entry['where']}: {entry['message']}" for entry in report(folder)["warnings"]]
+    assert any("long and thin" in words for words in warned)
+    solution = solve(read_bundle(folder), np.array([0, 0, 1e-9, 0, 0, 0]))
+    assert list(solution.notes[: len(warned)]) == warned

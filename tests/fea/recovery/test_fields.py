@@ -8,13 +8,22 @@ import pytest
 from tests.fea import calculix
 from tests.fea.boxes import box
 from tests.fea.components import component
+from tests.fea.supports import TABLE
 from tests.validation.clamped import attached
-from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.bundle.read import bundle_of, read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.component import build
+from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.facets import outer_surface
+from wrenchbook.fea.mesh.mesh import NODES_PER_CELL, CellBlock, Mesh
+from wrenchbook.fea.mesh.reference_cell import node_coordinates
 from wrenchbook.fea.recovery import fields as recovery
+from wrenchbook.fea.recovery.fields import surface_of
+from wrenchbook.fea.recovery.stress import yielding
 from wrenchbook.fea.solve import Solver, solve
+from wrenchbook.fea.spec.material import Material
+from wrenchbook.fea.spec.problems import BundleError
+from wrenchbook.fea.spec.schema import Analysis
 from wrenchbook.fea.tensors import von_mises
 
 KINDS = ["hex8", "hex20", "hex27", "tet10", "wedge15"]
@@ -160,3 +169,149 @@ def test_calculix_finds_the_same_stresses_in_the_thin_plate(seed, tmp_path):
     theirs = calculix.stresses(part, conjugate, tmp_path, nonlinear=True)
     assert np.abs(found.stress - theirs).max() < 1e-5 * np.abs(theirs).max()
     assert found.largest == pytest.approx(von_mises(theirs).max(), rel=1e-5)
+
+
+SIDES = (0.2, 0.3, 0.5)
+
+
+def volume(points, triangles):
+    first, second, third = (points[triangles[:, i]] for i in range(3))
+    return np.einsum("ij,ij->", first, np.cross(second, third)) / 6
+
+
+def edges(triangles):
+    return np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+
+
+@pytest.mark.parametrize("kind", NODES_PER_CELL)
+def test_the_triangles_look_outwards_and_hold_the_volume(kind):
+    mesh = box(kind, (2, 3, 2), SIDES)
+    found = surface_of(mesh)
+    assert volume(mesh.points[found.nodes], found.triangles) == pytest.approx(0.03, rel=1e-12)
+
+
+@pytest.mark.parametrize("kind", NODES_PER_CELL)
+def test_each_edge_has_one_triangle_on_each_side(kind):
+    triangles = surface_of(box(kind, (2, 3, 2), SIDES)).triangles
+    forward, times = np.unique(edges(triangles), axis=0, return_counts=True)
+    assert (times == 1).all()
+    assert {tuple(e) for e in forward.tolist()} == {tuple(e[::-1]) for e in forward.tolist()}
+
+
+def test_midside_nodes_are_vertices():
+    mesh = Mesh(node_coordinates("hex20"), (CellBlock("hex20", np.arange(20)[None]),))
+    found = surface_of(mesh)
+    assert found.nodes.tolist() == list(range(20))
+    assert len(found.triangles) == 6 * 6
+
+
+def test_a_node_within_is_no_vertex():
+    mesh = box("hex8", (3, 3, 3))
+    found = surface_of(mesh)
+    assert (len(mesh.points), len(found.nodes), found.full_count) == (64, 56, 56)
+
+
+def test_a_large_surface_is_simplified_and_says_so():
+    mesh = box("hex20", (12, 12, 12), SIDES)
+    whole, found = surface_of(mesh), surface_of(mesh, max_vertices=500)
+    assert found.full_count == len(whole.nodes) > 2000
+    assert 200 < len(found.nodes) <= 500
+    assert set(found.nodes.tolist()) <= set(whole.nodes.tolist())
+    points = mesh.points[found.nodes]
+    assert volume(points, found.triangles) == pytest.approx(0.03, rel=0.25)
+    assert (found.triangles.max(), found.triangles.min()) == (len(found.nodes) - 1, 0)
+    corners = np.sort(found.triangles, axis=1)
+    assert len(np.unique(corners, axis=0)) == len(corners)
+    assert (np.diff(corners, axis=1) > 0).all()
+
+
+def test_a_thin_plate_that_is_simplified_keeps_both_faces():
+    mesh = box("hex8", (40, 40, 1), (0.4, 0.4, 0.004))
+    found = surface_of(mesh, max_vertices=500)
+    points = mesh.points[found.nodes]
+    assert len(points) <= 500
+    assert np.unique(points[:, 2]).tolist() == [0.0, 0.004]
+    assert volume(points, found.triangles) == pytest.approx(0.4 * 0.4 * 0.004, rel=0.1)
+
+
+STRENGTH = 100e6
+AREA, MODULUS = 0.02 * 0.03, 0.03 * 0.02**2 / 6  # of a section 0.02 by 0.03 m, about y
+
+
+def bar(on_yield="warn", strength=STRENGTH, nonlinear=False):
+    mesh = box("hex20", (4, 4, 6), (0.02, 0.03, 0.2))
+    one = component(mesh, poisson=0.0)
+    material = replace(Material("all", 210e9, 0.0), yield_strength=strength)
+    return Solver(
+        replace(one, materials=(material,), analysis=Analysis(nonlinear, on_yield=on_yield))
+    )
+
+
+def of_yielding(solution):
+    return [note for note in solution.notes if "yield strength" in note]
+
+
+@pytest.mark.parametrize("nonlinear", [False, True])
+def test_a_bar_that_is_pulled_yields_as_a_whole(nonlinear):
+    (note,) = of_yielding(bar(nonlinear=nonlinear).solve([0, 0, 1.2 * STRENGTH * AREA, 0, 0, 0]))
+    assert note.startswith("1e+02 % of the part's volume is beyond its yield strength")
+    assert "up to 1.2 times that of all (1e+08 Pa)" in note
+
+
+def test_a_bar_that_is_bent_yields_at_its_faces():
+    moment = 1.5 * STRENGTH * MODULUS
+    (note,) = of_yielding(bar().solve([0, 0, 0, 0, moment, 0]))
+    # Of four layers the two outer ones are beyond 2/3 of the half depth at one point of two.
+    assert note.startswith("25 % of the part's volume")
+
+
+@pytest.mark.parametrize("strength", [STRENGTH, None])
+def test_a_bar_that_does_not_yield_has_no_note(strength):
+    assert not of_yielding(bar(strength=strength).solve([0, 0, 0.9 * STRENGTH * AREA, 0, 0, 0]))
+
+
+def test_stresses_of_an_answer_are_found_only_where_the_loads_may_make_it_yield(monkeypatch):
+    solver, found = bar(), []
+    monkeypatch.setattr("wrenchbook.fea.solve.yielding", lambda *_: found.append(1) or "")
+    for share in (0.4, 0.49, 0.51, 1.2):
+        force, moment = share * STRENGTH * AREA, share * STRENGTH * MODULUS
+        solver.solve([0, 0, force, 0, moment, 0])
+    assert 1 <= len(found) <= 2
+
+
+def test_loads_that_show_no_yielding_have_none():
+    solver, chance = bar(), np.random.default_rng(3)
+    scale = STRENGTH * np.array([2e-5, 2e-5, AREA, MODULUS, MODULUS, MODULUS])
+    for wrench in chance.uniform(-0.7, 0.7, (40, 6)) * scale:
+        found = solver.solve(wrench)
+        assert bool(of_yielding(found)) == bool(yielding(solver.component, solver.body, found))
+
+
+def test_a_component_that_must_not_yield_has_no_answer_where_it_does():
+    solver = bar("fail")
+    with pytest.raises(SolveFailed, match="1e\\+02 % of the part's volume") as caught:
+        solver.solve([0, 0, 1.2 * STRENGTH * AREA, 0, 0, 0])
+    assert caught.value.kind == "yields"
+    assert "on_yield" in caught.value.remedy
+    assert solver.solve([0, 0, 0.9 * STRENGTH * AREA, 0, 0, 0]).displacement[2] > 0
+
+
+def bundle(folder, **analysis):
+    material = {"region": "all", "youngs_modulus": 1e9, "poisson_ratio": 0.3}
+    table = TABLE | {
+        "supports": {"fixed": ["z0"]},
+        "material": [material],
+        "interface": {"section": "z1", "coupling": "rigid"},
+        "analysis": {"nonlinear": False} | analysis,
+    }
+    return bundle_of(table, folder)
+
+
+def test_the_bundle_says_what_becomes_of_a_solve_that_yields(tmp_path):
+    assert bundle(tmp_path).analysis.on_yield == "warn"
+    assert bundle(tmp_path, on_yield="fail").analysis.on_yield == "fail"
+
+
+def test_another_word_is_refused(tmp_path):
+    with pytest.raises(BundleError, match="on_yield"):
+        bundle(tmp_path, on_yield="stop")

@@ -2,6 +2,7 @@
 
 import weakref
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,9 @@ from scipy.optimize import brentq
 
 from tests.fea.boxes import box
 from tests.fea.components import component
+from tests.validation.clamped import shipped
 from wrenchbook.fea.assembly.system import System
+from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.linalg.multifrontal import MultifrontalFactor
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver import load_steps as path
@@ -20,9 +23,9 @@ YOUNG = 70e9
 COUPLINGS = ["rigid", "distributed"]
 
 
-def strip(coupling="rigid", **changes):
-    """A thin cantilever along z, 1 m by 10 mm by 10 mm, without Poisson's effect."""
-    mesh = box("hex20", (2, 2, 32), (0.01, 0.01, 1.0))
+def strip(coupling="rigid", thickness=0.01, **changes):
+    """A thin cantilever along z, 1 m by 10 mm wide, without Poisson's effect."""
+    mesh = box("hex20", (2, 2, 32), (thickness, 0.01, 1.0))
     options = {"young": YOUNG, "poisson": 0.0, "nonlinear": True, **changes}
     return component(mesh, coupling=coupling, **options)
 
@@ -38,10 +41,12 @@ BENDING = YOUNG * 0.01**4 / 12
 PLATE_WRENCH = np.array([300.0, 150.0, -25.0, 2.0, 4.0, 3.0])
 
 
+@pytest.mark.parametrize("thickness", [0.01, 0.001])
 @pytest.mark.parametrize("coupling", COUPLINGS)
-def test_a_tip_moment_bends_a_strip_into_a_circle(coupling):
+def test_a_tip_moment_bends_a_strip_into_a_circle(coupling, thickness):
     angle = np.radians(19)
-    found = Solver(strip(coupling)).solve([0, 0, 0, 0, BENDING * angle, 0])
+    moment = YOUNG * 0.01 * thickness**3 / 12 * angle
+    found = Solver(strip(coupling, thickness)).solve([0, 0, 0, 0, moment, 0])
     ux, _, uz, _, ry, _ = found.displacement
     assert ry == pytest.approx(angle, rel=2e-4)
     assert ux == pytest.approx((1 - np.cos(angle)) / angle, rel=2e-4)
@@ -135,6 +140,61 @@ def test_corrections_with_an_old_tangent_save_a_factorisation_and_change_no_answ
     assert with_chords < len(made) - with_chords
     scale = np.abs(plain.displacement).max()
     np.testing.assert_allclose(answer.displacement, plain.displacement, rtol=0, atol=1e-10 * scale)
+
+
+@pytest.mark.parametrize(
+    ("size", "energy", "norm", "done"),
+    [
+        (1e-7, 1e-6, 1e-6, True),
+        (1e-5, 1e-6, 1e-6, False),
+        (1e-7, 1e-4, 1e-6, False),
+        (1e-7, 1e-6, 1e-4, False),
+    ],
+)
+def test_a_last_correction_is_small_in_displacement_energy_and_forces(size, energy, norm, done):
+    balance = SimpleNamespace(norm=norm, scale=1.0)
+    assert newton.Correction(balance, (None, None), size, energy).converged is done
+
+
+@pytest.mark.parametrize("coupling", COUPLINGS)
+def test_the_first_correction_of_a_small_load_is_the_whole_strain_energy(coupling, monkeypatch):
+    """Its work at supports, nodes and interface over twice the energy, of which it is the root."""
+    sizes, correct = [], newton.correct
+
+    def noted(*arguments):
+        step = correct(*arguments)
+        sizes.append(step.energy)
+        return step
+
+    monkeypatch.setattr(newton, "correct", noted)
+    Solver(plate(coupling)).solve(1e-3 * PLATE_WRENCH)
+    assert sizes[0] == pytest.approx(1, rel=1e-3)
+
+
+def test_steps_of_a_slender_part_aim_at_the_stress_of_the_next():
+    """With the stress of the state itself a spring at nearly its full load takes 13 iterations."""
+    found = Solver(shipped("spring", cells_per_turn=8)).solve([0, 0, -8.0, 0, 0, 0])
+    assert {step.load_factor for step in found.history} == {1.0}
+    assert len(found.history) <= 7
+
+
+@pytest.mark.parametrize("size", [1e-5, 1e-2])
+def test_corrections_that_stay_small_are_given_up_as_roundoff(size, monkeypatch):
+    balance = SimpleNamespace(norm=1.0, scale=1.0, state=SimpleNamespace(interface=np.zeros(6)))
+    tangent = SimpleNamespace(correction=lambda _: (None, None), release=lambda: None)
+    step = newton.Correction(balance, (None, None), size, 1.0)
+    monkeypatch.setattr(newton, "correct", lambda *_: step)
+    system, told = SimpleNamespace(linearise=lambda *_: tangent), []
+    with pytest.raises(newton.Stuck) as caught:
+        newton.find_equilibrium(system, balance, tangent, lambda *one: told.append(one))
+    assert (caught.value.at_roundoff, len(told)) == ((True, 3) if size < 1e-3 else (False, 16))
+
+
+@pytest.mark.parametrize(("coupling", "most"), [("rigid", 15), ("distributed", 14)])
+def test_an_iteration_that_turns_the_interface_beyond_half_a_turn_is_given_up(coupling, most):
+    with pytest.raises(SolveFailed, match="rotation_too_large") as caught:
+        Solver(strip(coupling)).solve([0, 0, 0, 0, BENDING * np.radians(200), 0])
+    assert len(caught.value.history) < most  # it went on for ten more
 
 
 def test_the_history_and_the_progress_tell_each_iteration():

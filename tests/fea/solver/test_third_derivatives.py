@@ -93,6 +93,10 @@ OTHERS = {
         locked=["ux"],
     ),
     "acceleration": lambda: post(inputs=PULL),
+    "acceleration, temperature": lambda: post(
+        SOFT | {"thermal_expansion": 2e-4}, inputs=PULL | HEAT, coupling="distributed"
+    ),
+    "self-weight": lambda: post(gravity=[3, 4, -9], coupling="distributed"),
     "sliding, self-weight": lambda: post(
         supports={"fixed": ["z0"], "sliding": [SLIDING]},
         gravity=[3, 4, -9],
@@ -114,6 +118,22 @@ def case(name, share):
     scale = np.tile(LOADS, len(whole.interfaces)) if whole.bundle is None else range_of(solver)
     random = np.random.default_rng(7).uniform(-1, 1, len(scale))
     return solver, whole.at_rest + share * scale * random, scale
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_tangents_are_the_derivatives_of_answers_of_all_nodes_and_of_stresses(name):
+    solver, inputs, scale = case(name, 0.9)
+    found = solver.solve(inputs)
+    fields = solver.fields(found)
+    direction = 2e-4 * scale * np.random.default_rng(9).uniform(-1, 1, len(scale))
+    ahead, behind = (solver.solve(inputs + s * direction, start=found.state) for s in (1, -1))
+    for told, ends in (
+        (found.compliance, (ahead.displacement, behind.displacement)),
+        (found.tangents, (ahead.nodes, behind.nodes)),
+        (fields.stress_slopes, (solver.stresses(ahead), solver.stresses(behind))),
+    ):
+        slope = (ends[0] - ends[1]) / 2
+        assert np.abs(told @ direction - slope).max() <= 1e-5 * np.abs(slope).max()
 
 
 @pytest.mark.parametrize("share", [0.3, 0.9])

@@ -1,18 +1,20 @@
 """The first natural frequency against closed forms and CalculiX."""
 
-import subprocess
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 from scipy.optimize import brentq
 
 from tests.fea import calculix
 from tests.fea.boxes import box
 from tests.fea.components import component
-from tests.validation.clamped import attached
+from tests.validation.clamped import attached, shipped
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.solver.vibration import Riding, consistent_mass
+from wrenchbook.fea.solver.vibration import Inertia, Riding, consistent_mass
+from wrenchbook.fea.spec.material import Material
+from wrenchbook.fea.tensors import rotation, skew
 
 YOUNG, DENSITY, LENGTH, WIDTH, HEIGHT = 210e9, 7800.0, 1.0, 0.02, 0.03
 AREA, BENDING = WIDTH * HEIGHT, HEIGHT * WIDTH**3 / 12
@@ -130,21 +132,16 @@ def test_calculix_finds_the_same_frequency_on_the_same_mesh(kind, tmp_path):
     mesh = box(kind, (2, 2, 6), (0.1, 0.15, 0.4))
     part = replace(component(mesh, poisson=0.3))
     part = replace(part, materials=(replace(part.materials[0], density=DENSITY),))
-    lines = [*calculix._deck(part, np.zeros(6), False)]
+    lines = calculix.deck_lines(part, np.zeros(6))
     lines = [line for line in lines[: lines.index("*STEP")] if "RIGID BODY" not in line]
-    place = lines.index("*SOLID SECTION, ELSET=EALL, MATERIAL=M")
+    place = lines.index("*SOLID SECTION, ELSET=E0, MATERIAL=M0")
     lines.insert(place, f"*DENSITY\n{DENSITY}")
     lines += ["*STEP", "*FREQUENCY", "3", "*NODE FILE", "U", "*END STEP"]
-    (tmp_path / "job.inp").write_text("\n".join(lines) + "\n")
-    done = subprocess.run(
-        ["ccx", "job"], cwd=tmp_path, capture_output=True, text=True, timeout=240, check=False
-    )
-    rows = [line.split() for line in (tmp_path / "job.dat").read_text().splitlines()]
-    modes = [row for row in rows if len(row) == 5 and row[0] == "1"]
-    assert modes, done.stdout[-2000:]
+    rows = calculix.printed(lines, tmp_path)
+    (mode, *_) = [row for row in rows if len(row) == 5 and row[0] == "1"]
     # Free tip: a distributed coupling without a mass holds nothing.
     ours = Solver(attached(part, coupling="distributed")).vibration(Riding.of()).frequency
-    assert ours == pytest.approx(float(modes[0][3]), rel=1e-5)
+    assert ours == pytest.approx(float(mode[3]), rel=1e-5)
 
 
 def test_a_beams_condensed_mass_is_that_of_its_static_shapes():
@@ -157,3 +154,100 @@ def test_a_beams_condensed_mass_is_that_of_its_static_shapes():
     assert across == pytest.approx(13 / 35 * mass, rel=2e-3)
     assert abs(found[0, 4]) == pytest.approx(11 / 210 * mass * LENGTH, rel=3e-3)
     assert found[4, 4] == pytest.approx(mass * LENGTH**2 / 105, rel=5e-3)
+
+
+LIGHT, SIZE = 2700.0, (0.05, 0.03, 0.4)
+AXES = rotation(np.array([0.3, -0.5, 0.2]))
+
+
+def bar(coupling="rigid", **options):
+    mesh = box("hex20", (1, 1, 6), SIZE)
+    one = component(mesh, coupling=coupling, axes=AXES, integration="full", **options)
+    return Solver(replace(one, materials=(Material("all", 70e9, 0.3, density=LIGHT),)))
+
+
+def frequencies(solver, held):
+    """All natural frequencies, Hz, by the whole matrices."""
+    system = solver._system
+    inertia = Inertia(system, solver._mass, np.zeros((6, 6)))
+    units = np.eye(inertia.size)
+    flexible = np.stack([inertia.solved(unit) for unit in units], axis=1)
+    mass = np.stack([inertia.times(unit) for unit in units], axis=1)
+    stiffness = np.linalg.inv(0.5 * (flexible + flexible.T))
+    kept = slice(inertia.first) if held else slice(None)
+    squares = eigh(stiffness[kept, kept], 0.5 * (mass + mass.T)[kept, kept], eigvals_only=True)
+    return np.sqrt(squares) / (2 * np.pi)
+
+
+def test_the_frequencies_are_those_of_the_whole_part():
+    solver = bar()
+    found = solver.craig_bampton(20)
+    np.testing.assert_allclose(found.held, frequencies(solver, held=True)[:20], rtol=1e-6)
+    np.testing.assert_allclose(found.free[:10], frequencies(solver, held=False)[:10], rtol=1e-3)
+
+
+@pytest.mark.parametrize("coupling", ["rigid", "distributed"])
+def test_the_first_frequency_is_that_of_the_check(coupling):
+    solver = bar(coupling)
+    first = solver.craig_bampton(12).free[0]
+    assert first == pytest.approx(solver.vibration(Riding.of()).frequency, rel=1e-4)
+
+
+def test_the_stiffness_is_that_of_the_part():
+    solver = bar()
+    own = solver.craig_bampton(3).stiffness[6:12, 6:12]
+    product = own @ solver.compliance
+    np.testing.assert_allclose(product, np.eye(6), atol=1e-9 * np.abs(product).max())
+
+
+def test_a_rigid_motion_costs_no_energy_and_moves_the_whole_mass():
+    found = bar().craig_bampton(4)
+    arm = found.origins[1] - found.origins[0]
+    turn = found.rotations[1].T @ found.rotations[0]
+    moved = np.hstack([turn, -turn @ skew(found.rotations[0].T @ arm)])
+    rigid = np.vstack([np.eye(6), moved, np.hstack([np.zeros((3, 3)), turn]), np.zeros((4, 6))])
+    scale = np.sqrt(np.abs(np.diag(found.stiffness)))
+    forces = (found.stiffness @ rigid) / scale[:, None]
+    assert np.abs(forces).max() < 1e-9 * scale.max()
+    mass = rigid.T @ found.mass @ rigid
+    whole, centre = LIGHT * np.prod(SIZE), np.array(SIZE) / 2
+    np.testing.assert_allclose(mass[:3, :3], whole * np.eye(3), atol=1e-9 * whole)
+    np.testing.assert_allclose(mass[3:, :3], whole * skew(centre), atol=1e-9 * whole)
+    expected = whole * (SIZE[1] ** 2 + SIZE[2] ** 2) / 3
+    assert mass[3, 3] == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_mode_has_unit_mass_and_its_frequency_as_stiffness():
+    found = bar().craig_bampton(4)
+    np.testing.assert_allclose(found.mass[12:, 12:], np.eye(4), atol=1e-6)
+    square = (2 * np.pi * found.held) ** 2
+    np.testing.assert_allclose(found.stiffness[12:, 12:], np.diag(square), rtol=1e-12)
+    assert not found.stiffness[:12, 12:].any()
+
+
+def test_a_link_has_a_frame_at_each_end():
+    solver = Solver(shipped("link"))
+    found = solver.craig_bampton(2)
+    assert found.names == ("left", "right")
+    assert found.stiffness.shape == found.mass.shape == (14, 14)
+    way = np.array([0.0, 0.0, 1.0])  # both ends along it, each in its own axes
+    both = [np.append(turn.T @ way, np.zeros(3)) for turn in found.rotations]
+    translation = np.concatenate([*both, np.zeros(2)])
+    whole = solver.vibration(Riding.of()).mass
+    assert translation @ found.mass @ translation == pytest.approx(whole, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("density", "locked", "modes", "words"),
+    [
+        (LIGHT, ("ux",), 2, "six freedoms"),
+        (None, (), 2, "density"),
+        (LIGHT, (), 0, "modes"),
+    ],
+)
+def test_a_part_without_a_frame_a_density_or_modes_is_refused(density, locked, modes, words):
+    part = replace(
+        bar(locked=locked).component, materials=(Material("all", 70e9, 0.3, density=density),)
+    )
+    with pytest.raises(ValueError, match=words):
+        Solver(part).craig_bampton(modes)

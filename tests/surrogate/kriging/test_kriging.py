@@ -1,7 +1,6 @@
 """A table's kriging: exact at rows, invariant, calibrated, updated."""
 
 import pickle
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -67,15 +66,6 @@ def test_derivatives_equal_differences(kriging: Kriging) -> None:
         assert scaled.max() < 1e-6
 
 
-def test_one_answer_is_that_of_many(kriging: Kriging) -> None:
-    displacement, bar = kriging.answer_many(ASKED)
-    for place in (0, 7, 31):
-        alone = ASKED[place : place + 1]
-        one, its_bar = kriging.answer_many(alone)
-        np.testing.assert_allclose(one[0], displacement[place], rtol=0, atol=1e-14)
-        np.testing.assert_allclose(its_bar[0], bar[place], rtol=1e-9)
-
-
 @pytest.mark.exact("ties of equally far rows decide neighbourhoods and left-out groups by rounding")
 def test_answers_do_not_depend_on_units(kriging: Kriging) -> None:
     loads, moved = np.array([1e3, 1e3, 1e3, 1e-2, 1e-2, 1e-2]), np.array([1e3] * 3 + [57.3] * 3)
@@ -89,14 +79,6 @@ def test_answers_do_not_depend_on_units(kriging: Kriging) -> None:
         other.answer_many(ASKED * loads), kriging.answer_many(ASKED), strict=True
     ):
         np.testing.assert_allclose(told / moved / _size(ROWS), expected / _size(ROWS), atol=1e-9)
-
-
-def test_answers_do_not_depend_on_the_order_of_rows(kriging: Kriging) -> None:
-    shuffled = ROWS.take(np.random.default_rng(1).permutation(len(ROWS)))
-    for told, expected in zip(
-        Kriging.build(shuffled, RANGE).answer_many(ASKED), kriging.answer_many(ASKED), strict=True
-    ):
-        np.testing.assert_allclose(told / _size(ROWS), expected / _size(ROWS), atol=1e-9)
 
 
 def test_a_pickled_kriging_answers_the_same(kriging: Kriging) -> None:
@@ -239,29 +221,9 @@ def test_the_detail_tells_how_it_answers(kriging: Kriging) -> None:
     assert kriging.detail == "kriging, one factor over 32 rows (224 equations)"
 
 
-def test_bars_never_vanish_even_where_nothing_is_left_to_learn() -> None:
-    straight = solved(lambda x: x @ np.diag([1e-3] * 6), WRENCHES)
-    displacement, bar = Kriging.build(straight, RANGE).answer_many(ASKED)
-    assert (bar > 0).all()
-    assert (np.abs(displacement - ASKED / HIGH * 1e-3) <= bar).all()
-
-
 def test_of_solves_too_many_for_one_factor_those_far_apart_answer_and_are_told() -> None:
     rows = solved(COUPLED, np.concatenate((full_wrenches(40, 31), 1e-2 * full_wrenches(40, 32))))
     kriging = Kriging.build(rows, RANGE, settings=KrigingSettings(dense_equations=300))
     assert kriging.detail == "kriging, one factor over 42 of 80 rows (294 of 560 equations)"
     assert (np.abs(kriging.equations.x).max(axis=1) > 0.05).sum() == 40
     assert kriging.knows_errors
-
-
-def test_many_threads_read_one_kriging_at_once(kriging: Kriging) -> None:
-    expected = kriging.answer_many(ASKED)[0]
-    with ThreadPoolExecutor(4) as pool:
-        for told in pool.map(lambda _: kriging.answer_many(ASKED)[0], range(16)):
-            np.testing.assert_array_equal(told, expected)
-
-
-def test_left_out_rows_are_told_in_si_units(kriging: Kriging) -> None:
-    errors = kriging.left_out()
-    assert errors.shape == (len(ROWS), 6)
-    assert (np.abs(errors).max(axis=0) < 0.2 * _size(ROWS)).all()

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.surrogate.kriging.responses import RESPONSES, noisy_rows, solved, spread_wrenches
+from tests.surrogate.kriging.responses import RESPONSES, noisy_rows, solved
+from tests.surrogate.kriging.test_likelihood import PLACE, ROUGH, SMOOTH, WRENCHES, differences
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches
 from wrenchbook.surrogate.kriging import Kriging, noise
 from wrenchbook.surrogate.kriging.correlation import Hyperparameters, covariance, mean_terms
@@ -15,10 +16,6 @@ from wrenchbook.surrogate.kriging.settings import KrigingSettings
 from wrenchbook.surrogate.table.merging import merge
 from wrenchbook.surrogate.table.rows import Rows
 
-SMOOTH, PLACE = RESPONSES["smooth"], np.array([-0.5, 0.2, 0.1, -0.3, 0.4, 0.0, -0.7])
-# A larger nugget, so that differences of the likelihood are not lost in rounding.
-ROUGH = KrigingSettings(nugget=1e-6)
-WRENCHES = spread_wrenches(3, 6, 1)
 REPEATED = np.concatenate((WRENCHES, WRENCHES[:5]))
 TABLES = {
     "unknown": noisy_rows(SMOOTH, WRENCHES, 1, told=False),
@@ -50,13 +47,7 @@ def measured(
 def test_the_gradient_equals_differences(name: str) -> None:
     groups = noise.noisy_rows(*prepared(TABLES[name]), ROUGH)
     _, gradient = noise.negative_log_posterior(PLACE, groups, ROUGH)
-    step, found = 1e-4, []
-    for way in step * np.eye(len(PLACE)):
-        ahead, behind, ahead2, behind2 = (
-            noise.negative_log_posterior(PLACE + far * way, groups, ROUGH)[0]
-            for far in (1, -1, 2, -2)
-        )
-        found.append((8 * (ahead - behind) - (ahead2 - behind2)) / (12 * step))
+    found = differences(lambda x: noise.negative_log_posterior(x, groups, ROUGH)[0], PLACE)
     # Beside solves the mean's wide prior leaves a billionth of the likelihood's digits.
     assert gradient == pytest.approx(found, rel=1e-3 if name == "beside solves" else 1e-5, abs=1e-5)
 

@@ -11,6 +11,10 @@ from wrenchbook.surrogate.answer import METHODS, UnknownMethodError
 from wrenchbook.surrogate.kernel import format as packed_format
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.format import PackedTableError, map_file, pieces, read, write_file
+from wrenchbook.surrogate.kernel.replies import METHODS as NUMBERED
+from wrenchbook.surrogate.kernel.replies import InverseError
+from wrenchbook.surrogate.packed.arrays import BLOCKS, check, header
+from wrenchbook.surrogate.packed.arrays import HEADER as C_HEADER
 from wrenchbook.surrogate.packed.writer import pack
 
 HEADER = 64
@@ -128,22 +132,6 @@ def test_another_format_is_refused_by_name(tmp_path, number, words, monkeypatch)
             opens(source)
 
 
-OPTIONAL = re.compile(  # words are made of these, or there is no such part without them
-    r"/(row/source|fit/rows|axes/member_first|axes/members|axes/span|cut\d\d/state|axes/vertex)$"
-    r"|space/range|kriging/(x|span_loads)$"
-)
-
-
-@pytest.mark.parametrize("kind", ["clean", "solved", "clean and full", "second derivatives"])
-def test_a_table_without_one_of_its_arrays_is_refused_by_its_name(kind):
-    found = read(bytes(content_of(kind)))
-    for name in found.arrays:
-        if not OPTIONAL.search(name):
-            arrays = {key: array for key, array in found.arrays.items() if key != name}
-            with pytest.raises(PackedTableError, match="array"):
-                PackedTable.from_bytes(b"".join(pieces(arrays, found.meta)))
-
-
 @pytest.mark.parametrize("kind", ["clean", "solved", "clean and full", "second derivatives"])
 def test_arrays_of_other_shapes_are_refused_or_lead_no_answer_beyond_them(kind):
     found = read(bytes(content_of(kind)))
@@ -213,19 +201,19 @@ def test_parts_that_do_not_fit_together_are_refused(change):
         PackedTable.from_bytes(b"".join(pieces(arrays, found.meta)))
 
 
-def test_a_correlation_that_the_kernel_does_not_have_is_refused():
-    found = read(bytes(content_of("second derivatives")))
-    arrays = {**found.arrays, "g0/kriging/smoothness": np.array([3], dtype=np.int32)}
-    with pytest.raises(PackedTableError, match="kriging/smoothness"):
-        PackedTable.from_bytes(b"".join(pieces(arrays, found.meta)))
-
-
-@pytest.mark.parametrize("own", [0, 1])
-def test_an_output_that_two_factors_answer_or_none_is_refused(own):
-    found = read(bytes(content_of("full")))
-    outputs = np.full(6, own, dtype=np.int32)
-    arrays = {**found.arrays, "g0/kriging/factor0/outputs": outputs}
-    with pytest.raises(PackedTableError, match="outputs"):
+@pytest.mark.parametrize(
+    ("kind", "name", "value", "words"),
+    [
+        ("second derivatives", "g0/kriging/smoothness", [3], "kriging/smoothness"),
+        ("full", "g0/kriging/factor0/outputs", [0] * 6, "outputs"),
+        ("full", "g0/kriging/factor0/outputs", [1] * 6, "outputs"),
+    ],
+)
+def test_a_correlation_or_outputs_that_cannot_be_are_refused(kind, name, value, words):
+    """A correlation that the kernel lacks, an output that two factors answer or none."""
+    found = read(bytes(content_of(kind)))
+    arrays = {**found.arrays, name: np.array(value, dtype=np.int32)}
+    with pytest.raises(PackedTableError, match=words):
         PackedTable.from_bytes(b"".join(pieces(arrays, found.meta)))
 
 
@@ -284,3 +272,61 @@ def test_an_interrupted_write_leaves_the_file_as_it_was(tmp_path):
         write_file(path, [b"half", None])
     assert path.read_bytes() == b"before"
     assert [one.name for one in tmp_path.iterdir()] == ["plate.wbt"]
+
+
+FIRST = "axes/vertex", "kriging/x", "/state"
+TABLES = "solved", "clean and full", "second derivatives", "linear"
+
+
+def test_the_header_of_the_kernel_is_that_of_the_description():
+    """`python -m wrenchbook.surrogate.packed.arrays` writes it."""
+    assert C_HEADER.read_text() == header()
+
+
+@pytest.mark.parametrize("kind", TABLES)
+def test_every_array_is_described(kind):
+    arrays = packed_of(kind).arrays
+    assert check(arrays) is arrays
+    with pytest.raises(PackedTableError, match="unknown"):
+        check({**arrays, "space/unknown": np.zeros(1)})
+
+
+@pytest.mark.parametrize("kind", TABLES)
+def test_the_writer_and_the_kernel_refuse_arrays_of_another_shape_or_type_and_lacking_ones(kind):
+    packed = packed_of(kind)
+    for name, array in packed.arrays.items():
+        start, last = re.fullmatch("(.*/)(.*)", name).groups()
+        block = next(own for own in BLOCKS.values() if re.fullmatch(own.names, start))
+        own = next(own for own in block.arrays if own.name == last)
+        if name == "space/sizes" or "x" in own.shape.split():
+            continue
+        other = np.zeros(array.shape, np.uint8 if own.type != "u1" else np.int32)
+        for changed in (array[None], other, *(() if own.optional else (None,))):
+            arrays = {key: value for key, value in packed.arrays.items() if key != name}
+            if changed is not None:
+                arrays[name] = changed
+            with pytest.raises(PackedTableError, match=last):
+                check(arrays)
+            # Without its first array an optional block is not there.
+            if own.member != "-" and (changed is not None or not name.endswith(FIRST)):
+                with pytest.raises(PackedTableError):
+                    PackedTable.from_bytes(b"".join(pieces(arrays, packed.meta)))
+
+
+def changed(kind, name, index, value):
+    """A table with one number of an array changed."""
+    packed = packed_of(kind)
+    arrays = {key: np.array(array) for key, array in packed.arrays.items()}
+    arrays[name][index] = value
+    return PackedTable.from_bytes(b"".join(pieces(arrays, packed.meta)))
+
+
+def test_a_group_without_a_kriging_cannot_have_it_as_its_method():
+    with pytest.raises(PackedTableError, match="flags"):
+        changed("one row", "g0/flags", 0, NUMBERED.index("kriging"))
+
+
+def test_a_displacement_of_which_no_group_has_an_output_has_no_wrench():
+    """As in a table that is cut to what a scene reads."""
+    with pytest.raises(InverseError):
+        changed("solved", "g0/outputs", 3, 0).inverse(np.full(6, 1e-9))
