@@ -81,7 +81,7 @@ static void judge_error(const wb_table *t, const wb_group *g, const wb_options *
     double worst = 1.0;
     for (int q = 0; q < m; q++) {
         double allowed = wb_allowed(g, o, q);
-        if (!g->outputs[q]) continue;
+        if (!g->judged[q]) continue;
         over |= !(a->error[q] <= allowed);
         known &= isfinite(a->error[q]) != 0;
         if (a->error[q] > worst * allowed) worst = a->error[q] / allowed, output = q;

@@ -100,6 +100,7 @@ typedef struct {
 typedef struct {
     int method, exact_fit, used, has_rows, has_composition, has_kriging;
     const int32_t *flags, *outputs, *held; /* held: NULL where it has those outputs alone */
+    const int32_t *judged;                 /* outputs that decide its coverage: read ones, else held */
     const double *allowed;
     wb_fit fit;
     wb_rows rows;

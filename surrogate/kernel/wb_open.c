@@ -257,6 +257,9 @@ static void read_group(reader *r, int number, wb_group *g, wb_factor **factor) {
     snprintf(group, sizeof group, "g%d/", number);
     snprintf(r->block, sizeof r->block, "%s", group);
     if (!READ(r, GROUP, WB_BLOCK, g)) return;
+    g->judged = g->held ? g->held : g->outputs;
+    for (int q = 0; q < r->t->outputs; q++)
+        if (g->outputs[q]) g->judged = g->outputs;
     const int32_t *flags = g->flags;
     snprintf(r->block, sizeof r->block, "%sfit/", group);
     if (!READ(r, FIT, WB_BLOCK, &g->fit)) return;

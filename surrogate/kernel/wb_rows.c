@@ -20,7 +20,7 @@ int wb_method_of(const wb_group *g, const wb_options *o) {
 /* The largest interpolation error of a covered answer: the request's tolerance, else the
  * component's or the default one. Outputs of other groups do not count. */
 double wb_allowed(const wb_group *g, const wb_options *o, int q) {
-    if (!g->outputs[q]) return INFINITY;
+    if (!g->judged[q]) return INFINITY;
     return o && o->tolerance && !isnan(o->tolerance[q]) ? o->tolerance[q] : g->allowed[q];
 }
 

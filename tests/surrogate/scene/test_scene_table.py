@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tests.surrogate.kernel.kinds import table_of
@@ -130,6 +130,7 @@ def test_single_replies_are_those_of_the_whole_table(kind: str) -> None:
 
 
 @settings(max_examples=60)
+@example("in part measured", [(0.0, 0.0)] * 6, ["zero"] * 6, {0})  # answered by a row not read
 @given(
     kind=st.sampled_from(KINDS),
     ends=st.lists(st.tuples(st.floats(-1, 1), st.floats(-1, 1)), min_size=6, max_size=6),
