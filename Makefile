@@ -48,6 +48,13 @@ test: $(VENV)/.installed-dev  ## the test suite
 test-fast: $(VENV)/.installed-dev  ## the tests without the slow ones: servers, browser, engines
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"
 
+# branches of service, surrogate and fea that the tests take, by file
+coverage: $(VENV)/.installed-dev
+	mkdir -p build/coverage
+	$(BIN)/python -m coverage run -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m coverage combine -q
+	$(BIN)/python -m coverage report
+
 check: lint types arch $(VENV)/.installed-docs test  ## all checks of CI: lint, types, import rules, tests
 
 # rules and format by ruff
