@@ -7,8 +7,8 @@ from typing import TypeVar
 T = TypeVar("T")
 
 
-def until(condition: Callable[[], T], seconds: float = 60.0) -> T:
-    """Look again and again until there is something; return it."""
+def until(condition: Callable[[], T], seconds: float = 600.0) -> T:
+    """Look again and again until there is something; return it. After `seconds` it hangs."""
     deadline = time.monotonic() + seconds
     while not (found := condition()):
         assert time.monotonic() < deadline, f"did not come about in {seconds:g} s"

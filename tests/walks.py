@@ -106,7 +106,7 @@ def walks(solvers: int) -> dict[str, list[str]]:
             yield line
             files = set(passed.files)
             if name in ("job", "import"):
-                until(lambda: packed_files(folder) - tables, 60)  # the new table
+                until(lambda: packed_files(folder) - tables)  # the new table
                 time.sleep(IDLE_S)  # which is mapped, and saved
                 files |= passed.files - idle
             found[name] = sorted(str(Path(file).relative_to(ROOT)) for file in files)

@@ -36,7 +36,7 @@ class RealServer:
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=variables)
         url = self.process.stdout.readline().split()[-1]
         self.address = urlsplit(url).hostname, urlsplit(url).port
-        self.client = Client(url, timeout=60)
+        self.client = Client(url, timeout=600)
         until(lambda: self.process.poll() is not None or self.client.is_ready())
         assert self.process.poll() is None
         return self.client

@@ -31,7 +31,7 @@ import service, data, surrogate
 from wrenchbook import Client, ServerUnreachable, conventions
 import wrenchbook
 
-with Client(sys.argv[1], timeout=120) as client:
+with Client(sys.argv[1], timeout=600) as client:
     solved = client.displacement("bar", [0, 0, -5], on_thin="wait", wait_s=100)
     client.add_component({"name": "rig", "title": "rig",
                           "range": {"force": [9, 9, 9], "moment": [9, 9, 9]}})

@@ -340,7 +340,7 @@ def async_client(kind: Kind, asked: Question) -> Said:
     how = {"on_thin": "estimate", **asked.how, "derivatives": True}
 
     async def gathered() -> list[Displacement]:
-        async with AsyncClient(kind.client.url, timeout=60) as own:
+        async with AsyncClient(kind.client.url, timeout=600) as own:
             calls = [kind.loads(wrench) for wrench in asked.wrenches]
             found = [own.displacement(kind.name, **one, **how) for one in calls]
             return list(await asyncio.gather(*found))

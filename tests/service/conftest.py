@@ -72,5 +72,5 @@ def stub():
 
 @pytest.fixture
 def client(stub):
-    with Client(stub.url, timeout=60.0) as made:
+    with Client(stub.url, timeout=600) as made:
         yield made

@@ -30,7 +30,7 @@ def served(folder: Path, solvers: int = 0, key: str | None = None) -> Iterator[C
     server = uvicorn.Server(server_config(app))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [bound]}, daemon=True)
     thread.start()
-    with Client(f"http://127.0.0.1:{bound.getsockname()[1]}", timeout=60, key=key) as client:
+    with Client(f"http://127.0.0.1:{bound.getsockname()[1]}", timeout=600, key=key) as client:
         until(client.is_ready)
         yield client
     server.should_exit = True

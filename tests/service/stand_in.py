@@ -119,7 +119,7 @@ def slow_first(spec, report):
 
 def waits_for_a_word(spec, report):
     """Ends when a file `go` appears in its folder."""
-    until(Path("go").exists, 120)
+    until(Path("go").exists)
     return {"displacement": displacement(spec.wrench)}
 
 

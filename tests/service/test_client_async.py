@@ -36,7 +36,7 @@ def test_each_call_of_the_client_has_the_same_signature_in_the_asynchronous_one(
 
 
 def test_fifty_calls_are_on_the_wire_at_once(stub: Stub):
-    together = threading.Barrier(50, timeout=60.0)
+    together = threading.Barrier(50, timeout=600)
 
     def respond(seen) -> Answer:
         together.wait()  # fifty requests are inside at once

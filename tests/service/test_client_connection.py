@@ -154,7 +154,7 @@ def test_the_time_the_server_is_asked_to_wait_is_added_to_the_limit(stub: Stub):
 
 
 def test_threads_share_a_client_and_never_a_connection(stub: Stub, client: Client):
-    together = threading.Barrier(4, timeout=60.0)
+    together = threading.Barrier(4, timeout=600)
 
     def respond(seen) -> Answer:
         together.wait()  # four requests are inside at once

@@ -196,7 +196,7 @@ recorder.add([1.0, 2, 3, 4, 5, 6])
 
 def run_forgetful(url):
     run = [sys.executable, "-c", FORGETFUL, url]
-    return subprocess.run(run, cwd=ROOT, capture_output=True, text=True, timeout=60, check=True)
+    return subprocess.run(run, cwd=ROOT, capture_output=True, text=True, timeout=600, check=True)
 
 
 def test_a_program_that_forgets_to_close_sends_what_is_left(server):

@@ -67,7 +67,7 @@ class Bench:
         return until(as_wanted)
 
     def end(self, job_id):
-        until(lambda: self.ledger.job(job_id).is_final, 120)
+        until(lambda: self.ledger.job(job_id).is_final)
         return self.ledger.job(job_id)
 
     def attempt(self, job, attempt=1):
@@ -599,7 +599,7 @@ def test_a_stopped_server_loses_its_attempts_to_another_and_harms_nothing_when_i
         owner = ledger.job(job.id).owner
         servers[0].send_signal(signal.SIGSTOP)
         servers.append(subprocess.Popen(command, **pipes))
-        until(lambda: ledger.job(job.id).owner != owner, 120)
+        until(lambda: ledger.job(job.id).owner != owner)
         servers[0].send_signal(signal.SIGCONT)
         later = ledger.accept("bar", "f1", (2.0, 0, 0, 0, 0, 0))[0]
         until(lambda: ledger.job(later.id).attempt)

@@ -184,7 +184,6 @@ def test_an_exception_in_one_tables_build_starves_no_other(site, monkeypatch):
     until(lambda: not site.tables.faults())
 
 
-@pytest.mark.timeout(280)
 def test_whatever_byte_is_damaged_tables_open_and_sound_components_answer(site, caplog):
     site.add("other")
     site.tables.surrogate("other")

@@ -240,7 +240,7 @@ def test_heartbeats_come_while_nothing_happens(tmp_path, monkeypatch):
     monkeypatch.setattr(route, "HEARTBEAT_S", 0.1)
     with served(tmp_path) as client:
         host, port = client.url.removeprefix("http://").split(":")
-        with socket.create_connection((host, int(port)), timeout=60) as connection:
+        with socket.create_connection((host, int(port)), timeout=600) as connection:
             connection.sendall(b"GET /v1/events HTTP/1.1\r\nHost: x\r\n\r\n")
             received = b""
             while received.count(b"\n:\n\n") < 2 and received.count(b":\n\n") < 2:

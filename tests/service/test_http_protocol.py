@@ -80,7 +80,7 @@ class Wire:
     """One connection, read reply by reply."""
 
     def __init__(self, port):
-        self.socket = socket.create_connection(("127.0.0.1", port), timeout=60)
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=600)
         self.left = b""
 
     def send(self, *pieces):

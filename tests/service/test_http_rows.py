@@ -162,7 +162,7 @@ def call(port, path, body=None):
         {"Content-Type": "application/json"},
     )
     try:
-        with urlopen(request, timeout=60) as reply:
+        with urlopen(request, timeout=600) as reply:
             return reply.status, json.load(reply)
     except HTTPError as error:
         with error:

@@ -52,7 +52,7 @@ def started(path, seed):
 
 
 @pytest.mark.exact("another process makes the same rows")
-@pytest.mark.timeout(60 + 10 * KILLS)
+@pytest.mark.timeout(1800 + 10 * KILLS)
 def test_a_killed_import_leaves_nothing_and_each_row_is_there_once(tmp_path):
     path, chance = tmp_path / "ledger.sqlite", random.Random(3)
     ledger = Ledger(path)

@@ -355,7 +355,7 @@ def test_threads_of_processes_that_open_accept_and_claim_at_once_share_each_job_
     for worker in workers:
         worker.stdin.write("go\n")
         worker.stdin.flush()
-    printed = [worker.communicate(timeout=60)[0] for worker in workers]
+    printed = [worker.communicate(timeout=600)[0] for worker in workers]
     assert [worker.returncode for worker in workers] == [0, 0, 0]
     claimed = sorted(int(line) for text in printed for line in text.split())
     ledger = Ledger(path)

@@ -302,7 +302,6 @@ def path(tmp_path):
     return path
 
 
-@pytest.mark.timeout(120)
 def test_rows_accepted_by_a_ledger_with_damaged_bytes_are_there_after_a_restart(path):
     """11 of 300 damaged ledgers answered 200 and had lost the rows at the next start."""
     whole, refused = path.read_bytes(), 0

@@ -51,7 +51,7 @@ def live(tmp_path_factory):
 
 
 def opened(client):
-    return socket.create_connection((client._host, client._port), timeout=60)
+    return socket.create_connection((client._host, client._port), timeout=600)
 
 
 @pytest.mark.parametrize(

@@ -65,7 +65,7 @@ def loop_wrenches(count):
     return path
 
 
-@pytest.mark.timeout(300 + 4 * SECONDS)
+@pytest.mark.timeout(1800 + 4 * SECONDS)
 @pytest.mark.parametrize("kind", ["recording", "envelope"])
 def test_a_loop_whose_server_is_killed_loses_nothing_and_doubles_nothing(site, kind):
     site.wait_until_ready()

@@ -165,7 +165,7 @@ def test_a_report_is_made_over_http(http, monkeypatch):
     assert http.post("/v1/components/beam/solve", json=solve).status_code == 200
     first = http.post(call, params={"wrenches": 3})
     assert first.status_code == 202, "right after a solve it said that there are no rows"
-    until(lambda: http.get(call, params={"format": "state"}).json()["state"] != "running", 120)
+    until(lambda: http.get(call, params={"format": "state"}).json()["state"] != "running")
     body = http.get(call)
     assert body.status_code == 200, body.text
     assert body.json()["wrenches"]["compared"] == 3

@@ -338,7 +338,7 @@ def test_bodies_that_do_not_touch_are_told_by_the_check(tmp_path):
 def test_the_text_is_printed_by_the_program(tmp_path):
     write_inp(tmp_path, box("hex20", (4, 2, 2), (4, 1, 1)), young="-1")
     command = [sys.executable, "-m", "wrenchbook.fea.check", str(tmp_path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=600)
     assert done.returncode == 1
     assert done.stdout.splitlines()[-1] == "1 error"
     assert "error: material[0].youngs_modulus: must be above 0 (Pa), not -1" in done.stdout

@@ -62,7 +62,7 @@ def written(folder, bundle, **changes):
     """The bundle solved by the deck that is written of it."""
     file = folder / "written.inp"
     file.write_text(inpwriter.deck_of(build(bundle)))
-    deck = Deck(file, ("ccx", "{job}"), OUTPUT, timeout=120, moment="conjugate")
+    deck = Deck(file, ("ccx", "{job}"), OUTPUT, timeout=600, moment="conjugate")
     return replace(bundle, deck=replace(deck, **changes))
 
 

@@ -36,7 +36,7 @@ class Bench:
         """A new engine, ready to take an attempt."""
         engine = self.open_engine()
         self._engines.append(engine)
-        until(lambda: engine.slots > 0, 60)
+        until(lambda: engine.slots > 0)
         return engine
 
     def attempt(self, solver, **needs):

@@ -60,7 +60,7 @@ def test_a_scheduler_that_dies_is_found_again_with_the_attempts(own, cluster):
     assert engine.slots == 0
     assert all(engine.poll(one) in (*ALIVE, "finished") for one in (attempt, *waiting))
     cluster.mend(1)
-    until(lambda: cluster.mend(1) or not engine.trouble, 60)  # workers end with their scheduler
+    until(lambda: cluster.mend(1) or not engine.trouble)  # workers end with their scheduler
     until(lambda: own.starts(attempt) == 2)  # solvers end with their workers
     own.go(attempt)
     for one in (attempt, *waiting):

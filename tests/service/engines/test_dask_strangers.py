@@ -53,7 +53,7 @@ def test_a_worker_of_another_version_gets_nothing_to_solve(own, cluster):
     cluster.start_worker(PYTHONPATH=path)
     engine = own.open_engine()
     own._engines.append(engine)
-    until(lambda: "0.0.7" in (engine.trouble or ""), 60)
+    until(lambda: "0.0.7" in (engine.trouble or ""))
     assert engine.slots == 0
     cluster.start_worker()
     until(lambda: engine.slots)
@@ -74,7 +74,7 @@ def test_a_worker_without_the_program_gets_nothing_and_a_scheduler_needs_none(ow
     cluster.start_worker()
     engine = own.open_engine()
     own._engines.append(engine)
-    until(lambda: "install wrenchbook[cluster,server]" in (engine.trouble or ""), 60)
+    until(lambda: "install wrenchbook[cluster,server]" in (engine.trouble or ""))
     cluster.start_worker(PYTHONPATH=sound)
     until(lambda: engine.slots)
     attempt = own.attempt("quick")

@@ -38,7 +38,7 @@ def folder(table, tmp_path_factory):
 
 def run(program, *words, **more):
     command = [str(program), *map(str, words)]
-    ran = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, **more)
+    ran = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False, **more)
     return ran.returncode, ran.stdout.splitlines(), ran.stderr
 
 
@@ -81,7 +81,7 @@ def example(folder):
 def test_the_library_compiles_by_the_readmes_line_and_has_the_bits_of_python(
     example, folder, table
 ):
-    subprocess.run(readmes_line(folder, "./"), shell=True, cwd=folder, check=True, timeout=60)
+    subprocess.run(readmes_line(folder, "./"), shell=True, cwd=folder, check=True, timeout=600)
     assert_answers_are_those_of_python(example, folder, table)
     code, _, error = run(example, folder / "README.txt", *"123456")
     assert (code, "not a packed table" in error) == (1, True)

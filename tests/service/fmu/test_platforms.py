@@ -26,8 +26,6 @@ from wrenchbook.surrogate.packed.writer import pack
 X86_64, ARM64 = 0x01000007, 0x0100000C  # processors of Mach-O
 LINKERS = {"__dso_handle", "_mh_dylib_header"}  # symbols that the linker of ziglang defines
 HEADER = Path(export.__file__).parent / "c" / "fmi2Functions.h"
-# Five compilations of the whole kernel: minutes where other programs are at work.
-pytestmark = pytest.mark.timeout(1800)
 # Of FMI 2.0, for co-simulation and model exchange.
 FUNCTIONS = set(re.findall(r"^#define (fmi2\w+)\s+fmi2FullName", HEADER.read_text(), re.M))
 

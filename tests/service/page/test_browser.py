@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from selenium.webdriver.common.keys import Keys
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(240)]
+pytestmark = pytest.mark.browser
 
 BAR = Path(__file__).parents[3] / "data" / "components" / "bar" / "component.toml"
 VIEWS = (

@@ -11,8 +11,8 @@ from tests.surrogate.findings.rigs import Rig
 from tests.until import until
 from wrenchbook.service.client.errors import ProblemError
 
-LIMIT_S = 240
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(LIMIT_S)]
+LIMIT_S = 1200
+pytestmark = pytest.mark.browser
 REPORT = "/v1/components/plate_thin/report"
 
 
