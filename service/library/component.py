@@ -29,7 +29,7 @@ UNLOADED = "relative to the part without loads"
 FileStamp = tuple[tuple[int, int] | None, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # its arrays have no one truth; read anew, it is another
 class Component:
     """One component as the service sees it; the mesh stays with the solver.
 

@@ -158,15 +158,17 @@ class Triangulation:
         centred = points - self.origin
         off = np.abs(centred - centred @ self.basis.T @ self.basis).max(axis=1, initial=0.0)
         simplices = np.asarray(self._middles.query(points)[1], dtype=np.intp)
-        walking = np.arange(len(points))
+        walking, lost = np.arange(len(points)), []
         for _ in range(STEPS):
             parts = self.barycentric(simplices[walking], points[walking])
             behind, least = parts.argmin(axis=1), parts.min(axis=1)
-            goes_on = (least < -ROUNDED) | self.degenerate[simplices[walking]]
+            flat = self.degenerate[simplices[walking]]
+            lost.append(walking[flat])  # a flat simplex shows no way
+            goes_on = ~flat & (least < -ROUNDED)
             walking, behind = walking[goes_on], behind[goes_on]
             simplices[walking] = self.neighbours[simplices[walking], behind]
             walking = walking[simplices[walking] >= 0]
-        for point in walking:  # flat simplices may turn it back: compare it with all
+        for point in np.concatenate((*lost, walking)):  # compare it with all
             every = np.arange(len(self.simplices))
             least = self.barycentric(every, points[[point]]).min(axis=1)
             least[self.degenerate] = -np.inf

@@ -187,3 +187,12 @@ def test_inputs_of_any_size_give_the_same_answers(factor: float) -> None:
         rtol=1e-6,
         atol=1e-12,
     )
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_the_points_of_a_grid_that_rounding_moved_are_inside(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    ends = [np.linspace(-1, 1, rng.integers(2, 5)) for _ in range(3)]
+    grid = np.array(np.meshgrid(*ends)).reshape(3, -1).T
+    grid = np.nextafter(grid, rng.choice([-2.0, 0.0, 2.0], grid.shape))
+    assert (Triangulation(grid).locate(grid) >= 0).all()
