@@ -20,7 +20,7 @@ from selenium.webdriver.support.ui import WebDriverWait
 
 from wrenchbook.service.client import Client
 
-WAIT_S = 60  # a limit for hung pages; what is waited for comes as soon as it is there
+WAIT_S = 600  # a limit for hung pages; what is waited for comes as soon as it is there
 OPTIONS = (
     "--headless=new",
     "--no-sandbox",  # CI runs as root
@@ -53,6 +53,7 @@ class Browser:
         options.add_experimental_option("prefs", {"download.default_directory": str(downloads)})
         options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
         self.driver = webdriver.Chrome(options=options, service=Service(driver))
+        self.driver.set_script_timeout(WAIT_S)
         self.server, self.downloads = "", downloads
         self.resize(1280, 900)
 
