@@ -55,7 +55,7 @@ def slopes_at_zero(rows: Rows, load_range: LoadRange, response: RobustFit) -> Sl
     chosen = np.linspace(0, len(rows) - 1, min(len(rows), SAMPLE)).round().astype(np.intp)
     wrench = rows.wrench[chosen] / load_range.scale
     time = np.linspace(-0.5, 0.5, len(rows))[chosen]
-    found, spread = np.zeros((6, 12)), np.zeros((6, 12, 12))
+    estimate, spread = np.zeros((6, 12)), np.zeros((6, 12, 12))
     known = np.isfinite(rows.displacement[chosen])
     for pattern in np.unique(known, axis=1).T:
         outputs = np.flatnonzero((known == pattern[:, None]).all(axis=0))
@@ -71,13 +71,13 @@ def slopes_at_zero(rows: Rows, load_range: LoadRange, response: RobustFit) -> Sl
             columns.append(np.column_stack((x, signs, *beside)))
         size = np.maximum(y.std(axis=0), np.finfo(float).tiny)
         mean, covariances = _averaged(x, (y - y.mean(axis=0)) / size, columns)
-        found[outputs] = mean * size[:, None]
+        estimate[outputs] = mean * size[:, None]
         spread[outputs] = covariances * size[:, None, None] ** 2
     scale, own = load_range.scale, np.arange(6)
-    found[:, :6][:, ~(np.ptp(wrench, axis=0) > ZERO_LOAD)] = 0.0
+    estimate[:, :6][:, ~(np.ptp(wrench, axis=0) > ZERO_LOAD)] = 0.0
     deviation = 2 * np.sqrt(spread[own, 6 + own, 6 + own])
-    matrix, covariances = found[:, :6] / scale, spread[:, :6, :6] / np.outer(scale, scale)
-    return Slopes(matrix, covariances, 2 * found[own, 6 + own], deviation)
+    matrix, covariances = estimate[:, :6] / scale, spread[:, :6, :6] / np.outer(scale, scale)
+    return Slopes(matrix, covariances, 2 * estimate[own, 6 + own], deviation)
 
 
 def _directions(expected: Floats) -> Floats:
@@ -109,9 +109,11 @@ def _averaged(x: Floats, y: Floats, columns: list[Floats]) -> tuple[Floats, Floa
         across[:, :6] = vectors.T @ covariance(x, value, origin, slopes, kernel)
         prior[:6, :6] = covariance(origin, slopes, origin, slopes, kernel)
         for output, of_mean in enumerate(columns):
-            whole = np.column_stack((vectors.T @ of_mean, across, vectors.T @ y[:, output]))
-            products = (whole[:, :, None] * whole[:, None]).reshape(n, -1)
-            weighted = (inverse @ products).reshape(len(RATIOS), *[whole.shape[1]] * 2)
+            columns_and_data = np.column_stack(
+                (vectors.T @ of_mean, across, vectors.T @ y[:, output])
+            )
+            products = (columns_and_data[:, :, None] * columns_and_data[:, None]).reshape(n, -1)
+            weighted = (inverse @ products).reshape(len(RATIOS), *[columns_and_data.shape[1]] * 2)
             b, k = slice(0, count), slice(count, count + 12)
             normal = weighted[:, b, b] + np.eye(count) / PRIOR**2
             covariances = np.linalg.inv(normal)

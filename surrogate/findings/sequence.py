@@ -36,12 +36,12 @@ def effect_findings(effects: Effects, displacement: Floats) -> list[RigFinding]:
     )
     for cause, entry, sizes in causes:
         most = sizes[np.abs(sizes).argmax(axis=0), np.arange(len(ranges))]
-        found = np.flatnonzero(np.abs(most) > REMARKABLE * ranges)
-        if not len(found):
+        remarkable = np.flatnonzero(np.abs(most) > REMARKABLE * ranges)
+        if not len(remarkable):
             continue
-        parts = np.abs(most[found]) / ranges[found]
-        name, part = OUTPUTS[found[parts.argmax()]], parts.max()
-        numbers = {entry: {OUTPUTS[output]: float(most[output]) for output in found}}
+        parts = np.abs(most[remarkable]) / ranges[remarkable]
+        name, part = OUTPUTS[remarkable[parts.argmax()]], parts.max()
+        numbers = {entry: {OUTPUTS[output]: float(most[output]) for output in remarkable}}
         findings.append(
             RigFinding(cause, MESSAGES[cause].format(part=part, name=name), (), numbers)
         )

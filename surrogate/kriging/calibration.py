@@ -157,13 +157,13 @@ def kinds_of(x: Floats, scaling: Scaling, span: Floats, settings: KrigingSetting
         low, high = span_of(x[full], scaling, settings)
         if (low <= x.min(axis=0)).all() and (high >= x.max(axis=0)).all():
             kinds = kinds[:1]
-    found = []
+    kept_kinds = []
     for rows, shown in kinds:
         if shown.any():
             together = most_together(x[shown], scaling, settings)
             queries = query_points(span, together, x[rows & shown], scaling)
-            found.append(Kind(rows, queries, together))
-    return found
+            kept_kinds.append(Kind(rows, queries, together))
+    return kept_kinds
 
 
 def span_of(x: Floats, scaling: Scaling, settings: KrigingSettings) -> Floats:

@@ -102,14 +102,14 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
         steps[at[:1]] = 0.0
     mean, deviation, half_width = np.zeros((3, 2 + 2 * count, outputs))
     shown = np.isfinite(moved[good]).T
-    told: dict[int, tuple[Floats, Floats]] = {}
+    evidence: dict[int, tuple[Floats, Floats]] = {}
     for output in np.flatnonzero(shown.any(axis=1)).tolist():
         known = shown[output]
         # The loop itself bends the response that tells the directions: settled after a round.
         for _ in range(ROUNDS):
             beside = np.column_stack((terms, signs[good, output]))[known]
-            told[output] = beside, moved[good, output][known]
-            signs[good, output] = sure_directions(*told[output], steps[good])
+            evidence[output] = beside, moved[good, output][known]
+            signs[good, output] = sure_directions(*evidence[output], steps[good])
     some = shown.any(axis=1)
     # A loop is in rows without a sure direction too, on a side that is not known: its size is that
     # of the others.
@@ -129,7 +129,7 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     most = np.where(size != 0, np.abs(size) + half_width, 0.0)
     zero, loop, drift, _ = np.split(size, [1, 2, 2 + count])
     for output in np.flatnonzero(loop).tolist():
-        signs[:, output] = sure_directions(*told[output], steps)
+        signs[:, output] = sure_directions(*evidence[output], steps)
     bar = most[1] + 0.5 * most[2 : 2 + count].max(axis=0) + most[2 + count :].max(axis=0)
     # Where sessions differ, what they have in common is no displacement of the part either.
     common = np.abs(mean[0]) + DEFAULTS.half_width * deviation[0]
@@ -144,9 +144,9 @@ def sessions_of(rows: Rows) -> Indices:
         source = np.unique(rows.source, return_inverse=True)[1]
         session = session * (source.max() + 1) + source
     _, index, counts = np.unique(session, return_inverse=True, return_counts=True)
-    own = np.argsort(-counts, kind="stable")[:SESSIONS]
+    largest = np.argsort(-counts, kind="stable")[:SESSIONS]
     number = np.full(len(counts), -1)
-    number[own[counts[own] > 1]] = own[counts[own] > 1]
+    number[largest[counts[largest] > 1]] = largest[counts[largest] > 1]
     return np.unique(number[index], return_inverse=True)[1]
 
 
@@ -229,10 +229,10 @@ def _estimated(
                 variance = np.maximum(rest, TINY) / free
             logarithms = np.linalg.slogdet(posterior)[1] - np.log(inverse).sum(axis=1)
             values[number, :, output] = 0.5 * (free * np.log(variance) + logarithms)
-            found = (along + estimate) @ back.T
-            means[number, :, output] = found
+            effects = (along + estimate) @ back.T
+            means[number, :, output] = effects
             spread = np.einsum("ea,rab,eb->re", back, covariances, back)
-            squares[number, :, output] = found**2 + variance[:, None] * spread
+            squares[number, :, output] = effects**2 + variance[:, None] * spread
     weights = np.exp(values.min(axis=(0, 1)) - values)
     weights /= weights.sum(axis=(0, 1))
     mean = np.einsum("kro,kroe->eo", weights, means)
@@ -270,8 +270,8 @@ def _covariances(x: Floats, space: Space) -> Iterator[Floats]:
     squares = [apart**2 @ group for group in space.kriging_groups]
     kinks = matern(apart**2, 0, 1)[0].sum(axis=2)
     for theta in THETAS:
-        *axes, whole = (matern(np.exp(theta) * square, 0)[0] for square in squares)
+        *axes, joint = (matern(np.exp(theta) * square, 0)[0] for square in squares)
         for weight, rough in PARTS:
-            matrix = sum(axes) + weight * whole + rough * kinks
+            matrix = sum(axes) + weight * joint + rough * kinks
             across = matrix[:-1, -1]
             yield (matrix[:-1, :-1] - np.outer(across, across) / matrix[-1, -1]) / matrix[-1, -1]

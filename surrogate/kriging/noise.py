@@ -108,7 +108,7 @@ def noisy_rows(
     equations: Equations, scaling: Scaling, settings: KrigingSettings
 ) -> list[NoisyRows]:
     """Return the rows whose noise is estimated, for each group of outputs."""
-    unit, found = equations.unit_noise, []
+    unit, noisy = equations.unit_noise, []
     with_noise = (unit > 0) & equations.measured & ~scaling.constant
     size = np.log(np.where(with_noise, unit, 1.0)).sum(axis=0)
     scale = np.exp(size / np.maximum(with_noise.sum(axis=0), 1))
@@ -133,10 +133,10 @@ def noisy_rows(
         scatter = rows.scatter[:, outputs].sum(axis=0) / equations.typical_noise[outputs]
         scatter *= scale[outputs]
         parts = parts[known]
-        found.append(
+        noisy.append(
             NoisyRows(rows, outputs, parts, scale[outputs], repeats, scatter, basis, squares)
         )
-    return found
+    return noisy
 
 
 class Spectrum(NamedTuple):

@@ -47,9 +47,9 @@ export async function send(method, path, { json, body, headers = {}, signal, qui
     if (!quiet) counted(-1);
   }
   if (reply.ok) return reply;
-  const told = await reply.json().catch(() => ({}));
+  const problem = await reply.json().catch(() => ({}));
   if (reply.status === 401 && !quiet) window.dispatchEvent(new Event("key-wanted"));
-  throw new Problem(reply.status, told);
+  throw new Problem(reply.status, problem);
 }
 
 export async function get(path, signal) {

@@ -22,14 +22,14 @@ export async function show(root, about, signal) {
     put(root, emptyTable(about, "There are no rows to check yet."));
     return;
   }
-  const told = await get(`${of(about.name)}/compliance`, signal);
+  const reply = await get(`${of(about.name)}/compliance`, signal);
   const beside = await get(`${of(about.name)}/disagreement`, signal).catch(() => null);
   put(root,
     el("section", { class: "card" }, el("h2", {}, "Compliance at zero load"),
-      told.tangent_origin === "none" ? el("p", { class: "muted" }, "Not known yet: there are no rows.") : matrix(told.tangent, "Tangent at zero load", `${ORIGINS[told.tangent_origin] || `du/dw of ${told.tangent_origin}`} at zero load`)),
-    told.origin === "none" ? null : el("section", { class: "card" }, el("h2", {}, "Mean compliance over the load range"),
-      matrix(mean(told), "Mean compliance", `${told.origin} from ${count(told.rows_checked)} rows`)),
-    el("section", { class: "card" }, el("h2", {}, "Physical checks of the rows"), checks(told)),
+      reply.tangent_origin === "none" ? el("p", { class: "muted" }, "Not known yet: there are no rows.") : matrix(reply.tangent, "Tangent at zero load", `${ORIGINS[reply.tangent_origin] || `du/dw of ${reply.tangent_origin}`} at zero load`)),
+    reply.origin === "none" ? null : el("section", { class: "card" }, el("h2", {}, "Mean compliance over the load range"),
+      matrix(mean(reply), "Mean compliance", `${reply.origin} from ${count(reply.rows_checked)} rows`)),
+    el("section", { class: "card" }, el("h2", {}, "Physical checks of the rows"), checks(reply)),
     beside?.compared ? el("section", { class: "card" }, el("h2", {}, "Measured against solved rows"), disagreement(beside)) : null);
 }
 
@@ -37,7 +37,7 @@ const NOISE = 1e-9; // of the largest entry of its unit: rounding of the solver
 const ORIGINS = { row: "tangent of the row" };
 
 // Its columns are zero where no row tells a load.
-const mean = (told) => told.matrix.map((line) => line.map((value, j) => (told.known_loads.includes(LOADS[j]) ? value : null)));
+const mean = (reply) => reply.matrix.map((line) => line.map((value, j) => (reply.known_loads.includes(LOADS[j]) ? value : null)));
 
 // Shades compare entries that have one unit only: each cell against its 3 x 3 block.
 function matrix(values, name, origin) {
@@ -59,9 +59,9 @@ function matrix(values, name, origin) {
   ];
 }
 
-function checks(told) {
-  if (!told.rows_checked) return el("p", { class: "muted" }, "There are no rows with all six outputs to check.");
-  const lines = Object.entries(told.checks).map(([name, one]) => {
+function checks(reply) {
+  if (!reply.rows_checked) return el("p", { class: "muted" }, "There are no rows with all six outputs to check.");
+  const lines = Object.entries(reply.checks).map(([name, one]) => {
     const [title, words] = CHECKS[name] || [name, () => ""];
     const verdict = one.ok === null ? pill("unknown", "") : one.ok ? pill("holds", "ok") : pill(...(FAILED[name] || ["broken", "wrong"]));
     const rows = one.rows?.length && name !== "linear" ? el("span", { class: "muted small" }, `rows ${one.rows.slice(0, 12).join(", ")}${one.rows.length > 12 ? " …" : ""}`) : null;
@@ -70,9 +70,9 @@ function checks(told) {
   return el("table", { class: "folds" }, el("tbody", {}, lines));
 }
 
-function disagreement(told) {
+function disagreement(reply) {
   return [
-    told.outside ? note("thin", `${told.outside} of ${told.compared} measured values lie outside the error bar of the solved rows.`) : note("covered", `All ${told.compared} measured values lie within the error bar of the solved rows.`),
-    (told.rows || []).length ? facts(told.rows.slice(0, 20).map((one) => [`row ${one.row}, ${one.output}`, `${number(one.measured)} measured, ${number(one.expected)} ± ${number(one.bar, 2)} expected: ${number(one.ratio, 2)} bars off`])) : null,
+    reply.outside ? note("thin", `${reply.outside} of ${reply.compared} measured values lie outside the error bar of the solved rows.`) : note("covered", `All ${reply.compared} measured values lie within the error bar of the solved rows.`),
+    (reply.rows || []).length ? facts(reply.rows.slice(0, 20).map((one) => [`row ${one.row}, ${one.output}`, `${number(one.measured)} measured, ${number(one.expected)} ± ${number(one.bar, 2)} expected: ${number(one.ratio, 2)} bars off`])) : null,
   ];
 }

@@ -25,7 +25,7 @@ const TABS = [
 ];
 
 export async function show(root, [name, tab = "overview"], signal) {
-  // The library's entry is told at once; all there is to say of a large table takes seconds.
+  // The library's entry is reply at once; all there is to say of a large table takes seconds.
   const { components } = await listed(signal);
   const about = components.find((one) => one.name === name) || await get(of(name), signal);
   const there = TABS.filter(([view, , , needs]) => (!needs || about.has_fea) && !(about.space && OF_ONE.includes(view)));

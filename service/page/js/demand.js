@@ -12,15 +12,15 @@ import { figure } from "./view3d.js";
 const AXES = { x: ["fx", "my", "mz"], y: ["fy", "mz", "mx"], z: ["fz", "mx", "my"] };
 
 export async function show(root, about, signal) {
-  let told;
+  let reply;
   try {
-    told = await get(`${of(about.name)}/demand`, signal);
+    reply = await get(`${of(about.name)}/demand`, signal);
   } catch (error) {
     if (!(error instanceof Problem) || error.status !== 404) throw error;
     put(root, el("p", { class: "empty" }, "This server keeps no query statistics."));
     return;
   }
-  if (!told.cells?.length) {
+  if (!reply.cells?.length) {
     put(root, empty("No query was thin or outside the table yet.", linkTo(about, "query", "Ask a query")));
     return;
   }
@@ -33,23 +33,23 @@ export async function show(root, about, signal) {
     el("section", { class: "card" },
       el("div", { class: "line bottom ends" }, choice("demand-axis", "Loads of", Object.keys(AXES).map((one) => [one, `axis ${one}`]), "z", (value) => { state.axis = value; drawing?.again(); }),
         el("button", { type: "button", class: "small", onclick: forget }, "Delete the statistics")),
-      el("p", { class: "muted" }, `${told.asked === 1 ? "1 answer was" : `${count(told.asked)} answers were`} thin or outside. The size of a mark is the number of queries; the frame is the load range.`), view.root),
-    el("section", { class: "card" }, el("h2", {}, "Most frequent"), most(told)));
-  drawing = await draw(place, (shade) => picture(about, told, state.axis, shade, view.camera()), signal, `${told.cells.length} places with uncovered queries`);
+      el("p", { class: "muted" }, `${reply.asked === 1 ? "1 answer was" : `${count(reply.asked)} answers were`} thin or outside. The size of a mark is the number of queries; the frame is the load range.`), view.root),
+    el("section", { class: "card" }, el("h2", {}, "Most frequent"), most(reply)));
+  drawing = await draw(place, (shade) => picture(about, reply, state.axis, shade, view.camera()), signal, `${reply.cells.length} places with uncovered queries`);
   view.hold(drawing);
 }
 
-function picture(about, told, axis, shade, camera) {
-  const inputs = AXES[axis], largest = Math.max(...told.cells.map((one) => one.count));
-  const [x, y, z] = inputs.map((load) => told.cells.map((one) => one.wrench[LOADS.indexOf(load)]));
+function picture(about, reply, axis, shade, camera) {
+  const inputs = AXES[axis], largest = Math.max(...reply.cells.map((one) => one.count));
+  const [x, y, z] = inputs.map((load) => reply.cells.map((one) => one.wrench[LOADS.indexOf(load)]));
   const data = [{
-    type: "scatter3d", mode: "markers", x, y, z, text: told.cells.map((one) => `${one.count} times, ${one.coverage}`),
-    marker: { size: told.cells.map((one) => 4 + 12 * Math.sqrt(one.count / largest)), color: told.cells.map((one) => shade[one.coverage] || shade.accent), opacity: 0.75 },
+    type: "scatter3d", mode: "markers", x, y, z, text: reply.cells.map((one) => `${one.count} times, ${one.coverage}`),
+    marker: { size: reply.cells.map((one) => 4 + 12 * Math.sqrt(one.count / largest)), color: reply.cells.map((one) => shade[one.coverage] || shade.accent), opacity: 0.75 },
     hovertemplate: "%{text}<br>%{x:.4~g}, %{y:.4~g}, %{z:.4~g}<extra></extra>",
   }];
   const spans = [...about.range.force, ...about.range.moment];
   const reach = (load) => { // of the load range, and of what was asked beyond it
-    const place = LOADS.indexOf(load), asked = told.cells.map((one) => one.wrench[place]);
+    const place = LOADS.indexOf(load), asked = reply.cells.map((one) => one.wrench[place]);
     return wide([Math.min(spans[place][0], ...asked), Math.max(spans[place][1], ...asked)]);
   };
   data.push(box(about, inputs.map((load) => LOADS.indexOf(load)), shade));
@@ -61,12 +61,12 @@ const wide = ([low, high]) => [low - 0.05 * (high - low), high + 0.05 * (high - 
 
 const share = (times) => (times ? count(times) : "–");
 
-function most(told) {
-  const lines = [...told.cells].sort((a, b) => b.count - a.count).slice(0, 15)
+function most(reply) {
+  const lines = [...reply.cells].sort((a, b) => b.count - a.count).slice(0, 15)
     .map((one) => [count(one.count), pill(one.coverage), el("span", { class: "small" }, wrench(one.wrench.slice(0, 3), one.wrench.slice(3))), el("span", { class: "small" }, share(one.thin)), el("span", { class: "small" }, share(one.outside))]);
-  const half = told.cell_size.map((one) => one / 2);
+  const half = reply.cell_size.map((one) => one / 2);
   return [
     table(["#times", "coverage", "loads about", "#thin", "#outside"], lines, { scrolls: true }),
-    el("p", { class: "muted small" }, `Loads that are close are counted together: ± ${wrench(half.slice(0, 3), half.slice(3))}.${told.elsewhere ? ` ${count(told.elsewhere)} more were asked elsewhere.` : ""}`),
+    el("p", { class: "muted small" }, `Loads that are close are counted together: ± ${wrench(half.slice(0, 3), half.slice(3))}.${reply.elsewhere ? ` ${count(reply.elsewhere)} more were asked elsewhere.` : ""}`),
   ];
 }

@@ -67,9 +67,9 @@ async function check(state) {
   put(state.place, el("p", { class: "muted" }, `Checking ${state.file.name} …`));
   let shown;
   try {
-    const told = await post(state, true);
-    state.options.rig.show(told.rig);
-    shown = told.errors.length ? mistakes(state, told.errors, told) : ready(state, told);
+    const result = await post(state, true);
+    state.options.rig.show(result.rig);
+    shown = result.errors.length ? mistakes(state, result.errors, result) : ready(state, result);
   } catch (error) {
     if (state.signal.aborted) return;
     const errors = error.body?.errors;
@@ -78,16 +78,16 @@ async function check(state) {
   if (mine === state.check) put(state.place, shown);
 }
 
-function ready(state, told) {
+function ready(state, result) {
   return [
-    note("covered", el("strong", {}, `${state.file.name}: all rows are correct.`), tallies(told)),
-    ...findings(state, told.findings), preview(told), state.options.columns.draw(told), el("div", { class: "line" }, importButton(state, told), again(state)),
+    note("covered", el("strong", {}, `${state.file.name}: all rows are correct.`), tallies(result)),
+    ...findings(state, result.findings), preview(result), state.options.columns.draw(result), el("div", { class: "line" }, importButton(state, result), again(state)),
   ];
 }
 
-function importButton(state, told) {
-  const button = el("button", { type: "button", class: "first", id: "import", onclick: () => load(state) }, `Import ${count(told.inserted)} rows`);
-  button.disabled = told.inserted === 0;
+function importButton(state, result) {
+  const button = el("button", { type: "button", class: "first", id: "import", onclick: () => load(state) }, `Import ${count(result.inserted)} rows`);
+  button.disabled = result.inserted === 0;
   return button;
 }
 
@@ -96,12 +96,12 @@ function again(state, mend = () => {}) {
 }
 
 // Each row of the file is counted once.
-function tallies(told) {
-  const { read, refused, tare, unmatched } = told.rows;
+function tallies(result) {
+  const { read, refused, tare, unmatched } = result.rows;
   return [
-    el("span", {}, `${count(told.inserted)} new rows${told.existing ? `, ${count(told.existing)} are in the table already` : ""}; ${count(read)} read${refused ? `, ${count(refused)} refused` : ""}${tare ? `, ${count(tare)} taken as tare` : ""}${unmatched ? `, ${count(unmatched)} without a load at their time` : ""}.`),
-    told.clock ? el("span", {}, `Clocks: ${number(told.clock.applied_s)} s added to the times of the displacements; ${told.clock.lag_s === null ? "the logs do not show a lag" : `the logs show ${number(told.clock.lag_s)} ± ${number(told.clock.uncertainty_s, 1)} s`}.`) : null,
-    told.ignored?.length ? el("span", {}, `Columns left out: ${told.ignored.join(", ")}.`) : null,
+    el("span", {}, `${count(result.inserted)} new rows${result.existing ? `, ${count(result.existing)} are in the table already` : ""}; ${count(read)} read${refused ? `, ${count(refused)} refused` : ""}${tare ? `, ${count(tare)} taken as tare` : ""}${unmatched ? `, ${count(unmatched)} without a load at their time` : ""}.`),
+    result.clock ? el("span", {}, `Clocks: ${number(result.clock.applied_s)} s added to the times of the displacements; ${result.clock.lag_s === null ? "the logs do not show a lag" : `the logs show ${number(result.clock.lag_s)} ± ${number(result.clock.uncertainty_s, 1)} s`}.`) : null,
+    result.ignored?.length ? el("span", {}, `Columns left out: ${result.ignored.join(", ")}.`) : null,
   ];
 }
 
@@ -113,10 +113,10 @@ function findings(state, found, number) {
   });
 }
 
-function preview(told) {
-  if (!told.preview?.length) return null;
+function preview(result) {
+  if (!result.preview?.length) return null;
   const head = ["#row", ...LOADS.map((one) => `#${plain(one)}, ${unitOfLoad(one)}`), ...OUTPUTS.map((one) => `#${one}, ${unitOfOutput(one)}`)];
-  const lines = told.preview.map((one) => [String(one.row), ...[...one.wrench, ...one.displacement].map((value) => number(value, 5))]);
+  const lines = result.preview.map((one) => [String(one.row), ...[...one.wrench, ...one.displacement].map((value) => number(value, 5))]);
   const shown = table(head, lines, { scrolls: true, caption: "The first correct rows, in SI" });
   shown.id = "preview";
   return shown;
@@ -125,18 +125,18 @@ function preview(told) {
 async function load(state) {
   put(state.place, el("p", { class: "muted" }, "Importing …"));
   try {
-    const told = await post(state, false);
+    const result = await post(state, false);
     await caughtUp(state.about.name, state.signal);
-    const kept = told.import ? (await get(`${of(state.about.name)}/imports`, state.signal)).imports.find((one) => one.id === told.import) : null;
+    const kept = result.import ? (await get(`${of(state.about.name)}/imports`, state.signal)).imports.find((one) => one.id === result.import) : null;
     const name = encodeURIComponent(state.about.name);
-    put(state.place, note("covered", el("strong", {}, `${count(told.inserted)} rows are in the table.`), told.errors.length || told.existing || told.rows.tare ? tallies(told) : null,
-      el("span", {}, el("a", { href: `#/c/${name}/query` }, "Query it"), ", or see ", el("a", { href: `#/c/${name}/rows` }, "the rows"), ". This is ", el("a", { href: `#/c/${name}/entry` }, `version ${told.table_version}`), ".")),
-    ...findings(state, kept?.findings || told.findings, kept?.id));
+    put(state.place, note("covered", el("strong", {}, `${count(result.inserted)} rows are in the table.`), result.errors.length || result.existing || result.rows.tare ? tallies(result) : null,
+      el("span", {}, el("a", { href: `#/c/${name}/query` }, "Query it"), ", or see ", el("a", { href: `#/c/${name}/rows` }, "the rows"), ". This is ", el("a", { href: `#/c/${name}/entry` }, `version ${result.table_version}`), ".")),
+    ...findings(state, kept?.findings || result.findings, kept?.id));
   } catch (error) { if (!state.signal.aborted) put(state.place, trouble(error)); }
 }
 
 // The mistakes by row, each row with its line to mend where the file is text.
-function mistakes(state, errors, told) {
+function mistakes(state, errors, result) {
   const byRow = new Map();
   if (errors.some((one) => one.field === "load_cell")) state.options.rig.root.open = true; // it has the choice
   for (const one of errors) byRow.set(one.row, [...(byRow.get(one.row) || []), one]);
@@ -144,14 +144,14 @@ function mistakes(state, errors, told) {
   const mend = () => { for (const [row, input] of edits) state.text = withLine(state.text, row, input.value.replace(/[\r\n]+/g, " ")); };
   const named = `${count(byRow.size)} ${byRow.size === 1 ? "row has a mistake" : "rows have mistakes"}`;
   return [
-    note("outside", el("strong", {}, `${state.file.name}: ${named}; nothing was loaded.`), told.inserted ? tallies(told) : null,
+    note("outside", el("strong", {}, `${state.file.name}: ${named}; nothing was loaded.`), result.inserted ? tallies(result) : null,
       byRow.size > MENDED ? el("span", {}, `The first ${MENDED} are shown.`) : null),
-    causes(told.causes || []),
+    causes(result.causes || []),
     el("div", { class: "stack", id: "mistakes" }, shown.map(([row, list]) => mistake(mended && state.text, row, list, edits))),
-    told.columns || byRow.has(1) || byRow.has(0) ? state.options.columns.draw(told, errors) : null,
+    result.columns || byRow.has(1) || byRow.has(0) ? state.options.columns.draw(result, errors) : null,
     edits.size ? null : el("p", { class: "muted" }, "Correct them in the file and drop it again, or change the options here."),
     again(state, mend),
-    told.partial && told.inserted ? [preview(told), el("div", {}, importButton(state, told))] : null,
+    result.partial && result.inserted ? [preview(result), el("div", {}, importButton(state, result))] : null,
   ];
 }
 

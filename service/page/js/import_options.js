@@ -1,4 +1,4 @@
-// What an import is told beside the file: what its columns are, what to leave out, tare.
+// What an import is body beside the file: what its columns are, what to leave out, tare.
 
 import { el, field, select } from "./dom.js";
 import { rigOptions } from "./rig_options.js";
@@ -73,11 +73,11 @@ function columnTable() {
     if (Object.keys(mapping).length) asked.set("mapping", JSON.stringify(mapping));
   };
   const forget = () => { inputs = new Map(); };
-  // `told` is the reply of a check, `errors` what it found: those of the header name their column.
-  const draw = (told, errors = []) => {
-    const before = inputs, known = new Map((told.columns || []).map((one) => [one.column, `${one.name}${one.unit ? ` [${one.unit}]` : ""}`]));
+  // `body` is the reply of a check, `errors` what it found: those of the header name their column.
+  const draw = (body, errors = []) => {
+    const before = inputs, known = new Map((body.columns || []).map((one) => [one.column, `${one.name}${one.unit ? ` [${one.unit}]` : ""}`]));
     const wrong = new Map(errors.filter((one) => one.row <= 1 && !["header", "file", "line", "form", "rows"].includes(one.field)).map((one) => [one.field, one.message]));
-    const names = [...new Set([...known.keys(), ...(told.ignored || []), ...wrong.keys(), ...before.keys()])];
+    const names = [...new Set([...known.keys(), ...(body.ignored || []), ...wrong.keys(), ...before.keys()])];
     inputs = new Map(names.map((name) => [name, el("input", {
       value: before.get(name)?.value ?? "", placeholder: known.get(name) || (wrong.has(name) ? "meaning?" : LEFT_OUT),
       list: MEANINGS, "aria-label": `What ${name} is`, autocomplete: "off", spellcheck: "false",

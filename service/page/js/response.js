@@ -15,18 +15,18 @@ export async function show(root, about, signal) {
   }
   const state = { load: "fz", output: "uz", at: LOADS.map(() => 0), sweep: null, rows: null, drawing: null, rest: about.has_fea ? solverError(about) : null };
   const place = el("div", { class: "plot low", id: "response" });
-  const told = el("p", { class: "muted small", "aria-live": "polite" });
+  const caption = el("p", { class: "muted small", "aria-live": "polite" });
   const load = async () => {
     try {
       await ask(about, state, signal);
       state.drawing ??= await draw(place, (shade) => picture(state, shade), signal, "");
       again();
-    } catch (error) { if (!signal.aborted) put(told, trouble(error)); }
+    } catch (error) { if (!signal.aborted) put(caption, trouble(error)); }
   };
   const again = () => {
     state.drawing?.again();
     place.setAttribute("aria-label", labelOf(state));
-    put(told, labelOf(state));
+    put(caption, labelOf(state));
   };
   const symbols = (names) => names.map((name) => [name, symbol(name)]);
   const others = wrenchForm(about, { action: "Apply", asked: (wrench) => { state.at = wrench; load(); } });
@@ -35,7 +35,7 @@ export async function show(root, about, signal) {
     el("div", { class: "line bottom" },
       choice("load", "Along", symbols(LOADS), state.load, (value) => { state.load = value; load(); }),
       choice("output", "Output", symbols(OUTPUTS), state.output, (value) => { state.output = value; again(); })),
-    place, bands(about), told,
+    place, bands(about), caption,
     el("details", {}, el("summary", {}, "The other five loads"),
       el("div", { class: "stack" }, note("", "Rows are drawn only if all five are zero."), others.form))));
   await load();

@@ -48,8 +48,8 @@ async function axisOf(stage, about, axis, signal) {
 // What the server was asked and could not cover, if it keeps that, and what this tab asked.
 async function latestOf(about, signal) {
   const own = asked(about.name).map((one) => one.wrench);
-  const told = await get(`${of(about.name)}/demand`, signal).catch(() => null);
-  return [...own, ...(told?.latest || []).map((one) => one.wrench)].slice(0, 100);
+  const reply = await get(`${of(about.name)}/demand`, signal).catch(() => null);
+  return [...own, ...(reply?.latest || []).map((one) => one.wrench)].slice(0, 100);
 }
 
 function marks() {

@@ -20,8 +20,8 @@ export async function show(root, _, signal) {
     event.preventDefault();
     try {
       const body = { components: Object.fromEntries([...chosen].map(([name, form]) => [name, form.read()])) };
-      const told = await post("v1/scenes/plan", body, signal);
-      put(plan, Object.entries(told.components).map(([name, one]) => planned(name, one, components.find((other) => other.name === name))));
+      const reply = await post("v1/scenes/plan", body, signal);
+      put(plan, Object.entries(reply.components).map(([name, one]) => planned(name, one, components.find((other) => other.name === name))));
     } catch (error) { if (!signal.aborted) put(plan, trouble(error)); }
   };
   put(root,

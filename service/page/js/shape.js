@@ -54,12 +54,12 @@ async function stageOf(stage, about, wrench, shape, signal) {
   const state = { factor: round(natural), colour: "size", edges: outline(shape.vertices, shape.triangles) };
   const place = el("div", { class: "plot", id: "shape", "data-away": 1.12 });
   const view = figure(place, `Deformed ${about.name}`);
-  const told = el("output", { id: "factor" });
+  const magnification = el("output", { id: "factor" });
   const slider = el("input", { type: "range", min: 0, max: 100, step: 1, value: 50, id: "magnify", "aria-label": "Magnification" });
   let drawing = null;
   const set = (factor, moveSlider) => {
     state.factor = factor;
-    told.textContent = `× ${number(factor, 3)}`;
+    magnification.textContent = `× ${number(factor, 3)}`;
     slider.setAttribute("aria-valuetext", `${number(factor, 3)} times`);
     if (moveSlider) slider.value = 50 * factor / round(natural);
     if (drawing) redraw(drawing, shape, factor);
@@ -70,7 +70,7 @@ async function stageOf(stage, about, wrench, shape, signal) {
     shape.reason ? note(shape.coverage, shape.reason) : null,
     warned(shape),
     view.root,
-    el("div", { class: "line" }, el("label", { for: "magnify" }, "Magnified"), told,
+    el("div", { class: "line" }, el("label", { for: "magnify" }, "Magnified"), magnification,
       el("button", { type: "button", class: "small", onclick: () => set(1, true) }, "True scale"),
       el("button", { type: "button", class: "small", onclick: () => set(round(natural), true) }, "Initial scale")),
     slider,
