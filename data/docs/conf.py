@@ -40,7 +40,7 @@ myst_heading_anchors = 4
 
 # Notebooks are executed by each build, with a server that the build starts.
 nb_execution_mode = os.environ.get("WRENCHBOOK_NOTEBOOKS", "force")
-nb_execution_timeout = 300
+nb_execution_timeout = 1800  # s: it hangs; beside other programs a solve takes minutes
 nb_execution_raise_on_error = True
 
 # The library's reference is its docstrings.
