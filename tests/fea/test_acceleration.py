@@ -114,10 +114,13 @@ def test_a_link_between_two_joints_takes_temperature_and_acceleration(tmp_path, 
     found = own.solve({"right": LOADS} | pulled)
     assert found.compliance.shape == (12, 16)
     assert not found.displacement[:6].any()
+    stresses = own.fields(found).stress_slopes
     for number, step in ((8, 1.0), (12, 0.05), (13, 0.5), (15, 0.5)):
         ahead, behind = (own.solve(found.wrench + s * np.eye(16)[number]) for s in (step, -step))
         slope = (ahead.displacement - behind.displacement) / (2 * step)
         assert largest(slope - found.compliance[:, number], slope) < 1e-5
+        slope = (own.stresses(ahead) - own.stresses(behind)) / (2 * step)
+        assert largest(slope - stresses[:, :, number], slope) < 1e-5
 
 
 def test_inputs_without_the_acceleration_are_refused(tmp_path):

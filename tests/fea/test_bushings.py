@@ -71,6 +71,22 @@ def test_a_part_on_one_distributed_bushing_moves_on_it_as_a_rigid_body(tmp_path,
     assert each[0].linear.energy_gap < 1e-9
 
 
+@pytest.mark.parametrize("interface", COUPLINGS)
+def test_the_compliance_of_a_bar_on_a_bushing_is_the_sum_of_both(tmp_path, interface):
+    askew = bushing(FULL, point=POINT.tolist(), axes=TURN.tolist())
+    soft = Solver(on_bushings(tmp_path, askew, coupling=interface))
+    clamped = Solver(part(mesh(), tmp_path, {"fixed": ["z0"]}, coupling=interface))
+    at_bushing = np.kron(np.eye(2), TURN) @ lever(POINT, soft.component.interfaces[0].point)
+    expected = clamped.compliance + at_bushing.T @ np.linalg.solve(FULL, at_bushing)
+    assert largest(soft.compliance - expected, expected) < 1e-9
+
+
+def test_a_bar_between_means_stretches_as_theory_has_it(tmp_path):
+    own = on_bushings(tmp_path, bushing(coupling="distributed"), coupling="distributed")
+    expected = 1.0 / (3e9 * 0.1 * 0.06) + 1.0 / SPRING[2]
+    assert Solver(own).compliance[2, 2] == pytest.approx(expected, rel=1e-10)
+
+
 def test_a_bar_on_a_bushing_is_the_clamped_bar_moved_by_the_spring_at_any_rotation(tmp_path):
     soft = Solver(on_bushings(tmp_path, bushing(FULL), nonlinear=True))
     found = soft.solve(WRENCH * 2)

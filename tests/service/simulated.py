@@ -21,7 +21,7 @@ class SimulatedEngine:
     def __init__(self, slots, seconds, name="simulated"):
         self.name = name
         self.slots = slots
-        self.submitted, self.cancelled = [], []
+        self.submitted, self.attached, self.cancelled = [], [], []
         self._seconds = seconds
         self._states = {}
         self._due, self._held = [], []
@@ -53,6 +53,7 @@ class SimulatedEngine:
             self._changed.notify()
 
     def attach(self, attempt):
+        self.attached.append(attempt.task)
         self._states.setdefault(attempt.task, "lost")
 
     def poll(self, attempt):

@@ -12,6 +12,7 @@ import pytest
 
 from tests.service.ledger_rows import NewRow, insert, noted, stored
 from tests.service.table_files import read_csv, read_json, write_json
+from tests.service.test_durable_tables import Site
 from wrenchbook.service.formats import UnitError, layout, write_hdf5
 from wrenchbook.service.formats.columns import columns_of
 from wrenchbook.service.formats.options import Options
@@ -52,6 +53,23 @@ def test_an_older_ledger_has_none_and_takes_some(tmp_path):
     insert(ledger, "rig", "", [replace(ROW, wrench=(3.0,) * 6)])
     assert [row.curvature for row in stored(ledger, "rig")] == [None] * 5 + [THIRDS]
     ledger.close()
+
+
+def test_a_table_has_it_and_its_file_brings_it_into_a_new_ledger(tmp_path):
+    site = Site(tmp_path)
+    site.open("rig")
+    insert(site.ledger, "rig", "", [ROW])
+    assert site.tables.catch_up("rig", 60)
+    assert site.tables.surrogate("rig").rows.curvature.tolist() == [list(THIRDS)]
+    site.close()
+    for path in tmp_path.glob("ledger.sqlite*"):
+        path.unlink()
+    site.open()
+    assert site.tables.catch_up("rig", 60)
+    (row,) = stored(site.ledger, "rig")
+    assert row.curvature == THIRDS
+    np.testing.assert_array_equal(row.compliance, ROW.compliance)
+    site.close()
 
 
 @pytest.mark.parametrize("wrong", [THIRDS[:-1], (*THIRDS[:-1], np.inf)])

@@ -531,7 +531,7 @@ def test_a_dispatcher_of_the_same_engine_goes_on_under_the_same_task(bench):
     engine.end_all()
     done = bench.until(job, status="done")
     assert (done.attempt, done.task) == (1, task)
-    assert engine.submitted == [task]
+    assert engine.submitted == engine.attached == [task]
     second.stop()
 
 

@@ -79,10 +79,11 @@ def expected(count):
     return sorted(tuple(map(float, row.wrench)) for row in new_rows(count))
 
 
-@pytest.mark.parametrize("count", [5, 60])
+@pytest.mark.parametrize("count", [0, 5, 60])
 def test_rows_of_a_fresh_ledger_beside_an_old_table_file_are_all_there(site, count):
     """A ledger of 219 rows beside a table of 200 hid the first 200 for good."""
     site.insert(30)
+    version = site.tables.surrogate("rig").version
     site.close()
     for path in site.folder.glob("ledger.sqlite*"):
         path.unlink()
@@ -92,6 +93,7 @@ def test_rows_of_a_fresh_ledger_beside_an_old_table_file_are_all_there(site, cou
     site.open()
     assert site.wrenches() == expected(30 + count)
     assert len(stored(site.ledger, "rig")) == 30 + count
+    assert site.tables.surrogate("rig").version > version  # no version is of two tables
 
 
 def put_back(site, copy):

@@ -5,6 +5,7 @@ import shutil
 import sqlite3
 from concurrent.futures import ThreadPoolExecutor
 
+import meshio
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -175,6 +176,19 @@ def test_a_glb_tells_the_shares_in_its_extras_and_a_header(client):
     assert mesh["extras"]["error_parts"] == told.error_parts
     assert mesh["extras"]["within_tolerance"] is False
     assert reply.headers["Wrenchbook-Within-Tolerance"] == "false"
+
+
+def test_a_linear_component_has_a_share_of_its_linearity(client):
+    parts = client.deformed("flat", FORCE, MOMENT).error_parts
+    assert parts["linearity"] > 0
+    assert "nonlinear solves" in parts["linearity_basis"]
+
+
+def test_a_vtu_has_the_shares_of_each_vertex(client, tmp_path):
+    (tmp_path / "a.vtu").write_bytes(client.deformed_file("flat", FORCE, MOMENT, "vtu"))
+    data = meshio.read(tmp_path / "a.vtu").point_data
+    total = data["error_table"] + data["error_mesh"] + data["error_linearity"]
+    np.testing.assert_allclose(data["error"], total, rtol=1e-12)
 
 
 def test_a_sweep_has_the_bars_of_the_displacement(client):

@@ -128,6 +128,16 @@ def test_a_full_disk_is_named_and_nothing_is_accepted(ledger):
     assert accept(ledger).status == "waiting"
 
 
+def test_a_ledger_that_became_read_only_names_its_disk_and_is_logged_once(ledger, caplog):
+    ledger._writer.execute("PRAGMA query_only = ON")  # as on a disk that was remounted
+    for _ in range(3):
+        with pytest.raises(LedgerUnavailableError, match="remount it writable"):
+            accept(ledger)
+    assert len(caplog.records) == 1
+    ledger._writer.execute("PRAGMA query_only = OFF")
+    assert accept(ledger).status == "waiting"
+
+
 def test_a_closed_ledger_says_so(ledger):
     ledger.close()
     ledger.close()

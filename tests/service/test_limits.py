@@ -72,6 +72,21 @@ def test_a_body_full_of_mistakes_has_at_most_a_thousand_listed(asked, body):
     assert len(reply.content) < 1 << 20
 
 
+def test_a_body_is_counted_as_its_pieces_come():
+    async def receive():
+        return {"type": "http.request", "body": bytes(10), "more_body": True}
+
+    async def run():
+        receives = bodies.counted(receive, 25)
+        for _ in range(2):
+            await receives()
+        with pytest.raises(HttpProblemError) as caught:
+            await receives()
+        assert caught.value.status_code == 413
+
+    asyncio.run(run())
+
+
 def test_a_json_batch_has_as_many_wrenches_as_a_binary_one(monkeypatch):
     monkeypatch.setattr("wrenchbook.service.http.batch.MAX_BATCH", 10)
     assert len(batch_parts(orjson.dumps({"wrenches": [[0.0] * 6] * 10}))[1]) == 10

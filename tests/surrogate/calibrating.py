@@ -156,13 +156,13 @@ def noisy(per_axis: int, full: int, seed: int, told: bool = False) -> Rows:
     return noisy_rows(smooth, spread_wrenches(per_axis, full, seed), seed, told)
 
 
-def shipped(name: str, full: int, clean: int | None = None) -> Shipped:
+def shipped(name: str, full: int, clean: int | None = None, begin: int = 0) -> Shipped:
     """Return a component's clean rows and some full wrenches as a table, the rest to be asked."""
     with np.load(TABLES / f"{name}.npz") as file:
         wrench, moved = file["wrench"], file["displacement"]
         compliance, first = file["compliance"].astype(float), int(file["clean"])
         load_range = LoadRange(file["low"], file["high"])
-    kept = np.concatenate((np.arange(first)[:clean], first + np.arange(full)))
+    kept = np.concatenate((np.arange(first)[:clean], first + begin + np.arange(full)))
     count = len(kept)
     rows = Rows.of(wrench[kept], moved[kept], compliance=compliance[kept], source=["fea"] * count)
     rest = slice(len(compliance), None)

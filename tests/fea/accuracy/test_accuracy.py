@@ -191,6 +191,10 @@ def test_a_pushed_bar_buckles_at_eulers_load(bar):
     assert pulled > 100 * pushed
 
 
+def test_a_load_of_nothing_buckles_nothing(bar):
+    assert bar.buckling(np.zeros(6)) == (np.inf, np.inf)
+
+
 def test_the_bar_of_a_linear_component_holds_its_nonlinear_answers(bar):
     bundle = bar.component.bundle
     coarse = Solver(refined(bundle, 0.5))
@@ -213,6 +217,13 @@ def test_a_range_beyond_the_buckling_load_is_told_with_its_factor(bar):
     assert found.buckling == pytest.approx(6908.7 / 2e4, rel=0.05)
     assert "it buckles at" in found.why
     assert np.isfinite(found.deviation).all()
+
+
+@pytest.mark.parametrize(("push", "pull"), [(1000.0, 1000.0), (1000.0, 900.0), (900.0, 1000.0)])
+def test_a_range_of_unequal_ends_buckles_at_the_end_that_pushes(bar, push, pull):
+    coarse, along = Solver(refined(bar.component.bundle, 0.5)), np.eye(6)[0]
+    found = beyond_linear(coarse, DeclaredRange(-push * along, pull * along))
+    assert found.buckling == pytest.approx(6908.7 / push, rel=0.01)  # Euler's
 
 
 def test_what_the_estimate_fails_with_is_told_and_not_raised(bar, monkeypatch):

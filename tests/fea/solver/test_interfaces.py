@@ -241,6 +241,20 @@ def test_a_column_between_two_pushing_interfaces_buckles_by_euler_s_load():
     assert pull > 10
 
 
+def test_a_rod_squeezed_from_both_ends_gives_way_at_the_closed_form_of_its_material():
+    """F = E A l (1 - l^2)/2 has its maximum, E A / sqrt(27), at l = 1/sqrt(3)."""
+    mesh = box("hex20", (2, 2, 4), (1.0, 1.0, 1.0))
+    guide = ("ux", "uy", "rx", "ry", "rz")
+    part = component(mesh, section="z0", young=1e9, poisson=0.0, nonlinear=True, locked=guide)
+    middle = np.flatnonzero(np.abs(mesh.points[:, 2] - 0.5) < 1e-9)
+    solver = Solver(with_second(replace(part, fixed_nodes=middle), "z1", locked=guide))
+    load = 1.2e9 / np.sqrt(27)
+    with pytest.raises(SolveFailed) as caught:
+        solver.solve({"left": [0, 0, load, 0, 0, 0], "right": [0, 0, -load, 0, 0, 0]})
+    assert caught.value.kind == "snap_through"
+    assert caught.value.load_factor == pytest.approx(1 / 1.2, rel=2e-3)
+
+
 def test_two_free_interfaces_swing_with_the_part_and_a_mass_on_one_is_refused():
     part = column("rigid", "distributed")
     part = replace(part, materials=(replace(part.materials[0], density=1.0),))

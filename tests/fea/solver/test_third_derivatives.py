@@ -80,6 +80,8 @@ OTHERS = {
     "neo-Hookean, projected": lambda: tall("neo-hookean", 0.49),
     "projected": lambda: tall(poisson=0.49, coupling="distributed"),
     "two interfaces": lambda: column("rigid", "distributed", nonlinear=True, axes=TURN),
+    "two rigid interfaces": lambda: column("rigid", "rigid", nonlinear=True, axes=TURN),
+    "two distributed interfaces": lambda: column(*2 * ["distributed"], nonlinear=True, axes=TURN),
     "orthotropic": lambda: post(PLY, coupling="distributed"),
     "bushing": lambda: post(supports={"bushing": [BUSHING]}),
     "rigid bushing": lambda: post(
@@ -91,6 +93,13 @@ OTHERS = {
         inputs=HEAT,
         coupling="distributed",
         locked=["ux"],
+    ),
+    "bushing and sliding, temperature": lambda: post(
+        PLY | {"thermal_expansion": [1e-6, 30e-6, 25e-6]},
+        supports={"bushing": [BUSHING], "sliding": [SLIDING]},
+        inputs=HEAT,
+        locked=GUIDED,
+        point=[0.0, 0.03, 0.4],
     ),
     "acceleration": lambda: post(inputs=PULL),
     "acceleration, temperature": lambda: post(

@@ -76,6 +76,15 @@ def test_an_interface_apart_from_the_mocap_bodys_frame_is_moved_rigidly_with_it(
     assert np.abs(mount.mount.displacement).max() > 1e-6
 
 
+def test_a_base_that_is_placed_elsewhere_takes_the_scene_along():
+    model, data = made()
+    mounted((model, data)).place(frame(TURNED), [1.0, 2.0, 3.0])
+    np.testing.assert_allclose(data.mocap_pos[0], [1.0, 2.0, 3.0], rtol=1e-15)
+    w, x, y, z = data.mocap_quat[0]
+    found = Rotation.from_quat([x, y, z, w]).as_matrix()
+    np.testing.assert_allclose(found, frame(TURNED), atol=1e-14)
+
+
 def test_a_scene_at_rest_settles_where_the_closed_form_of_the_coupling_says():
     model, data = made(rod='gravcomp="0"')
     mount = mounted((model, data), LinearTable())

@@ -239,6 +239,15 @@ def test_a_scene_that_tips_in_time_is_named():
         pushed(mount, push, tipping)
 
 
+@pytest.mark.parametrize("loads", [1e-9 * 1.4 ** np.arange(80), 10.0 * np.arange(80), [1e3] * 80])
+def test_loads_that_grow_by_themselves_are_followed(loads):
+    mount = mounted()
+    for load in loads:
+        mount.step(load / 100 * HEAVY)
+    expected = LinearTable().compliance @ HEAVY * loads[-1] / 100
+    np.testing.assert_allclose(mount.displacement, expected, rtol=1e-12)
+
+
 def test_a_load_far_beyond_the_range_writes_no_pose_beyond_20_degrees():
     mount, turned = mounted(), []
 
