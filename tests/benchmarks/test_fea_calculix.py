@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.fea import calculix as in_calculix
+from tests.fea.tets import in_tets
 from tests.validation import calculix
 from tests.validation.calculix import same_mesh
 from tests.validation.clamped import attached, shipped
@@ -25,9 +26,18 @@ def test_the_shipped_plate_nonlinear():
     agrees(attached(shipped("plate_thin"), coupling="rigid"), WRENCH)
 
 
+def test_the_plate_cut_into_c3d10_nonlinear():
+    agrees(attached(in_tets(shipped("plate_thin", cells=4, layers=1)), coupling="rigid"), WRENCH)
+
+
 @pytest.mark.parametrize("load", [1.0, 10.0])
 def test_the_shipped_spring_nonlinear(load):
     agrees(shipped("spring"), [0, 0, -load, 0, 0, 0])
+
+
+@pytest.mark.parametrize("load", [1.0, 10.0])
+def test_the_spring_cut_into_c3d10_nonlinear(load):
+    agrees(in_tets(shipped("spring", cells_per_turn=8)), [0, 0, -load, 0, 0, 0])
 
 
 def test_the_thin_plates_largest_stress_under_twenty_wrenches(tmp_path):

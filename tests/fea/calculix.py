@@ -1,22 +1,20 @@
-"""The same mesh solved by CalculiX, for comparison: all nodes, stresses, its own coupling."""
+"""The same mesh solved by CalculiX, for comparison in tests."""
 
 from __future__ import annotations
 
 import os
-import re
 import shutil
 import subprocess
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tests.validation.clamped import attached
-from wrenchbook.fea.export.calculix import PLACEHOLDERS, deck_of
 from wrenchbook.fea.tensors import spin_per_vector
 
+ELEMENTS = {"hex20": "C3D20R", "tet10": "C3D10"}
 # Corner numbers of the faces S1 to S6 of a hexahedron.
 FACES = [(0, 1, 2, 3), (4, 7, 6, 5), (0, 4, 5, 1), (1, 5, 6, 2), (2, 6, 7, 3), (3, 7, 4, 0)]
+FREEDOMS = ("ux", "uy", "uz", "rx", "ry", "rz")
 
 
 def require_ccx():
@@ -27,56 +25,18 @@ def require_ccx():
         pytest.skip("the CalculiX solver ccx is not installed (Debian package calculix-ccx)")
 
 
-def conjugate(wrench, displacement):
-    """Return the wrench that CalculiX is told: its moment works on the rotation vector."""
-    told = np.array(wrench, dtype=float)
-    told[3:] = spin_per_vector(displacement[3:]).T @ told[3:]
-    return told
-
-
-def deck_lines(part, wrench, nonlinear=False):
-    """Return a deck's lines, which prints all nodes; a distributed coupling is CalculiX's own."""
-    analysis = replace(part.analysis, nonlinear=nonlinear)
-    text = deck_of(attached(replace(part, analysis=analysis), coupling="rigid"))
-    for place, load in zip(PLACEHOLDERS, wrench, strict=True):
-        text = text.replace(place, f"{load:.12e}" if load else "")
-    lines = [line for line in text.splitlines() if not re.fullmatch(r"(REF|ROT), \d, ", line)]
-    lines.insert(lines.index("*NODE PRINT, NSET=REF"), "*NODE PRINT, NSET=ALL\nU")
-    if part.interfaces[0].coupling == "distributed":
-        place = lines.index(next(one for one in lines if one.startswith("*RIGID BODY")))
-        inside, surface = set(part.interfaces[0].section.node_ids.tolist()), ["*SURFACE, NAME=SURF"]
-        for i, cell in enumerate(part.mesh.blocks[0].nodes, 1):
-            own = [side for side, face in enumerate(FACES, 1) if {*cell[list(face)]} <= inside]
-            surface += [f"{i}, S{side}" for side in own]
-        surface.append(f"*COUPLING, REF NODE={len(part.mesh.points) + 1}, SURFACE=SURF, "
-                       "CONSTRAINT NAME=C1")  # fmt: skip
-        lines[place : place + 1] = [*surface, "*DISTRIBUTING", "1,3"]
-        # It takes loads of the node by its number alone.
-        node = f"{len(part.mesh.points) + 1}, "
-        lines = [re.sub("^REF, ", node, line) for line in lines]
-    return lines
-
-
-def printed(lines, folder):
-    """Run a deck; return the rows of words that it prints."""
-    (folder / "job.inp").write_text("\n".join(lines) + "\n")
-    done = subprocess.run(
-        ["ccx", "job"],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=240,
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
-    )
-    rows = [line.split() for line in (folder / "job.dat").read_text().splitlines()]
-    assert rows, done.stdout[-2000:]
-    return [row for row in rows if row and row[0].isdigit()]
-
-
 def solve(part, wrench, folder, *, nonlinear=False):
-    """Return the reference node's displacement, (6,), and those of all nodes, (n, 3), m.
+    """Solve a component with ccx.
 
     `wrench` is what CalculiX takes: its moment is conjugate to the rotation vector.
+
+    Returns
+    -------
+    displacement
+        Shape (6,): of the reference node; zeros for a distributed coupling, which CalculiX does
+        not report.
+    nodes
+        Shape (n, 3), m.
     """
     rows = printed(deck_lines(part, wrench, nonlinear), folder)
     moved = {int(row[0]): [float(word) for word in row[1:]] for row in rows if len(row) == 4}
@@ -85,10 +45,17 @@ def solve(part, wrench, folder, *, nonlinear=False):
     return np.array(moved[count + 1] + moved[count + 2]), nodes
 
 
+def conjugate(wrench, displacement):
+    """Return the wrench that CalculiX is told: its moment works on the rotation vector."""
+    told = np.array(wrench, dtype=float)
+    told[3:] = spin_per_vector(displacement[3:]).T @ told[3:]
+    return told
+
+
 def stresses(part, wrench, folder, *, nonlinear):
     """Return the stresses at C3D20R's or C3D10's integration points, (p, 6), in our order."""
     lines = deck_lines(part, wrench, nonlinear)
-    lines.insert(lines.index("*END STEP"), "*EL PRINT, ELSET=E0\nS")
+    lines.insert(lines.index("*END STEP"), "*EL PRINT, ELSET=EALL\nS")
     found = [row[2:] for row in printed(lines, folder) if len(row) == 8]
     (block,) = part.mesh.blocks
     points = {"hex20": 8, "tet10": 4}[block.kind] * len(block)
@@ -96,3 +63,67 @@ def stresses(part, wrench, folder, *, nonlinear):
     if block.kind == "hex20":  # CalculiX counts its points along x first, we along z
         stress = stress.reshape(-1, 2, 2, 2, 6).transpose(0, 3, 2, 1, 4)
     return stress.reshape(-1, 6)
+
+
+def printed(lines, folder):
+    """Run a deck; return the rows of words that it prints."""
+    (folder / "job.inp").write_text("\n".join(lines) + "\n")
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        ["ccx", "job"], cwd=folder, capture_output=True, text=True, env=environment
+    )
+    rows = [line.split() for line in (folder / "job.dat").read_text().splitlines()]
+    assert rows, done.stdout[-2000:]
+    return [row for row in rows if row and row[0].isdigit()]
+
+
+def deck_lines(part, wrench, nonlinear=False):
+    """Return a deck that prints all nodes, written without the program's own export."""
+    return [*_deck(part, wrench, nonlinear)]
+
+
+def _deck(part, wrench, nonlinear):
+    mesh, count = part.mesh, len(part.mesh.points)
+    (block,) = mesh.blocks
+    (material,) = part.materials
+    points = [*mesh.points, part.interfaces[0].point, part.interfaces[0].point]
+    yield "*NODE, NSET=NALL"
+    yield from (f"{i + 1}," + ",".join(f"{x:.12e}" for x in p) for i, p in enumerate(points))
+    yield f"*ELEMENT, TYPE={ELEMENTS[block.kind]}, ELSET=EALL"
+    for i, cell in enumerate(block.nodes + 1):
+        words = [str(i + 1), *map(str, cell)]
+        yield from [",".join(words[:11]) + ",", ",".join(words[11:])]
+    yield "*MATERIAL, NAME=M"
+    yield "*ELASTIC"
+    yield f"{material.youngs_modulus:.12e},{material.poisson_ratio}"
+    yield "*SOLID SECTION, ELSET=EALL, MATERIAL=M"
+    yield from ["*NSET, NSET=FIX", *(f"{i + 1}," for i in part.fixed_nodes)]
+    yield from ["*NSET, NSET=SEC", *(f"{i + 1}," for i in part.interfaces[0].section.node_ids)]
+    yield from ["*BOUNDARY", "FIX,1,3"]
+    yield from _coupling(part, block, count)
+    for name in part.interfaces[0].locked:
+        freedom = FREEDOMS.index(name)
+        yield f"*BOUNDARY\n{count + 1 + freedom // 3},{freedom % 3 + 1},{freedom % 3 + 1}"
+    yield "*STEP, NLGEOM, INC=200" if nonlinear else "*STEP"
+    yield "*STATIC"
+    if nonlinear:
+        yield from ["0.25,1.,1e-5,0.25", "*CONTROLS, PARAMETERS=FIELD", "1e-7,1e-7"]
+    yield "*CLOAD"
+    for freedom, load in enumerate(wrench):
+        if load:
+            yield f"{count + 1 + freedom // 3},{freedom % 3 + 1},{load:.12e}"
+    yield from ["*NODE PRINT, NSET=NALL", "U", "*END STEP"]
+
+
+def _coupling(part, block, count):
+    if part.interfaces[0].coupling == "rigid":
+        yield f"*RIGID BODY, NSET=SEC, REF NODE={count + 1}, ROT NODE={count + 2}"
+        return
+    inside = set(part.interfaces[0].section.node_ids.tolist())
+    yield "*SURFACE, NAME=SURF, TYPE=ELEMENT"
+    for i, cell in enumerate(block.nodes):
+        for side, corners in enumerate(FACES):
+            if all(int(cell[c]) in inside for c in corners):
+                yield f"{i + 1},S{side + 1}"
+    yield f"*COUPLING, REF NODE={count + 1}, SURFACE=SURF, CONSTRAINT NAME=C1"
+    yield from ["*DISTRIBUTING", "1,3"]

@@ -6,9 +6,6 @@ import pytest
 from tests.fea import calculix
 from tests.fea.boxes import box
 from tests.fea.components import component
-from tests.validation.calculix import same_mesh
-from tests.validation.clamped import attached, shipped
-from tests.validation.plate import WRENCH
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.tensors import spin_per_vector
 
@@ -77,52 +74,3 @@ def test_rigid_nonlinear_with_a_guide(tmp_path):
     displacement, nodes = calculix.solve(part, wrench, tmp_path, nonlinear=True)
     np.testing.assert_allclose(found.displacement, displacement, rtol=1e-5, atol=1e-14)
     assert gap(found.nodes, nodes) < 1e-5
-
-
-def plate():
-    part = shipped("plate_thin", cells=2, rings=2, layers=1)
-    return attached(part, coupling="rigid")
-
-
-def spring():
-    return shipped("spring", cells_per_turn=8)
-
-
-def agrees(part, wrench, *, nonlinear):
-    (finding,) = same_mesh("here", part, wrench, nonlinear=nonlinear)
-    assert finding.tolerance == (1e-4 if nonlinear else 1e-5)
-    assert finding.verdict == "pass", finding
-
-
-@pytest.mark.parametrize("nonlinear", [False, True], ids=["linear", "nonlinear"])
-def test_the_plate_with_a_rigid_coupling(nonlinear):
-    agrees(plate(), WRENCH, nonlinear=nonlinear)
-
-
-def test_the_plate_with_a_distributed_coupling_linear():
-    agrees(attached(plate(), coupling="distributed"), WRENCH, nonlinear=False)
-
-
-@pytest.mark.parametrize("load", [1.0, 10.0])
-def test_the_spring_linear(load):
-    agrees(spring(), [0, 0, -load, 0, 0, 0], nonlinear=False)
-
-
-def test_the_spring_nonlinear():
-    agrees(spring(), [0, 0, -1.0, 0, 0, 0], nonlinear=True)
-
-
-def test_the_spring_without_its_guide_under_all_six_loads_linear():
-    part = attached(spring(), locked=())
-    agrees(part, [0.1, -0.1, -1.0, 1e-3, 2e-3, -1e-3], nonlinear=False)
-
-
-@pytest.mark.exact("the digits that CalculiX prints are of one mesh: their error is the tolerance")
-def test_the_spring_with_a_distributed_coupling_linear():
-    """C3D20R only: the turn of a section of 1.4 mm is read from differences of printed numbers.
-
-    CalculiX prints seven digits, which leave 5e-9 m over arms of half a millimetre: about 1e-5 of
-    the turn.
-    """
-    part = attached(spring(), locked=(), coupling="distributed")
-    agrees(part, [0.1, -0.1, -1.0, 1e-3, 2e-3, -1e-3], nonlinear=False)

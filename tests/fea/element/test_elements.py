@@ -8,7 +8,6 @@ import pytest
 from tests.fea.boxes import box
 from tests.fea.supports import TABLE
 from tests.validation.materials import CENTRE, TURN, WOUND, orthotropic_beam, wound_tube
-from tests.validation.patch import body_of, distort, on_the_surface, solve_with_boundary
 from wrenchbook.fea.bundle.read import bundle_of
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.mapping import area_weights, cell_gradients
@@ -70,24 +69,6 @@ def test_a_corner_of_an_eight_node_facet_stands_for_a_negative_area():
     mesh = box("hex20", (1, 1, 1))
     _, weights = area_weights(mesh.points, mesh.facet_groups["z1"])
     np.testing.assert_allclose(np.sort(weights), [-1 / 12] * 4 + [1 / 3] * 4)
-
-
-@pytest.mark.parametrize(("kind", "curved"), [("hex20", False), ("hex20", True), ("hex27", True)])
-def test_a_distorted_patch_of_full_integration_reproduces_every_constant_strain(kind, curved):
-    """The verification suite has all kinds at straight edges, hex20 at reduced integration."""
-    mesh = box(kind, (3, 3, 3), warp=distort(0.05), corners_only=not curved)
-    affine = mesh.points @ np.random.default_rng(2).standard_normal((3, 3)) + [1.0, 2.0, 3.0]
-    found = solve_with_boundary(body_of(mesh, on_the_surface(mesh), "full"), affine)
-    np.testing.assert_allclose(found, affine, atol=1e-12)
-
-
-@pytest.mark.parametrize("kind", CELLS)
-def test_the_least_volume_ratio_of_a_homogeneous_deformation_is_its_determinant(kind):
-    """A solve that turns cells inside out is known by it."""
-    mesh = box(kind, (3, 3, 3), warp=distort(0.05), corners_only=True)
-    change = 0.1 * np.random.default_rng(2).standard_normal((3, 3))
-    _, _, least = body_of(mesh, on_the_surface(mesh)).forces(mesh.points @ change.T)
-    assert least == pytest.approx(np.linalg.det(np.eye(3) + change), rel=1e-12)
 
 
 def test_a_cell_turned_inside_out_is_named():

@@ -134,7 +134,7 @@ def test_calculix_finds_the_same_frequency_on_the_same_mesh(kind, tmp_path):
     part = replace(part, materials=(replace(part.materials[0], density=DENSITY),))
     lines = calculix.deck_lines(part, np.zeros(6))
     lines = [line for line in lines[: lines.index("*STEP")] if "RIGID BODY" not in line]
-    place = lines.index("*SOLID SECTION, ELSET=E0, MATERIAL=M0")
+    place = lines.index("*SOLID SECTION, ELSET=EALL, MATERIAL=M")
     lines.insert(place, f"*DENSITY\n{DENSITY}")
     lines += ["*STEP", "*FREQUENCY", "3", "*NODE FILE", "U", "*END STEP"]
     rows = calculix.printed(lines, tmp_path)
