@@ -29,8 +29,8 @@ SHEAR = np.eye(3) + 1e-3 * np.array([[0.31, 0.77, -0.53], [0.19, -0.41, 0.97], [
 CELLS = 32  # a side: three times five bits fit 16, which numpy sorts by radix
 MIN_SORTED = 64  # points below which sorting costs more than it saves
 
-# Of the nearest point of a hull:
-PAIRS = 200_000  # pairs of points and facets at once: some 50 MB of numbers
+# Of the nearest point of a hull, and of points beside flat simplices:
+PAIRS = 200_000  # pairs of points and facets or simplices at once: some 50 MB of numbers
 
 # Of slopes at the points:
 NEIGHBOURS = {1: 5, 2: 10, 3: 18}  # of a patch, by dimension: not quite two for each unknown
@@ -168,12 +168,42 @@ class Triangulation:
             walking, behind = walking[goes_on], behind[goes_on]
             simplices[walking] = self.neighbours[simplices[walking], behind]
             walking = walking[simplices[walking] >= 0]
-        for point in np.concatenate((*lost, walking)):  # compare it with all
-            every = np.arange(len(self.simplices))
-            least = self.barycentric(every, points[[point]]).min(axis=1)
-            least[self.degenerate] = -np.inf
-            simplices[point] = least.argmax() if least.max() >= -ROUNDED else -1
+        beside = np.concatenate((*lost, walking))
+        simplices[beside] = self._compared(points[beside])
         return np.where(off > self.slack, -1, simplices)
+
+    def _compared(self, points: Floats) -> Indices:
+        """Return the simplex, not flat, that holds each point (k, 3) best, of all; -1 if none."""
+        found, most = np.full(len(points), -1), np.full(len(points), -ROUNDED)
+        for reach, members, middles in self._by_size:
+            count = middles.query_ball_point(points, reach, return_length=True)
+            held = np.flatnonzero(count)
+            ends = np.flatnonzero(np.diff(np.cumsum(count[held]) // PAIRS)) + 1
+            for some in np.split(held, ends) if len(held) else ():
+                near = middles.query_ball_point(points[some], reach)
+                of, every = np.repeat(some, count[some]), members[np.concatenate(near)]
+                least = self.barycentric(every, points[of]).min(axis=1)
+                order = np.lexsort((least, of))  # the last of each point is the best
+                order = order[np.diff(of[order], append=len(points)) > 0]
+                better = order[least[order] >= most[of[order]]]
+                found[of[better]], most[of[better]] = every[better], least[better]
+        return found
+
+    @cached_property
+    def _by_size(self) -> list[tuple[float, Indices, KDTree]]:
+        """Simplices that are not flat, by the doubles of how far they reach from their middle.
+
+        A point that one holds is nearer to its middle than that: few of a size are.
+        """
+        members = np.flatnonzero(~self.degenerate)
+        corners = self.points[self.simplices[members]]
+        middles = corners.mean(axis=1)
+        reach = np.sqrt(((corners - middles[:, None]) ** 2).sum(axis=2)).max(axis=1)
+        size = np.frexp(reach)[1]
+        return [
+            (float(np.ldexp(1 + ON_HULL, one)), members[size == one], KDTree(middles[size == one]))
+            for one in np.unique(size).tolist()
+        ]
 
     @cached_property
     def _middles(self) -> KDTree:

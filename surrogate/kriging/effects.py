@@ -2,8 +2,8 @@
 
 Readings are y = f(w) + Z b + e: f a Gaussian process with a linear mean, f(0) = 0, e noise, and Z
 known of each row: 1 (the zero offset), which session it is of, the time within it, and the sign of
-the output's motion since the row before. With the covariance K = U L U' of f, D = 1 / (L + v) and
-B = U' (F, Z), F the mean's terms,
+the output's motion since the load before: while a load is held it keeps its branch. With the
+covariance K = U L U' of f, D = 1 / (L + v) and B = U' (F, Z), F the mean's terms,
 
     b = (B' D B + s^2 / P)^-1 B' D U' y,    covariance s^2 (B' D B + s^2 / P)^-1
 
@@ -15,6 +15,7 @@ is not taken for an effect. An effect counts where its posterior interval leaves
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from ..table.polynomial import terms_of
-from ..table.rows import ZERO_LOAD, Floats, LoadRange, Rows
+from ..table.rows import NEAR, ZERO_LOAD, Floats, LoadRange, Rows
 from ..table.space import Space
 from .correlation import matern
 from .settings import DEFAULTS
@@ -93,13 +94,18 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
         middle[at, number] = np.linspace(-0.5, 0.5, len(at))
         middle[at, count + number] = count > 1
     middle[:, count:] -= middle[:, count:].mean(axis=1, keepdims=True)
+    loads = rows.wrench / load_range.scale
+    came = _came_by(loads, places)
+    good, moved = _means_of_held(rows.displacement, good, came)
+    rows = replace(rows, displacement=moved)
     if len(good) > SAMPLE:
         good = np.sort(np.random.default_rng(0).choice(good, SAMPLE, replace=False))
-    steps, moved = terms_of(rows.wrench / load_range.scale), rows.displacement
+    steps = terms_of(loads, len(np.unique(came)))
     terms = steps[good]
     for at in places:
         steps[at[1:]] -= steps[at[:-1]]
         steps[at[:1]] = 0.0
+    steps = steps[came]  # a load that is held keeps the branch that it came by
     mean, deviation, half_width = np.zeros((3, 2 + 2 * count, outputs))
     shown = np.isfinite(moved[good]).T
     evidence: dict[int, tuple[Floats, Floats]] = {}
@@ -135,6 +141,38 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     common = np.abs(mean[0]) + DEFAULTS.half_width * deviation[0]
     bar += np.where(offset.any(axis=0), common, 0.0)
     return Effects(zero[0], 2 * loop[0], drift, offset, bar, signs * loop + middle @ size[2:])
+
+
+def _came_by(loads: Floats, places: list[Indices]) -> Indices:
+    """Return the row by which the load of each row (n, 6), scaled, came: of a held one the first.
+
+    `places` are the rows of each session.
+    """
+    came = np.arange(len(loads))
+    for at in places:
+        held = np.abs(np.diff(loads[at], axis=0)).max(axis=1) <= NEAR
+        came[at[1:]] = at[np.maximum.accumulate(np.where(held, 0, np.arange(1, len(at))))]
+    return came
+
+
+def _means_of_held(moved: Floats, good: Indices, came: Indices) -> tuple[Indices, Floats]:
+    """Return one of the good rows of each held load, and displacements (n, m), there their mean.
+
+    Readings of a held load tell of the noise alone; as rows of their own, effects seem surer.
+
+    Parameters
+    ----------
+    came : ndarray of int, shape (n,)
+        The row by which each row's load came.
+    """
+    first, number = np.unique(came[good], return_index=True, return_inverse=True)[1:]
+    known = np.isfinite(moved[good])
+    sums, counts = np.zeros((2, len(first), moved.shape[1]))
+    np.add.at(sums, number, np.where(known, moved[good], 0.0))
+    np.add.at(counts, number, known)
+    means = moved.copy()
+    means[good[first]] = np.where(counts > 0, sums / np.maximum(counts, 1.0), np.nan)
+    return good[first], means
 
 
 def sessions_of(rows: Rows) -> Indices:

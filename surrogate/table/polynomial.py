@@ -11,16 +11,17 @@ from .rows import ZERO_LOAD, Floats
 ROWS_A_TERM = 5  # rows that a term of the polynomial needs at least
 
 
-def terms_of(scaled: Floats) -> Floats:
+def terms_of(scaled: Floats, different: int | None = None) -> Floats:
     """Return the terms (n, t) of a polynomial of third degree in each load, products of two beside.
 
-    At scaled loads (n, 6), dimensionless; as many terms as the rows allow.
+    At scaled loads (n, 6), dimensionless; as many terms as the rows allow, or so many `different`
+    ones.
     """
     used = np.flatnonzero(np.abs(scaled).max(axis=0, initial=0.0) > ZERO_LOAD)
-    loads, count = scaled[:, used], len(scaled)
-    parts = [np.ones((count, 1)), loads]
+    loads, count = scaled[:, used], len(scaled) if different is None else different
+    parts = [np.ones((len(scaled), 1)), loads]
     pairs = [loads[:, i] * loads[:, j] for i, j in combinations(range(len(used)), 2)]
-    products = np.stack(pairs, axis=1) if pairs else np.empty((count, 0))
+    products = np.stack(pairs, axis=1) if pairs else np.empty((len(scaled), 0))
     for more in (loads**2, loads**3, products):
         if ROWS_A_TERM * (sum(part.shape[1] for part in parts) + more.shape[1]) <= count:
             parts.append(more)

@@ -196,3 +196,31 @@ def test_the_points_of_a_grid_that_rounding_moved_are_inside(seed: int) -> None:
     grid = np.array(np.meshgrid(*ends)).reshape(3, -1).T
     grid = np.nextafter(grid, rng.choice([-2.0, 0.0, 2.0], grid.shape))
     assert (Triangulation(grid).locate(grid) >= 0).all()
+
+
+@pytest.mark.parametrize("rounded", [1e-12, 1e-10, 1e-8])
+def test_points_of_a_rounded_grid_are_compared_with_few_simplices(
+    rounded: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside flat simplices with all: rows of six loads beside such a grid took some minutes."""
+    rng = np.random.default_rng(9)
+    levels = np.linspace(-1, 1, 12)
+    grid = np.array(np.meshgrid(levels, levels, levels)).reshape(3, -1).T
+    shape = Triangulation(grid + rounded * rng.normal(size=grid.shape))
+    assert shape.degenerate.any()
+    on_planes, anywhere = levels[rng.integers(1, 11, (300, 3))], rng.uniform(-1.2, 1.2, (300, 3))
+    asked = np.concatenate((on_planes, np.where(np.arange(3) == 1, on_planes, anywhere), anywhere))
+    compared, barycentric = [], Triangulation.barycentric
+
+    def counted(self: Triangulation, simplices: np.ndarray, x: np.ndarray) -> np.ndarray:
+        compared.append(len(simplices))
+        return barycentric(self, simplices, x)
+
+    monkeypatch.setattr(Triangulation, "barycentric", counted)
+    found = shape.locate(asked)
+    assert sum(compared) < 50 * len(asked)
+    every = np.flatnonzero(~shape.degenerate)
+    for simplex, point in zip(found.tolist(), asked, strict=True):
+        weights = shape.barycentric(every, np.broadcast_to(point, (len(every), 3))).min(axis=1)
+        assert (simplex >= 0) == (weights.max() >= -1e-9)
+        assert simplex < 0 or weights[every == simplex] >= -1e-9  # and it is not flat
