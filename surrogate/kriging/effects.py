@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from operator import sub
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from ..table.polynomial import terms_of
-from ..table.rows import NEAR, ZERO_LOAD, Floats, LoadRange, Rows
+from ..table.rows import ZERO_LOAD, Floats, LoadRange, Rows
 from ..table.space import Space
 from .correlation import matern
 from .settings import DEFAULTS
@@ -44,6 +45,9 @@ MISFIT = 3e-4
 PRIOR = 0.3  # deviation of effects, spreads of the output: a tenth of its range
 # Half ranges: a response may have a kink at no load, and only readings there tell an offset.
 NO_LOAD = 0.01
+# Half ranges: loads that differ by less are at one place, whose readings tell no direction. Force
+# sensors scatter by 1e-4 to 5e-3 of their range.
+PLACE = 0.02
 BLOCK = 65_536  # rows at once: some 20 MB
 RANK = 1e-9  # of the largest: columns that are no other direction
 SAME = 1e-6  # of an effect: what rounding may put outside of the directions that rows tell
@@ -95,17 +99,18 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
         middle[at, count + number] = count > 1
     middle[:, count:] -= middle[:, count:].mean(axis=1, keepdims=True)
     loads = rows.wrench / load_range.scale
-    came = _came_by(loads, places)
-    good, moved = _means_of_held(rows.displacement, good, came)
-    rows = replace(rows, displacement=moved)
+    place = _places_of(loads, places)
+    good, loads, moved = _means_at_places(loads, rows.displacement, good, place)
+    rows = replace(rows, wrench=loads * load_range.scale, displacement=moved)
     if len(good) > SAMPLE:
         good = np.sort(np.random.default_rng(0).choice(good, SAMPLE, replace=False))
-    steps = terms_of(loads, len(np.unique(came)))
+    steps = terms_of(loads, len(np.unique(place)))
     terms = steps[good]
     for at in places:
-        steps[at[1:]] -= steps[at[:-1]]
-        steps[at[:1]] = 0.0
-    steps = steps[came]  # a load that is held keeps the branch that it came by
+        first = np.unique(place[at])
+        steps[first[1:]] -= steps[first[:-1]]
+        steps[first[:1]] = 0.0
+    steps = steps[place]  # a load that stays at its place keeps the branch that it came by
     mean, deviation, half_width = np.zeros((3, 2 + 2 * count, outputs))
     shown = np.isfinite(moved[good]).T
     evidence: dict[int, tuple[Floats, Floats]] = {}
@@ -143,36 +148,43 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     return Effects(zero[0], 2 * loop[0], drift, offset, bar, signs * loop + middle @ size[2:])
 
 
-def _came_by(loads: Floats, places: list[Indices]) -> Indices:
-    """Return the row by which the load of each row (n, 6), scaled, came: of a held one the first.
+def _places_of(loads: Floats, sessions: list[Indices]) -> Indices:
+    """Return the first row at the place of each row's load, (n,): loads (n, 6), scaled, in order.
 
-    `places` are the rows of each session.
+    A load leaves its place where it is farther than `PLACE` from the first there. `sessions` are
+    the rows of each.
     """
-    came = np.arange(len(loads))
-    for at in places:
-        held = np.abs(np.diff(loads[at], axis=0)).max(axis=1) <= NEAR
-        came[at[1:]] = at[np.maximum.accumulate(np.where(held, 0, np.arange(1, len(at))))]
-    return came
+    place = np.arange(len(loads))
+    for rows in sessions:
+        left = np.abs(np.diff(loads[rows], axis=0)).max(axis=1, initial=0.0) > 2 * PLACE
+        points, first = loads[rows].tolist(), 0
+        for at, is_far in enumerate(left.tolist(), 1):
+            if is_far or max(map(abs, map(sub, points[at], points[first]))) > PLACE:
+                first = at
+            place[rows[at]] = rows[first]
+    return place
 
 
-def _means_of_held(moved: Floats, good: Indices, came: Indices) -> tuple[Indices, Floats]:
-    """Return one of the good rows of each held load, and displacements (n, m), there their mean.
+def _means_at_places(
+    loads: Floats, moved: Floats, good: Indices, place: Indices
+) -> tuple[Indices, Floats, Floats]:
+    """Return the first row of each place, and loads (n, 6) and displacements (n, m), there means.
 
-    Readings of a held load tell of the noise alone; as rows of their own, effects seem surer.
-
-    Parameters
-    ----------
-    came : ndarray of int, shape (n,)
-        The row by which each row's load came.
+    Readings at a place tell of the noise alone; as rows of their own, effects seem surer. `place`
+    is the first row of each row's, `good` those that the means are of.
     """
-    first, number = np.unique(came[good], return_index=True, return_inverse=True)[1:]
-    known = np.isfinite(moved[good])
-    sums, counts = np.zeros((2, len(first), moved.shape[1]))
-    np.add.at(sums, number, np.where(known, moved[good], 0.0))
-    np.add.at(counts, number, known)
-    means = moved.copy()
-    means[good[first]] = np.where(counts > 0, sums / np.maximum(counts, 1.0), np.nan)
-    return good[first], means
+    number = np.unique(place[good], return_inverse=True)[1]
+    first = np.unique(place[good])
+    means = []
+    for values in (loads, moved):
+        known = np.isfinite(values[good])
+        sums, counts = np.zeros((2, len(first), values.shape[1]))
+        np.add.at(sums, number, np.where(known, values[good], 0.0))
+        np.add.at(counts, number, known)
+        mean = values.copy()
+        mean[first] = np.where(counts > 0, sums / np.maximum(counts, 1.0), np.nan)
+        means.append(mean)
+    return first, means[0], means[1]
 
 
 def sessions_of(rows: Rows) -> Indices:

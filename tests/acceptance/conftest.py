@@ -58,7 +58,7 @@ class RealServer:
         return True
 
     def _gone(self):
-        self.process.wait(60)
+        self.process.wait(600)
         until(lambda: not self._listens())  # web workers notice the end of their supervisor
         self.process.stdout.close()
         self.client.close()

@@ -43,7 +43,7 @@ def test_a_backup_under_load_restores_to_one_state(server, tmp_path):
     for _ in range(3):
         back_up(tmp_path / "workspace", tmp_path / "rig.backup")  # as `wrenchbook backup` does
     ended.set()
-    sender.join(60)
+    sender.join(600)
     whole = rows_of(client)
     server.stop()
 

@@ -83,7 +83,7 @@ class Environment:
             env=self.variables,
             capture_output=True,
             text=True,
-            timeout=200,
+            timeout=600,
             check=False,
         )
 
@@ -160,7 +160,7 @@ def address(with_server: Environment, tmp_path_factory: pytest.TempPathFactory) 
         yield words[-1]
     finally:
         server.terminate()
-        server.wait(60)
+        server.wait(600)
         server.stdout.close()
 
 

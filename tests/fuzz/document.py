@@ -83,13 +83,13 @@ def server(folder: Path) -> Iterator[tuple[subprocess.Popen[str], Client]]:
     assert child.stdout is not None
     try:
         address = child.stdout.readline().split()[-1]
-        with Client(address, timeout=60) as client:
+        with Client(address, timeout=600) as client:
             wrenches = np.concatenate([clean_wrenches(), full_wrenches(30)])
             add_table(client, "rig", as_rows(wrenches, moved(wrenches)))
             yield child, client
     finally:
         child.terminate()
-        child.wait(60)
+        child.wait(600)
         child.stdout.close()
 
 
@@ -122,7 +122,7 @@ def fuzz(operation: Any, examples: int, told: Counter[int]) -> None:
         wait_for_nothing(case)
         if real and case.body is not None and number == 2:
             case.body = real
-        response = case.call(timeout=60)
+        response = case.call(timeout=600)
         told[response.status_code] += 1
         if response.status_code == 431:  # a head too long for a server, before any call is known
             return

@@ -34,7 +34,7 @@ def served(folder: Path, solvers: int = 0, key: str | None = None) -> Iterator[C
         until(client.is_ready)
         yield client
     server.should_exit = True
-    thread.join(20)
+    thread.join(600)
 
 
 def moved(wrenches: np.ndarray) -> np.ndarray:

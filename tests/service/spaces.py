@@ -41,7 +41,7 @@ def add_link(http: Any, count: int = 40, name: str = "two_ends", **more: Any) ->
             straight = np.einsum("kmn,kn->km", rows.compliance, rows.wrench)
             rows = replace(rows, displacement=straight)
         add(workspace, name, rows)
-    assert workspace.tables.catch_up(name, 60.0), workspace.tables.faults()
+    assert workspace.tables.catch_up(name, 600), workspace.tables.faults()
 
 
 def add(workspace: Any, name: str, rows: Rows) -> None:

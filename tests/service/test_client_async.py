@@ -43,7 +43,7 @@ def test_fifty_calls_are_on_the_wire_at_once(stub: Stub):
         return Answer({"id": int(seen.path.rsplit("/", 1)[1]), "status": "done"})
 
     async def gathered() -> list[int]:
-        async with AsyncClient(stub.url, timeout=30.0) as client:
+        async with AsyncClient(stub.url, timeout=600) as client:
             jobs = await asyncio.gather(*(client.job(number) for number in range(50)))
         return [job.id for job in jobs]
 
@@ -56,11 +56,11 @@ def test_a_cancelled_call_leaves_the_client_usable(stub: Stub):
 
     def respond(_) -> Answer:
         inside.set()
-        release.wait(60)
+        release.wait(600)
         return Answer({"id": 2, "status": "running"})
 
     async def cancelled() -> int:
-        async with AsyncClient(stub.url, timeout=30.0) as client:
+        async with AsyncClient(stub.url, timeout=600) as client:
             stub.respond = respond
             task = asyncio.create_task(client.job(2))
             assert await asyncio.to_thread(inside.wait, 20)
@@ -92,7 +92,7 @@ def test_a_cancelled_iteration_ends_the_stream_at_once():
     async def cancelled() -> None:
         async with await asyncio.start_server(silent, "127.0.0.1", 0) as server:
             port = server.sockets[0].getsockname()[1]
-            async with AsyncClient(f"http://127.0.0.1:{port}", timeout=5.0) as client:
+            async with AsyncClient(f"http://127.0.0.1:{port}", timeout=600) as client:
                 task = asyncio.create_task(anext(client.events()))
                 assert await asyncio.to_thread(opened.wait, 20)
                 task.cancel()
@@ -111,11 +111,11 @@ def test_a_cancelled_filling_sends_no_further_request(stub: Stub):
         if seen.method == "POST":
             return Answer({"jobs": [{"id": 1, "status": "running"}], "stage": "first"})
         inside.set()
-        release.wait(60)
+        release.wait(600)
         return Answer({"id": 1, "status": "running"})
 
     async def cancelled() -> None:
-        async with AsyncClient(stub.url, timeout=30.0) as client:
+        async with AsyncClient(stub.url, timeout=600) as client:
             threads = client._threads
             task = asyncio.create_task(anext(client.fill_until("plate")))
             assert await asyncio.to_thread(inside.wait, 20)

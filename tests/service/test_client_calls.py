@@ -231,7 +231,7 @@ def test_wait_polls_until_the_job_has_ended(stub: Stub, client: Client):
         Answer({"id": 7, "url": "/v1/jobs/7", **running}),
         Answer({"id": 7, "status": "done", "url": "/v1/jobs/7", **done}),
     )
-    job = client.wait(Job.read(QUEUED["job"]), timeout=5.0)
+    job = client.wait(Job.read(QUEUED["job"]), timeout=600)
     assert job.status == "done"
     assert job.progress == 1.0
     assert job.vector is not None

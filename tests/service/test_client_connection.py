@@ -211,7 +211,7 @@ CHUNKED = (
 def answering(*pieces):
     """A socket on which these pieces come, each when the one before has been taken."""
     here, there = socket.socketpair()
-    here.settimeout(10)
+    here.settimeout(600)
 
     def feed():
         for piece in pieces:
@@ -233,7 +233,7 @@ def test_an_answer_may_come_in_any_pieces(whole):
     for cut in range(1, len(whole)):
         here, there = socket.socketpair()
         with here, there:
-            here.settimeout(10)
+            here.settimeout(600)
             there.sendall(whole[:cut])
             timer = threading.Timer(0.0, there.sendall, [whole[cut:]])
             timer.start()

@@ -33,7 +33,7 @@ def server():
 
 @pytest.fixture
 def client(server):
-    with Client(server.url, timeout=10) as made:
+    with Client(server.url, timeout=600) as made:
         yield made
 
 
@@ -78,7 +78,7 @@ def test_what_is_added_comes_in_blocks_in_order_under_counted_keys(server, recor
 
 def test_adding_does_not_wait_for_a_server_that_hangs(server, recorder):
     release = threading.Event()
-    server.respond = lambda _: (release.wait(60), Answer({"recorded": 1}, 201))[1]
+    server.respond = lambda _: (release.wait(600), Answer({"recorded": 1}, 201))[1]
     for _ in range(1000):
         recorder.add(WRENCH)
     assert recorder.pending == 1000  # no answer has come
@@ -189,7 +189,7 @@ def test_a_full_memory_refuses_the_wrench_and_keeps_all_others(monkeypatch):
 FORGETFUL = """
 import sys
 from wrenchbook.service.client import Client, Recorder
-recorder = Recorder(Client(sys.argv[1], timeout=5), "plate")
+recorder = Recorder(Client(sys.argv[1], timeout=600), "plate")
 recorder.add([1.0, 2, 3, 4, 5, 6])
 """
 

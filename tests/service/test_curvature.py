@@ -59,13 +59,13 @@ def test_a_table_has_it_and_its_file_brings_it_into_a_new_ledger(tmp_path):
     site = Site(tmp_path)
     site.open("rig")
     insert(site.ledger, "rig", "", [ROW])
-    assert site.tables.catch_up("rig", 60)
+    assert site.tables.catch_up("rig", 600)
     assert site.tables.surrogate("rig").rows.curvature.tolist() == [list(THIRDS)]
     site.close()
     for path in tmp_path.glob("ledger.sqlite*"):
         path.unlink()
     site.open()
-    assert site.tables.catch_up("rig", 60)
+    assert site.tables.catch_up("rig", 600)
     (row,) = stored(site.ledger, "rig")
     assert row.curvature == THIRDS
     np.testing.assert_array_equal(row.compliance, ROW.compliance)

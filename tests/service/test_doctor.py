@@ -101,11 +101,11 @@ def test_a_healed_row_reaches_a_server_that_had_left_it_out(folder):
     (folder / "tables" / "rig.h5").rename(keep)  # the server has to read the ledger
     site = Site(folder)
     site.open()
-    assert site.tables.catch_up("rig", 60)
+    assert site.tables.catch_up("rig", 600)
     assert len(site.tables.surrogate("rig").rows) == 59
     shutil.copy(keep, folder / "tables" / "rig.h5")
     assert "repaired" in kinds(examine(folder, repair=True))
-    assert site.tables.catch_up("rig", 60)
+    assert site.tables.catch_up("rig", 600)
     assert len(site.tables.surrogate("rig").rows) == 60
     site.close()
 
@@ -187,7 +187,7 @@ def test_rows_that_a_server_has_put_back_are_not_counted_as_gone(folder):
     site = Site(folder)
     site.open()
     for name in ("rig", "other"):
-        assert site.tables.catch_up(name, 60)
+        assert site.tables.catch_up(name, 600)
     site.close()
     found = examine(folder, repair=True)
     assert content(folder) == before

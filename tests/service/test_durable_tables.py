@@ -58,7 +58,7 @@ class Site:
 
     def insert(self, count, first=0, name="rig"):
         insert(self.ledger, name, "", new_rows(count, first))
-        assert self.tables.catch_up(name, 60), self.tables.faults()
+        assert self.tables.catch_up(name, 600), self.tables.faults()
 
     def wrenches(self, name="rig"):
         return sorted(map(tuple, self.tables.surrogate(name).rows.wrench.tolist()))
@@ -144,7 +144,7 @@ def test_a_withdrawn_row_leaves_the_table_and_its_file_and_comes_back(site):
     site.insert(10)
     gone = stored(site.ledger, "rig")[4]
     site.ledger.withdraw("rig", gone.seq)
-    assert site.tables.catch_up("rig", 60)
+    assert site.tables.catch_up("rig", 600)
     version = site.tables.surrogate("rig").version
     assert gone.wrench not in site.wrenches()
     for _ in range(2):
@@ -280,7 +280,7 @@ def test_a_packed_file_that_is_damaged_foreign_or_gone_is_built_anew(site, chang
     site.insert(30)
     before, path = answer_of(site), packed_files(site)[0]
     insert(site.ledger, "other", "", [replace_displacement(row) for row in new_rows(30)])
-    assert site.tables.catch_up("other", 60)
+    assert site.tables.catch_up("other", 600)
     site.close()
     whole, foreign = path.read_bytes(), packed_files(site, "other")[0].read_bytes()
     content = change(whole, foreign)

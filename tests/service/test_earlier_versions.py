@@ -45,7 +45,7 @@ def site(request, tmp_path):
         db.close()
         if not written:
             site.open()
-            assert site.tables.catch_up("rig", 60)
+            assert site.tables.catch_up("rig", 600)
             site.tables.surrogate("rig")
             site.close()
             assert examine(tmp_path, repair=True) is not None  # writes a file that is missing
@@ -55,7 +55,7 @@ def site(request, tmp_path):
 def test_the_first_start_says_nothing_of_rows_in_the_table_and_loses_none(site, caplog):
     with caplog.at_level(logging.WARNING):
         site.open()
-        assert site.tables.catch_up("rig", 60)
+        assert site.tables.catch_up("rig", 600)
         assert len(site.tables.surrogate("rig").rows) == 5
         assert site.tables.faults() == {}
         assert site.ledger.losses() == []
@@ -65,7 +65,7 @@ def test_the_first_start_says_nothing_of_rows_in_the_table_and_loses_none(site, 
 
 def test_a_directory_of_an_earlier_version_keeps_its_rows_jobs_and_answers(site):
     site.open()
-    assert site.tables.catch_up("rig", 60)
+    assert site.tables.catch_up("rig", 600)
     assert site.ledger.count_rows("rig") == 6
     assert [job.status for job in site.ledger.jobs()] == ["waiting"]
     surrogate = site.tables.surrogate("rig")
@@ -80,7 +80,7 @@ def test_a_ledger_that_is_older_than_a_file_of_0_1_is_still_doubted(site):
     rows, meta = read_table(site.file())
     write_table(site.file(), rows, replace(meta, edits=None, ledger="", last_seq=20))
     site.open()
-    assert site.tables.catch_up("rig", 60)
+    assert site.tables.catch_up("rig", 600)
     site.tables.surrogate("rig")
     assert "withdrawn" in until(lambda: site.tables.faults().get("rig"))
     site.close()

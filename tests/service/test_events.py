@@ -167,7 +167,7 @@ def test_a_listener_is_greeted_after_the_first_look_so_that_nothing_between_is_l
 
     def look(workspace, seen):
         looks.set()
-        assert may_end.wait(60)
+        assert may_end.wait(600)
         return feed_module.Snapshot(), []
 
     async def run():

@@ -15,7 +15,7 @@ CALL = "/v1/components/plane"
 def test_coverage_has_hull_gaps_and_conflicts(http):
     rows = load_plane_table(http)
     other = {"wrench": rows[1]["wrench"], "displacement": [1e-3, 0, 0, 0, 0, 0]}
-    assert http.post(f"{CALL}/table", json={"rows": [other]}).status_code == 200
+    assert http.post(f"{CALL}/table?wait_s=600", json={"rows": [other]}).status_code == 200
     body = http.get(f"{CALL}/coverage").json()
     assert body["component"] == "plane"
     assert body["rows"] == 46

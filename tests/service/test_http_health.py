@@ -27,7 +27,7 @@ def building(tmp_path, monkeypatch):
     may_build, make = threading.Event(), build.build_table
 
     def delayed(component, *rest):
-        assert component.name != "big" or may_build.wait(60)
+        assert component.name != "big" or may_build.wait(600)
         return make(component, *rest)
 
     monkeypatch.setattr(build, "build_table", delayed)

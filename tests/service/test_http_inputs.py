@@ -70,7 +70,7 @@ def hot(http):
     assert reply.status_code == 201, reply.text
     reply = ask(http, 60.0, -9.81, on_thin="wait", wait_s=60)
     assert reply.status_code == 200, reply.text
-    assert http.app.state.workspace.tables.catch_up("hot", 60.0)
+    assert http.app.state.workspace.tables.catch_up("hot", 600)
     return http
 
 

@@ -57,7 +57,7 @@ def rig(http):
     about = {"name": "rig", "title": "rig", "range": {"force": [100] * 3, "moment": [10] * 3}}
     assert http.post("/v1/components", json=about).status_code == 201
     rows = as_rows(wrenches, moved(wrenches))
-    assert http.post(f"{RIG}/table", json={"rows": rows}).status_code == 200
+    assert http.post(f"{RIG}/table?wait_s=600", json={"rows": rows}).status_code == 200
     return http
 
 

@@ -33,7 +33,7 @@ def http(tmp_path_factory):
             assert client.post("/v1/components", json={**TABLE_ONLY, "name": name}).is_success
         new = [NewRow((i / 10, 0, 0, 0, 0, 0), (i * 1e-7, 0, 0, 0, 0, 0)) for i in range(1, 6)]
         insert(client.app.state.workspace.ledger, "rig", "", new)
-        client.app.state.workspace.tables.catch_up("rig", 60)
+        client.app.state.workspace.tables.catch_up("rig", 600)
         assert upload(client, bundle_zip(LINK)).is_success
         add_link(client, name="ends", has_fea=True)
         yield client

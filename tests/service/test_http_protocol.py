@@ -292,7 +292,7 @@ def test_a_client_that_does_not_read_is_not_written_to_without_end(port):
         questions = request() * 1000
         with pytest.raises(TimeoutError):  # long before 100 MB of answers
             wire.send(*([questions] * 150))
-        wire.socket.settimeout(20)
+        wire.socket.settimeout(600)
         assert wire.reply()[0] == 200
     with closing(Wire(port)) as other:
         assert other.ask(request())[0] == 200
@@ -366,7 +366,7 @@ def test_an_encoded_name_and_a_query_string_are_read_the_usual_way(straight, wir
 
 @pytest.mark.parametrize("way", [request, chunked])
 def test_a_megabyte_of_blanks_is_too_large(wire, way):
-    wire.socket.settimeout(20)
+    wire.socket.settimeout(600)
     status, headers, body = wire.ask(way(b" " * (1 << 20)))
     assert (status, orjson.loads(body)["status"]) == (413, 413)
     assert headers["content-type"] == "application/problem+json"
@@ -555,7 +555,7 @@ def test_a_request_that_arrives_while_the_loop_stalls_is_answered_before_the_con
 
     def stall():
         stalled.set()
-        assert sent.wait(60)
+        assert sent.wait(600)
 
     def begin():  # the loop runs both timers before it reads
         connections[0].loop.call_later(1e-3, stall)
@@ -564,7 +564,7 @@ def test_a_request_that_arrives_while_the_loop_stalls_is_answered_before_the_con
     with closing(Wire(port)) as wire:
         assert wire.ask(GET)[0] == 200
         connections[0].loop.call_soon_threadsafe(begin)
-        assert stalled.wait(60)
+        assert stalled.wait(600)
         wire.send(request())
         sent.set()
         assert wire.reply()[0] == 200

@@ -168,7 +168,7 @@ def test_many_who_look_at_a_table_that_is_being_built_do_not_hold_up_the_loop(
     http, scale, monkeypatch
 ):
     built = threading.Event()
-    monkeypatch.setattr(MappedTables, "catch_up", lambda *_: built.wait(60.0))
+    monkeypatch.setattr(MappedTables, "catch_up", lambda *_: built.wait(600))
     waiting, caught_up = [], Workspace.caught_up
     monkeypatch.setattr(
         Workspace, "caught_up", lambda *asked: waiting.append(asked) or caught_up(*asked)

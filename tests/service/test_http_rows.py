@@ -40,7 +40,7 @@ def rig(http):
     workspace = http.app.state.workspace
     new = [NewRow((i / 10, 0, 0, 0, 0, 0), (i * 1e-7, 0, 0, 0, 0, 0)) for i in range(1, 6)]
     insert(workspace.ledger, "rig", "", new)
-    workspace.tables.catch_up("rig", 60)
+    workspace.tables.catch_up("rig", 600)
     return [row.seq for row in stored(workspace.ledger, "rig")]
 
 
@@ -121,7 +121,7 @@ def test_a_linear_component_nobody_has_solved_solves_itself_when_first_asked(
         assert sum(http.get(f"/v1/components/{name}").json()["jobs"].values()) == 1
         assert wait_for_jobs(http, name)["done"] == 1
         workspace = http.app.state.workspace
-        assert workspace.tables.catch_up(name, 60)
+        assert workspace.tables.catch_up(name, 600)
         reply = http.post(f"/v1/components/{name}/displacement", json=ASKED).json()
         assert (reply["coverage"], reply["method"]) == ("covered", "linear")
         assert np.isfinite(reply["translation"]).all()
@@ -217,7 +217,7 @@ def serving(folder, unused, before):
         yield
     finally:
         server.terminate()
-        server.wait(60)
+        server.wait(600)
         reader.join()
         server.stdout.close()
 

@@ -302,7 +302,7 @@ def test_a_scene_without_any_load_is_rigid(link):
 
 def test_a_component_without_rows_is_planned(link):
     add_component(link, "bare")
-    assert link.app.state.workspace.tables.catch_up("bare", 60)
+    assert link.app.state.workspace.tables.catch_up("bare", 600)
     plan = planned(link, SCENE, "bare").json()["components"]["bare"]
     assert plan["decision"] == "table"
 

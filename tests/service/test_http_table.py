@@ -42,7 +42,7 @@ def rig(http):
 
 def load(http, text, **query):
     # The rig has no moments: its files have no columns for them.
-    query = {"missing_loads": "zero", **query}
+    query = {"missing_loads": "zero", "wait_s": 600, **query}
     return http.post(CALL, content=text, headers={"content-type": "text/csv"}, params=query)
 
 
@@ -100,7 +100,7 @@ def solved(http, wrenches):
         NewRow(w.tolist(), (compliance @ w).tolist(), "fea", compliance.tolist()) for w in wrenches
     ]
     assert insert(workspace.ledger, "plate_thin", fingerprint, rows) == (len(rows), 0)
-    assert workspace.tables.catch_up("plate_thin", 60)
+    assert workspace.tables.catch_up("plate_thin", 600)
 
 
 def answers(http):
@@ -255,7 +255,7 @@ def slow_build(monkeypatch):
     may_build, build = threading.Event(), builds.build_table
 
     def slow(*given):
-        assert may_build.wait(60)
+        assert may_build.wait(600)
         return build(*given)
 
     monkeypatch.setattr(builds, "build_table", slow)

@@ -209,7 +209,7 @@ def wrench(http):
     load = 0.5 * component.load_range.scale
     solve = NewRow(load.tolist(), (COMPLIANCE @ load).tolist(), "fea", COMPLIANCE.tolist())
     insert(workspace.ledger, "bar", component.fingerprint, [solve])
-    assert workspace.tables.catch_up("bar", 60)
+    assert workspace.tables.catch_up("bar", 600)
     return np.random.default_rng(5).uniform(-0.8, 0.8, (60, 6)) * component.load_range.scale
 
 

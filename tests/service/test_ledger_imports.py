@@ -227,7 +227,7 @@ def test_two_imports_at_once_come_one_after_the_other(ledger):
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(60)
+        thread.join(600)
     assert done == [120, 120, 120]
     spans = ledger.import_spans("rig")
     assert sum(last - first + 1 for first, last, _ in spans) == 360

@@ -66,14 +66,14 @@ def both(tmp_path):
     """A builder and a part that maps a table of four rows, `new`."""
     with part(tmp_path, TableBuilder) as builder, part(tmp_path, MappedTables) as reader:
         reader.add("new", 4)
-        assert reader.tables.catch_up("new", 60)
+        assert reader.tables.catch_up("new", 600)
         yield builder, reader
 
 
 def test_a_version_replaces_the_one_before_and_its_file(both, tmp_path):
     _, reader = both
     insert(reader.ledger, "new", "", new_rows(2, 4))
-    assert reader.tables.catch_up("new", 60)
+    assert reader.tables.catch_up("new", 600)
     assert len(reader.tables.surrogate("new").rows) == 6
     assert len(list((tmp_path / "tables").glob("new-*.wbt"))) == 1
 
@@ -83,7 +83,7 @@ def test_a_table_that_was_replaced_still_gives_its_bytes_to_a_request_that_has_i
     old = reader.tables.surrogate("new")
     content, checksum = old.packed.content, old.packed.checksum
     insert(reader.ledger, "new", "", new_rows(2, 4))
-    assert reader.tables.catch_up("new", 60)
+    assert reader.tables.catch_up("new", 600)
     assert (old.packed.content, old.packed.checksum) == (content, checksum)
     assert len(old.rows) == 4
     assert old.surrogate().version == old.version
@@ -93,7 +93,7 @@ def test_a_component_edited_on_the_disk_answers_by_its_new_range(both, tmp_path)
     _, reader = both
     file = tmp_path / "components" / "new" / "component.toml"
     file.write_text(file.read_text().replace("10.0", "20.0"))
-    assert reader.tables.catch_up("new", 60)
+    assert reader.tables.catch_up("new", 600)
     assert reader.tables.surrogate("new").load_range.high[0] == 20.0
 
 
@@ -112,7 +112,7 @@ def test_a_foreign_or_damaged_file_is_told_and_answers_nothing(both, tmp_path, c
     """A copy of another component's file answered for it as soon as it was there."""
     _, reader = both
     reader.add("other", 9)
-    assert reader.tables.catch_up("other", 60)
+    assert reader.tables.catch_up("other", 600)
     before, folder = answer_of(reader), tmp_path / "tables"
     stray = folder / "new-999.wbt"
     other = next(folder.glob("other-*.wbt")).read_bytes()
@@ -129,18 +129,18 @@ def test_an_older_version_that_is_written_last_answers_nothing(both, tmp_path):
     old = next((tmp_path / "tables").glob("new-*.wbt"))
     content = old.read_bytes()
     insert(reader.ledger, "new", "", new_rows(2, 4))
-    assert reader.tables.catch_up("new", 60)
+    assert reader.tables.catch_up("new", 600)
     newest = reader.tables.surrogate("new").version
     old.write_bytes(content)
     reader.add("other", 3)
-    assert reader.tables.catch_up("other", 60)  # which looks at the folder after that
+    assert reader.tables.catch_up("other", 600)  # which looks at the folder after that
     assert reader.tables.surrogate("new").version == newest
 
 
 def test_files_of_no_component_and_of_other_versions_go_at_a_start(tmp_path):
     with part(tmp_path, TableBuilder), part(tmp_path, MappedTables) as reader:
         reader.add("new", 4)
-        assert reader.tables.catch_up("new", 60)
+        assert reader.tables.catch_up("new", 600)
     folder = tmp_path / "tables"
     own = next(folder.glob("new-*.wbt"))
     for name in ("new-999.wbt", "gone-4.wbt"):
@@ -159,7 +159,7 @@ def test_a_component_that_was_unreadable_for_a_moment_is_built_again(both, tmp_p
         assert "new" not in one.library.names()
     away.rename(setup)
     insert(reader.ledger, "new", "", new_rows(2, 4))
-    assert reader.tables.catch_up("new", 60)
+    assert reader.tables.catch_up("new", 600)
     assert len(reader.tables.surrogate("new").rows) == 6
 
 
@@ -167,15 +167,15 @@ def test_a_stale_file_is_gone_once_the_builder_has_started(tmp_path, monkeypatch
     """Its table takes long to build; no process may answer from the old one meanwhile."""
     with part(tmp_path, TableBuilder) as builder, part(tmp_path, MappedTables) as reader:
         reader.add("new", 4)
-        assert reader.tables.catch_up("new", 60)
+        assert reader.tables.catch_up("new", 600)
         reader.ledger.withdraw("new", stored(reader.ledger, "new")[0].seq)
-        assert reader.tables.catch_up("new", 60)
+        assert reader.tables.catch_up("new", 600)
         builder.tables.stop()
         reader.ledger.restore("new", 1)
     may_build, build = threading.Event(), builds.build_table
 
     def slow(*given):
-        assert may_build.wait(60)
+        assert may_build.wait(600)
         return build(*given)
 
     monkeypatch.setattr(builds, "build_table", slow)
@@ -185,7 +185,7 @@ def test_a_stale_file_is_gone_once_the_builder_has_started(tmp_path, monkeypatch
         with pytest.raises(TableBehindError, match="has rows and cannot answer yet"):
             reader.tables.surrogate("new")
         may_build.set()
-        assert reader.tables.catch_up("new", 60)
+        assert reader.tables.catch_up("new", 600)
         assert len(reader.tables.surrogate("new").rows) == 4
 
 
@@ -193,7 +193,7 @@ def test_without_a_builder_the_last_version_answers_until_the_next_builder_goes_
     with part(tmp_path, MappedTables) as reader:
         with part(tmp_path, TableBuilder, leave=False) as builder:
             builder.add("new", 4)
-            assert reader.tables.catch_up("new", 60)
+            assert reader.tables.catch_up("new", 600)
             os.close(builder.state._lock)  # as the kernel does for a process that is killed
             builder.state._lock = None
         insert(reader.ledger, "new", "", new_rows(2, 4))
@@ -202,7 +202,7 @@ def test_without_a_builder_the_last_version_answers_until_the_next_builder_goes_
             reader.tables.caught_up("new", 0.05)
         assert "has ended" in (trouble_of(reader) or "")
         with part(tmp_path, TableBuilder):
-            assert reader.tables.catch_up("new", 60)
+            assert reader.tables.catch_up("new", 600)
             assert len(reader.tables.surrogate("new").rows) == 6
             assert trouble_of(reader) is None
 
@@ -230,11 +230,11 @@ def test_rows_are_in_use_only_once_every_web_worker_answers_from_them(both, tmp_
     _, reader = both
     with part(tmp_path, MappedTables) as late:
         assert isinstance(late.tables, MappedTables)
-        assert late.tables.catch_up("new", 60)
+        assert late.tables.catch_up("new", 600)
         may_map, map_new = threading.Event(), late.tables._map_new
 
         def slow():
-            assert may_map.wait(60)
+            assert may_map.wait(600)
             map_new()
 
         monkeypatch.setattr(late.tables, "_map_new", slow)
@@ -242,7 +242,7 @@ def test_rows_are_in_use_only_once_every_web_worker_answers_from_them(both, tmp_
         until(lambda: len(reader.tables.surrogate("new").rows) == 6)
         assert not reader.tables.catch_up("new", 0)
         may_map.set()
-        assert reader.tables.catch_up("new", 60)
+        assert reader.tables.catch_up("new", 600)
         assert len(late.tables.surrogate("new").rows) == 6
     assert reader.tables.catch_up("new", 20)  # a worker that has ended is not waited for
 
@@ -279,7 +279,7 @@ def slow_build(monkeypatch):
     def held(component, *rest):
         built.append((component.name, "starts"))
         if component.name.startswith("big"):
-            assert may_build.wait(60)
+            assert may_build.wait(600)
         built.append((component.name, "ends"))
         return build_table(component, *rest)
 
@@ -299,7 +299,7 @@ def test_small_tables_answer_before_a_large_one_is_built_at_the_start(open_table
     with pytest.raises(TableBehindError, match="cannot answer yet"):
         tables.surrogate("big")
     may_build.set()
-    assert tables.catch_up("big", 60)
+    assert tables.catch_up("big", 600)
     assert len(tables.surrogate("big").rows) == 60
     assert "big" not in tables.building()
 
@@ -309,14 +309,14 @@ def test_a_row_of_one_table_does_not_wait_for_the_build_of_another(open_tables, 
     may_build, _ = slow_build
     may_build.set()
     tables, ledger = open_tables({"big": 60, "small": 3})
-    assert tables.catch_up("big", 60)
+    assert tables.catch_up("big", 600)
     may_build.clear()
     insert(ledger, "big", "", new_rows(1, first=60))
     insert(ledger, "small", "", new_rows(1, first=3))
-    assert tables.catch_up("small", 60)
+    assert tables.catch_up("small", 600)
     assert len(tables.surrogate("big").rows) == 60
     may_build.set()
-    assert tables.catch_up("big", 60)
+    assert tables.catch_up("big", 600)
     assert len(tables.surrogate("big").rows) == 61
 
 
@@ -324,7 +324,7 @@ def test_rows_that_come_during_a_build_are_built_together_after_it(open_tables, 
     may_build, built = slow_build
     may_build.set()
     tables, ledger = open_tables({"big": 60})
-    assert tables.catch_up("big", 60)
+    assert tables.catch_up("big", 600)
     may_build.clear()
     before = len(built)
     insert(ledger, "big", "", new_rows(1, first=60))
@@ -332,7 +332,7 @@ def test_rows_that_come_during_a_build_are_built_together_after_it(open_tables, 
     for number in range(1, 20):
         insert(ledger, "big", "", new_rows(1, first=60 + number))
     may_build.set()
-    assert tables.catch_up("big", 60)
+    assert tables.catch_up("big", 600)
     assert len(tables.surrogate("big").rows) == 80
     assert len(built) - before == 4
 
@@ -343,15 +343,15 @@ def test_two_large_tables_are_built_one_after_the_other_and_small_ones_beside_th
     may_build, built = slow_build
     may_build.set()
     tables, ledger = open_tables({"big1": 60, "big2": 60, "small": 3})
-    assert all(tables.catch_up(name, 60) for name in ("big1", "big2", "small"))
+    assert all(tables.catch_up(name, 600) for name in ("big1", "big2", "small"))
     may_build.clear()
     built.clear()
     for name in ("big1", "big2"):
         insert(ledger, name, "", new_rows(1, first=60))
     insert(ledger, "small", "", new_rows(1, first=3))
-    assert tables.catch_up("small", 60)
+    assert tables.catch_up("small", 600)
     may_build.set()
-    assert all(tables.catch_up(name, 60) for name in ("big1", "big2"))
+    assert all(tables.catch_up(name, 600) for name in ("big1", "big2"))
     large = [step for step in built if step[0] != "small"]
     assert large in (
         [(name, step) for name in order for step in ("starts", "ends")]

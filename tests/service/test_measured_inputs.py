@@ -50,7 +50,12 @@ def test_an_imported_table_answers_loads_and_inputs_between_its_rows(http, entri
     assert add(http, **entries).status_code == 201
     space, matrix, expansion, inputs = measured(http)
     text = csv_of(space, inputs, response(inputs, matrix, expansion))
-    sent = http.post("/v1/components/rig/table", content=text, headers={"content-type": "text/csv"})
+    sent = http.post(
+        "/v1/components/rig/table",
+        content=text,
+        headers={"content-type": "text/csv"},
+        params={"wait_s": 600},
+    )
     assert sent.status_code == 200, sent.text
     assert (sent.json()["inserted"], sent.json()["in_use"]) == (80, True)
     query = 0.3 * inputs[3] + 0.3 * inputs[11] + 0.4 * inputs[40]

@@ -41,7 +41,7 @@ class Site:
         log.close()
 
     def wait_until_ready(self):
-        with Client(self.url, timeout=5) as client:
+        with Client(self.url, timeout=600) as client:
             until(client.is_ready)
 
     def kill(self):
@@ -77,7 +77,7 @@ def test_a_loop_whose_server_is_killed_loses_nothing_and_doubles_nothing(site, k
         site.start()
         site.wait_until_ready()
 
-    with Client(site.url, timeout=10) as client:
+    with Client(site.url, timeout=600) as client:
         recorder = Recorder(client, "plate_thin", kind=kind, block=64)
         for part in np.array_split(wrenches, KILLS):
             other = threading.Thread(target=kill_after, args=(recorder.recorded,))

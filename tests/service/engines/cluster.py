@@ -130,7 +130,7 @@ class Cluster:
 def kill(program):
     if program.poll() is None:
         program.send_signal(signal.SIGKILL)
-    program.wait(60)
+    program.wait(600)
 
 
 def kill_solver(lock):

@@ -26,7 +26,7 @@ def test_a_worker_that_dies_is_replaced_and_the_attempt_does_not_count(own, clus
     if end == "with its solver":  # as a machine goes: all of it at once
         solver.kill()
     kill(worker)
-    solver.wait(60)
+    solver.wait(600)
     cluster.start_worker()
     until(lambda: own.starts(attempt) == 2)
     own.go(attempt)
@@ -43,7 +43,7 @@ def test_what_a_solver_started_ends_with_its_worker_too(own, cluster):
     until((folder / "child").exists)
     child = psutil.Process(int(until((folder / "child").read_text)))
     kill(worker)
-    child.wait(60)
+    child.wait(600)
 
 
 def test_a_scheduler_that_dies_is_found_again_with_the_attempts(own, cluster):

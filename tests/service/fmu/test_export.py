@@ -172,7 +172,7 @@ def test_undefined_behaviour_and_stray_reads_are_found_by_the_compilers_own_chec
         ["-fPIC", "-shared", *flags, "-o", str(library), *files, "-lm", "-lpthread"],
         [*flags, f"-I{sources}", "-rdynamic", "-o", str(program), driver, "-ldl"],
     ):
-        subprocess.run([*compiler, *extra], check=True, timeout=200)
+        subprocess.run([*compiler, *extra], check=True, timeout=600)
     resources = (made.folder / "resources").as_uri()
     command = [program, library, resources, made.guid, wrenches, "0.2"]
     ran = subprocess.run(list(map(str, command)), capture_output=True, text=True, timeout=600)

@@ -117,7 +117,7 @@ def test_instances_in_many_threads_do_not_disturb_each_other(fmu, table):
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(120)
+        thread.join(600)
     with fmu.running() as alone:
         for told, wrenches in zip(found, asked, strict=True):
             for mine, theirs in zip(answers(alone, wrenches), told, strict=True):

@@ -44,7 +44,7 @@ def run(program, *words, **more):
 
 def compiled(command, **more):
     ran = subprocess.run(
-        list(map(str, command)), capture_output=True, text=True, timeout=200, check=False, **more
+        list(map(str, command)), capture_output=True, text=True, timeout=600, check=False, **more
     )
     assert ran.returncode == 0, ran.stdout + ran.stderr
 
@@ -73,7 +73,7 @@ def readmes_line(folder, word):
 def example(folder):
     """The example, compiled by the README's line."""
     line = " ".join([*need_compiler(), readmes_line(folder, "cc ").removeprefix("cc ")])
-    subprocess.run(line, shell=True, cwd=folder, check=True, timeout=200)
+    subprocess.run(line, shell=True, cwd=folder, check=True, timeout=600)
     return folder / "example"
 
 

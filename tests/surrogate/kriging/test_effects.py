@@ -58,8 +58,13 @@ def test_a_loop_by_sweeps_has_its_size_where_most_of_them_hardly_move_an_output(
         assert (found.bar >= 0.04 * rig.size).all()
 
 
-def held(seed: int, stays: int, readings: int, loop: float, noise: float) -> tuple[Rig, Rows]:
-    """Return rows of random loads, each held for so many readings on the branch it came by."""
+def held(
+    seed: int, stays: int, readings: int, loop: float, noise: float, scatter: float = 0.0
+) -> tuple[Rig, Rows]:
+    """Return rows of random loads, each held for so many readings on the branch it came by.
+
+    Readings of loads scatter by so much of their half range.
+    """
     rig = rig_of(seed, "random")
     targets = rig.rng.uniform(-1, 1, (stays, 6)) * rig.high
     rig.wrench = np.repeat(targets, readings, axis=0)
@@ -67,7 +72,8 @@ def held(seed: int, stays: int, readings: int, loop: float, noise: float) -> tup
     moved = rig.respond(targets) - loop / 2 * rig.size * branch
     moved = np.repeat(moved, readings, axis=0)
     moved += noise * rig.size * rig.rng.normal(size=moved.shape)
-    return rig, Rows.of(rig.wrench, moved, source=["rig"] * len(moved))
+    read = rig.wrench + scatter * rig.high * rig.rng.normal(size=moved.shape)
+    return rig, Rows.of(read, moved, source=["rig"] * len(moved))
 
 
 @pytest.mark.parametrize("readings", [1, 3, 8])
@@ -79,6 +85,31 @@ def test_a_load_that_is_held_keeps_its_branch(readings: int) -> None:
         np.testing.assert_allclose(np.abs(found.loop), 0.05 * rig.size, rtol=0.2)
         left = without_effects(rows, rig.range)[0].displacement - rig.respond(rows.wrench)
         assert (np.median(np.abs(left), axis=0) < 1.5 * NOISE * rig.size).all()
+
+
+@pytest.mark.parametrize("scatter", [1e-5, 1e-3])
+def test_a_load_that_is_held_keeps_its_branch_while_its_sensor_scatters(scatter: float) -> None:
+    """A scatter of 1e-5 of the range hid loops of 10 % in all of 24 outputs."""
+    for seed in SEEDS:
+        rig, rows = held(seed, 60, 8, 0.1, NOISE, scatter)
+        np.testing.assert_allclose(np.abs(effects(rows, rig.range).loop), 0.1 * rig.size, rtol=0.1)
+
+
+@pytest.mark.parametrize("scatter", [1e-4, 1e-3])
+def test_a_slow_motion_has_its_loop_while_its_sensor_scatters(scatter: float) -> None:
+    """Steps between readings below the scatter went either way, and denied the loop."""
+    for seed in SEEDS:
+        rig = rig_of(seed)
+        phases = rig.rng.uniform(0, 6, (1, 6))
+        cycles = 6 * (1 + 0.37 * np.arange(6))
+        angle = 2 * np.pi * np.linspace(0, 1, 3000)[:, None] * cycles + phases
+        true = rig.respond(rig.high * np.sin(angle))
+        branch = np.sign(np.gradient(true, axis=0))
+        moved = true - 0.05 * rig.size * branch
+        moved += NOISE * rig.size * rig.rng.normal(size=true.shape)
+        read = rig.high * (np.sin(angle) + scatter * rig.rng.normal(size=true.shape))
+        rows = Rows.of(read, moved, source=["rig"] * len(read))
+        np.testing.assert_allclose(np.abs(effects(rows, rig.range).loop), 0.1 * rig.size, rtol=0.1)
 
 
 @pytest.mark.parametrize("noise", [0.0, NOISE])
