@@ -12,7 +12,7 @@ import codecs
 import csv
 import io
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, islice
@@ -66,10 +66,6 @@ _NO_CSV = (
 )
 
 
-Split = Callable[[Iterator[str], int], Iterator[Record]]
-"""Yields the records of lines, of which the first has a number."""
-
-
 class UnreadableFileError(ValueError):
     """The bytes are no CSV text; the message has the remedy."""
 
@@ -77,14 +73,12 @@ class UnreadableFileError(ValueError):
 def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
     """Yield the good rows of a CSV file piece by piece; `report` gets the mistakes."""
     try:
-        encoding = _encoding(path)
+        encoding = encoding_of(path)
         with path.open("rb") as content:
-            delimiter = _delimiter(_lines(content, encoding), options)
-        split: Split = partial(records_of, delimiter=delimiter)
-        if delimiter == " ":
-            with path.open("rb") as content:
-                rows = filter(is_row, map(str.split, _lines(content, encoding)))
-                split = partial(_blank_records, width=len(next(rows)))
+            delimiter = _delimiter(lines_of(content, encoding), options)
+        with path.open("rb") as content:
+            rows = map(str.split, lines_of(content, encoding) if delimiter == " " else ())
+            width = next((len(row) for row in rows if is_row(row)), 0)
     except UnreadableFileError as error:
         report.mistakes.ruin(0, "file", str(error))
         return
@@ -93,7 +87,7 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         return
 
     def records(content: BinaryIO) -> Iterator[Record]:
-        every = split(_lines(content, encoding), 1)
+        every = records_of(lines_of(content, encoding), 1, delimiter, width)
         for line, cells in islice(every, 1):  # spreadsheets put a line sep=; first
             split_up = cells[0].lower() in ("sep=", '"sep=') and not any(cells[1:])
             if not (_SEPARATOR_LINE.fullmatch(delimiter.join(cells)) or (split_up and cells[1:])):
@@ -110,7 +104,7 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         first = next(rest, None)
     with path.open("rb") as content:
         mark, inputs = "," if cell_format.comma else ".", options.columns.wrench
-        body = _Body(content, encoding, delimiter, split, header, mark, inputs, report.mistakes)
+        body = _Body(content, encoding, delimiter, header, mark, inputs, report.mistakes)
         pieces = body.pieces(first[0]) if first else iter(())
         yield from read_pieces(header, pieces, options, report, cell_format)
 
@@ -128,7 +122,6 @@ class _Body:
     content: BinaryIO
     encoding: str
     delimiter: str
-    split: Split
     header: Header
     mark: str  # of decimals
     inputs: tuple[str, ...]
@@ -140,7 +133,7 @@ class _Body:
         by_line = self.delimiter == " " or self.encoding == "utf-16"
         if by_line or head.count(b"\r") != head.count(b"\r\n"):
             self.content.seek(0)
-            lines = islice(_lines(self.content, self.encoding), line - 1, None)
+            lines = islice(lines_of(self.content, self.encoding), line - 1, None)
             yield from self._by_line(lines, line)
             return
         mark = re.escape(self.delimiter.encode())
@@ -152,19 +145,20 @@ class _Body:
             is_open = quotes and quotes != 2 * len(re.findall(quoted, block + b"\n"))
             if is_open or len(end) == MAX_LINE:
                 self.content.seek(-len(block), io.SEEK_CUR)
-                yield from self._by_line(_lines(self.content, self.encoding, line), line)
+                yield from self._by_line(lines_of(self.content, self.encoding, line), line)
                 return
             block = block if block.endswith(b"\n") else block + b"\n"
             count = block.count(b"\n")
             piece = self._by_arrow(block, line, count)
             if piece is None:
-                yield from self._by_line(_lines(io.BytesIO(block), self.encoding, line), line)
+                yield from self._by_line(lines_of(io.BytesIO(block), self.encoding, line), line)
             else:
                 yield piece
             line += count
 
     def _by_line(self, lines: Iterator[str], line: int) -> Iterator[Piece]:
-        records = until_broken(self.split(lines, line), self.mistakes)
+        records = records_of(lines, line, self.delimiter, self.header.width)
+        records = until_broken(records, self.mistakes)
         check = partial(_record_problem, delimiter=self.delimiter)
         yield from text_pieces(records, self.header, self.mistakes, check)
 
@@ -274,7 +268,7 @@ class _Lines(list[str]):
         return text
 
 
-def _encoding(path: Path) -> str:
+def encoding_of(path: Path) -> str:
     """Return utf-8-sig, utf-16 (with a mark) or cp1252; UnreadableFileError."""
     with path.open("rb") as content:
         head = content.read(4)
@@ -296,7 +290,7 @@ def _encoding(path: Path) -> str:
     raise UnreadableFileError("the text encoding is not recognised; save the file as UTF-8")
 
 
-def _lines(content: BinaryIO, encoding: str, number: int = 1) -> Iterator[str]:
+def lines_of(content: BinaryIO, encoding: str, number: int = 1) -> Iterator[str]:
     """Yield the lines with their ends (LF, CR or both), the first of a number; BrokenLineError."""
     with io.TextIOWrapper(content, encoding=encoding, newline="") as text:
         while line := text.readline(MAX_LINE):
@@ -354,8 +348,16 @@ def _is_comment(line: str) -> bool:
     return line.startswith("#") and not _SHEET_ERROR.match(line)
 
 
-def records_of(lines: Iterator[str], first: int, delimiter: str) -> Iterator[Record]:
-    """Yield the line, from `first` on, and cells of each record with text; BrokenLineError."""
+def records_of(
+    lines: Iterator[str], first: int, delimiter: str, width: int = 0
+) -> Iterator[Record]:
+    """Yield the line, from `first` on, and cells of each record with text; BrokenLineError.
+
+    Those between blanks have `width` cells, or else single blanks in a text, or quotation marks.
+    """
+    if delimiter == " ":
+        yield from _blank_records(lines, first, width)
+        return
     fresh, length = True, 0
 
     def uncommented() -> Iterator[str]:
@@ -385,10 +387,6 @@ def records_of(lines: Iterator[str], first: int, delimiter: str) -> Iterator[Rec
 
 
 def _blank_records(lines: Iterator[str], first: int, width: int) -> Iterator[Record]:
-    """Yield the line and cells of each record between blanks; BrokenLineError.
-
-    A line that has not `width` of them may be of texts with single blanks, or with quotation marks.
-    """
     before = first - 1
     for number, line in enumerate(lines, first):
         cells = line.split()

@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, islice
 
-from wrenchbook.service.formats.cells import QUANTITIES, TIME, UnitError, is_number, si_factor
+from wrenchbook.service.formats.cells import UnitError, is_number
 from wrenchbook.service.formats.columns import (
     ARRAYS,
     MAX_LABEL,
@@ -141,23 +141,18 @@ def _split_titles(
 
     If they are positions, the first row of numbers may stand in place of a header.
     """
-    if _named_columns(first[1], columns, mapping) >= _SEVERAL or is_row(first[1]):
+    if named_columns(first[1], columns, mapping) >= _SEVERAL or is_row(first[1]):
         return [], first, rest
     titles = [first]
     for record in islice(rest, MAX_TITLES):
         end = len(titles)
+        titles.append(record)
         if is_row(record[1]):
-            rest = chain([record], rest)
             if not any(map(_POSITION.fullmatch, mapping)):
                 break
-            if len(titles[-1][1]) == len(record[1]):  # labels, maybe with units below them
-                above = len(titles) > 1 and len(titles[-2][1]) == len(record[1])
-                end -= 1 + (above and _are_units(titles[-1][1]))
-            titles.append(next(rest))
-        elif _named_columns(record[1], columns, mapping) >= _SEVERAL:
-            titles.append(record)
-        else:
-            titles.append(record)
+            while end and len(titles[end - 1][1]) == len(record[1]):
+                end -= 1  # labels, maybe with units below them
+        elif named_columns(record[1], columns, mapping) < _SEVERAL:
             continue
         joined = (
             " ".join(cell.strip() for cell in cells if cell.strip()) for _, cells in titles[:end]
@@ -165,20 +160,6 @@ def _split_titles(
         below = chain(titles[end + 1 :], rest)
         return [title[:MAX_LABEL] for title in joined], titles[end], below
     return [], first, chain(titles[1:], rest)
-
-
-def _are_units(cells: Sequence[str]) -> bool:
-    """Return whether all cells are units of loads, displacements or times."""
-
-    def is_unit(text: str) -> bool:
-        for quantity in (*QUANTITIES, TIME):
-            try:
-                return bool(si_factor(text, quantity))
-            except UnitError:
-                continue
-        return False
-
-    return all(is_unit(_unbracketed(cell)) for cell in cells if cell.strip())
 
 
 def delimiter_in(lines: Iterator[str], bare: Callable[[str], str], options: Options) -> str:
@@ -192,13 +173,13 @@ def delimiter_in(lines: Iterator[str], bare: Callable[[str], str], options: Opti
     marks = _SURE_DELIMITERS + _OTHER_DELIMITERS
 
     def names(line: str, mark: str) -> int:
-        return _named_columns(line.split(mark, columns.most), columns, options.mapping)
+        return named_columns(line.split(mark, columns.most), columns, options.mapping)
 
     header = next((line for line in heads if any(names(line, m) >= _SEVERAL for m in marks)), "")
     for line in heads if not header else ():
         rows = [mark for mark in marks if is_row(line.split(mark, columns.most)[: columns.most])]
-        blank = is_row(cells := line.split(None, columns.most)[: columns.most])
-        if blank and not any(cell[0] in ",;|" or cell[-1] in ",;|" for cell in cells):
+        cells = line.split(None, columns.most)[: columns.most]
+        if is_row(cells) and not any(cell[0] in marks or cell[-1] in marks for cell in cells):
             rows += [" "]
         if len(rows) > 1 and rows[0] in _OTHER_DELIMITERS:
             raise ValueError(
@@ -212,13 +193,13 @@ def delimiter_in(lines: Iterator[str], bare: Callable[[str], str], options: Opti
     return sure or max(_OTHER_DELIMITERS, key=lambda mark: names(header, mark))
 
 
-def _named_columns(cells: Sequence[str], columns: Columns, mapping: Mapping[str, str]) -> int:
+def named_columns(cells: Sequence[str], columns: Columns, mapping: Mapping[str, str]) -> int:
     """Return how many cells name a column of a table or a key of the mapping."""
     mapped = {_key(name) for name in mapping} - {""}
     labels = (" ".join(cell.split()) for cell in cells[: columns.most])
     return sum(
         not mapped.isdisjoint((_key(label), _key(_parts(label)[0])))
-        or bool(label and _readings(label, columns))
+        or bool(label and readings_of(label, columns))
         for label in labels
     )
 
@@ -319,11 +300,10 @@ def _is_units_row(labels: list[str], cells: list[str], options: Options) -> bool
         return False
     targets = _meanings(labels, options.mapping)
     return any(
-        not unit and name not in TEXTS
+        not (_parts(label)[1] if target else unit) and name not in TEXTS
         for label, target, cell in zip(labels, targets, cells, strict=False)
         if cell.strip()
-        for name, _, _ in _readings((target or label).removeprefix("-"), options.columns)
-        for unit in [_parts(label)[1]]
+        for name, unit, _ in readings_of((target or label).removeprefix("-"), options.columns)
     )
 
 
@@ -342,12 +322,18 @@ def _meanings(labels: Sequence[str], mapping: Mapping[str, str]) -> list[str]:
     ]
 
 
-def _readings(label: str, columns: Columns) -> list[tuple[str, str, float]]:
+def readings_of(label: str, columns: Columns) -> list[tuple[str, str, float]]:
     """Return the meanings of a label; none if its brackets are broken."""
     try:
         return list(columns.readings(label))
     except UnitError:
         return []
+
+
+def with_unit(name: str, unit: str, columns: Columns) -> str:
+    """Return a label with the unit that the file has beside it, unless it names one itself."""
+    named = "[" in name or "(" in name or any(own for _, own, _ in readings_of(name, columns))
+    return f"{name} [{unit}]" if unit and not named else name
 
 
 def _read_labels(
@@ -489,7 +475,7 @@ def _missing_columns(header: Header, labels: list[str], options: Options) -> Ite
     # A column with a mistake in its unit is not missing.
     known = {*header.ignored, *(column.label for column in header.columns.values())}
     mistaken = {
-        name for label in labels if label not in known for name, _, _ in _readings(label, columns)
+        name for label in labels if label not in known for name, _, _ in readings_of(label, columns)
     }
     named = mistaken | set(header.columns)
     needed = []
