@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from scipy.io import loadmat, whosmat
-from scipy.io.matlab import MatlabOpaque
 
 from wrenchbook.service.formats.columns import (
     ARRAYS,
@@ -155,25 +154,24 @@ def read_mat(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
     """Yield the good rows of a MATLAB file (level 5): its vectors, or its only struct's."""
     try:
         try:
-            size = sum(8 * math.prod(shape) for _, shape, _ in whosmat(path))
+            try:
+                size = sum(8 * math.prod(shape) for _, shape, _ in whosmat(path))
+            except TypeError:  # an object of MATLAB has no shape and no name
+                name, _, kind, _ = loadmat(path, variable_names=["None"])["None"].item()
+                raise ValueError(matlab_object(name.decode(), kind.decode())) from None
             if size > MAX_UNPACKED:
                 raise ValueError(f"it unpacks to more than {MAX_UNPACKED >> 20} MiB")
             values = loadmat(path, squeeze_me=True)
         except Exception as error:  # scipy raises many classes on damaged files
             raise ValueError(f"is no readable MATLAB file: {error}") from error
         values = {name: value for name, value in values.items() if not name.startswith("__")}
-        for value in values.values():
-            if isinstance(value, MatlabOpaque):
-                name, _, kind = (value.item()[at].decode() for at in range(3))
-                raise ValueError(matlab_object(name, kind))
         only = next(iter(values.values()), None) if len(values) == 1 else None
         if isinstance(only, np.ndarray) and only.dtype.names:
             values = {name: only[name].tolist() for name in only.dtype.names}
-            if only.ndim:  # records: an empty field is NaN
-                empty = {
-                    name: [np.nan if not np.size(v) else v for v in values[name]] for name in values
-                }
-                values = {name: np.array(column) for name, column in empty.items()}
+            for name, column in values.items() if only.ndim else ():  # records
+                several = any(np.size(value) > 1 for value in column)
+                numbers = [value if np.size(value) else np.nan for value in column]
+                values[name] = np.array(numbers, dtype=object if several else None)
         columns = {name: np.asarray(value) for name, value in values.items() if np.ndim(value)}
         if not columns:  # of one row, or none
             scalars = {n: v for n, v in values.items() if isinstance(v, int | float)}

@@ -131,7 +131,7 @@ def read_xls(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         records = ((number, row) for number, row in enumerate(cells, start=1) if any(row))
         yield from read_records(records, options, report)
     except Exception as error:  # calamine raises many classes on damaged files
-        message = f"is no readable .xls workbook: {error}; save it as .xlsx"
+        message = f"is no readable .xls workbook (save it as .xlsx): {error}"
         report.mistakes.ruin(0, "file", message)
 
 
@@ -142,9 +142,11 @@ def chosen_sheet(
     report.sheets = list(names)
     fitting = [name for name in names if wanted is None or name == wanted]
     if not fitting:
+        if not names:
+            raise NoSheetError("it has no sheet or group with data")
         known = ", ".join(names)
         raise NoSheetError(
-            f"there is no sheet {wanted!r}; it has {known or 'none'}: say sheet=NAME (--sheet NAME)"
+            f"there is no sheet {wanted!r}; it has {known}: say sheet=NAME (--sheet NAME)"
         )
     filled = (name for name in fitting if name != ABOUT_SHEET and is_filled(name))
     report.sheet = next(filled, fitting[0])

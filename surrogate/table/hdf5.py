@@ -406,8 +406,8 @@ def matlab_object(name: str, kind: str) -> str:
 def _other_form(name: str, thing: h5py.Group | h5py.Dataset) -> str | None:
     """Return the remedy for a table of pandas or MATLAB that is no datasets of columns."""
     if "pandas_type" in thing.attrs:
-        key = f"'table.h5', '{name}'"
-        return f"is a data frame of pandas' to_hdf: read_hdf({key}).to_parquet('table.parquet')"
+        file = f"'table.h5', '{name}'"
+        return f"is of pandas' to_hdf; send pandas.read_hdf({file}).to_parquet('table.parquet')"
     if name.startswith("#"):  # MATLAB's own
         return None
     if "MATLAB_object_decode" in thing.attrs:
