@@ -211,6 +211,7 @@ def read_tdms(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
                     f"the groups {', '.join(best)} fit equally; say sheet=NAME (--sheet NAME)"
                 )
             sheet = chosen_sheet(names, options.sheet, best.__contains__, report)
+            report.ignored += [c.name for c in file[sheet].channels() if not len(c)]
             yield from read_columns(_tdms_pieces(groups[sheet], options), options, report)
     except Exception as error:  # nptdms raises many classes on damaged files
         report.mistakes.ruin(0, "file", f"is no readable TDMS file: {error}")

@@ -462,7 +462,7 @@ def _unknown(name: str, columns: Columns) -> str:
     hint = f"; did you mean {near[0]}? Units stand in brackets: fx [N]" if near else ""
     return (
         f"is not a column of a table{hint}. Rename it, name it in ignore (--ignore), or say what "
-        "it is with mapping (--column 'LABEL=fz [N]'); there are "
+        "it is with mapping (--column 'LABEL=fz [N]', or its number for LABEL); there are "
         f"{' '.join(columns.wrench)} {' '.join(columns.displacement)}, a "
         f"displacement's with _err, {columns.compliance[0]} ... {columns.compliance[-1]}, source, "
         "note, fingerprint"

@@ -44,13 +44,14 @@ def read_lvm(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         options = replace(options, decimal=mark)
     has_x = tags.get("X_Columns", ("", "One"))[1] != "No"
     try:
-        lines = lines_of(path.open("rb"), encoding_of(path))
-        records = _rows(records_of(lines, 1, delimiter), has_x, options.columns, report.mistakes)
-        line, labels = next(records, (0, [""]))
-        known = {_X: "time"} if labels[0].startswith(f"{_X} [") else {}
-        known |= {_COMMENT: "note"} if _COMMENT in labels else {}
-        options = replace(options, mapping={**known, **options.mapping})
-        yield from read_records(chain([(line, labels)], records), options, report)
+        with path.open("rb") as content:
+            lines = records_of(lines_of(content, encoding_of(path)), 1, delimiter)
+            records = _rows(lines, has_x, options.columns, report.mistakes)
+            line, labels = next(records, (0, [""]))
+            known = {_X: "time"} if labels[0].startswith(f"{_X} [") else {}
+            known |= {_COMMENT: "note"} if _COMMENT in labels else {}
+            options = replace(options, mapping={**known, **options.mapping})
+            yield from read_records(chain([(line, labels)], records), options, report)
     except ValueError as error:
         line = getattr(error, "line", 0)
         report.mistakes.ruin(line, "file", f"is no LabVIEW file that can be read: {error}")
@@ -102,6 +103,8 @@ def _segment(
     ValueError if the tags above are of other channels, or of several clocks.
     """
     names = [" ".join(cell.split()) for cell in cells]
+    while names and not names[-1]:
+        names.pop()
     channels = {at for at, name in enumerate(names) if name not in ("", _X, _COMMENT)}
 
     def values(tag: str) -> dict[int, str]:
