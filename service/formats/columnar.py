@@ -22,7 +22,7 @@ from wrenchbook.service.formats.columns import (
 from wrenchbook.service.formats.header import array_header, named_columns, readings_of, with_unit
 from wrenchbook.service.formats.options import MAX_ROWS, Array, Options, ParsedTable, ReadReport
 from wrenchbook.service.formats.text import PIECE, CellFormat, Piece, read_columns, read_pieces
-from wrenchbook.service.formats.xlsx import NoSheetError, chosen_sheet
+from wrenchbook.service.formats.xlsx import chosen_sheet
 from wrenchbook.surrogate.table.hdf5 import (
     foreign_columns,
     foreign_tables,
@@ -192,7 +192,7 @@ def read_mat(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
 
 
 def read_tdms(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
-    """Yield the good rows of a TDMS file: of the group of the sheet's name, or with most columns.
+    """Yield the good rows of a TDMS file: of the sheet's group, or the first with most columns.
 
     The channels are columns in the unit of ``unit_string``; waveforms have a time.
     """
@@ -202,15 +202,13 @@ def read_tdms(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
     try:
         with TdmsFile.open(path) as file:
             groups = {g.name: [c for c in g.channels() if len(c)] for g in file.groups()}
-            names = [name for name, channels in groups.items() if channels]
-            labels = {name: [channel.name for channel in groups[name]] for name in names}
-            scores = {n: named_columns(labels[n], options.columns, options.mapping) for n in names}
-            best = [name for name in names if scores[name] == max(scores.values())]
-            if options.sheet is None and len(best) > 1:
-                raise NoSheetError(
-                    f"the groups {', '.join(best)} fit equally; say sheet=NAME (--sheet NAME)"
-                )
-            sheet = chosen_sheet(names, options.sheet, best.__contains__, report)
+            scores = {
+                name: named_columns([c.name for c in group], options.columns, options.mapping)
+                for name, group in groups.items()
+                if group
+            }
+            most = {name for name, score in scores.items() if score == max(scores.values())}
+            sheet = chosen_sheet(list(scores), options.sheet, most.__contains__, report)
             report.ignored += [c.name for c in file[sheet].channels() if not len(c)]
             yield from read_columns(_tdms_pieces(groups[sheet], options), options, report)
     except Exception as error:  # nptdms raises many classes on damaged files
@@ -227,8 +225,7 @@ def _tdms_pieces(
         raise ValueError(
             f"its channels ({sizes}) are not at most {columns.most} of one length; resample them"
         )
-    units = [str(channel.properties.get("unit_string") or "") for channel in channels]
-    labels = [with_unit(c.name, unit, columns) for c, unit in zip(channels, units, strict=True)]
+    labels = [with_unit(c.name, c.properties.get("unit_string", ""), columns) for c in channels]
     times = {
         tuple(c.properties.get(f"wf_{key}") for key in ("start_time", "start_offset", "increment"))
         for c in channels

@@ -79,11 +79,11 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         with path.open("rb") as content:
             rows = map(str.split, lines_of(content, encoding) if delimiter == " " else ())
             width = next((len(row) for row in rows if is_row(row)), 0)
-    except UnreadableFileError as error:
-        report.mistakes.ruin(0, "file", str(error))
-        return
     except BrokenLineError as error:
         report.mistakes.ruin(error.line, "line", str(error))
+        return
+    except ValueError as error:
+        report.mistakes.ruin(0, "file", str(error))
         return
 
     def records(content: BinaryIO) -> Iterator[Record]:
@@ -311,20 +311,13 @@ def _delimiter(lines: Iterator[str], options: Options) -> str:
         if _may_be_header(line):
             rest = (below for below in islice(lines, _MAX_HEAD) if _may_be_header(below))
             heads = chain([line], rest)
-            try:
-                return delimiter_in(heads, _bare, options)
-            except ValueError as error:
-                raise BrokenLineError(number, str(error)) from None
+            return delimiter_in(heads, _bare, options)
     return ","
 
 
 def _bare(line: str) -> str:
     """Return a line without brackets, and quoted texts without delimiters."""
-
-    def plain(match: re.Match[str]) -> str:
-        return _MARKS.sub(" ", match[0].strip('"')) if match[0][0] == '"' else ""
-
-    return _IN_BRACKETS.sub(plain, line)
+    return _IN_BRACKETS.sub(lambda m: _MARKS.sub(" ", m[0][1:-1]) if m[0][0] == '"' else "", line)
 
 
 def _may_be_header(line: str) -> bool:

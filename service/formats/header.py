@@ -350,7 +350,8 @@ def _read_labels(
         elif ignored[index] or label.lower() in ORIGIN:
             header.ignored.append(label or place)
         else:
-            unit = _unbracketed(units[index]) if index < len(units) else ""
+            unit = units[index].strip() if index < len(units) else ""
+            unit = unit[1:-1].strip() if unit[:1] + unit[-1:] in ("[]", "()") else unit
             unit = (target and _parts(label)[1]) or unit
             column = HeaderColumn(index, label or place, label, unit=unit)
             try:
@@ -445,11 +446,6 @@ def _parts(label: str) -> tuple[str, str]:
         return split(label)
     except UnitError:
         return label, ""
-
-
-def _unbracketed(cell: str) -> str:
-    unit = cell.strip()
-    return unit[1:-1].strip() if unit[:1] + unit[-1:] in ("[]", "()") else unit
 
 
 def _key(label: str) -> str:

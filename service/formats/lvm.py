@@ -62,9 +62,8 @@ def _rows(
 ) -> Iterator[Record]:
     """Yield the labels, then the rows of all segments; ValueError if these differ."""
     tags: dict[str, list[str]] = {}
-    labels, first, place = [""], None, "tags"
     more_x: set[int] = set()
-    clock, count = None, 0
+    first, place, clock, count = None, "tags", None, 0
     for line, cells in records:
         key = cells[0].strip()
         if place != "tags" and key in _TAGS:
@@ -79,11 +78,8 @@ def _rows(
             if first is None:
                 yield line, labels
             elif labels != first:
-                here, there = (", ".join(filter(None, names)) for names in (labels, first))
-                raise ValueError(
-                    f"the segment of line {line} has {here}, the first {there}; save each segment "
-                    "as a file"
-                )
+                message = f"has {', '.join(labels)}, the first {', '.join(first)}"
+                raise ValueError(f"the segment of line {line} {message}; save each as a file")
             first = labels
         elif values := {cells[at].strip() for at in more_x if at < len(cells)} - {"", key}:
             message = f"the channels are not of one time: {key}, {', '.join(sorted(values))}"

@@ -255,11 +255,8 @@ def _columns(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
     try:
         yield from _READERS[report.format](path, options, report)
     except ModuleNotFoundError:
-        message = (
-            f"is {report.format}, and the server's reader of it is not installed: pip install "
-            "'wrenchbook[rig]', or send the table as XLSX or CSV"
-        )
-        report.mistakes.ruin(0, "file", message)
+        message = f"is {report.format}, which the server reads by pip install 'wrenchbook[rig]'"
+        report.mistakes.ruin(0, "file", f"{message}; or send XLSX or CSV")
 
 
 class ContentError(ValueError):

@@ -120,17 +120,17 @@ def read_xls(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         with path.open("rb") as content:
             book = CalamineWorkbook.from_filelike(content)
 
-        def rows(name: str) -> list[list[Any]]:
-            return book.get_sheet_by_name(name).to_python(skip_empty_area=False)
-
         def is_filled(name: str) -> bool:
-            return any(any(row) for row in rows(name)[:MAX_TITLES])
+            return any(map(any, book.get_sheet_by_name(name).to_python(nrows=MAX_TITLES)))
 
         name = chosen_sheet(book.sheet_names, options.sheet, is_filled, report)
-        cells = ([_text(value) for value in row] for row in rows(name))
-        records = ((number, row) for number, row in enumerate(cells, start=1) if any(row))
-        yield from read_records(records, options, report)
-    except Exception as error:  # calamine raises many classes on damaged files
+        sheet = book.get_sheet_by_name(name)
+        empty = [""] * (sheet.start or (0, 0))[1]  # columns on the left
+        cells = enumerate((empty + [_text(v) for v in row] for row in sheet.iter_rows()), start=1)
+        yield from read_records(filter(lambda row: any(row[1]), cells), options, report)
+    except BaseException as error:  # calamine's panic on a damaged file is no Exception
+        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
+            raise
         message = f"is no readable .xls workbook (save it as .xlsx): {error}"
         report.mistakes.ruin(0, "file", message)
 
@@ -142,11 +142,9 @@ def chosen_sheet(
     report.sheets = list(names)
     fitting = [name for name in names if wanted is None or name == wanted]
     if not fitting:
-        if not names:
-            raise NoSheetError("it has no sheet or group with data")
-        known = ", ".join(names)
+        known, missing = ", ".join(names) or "none", repr(wanted) if wanted else "with data"
         raise NoSheetError(
-            f"there is no sheet {wanted!r}; it has {known}: say sheet=NAME (--sheet NAME)"
+            f"there is no sheet {missing}; it has {known}: say sheet=NAME (--sheet NAME)"
         )
     filled = (name for name in fitting if name != ABOUT_SHEET and is_filled(name))
     report.sheet = next(filled, fitting[0])

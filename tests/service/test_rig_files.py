@@ -14,6 +14,7 @@ from pyarrow.parquet import write_table
 from scipy.io import savemat
 
 from tests.service.table_files import ZERO, read
+from wrenchbook.service.formats import read_untrusted
 from wrenchbook.service.formats.text import PIECE
 
 RNG = np.random.default_rng(5)
@@ -75,9 +76,10 @@ def test_a_tdms_waveform_has_times_of_its_start_and_increment():
 
 def test_of_two_tdms_groups_with_columns_the_sender_names_one():
     content = tdms(first={"Kraft": ([0.0], KN), "Weg": ([0.0], MM)}, second=RUN)
-    assert "first, second fit equally; say sheet=NAME (--sheet NAME)" in message(content)
+    assert read(content, NAMED)[1].sheet == "first"
     assert_loaded(content, replace(NAMED, sheet="second"))
     assert "'third'; it has first, second" in message(content, replace(NAMED, sheet="third"))
+    assert "no sheet with data" in message(tdms(run={"Kraft": ([], KN)}))
 
 
 @pytest.mark.parametrize(
@@ -178,6 +180,13 @@ def test_a_damaged_file_of_a_rig_is_named(content):
 def test_a_reader_that_is_not_installed_is_named_with_its_command(monkeypatch, module, content):
     monkeypatch.setitem(__import__("sys").modules, module, None)
     assert "pip install 'wrenchbook[rig]'" in message(content)
+
+
+def test_a_cell_far_from_all_others_ends_the_reader_and_not_the_server(tmp_path):
+    far = tmp_path / "far.xls"
+    far.write_bytes(xls({"run": [*ROWS, *[[]] * 65_000, [""] * 3_000]}))
+    (error,) = read_untrusted([far], NAMED).report["errors"]
+    assert "Its reader ended without an answer" in error["message"]
 
 
 # -- MATLAB and pandas ---------------------------------------------------------------------------
