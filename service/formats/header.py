@@ -41,7 +41,7 @@ _ENTRY = re.compile(
     r"\s*[:=]?\s*(?P<value>.*)",
     re.IGNORECASE,
 )
-_POSITION = re.compile(r"[1-9]\d{0,3}")
+POSITION = re.compile(r"[1-9]\d{0,3}")
 _BOOKKEEPING = re.compile(r"(status.*|rdt sequence|f/t sequence)", re.IGNORECASE)
 # Spellings of ATI's configuration page.
 _ATI_UNITS = {
@@ -148,7 +148,7 @@ def _split_titles(
         end = len(titles)
         titles.append(record)
         if is_row(record[1]):
-            if not any(map(_POSITION.fullmatch, mapping)):
+            if not any(map(POSITION.fullmatch, mapping)):
                 break
             while end and len(titles[end - 1][1]) == len(record[1]):
                 end -= 1  # labels, maybe with units below them
@@ -266,7 +266,7 @@ def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iter
     if any(cell.strip() for cell in cells[columns.most :]):
         message = f"names {len(cells):,} columns; a table has at most {columns.most}"
         return _no_header(line, "header", message), records
-    positions = [int(key) for key in options.mapping if _POSITION.fullmatch(key)]
+    positions = [int(key) for key in options.mapping if POSITION.fullmatch(key)]
     # Files that were joined have the mark of UTF-8 before a later label too.
     labels = [" ".join(cell.replace("\ufeff", "").split()) for cell in cells]
     if all(is_number(cell) for cell in cells if cell.strip()):

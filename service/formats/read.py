@@ -21,6 +21,7 @@ import numpy as np
 from wrenchbook.service.formats.cells import FORCE, si_factor
 from wrenchbook.service.formats.columnar import read_hdf5, read_mat, read_parquet, read_tdms
 from wrenchbook.service.formats.csv import read_csv
+from wrenchbook.service.formats.header import POSITION
 from wrenchbook.service.formats.json import read_json
 from wrenchbook.service.formats.lvm import MAGIC, read_lvm
 from wrenchbook.service.formats.options import (
@@ -203,6 +204,10 @@ def read_logs(
     loads: Path, displacements: Path, options: Options, report: ReadReport
 ) -> Iterator[ParsedTable]:
     """Yield the rows of two logs joined by time; parameters as `read_table_file`."""
+    if any(map(POSITION.fullmatch, options.mapping)):  # of which log?
+        message = "a position (--column 3=fz) is of one file; name the columns of two logs in them"
+        report.mistakes.ruin(0, "mapping", message)
+        return
     log = _columns(loads, replace(options, role="loads", zero_rows=0), report)
     loads_log = joined_loads(log, report)
     report.read, report.format, report.gzip = 0, "", False  # those of the displacements count

@@ -14,7 +14,10 @@ from pyarrow.parquet import write_table
 from scipy.io import savemat
 
 from tests.service.table_files import ZERO, read
+from tests.service.test_table_files import DIALECTS
 from wrenchbook.service.formats import read_untrusted
+from wrenchbook.service.formats.options import ReadReport
+from wrenchbook.service.formats.read import read_logs
 from wrenchbook.service.formats.text import PIECE
 
 RNG = np.random.default_rng(5)
@@ -72,6 +75,21 @@ def test_a_tdms_waveform_has_times_of_its_start_and_increment():
     log = tdms(run={"Kraft": (FORCE, KN | WAVE), "Weg": (PATH, MM)})
     table, _ = read(log, replace(NAMED, role="displacements"))
     assert np.array_equal(table.time, 0.5 + 0.25 * np.arange(25))
+
+
+def test_a_labview_log_and_a_tdms_log_join_by_their_clocks(tmp_path):
+    loads, moves = tmp_path / "loads", tmp_path / "moves"
+    head = DIALECTS["LabVIEW: channels of two clocks"]["text"].partition("\t1.5")[0]
+    rows = "".join(f"\t{force!r}\t0\n" for force in FORCE.tolist())
+    loads.write_text(head.replace("X0\t0\t0.1", "X0\t0.5\t0.5") + rows)
+    moves.write_bytes(tdms(run={"Weg": (PATH[::2], MM | WAVE | {"wf_increment": 0.5})}))
+    report = ReadReport()
+    options = replace(ZERO, mapping={"Kraft": "fz", "Weg": "uz"})
+    (piece,) = read_logs(loads, moves, options, report)
+    assert not report.mistakes
+    np.testing.assert_allclose(piece.wrench[:, 2], 1000 * FORCE[::2], rtol=1e-15)
+    assert not list(read_logs(loads, moves, replace(ZERO, mapping={"2": "fz"}), report))
+    assert "is of one file; name the columns" in report.mistakes.listed()[0].message
 
 
 def test_of_two_tdms_groups_with_columns_the_sender_names_one():
