@@ -153,9 +153,8 @@ def _mapping(columns: Sequence[str], units: Sequence[str]) -> dict[str, str]:
     if units and len(units) != len(bare):
         message = f"--unit is given {len(units)} times, for {len(bare)} --column without brackets; "
         raise typer.BadParameter(f"{message}write each as --column 'COLUMN=fz [kN]'")
-    for label, unit in zip(bare, units, strict=False):
-        mapping[label] += f" [{unit.strip('[]')}]"
-    return mapping
+    pairs = zip(bare, units, strict=False)
+    return mapping | {label: f"{mapping[label]} [{unit.strip('[]')}]" for label, unit in pairs}
 
 
 def export_table(

@@ -12,13 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.io import loadmat, whosmat
 
-from wrenchbook.service.formats.columns import (
-    ARRAYS,
-    TIME_COLUMN,
-    Columns,
-    Layout,
-    WritableRows,
-)
+from wrenchbook.service.formats.columns import ARRAYS, Columns, Layout, WritableRows
 from wrenchbook.service.formats.header import array_header, named_columns, readings_of, with_unit
 from wrenchbook.service.formats.options import MAX_ROWS, Array, Options, ParsedTable, ReadReport
 from wrenchbook.service.formats.text import PIECE, CellFormat, Piece, read_columns, read_pieces
@@ -221,10 +215,9 @@ def _tdms_pieces(
     """Yield labels and channels, some rows at a time, with a time if only waveforms have one."""
     lengths, columns = {len(channel) for channel in channels}, options.columns
     if len(lengths) != 1 or len(channels) > columns.most:
-        sizes = ", ".join(f"{channel.name}: {len(channel)}" for channel in channels[:8])
-        raise ValueError(
-            f"its channels ({sizes}) are not at most {columns.most} of one length; resample them"
-        )
+        sizes = ", ".join(f"{c.name}: {len(c)}" for c in channels[:8])
+        message = f"its channels ({sizes}) are not at most {columns.most} of one length"
+        raise ValueError(f"{message}; resample them")
     labels = [with_unit(c.name, c.properties.get("unit_string", ""), columns) for c in channels]
     times = {
         tuple(c.properties.get(f"wf_{key}") for key in ("start_time", "start_offset", "increment"))
@@ -234,7 +227,7 @@ def _tdms_pieces(
     if len(times) > 1:
         raise ValueError("the waveforms of its channels are not of one time; resample them")
     names = [name for label in labels for name, _, _ in readings_of(label, columns)]
-    named = any(name.startswith(TIME_COLUMN) for name in (*names, *options.mapping.values()))
+    named = any(name.startswith("time") for name in (*names, *options.mapping.values()))
     _, start, step = next(iter(times), (None, None, 0.0))
     labels += ["time [s]"] if times and not named else []
     for at in range(0, lengths.pop(), PIECE):

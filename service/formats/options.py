@@ -64,12 +64,10 @@ class Options:
     `format` and `decimal` (the mark of numbers in text) are found from the content if None.
     `ignore` has labels of columns to leave out, `mapping` labels and what they are: ``fz [N]``, or
     ``-fz [N]`` to turn the sign, or ``fz`` in the file's own unit; a number is a position, from 1.
-    `sheet` is the name of a workbook's sheet, or of a TDMS group.
-
     `missing_loads` is the value of loads without a column; None refuses such a file. The mean of
-    the first `zero_rows` is subtracted from all others. `rig` is the TOML of the readings' rig.
-    `time_offset_s` is added to the times of displacements, "auto" is
-    the lag that the logs show; `max_gap_s` is the longest interval between loads, s.
+    the first `zero_rows` is subtracted from all others. `sheet` is of a workbook, or a TDMS group.
+    `rig` is the TOML of the readings' rig. `time_offset_s` is added to the times of displacements,
+    "auto" is the lag that the logs show; `max_gap_s` is the longest interval between loads, s.
 
     Of the component: the `load_range`, whose space is that of the rows; the `fingerprint` of its
     setup, since solves of any other are mistakes; the compliance (outputs, inputs), SI, of its
