@@ -18,7 +18,7 @@ from wrenchbook.service.formats.columns import Columns
 from wrenchbook.service.formats.csv import encoding_of, lines_of, records_of
 from wrenchbook.service.formats.header import Record, with_unit
 from wrenchbook.service.formats.options import Mistakes, Options, ParsedTable, ReadReport
-from wrenchbook.service.formats.text import read_records
+from wrenchbook.service.formats.text import CellFormat, read_records
 
 MAGIC = b"LabVIEW Measurement"
 _HEAD = 4096  # bytes: the header of the file with a long description
@@ -40,8 +40,7 @@ def read_lvm(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         head = content.read(_HEAD).decode("utf-8", "replace").partition(_END)[0]
     tags = {tag: (mark, value) for tag, mark, value in _SEPARATORS.findall(head)}
     delimiter, mark = (tags.get("Separator", "\t")[0], tags.get("Decimal_Separator", "  ")[1])
-    if options.decimal is None and mark in (".", ","):
-        options = replace(options, decimal=mark)
+    cell_format = CellFormat(mark == ",") if options.decimal is None and mark in ".," else None
     has_x = tags.get("X_Columns", ("", "One"))[1] != "No"
     try:
         with path.open("rb") as content:
@@ -51,7 +50,7 @@ def read_lvm(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
             known = {_X: "time"} if labels[0].startswith(f"{_X} [") else {}
             known |= {_COMMENT: "note"} if _COMMENT in labels else {}
             options = replace(options, mapping={**known, **options.mapping})
-            yield from read_records(chain([(line, labels)], records), options, report)
+            yield from read_records(chain([(line, labels)], records), options, report, cell_format)
     except ValueError as error:
         line = getattr(error, "line", 0)
         report.mistakes.ruin(line, "file", f"is no LabVIEW file that can be read: {error}")
