@@ -190,6 +190,8 @@ REPLIES: dict[str, dict[str, Any]] = {
         "format": "xlsx",
         "query": {**ZERO, "ignore": "Remark", "sheet": "Run 3"},
         "ignored": ["Remark"],
+        "sheets": ["Run 3"],
+        "sheet": "Run 3",
     },
     "workbook_errors.xlsx": {
         "status": 422,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -34,7 +35,7 @@ def import_table(
     file: Annotated[
         Path,
         typer.Argument(
-            help="a CSV, XLSX, Parquet, JSON, HDF5 or MAT table, gzipped or not",
+            help="a CSV, XLSX, XLS, Parquet, JSON, HDF5, MAT, LVM or TDMS table, gzipped or not",
             exists=True,
             dir_okay=False,
         ),
@@ -58,7 +59,14 @@ def import_table(
         list[str] | None,
         typer.Option(
             metavar="FILE=TABLE",
-            help="meaning of a column: --column 'Load cell=fz [N]'; =-fz [N] for the opposite sign",
+            help="meaning of a column: --column 'Load cell=fz [N]'; =-fz [N] for the opposite "
+            "sign; a number is the column's position",
+        ),
+    ] = None,
+    unit: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="unit of a --column without [UNIT], in their order; the file's own if left out"
         ),
     ] = None,
     missing_loads_zero: Annotated[
@@ -68,7 +76,8 @@ def import_table(
         int, typer.Option(min=0, help="first rows, whose mean is subtracted from the others")
     ] = 0,
     sheet: Annotated[
-        str | None, typer.Option(help="sheet of an XLSX file; the first by default")
+        str | None,
+        typer.Option(help="sheet of a workbook, by default the first; group of a TDMS file"),
     ] = None,
     displacements: Annotated[
         Path | None,
@@ -108,12 +117,6 @@ def import_table(
 ) -> None:
     """Load a table from a file: all of its rows, or none and every mistake."""
     check_readable(file)  # before a server is called or started
-    mapping: dict[str, str] = {}
-    for text in column or ():
-        label, mark, meaning = text.partition("=")
-        if not mark:
-            raise typer.BadParameter(f"'{text}' is not of the form 'column in the file=fz [N]'")
-        mapping[label.strip()] = meaning.strip()
     options: dict[str, Any] = {
         "missing_loads": "zero" if missing_loads_zero else None,
         "sheet": sheet,
@@ -122,7 +125,7 @@ def import_table(
         "time_offset_s": None if lag == "0" else lag,
         "displacements": displacements,
         "load_cell": load_cell,
-        "mapping": mapping,
+        "mapping": _mapping(column or (), unit or ()),
         "ignore": ignore or (),
         "partial": partial or None,
         "ignore_extra": ignore_extra or None,
@@ -136,6 +139,22 @@ def import_table(
         reply = client.import_table(name, file, dry_run=dry_run, decimal=decimal, **options)
     print_json(reply) if as_json else _print_import(name, reply)
     raise typer.Exit(1 if reply["errors"] and not partial else 0)
+
+
+def _mapping(columns: Sequence[str], units: Sequence[str]) -> dict[str, str]:
+    """Return the meaning of each column, the units in the order of those without brackets."""
+    mapping: dict[str, str] = {}
+    for text in columns:
+        label, mark, meaning = text.rpartition("=")
+        if not mark:
+            raise typer.BadParameter(f"'{text}' is not of the form 'column in the file=fz [N]'")
+        mapping[label.strip()] = meaning.strip()
+    bare = [label for label, meaning in mapping.items() if "[" not in meaning]
+    if units and len(units) != len(bare):
+        message = f"--unit is given {len(units)} times, for {len(bare)} --column without brackets; "
+        raise typer.BadParameter(f"{message}write each as --column 'COLUMN=fz [kN]'")
+    pairs = zip(bare, units, strict=False)
+    return mapping | {label: f"{mapping[label]} [{unit.strip('[]')}]" for label, unit in pairs}
 
 
 def export_table(
@@ -273,11 +292,13 @@ def _print_import(name: str, reply: dict[str, Any]) -> None:
     """Print how many of a file's rows were loaded, and why others were not."""
     # Servers before 0.3 leave these out.
     absent = {"causes": reply["errors"], "above": [], "rig": None, "findings": [], "clock": None}
-    reply = {**absent, "import": None, **reply}
+    reply = {**absent, "import": None, "sheets": [], **reply}
     lines = [mistake_line(cause) for cause in reply["causes"]]
     above = "; ".join(reply["above"])
     left = {"Columns": ", ".join(reply["ignored"]), "Lines above the header": above}
     lines += [f"{what} left out: {names}." for what, names in left.items() if names]
+    if len(sheets := reply["sheets"]) > 1:
+        lines.append(f"Sheet {reply['sheet']} was read, of {', '.join(sheets)}.")
     verb = "would be inserted" if reply["dry_run"] else "inserted"
     lines.append(f"{reply['inserted']} rows {verb}, {reply['existing']} were there already.")
     if reply["existing"]:

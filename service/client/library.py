@@ -26,7 +26,7 @@ _ENDINGS = {
     ".wbt": "packed",
 }
 # The content decides how a file is read; these endings are of other kinds of file.
-_NOT_READ = frozenset({".fmu", ".wbt", ".pdf", ".xls"})
+_NOT_READ = frozenset({".fmu", ".wbt", ".pdf"})
 _IMPORT_S = 300.0  # a million rows take a minute, and another import before them as long
 
 
@@ -47,8 +47,8 @@ def check_readable(file: str | Path) -> None:
     suffix = Path(file).suffix.lower()
     if suffix in _NOT_READ:
         raise InvalidArgument(
-            f"{file} ends in {suffix}, which is not read; a table is CSV, XLSX, Parquet, "
-            "JSON, HDF5 or MAT, each gzipped if you like"
+            f"{file} ends in {suffix}, which is not read; a table is CSV, XLSX, XLS, Parquet, "
+            "JSON, HDF5, MAT, LVM or TDMS, each gzipped if you like"
         )
 
 
@@ -150,16 +150,16 @@ class LibraryCalls(Connection):
         ----------
         table : path, str or bytes
             A path (a text of one line that is no JSON) or the content, gzipped or not: CSV, XLSX,
-            Parquet, HDF5, JSON. With `displacements` the log of the loads.
+            XLS, Parquet, HDF5, JSON, MAT, LVM, TDMS. With `displacements` the log of the loads.
         dry_run : bool
             Only check: mistakes are in ``errors``, no ProblemError.
         displacements : path, optional
             A second log, joined by time.
         **columns
-            ``mapping`` (``{"Load cell": "fz [N]"}``), ``ignore``, ``ignore_extra``, ``partial``,
-            ``missing_loads``, ``tare``, ``preview``, ``sheet``, ``note``, ``time_offset_s`` or
-            ``lag`` (s, or ``"auto"``), ``wait_s`` (10 s: until answers come from the rows),
-            ``frame`` (a rig's axes, a text or shape (3, 3)), ``load_point``,
+            ``mapping`` (``{"Load cell": "fz [N]", "3": "uz"}``), ``ignore``, ``ignore_extra``,
+            ``partial``, ``missing_loads``, ``tare``, ``preview``, ``sheet``, ``note``,
+            ``time_offset_s`` or ``lag`` (s, or ``"auto"``), ``wait_s`` (10 s: until answers come
+            from the rows), ``frame`` (a rig's axes, a text or shape (3, 3)), ``load_point``,
             ``displacement_point`` ((3,), m), ``load_cell`` (``"moving"``: moments are about the
             point where it is now, ``"fixed"``: where it was on the ground), ``rig`` (a TOML file).
 
@@ -168,7 +168,7 @@ class LibraryCalls(Connection):
         dict
             ``inserted``, ``existing``, ``errors`` (``{row, field, message}``), ``causes``
             (with ``count`` and ``rows``), ``columns``, ``findings``, ``rows``, ``ignored``,
-            ``table_version`` and ``in_use``.
+            ``sheets``, ``sheet``, ``table_version`` and ``in_use``.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Files of typed columns: Parquet, HDF5 (the store's own, or a dataset a column) and MATLAB's."""
+"""Files of typed columns: Parquet, HDF5 (the store's own, or a dataset a column), MATLAB, TDMS."""
 
 from __future__ import annotations
 
@@ -13,10 +13,17 @@ import numpy as np
 from scipy.io import loadmat, whosmat
 
 from wrenchbook.service.formats.columns import ARRAYS, Columns, Layout, WritableRows
-from wrenchbook.service.formats.header import array_header
+from wrenchbook.service.formats.header import array_header, named_columns, readings_of, with_unit
 from wrenchbook.service.formats.options import MAX_ROWS, Array, Options, ParsedTable, ReadReport
 from wrenchbook.service.formats.text import PIECE, CellFormat, Piece, read_columns, read_pieces
-from wrenchbook.surrogate.table.hdf5 import foreign_columns, foreign_tables, is_table, write_table
+from wrenchbook.service.formats.xlsx import chosen_sheet
+from wrenchbook.surrogate.table.hdf5 import (
+    foreign_columns,
+    foreign_tables,
+    is_table,
+    matlab_object,
+    write_table,
+)
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import Rows, unknown_column
 
@@ -52,8 +59,7 @@ def read_parquet(path: Path, options: Options, report: ReadReport) -> Iterator[P
         for field in schema:  # its unit may stand in the metadata
             about = field.metadata or {}
             unit = about.get(b"unit") or about.get(b"units") or b""
-            bare = unit and "[" not in field.name and "(" not in field.name
-            labels.append(f"{field.name} [{unit.decode(errors='replace')}]" if bare else field.name)
+            labels.append(with_unit(field.name, unit.decode(errors="replace"), options.columns))
         # Equal texts of a batch are in memory once.
         with parquet.ParquetFile(path, read_dictionary=texts, pre_buffer=False) as file:
             batches = file.iter_batches(batch_size=PIECE, use_threads=False)
@@ -139,10 +145,14 @@ def _stored_pieces(path: Path, columns: Columns) -> Iterator[Piece]:
 
 
 def read_mat(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
-    """Yield the good rows of a MATLAB file (level 5): its vectors, or those of its only struct."""
+    """Yield the good rows of a MATLAB file (level 5): its vectors, or its only struct's."""
     try:
         try:
-            size = sum(8 * math.prod(shape) for _, shape, _ in whosmat(path))
+            try:
+                size = sum(8 * math.prod(shape) for _, shape, _ in whosmat(path))
+            except TypeError:  # an object of MATLAB has no shape and no name
+                name, _, kind, _ = loadmat(path, variable_names=["None"])["None"].item()
+                raise ValueError(matlab_object(name.decode(), kind.decode())) from None
             if size > MAX_UNPACKED:
                 raise ValueError(f"it unpacks to more than {MAX_UNPACKED >> 20} MiB")
             values = loadmat(path, squeeze_me=True)
@@ -150,8 +160,12 @@ def read_mat(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
             raise ValueError(f"is no readable MATLAB file: {error}") from error
         values = {name: value for name, value in values.items() if not name.startswith("__")}
         only = next(iter(values.values()), None) if len(values) == 1 else None
-        if isinstance(only, np.ndarray) and only.dtype.names and only.ndim == 0:
-            values = {name: only[name].item() for name in only.dtype.names}
+        if isinstance(only, np.ndarray) and only.dtype.names:
+            values = {name: only[name].tolist() for name in only.dtype.names}
+            for name, column in values.items() if only.ndim else ():  # records
+                several = any(np.size(value) > 1 for value in column)
+                numbers = [value if np.size(value) else np.nan for value in column]
+                values[name] = np.array(numbers, dtype=object if several else None)
         columns = {name: np.asarray(value) for name, value in values.items() if np.ndim(value)}
         if not columns:  # of one row, or none
             scalars = {n: v for n, v in values.items() if isinstance(v, int | float)}
@@ -169,6 +183,57 @@ def read_mat(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         yield from read_columns(((list(columns), part) for part in parts), options, report)
     except ValueError as error:
         report.mistakes.ruin(0, "file", str(error))
+
+
+def read_tdms(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
+    """Yield the good rows of a TDMS file: of the sheet's group, or the first with most columns.
+
+    The channels are columns in the unit of ``unit_string``; waveforms have a time.
+    """
+    # Imported on first use, and of the extra `rig`.
+    from nptdms import TdmsFile
+
+    try:
+        with TdmsFile.open(path) as file:
+            groups = {g.name: [c for c in g.channels() if len(c)] for g in file.groups()}
+            scores = {
+                name: named_columns([c.name for c in group], options.columns, options.mapping)
+                for name, group in groups.items()
+                if group
+            }
+            most = {name for name, score in scores.items() if score == max(scores.values())}
+            sheet = chosen_sheet(list(scores), options.sheet, most.__contains__, report)
+            report.ignored += [c.name for c in file[sheet].channels() if not len(c)]
+            yield from read_columns(_tdms_pieces(groups[sheet], options), options, report)
+    except Exception as error:  # nptdms raises many classes on damaged files
+        report.mistakes.ruin(0, "file", f"is no readable TDMS file: {error}")
+
+
+def _tdms_pieces(
+    channels: Sequence[Any], options: Options
+) -> Iterator[tuple[list[str], list[np.ndarray]]]:
+    """Yield labels and channels, some rows at a time, with a time if only waveforms have one."""
+    lengths, columns = {len(channel) for channel in channels}, options.columns
+    if len(lengths) != 1 or len(channels) > columns.most:
+        sizes = ", ".join(f"{c.name}: {len(c)}" for c in channels[:8])
+        message = f"its channels ({sizes}) are not at most {columns.most} of one length"
+        raise ValueError(f"{message}; resample them")
+    labels = [with_unit(c.name, c.properties.get("unit_string", ""), columns) for c in channels]
+    times = {
+        tuple(c.properties.get(f"wf_{key}") for key in ("start_time", "start_offset", "increment"))
+        for c in channels
+        if c.properties.get("wf_increment")
+    }
+    if len(times) > 1:
+        raise ValueError("the waveforms of its channels are not of one time; resample them")
+    names = [name for label in labels for name, _, _ in readings_of(label, columns)]
+    named = any(name.startswith("time") for name in (*names, *options.mapping.values()))
+    _, start, step = next(iter(times), (None, None, 0.0))
+    labels += ["time [s]"] if times and not named else []
+    for at in range(0, lengths.pop(), PIECE):
+        piece = [channel[at : at + PIECE] for channel in channels]
+        piece += [(start or 0.0) + step * np.arange(at, at + len(piece[0]))]
+        yield labels, piece[: len(labels)]
 
 
 def write_hdf5(table: WritableRows, seq: Sequence[int], meta: TableMeta) -> bytes:

@@ -1,8 +1,9 @@
 """CSV tables: encodings, delimiters, decimal marks, comments, and mistakes by line and column.
 
-Fields are parted by ``,``, ``;``, tab or ``|``, with the latter three the decimal mark may be a
-comma. If all marks in the numbers may part thousands (``1,234``), the file is refused: a guess
-would be wrong by a factor of 1000. Blank lines and comments (``#``) count in the numbers of lines.
+Fields are parted by ``,``, ``;``, tab, ``|`` or runs of blanks, with the latter four the decimal
+mark may be a comma. If all marks in the numbers may part thousands (``1,234``), the file is
+refused: a guess would be wrong by a factor of 1000. Blank lines and comments (``#``) count in the
+numbers of lines.
 """
 
 from __future__ import annotations
@@ -22,7 +23,14 @@ import numpy as np
 
 from wrenchbook.service.formats.cells import guard_formula, number_text
 from wrenchbook.service.formats.columns import TEXTS, TIME_COLUMN, Layout, WritableRows
-from wrenchbook.service.formats.header import Header, Preamble, Record, delimiter_in, read_head
+from wrenchbook.service.formats.header import (
+    Header,
+    Preamble,
+    Record,
+    delimiter_in,
+    is_row,
+    read_head,
+)
 from wrenchbook.service.formats.options import Mistakes, Options, ParsedTable, ReadReport
 from wrenchbook.service.formats.text import (
     BrokenLineError,
@@ -49,6 +57,8 @@ _SHEET_ERROR = re.compile(
     r"#(N/A|DIV/0!|REF!|VALUE!|NAME\?|NUM!|NULL!|NV|WERT!|BEZUG!|ZAHL!)", re.IGNORECASE
 )
 _IN_BRACKETS = re.compile(r"\[[^\]]*\]|\([^)]*\)|\"[^\"]*\"")
+_MARKS = re.compile(r"[;,|\t]")
+_BLANK_CELL = re.compile(r'(?:"[^"]*"|[^\s"]+)(?:\s*[\[(][^\])]*[\])])?')  # Load [N], "Load cell"
 _LINE_END = re.compile(r"\r\n|\r|\n")
 _NO_CSV = (
     "cannot be read as CSV ({}); is a quotation mark left open? Within a quoted text a quotation "
@@ -63,18 +73,21 @@ class UnreadableFileError(ValueError):
 def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
     """Yield the good rows of a CSV file piece by piece; `report` gets the mistakes."""
     try:
-        encoding = _encoding(path)
+        encoding = encoding_of(path)
         with path.open("rb") as content:
-            delimiter = _delimiter(_lines(content, encoding), options)
-    except UnreadableFileError as error:
-        report.mistakes.ruin(0, "file", str(error))
-        return
+            delimiter = _delimiter(lines_of(content, encoding), options)
+        with path.open("rb") as content:
+            rows = map(str.split, lines_of(content, encoding) if delimiter == " " else ())
+            width = next((len(row) for row in rows if is_row(row)), 0)
     except BrokenLineError as error:
         report.mistakes.ruin(error.line, "line", str(error))
         return
+    except ValueError as error:
+        report.mistakes.ruin(0, "file", str(error))
+        return
 
     def records(content: BinaryIO) -> Iterator[Record]:
-        every = _records(_lines(content, encoding), delimiter)
+        every = records_of(lines_of(content, encoding), 1, delimiter, width)
         for line, cells in islice(every, 1):  # spreadsheets put a line sep=; first
             split_up = cells[0].lower() in ("sep=", '"sep=') and not any(cells[1:])
             if not (_SEPARATOR_LINE.fullmatch(delimiter.join(cells)) or (split_up and cells[1:])):
@@ -117,9 +130,10 @@ class _Body:
     def pieces(self, line: int) -> Iterator[Piece]:
         """Yield the rows from a line on."""
         head = b"".join(self.content.readline(MAX_LINE) for _ in range(line - 1))
-        if self.encoding == "utf-16" or head.count(b"\r") != head.count(b"\r\n"):
+        by_line = self.delimiter == " " or self.encoding == "utf-16"
+        if by_line or head.count(b"\r") != head.count(b"\r\n"):
             self.content.seek(0)
-            lines = islice(_lines(self.content, self.encoding), line - 1, None)
+            lines = islice(lines_of(self.content, self.encoding), line - 1, None)
             yield from self._by_line(lines, line)
             return
         mark = re.escape(self.delimiter.encode())
@@ -131,19 +145,20 @@ class _Body:
             is_open = quotes and quotes != 2 * len(re.findall(quoted, block + b"\n"))
             if is_open or len(end) == MAX_LINE:
                 self.content.seek(-len(block), io.SEEK_CUR)
-                yield from self._by_line(_lines(self.content, self.encoding, line), line)
+                yield from self._by_line(lines_of(self.content, self.encoding, line), line)
                 return
             block = block if block.endswith(b"\n") else block + b"\n"
             count = block.count(b"\n")
             piece = self._by_arrow(block, line, count)
             if piece is None:
-                yield from self._by_line(_lines(io.BytesIO(block), self.encoding, line), line)
+                yield from self._by_line(lines_of(io.BytesIO(block), self.encoding, line), line)
             else:
                 yield piece
             line += count
 
     def _by_line(self, lines: Iterator[str], line: int) -> Iterator[Piece]:
-        records = until_broken(_records(lines, self.delimiter, line), self.mistakes)
+        records = records_of(lines, line, self.delimiter, self.header.width)
+        records = until_broken(records, self.mistakes)
         check = partial(_record_problem, delimiter=self.delimiter)
         yield from text_pieces(records, self.header, self.mistakes, check)
 
@@ -253,7 +268,7 @@ class _Lines(list[str]):
         return text
 
 
-def _encoding(path: Path) -> str:
+def encoding_of(path: Path) -> str:
     """Return utf-8-sig, utf-16 (with a mark) or cp1252; UnreadableFileError."""
     with path.open("rb") as content:
         head = content.read(4)
@@ -275,7 +290,7 @@ def _encoding(path: Path) -> str:
     raise UnreadableFileError("the text encoding is not recognised; save the file as UTF-8")
 
 
-def _lines(content: BinaryIO, encoding: str, number: int = 1) -> Iterator[str]:
+def lines_of(content: BinaryIO, encoding: str, number: int = 1) -> Iterator[str]:
     """Yield the lines with their ends (LF, CR or both), the first of a number; BrokenLineError."""
     with io.TextIOWrapper(content, encoding=encoding, newline="") as text:
         while line := text.readline(MAX_LINE):
@@ -296,8 +311,13 @@ def _delimiter(lines: Iterator[str], options: Options) -> str:
         if _may_be_header(line):
             rest = (below for below in islice(lines, _MAX_HEAD) if _may_be_header(below))
             heads = chain([line], rest)
-            return delimiter_in(heads, lambda text: _IN_BRACKETS.sub("", text), options.columns)
+            return delimiter_in(heads, _bare, options)
     return ","
+
+
+def _bare(line: str) -> str:
+    """Return a line without brackets, and quoted texts without delimiters."""
+    return _IN_BRACKETS.sub(lambda m: _MARKS.sub(" ", m[0][1:-1]) if m[0][0] == '"' else "", line)
 
 
 def _may_be_header(line: str) -> bool:
@@ -321,8 +341,16 @@ def _is_comment(line: str) -> bool:
     return line.startswith("#") and not _SHEET_ERROR.match(line)
 
 
-def _records(lines: Iterator[str], delimiter: str, first: int = 1) -> Iterator[Record]:
-    """Yield the line, from `first` on, and cells of each record with text; BrokenLineError."""
+def records_of(
+    lines: Iterator[str], first: int, delimiter: str, width: int = 0
+) -> Iterator[Record]:
+    """Yield the line, from `first` on, and cells of each record with text; BrokenLineError.
+
+    Those between blanks have `width` cells, or else single blanks in a text, or quotation marks.
+    """
+    if delimiter == " ":
+        yield from _blank_records(lines, first, width)
+        return
     fresh, length = True, 0
 
     def uncommented() -> Iterator[str]:
@@ -349,6 +377,21 @@ def _records(lines: Iterator[str], delimiter: str, first: int = 1) -> Iterator[R
                 _refuse_blank(before - row, line)
     except csv.Error as error:
         raise BrokenLineError(before + 1, _NO_CSV.format(error)) from error
+
+
+def _blank_records(lines: Iterator[str], first: int, width: int) -> Iterator[Record]:
+    before = first - 1
+    for number, line in enumerate(lines, first):
+        cells = line.split()
+        if not cells or _is_comment(line):
+            _refuse_blank(number - before, number)
+            continue
+        if len(cells) != width:
+            apart = re.split(r"\s{2,}", line.strip())
+            quoted = [cell.replace('"', "") for cell in _BLANK_CELL.findall(line)]
+            cells = apart if len(apart) == width else quoted
+        before = number
+        yield number, cells
 
 
 def _record_problem(cells: list[str], header: Header, delimiter: str) -> str:

@@ -39,7 +39,7 @@ or a shifted column, is off by more."""
 
 FEA = "fea"  # the source of solves
 MEASURED = "measured"  # the source of rows that name none
-Format = Literal["csv", "xlsx", "parquet", "hdf5", "json", "mat"]
+Format = Literal["csv", "xlsx", "parquet", "hdf5", "json", "mat", "lvm", "tdms", "xls"]
 Role = Literal["table", "loads", "displacements"]
 
 MAX_ROWS = 5_000_000  # of a file: 0.6 GB as arrays without tangents
@@ -63,10 +63,11 @@ class Options:
 
     `format` and `decimal` (the mark of numbers in text) are found from the content if None.
     `ignore` has labels of columns to leave out, `mapping` labels and what they are: ``fz [N]``, or
-    ``-fz [N]`` to turn the sign. `missing_loads` is the value of loads without a column; None
-    refuses such a file. The mean of the first `zero_rows` is subtracted from all others. `rig` is
-    the TOML of the readings' rig. `time_offset_s` is added to the times of displacements, "auto" is
-    the lag that the logs show; `max_gap_s` is the longest interval between loads, s.
+    ``-fz [N]`` to turn the sign, or ``fz`` in the file's own unit; a number is a position, from 1.
+    `missing_loads` is the value of loads without a column; None refuses such a file. The mean of
+    the first `zero_rows` is subtracted from all others. `sheet` is of a workbook, or a TDMS group.
+    `rig` is the TOML of the readings' rig. `time_offset_s` is added to the times of displacements,
+    "auto" is the lag that the logs show; `max_gap_s` is the longest interval between loads, s.
 
     Of the component: the `load_range`, whose space is that of the rows; the `fingerprint` of its
     setup, since solves of any other are mistakes; the compliance (outputs, inputs), SI, of its
@@ -212,8 +213,9 @@ class ReadReport:
     `columns` are label, name and unit of those that are read, `labels` how messages call each name,
     `ignored` the labels of the others, `titles` lines above the header. `converted`: some numbers
     are not in the units of arrays. `clock`, of two logs: the seconds added to the displacements'
-    times, and the lag that the logs show. `read`, `zeroed` and `unmatched` count the rows of the
-    file, those in the mean of the zero offset, and those with no load at their time.
+    times, and the lag that the logs show. `sheets` are those of a workbook, or the groups of a
+    TDMS file, and `sheet` is the one that was read. `read`, `zeroed` and `unmatched` count the rows
+    of the file, those in the mean of the zero offset, and those with no load at their time.
     """
 
     mistakes: Mistakes = field(default_factory=Mistakes)
@@ -224,6 +226,8 @@ class ReadReport:
     converted: bool = False
     ignored: list[str] = field(default_factory=list)
     titles: list[str] = field(default_factory=list)
+    sheets: list[str] = field(default_factory=list)
+    sheet: str | None = None
     clock: dict[str, float | None] | None = None
     findings: list[RigFinding] = field(default_factory=list)
     read: int = 0
@@ -257,6 +261,8 @@ class ReadReport:
             "columns": [dict(zip(names, column, strict=True)) for column in self.columns],
             "ignored": self.ignored,
             "above": self.titles,
+            "sheets": self.sheets,
+            "sheet": self.sheet,
             "errors": [mistake.as_dict() for mistake in self.mistakes.listed()],
             "causes": self.mistakes.causes(),
             "whole": self.mistakes.whole,

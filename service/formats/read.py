@@ -19,9 +19,11 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.service.formats.cells import FORCE, si_factor
-from wrenchbook.service.formats.columnar import read_hdf5, read_mat, read_parquet
+from wrenchbook.service.formats.columnar import read_hdf5, read_mat, read_parquet, read_tdms
 from wrenchbook.service.formats.csv import read_csv
+from wrenchbook.service.formats.header import POSITION
 from wrenchbook.service.formats.json import read_json
+from wrenchbook.service.formats.lvm import MAGIC, read_lvm
 from wrenchbook.service.formats.options import (
     MEASURED,
     Format,
@@ -39,7 +41,7 @@ from wrenchbook.service.formats.rig import (
     with_loads,
     zeroed,
 )
-from wrenchbook.service.formats.xlsx import read_xlsx
+from wrenchbook.service.formats.xlsx import read_xls, read_xlsx
 from wrenchbook.service.sandbox import Limits, Part, SandboxError, run
 from wrenchbook.surrogate.findings.find import MAX_ROWS, find
 from wrenchbook.surrogate.findings.response import RigFinding
@@ -61,15 +63,25 @@ _READERS: dict[str, Callable[[Path, Options, ReadReport], Iterator[ParsedTable]]
     "hdf5": read_hdf5,
     "json": read_json,
     "mat": read_mat,
+    "lvm": read_lvm,
+    "tdms": read_tdms,
+    "xls": read_xls,
 }
 _TEXT_FORMATS = {"csv", "json"}  # a damaged file of one can look like the other
 _BLOCK = 1 << 20
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _HDF5_OFFSETS = (0, 512, 1024, 2048)  # behind a user block
-_MAT = b"MATLAB 5.0 MAT-file"
+_MAGIC: dict[bytes, Format] = {
+    b"PAR1": "parquet",
+    b"MATLAB 5.0 MAT-file": "mat",
+    b"TDSm": "tdms",
+    b"\xd0\xcf\x11\xe0": "xls",
+    MAGIC: "lvm",
+    codecs.BOM_UTF8 + MAGIC: "lvm",
+}
 _OTHER_FORMATS = {
     b"%PDF": "a PDF; export the table as CSV or XLSX",
-    b"\xd0\xcf\x11\xe0": "an old .xls workbook; save it as .xlsx",
+    b"TDSh": "the index of a TDMS file; send the file itself, .tdms",
     b"\x89PNG": "a picture",
     b"Rar!": "a RAR archive; unpack it first",
     b"7z\xbc\xaf": "a 7z archive; unpack it first",
@@ -192,9 +204,14 @@ def read_logs(
     loads: Path, displacements: Path, options: Options, report: ReadReport
 ) -> Iterator[ParsedTable]:
     """Yield the rows of two logs joined by time; parameters as `read_table_file`."""
+    if any(map(POSITION.fullmatch, options.mapping)):  # of which log?
+        message = "a position (--column 3=fz) is of one file; name the columns of two logs in them"
+        report.mistakes.ruin(0, "mapping", message)
+        return
     log = _columns(loads, replace(options, role="loads", zero_rows=0), report)
     loads_log = joined_loads(log, report)
     report.read, report.format, report.gzip = 0, "", False  # those of the displacements count
+    report.sheets, report.sheet = [], None
     if loads_log is None:
         return
     log = list(_columns(displacements, replace(options, role="displacements"), report))
@@ -235,10 +252,16 @@ def _columns(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         report.mistakes.ruin(0, "file", str(error))
         return
     if options.role != "table" and report.format in ("json", "hdf5"):
-        message = f"a log with a time is CSV, XLSX or Parquet, and this is {report.format}"
+        message = (
+            f"a log has a time, and this is {report.format}; send CSV, XLSX, Parquet, LVM or TDMS"
+        )
         report.mistakes.ruin(0, "file", message)
         return
-    yield from _READERS[report.format](path, options, report)
+    try:
+        yield from _READERS[report.format](path, options, report)
+    except ModuleNotFoundError:
+        message = f"is {report.format}, which the server reads by pip install 'wrenchbook[rig]'"
+        report.mistakes.ruin(0, "file", f"{message}; or send XLSX or CSV")
 
 
 class ContentError(ValueError):
@@ -270,12 +293,11 @@ def _format_of(path: Path) -> Format:
     """Return the format of a file from its content; raises ContentError."""
     with path.open("rb") as file:
         head = file.read(4096)
-    if head.startswith(b"PAR1"):
-        return "parquet"
+    for magic, content in _MAGIC.items():
+        if head.startswith(magic):
+            return content
     if any(head[at : at + 8] == _HDF5 for at in _HDF5_OFFSETS):
         return "hdf5"
-    if head.startswith(_MAT):
-        return "mat"
     if head.startswith(b"PK\x03\x04"):
         return _format_of_zip(path)
     for magic, what in _OTHER_FORMATS.items():
@@ -291,8 +313,8 @@ def _format_of(path: Path) -> Format:
         )
     if b"\0" in head and not utf16:
         raise ContentError(
-            "is no table: it holds zero bytes. Send CSV, XLSX, Parquet, JSON, HDF5 or "
-            "MAT, each gzipped if you like"
+            "is no table: it holds zero bytes. Send CSV, XLSX, XLS, Parquet, JSON, HDF5, MAT, LVM "
+            "or TDMS, each gzipped if you like"
         )
     text = head.removeprefix(codecs.BOM_UTF8).lstrip()
     if text[:1] == b"<":

@@ -90,7 +90,10 @@ class Piece:
 
 
 def read_records(
-    records: Iterator[Record], options: Options, report: ReadReport
+    records: Iterator[Record],
+    options: Options,
+    report: ReadReport,
+    cell_format: CellFormat | None = None,
 ) -> Iterator[ParsedTable]:
     """Yield the good rows of records of text, in which a `Digits` is a stored number."""
     header, rest = read_head(records, options)
@@ -101,7 +104,7 @@ def read_records(
         return f"has {len(cells)} cells, the header {header.width}" if wide else ""
 
     pieces = text_pieces(rest, header, report.mistakes, check)
-    yield from read_pieces(header, pieces, options, report)
+    yield from read_pieces(header, pieces, options, report, cell_format)
 
 
 def read_columns(

@@ -1,4 +1,4 @@
-"""XLSX tables: a sheet of a workbook to records of text, and back.
+"""XLSX and XLS tables: a sheet of a workbook to records of text, and XLSX back.
 
 openpyxl gives the cells row by row: neither a sheet that claims a billion cells nor a million rows
 are in memory. Formulas give the value that the spreadsheet saved. Numbers are written as digits:
@@ -11,7 +11,7 @@ import re
 import warnings
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -55,10 +55,14 @@ def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
         # Opened here, because openpyxl checks the ending of a name.
         with path.open("rb") as values, path.open("rb") as formulas, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of styles and extensions
-            sheet = _sheet(values, options.sheet, values=True)
-            records = _records(
-                sheet, lambda: _sheet(formulas, sheet.title, values=False), options.columns.most
-            )
+            sheets, most = _sheets(values, values=True), options.columns.most
+
+            def is_filled(name: str) -> bool:
+                rows = sheets[name].iter_rows(values_only=True)
+                return any(any(row) for row in islice(rows, MAX_TITLES))
+
+            name = chosen_sheet(list(sheets), options.sheet, is_filled, report)
+            records = _records(sheets[name], lambda: _sheets(formulas, values=False)[name], most)
             yield from read_records(records, options, report)
     except Exception as error:  # openpyxl raises many classes on damaged files
         report.mistakes.ruin(0, "file", f"is no readable XLSX workbook: {error}")
@@ -104,27 +108,58 @@ def _write_cell(sheet: Any, text: str, kind: str) -> Any:
     return cell
 
 
-def _sheet(file: BinaryIO, name: str | None, *, values: bool) -> Any:
-    """Return the sheet of a name, or the first with rows, with stored values or with formulas."""
+def read_xls(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
+    """Yield the good rows of a sheet of an old workbook; `report` gets the mistakes.
+
+    calamine holds a sheet in memory: 65,536 rows of 256 columns at most.
+    """
+    # Imported on first use, and of the extra `rig`.
+    from python_calamine import CalamineWorkbook
+
+    try:
+        with path.open("rb") as content:
+            book = CalamineWorkbook.from_filelike(content)
+
+        def is_filled(name: str) -> bool:
+            return any(map(any, book.get_sheet_by_name(name).to_python(nrows=MAX_TITLES)))
+
+        name = chosen_sheet(book.sheet_names, options.sheet, is_filled, report)
+        sheet = book.get_sheet_by_name(name)
+        empty = [""] * (sheet.start or (0, 0))[1]  # columns on the left
+        cells = enumerate((empty + [_text(v) for v in row] for row in sheet.iter_rows()), start=1)
+        yield from read_records(filter(lambda row: any(row[1]), cells), options, report)
+    except BaseException as error:  # calamine's panic on a damaged file is no Exception
+        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
+            raise
+        message = f"is no readable .xls workbook (save it as .xlsx): {error}"
+        report.mistakes.ruin(0, "file", message)
+
+
+def chosen_sheet(
+    names: Sequence[str], wanted: str | None, is_filled: Callable[[str], bool], report: ReadReport
+) -> str:
+    """Return the sheet of a name, or the first with rows; the report has it. NoSheetError."""
+    report.sheets = list(names)
+    fitting = [name for name in names if wanted is None or name == wanted]
+    if not fitting:
+        known, missing = ", ".join(names) or "none", repr(wanted) if wanted else "with data"
+        raise NoSheetError(
+            f"there is no sheet {missing}; it has {known}: say sheet=NAME (--sheet NAME)"
+        )
+    filled = (name for name in fitting if name != ABOUT_SHEET and is_filled(name))
+    report.sheet = next(filled, fitting[0])
+    return report.sheet
+
+
+def _sheets(file: BinaryIO, *, values: bool) -> dict[str, Any]:
+    """Return the sheets of a workbook by name, with stored values or with formulas."""
     # Imported on first use: 0.2 s and 20 MB.
     import openpyxl
 
     book = openpyxl.load_workbook(file, read_only=True, data_only=values, keep_links=False)
-    sheets = [sheet for sheet in book.worksheets if name is None or sheet.title == name]
-    if not sheets:
-        known = ", ".join(sheet.title for sheet in book.worksheets)
-        raise NoSheetError(
-            f"there is no sheet {name!r}; it has {known or 'none'}: say sheet=NAME (--sheet NAME)"
-        )
-    for sheet in sheets:
+    for sheet in book.worksheets:
         sheet.reset_dimensions()  # those that a file states may be wrong
-    filled = (
-        sheet
-        for sheet in sheets
-        if sheet.title != ABOUT_SHEET
-        and any(any(row) for row in islice(sheet.iter_rows(values_only=True), MAX_TITLES))
-    )
-    return next(filled, sheets[0])
+    return {sheet.title: sheet for sheet in book.worksheets}
 
 
 def _records(sheet: Any, formulas: Callable[[], Any], most: int) -> Iterator[Record]:

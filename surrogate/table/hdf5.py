@@ -394,7 +394,36 @@ class _Vector:
         return np.asarray(self._data[0, some] if self._data.shape[0] == 1 else self._data[some, 0])
 
 
+def matlab_object(name: str, kind: str) -> str:
+    """Return why a variable of MATLAB cannot be read, and the commands that save it otherwise."""
+    only = f"holds {name}, a {kind} object, which only MATLAB reads"
+    if kind not in ("table", "timetable"):
+        return f"{only}; save it as double, or leave it out"
+    table = f"timetable2table({name},'ConvertRowTimes',false)" if kind == "timetable" else name
+    return f"{only}; make it a struct: S = table2struct({table},'ToScalar',true); save('t.mat','S')"
+
+
+def _other_form(name: str, thing: h5py.Group | h5py.Dataset) -> str | None:
+    """Return the remedy for a table of pandas or MATLAB that is no datasets of columns."""
+    if "pandas_type" in thing.attrs:
+        file = f"'table.h5', '{name}'"
+        return f"is of pandas' to_hdf; send pandas.read_hdf({file}).to_parquet('table.parquet')"
+    if name.startswith("#"):  # MATLAB's own
+        return None
+    if "MATLAB_object_decode" in thing.attrs:
+        return matlab_object(name, "".join(_texts(thing, "MATLAB_class")))
+    if isinstance(thing, h5py.Dataset) and thing.dtype == h5py.ref_dtype:
+        at = name.partition("/")[0]
+        return (
+            f"holds records of MATLAB in {at}; make them a struct of vectors: "
+            f"S = table2struct(struct2table({at}),'ToScalar',true); save('t.mat','S')"
+        )
+    return None
+
+
 def _named_columns(file: h5py.File) -> list[NamedColumn]:
+    if problem := file.visititems(_other_form):
+        raise TableFileError(problem)
     group: h5py.Group = file
     # MATLAB's references begin with #.
     inside = [dataset for name, dataset in file.items() if not name.startswith("#")]
@@ -452,7 +481,7 @@ def _labels(dataset: h5py.Dataset, names: list[str]) -> list[str]:
     ]
 
 
-def _texts(dataset: h5py.Dataset, *keys: str) -> list[str]:
+def _texts(dataset: h5py.Group | h5py.Dataset, *keys: str) -> list[str]:
     """Return the texts of the first attribute there is, of one text or several."""
     value: Any = next((dataset.attrs[key] for key in keys if key in dataset.attrs), ())
     several = [value] if isinstance(value, str | bytes) else list(value)

@@ -16,6 +16,8 @@ import pyarrow as arrow
 from pyarrow.parquet import write_table as write_parquet
 
 from tests.service.table_files import read_csv, read_hdf5, read_json, write_csv, write_json
+from tests.service.test_rig_files import RUN, tdms
+from tests.service.test_table_files import DIALECTS
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.mesh.io.abaqus import MeshFileError
@@ -41,6 +43,9 @@ TOKENS += (
     b"null",
     b"1e-320",
 )
+
+
+RIG = Options(missing_loads="zero", mapping={"Kraft": "fz", "Weg": "-uz"}, ignore_extra=True)
 
 
 def rows() -> Rows:
@@ -70,6 +75,8 @@ def seeds() -> dict[str, bytes]:
         "hdf5": write_hdf5(rows(), [1, 2, 3], TableMeta("rig", 3, span)),
         "xlsx": sheet.getvalue(),
         "parquet": parquet.getvalue(),
+        "tdms": tdms(run=RUN),
+        "lvm": DIALECTS["LabVIEW: an X column a channel"]["text"].encode(),
         **meshes(),
         "toml": text,
         "zip": packed.getvalue(),
@@ -125,8 +132,8 @@ def read(form: str, content: bytes, folder: Path) -> None:
         return
     path = folder / {"toml": "component.toml"}.get(form, f"a.{form}")
     path.write_bytes(content)
-    if form in ("xlsx", "parquet"):
-        for table in read_table_file(path, Options(missing_loads="zero"), ReadReport()):
+    if form in ("xlsx", "parquet", "tdms", "lvm"):
+        for table in read_table_file(path, RIG, ReadReport()):
             assert np.isfinite(table.wrench).all()
         return
     try:

@@ -14,7 +14,7 @@ from wrenchbook.service.sandbox import MIB, Limits, Sandbox
 ROOT = Path(__file__).parents[2]
 COUNT = 100 * int(os.environ.get("WRENCHBOOK_FUZZ", "3"))
 AT_ONCE = 10_000
-TABLES = ("csv", "json", "hdf5", "xlsx", "parquet")
+TABLES = ("csv", "json", "hdf5", "xlsx", "parquet", "tdms", "lvm")
 BUNDLES = ("toml", "zip", "inp", "msh", "vtk", "vtu")
 LIMITS = Limits(memory=1024 * MIB, seconds=600.0, output=16 * MIB)
 

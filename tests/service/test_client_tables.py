@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from urllib.parse import parse_qsl
 
@@ -75,9 +76,9 @@ def test_a_table_is_exported_as_text_in_the_units_asked_for(stub: Stub, client: 
 
 
 def test_a_file_that_is_no_table_is_not_sent(stub: Stub, client: Client, tmp_path: Path):
-    file = tmp_path / "table.xls"
+    file = tmp_path / "table.pdf"
     file.write_bytes(b"x")
-    with pytest.raises(ValueError, match=r"ends in \.xls, which is not read"):
+    with pytest.raises(ValueError, match=r"ends in \.pdf, which is not read"):
         client.import_table("bar", file)
     assert stub.seen == []
 
@@ -128,19 +129,30 @@ def test_an_ending_that_is_no_tables_is_refused_with_those_there_are(stub, clien
 def test_import_says_what_became_of_the_rows(stub: Stub, tmp_path: Path):
     rows = {"read": 9, "loaded": 1, "refused": 0, "tare": 5, "unmatched": 3}
     reply = {"inserted": 1, "existing": 0, "errors": [], "dry_run": False, "in_use": False}
-    stub.answers(Answer({**reply, "rows": rows, "ignored": ["Temp"]}))
+    sheets = {"sheets": ["cover", "run"], "sheet": "run"}
+    stub.answers(Answer({**reply, "rows": rows, "ignored": ["Temp"], **sheets}))
     for name in ("t.h5", "t.tsv"):
         file = tmp_path / name
         file.write_bytes(b"x")
         words = ["--decimal", ",", "--column", "Load cell=-fz [N]", "--tare", "5"]
+        words += ["--column", "3=ux", "--unit", "mm", "--column", "4=uy", "--unit", "[um]"]
         run = CliRunner().invoke(app, ["import", "bar", str(file), *words, "--server", stub.url])
         assert run.exit_code == 0, run.output
         asked = dict(parse_qsl(stub.seen[-1].path.partition("?")[2]))
-        assert asked["mapping"] == '{"Load cell": "-fz [N]"}'
+        meanings = {"Load cell": "-fz [N]", "3": "ux [mm]", "4": "uy [um]"}
+        assert json.loads(asked["mapping"]) == meanings
         assert (asked["tare"], asked["decimal"], asked["filename"]) == ("5", ",", name)
         assert "Of 9 rows read 5 are the tare, 3 have no load" in run.output
         assert "Columns left out: Temp" in run.output
+        assert "Sheet run was read, of cover, run." in run.output
         assert "still builds its table" in run.output
+
+
+def test_units_that_are_not_one_a_column_are_refused_with_the_form_to_write(tmp_path: Path):
+    words = ["--column", "3=ux", "--column", "4=uy", "--unit", "mm"]
+    run = CliRunner().invoke(app, ["import", "bar", __file__, *words])
+    assert run.exit_code == 2
+    assert "'COLUMN=fz [kN]'" in run.output
 
 
 def test_a_rig_is_sent_as_text_from_numbers_and_from_its_file(stub: Stub, client, tmp_path: Path):

@@ -54,7 +54,7 @@ def test_a_sample_file_gets_the_reply_that_is_told(sent, name: str):
     assert found == [(row, field) for row, field, _ in errors]
     for error, (_, _, says) in zip(body["errors"], errors, strict=True):
         assert says in error["message"]
-    for word in ("inserted", "format", "gzip", "ignored", "above"):
+    for word in ("inserted", "format", "gzip", "ignored", "above", "sheets", "sheet"):
         if word in told:
             assert body[word] == told[word], word
     for word in ROWS:

@@ -27,6 +27,7 @@ from wrenchbook.service.formats import (
     MAX_ZERO_ROWS,
     Options,
 )
+from wrenchbook.service.formats.options import Format as FileFormat
 from wrenchbook.service.formats.rig import MAX_RIG, Rig, rig_text
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import Body
@@ -122,7 +123,7 @@ class ImportQuery(Body):
     """The query of an import; what is not named is refused."""
 
     format: Annotated[
-        Literal["csv", "xlsx", "parquet", "hdf5", "json", "mat"] | None,
+        FileFormat | None,
         Field(description="checked against the content; detected if left out"),
     ] = None
     dry_run: Annotated[bool, Field(description="check and count; nothing is changed")] = False
@@ -146,7 +147,8 @@ class ImportQuery(Body):
         Field(
             max_length=100_000,
             description='JSON: from columns of the file to what they are, {"Load cell": "fz [N]"}; '
-            "a - before it turns the sign",
+            "a - before it turns the sign, without [N] the file's unit counts, and 3 is the third "
+            "column unless that is a label",
         ),
     ] = None
     missing_loads: Annotated[
@@ -155,7 +157,9 @@ class ImportQuery(Body):
     tare: Annotated[
         int, Field(ge=0, le=MAX_ZERO_ROWS, description="rows whose mean is taken off all others")
     ] = 0
-    sheet: Annotated[str | None, Field(max_length=200, description="xlsx: its name")] = None
+    sheet: Annotated[
+        str | None, Field(max_length=200, description="xlsx, xls: its name; tdms: the group's")
+    ] = None
     frame: Annotated[
         _Text, Field(description="the rig's axes in the interface's: x=-y,y=x,z=z or nine numbers")
     ] = ""
@@ -296,6 +300,8 @@ Imported = TypedDict(
         "above": Annotated[
             list[str], Field(description="lines of title above the header, left out")
         ],
+        "sheets": Annotated[list[str], Field(description="of a workbook; groups of a TDMS file")],
+        "sheet": Annotated[str | None, Field(description="the one of these that was read")],
         "preview": list[PreviewRow],
         "table_version": Annotated[int, Field(description="the version that holds these rows")],
         "in_use": Annotated[bool, Field(description="whether the rows answer already")],

@@ -34,7 +34,7 @@ export function importOptions(changed) {
   const said = el("input", { autocomplete: "off", maxlength: 10000, id: "import-note" });
   const root = el("details", { id: "import-options" }, el("summary", {}, "Options"),
     el("div", { class: "stack" }, zeroLine, extraLine, partialLine,
-      el("div", { class: "few" }, field("Tare: number of first rows, whose mean is subtracted", tare), field("Decimal mark (CSV)", decimal), field("Sheet (Excel)", sheet)),
+      el("div", { class: "few" }, field("Tare: number of first rows, whose mean is subtracted", tare), field("Decimal mark (CSV)", decimal), field("Sheet (Excel), group (TDMS)", sheet)),
       field("Note, stored with the import", said)));
   const columns = columnTable(), rig = rigOptions(changed);
   const query = () => {
