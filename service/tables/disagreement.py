@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.service.contract import LOADS, OUTPUTS
-from wrenchbook.surrogate.build import build
-from wrenchbook.surrogate.packed.writer import packed_of
+from wrenchbook.service.tables.comparison import Setup, reference_of
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 
@@ -43,12 +42,10 @@ def disagreement(
     of_solves = rows.take(solved)
     none = np.zeros((len(span.space.outputs), len(span.low)))
     known = error or SolverError({"mesh": none.tolist(), "loads": span.scale.tolist()})
-    table = build(
-        of_solves, span, solver_error=known, tolerance=tolerance, linear=linear, locked=locked
-    )
+    packed = reference_of(of_solves, Setup(span, tolerance, linear, locked, known))
     indices = np.flatnonzero(within)
     measured = rows.take(indices[:: max(1, -(-len(indices) // MAX_ROWS))])
-    expected = packed_of(table).batch(measured.wrench)
+    expected = packed.batch(measured.wrench)
     off = measured.displacement - expected.outputs
     uncertainty = np.where(np.isfinite(measured.uncertainty), measured.uncertainty, 0.0)
     bound = np.hypot(expected.errors, uncertainty)  # two independent 95 % half widths
