@@ -657,13 +657,19 @@ class Comparison(Message):
     beyond_range: int
     compared: Annotated[int, Doc("rows here: 3,000 at most, evenly chosen of those in the range")]
     coverages: Annotated[dict[Coverage, int], Doc("of the rows by the reference")]
+    noise: Annotated[
+        Vector,
+        FloatArray(None),
+        Doc("95 % of one reading, which counts where a row states none; by the rows alone"),
+    ]
     reason: Annotated[str, Doc("why no row is compared; empty if any is")]
     outputs: Annotated[
         dict[str, dict[str, Any]],
         Doc(
-            "of each: compared, beyond_bars, bars_unknown, mean and rms of the residuals; factor: "
-            "measured = factor x expected, half_width: its 95 %, of_reference: the part of it that "
-            "the reference's bar is. Rows outside the reference's coverage are not in these"
+            "of each: compared, beyond_bars (of reference and reading), bars_unknown, mean and rms "
+            "of the residuals; factor: measured = factor x expected, half_width: its 95 %, "
+            "of_reference: the part of it that the reference's bar is. Rows outside the "
+            "reference's coverage are not in these"
         ),
     ]
     campaigns: Annotated[

@@ -6,7 +6,7 @@ import io
 import json
 import secrets
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -185,23 +185,119 @@ class LibraryCalls(Connection):
         if displacements is not None:
             logs = {"loads": (filename, content), "displacements": _named_file(displacements)}
             kind, content = _form(logs)
+        query = {
+            "format": None if format is None else _known(format),
+            "dry_run": dry_run or None,
+            "decimal": decimal,
+            "filename": filename or None,
+        }
+        return self._imported(name, content, kind, query, columns)
+
+    def _imported(
+        self, name: str, content: bytes, kind: str, query: Document, columns: dict[str, Json]
+    ) -> Document:
+        """Send a table with the options of its columns."""
         mapping, ignore, rig = (columns.pop(name, None) for name in ("mapping", "ignore", "rig"))
         for part in ("frame", "load_point", "displacement_point"):
             value = columns.get(part)
             if value is not None and not isinstance(value, str):
                 columns[part] = ",".join(map(repr, np.ravel(value).astype(float).tolist()))
         query = {
-            "format": None if format is None else _known(format),
-            "dry_run": dry_run or None,
-            "decimal": decimal,
+            **query,
             "mapping": json.dumps(dict(mapping)) if mapping else None,
             "ignore": list(ignore or ()) or None,
-            "filename": filename or None,
             "rig": Path(rig).read_text("utf-8-sig", "replace") if rig else None,
             **columns,
         }
         path, wait_s = component_path(name, "table"), _IMPORT_S + float(columns.get("wait_s") or 0)
         return self.call("POST", path, content, kind=kind, query=query, wait_s=wait_s).json()
+
+    def append(
+        self,
+        name: str,
+        test: str,
+        rows: Mapping[str, Json] | Sequence[Mapping[str, Json]],
+        **columns: Json,
+    ) -> Document:
+        """Append rows to the table while a test runs: all of them, or none.
+
+        A block that is sent again adds nothing.
+
+        Parameters
+        ----------
+        test : str
+            The name of the test: all of its blocks are one import of this sender.
+        rows : mapping or sequence of mappings
+            One row or 1,000 at most: ``wrench`` and ``displacement``, shape (6,), SI, None where
+            not measured, ``uncertainty``, ``source``, ``note``; or numbers by column,
+            ``{"fz [kN]": 1.2, "uz [mm]": 0.31}``.
+        **columns
+            Those of `import_table` that are no options of files; ``wait_s`` is 0 if left out.
+
+        Returns
+        -------
+        dict
+            As of `import_table`, without findings.
+
+        Raises
+        ------
+        ProblemError
+            If rows have mistakes (422); if the import is withdrawn or of another rig (409).
+        """
+        many = [rows] if isinstance(rows, Mapping) else list(rows)
+        in_si = any("wrench" in row for row in many)
+        content = json.dumps({"rows": many} if in_si else many).encode()
+        return self._imported(name, content, "application/json", {"append": test}, columns)
+
+    def comparison(
+        self,
+        name: str,
+        number: int | None = None,
+        against: int | None = None,
+        format: str = "json",  # noqa: A002 (the contract's word)
+    ) -> Json:
+        """Return measured rows beside the answer of the solves alone, or of another import.
+
+        Parameters
+        ----------
+        number : int, optional
+            The import whose rows are compared; all measured rows otherwise.
+        against : int, optional
+            The import whose rows are the reference, by a kriging of them; the solves otherwise.
+        format : {"json", "csv"}
+
+        Returns
+        -------
+        dict or str
+            Rows by column (``wrench``, ``displacement``, ``expected``, ``residual``, ``bar``), and
+            for each of ``outputs`` and ``campaigns`` the ``factor`` with its ``half_width``.
+
+        Raises
+        ------
+        ProblemError
+            If there is no such component (404) or import (409).
+        """
+        query = {"import": number, "against": against, "format": format}
+        content = self.call("GET", component_path(name, "comparison"), query=query).content
+        return content.decode() if format == "csv" else json.loads(content)
+
+    def bushing(self, name: str, points: int = 21, others: str = "displacement") -> str:
+        """Return load over displacement of each axis as CSV, for bushings of multibody programs.
+
+        Parameters
+        ----------
+        points : int
+            Of an axis, evenly over the displacements that the table covers.
+        others : {"displacement", "load"}
+            What is zero on the other axes.
+
+        Raises
+        ------
+        ProblemError
+            If there is no such component (404), or no curve (409): the message says what to do.
+        """
+        query = {"format": "bushing", "points": points, "others": others}
+        return self.call("GET", component_path(name, "table"), query=query).content.decode()
 
     def export_table(
         self,

@@ -21,7 +21,7 @@ import numpy as np
 from wrenchbook.service.formats.cells import FORCE, si_factor
 from wrenchbook.service.formats.columnar import read_hdf5, read_mat, read_parquet
 from wrenchbook.service.formats.csv import read_csv
-from wrenchbook.service.formats.json import read_json
+from wrenchbook.service.formats.json import read_json, read_json_text
 from wrenchbook.service.formats.options import (
     MEASURED,
     Format,
@@ -119,6 +119,24 @@ def read_untrusted(files: Sequence[Path], options: Options, preview: int = 0) ->
         report.mistakes.ruin(0, "file", str(error))
         return ReadResult({**report.as_json(0, []), "findings": []}, [])
     return ReadResult(parts[-1].fields, parts[:-1], options.space)
+
+
+def read_block(content: bytes, options: Options, most: int) -> ReadResult:
+    """Read at most `most` rows of a JSON table, or one row, in this process; without findings.
+
+    The caller limits the bytes. A child of its own takes longer than a test bench between two rows.
+    """
+    report, pieces = ReadReport(format="json"), list[ParsedTable]()
+    try:
+        text = content.decode("utf-8-sig")
+        pieces += _corrected(read_json_text(text, options, report), options, report)
+    except UnicodeDecodeError as error:
+        report.mistakes.ruin(0, "file", f"is not JSON: {error.reason}; send it as UTF-8")
+    if report.read > most:
+        report.mistakes.ruin(0, "rows", f"are {report.read:,}; append {most:,} at once, or import")
+    parts = [_part(piece) for piece in pieces if len(piece)]
+    good = sum(map(len, pieces))
+    return ReadResult({**report.as_json(good, []), "findings": []}, parts, options.space)
 
 
 def warm_up() -> None:

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from wrenchbook.service.ledger import ImportRecord
 from wrenchbook.surrogate.answer import NAMES
-from wrenchbook.surrogate.build import SOLVED, build
+from wrenchbook.surrogate.build import SOLVED, Table, build
 from wrenchbook.surrogate.findings.comparison import factor_of
-from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.rows import Floats, LoadRange, Rows, Tolerance
@@ -43,9 +42,9 @@ class Setup(NamedTuple):
     error: SolverError | None = None  # of the solver; None where it is not known
 
 
-def reference_of(rows: Rows, setup: Setup) -> PackedTable:
-    """Return the packed table of some rows of a component alone."""
-    table = build(
+def table_of(rows: Rows, setup: Setup) -> Table:
+    """Return the table of some rows of a component alone."""
+    return build(
         rows,
         setup.load_range,
         tolerance=setup.tolerance,
@@ -53,7 +52,6 @@ def reference_of(rows: Rows, setup: Setup) -> PackedTable:
         locked=setup.locked,
         solver_error=setup.error,
     )
-    return packed_of(table)
 
 
 def comparison(
@@ -102,15 +100,16 @@ def comparison(
     some, outputs = rows.take(places), setup.load_range.space.output_names
     reason, method, complete = "", "none", False
     expected, bar = np.full((2, *some.displacement.shape), np.nan)
+    noise = np.full(len(outputs), np.nan)
     coverage = np.full(len(some), COVERED_OR_THIN)
     if not len(base):
         reason = "there is no solved row: name the import of the reference with against"
     elif not len(some):
         reason = "there is no measured row to compare within the load range"
     else:
-        # A rig's rows answer by their own law: nothing makes a rig linear.
-        known = setup if against is None else setup._replace(linear=False, error=None)
-        packed = reference_of(used, known)
+        of_rig = setup._replace(linear=False, error=None)  # nothing makes a rig linear
+        packed = packed_of(table_of(used, setup if against is None else of_rig))
+        noise = table_of(some, of_rig).observation_noise
         method, complete = packed.answers_by(), against is not None or setup.error is not None
         # A reading at the same wrench is no answer: its noise would be the reference's.
         replies = packed.batch(some.wrench, without_rows=against is not None)
@@ -119,10 +118,11 @@ def comparison(
         bar = np.where(answered, replies.errors, np.nan)
     residual = some.displacement - expected
     own = np.ascontiguousarray(some.uncertainty)  # as the JSON writer needs it
+    scatter = np.where(np.isfinite(own), own, noise)
     of_import = campaign[places]
 
     def summaries(at: NDArray[np.bool_]) -> dict[str, Any]:
-        columns = [column[at].T for column in (some.displacement, expected, bar, own)]
+        columns = [column[at].T for column in (some.displacement, expected, bar, scatter)]
         return {name: _summary(*numbers) for name, *numbers in zip(outputs, *columns, strict=True)}
 
     return {
@@ -138,6 +138,7 @@ def comparison(
         "beyond_range": int((chosen & ~inside).sum()),
         "compared": len(some),
         "coverages": {name: int((coverage == code).sum()) for code, name in enumerate(NAMES)},
+        "noise": noise,
         "reason": reason,
         "outputs": summaries(np.ones(len(some), dtype=bool)),
         "campaigns": [
@@ -173,7 +174,7 @@ def _summary(measured: Floats, expected: Floats, bar: Floats, own: Floats) -> di
     """Return the differences of one output, (n,) each, m or rad: None where they are not known."""
     residual = measured - expected
     known = np.isfinite(residual)
-    # Two independent 95 % half widths; of a reading without one, the reference's alone.
+    # Two independent 95 % half widths; if nothing tells a reading's, the reference's alone.
     bound = np.hypot(bar, np.where(np.isfinite(own), own, 0.0))[known & np.isfinite(bar)]
     beyond = np.abs(residual[known & np.isfinite(bar)]) > bound
     factor, half_width, of_reference = factor_of(measured, expected, bar, own)

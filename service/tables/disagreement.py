@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.service.contract import LOADS, OUTPUTS
-from wrenchbook.service.tables.comparison import Setup, reference_of
+from wrenchbook.service.tables.comparison import Setup, table_of
+from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 
@@ -42,7 +43,7 @@ def disagreement(
     of_solves = rows.take(solved)
     none = np.zeros((len(span.space.outputs), len(span.low)))
     known = error or SolverError({"mesh": none.tolist(), "loads": span.scale.tolist()})
-    packed = reference_of(of_solves, Setup(span, tolerance, linear, locked, known))
+    packed = packed_of(table_of(of_solves, Setup(span, tolerance, linear, locked, known)))
     indices = np.flatnonzero(within)
     measured = rows.take(indices[:: max(1, -(-len(indices) // MAX_ROWS))])
     expected = packed.batch(measured.wrench)

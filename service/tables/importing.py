@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.service.formats import Options, ParsedTable, ReadResult, read_untrusted
+from wrenchbook.service.formats.read import read_block
 from wrenchbook.service.formats.rig import Rig
 from wrenchbook.service.ledger import About, Ledger, NotedRows, row_keys
 from wrenchbook.service.library.component import Component
@@ -19,9 +20,14 @@ from wrenchbook.surrogate.findings.comparison import MAX_ROWS as MAX_COMPARED
 from wrenchbook.surrogate.findings.comparison import comparison_findings
 from wrenchbook.surrogate.findings.find import MAX_ROWS
 from wrenchbook.surrogate.table.compliance import fit_compliance
+from wrenchbook.surrogate.table.rows import joined
 
 SAME = 1e-12  # of a number: what an export in other units and its import may lose
+MAX_APPENDED = 1_000  # rows of a block: read in hundredths of a second
 _MAX_TRIED = 16  # stored rows of nearly one sum that a row is compared with; others hardly occur
+
+# By component: its setup and number of solves, and their compliance.
+_solved: dict[str, tuple[tuple[str, int], list[list[float]]]] = {}
 
 
 def import_files(
@@ -82,18 +88,52 @@ def import_files(
         about = replace(about, findings=json.dumps(stored))
         blocks = (NotedRows(piece, piece.note) for piece in pieces())
         inserted, existing, number = ledger.import_rows(component.name, blocks, about)
+    reply = _reply(report, options, inserted, existing, number, loaded=not refused and not dry_run)
+    return {**reply, "dry_run": dry_run, "partial": partial}
+
+
+def append_block(
+    ledger: Ledger, component: Component, content: bytes, options: Options, about: About
+) -> dict[str, Any]:
+    """Append the rows of a small JSON block, or none, to an import; the reply is `import_files`'s.
+
+    The import is that of `about.filename` and `about.who`. Raises AppendError or
+    LedgerUnavailableError.
+    """
+    options = replace(options, load_range=component.load_range, fingerprint=component.fingerprint)
+    read = read_block(content, options, MAX_APPENDED)
+    report = dict(read.report)
+    refused = report.pop("whole") or bool(report["errors"])
+    report.pop("converted")
+    counts = 0, 0, None
+    pieces = list(read.pieces())
+    if pieces and not refused:
+        about = replace(about, rig=options.rig)
+        notes = [note for piece in pieces for note in piece.note]
+        counts = ledger.append_rows(component.name, NotedRows(joined(pieces), notes), about)
+    reply = _reply(report, options, *counts, loaded=not refused)
+    return {**reply, "dry_run": False, "partial": False}
+
+
+def _reply(
+    report: dict[str, Any],
+    options: Options,
+    inserted: int,
+    existing: int,
+    number: int | None,
+    *,
+    loaded: bool,
+) -> dict[str, Any]:
     rows = report.pop("rows")
     good = rows.pop("good")
     return {
         "inserted": inserted,
         "existing": existing,
-        "dry_run": dry_run,
-        "partial": partial,
         "import": number,
         "rig": Rig.read(options.rig).as_json() if options.rig else None,
-        "loaded": not refused and not dry_run,
+        "loaded": loaded,
         **report,
-        "rows": {**rows, "loaded": 0 if refused or dry_run else good},
+        "rows": {**rows, "loaded": good if loaded else 0},
     }
 
 
@@ -121,12 +161,16 @@ def _compared(
 
 def solved_compliance(component: Component, table: ServedTable) -> list[list[float]] | None:
     """Return the compliance (outputs, inputs), SI, of a component's solves, zero where unknown."""
-    if not component.has_fea or not table.sources.get("fea"):
+    if not component.has_fea or not (count := table.sources.get("fea")):
         return None
-    rows = table.rows
-    solved = rows.take(np.flatnonzero(rows.source == "fea")[:MAX_ROWS])
-    fit = fit_compliance(solved, component.load_range, linear=component.linear)
-    return np.where(fit.known, fit.matrix, 0.0).tolist()
+    setup = component.fingerprint, count
+    known = _solved.get(component.name)
+    if known is None or known[0] != setup:  # appended rows come often, solves do not
+        rows = table.rows
+        solved = rows.take(np.flatnonzero(rows.source == "fea")[:MAX_ROWS])
+        fit = fit_compliance(solved, component.load_range, linear=component.linear)
+        known = _solved[component.name] = setup, np.where(fit.known, fit.matrix, 0.0).tolist()
+    return known[1]
 
 
 def _with_stored_numbers(

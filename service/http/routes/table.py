@@ -30,7 +30,7 @@ from wrenchbook.service.formats import (
 from wrenchbook.service.formats.rig import MAX_RIG, Rig, rig_text
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import Body
-from wrenchbook.service.http.body import PIECE, content_type, form_of, spooled
+from wrenchbook.service.http.body import PIECE, content_type, form_of, read_limited, spooled
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.routes import Opened, holds, json_reply, naming
@@ -49,7 +49,7 @@ from wrenchbook.service.tables.exporting import (
     ExportRequest,
     export_table,
 )
-from wrenchbook.service.tables.importing import import_files, solved_compliance
+from wrenchbook.service.tables.importing import append_block, import_files, solved_compliance
 from wrenchbook.service.tables.store import setup_of
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.kernel.format import SUFFIX
@@ -111,6 +111,14 @@ _TAKEN = frozenset(
     }
 )
 _MAX_COLUMNS = 1000
+# Of an import that one block does not have: all of its rows, other formats.
+_OF_FILES = {"format", "dry_run", "partial", "preview", "tare"}
+_OF_FILES |= {"sheet", "time_offset_s", "max_gap_s", "filename"}
+_MAX_APPENDED_BYTES = 1 << 20
+_REMEDY = (
+    "Correct them and send the complete file again, or say --partial (over HTTP partial=true) to "
+    "load the good rows."
+)
 WAIT_S = 10.0  # a table of 20,000 measured rows is built by then
 MAX_WAIT_S = 600.0  # a million rows take minutes
 _POINT = "x,y,z from the interface's point in its frame, m: the point that"
@@ -182,6 +190,15 @@ class ImportQuery(Body):
         float,
         Field(ge=0, le=MAX_WAIT_S, allow_inf_nan=False, description="for answers from the rows, s"),
     ] = WAIT_S
+    append: Annotated[
+        str | None,
+        Field(
+            min_length=1,
+            max_length=200,
+            description="the name of a running test: this JSON, of 1,000 rows and 1 MB at most, is "
+            "appended to its import, which the first block makes. wait_s is 0 if left out",
+        ),
+    ] = None
     note: Annotated[str, Field(max_length=10_000, description="kept with the import")] = ""
     filename: Annotated[str, Field(max_length=1000, description="kept with the import")] = ""
 
@@ -216,7 +233,14 @@ class ImportQuery(Body):
         axes = rig_text(*parts) if any(parts) else ""
         return "\n".join(filter(None, (self.rig, axes)))
 
-    @field_validator("note", "filename", "rig")
+    @model_validator(mode="after")
+    def _can_be_appended(self) -> ImportQuery:
+        others = self.model_fields_set & _OF_FILES
+        if self.append is not None and others:
+            raise ValueError(f"append takes no {', '.join(sorted(others))}: a block is no file")
+        return self
+
+    @field_validator("note", "filename", "rig", "append")
     @classmethod
     def _can_be_kept(cls, text: str) -> str:
         try:
@@ -402,6 +426,9 @@ async def import_table(
 ) -> Response:
     component = workspace.library[name]
     kind = content_type(request)
+    if query.append is not None and kind not in ("", MEDIA_TYPES["json"]):
+        message = f"The content type is {kind}. A block of rows is {MEDIA_TYPES['json']}."
+        raise HttpProblemError(415, "media-type", "Rows are appended as JSON", message)
     if kind and kind not in _TAKEN:
         raise HttpProblemError(
             415,
@@ -413,8 +440,14 @@ async def import_table(
     table = workspace.tables.surrogate(name)
     solved = await run_in_threadpool(solved_compliance, component, table)
     options = replace(query.options(), solved=solved, linear=component.linear)
+    key = permission_of(request.scope).key
+    if query.append is not None:
+        block = await read_limited(request.receive, _MAX_APPENDED_BYTES)
+        about = About(who=key.name if key else "", filename=query.append, note=query.note)
+        given = workspace.ledger, component, block, options, about
+        reply = await run_in_threadpool(append_block, *given)
+        return await _answered(workspace, name, query, reply)
     async with received(request) as sent:
-        key = permission_of(request.scope).key
         about = About(
             who=key.name if key else "",
             filename=query.filename or sent.filename,
@@ -435,6 +468,13 @@ async def import_table(
                 preview=query.preview,
                 table=table if component.space.is_default else None,
             )
+    return await _answered(workspace, component.name, query, reply)
+
+
+async def _answered(
+    workspace: Workspace, name: str, query: ImportQuery, reply: dict[str, Any]
+) -> Response:
+    """Return the reply of an import, once answers come from its rows; 422 if it has mistakes."""
     loaded = reply.pop("loaded")
     if reply["errors"] and not (query.dry_run or loaded):
         errors = reply["errors"]
@@ -448,14 +488,15 @@ async def import_table(
             "bad-rows",
             "The table has mistakes",
             f"Nothing was loaded. {len(errors)} mistake(s); the first is in row {first['row']}, "
-            f"{first['field']}: {first['message']}. Correct them and send the complete file again, "
-            "or say --partial (over HTTP partial=true) to load the good rows.",
+            f"{first['field']}: {first['message']}. "
+            + ("Correct them and send the block again." if query.append else _REMEDY),
             **reply,
         )
-    wait_s = query.wait_s if loaded and reply["inserted"] else 0.0
-    caught_up = await workspace.caught_up(component.name, wait_s)
+    waits = query.append is None or "wait_s" in query.model_fields_set
+    wait_s = query.wait_s if waits and loaded and reply["inserted"] else 0.0
+    caught_up = await workspace.caught_up(name, wait_s)
     reply["in_use"] = caught_up and (loaded or not reply["inserted"])
-    reply["table_version"] = workspace.ledger.last_seq(component.name)
+    reply["table_version"] = workspace.ledger.last_seq(name)
     return json_reply(reply)
 
 
