@@ -17,7 +17,7 @@ from wrenchbook.service.cli.connect import (
     connected,
     in_folder,
 )
-from wrenchbook.service.cli.render import Screen, plain, print_json, show
+from wrenchbook.service.cli.render import Screen, comparison_shown, plain, print_json, show
 from wrenchbook.service.client.errors import mistake_line
 from wrenchbook.service.client.library import check_readable, table_format
 from wrenchbook.service.files.durable import write_whole_bytes
@@ -166,6 +166,16 @@ def export_table(
     table_version: Annotated[
         int | None, typer.Option(help="an earlier version of the table; by default the newest")
     ] = None,
+    bushing: Annotated[
+        bool, typer.Option("--bushing", help="a .csv of load over displacement of each axis")
+    ] = False,
+    points: Annotated[int, typer.Option(min=2, max=1001, help="with --bushing: of an axis")] = 21,
+    others: Annotated[
+        str,
+        typer.Option(
+            metavar="displacement|load", help="with --bushing: what is zero on the other axes"
+        ),
+    ] = "displacement",
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
@@ -179,6 +189,11 @@ def export_table(
         raise typer.BadParameter(
             "--method and --platforms are for .fmu files: other formats hold the table"
         )
+    format_ = "csv" if printed else "packed" if ending in (".fmu", ".zip") else table_format(file)
+    units = {"force": force, "moment": moment, "translation": translation, "rotation": rotation}
+    units = {quantity: unit for quantity, unit in units.items() if unit is not None}
+    if bushing and (format_ != "csv" or units or table_version is not None):
+        raise typer.BadParameter("--bushing writes a .csv of the newest table, in SI")
     if printed and as_json:
         raise typer.BadParameter("--json describes a written file: name one instead of -")
     if platforms is not None:  # checked before a server is called or started
@@ -187,11 +202,11 @@ def export_table(
         targets = platforms_of(platforms)
     else:
         targets = ()
-    format_ = "csv" if printed else "packed" if ending in (".fmu", ".zip") else table_format(file)
-    units = {"force": force, "moment": moment, "translation": translation, "rotation": rotation}
-    units = {quantity: unit for quantity, unit in units.items() if unit is not None}
     with connected(server, data) as client:
-        content = client.export_table(name, format_, units, table_version)
+        if bushing:
+            content = client.bushing(name, points, others)
+        else:
+            content = client.export_table(name, format_, units, table_version)
     if printed:
         sys.stdout.write(content)
         return
@@ -258,7 +273,37 @@ def withdraw(
             plain(Screen(), "No findings.")
 
 
-TABLE_COMMANDS = {"import": import_table, "export": export_table, "withdraw": withdraw}
+def compare(
+    name: Name,
+    number: Annotated[
+        int | None,
+        typer.Option("--import", min=1, help="compare this import; by default all measured rows"),
+    ] = None,
+    against: Annotated[
+        int | None, typer.Option(min=1, help="the import that is the reference, not the solves")
+    ] = None,
+    csv: Annotated[
+        Path | None, typer.Option(help="write the rows to this file as CSV", callback=in_folder)
+    ] = None,
+    as_json: AsJson = False,
+    server: Server = DEFAULT_SERVER,
+    data: Data = None,
+) -> None:
+    """Compare measured rows with the answer of the solves alone, or of another import's rows."""
+    with connected(server, data) as client:
+        reply = client.comparison(name, number, against)
+        text = client.comparison(name, number, against, "csv") if csv else ""
+    if csv:
+        write_whole_bytes(csv, text.encode())
+    show(reply, as_json, lambda: comparison_shown(reply))
+
+
+TABLE_COMMANDS = {
+    "import": import_table,
+    "export": export_table,
+    "withdraw": withdraw,
+    "compare": compare,
+}
 
 
 def _print_finding(name: str, finding: dict[str, Any], number: int | None) -> None:

@@ -44,6 +44,7 @@ from wrenchbook.service.messages import (
     TableRows,
 )
 from wrenchbook.service.sandbox import SandboxBusyError
+from wrenchbook.service.tables.bushing import BushingError, Others, bushing_csv
 from wrenchbook.service.tables.exporting import (
     ENDINGS,
     ExportRequest,
@@ -62,7 +63,7 @@ MAX_TABLE_BYTES: Final = 512 * 1024 * 1024
 _FORM_BYTES: Final = 64 * 1024  # of a form, around its files
 _reader_locks: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
 
-Format = Literal["csv", "xlsx", "parquet", "hdf5", "json", "packed"]
+Format = Literal["csv", "xlsx", "parquet", "hdf5", "json", "packed", "bushing"]
 MEDIA_TYPES = {
     "csv": "text/csv",
     "json": "application/json",
@@ -350,10 +351,23 @@ async def get_table(
     comments: Annotated[
         bool, Query(description="csv: lines after a # that say what it is")
     ] = False,
+    points: Annotated[int, Query(ge=2, le=1001, description="bushing: of each axis")] = 21,
+    others: Annotated[
+        Others, Query(description="bushing: what is zero on the other axes")
+    ] = "displacement",
     if_none_match: Annotated[
         str | None, Header(description="the version that the caller has")
     ] = None,
 ) -> Response:
+    if format == "bushing":
+        table = await workspace.newest(name, CATCH_UP_S)
+        try:
+            content = await run_in_threadpool(bushing_csv, table, points, others)
+        except BushingError as error:
+            raise HttpProblemError(409, "no-bushing", "No bushing table", str(error)) from None
+        filename = f"{name}-{table.version}-bushing.csv"
+        headers = {"Content-Disposition": f'attachment; filename="{filename}"'}
+        return Response(content, 200, headers, MEDIA_TYPES["csv"])
     if format == "packed":
         if table_version is not None:
             message = "a packed table is of the newest version; save it to keep that version"
