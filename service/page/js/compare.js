@@ -108,14 +108,14 @@ function picture({ reply, output, load }, k, shade) {
   if (k < 2) data.push(band(x, scaled(bars), shade));
   else {
     const known = x.filter((one) => one !== null), ends = known.length ? [known.reduce((a, b) => Math.min(a, b)), known.reduce((a, b) => Math.max(a, b))] : [0, 0], { factor } = reply.outputs[output];
-    data.push({ x: ends, y: ends, mode: "lines", line: { color: shade.muted, dash: "dot" }, hoverinfo: "skip" });
-    if (factor !== null) data.push({ x: ends, y: ends.map((one) => factor * one), mode: "lines", line: { color: shade.ink, width: 1.5 }, hoverinfo: "skip" });
+    data.push({ x: ends, y: ends, mode: "lines", line: { color: shade.muted, dash: "dot" }, hoverinfo: "skip", showlegend: false });
+    if (factor !== null) data.push({ x: ends, y: ends.map((one) => factor * one), mode: "lines", line: { color: shade.ink, width: 1.5 }, hoverinfo: "skip", showlegend: false });
   }
   for (const [n, part] of reply.campaigns.entries()) {
     const some = reply.campaign.flatMap((one, place) => (one === part.import ? [place] : []));
     const pick = (list) => some.map((place) => list[place]);
     data.push({
-      x: pick(x), y: scaled(pick(values)), customdata: pick(reply.row), mode: "markers", type: "scattergl",
+      x: pick(x), y: scaled(pick(values)), customdata: pick(reply.row), mode: "markers",
       marker: { color: colours[n % colours.length], size: 5, symbol: pick(reply.coverage).map((one) => (one === "covered" ? "circle" : "circle-open")) },
       name: part.import === null ? "no import" : `import ${part.import}`, hovertemplate: `row %{customdata}: %{y:.4~g} ${unit}<extra></extra>`,
     });
