@@ -650,8 +650,8 @@ class Comparison(Message):
     table_version: int
     inputs: Sequence[str]
     reference: Annotated[
-        dict[Literal["kind", "import", "rows", "of", "method", "bars_are_complete"], Any],
-        Doc("the solves, or another import: its rows, evenly chosen, how many it has, its method"),
+        dict[Literal["import", "rows", "of", "method", "bars_are_complete"], Any],
+        Doc("null: the solves, or an import: rows, evenly chosen, of how many, and its method"),
     ]
     measured: int
     beyond_range: int

@@ -167,15 +167,12 @@ def export_table(
         int | None, typer.Option(help="an earlier version of the table; by default the newest")
     ] = None,
     bushing: Annotated[
-        bool, typer.Option("--bushing", help="a .csv of load over displacement of each axis")
-    ] = False,
-    points: Annotated[int, typer.Option(min=2, max=1001, help="with --bushing: of an axis")] = 21,
-    others: Annotated[
-        str,
+        str | None,
         typer.Option(
-            metavar="displacement|load", help="with --bushing: what is zero on the other axes"
+            metavar="displacement|load",
+            help="a .csv of load over displacement of each axis, with this zero on the others",
         ),
-    ] = "displacement",
+    ] = None,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
@@ -192,8 +189,10 @@ def export_table(
     format_ = "csv" if printed else "packed" if ending in (".fmu", ".zip") else table_format(file)
     units = {"force": force, "moment": moment, "translation": translation, "rotation": rotation}
     units = {quantity: unit for quantity, unit in units.items() if unit is not None}
-    if bushing and (format_ != "csv" or units or table_version is not None):
+    curves = {"others": bushing} if bushing else {}
+    if curves and (format_ != "csv" or units or table_version is not None):
         raise typer.BadParameter("--bushing writes a .csv of the newest table, in SI")
+    format_ = "bushing" if curves else format_
     if printed and as_json:
         raise typer.BadParameter("--json describes a written file: name one instead of -")
     if platforms is not None:  # checked before a server is called or started
@@ -203,10 +202,7 @@ def export_table(
     else:
         targets = ()
     with connected(server, data) as client:
-        if bushing:
-            content = client.bushing(name, points, others)
-        else:
-            content = client.export_table(name, format_, units, table_version)
+        content = client.export_table(name, format_, units, table_version, **curves)
     if printed:
         sys.stdout.write(content)
         return

@@ -129,7 +129,6 @@ class AsyncClient:
     import_table = _awaited(Client.import_table)
     append = _awaited(Client.append)
     comparison = _awaited(Client.comparison)
-    bushing = _awaited(Client.bushing)
     export_table = _awaited(Client.export_table)
     invalidate_row = _awaited(Client.invalidate_row)
     restore_row = _awaited(Client.restore_row)

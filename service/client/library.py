@@ -8,14 +8,15 @@ import secrets
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from .errors import Document, InvalidArgument, Json, ProblemError, ServerTimeout, ServerUnreachable
 from .transport import BINARY, Connection, component_path
 
-_FORMATS = ("csv", "xlsx", "parquet", "hdf5", "json", "packed")
-_TEXTS = ("csv", "json")
+_FORMATS = ("csv", "xlsx", "parquet", "hdf5", "json", "packed", "bushing")
+_TEXTS = ("csv", "json", "bushing")
 _ENDINGS = {
     ".csv": "csv",
     ".json": "json",
@@ -185,27 +186,18 @@ class LibraryCalls(Connection):
         if displacements is not None:
             logs = {"loads": (filename, content), "displacements": _named_file(displacements)}
             kind, content = _form(logs)
-        query = {
-            "format": None if format is None else _known(format),
-            "dry_run": dry_run or None,
-            "decimal": decimal,
-            "filename": filename or None,
-        }
-        return self._imported(name, content, kind, query, columns)
-
-    def _imported(
-        self, name: str, content: bytes, kind: str, query: Document, columns: dict[str, Json]
-    ) -> Document:
-        """Send a table with the options of its columns."""
         mapping, ignore, rig = (columns.pop(name, None) for name in ("mapping", "ignore", "rig"))
         for part in ("frame", "load_point", "displacement_point"):
             value = columns.get(part)
             if value is not None and not isinstance(value, str):
                 columns[part] = ",".join(map(repr, np.ravel(value).astype(float).tolist()))
         query = {
-            **query,
+            "format": None if format is None else _known(format),
+            "dry_run": dry_run or None,
+            "decimal": decimal,
             "mapping": json.dumps(dict(mapping)) if mapping else None,
             "ignore": list(ignore or ()) or None,
+            "filename": filename or None,
             "rig": Path(rig).read_text("utf-8-sig", "replace") if rig else None,
             **columns,
         }
@@ -217,7 +209,7 @@ class LibraryCalls(Connection):
         name: str,
         test: str,
         rows: Mapping[str, Json] | Sequence[Mapping[str, Json]],
-        **columns: Json,
+        **columns: Any,
     ) -> Document:
         """Append rows to the table while a test runs: all of them, or none.
 
@@ -247,7 +239,7 @@ class LibraryCalls(Connection):
         many = [rows] if isinstance(rows, Mapping) else list(rows)
         in_si = any("wrench" in row for row in many)
         content = json.dumps({"rows": many} if in_si else many).encode()
-        return self._imported(name, content, "application/json", {"append": test}, columns)
+        return self.import_table(name, content, append=test, **columns)
 
     def comparison(
         self,
@@ -281,30 +273,13 @@ class LibraryCalls(Connection):
         content = self.call("GET", component_path(name, "comparison"), query=query).content
         return content.decode() if format == "csv" else json.loads(content)
 
-    def bushing(self, name: str, points: int = 21, others: str = "displacement") -> str:
-        """Return load over displacement of each axis as CSV, for bushings of multibody programs.
-
-        Parameters
-        ----------
-        points : int
-            Of an axis, evenly over the displacements that the table covers.
-        others : {"displacement", "load"}
-            What is zero on the other axes.
-
-        Raises
-        ------
-        ProblemError
-            If there is no such component (404), or no curve (409): the message says what to do.
-        """
-        query = {"format": "bushing", "points": points, "others": others}
-        return self.call("GET", component_path(name, "table"), query=query).content.decode()
-
     def export_table(
         self,
         name: str,
         format: str = "csv",  # noqa: A002 (the contract's word)
         units: Mapping[str, str] | None = None,
         table_version: int | None = None,
+        **curves: Json,
     ) -> Json:
         """Return a component's table.
 
@@ -312,21 +287,25 @@ class LibraryCalls(Connection):
         ----------
         name : str
             The component.
-        format : {"csv", "xlsx", "parquet", "hdf5", "json", "packed"}
-            Text of csv and json, bytes of the others; packed is what `Table.open` opens.
+        format : {"csv", "xlsx", "parquet", "hdf5", "json", "packed", "bushing"}
+            Text of csv and json, bytes of the others; packed is what `Table.open` opens. bushing is
+            CSV of load over displacement of each axis, for bushings of multibody programs.
         units : mapping, optional
             For csv and xlsx, any of ``force``, ``moment``, ``translation``, ``rotation`` to a unit,
             such as ``{"force": "lbf", "translation": "mm"}``; SI otherwise.
         table_version : int, optional
             The table as it was at this version; now if not given.
+        **curves
+            Of bushing: ``points`` of each axis (21), ``others``, zero on the other axes:
+            ``"displacement"`` or ``"load"``.
 
         Returns
         -------
         str or bytes
-            What `import_table` loads again; packed is derived from the rows and not loaded again.
+            What `import_table` loads again, but packed and bushing: they are derived from the rows.
         """
         chosen = _known(format)
-        query = {"format": chosen, "table_version": table_version, **(units or {})}
+        query = {"format": chosen, "table_version": table_version, **(units or {}), **curves}
         content = self.call("GET", component_path(name, "table"), query=query).content
         return content.decode() if chosen in _TEXTS else content
 

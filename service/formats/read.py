@@ -21,7 +21,7 @@ import numpy as np
 from wrenchbook.service.formats.cells import FORCE, si_factor
 from wrenchbook.service.formats.columnar import read_hdf5, read_mat, read_parquet
 from wrenchbook.service.formats.csv import read_csv
-from wrenchbook.service.formats.json import read_json, read_json_text
+from wrenchbook.service.formats.json import read_json
 from wrenchbook.service.formats.options import (
     MEASURED,
     Format,
@@ -47,6 +47,7 @@ from wrenchbook.surrogate.table.rows import Rows, joined, unknown_column
 from wrenchbook.surrogate.table.space import DEFAULT, Space
 
 MAX_PREVIEW = 100
+MAX_BLOCK = 1_000  # rows that are appended at once: read in hundredths of a second
 MAX_BYTES = 512 * 1024 * 1024
 """Of a file, packed or not: two million rows of 12 numbers, or a million with 17 digits each."""
 
@@ -121,21 +122,17 @@ def read_untrusted(files: Sequence[Path], options: Options, preview: int = 0) ->
     return ReadResult(parts[-1].fields, parts[:-1], options.space)
 
 
-def read_block(content: bytes, options: Options, most: int) -> ReadResult:
-    """Read at most `most` rows of a JSON table, or one row, in this process; without findings.
+def read_block(file: Path, options: Options) -> ReadResult:
+    """Read a small JSON table, `MAX_BLOCK` rows at most, in this process; without findings.
 
-    The caller limits the bytes. A child of its own takes longer than a test bench between two rows.
+    The caller limits its bytes. A child takes longer to start than a bench to measure a row.
     """
-    report, pieces = ReadReport(format="json"), list[ParsedTable]()
-    try:
-        text = content.decode("utf-8-sig")
-        pieces += _corrected(read_json_text(text, options, report), options, report)
-    except UnicodeDecodeError as error:
-        report.mistakes.ruin(0, "file", f"is not JSON: {error.reason}; send it as UTF-8")
-    if report.read > most:
-        report.mistakes.ruin(0, "rows", f"are {report.read:,}; append {most:,} at once, or import")
-    parts = [_part(piece) for piece in pieces if len(piece)]
-    good = sum(map(len, pieces))
+    report = ReadReport(format="json")
+    pieces = list(_corrected(read_json(file, options, report), options, report))
+    if report.read > MAX_BLOCK:
+        message = f"are {report.read:,}; append {MAX_BLOCK:,} at most, or import the table"
+        report.mistakes.ruin(0, "rows", message)
+    good, parts = sum(map(len, pieces)), [_part(piece) for piece in pieces if len(piece)]
     return ReadResult({**report.as_json(good, []), "findings": []}, parts, options.space)
 
 

@@ -155,7 +155,7 @@ def _import(
 
 
 def append_rows(
-    db: Connection, component: str, block: NotedRows, about: About
+    db: Connection, component: str, blocks: Iterable[NotedRows], about: About
 ) -> tuple[int, int, int | None]:
     """Append rows to the import of this sender, component and file name; the first call makes it.
 
@@ -177,18 +177,21 @@ def append_rows(
             f"import {number}, {about.filename!r}, is withdrawn; restore it, or append to another "
             "name"
         )
-    new, known = rows.insert(db, component, block, row_keys(component, block), now)
-    if not new:
-        return 0, known, number
-    number = number or db.execute(_INSERT, (component, now, *astuple(about))).lastrowid
-    db.execute("UPDATE imports SET rows = rows + ? WHERE id = ?", (new, number))
-    last = sequences(db)["rows"]
-    first = last - new + 1
-    longer = "UPDATE import_parts SET last = ? WHERE import = ? AND last = ?"
-    if not db.execute(longer, (last, number, first - 1)).rowcount:
-        part = first, last, number, component
-        db.execute("INSERT INTO import_parts VALUES (?, ?, ?, ?, 0)", part)
-    return new, known, number
+    total = known = 0
+    for block in blocks:
+        new, old = rows.insert(db, component, block, row_keys(component, block), now)
+        total, known = total + new, known + old
+        if not new:
+            continue
+        number = number or db.execute(_INSERT, (component, now, *astuple(about))).lastrowid
+        db.execute("UPDATE imports SET rows = rows + ? WHERE id = ?", (new, number))
+        last = sequences(db)["rows"]
+        first = last - new + 1
+        longer = "UPDATE import_parts SET last = ? WHERE import = ? AND last = ?"
+        if not db.execute(longer, (last, number, first - 1)).rowcount:
+            part = first, last, number, component
+            db.execute("INSERT INTO import_parts VALUES (?, ?, ?, ?, 0)", part)
+    return total, known, number
 
 
 def drop_abandoned(ledger: Ledger) -> None:

@@ -20,10 +20,8 @@ from wrenchbook.surrogate.findings.comparison import MAX_ROWS as MAX_COMPARED
 from wrenchbook.surrogate.findings.comparison import comparison_findings
 from wrenchbook.surrogate.findings.find import MAX_ROWS
 from wrenchbook.surrogate.table.compliance import fit_compliance
-from wrenchbook.surrogate.table.rows import joined
 
 SAME = 1e-12  # of a number: what an export in other units and its import may lose
-MAX_APPENDED = 1_000  # rows of a block: read in hundredths of a second
 _MAX_TRIED = 16  # stored rows of nearly one sum that a row is compared with; others hardly occur
 
 # By component: its setup and number of solves, and their compliance.
@@ -41,27 +39,33 @@ def import_files(
     partial: bool = False,
     preview: int = 0,
     table: ServedTable | None = None,
+    append: bool = False,
 ) -> dict[str, Any]:
     """Read one table, or the logs of the loads and the displacements, and load its rows.
 
     Load range and fingerprint are the component's, not those of `options`. `dry_run` only counts;
     with `partial` the good rows are loaded though others have mistakes; the reply has the first
-    `preview` good rows. Findings say where measured rows differ from the answers of `table`. The
-    reply has the members ``inserted``, ``existing``, ``errors``, ``rows`` and so on; ``loaded`` is
+    `preview` good rows. With `append` the rows of a JSON block go into the import of `about`,
+    without findings. Findings say where measured rows differ from the answers of `table`. The reply
+    has the members ``inserted``, ``existing``, ``errors``, ``rows`` and so on; ``loaded`` is
     whether rows were loaded. Raises SandboxBusyError, ImportRunningError, LedgerUnavailableError or
     OSError if nothing could be read or written now.
     """
     component_options = replace(
         options, load_range=component.load_range, fingerprint=component.fingerprint
     )
-    read = read_untrusted(files, component_options, preview)
+    if append:
+        read = read_block(files[0], component_options)
+    else:
+        read = read_untrusted(files, component_options, preview)
     report = dict(read.report)
     refused = report.pop("whole") or bool(report["errors"] and not partial)
     report.pop("converted")
     inserted, existing, number = 0, 0, None
 
     def pieces() -> Iterator[ParsedTable]:
-        return _with_stored_numbers(ledger, component, read)
+        # A block that is sent again has its numbers; with each row there are more to compare.
+        return read.pieces() if append else _with_stored_numbers(ledger, component, read)
 
     def keys(piece: ParsedTable) -> list[bytes]:
         return row_keys(component.name, NotedRows(piece, piece.note))
@@ -87,53 +91,20 @@ def import_files(
         about = replace(about, format=report["format"], rig=options.rig)
         about = replace(about, findings=json.dumps(stored))
         blocks = (NotedRows(piece, piece.note) for piece in pieces())
-        inserted, existing, number = ledger.import_rows(component.name, blocks, about)
-    reply = _reply(report, options, inserted, existing, number, loaded=not refused and not dry_run)
-    return {**reply, "dry_run": dry_run, "partial": partial}
-
-
-def append_block(
-    ledger: Ledger, component: Component, content: bytes, options: Options, about: About
-) -> dict[str, Any]:
-    """Append the rows of a small JSON block, or none, to an import; the reply is `import_files`'s.
-
-    The import is that of `about.filename` and `about.who`. Raises AppendError or
-    LedgerUnavailableError.
-    """
-    options = replace(options, load_range=component.load_range, fingerprint=component.fingerprint)
-    read = read_block(content, options, MAX_APPENDED)
-    report = dict(read.report)
-    refused = report.pop("whole") or bool(report["errors"])
-    report.pop("converted")
-    counts = 0, 0, None
-    pieces = list(read.pieces())
-    if pieces and not refused:
-        about = replace(about, rig=options.rig)
-        notes = [note for piece in pieces for note in piece.note]
-        counts = ledger.append_rows(component.name, NotedRows(joined(pieces), notes), about)
-    reply = _reply(report, options, *counts, loaded=not refused)
-    return {**reply, "dry_run": False, "partial": False}
-
-
-def _reply(
-    report: dict[str, Any],
-    options: Options,
-    inserted: int,
-    existing: int,
-    number: int | None,
-    *,
-    loaded: bool,
-) -> dict[str, Any]:
+        load = ledger.append_rows if append else ledger.import_rows
+        inserted, existing, number = load(component.name, blocks, about)
     rows = report.pop("rows")
     good = rows.pop("good")
     return {
         "inserted": inserted,
         "existing": existing,
+        "dry_run": dry_run,
+        "partial": partial,
         "import": number,
         "rig": Rig.read(options.rig).as_json() if options.rig else None,
-        "loaded": loaded,
+        "loaded": not refused and not dry_run,
         **report,
-        "rows": {**rows, "loaded": good if loaded else 0},
+        "rows": {**rows, "loaded": 0 if refused or dry_run else good},
     }
 
 
@@ -163,8 +134,7 @@ def solved_compliance(component: Component, table: ServedTable) -> list[list[flo
     """Return the compliance (outputs, inputs), SI, of a component's solves, zero where unknown."""
     if not component.has_fea or not (count := table.sources.get("fea")):
         return None
-    setup = component.fingerprint, count
-    known = _solved.get(component.name)
+    setup, known = (component.fingerprint, count), _solved.get(component.name)
     if known is None or known[0] != setup:  # appended rows come often, solves do not
         rows = table.rows
         solved = rows.take(np.flatnonzero(rows.source == "fea")[:MAX_ROWS])

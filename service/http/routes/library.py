@@ -23,12 +23,11 @@ from wrenchbook.service.http.routes.rows import file_fields
 from wrenchbook.service.ledger import About
 from wrenchbook.service.messages import Card, Comparison, Demand, Disagreement, Import, Imports
 from wrenchbook.service.tables.comparison import (
-    Setup,
     UncomparableError,
     comparison,
     comparison_csv,
+    disagreement,
 )
-from wrenchbook.service.tables.disagreement import disagreement
 from wrenchbook.service.tables.importing import copy_rows
 from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.tables.rows import iso_time
@@ -163,8 +162,7 @@ def restore_import(
 def list_disagreements(name: str, workspace: Opened) -> Response:
     component = workspace.library[name]
     table = workspace.tables.caught_up(name, CATCH_UP_S)
-    setup = component.load_range, component.tolerance, component.linear, table.locked
-    compared = disagreement(table.rows, *setup, table.solver_error)
+    compared = disagreement(component, table.rows, table.solver_error)
     return json_reply(Disagreement(component=name, table_version=table.version, **compared))
 
 
@@ -202,17 +200,15 @@ def _compared(
     against: int | None,
     form: str,
 ) -> Response:
-    span, limit = table.load_range, table.tolerance
-    setup = Setup(span, limit, table.linear, table.locked, table.solver_error)
-    spans = workspace.ledger.import_spans(name)
+    component, spans = workspace.library[name], workspace.ledger.import_spans(name)
     try:
-        reply = comparison(table.rows, spans, setup, number, against)
+        reply = comparison(component, table.rows, table.solver_error, spans, number, against)
     except UncomparableError as error:
         raise HttpProblemError(409, "no-comparison", "Nothing to compare", str(error)) from None
     if form == "csv":
         headers = {"Content-Disposition": f'attachment; filename="{name}-comparison.csv"'}
-        return Response(comparison_csv(reply, span.space), 200, headers, "text/csv")
-    more = {"table_version": table.version, "inputs": span.space.input_names}
+        return Response(comparison_csv(reply, component.space), 200, headers, "text/csv")
+    more = {"table_version": table.version, "inputs": component.space.input_names}
     return json_reply(Comparison(component=name, **more, **reply))
 
 

@@ -7,7 +7,7 @@ import hashlib
 import shutil
 import tempfile
 from collections.abc import AsyncIterator, Sequence
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, nullcontext
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, NamedTuple
@@ -30,7 +30,7 @@ from wrenchbook.service.formats import (
 from wrenchbook.service.formats.rig import MAX_RIG, Rig, rig_text
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import Body
-from wrenchbook.service.http.body import PIECE, content_type, form_of, read_limited, spooled
+from wrenchbook.service.http.body import PIECE, content_type, form_of, spooled
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.routes import Opened, holds, json_reply, naming
@@ -50,7 +50,7 @@ from wrenchbook.service.tables.exporting import (
     ExportRequest,
     export_table,
 )
-from wrenchbook.service.tables.importing import append_block, import_files, solved_compliance
+from wrenchbook.service.tables.importing import import_files, solved_compliance
 from wrenchbook.service.tables.store import setup_of
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.kernel.format import SUFFIX
@@ -112,14 +112,9 @@ _TAKEN = frozenset(
     }
 )
 _MAX_COLUMNS = 1000
-# Of an import that one block does not have: all of its rows, other formats.
-_OF_FILES = {"format", "dry_run", "partial", "preview", "tare"}
-_OF_FILES |= {"sheet", "time_offset_s", "max_gap_s", "filename"}
+# Options of files, which a block is not.
+_OF_FILES = {"tare", "preview", "sheet", "time_offset_s", "max_gap_s", "filename"}
 _MAX_APPENDED_BYTES = 1 << 20
-_REMEDY = (
-    "Correct them and send the complete file again, or say --partial (over HTTP partial=true) to "
-    "load the good rows."
-)
 WAIT_S = 10.0  # a table of 20,000 measured rows is built by then
 MAX_WAIT_S = 600.0  # a million rows take minutes
 _POINT = "x,y,z from the interface's point in its frame, m: the point that"
@@ -440,9 +435,6 @@ async def import_table(
 ) -> Response:
     component = workspace.library[name]
     kind = content_type(request)
-    if query.append is not None and kind not in ("", MEDIA_TYPES["json"]):
-        message = f"The content type is {kind}. A block of rows is {MEDIA_TYPES['json']}."
-        raise HttpProblemError(415, "media-type", "Rows are appended as JSON", message)
     if kind and kind not in _TAKEN:
         raise HttpProblemError(
             415,
@@ -454,22 +446,17 @@ async def import_table(
     table = workspace.tables.surrogate(name)
     solved = await run_in_threadpool(solved_compliance, component, table)
     options = replace(query.options(), solved=solved, linear=component.linear)
-    key = permission_of(request.scope).key
-    if query.append is not None:
-        block = await read_limited(request.receive, _MAX_APPENDED_BYTES)
-        about = About(who=key.name if key else "", filename=query.append, note=query.note)
-        given = workspace.ledger, component, block, options, about
-        reply = await run_in_threadpool(append_block, *given)
-        return await _answered(workspace, name, query, reply)
-    async with received(request) as sent:
+    most = _MAX_APPENDED_BYTES if query.append else MAX_TABLE_BYTES
+    async with received(request, most) as sent:
+        key = permission_of(request.scope).key
         about = About(
             who=key.name if key else "",
-            filename=query.filename or sent.filename,
-            digest=sent.digest,
+            filename=query.append or query.filename or sent.filename,
+            digest="" if query.append else sent.digest,
             note=query.note,
         )
         caller = about.who or (request.client.host if request.client else "")
-        async with one_reader(caller):
+        async with nullcontext() if query.append else one_reader(caller):
             reply = await run_in_threadpool(
                 import_files,
                 workspace.ledger,
@@ -480,15 +467,9 @@ async def import_table(
                 dry_run=query.dry_run,
                 partial=query.partial,
                 preview=query.preview,
-                table=table if component.space.is_default else None,
+                table=table if component.space.is_default and not query.append else None,
+                append=bool(query.append),
             )
-    return await _answered(workspace, component.name, query, reply)
-
-
-async def _answered(
-    workspace: Workspace, name: str, query: ImportQuery, reply: dict[str, Any]
-) -> Response:
-    """Return the reply of an import, once answers come from its rows; 422 if it has mistakes."""
     loaded = reply.pop("loaded")
     if reply["errors"] and not (query.dry_run or loaded):
         errors = reply["errors"]
@@ -502,15 +483,16 @@ async def _answered(
             "bad-rows",
             "The table has mistakes",
             f"Nothing was loaded. {len(errors)} mistake(s); the first is in row {first['row']}, "
-            f"{first['field']}: {first['message']}. "
-            + ("Correct them and send the block again." if query.append else _REMEDY),
+            f"{first['field']}: {first['message']}. Correct them and send the complete file again, "
+            "or say --partial (over HTTP partial=true) to load the good rows.",
             **reply,
         )
-    waits = query.append is None or "wait_s" in query.model_fields_set
-    wait_s = query.wait_s if waits and loaded and reply["inserted"] else 0.0
-    caught_up = await workspace.caught_up(name, wait_s)
+    wait_s = query.wait_s if loaded and reply["inserted"] else 0.0
+    if query.append and "wait_s" not in query.model_fields_set:
+        wait_s = 0.0  # the next row comes soon
+    caught_up = await workspace.caught_up(component.name, wait_s)
     reply["in_use"] = caught_up and (loaded or not reply["inserted"])
-    reply["table_version"] = workspace.ledger.last_seq(name)
+    reply["table_version"] = workspace.ledger.last_seq(component.name)
     return json_reply(reply)
 
 
@@ -523,18 +505,18 @@ class Received(NamedTuple):
 
 
 @asynccontextmanager
-async def received(request: Request) -> AsyncIterator[Received]:
+async def received(request: Request, most: int = MAX_TABLE_BYTES) -> AsyncIterator[Received]:
     """Give a table's body as files, and delete them at the end.
 
     A plain body is one file; a form has the files ``loads`` and ``displacements``, or ``table``. It
     raises 413 as soon as the body is too large, and 422 if a form lacks its files.
     """
     if content_type(request) != "multipart/form-data":
-        async with spooled(request.receive, MAX_TABLE_BYTES) as body:
+        async with spooled(request.receive, most) as body:
             path = body.path or await run_in_threadpool(body.append, body.content)
             yield Received((path,), "", await run_in_threadpool(_digest, (path,)))
         return
-    async with form_of(request, MAX_TABLE_BYTES + _FORM_BYTES, 2) as form:
+    async with form_of(request, most + _FORM_BYTES, 2) as form:
         names = ("loads", "displacements") if "loads" in form else ("table",)
         uploads = [sent for name in names if isinstance(sent := form.get(name), UploadFile)]
         if len(uploads) < len(names):
