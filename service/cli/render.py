@@ -116,7 +116,7 @@ def comparison_shown(reply: dict[str, Any]) -> Iterator[RenderableType]:
         yield f"Nothing is compared: {reply['reason']}."
         return
     if not of["bars_are_complete"]:
-        yield "The reference's bars lack the solver's own error, which is not known."
+        yield "The reference's bars are not known, since the solver's own error is not."
     table = Table()
     columns = "import", "", "factor", "± 95 %", "of it bars", "mean residual", "rms"
     for heading in (*columns, "beyond bars"):
@@ -127,8 +127,9 @@ def comparison_shown(reply: dict[str, Any]) -> Iterator[RenderableType]:
             if not one["compared"]:
                 continue
             half = one["half_width"]
-            sure = half is not None and half < abs(one["factor"])
-            factor = f"{one['factor']:.5g}" if sure else "not told"
+            known = one["factor"] is not None
+            told = known and (half is None or half < abs(one["factor"]))
+            factor = f"{one['factor']:.5g}" if told else "not told"
             parts = [half, one["of_reference"], one["mean"], one["rms"]]
             numbers = ("unknown" if value is None else f"{value:.2g}" for value in parts)
             beyond = f"{one['beyond_bars']} of {one['compared']}"

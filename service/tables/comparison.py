@@ -191,8 +191,14 @@ def comparison_csv(reply: Mapping[str, Any], space: Space) -> str:
 
 
 def disagreement(component: Component, rows: Rows, error: SolverError | None) -> dict[str, Any]:
-    """Return the measured rows outside the bars of reading and solves: `messages.Disagreement`."""
-    reply = comparison(component, rows, error)
+    """Return the measured rows outside the bars of reading and solves: `messages.Disagreement`.
+
+    `error` is what the solver may be wrong by; nothing where that is not known.
+    """
+    span = component.load_range
+    none = np.zeros((len(span.space.outputs), len(span.low)))
+    known = error or SolverError({"mesh": none.tolist(), "loads": span.scale.tolist()})
+    reply = comparison(component, rows, known)
     own, residual = reply["uncertainty"], reply["residual"]
     bound = _bound(reply["bar"], np.where(np.isfinite(own), own, reply["noise"]))
     compared = np.isfinite(residual) & np.isfinite(bound)

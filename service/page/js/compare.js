@@ -73,7 +73,7 @@ function words(reply) {
     coverages.outside ? `${count(coverages.outside)} are outside its rows and have no answer.` : "",
     coverages.thin ? `${count(coverages.thin)} are where its rows are thin.` : "",
     reply.beyond_range ? `${count(reply.beyond_range)} are outside the load range.` : "",
-    reference.bars_are_complete ? "" : "Its bars lack the solver's own error, which is not known.",
+    reference.bars_are_complete ? "" : "Its bars are not known, since the solver's own error is not.",
     "A residual within the bars of reference and reading is no difference.",
   ];
   return el("p", {}, parts.filter(Boolean).join(" "));
@@ -86,7 +86,7 @@ function factors(reply) {
       if (!one.compared) continue;
       const sure = one.half_width !== null && one.half_width < Math.abs(one.factor);
       lines.push([part.import === null ? "none" : String(part.import), symbol(name),
-        sure ? number(one.factor, 5) : "not told", one.half_width === null ? "unknown" : `± ${number(one.half_width, 2)}`, one.of_reference === null ? "unknown" : `± ${number(one.of_reference, 2)}`,
+        sure || one.half_width === null ? number(one.factor, 5) : "not told", one.half_width === null ? "unknown" : `± ${number(one.half_width, 2)}`, one.of_reference === null ? "unknown" : `± ${number(one.of_reference, 2)}`,
         quantity(one.mean, unitOfOutput(name)), quantity(one.rms, unitOfOutput(name)), `${count(one.beyond_bars)} of ${count(one.compared)}`]);
     }
   }
