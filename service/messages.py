@@ -666,10 +666,10 @@ class Comparison(Message):
     outputs: Annotated[
         dict[str, dict[str, Any]],
         Doc(
-            "of each: compared, beyond_bars (of reference and reading), bars_unknown, mean and rms "
-            "of the residuals; factor: measured = factor x expected, half_width: its 95 %, "
-            "of_reference: the part of it that the reference's bar is. Rows outside the "
-            "reference's coverage are not in these"
+            "of each: rows compared, unanswered (outside the reference's rows, in no number here), "
+            "beyond_bars (of reference and reading), bars_unknown; mean and rms of the residuals; "
+            "factor: measured = factor x expected, half_width: its 95 %, of_reference: the part of "
+            "it that the reference's bar is"
         ),
     ]
     campaigns: Annotated[
@@ -681,7 +681,7 @@ class Comparison(Message):
     coverage: Annotated[Sequence[Coverage], Doc("by the reference")]
     wrench: Annotated[Vector, FiniteArray(None, None)]
     displacement: Annotated[Vector, FloatArray(None, None), Doc("as measured, m and rad")]
-    expected: Annotated[Vector, FloatArray(None, None), Doc("null where outside")]
+    expected: Annotated[Vector, FloatArray(None, None), Doc("null outside its rows")]
     residual: Annotated[Vector, FloatArray(None, None), Doc("displacement - expected")]
     bar: Annotated[Vector, FloatArray(None, None), Doc("95 % of expected")]
     uncertainty: Annotated[Vector, FloatArray(None, None), Doc("95 % of displacement, as stated")]

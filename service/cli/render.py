@@ -112,6 +112,8 @@ def comparison_shown(reply: dict[str, Any]) -> Iterator[RenderableType]:
     )
     if beyond := reply["beyond_range"]:
         yield f"{beyond} measured rows are outside the load range and are not compared."
+    if beyond := max(one["unanswered"] for one in reply["outputs"].values()):
+        yield f"{beyond} rows are outside the reference's rows and are not compared."
     if reply["reason"]:
         yield f"Nothing is compared: {reply['reason']}."
         return

@@ -81,7 +81,7 @@ def comparison(
     places = places[:: -(-len(places) // MAX_COMPARED) or 1]
     used = base if against is None else base[:: -(-len(base) // MAX_REFERENCE)]
     some, outputs, campaign = rows.take(places), component.space.output_names, of_import[places]
-    reason, method = "", "none"
+    reason, method, complete = "", "none", np.bool_(against is not None or error is not None)
     expected, bar = np.full((2, *some.displacement.shape), np.nan)
     noise, coverage = np.full(len(outputs), np.nan), np.full(len(some), _OUTSIDE)
     if not len(base):
@@ -96,7 +96,8 @@ def comparison(
         # A reading at the same wrench is no answer: its noise would be the reference's.
         replies = packed.batch(some.wrench, without_rows=against is not None)
         method, coverage = packed.answers_by(), replies.coverage
-        answered = (coverage != _OUTSIDE)[:, None]
+        # Far from its rows a kriging extrapolates and has no bar.
+        answered = (coverage != _OUTSIDE)[:, None] & (np.isfinite(replies.errors) | ~complete)
         expected = np.where(answered, replies.outputs, np.nan)
         bar = np.where(answered, replies.errors, np.nan)
     own = np.ascontiguousarray(some.uncertainty)  # as the JSON writer needs it
@@ -112,7 +113,7 @@ def comparison(
             "rows": len(used),
             "of": len(base),
             "method": method,
-            "bars_are_complete": against is not None or error is not None,
+            "bars_are_complete": bool(complete),
         },
         "measured": int(chosen.sum()),
         "beyond_range": int((chosen & ~inside).sum()),
@@ -168,6 +169,7 @@ def _summary(measured: Floats, expected: Floats, bar: Floats, scatter: Floats) -
     }
     return {
         "compared": len(some),
+        "unanswered": int((np.isfinite(measured) & np.isnan(expected)).sum()),
         "beyond_bars": int((np.abs(residual) > bound).sum()),
         "bars_unknown": int((np.isfinite(residual) & np.isnan(bound)).sum()),
         **{name: float(one) if np.isfinite(one) else None for name, one in numbers.items()},

@@ -65,12 +65,12 @@ function varying(reply, kind) {
 }
 
 function words(reply) {
-  const { reference, coverages } = reply;
+  const { reference, coverages } = reply, unanswered = Math.max(...Object.values(reply.outputs).map((one) => one.unanswered));
   if (reply.reason) return note("", `Nothing is compared: ${reply.reason}.`);
   const by = reference.import === null ? "the answer of the solves alone" : `a ${reference.method} of the rows of import ${reference.import}`;
   const parts = [
     `${count(reply.compared)} of ${count(reply.measured)} measured rows${reply.compared < reply.measured - reply.beyond_range ? ", evenly chosen," : ""} beside ${by} (${count(reference.rows)}${reference.rows < reference.of ? ` of ${count(reference.of)}` : ""} rows).`,
-    coverages.outside ? `${count(coverages.outside)} are outside its rows and have no answer.` : "",
+    unanswered ? `${count(unanswered)} are outside its rows and have no answer.` : "",
     coverages.thin ? `${count(coverages.thin)} are where its rows are thin.` : "",
     reply.beyond_range ? `${count(reply.beyond_range)} are outside the load range.` : "",
     reference.bars_are_complete ? "" : "Its bars are not known, since the solver's own error is not.",
