@@ -44,15 +44,16 @@ def imports(http):  # noqa: F811
 
 def test_appended_rows_raise_the_version_cover_the_wrench_and_shrink_its_bar(live):
     told = []
-    for seed in range(4):
-        reply = append(live, block(seed)).json()
+    for seed, count in enumerate((2, 12, 60, 400)):
+        reply = append(live, block(seed, count)).json()
         wait_for_version(live, "live", reply["table_version"])
         body = {"force": [0, 0, 61.0], "on_thin": "estimate"}
         answer = live.post("/v1/components/live/displacement", json=body).json()
-        told.append((answer["table_version"], answer["error"]["translation"][2]))
-    versions, bars = zip(*told, strict=True)
+        told.append((answer["coverage"], answer["table_version"], answer["error"]))
+    coverages, versions, errors = zip(*told, strict=True)
+    assert coverages[0] != coverages[-1] == "covered"
     assert sorted(set(versions)) == list(versions)
-    assert answer["coverage"] == "covered"
+    bars = [error["translation"][2] for error in errors[1:]]
     assert bars[-1] < 0.6 * bars[0]
     assert abs(answer["translation"][2] - (61e-5 + 61**3 * 1e-9)) <= bars[-1]
 

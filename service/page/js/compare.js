@@ -59,7 +59,8 @@ export async function show(root, about, signal) {
 
 // The outputs that are compared, or the loads that act.
 function varying(reply, kind) {
-  if (kind === "output") return OUTPUTS.filter((name) => reply.outputs[name]?.compared);
+  const compared = OUTPUTS.filter((name) => reply.outputs[name].compared);
+  if (kind === "output") return compared.length ? compared : OUTPUTS;
   const acting = LOADS.filter((_, k) => reply.wrench.some((one) => one[k] !== 0));
   return acting.length ? acting : LOADS;
 }
