@@ -162,11 +162,13 @@ def append_rows(
     Returns as `import_rows`. A block that is sent again changes nothing. Raises AppendError if the
     import has readings of another rig, or all of its rows are withdrawn.
     """
-    about, now = replace(about, format=APPENDED), time.time()
+    about = replace(about, format=APPENDED)
     names = "component = ? AND format = ? AND filename = ? AND who = ?"
     which = component, about.format, about.filename, about.who
-    select = f"SELECT id, rig FROM imports WHERE {names} ORDER BY id DESC LIMIT 1"
-    number, rig = db.execute(select, which).fetchone() or (None, about.rig)
+    select = f"SELECT id, rig, created FROM imports WHERE {names} ORDER BY id DESC LIMIT 1"
+    known = db.execute(select, which).fetchone()
+    # Rows of one time are one session of the measurement.
+    number, rig, now = known or (None, about.rig, time.time())
     if rig != about.rig:
         raise AppendError(
             f"import {number}, {about.filename!r}, has readings of another rig, frame or point; "

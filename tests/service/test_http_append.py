@@ -58,6 +58,25 @@ def test_appended_rows_raise_the_version_cover_the_wrench_and_shrink_its_bar(liv
     assert abs(answer["translation"][2] - (61e-5 + 61**3 * 1e-9)) <= bars[-1]
 
 
+def test_a_test_that_was_appended_answers_as_an_import_of_its_rows(live):
+    blocks = [block(seed, 40) for seed in range(6)]
+    for some in blocks:
+        append(live, some)
+    live.post("/v1/components", json=LIVE | {"name": "file"})
+    query = {"missing_loads": "zero", "wait_s": 60}
+    live.post(
+        "/v1/components/file/table", json=[row for some in blocks for row in some], params=query
+    )
+    table = live.get("/v1/components/live").json()["table_version"]
+    wait_for_version(live, "live", table)
+    replies = [
+        live.post(f"/v1/components/{name}/displacement", json={"force": [0, 0, 61.0]}).json()
+        for name in ("live", "file")
+    ]
+    for key in ("translation", "error"):
+        assert replies[0][key] == replies[1][key]
+
+
 def test_a_block_that_is_sent_again_adds_nothing_and_all_are_one_import(live):
     first = append(live, block(1)).json()
     again = append(live, block(1)).json()
