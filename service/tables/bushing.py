@@ -12,7 +12,6 @@ from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.surrogate.answer import NAMES
 from wrenchbook.surrogate.findings.find import loop_of
 from wrenchbook.surrogate.kernel.replies import InverseError
-from wrenchbook.surrogate.table.rows import Floats
 
 Others = Literal["displacement", "load"]
 HALVINGS = 40  # of the way to the end of a curve: to 1e-12 of it
@@ -55,7 +54,10 @@ def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
             why = why or f"{OUTPUTS[axis]}: {error}"
             continue
         for d in np.linspace(low, high, points).tolist():
-            point = curve.at(d)
+            try:
+                point = curve.at(d)
+            except (InverseError, BushingError):  # a gap between the ends
+                point = _Point(np.nan, np.nan, np.nan, np.nan, _OUTSIDE)
             width = abs(loop[axis]) * point.stiffness
             if not loop[axis] and not hidden[axis] <= point.moved:
                 width = np.nan  # no loop is seen, and rows would not show one as large as the bar
@@ -73,43 +75,32 @@ class _Curve:
 
     def __init__(self, table: ServedTable, axis: int, others: Others) -> None:
         self.table, self.axis, self.others = table, axis, others
+        self.unit = np.eye(len(LOADS))[axis]
         self.low, self.high = table.load_range.low[axis], table.load_range.high[axis]
-        self.rest = self._moved(0.0)
-        self.start = np.zeros(len(LOADS))
         if not self.low < self.high:
             raise BushingError("its load has no range")
-        if others == "load" and not np.isfinite(self.rest):
-            raise BushingError("no row has this displacement")
-        self.at(self._zero())
-
-    def _zero(self) -> float:
-        return 0.0 if self.others == "displacement" else self.rest
-
-    def _wrench(self, load: float) -> Floats:
-        wrench = np.zeros(len(LOADS))
-        wrench[self.axis] = load
-        return wrench
+        self.rest = 0.0 if others == "displacement" else self._moved(0.0)
+        self.at(self.rest)
 
     def _moved(self, load: float) -> float:
-        replies = self.table.packed.batch(self._wrench(load)[None], without_rows=True)
-        return float(replies.outputs[0, self.axis])
+        """Return the displacement of the axis by its load alone, m or rad."""
+        wrench = load * self.unit[None] + 0.0  # no negative zeros
+        return float(self.table.packed.batch(wrench, without_rows=True).outputs[0, self.axis])
 
     def end(self, side: int) -> float:
         """Return the last displacement of a side that the table covers, m or rad."""
-        inside, outside = self._zero(), self._moved(self.high if side > 0 else self.low)
-        if self._is_covered(outside):
-            return outside
+        inside, outside = self.rest, self._moved(self.high if side > 0 else self.low)
+        middle = outside
         for _ in range(HALVINGS):
+            try:
+                self.at(middle)
+                inside = middle
+            except (InverseError, BushingError):
+                outside = middle
+            if inside == outside:
+                break
             middle = 0.5 * (inside + outside)
-            inside, outside = (middle, outside) if self._is_covered(middle) else (inside, middle)
         return inside
-
-    def _is_covered(self, d: float) -> bool:
-        try:
-            self.at(d)
-        except (InverseError, BushingError):
-            return False
-        return True
 
     def at(self, d: float) -> _Point:
         """Return the point of a displacement, m or rad.
@@ -118,7 +109,7 @@ class _Curve:
         """
         packed, axis = self.table.packed, self.axis
         if self.others == "displacement":
-            wrench, stiffness = packed.inverse(self._wrench(d), self.start)
+            wrench, stiffness = packed.inverse(d * self.unit)
             row = stiffness[axis]
         else:
             low, high = (self._moved(load) - d for load in (self.low, self.high))
@@ -127,8 +118,9 @@ class _Curve:
             span = self.low, self.high
             tight = 1e-15 * (self.high - self.low)
             load = root_scalar(lambda f: self._moved(f) - d, bracket=span, xtol=tight).root
-            wrench, row = self._wrench(load), np.zeros(len(OUTPUTS))
-            row[axis] = 1 / packed.derivatives(wrench[None], without_rows=True)[0, axis, axis]
+            wrench = load * self.unit + 0.0
+            slope = packed.derivatives(wrench[None], without_rows=True)[0, axis, axis]
+            row = self.unit / slope
         reply = packed.batch(wrench[None], without_rows=True)
         coverage, errors = int(reply.coverage[0]), reply.errors[0]
         if not self.table.load_range.holds(wrench[None])[0] or coverage == _OUTSIDE:
