@@ -15,6 +15,7 @@ from wrenchbook.surrogate.kernel.replies import InverseError
 
 Others = Literal["displacement", "load"]
 HALVINGS = 40  # of the way to the end of a curve: to 1e-12 of it
+SHORT = 1e-3  # of the load range: a shorter curve is none
 _OUTSIDE = NAMES.index("outside")
 _HEAD = "axis,displacement [m or rad],load [N or N*m],bar [N or N*m],loop [N or N*m],coverage\n"
 
@@ -50,6 +51,9 @@ def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
         try:
             curve = _Curve(table, axis, others)
             low, high = curve.end(-1), curve.end(1)
+            loads = curve.at(high).load - curve.at(low).load
+            if not abs(loads) > SHORT * (curve.high - curve.low):
+                raise BushingError("the rows cover no loads beside zero")
         except (InverseError, BushingError) as error:
             why = why or f"{OUTPUTS[axis]}: {error}"
             continue
