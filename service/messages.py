@@ -643,6 +643,50 @@ class Disagreement(Message):
     reason: Annotated[str, Doc("why no row is compared")] = left_out(default="")
 
 
+class Comparison(Message):
+    """Measured rows beside a reference; arrays have a line a row, in the order of the rows."""
+
+    component: str
+    table_version: int
+    inputs: Sequence[str]
+    reference: Annotated[
+        dict[Literal["import", "rows", "of", "method", "bars_are_complete"], Any],
+        Doc("null: the solves, or an import: rows, evenly chosen, of how many, and its method"),
+    ]
+    measured: int
+    beyond_range: int
+    compared: Annotated[int, Doc("rows here: 3,000 at most, evenly chosen of those in the range")]
+    coverages: Annotated[dict[Coverage, int], Doc("of the rows by the reference")]
+    noise: Annotated[
+        Vector,
+        FloatArray(None),
+        Doc("95 % of one reading, which counts where a row states none; by the rows alone"),
+    ]
+    reason: Annotated[str, Doc("why no row is compared; empty if any is")]
+    outputs: Annotated[
+        dict[str, dict[str, Any]],
+        Doc(
+            "of each: rows compared, unanswered (outside the reference's rows, in no number here), "
+            "beyond_bars (of reference and reading), bars_unknown; mean and rms of the residuals; "
+            "factor: measured = factor x expected, half_width: its 95 %, of_reference: the part of "
+            "it that the reference's bar is"
+        ),
+    ]
+    campaigns: Annotated[
+        Sequence[dict[Literal["import", "rows", "outputs"], Any]],
+        Doc("the same by import; null: of rows without one"),
+    ]
+    row: Sequence[int]
+    campaign: Annotated[Sequence[int | None], Doc("the import of each row")]
+    coverage: Annotated[Sequence[Coverage], Doc("by the reference")]
+    wrench: Annotated[Vector, FiniteArray(None, None)]
+    displacement: Annotated[Vector, FloatArray(None, None), Doc("as measured, m and rad")]
+    expected: Annotated[Vector, FloatArray(None, None), Doc("null outside its rows")]
+    residual: Annotated[Vector, FloatArray(None, None), Doc("displacement - expected")]
+    bar: Annotated[Vector, FloatArray(None, None), Doc("95 % of expected")]
+    uncertainty: Annotated[Vector, FloatArray(None, None), Doc("95 % of displacement, as stated")]
+
+
 class DemandCell(Message):
     wrench: Annotated[Six, Doc("the middle of the cell, N and N·m")]
     count: int

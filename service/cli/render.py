@@ -100,6 +100,49 @@ def print_answer(answer: Displacement, as_json: bool, data: Path | None) -> None
     show(answer.raw, as_json, lambda: shown)
 
 
+def comparison_shown(reply: dict[str, Any]) -> Iterator[RenderableType]:
+    """Lay out the factors of a comparison, of all rows and of each import."""
+    of = reply["reference"]
+    rows = f"{of['rows']} of {of['of']} rows"
+    named = "the solves" if of["import"] is None else f"import {of['import']}"
+    counts = ", ".join(f"{number} {name}" for name, number in reply["coverages"].items() if number)
+    yield (
+        f"{reply['compared']} of {reply['measured']} measured rows beside {named} ({rows}, method "
+        f"{of['method']}); by the reference's rows: {counts or 'none'}."
+    )
+    if beyond := reply["beyond_range"]:
+        yield f"{beyond} measured rows are outside the load range and are not compared."
+    if beyond := max(one["unanswered"] for one in reply["outputs"].values()):
+        yield f"{beyond} rows are outside the reference's rows and are not compared."
+    if reply["reason"]:
+        yield f"Nothing is compared: {reply['reason']}."
+        return
+    if not of["bars_are_complete"]:
+        yield "The reference's bars are not known, since the solver's own error is not."
+    table = Table()
+    columns = "import", "", "factor", "± 95 %", "of it bars", "mean residual", "rms"
+    for heading in (*columns, "beyond bars"):
+        table.add_column(heading, justify="right" if heading else "left")
+    campaigns = reply["campaigns"] if len(reply["campaigns"]) > 1 else []
+    for part in ({"import": "all", **reply}, *campaigns):
+        for name, one in part["outputs"].items():
+            if not one["compared"]:
+                continue
+            half = one["half_width"]
+            known = one["factor"] is not None
+            told = known and (half is None or half < abs(one["factor"]))
+            factor = f"{one['factor']:.5g}" if told else "not told"
+            parts = [half, one["of_reference"], one["mean"], one["rms"]]
+            numbers = ("unknown" if value is None else f"{value:.2g}" for value in parts)
+            beyond = f"{one['beyond_bars']} of {one['compared']}"
+            table.add_row(str(part["import"] or "none"), name, factor, *numbers, beyond)
+    yield table
+    yield (
+        "Measured = factor x reference. A residual within the bars of both is no difference; "
+        "± has the reference's own bar in it."
+    )
+
+
 def compliance_tables(body: dict[str, Any]) -> list[Table]:
     """Lay out the compliance at zero load, and the mean over the load range."""
     # Servers before 0.3 name neither columns nor rows.

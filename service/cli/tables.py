@@ -18,7 +18,7 @@ from wrenchbook.service.cli.connect import (
     connected,
     in_folder,
 )
-from wrenchbook.service.cli.render import Screen, plain, print_json, show
+from wrenchbook.service.cli.render import Screen, comparison_shown, plain, print_json, show
 from wrenchbook.service.client.errors import mistake_line
 from wrenchbook.service.client.library import check_readable, table_format
 from wrenchbook.service.files.durable import write_whole_bytes
@@ -185,6 +185,13 @@ def export_table(
     table_version: Annotated[
         int | None, typer.Option(help="an earlier version of the table; by default the newest")
     ] = None,
+    bushing: Annotated[
+        str | None,
+        typer.Option(
+            metavar="displacement|load",
+            help="a .csv of load over displacement of each axis, with this zero on the others",
+        ),
+    ] = None,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
@@ -198,6 +205,13 @@ def export_table(
         raise typer.BadParameter(
             "--method and --platforms are for .fmu files: other formats hold the table"
         )
+    format_ = "csv" if printed else "packed" if ending in (".fmu", ".zip") else table_format(file)
+    units = {"force": force, "moment": moment, "translation": translation, "rotation": rotation}
+    units = {quantity: unit for quantity, unit in units.items() if unit is not None}
+    curves = {"others": bushing} if bushing else {}
+    if curves and (format_ != "csv" or units or table_version is not None):
+        raise typer.BadParameter("--bushing writes a .csv of the newest table, in SI")
+    format_ = "bushing" if curves else format_
     if printed and as_json:
         raise typer.BadParameter("--json describes a written file: name one instead of -")
     if platforms is not None:  # checked before a server is called or started
@@ -206,11 +220,8 @@ def export_table(
         targets = platforms_of(platforms)
     else:
         targets = ()
-    format_ = "csv" if printed else "packed" if ending in (".fmu", ".zip") else table_format(file)
-    units = {"force": force, "moment": moment, "translation": translation, "rotation": rotation}
-    units = {quantity: unit for quantity, unit in units.items() if unit is not None}
     with connected(server, data) as client:
-        content = client.export_table(name, format_, units, table_version)
+        content = client.export_table(name, format_, units, table_version, **curves)
     if printed:
         sys.stdout.write(content)
         return
@@ -277,7 +288,37 @@ def withdraw(
             plain(Screen(), "No findings.")
 
 
-TABLE_COMMANDS = {"import": import_table, "export": export_table, "withdraw": withdraw}
+def compare(
+    name: Name,
+    number: Annotated[
+        int | None,
+        typer.Option("--import", min=1, help="compare this import; by default all measured rows"),
+    ] = None,
+    against: Annotated[
+        int | None, typer.Option(min=1, help="the import that is the reference, not the solves")
+    ] = None,
+    csv: Annotated[
+        Path | None, typer.Option(help="write the rows to this file as CSV", callback=in_folder)
+    ] = None,
+    as_json: AsJson = False,
+    server: Server = DEFAULT_SERVER,
+    data: Data = None,
+) -> None:
+    """Compare measured rows with the answer of the solves alone, or of another import's rows."""
+    with connected(server, data) as client:
+        reply = client.comparison(name, number, against)
+        text = client.comparison(name, number, against, "csv") if csv else ""
+    if csv:
+        write_whole_bytes(csv, text.encode())
+    show(reply, as_json, lambda: comparison_shown(reply))
+
+
+TABLE_COMMANDS = {
+    "import": import_table,
+    "export": export_table,
+    "withdraw": withdraw,
+    "compare": compare,
+}
 
 
 def _print_finding(name: str, finding: dict[str, Any], number: int | None) -> None:

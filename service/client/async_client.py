@@ -127,6 +127,8 @@ class AsyncClient:
     compliance = _awaited(Client.compliance)
     add_component = _awaited(Client.add_component)
     import_table = _awaited(Client.import_table)
+    append = _awaited(Client.append)
+    comparison = _awaited(Client.comparison)
     export_table = _awaited(Client.export_table)
     invalidate_row = _awaited(Client.invalidate_row)
     restore_row = _awaited(Client.restore_row)

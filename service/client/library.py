@@ -6,16 +6,17 @@ import io
 import json
 import secrets
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from .errors import Document, InvalidArgument, Json, ProblemError, ServerTimeout, ServerUnreachable
 from .transport import BINARY, Connection, component_path
 
-_FORMATS = ("csv", "xlsx", "parquet", "hdf5", "json", "packed")
-_TEXTS = ("csv", "json")
+_FORMATS = ("csv", "xlsx", "parquet", "hdf5", "json", "packed", "bushing")
+_TEXTS = ("csv", "json", "bushing")
 _ENDINGS = {
     ".csv": "csv",
     ".json": "json",
@@ -203,12 +204,82 @@ class LibraryCalls(Connection):
         path, wait_s = component_path(name, "table"), _IMPORT_S + float(columns.get("wait_s") or 0)
         return self.call("POST", path, content, kind=kind, query=query, wait_s=wait_s).json()
 
+    def append(
+        self,
+        name: str,
+        test: str,
+        rows: Mapping[str, Json] | Sequence[Mapping[str, Json]],
+        **columns: Any,
+    ) -> Document:
+        """Append rows to the table while a test runs: all of them, or none.
+
+        A block that is sent again adds nothing.
+
+        Parameters
+        ----------
+        test : str
+            The name of the test: all of its blocks are one import of this sender.
+        rows : mapping or sequence of mappings
+            One row or 1,000 at most: ``wrench`` and ``displacement``, shape (6,), SI, None where
+            not measured, ``uncertainty``, ``source``, ``note``; or numbers by column,
+            ``{"fz [kN]": 1.2, "uz [mm]": 0.31}``.
+        **columns
+            Those of `import_table` that are no options of files; ``wait_s`` is 0 if left out.
+
+        Returns
+        -------
+        dict
+            As of `import_table`, without findings.
+
+        Raises
+        ------
+        ProblemError
+            If rows have mistakes (422); if the import is withdrawn or of another rig (409).
+        """
+        many = [rows] if isinstance(rows, Mapping) else list(rows)
+        in_si = any("wrench" in row for row in many)
+        content = json.dumps({"rows": many} if in_si else many).encode()
+        return self.import_table(name, content, append=test, **columns)
+
+    def comparison(
+        self,
+        name: str,
+        number: int | None = None,
+        against: int | None = None,
+        format: str = "json",  # noqa: A002 (the contract's word)
+    ) -> Json:
+        """Return measured rows beside the answer of the solves alone, or of another import.
+
+        Parameters
+        ----------
+        number : int, optional
+            The import whose rows are compared; all measured rows otherwise.
+        against : int, optional
+            The import whose rows are the reference, by a kriging of them; the solves otherwise.
+        format : {"json", "csv"}
+
+        Returns
+        -------
+        dict or str
+            Rows by column (``wrench``, ``displacement``, ``expected``, ``residual``, ``bar``), and
+            for each of ``outputs`` and ``campaigns`` the ``factor`` with its ``half_width``.
+
+        Raises
+        ------
+        ProblemError
+            If there is no such component (404) or import (409).
+        """
+        query = {"import": number, "against": against, "format": format}
+        content = self.call("GET", component_path(name, "comparison"), query=query).content
+        return content.decode() if format == "csv" else json.loads(content)
+
     def export_table(
         self,
         name: str,
         format: str = "csv",  # noqa: A002 (the contract's word)
         units: Mapping[str, str] | None = None,
         table_version: int | None = None,
+        **curves: Json,
     ) -> Json:
         """Return a component's table.
 
@@ -216,21 +287,25 @@ class LibraryCalls(Connection):
         ----------
         name : str
             The component.
-        format : {"csv", "xlsx", "parquet", "hdf5", "json", "packed"}
-            Text of csv and json, bytes of the others; packed is what `Table.open` opens.
+        format : {"csv", "xlsx", "parquet", "hdf5", "json", "packed", "bushing"}
+            Text of csv and json, bytes of the others; packed is what `Table.open` opens. bushing is
+            CSV of load over displacement of each axis, for bushings of multibody programs.
         units : mapping, optional
             For csv and xlsx, any of ``force``, ``moment``, ``translation``, ``rotation`` to a unit,
             such as ``{"force": "lbf", "translation": "mm"}``; SI otherwise.
         table_version : int, optional
             The table as it was at this version; now if not given.
+        **curves
+            Of bushing: ``points`` of each axis (21), ``others``, zero on the other axes:
+            ``"displacement"`` or ``"load"``.
 
         Returns
         -------
         str or bytes
-            What `import_table` loads again; packed is derived from the rows and not loaded again.
+            What `import_table` loads again, but packed and bushing: they are derived from the rows.
         """
         chosen = _known(format)
-        query = {"format": chosen, "table_version": table_version, **(units or {})}
+        query = {"format": chosen, "table_version": table_version, **(units or {}), **curves}
         content = self.call("GET", component_path(name, "table"), query=query).content
         return content.decode() if chosen in _TEXTS else content
 

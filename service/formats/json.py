@@ -33,6 +33,7 @@ _MAX_UNKNOWN = 10  # keys of a row that are named
 _REQUIRED = ("wrench", "displacement")
 _ROW_KEYS = (*ARRAYS, *TEXTS, *ORIGIN)
 _RECORDS = re.compile(rf'\s*(\[\s*\{{|\{{\s*"(?!({"|".join((*_TABLE_KEYS, *_SPACE_KEYS))})"))')
+_ROW = re.compile(r'\s*\{\s*"(wrench|displacement)"')  # one row alone
 _VANISHING = re.compile(r"[eE]-\d{3}|0{290}")  # maybe too small for a float
 _BLANKS = re.compile(r"[ \t\n\r]*")
 
@@ -53,6 +54,8 @@ def read_json(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
             text = path.read_bytes().decode("utf-8-sig")
         except UnicodeDecodeError as error:
             raise JsonError(f"is not JSON: {error.reason}; save it as UTF-8") from error
+        if _ROW.match(text):
+            text = f'{{"rows": [{text}]}}'
         if _RECORDS.match(text):
             # Numbers stay text, so that their digits and units are read as those of a CSV.
             yield from read_records(_records(_values(text, Digits)), options, report)

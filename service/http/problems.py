@@ -22,6 +22,7 @@ from wrenchbook.service.files.redact import redact_values
 from wrenchbook.service.formats import SheetFullError, UnitError
 from wrenchbook.service.jobs.waiting import TooManyPollsError
 from wrenchbook.service.ledger import (
+    AppendError,
     BlockKeyError,
     DamagedRowError,
     ImportRunningError,
@@ -67,6 +68,7 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     NoSetupError: (409, "no-fea-setup", "The component has no finite-element setup"),
     UnknownJobError: (404, "unknown-job", "No such job"),
     UnknownVersionError: (404, "unknown-version", "No such version of the table"),
+    AppendError: (409, "append", "Rows cannot be appended to this import"),
     ImportRunningError: (503, "importing", "Another table is being imported"),
     UnknownRowError: (404, "unknown-row", "No such row"),
     UnknownImportError: (404, "unknown-import", "No such import"),

@@ -6,6 +6,7 @@ from wrenchbook.service.ledger.packing import packed, row_keys, unpacked
 from wrenchbook.service.ledger.records import (
     FINAL,
     STATUSES,
+    AppendError,
     Beat,
     BlockKeyError,
     DamagedRowError,
@@ -36,6 +37,7 @@ __all__ = [
     "FINAL",
     "STATUSES",
     "About",
+    "AppendError",
     "Beat",
     "BlockKeyError",
     "DamagedRowError",

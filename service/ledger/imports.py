@@ -10,7 +10,7 @@ import json
 import os
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +22,7 @@ from wrenchbook.service.ledger import rows
 from wrenchbook.service.ledger.connection import Connection, sequences
 from wrenchbook.service.ledger.packing import KEY_BYTES, key_hashes, row_keys, unpacked
 from wrenchbook.service.ledger.records import (
+    AppendError,
     ImportRunningError,
     NotedRows,
     UnknownImportError,
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 ROWS_AT_ONCE = 50_000
 KEYS_AT_ONCE = 20_000
 RECORDS_DELETED = 5
+APPENDED = "append"  # the format of an import that rows are appended to
 _PATIENCE_SECONDS = 120.0  # that an import waits for another one
 _COLUMNS = "component, created, who, filename, format, digest, note, rig, rows"
 _INSERT = f"INSERT INTO imports ({_COLUMNS}, findings) VALUES (?, ?, ?, ?, ?, ?, ?, ?, 0, ?)"
@@ -150,6 +152,48 @@ def _import(
             db.execute("DELETE FROM imports WHERE id = ?", (number,))
         db.rows += new
     return new, count - new, number if new else None
+
+
+def append_rows(
+    db: Connection, component: str, blocks: Iterable[NotedRows], about: About
+) -> tuple[int, int, int | None]:
+    """Append rows to the import of this sender, component and file name; the first call makes it.
+
+    Returns as `import_rows`. A block that is sent again changes nothing. Raises AppendError if the
+    import has readings of another rig, or all of its rows are withdrawn.
+    """
+    about = replace(about, format=APPENDED)
+    names = "component = ? AND format = ? AND filename = ? AND who = ?"
+    which = component, about.format, about.filename, about.who
+    select = f"SELECT id, rig, created FROM imports WHERE {names} ORDER BY id DESC LIMIT 1"
+    known = db.execute(select, which).fetchone()
+    # Rows of one time are one session of the measurement.
+    number, rig, now = known or (None, about.rig, time.time())
+    if rig != about.rig:
+        raise AppendError(
+            f"import {number}, {about.filename!r}, has readings of another rig, frame or point; "
+            "append to another name"
+        )
+    if number and not _chosen(db, component, number, (), withdrawn=False, most=1):
+        raise AppendError(
+            f"import {number}, {about.filename!r}, is withdrawn; restore it, or append to another "
+            "name"
+        )
+    total = known = 0
+    for block in blocks:
+        new, old = rows.insert(db, component, block, row_keys(component, block), now)
+        total, known = total + new, known + old
+        if not new:
+            continue
+        number = number or db.execute(_INSERT, (component, now, *astuple(about))).lastrowid
+        db.execute("UPDATE imports SET rows = rows + ? WHERE id = ?", (new, number))
+        last = sequences(db)["rows"]
+        first = last - new + 1
+        longer = "UPDATE import_parts SET last = ? WHERE import = ? AND last = ?"
+        if not db.execute(longer, (last, number, first - 1)).rowcount:
+            part = first, last, number, component
+            db.execute("INSERT INTO import_parts VALUES (?, ?, ?, ?, 0)", part)
+    return total, known, number
 
 
 def drop_abandoned(ledger: Ledger) -> None:
@@ -282,7 +326,7 @@ def _chosen(
         stored = rows.stored(db, wanted)
         seqs = iter([stored[key] for key in wanted if key in stored])
     else:
-        records = db.execute(f"SELECT rows.seq, count {_ROWS}", (number,)).fetchall()
+        records = db.execute(f"SELECT rows.seq, count {_ROWS}", (number,))
         seqs = (seq for first, count in records for seq in range(first, first + count))
     return list(islice((seq for seq in seqs if (seq in gone) == withdrawn), most))
 

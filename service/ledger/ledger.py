@@ -161,6 +161,7 @@ class Ledger:
 
     import_rows = import_sql.import_rows
     drop_abandoned = import_sql.drop_abandoned
+    append_rows = _writes(import_sql.append_rows)
     edit_import = _writes(import_sql.edit_import)
     imports = _reads(import_sql.imports)
     stored_numbers = _reads(import_sql.stored_numbers)

@@ -184,6 +184,10 @@ class BlockKeyError(LedgerError):
     """The key of a block of wrenches does not show whether the block was recorded."""
 
 
+class AppendError(LedgerError):
+    """Rows cannot be appended to this import."""
+
+
 class ImportRunningError(LedgerError):
     """Another import has the ledger for too long; nothing was loaded."""
 

@@ -13,6 +13,8 @@ from .response import CONFIDENT, REMARKABLE, RigFinding
 MIN_ROWS = 4  # rows: a factor, an offset and two that contradict them
 MAX_ROWS = 500  # rows that are compared: a factor is then known to a tenth of their noise
 
+BLOCKS = 20  # of consecutive rows, whose errors may be common: drift, a loop, a wrong model
+
 
 def differences(moved: Floats, expected: Floats, bars: Floats) -> Floats:
     """Return by which factor and offset each output differs, shape (2, 6): -, m and rad.
@@ -48,6 +50,43 @@ def beyond_noise(moved: Floats, expected: Floats) -> Floats:
     size, pair, deviation, freedom = _fitted(moved, expected)
     by_chance = stdtrit(freedom, 1 - (1 - CONFIDENCE) / (2 * pair.size)) * deviation
     return np.sqrt(np.maximum(pair**2 - by_chance**2, 0.0)).sum(axis=0) * size
+
+
+def factor_of(
+    moved: Floats, expected: Floats, bars: Floats, uncertainty: Floats
+) -> tuple[float, float, float]:
+    """Return the factor k of moved = k expected, its 95 % half width, and the answers' part of it.
+
+    Least squares through zero, weighted by stated uncertainties where all rows have them. The half
+    width is the larger of that of independent rows and that of blocks of consecutive ones, and
+    the error that the answers may have in common. NaN where it is not known.
+
+    Parameters
+    ----------
+    moved, expected, bars, uncertainty : ndarray, shape (n,), m or rad
+        Of one output, in the order of the measurement; NaN where unknown.
+    """
+    known = np.isfinite(moved) & np.isfinite(expected)
+    y, x, bar, stated = (values[known] for values in (moved, expected, bars, uncertainty))
+    if len(x) < MIN_ROWS or not x.any():
+        return np.nan, np.nan, np.nan
+    weights = np.ones(len(x))
+    if (stated > 0).all():
+        weights = (stated.min() / stated) ** 2
+    total = weights @ x**2
+    factor = weights @ (x * y) / total
+    off = y - factor * x
+    blocks = [part.sum() for part in np.array_split(weights * x * off, min(BLOCKS, len(x)))]
+    deviations = np.array(
+        (
+            np.sqrt(weights @ off**2 / (len(x) - 1) / total),
+            np.sqrt(np.square(blocks).sum() * len(blocks) / (len(blocks) - 1)) / total,
+        )
+    )
+    freedom = np.array((len(x) - 1, len(blocks) - 1))
+    noise = (stdtrit(freedom, (1 + CONFIDENCE) / 2) * deviations).max()
+    of_answers = weights @ (np.abs(x) * bar) / total
+    return float(factor), float(noise + of_answers), float(of_answers)
 
 
 def _fitted(moved: Floats, expected: Floats) -> tuple[Floats, Floats, Floats, Floats]:

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..kriging.effects import effects_of
+from ..kriging.effects import Effects, Indices, effects_of
 from ..table.rows import Floats, LoadRange, Rows
 from .channels import channel_findings
 from .contract import (
@@ -95,20 +95,38 @@ def without_effects(rows: Rows, load_range: LoadRange) -> tuple[Rows, Floats]:
     rig_error : ndarray, shape (6,), m and rad
         From the middle of both branches, of the time and of the sessions to the farthest of each.
     """
+    indices, effects = _effects(rows, load_range)
+    if effects is None or not effects.bar.any():
+        return rows, np.zeros(rows.displacement.shape[1])
+    displacement = rows.displacement.copy()
+    displacement[indices] -= effects.of_rows
+    return replace(rows, displacement=displacement), effects.bar
+
+
+def loop_of(rows: Rows, load_range: LoadRange) -> tuple[Floats, Floats]:
+    """Return the loop from unloading to loading, and up to which size rows would not show one.
+
+    Shapes (m,) each, m and rad: 0 where rows show none. Solves have none; the second is infinite
+    where measured rows do not tell.
+    """
+    nothing = np.zeros(rows.displacement.shape[1])
+    effects = _effects(rows, load_range)[1]
+    if effects is not None:
+        return effects.loop, effects.loop_hidden
+    return nothing, nothing + (np.inf if (rows.source != "fea").any() else 0.0)
+
+
+def _effects(rows: Rows, load_range: LoadRange) -> tuple[Indices, Effects | None]:
+    """Return which rows of a table are readings, and the effects in them; None of too few."""
     measured = (rows.source != "fea") & ~np.isfinite(rows.compliance).all(axis=(1, 2))
     indices = np.flatnonzero(measured & load_range.holds(rows.wrench))
     some = rows.take(indices)
     if len(some) < MIN_ROWS:
-        return rows, np.zeros(rows.displacement.shape[1])
+        return indices, None
     places = np.arange(0, len(some), -(-len(some) // MAX_ROWS))
     shown = some.take(places)
     wrong = wrong_rows(shown, load_range, response_of(shown, load_range)).any(axis=1)
-    effects = effects_of(some, load_range, places[~wrong])
-    if not effects.bar.any():
-        return rows, effects.bar
-    displacement = rows.displacement.copy()
-    displacement[indices] -= effects.of_rows
-    return replace(rows, displacement=displacement), effects.bar
+    return indices, effects_of(some, load_range, places[~wrong])
 
 
 def error_of_a_reading(error: Floats, interpolation: Floats, noise: Floats) -> Floats:

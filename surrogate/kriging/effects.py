@@ -75,6 +75,8 @@ class Effects(NamedTuple):
         loop, of the time and of the sessions: the far ends of the intervals.
     of_rows : ndarray, shape (n, m)
         Sum of the effects in each row.
+    loop_hidden : ndarray, shape (m,)
+        The largest loop that rows would not show; infinite where they tell nothing of one.
     """
 
     zero: Floats
@@ -83,6 +85,7 @@ class Effects(NamedTuple):
     session: Floats
     bar: Floats
     of_rows: Floats
+    loop_hidden: Floats
 
 
 def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
@@ -145,7 +148,9 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     # Where sessions differ, what they have in common is no displacement of the part either.
     common = np.abs(mean[0]) + DEFAULTS.half_width * deviation[0]
     bar += np.where(offset.any(axis=0), common, 0.0)
-    return Effects(zero[0], 2 * loop[0], drift, offset, bar, signs * loop + middle @ size[2:])
+    hidden = np.where(half_width[1] > 0, 2 * half_width[1], np.inf)
+    of_rows = signs * loop + middle @ size[2:]
+    return Effects(zero[0], 2 * loop[0], drift, offset, bar, of_rows, hidden)
 
 
 def _places_of(loads: Floats, sessions: list[Indices]) -> Indices:

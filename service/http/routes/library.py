@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query, Request
@@ -20,9 +21,15 @@ from wrenchbook.service.http.routes import Opened, json_reply
 from wrenchbook.service.http.routes.components import component_body
 from wrenchbook.service.http.routes.rows import file_fields
 from wrenchbook.service.ledger import About
-from wrenchbook.service.messages import Card, Demand, Disagreement, Import, Imports
-from wrenchbook.service.tables.disagreement import disagreement
+from wrenchbook.service.messages import Card, Comparison, Demand, Disagreement, Import, Imports
+from wrenchbook.service.tables.comparison import (
+    UncomparableError,
+    comparison,
+    comparison_csv,
+    disagreement,
+)
 from wrenchbook.service.tables.importing import copy_rows
+from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.tables.rows import iso_time
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 
@@ -36,6 +43,7 @@ ImportId = Annotated[int, Path(ge=1, lt=2**63, description="the number of the im
 Finding = Annotated[
     str | None, Query(max_length=100, description="cause of a finding: its rows; else all rows")
 ]
+_one_comparison = asyncio.Lock()
 MAX_NOTES_BYTES = 1 << 20  # 100,000 characters, escaped
 
 
@@ -154,9 +162,54 @@ def restore_import(
 def list_disagreements(name: str, workspace: Opened) -> Response:
     component = workspace.library[name]
     table = workspace.tables.caught_up(name, CATCH_UP_S)
-    setup = component.load_range, component.tolerance, component.linear, table.locked
-    compared = disagreement(table.rows, *setup, table.solver_error)
+    compared = disagreement(component, table.rows, table.solver_error)
     return json_reply(Disagreement(component=name, table_version=table.version, **compared))
+
+
+@router.get(
+    "/comparison",
+    summary="Measured rows beside the answer of the solves, or of another import's rows",
+    response_class=Response,
+    responses=answers(
+        Comparison, "the rows; csv: SI", content={"text/csv": {"schema": {"type": "string"}}}
+    )
+    | refused(s409="the table has no measured rows of such an import"),
+)
+async def get_comparison(
+    name: str,
+    workspace: Opened,
+    number: Annotated[
+        int | None, Query(alias="import", ge=1, lt=2**63, description="its rows alone")
+    ] = None,
+    against: Annotated[
+        int | None,
+        Query(ge=1, lt=2**63, description="the import that is the reference, not the solves"),
+    ] = None,
+    format: Literal["json", "csv"] = "json",  # noqa: A002 (the contract's word)
+) -> Response:
+    table = await workspace.newest(name, CATCH_UP_S)
+    async with _one_comparison:  # each builds a table
+        return await run_in_threadpool(_compared, workspace, name, table, number, against, format)
+
+
+def _compared(
+    workspace: Workspace,
+    name: str,
+    table: ServedTable,
+    number: int | None,
+    against: int | None,
+    form: str,
+) -> Response:
+    component, spans = workspace.library[name], workspace.ledger.import_spans(name)
+    try:
+        reply = comparison(component, table.rows, table.solver_error, spans, number, against)
+    except UncomparableError as error:
+        raise HttpProblemError(409, "no-comparison", "Nothing to compare", str(error)) from None
+    if form == "csv":
+        headers = {"Content-Disposition": f'attachment; filename="{name}-comparison.csv"'}
+        return Response(comparison_csv(reply, component.space), 200, headers, "text/csv")
+    more = {"table_version": table.version, "inputs": component.space.input_names}
+    return json_reply(Comparison(component=name, **more, **reply))
 
 
 @router.get("/demand", summary="Queries that were not covered", response_model=Demand)

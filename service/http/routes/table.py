@@ -7,7 +7,7 @@ import hashlib
 import shutil
 import tempfile
 from collections.abc import AsyncIterator, Sequence
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, nullcontext
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, NamedTuple
@@ -45,6 +45,7 @@ from wrenchbook.service.messages import (
     TableRows,
 )
 from wrenchbook.service.sandbox import SandboxBusyError
+from wrenchbook.service.tables.bushing import BushingError, Others, bushing_csv
 from wrenchbook.service.tables.exporting import (
     ENDINGS,
     ExportRequest,
@@ -63,7 +64,7 @@ MAX_TABLE_BYTES: Final = 512 * 1024 * 1024
 _FORM_BYTES: Final = 64 * 1024  # of a form, around its files
 _reader_locks: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
 
-Format = Literal["csv", "xlsx", "parquet", "hdf5", "json", "packed"]
+Format = Literal["csv", "xlsx", "parquet", "hdf5", "json", "packed", "bushing"]
 MEDIA_TYPES = {
     "csv": "text/csv",
     "json": "application/json",
@@ -112,6 +113,9 @@ _TAKEN = frozenset(
     }
 )
 _MAX_COLUMNS = 1000
+# Options of files, which a block is not.
+_OF_FILES = {"tare", "preview", "sheet", "time_offset_s", "max_gap_s", "filename"}
+_MAX_APPENDED_BYTES = 1 << 20
 WAIT_S = 10.0  # a table of 20,000 measured rows is built by then
 MAX_WAIT_S = 600.0  # a million rows take minutes
 _POINT = "x,y,z from the interface's point in its frame, m: the point that"
@@ -186,6 +190,15 @@ class ImportQuery(Body):
         float,
         Field(ge=0, le=MAX_WAIT_S, allow_inf_nan=False, description="for answers from the rows, s"),
     ] = WAIT_S
+    append: Annotated[
+        str | None,
+        Field(
+            min_length=1,
+            max_length=200,
+            description="the name of a running test: this JSON, of 1,000 rows and 1 MB at most, is "
+            "appended to its import, which the first block makes. wait_s is 0 if left out",
+        ),
+    ] = None
     note: Annotated[str, Field(max_length=10_000, description="kept with the import")] = ""
     filename: Annotated[str, Field(max_length=1000, description="kept with the import")] = ""
 
@@ -220,7 +233,14 @@ class ImportQuery(Body):
         axes = rig_text(*parts) if any(parts) else ""
         return "\n".join(filter(None, (self.rig, axes)))
 
-    @field_validator("note", "filename", "rig")
+    @model_validator(mode="after")
+    def _can_be_appended(self) -> ImportQuery:
+        others = self.model_fields_set & _OF_FILES
+        if self.append is not None and others:
+            raise ValueError(f"append takes no {', '.join(sorted(others))}: a block is no file")
+        return self
+
+    @field_validator("note", "filename", "rig", "append")
     @classmethod
     def _can_be_kept(cls, text: str) -> str:
         try:
@@ -332,10 +352,23 @@ async def get_table(
     comments: Annotated[
         bool, Query(description="csv: lines after a # that say what it is")
     ] = False,
+    points: Annotated[int, Query(ge=2, le=1001, description="bushing: of each axis")] = 21,
+    others: Annotated[
+        Others, Query(description="bushing: what is zero on the other axes")
+    ] = "displacement",
     if_none_match: Annotated[
         str | None, Header(description="the version that the caller has")
     ] = None,
 ) -> Response:
+    if format == "bushing":
+        table = await workspace.newest(name, CATCH_UP_S)
+        try:
+            content = await run_in_threadpool(bushing_csv, table, points, others)
+        except BushingError as error:
+            raise HttpProblemError(409, "no-bushing", "No bushing table", str(error)) from None
+        filename = f"{name}-{table.version}-bushing.csv"
+        headers = {"Content-Disposition": f'attachment; filename="{filename}"'}
+        return Response(content, 200, headers, MEDIA_TYPES["csv"])
     if format == "packed":
         if table_version is not None:
             message = "a packed table is of the newest version; save it to keep that version"
@@ -419,16 +452,17 @@ async def import_table(
     table = workspace.tables.surrogate(name)
     solved = await run_in_threadpool(solved_compliance, component, table)
     options = replace(query.options(), solved=solved, linear=component.linear)
-    async with received(request) as sent:
+    most = _MAX_APPENDED_BYTES if query.append else MAX_TABLE_BYTES
+    async with received(request, most) as sent:
         key = permission_of(request.scope).key
         about = About(
             who=key.name if key else "",
-            filename=query.filename or sent.filename,
-            digest=sent.digest,
+            filename=query.append or query.filename or sent.filename,
+            digest="" if query.append else sent.digest,
             note=query.note,
         )
         caller = about.who or (request.client.host if request.client else "")
-        async with one_reader(caller):
+        async with nullcontext() if query.append else one_reader(caller):
             reply = await run_in_threadpool(
                 import_files,
                 workspace.ledger,
@@ -439,7 +473,8 @@ async def import_table(
                 dry_run=query.dry_run,
                 partial=query.partial,
                 preview=query.preview,
-                table=table if component.space.is_default else None,
+                table=table if component.space.is_default and not query.append else None,
+                append=bool(query.append),
             )
     loaded = reply.pop("loaded")
     if reply["errors"] and not (query.dry_run or loaded):
@@ -459,6 +494,8 @@ async def import_table(
             **reply,
         )
     wait_s = query.wait_s if loaded and reply["inserted"] else 0.0
+    if query.append and "wait_s" not in query.model_fields_set:
+        wait_s = 0.0  # the next row comes soon
     caught_up = await workspace.caught_up(component.name, wait_s)
     reply["in_use"] = caught_up and (loaded or not reply["inserted"])
     reply["table_version"] = workspace.ledger.last_seq(component.name)
@@ -474,18 +511,18 @@ class Received(NamedTuple):
 
 
 @asynccontextmanager
-async def received(request: Request) -> AsyncIterator[Received]:
+async def received(request: Request, most: int = MAX_TABLE_BYTES) -> AsyncIterator[Received]:
     """Give a table's body as files, and delete them at the end.
 
     A plain body is one file; a form has the files ``loads`` and ``displacements``, or ``table``. It
     raises 413 as soon as the body is too large, and 422 if a form lacks its files.
     """
     if content_type(request) != "multipart/form-data":
-        async with spooled(request.receive, MAX_TABLE_BYTES) as body:
+        async with spooled(request.receive, most) as body:
             path = body.path or await run_in_threadpool(body.append, body.content)
             yield Received((path,), "", await run_in_threadpool(_digest, (path,)))
         return
-    async with form_of(request, MAX_TABLE_BYTES + _FORM_BYTES, 2) as form:
+    async with form_of(request, most + _FORM_BYTES, 2) as form:
         names = ("loads", "displacements") if "loads" in form else ("table",)
         uploads = [sent for name in names if isinstance(sent := form.get(name), UploadFile)]
         if len(uploads) < len(names):

@@ -7,9 +7,9 @@ import { trouble } from "./api.js";
 
 const BUILDING_MS = 3000; // between tries of a table that is being built
 // Views that new rows make stale, and that do not follow them on their own.
-const FOLLOW = ["shape", "rows", "response", "checks", "entry"];
+const FOLLOW = ["shape", "rows", "response", "checks", "compare", "entry"];
 // Views of one wrench at one interface, without further inputs.
-const OF_ONE = ["shape", "rows", "response", "checks", "report", "demand"];
+const OF_ONE = ["shape", "rows", "response", "checks", "compare", "report", "demand"];
 const TABS = [
   ["overview", "Overview", "overview.js"],
   ["query", "Query", "query.js"],
@@ -17,6 +17,7 @@ const TABS = [
   ["rows", "Rows", "rows.js"],
   ["response", "Response", "response.js"],
   ["checks", "Checks", "checks.js"],
+  ["compare", "Compare", "compare.js"],
   ["report", "Report", "report.js", "solved"],
   ["jobs", "Jobs", "component_jobs.js", "solved"],
   ["table", "Import & export", "table.js"],

@@ -4,8 +4,9 @@ import { el, field, put, save, select } from "./dom.js";
 import { of, send, trouble } from "./api.js";
 import { importForm } from "./import.js";
 
-const FORMATS = [["csv", "CSV"], ["xlsx", "Excel (XLSX)"], ["parquet", "Parquet"], ["hdf5", "HDF5"], ["json", "JSON"], ["packed", "Packed table"]];
-const ENDINGS = { hdf5: "h5", packed: "wbt" };
+const FORMATS = [["csv", "CSV"], ["xlsx", "Excel (XLSX)"], ["parquet", "Parquet"], ["hdf5", "HDF5"], ["json", "JSON"], ["packed", "Packed table"],
+  ["bushing displacement", "Bushing (CSV), no displacement on other axes"], ["bushing load", "Bushing (CSV), no load on other axes"]];
+const ENDINGS = { hdf5: "h5", packed: "wbt", bushing: "csv" };
 const UNITS = { force: ["N", "kN", "lbf"], moment: ["N*m", "N*mm", "lbf*ft"], translation: ["m", "mm", "um", "inch"], rotation: ["rad", "mrad", "deg"] };
 const IN_UNITS = ["csv", "xlsx"]; // programs read the others: always SI
 
@@ -22,12 +23,13 @@ function exportForm(about, signal) {
   chosen.id = "export-format";
   const take = async (event) => {
     event.preventDefault();
-    const asked = new URLSearchParams({ format: chosen.value });
-    if (IN_UNITS.includes(chosen.value)) for (const [kind, one] of units) asked.set(kind, one.value);
+    const [format, others] = chosen.value.split(" "), asked = new URLSearchParams({ format });
+    if (others) asked.set("others", others);
+    if (IN_UNITS.includes(format)) for (const [kind, one] of units) asked.set(kind, one.value);
     try {
       const reply = await send("GET", `${of(about.name)}/table?${asked}`);
       const named = reply.headers.get("Content-Disposition")?.match(/filename="([^"]+)"/);
-      save(await reply.blob(), named ? named[1] : `${about.name}.${ENDINGS[chosen.value] || chosen.value}`);
+      save(await reply.blob(), named ? named[1] : `${about.name}.${ENDINGS[format] || format}`);
       put(state);
     } catch (error) { put(state, trouble(error)); }
   };

@@ -9,7 +9,7 @@ from tests.surrogate.findings.rigs import Rig
 from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.responses import HIGH, RANGE
 from wrenchbook.surrogate.build import build
-from wrenchbook.surrogate.findings.comparison import comparison_findings
+from wrenchbook.surrogate.findings.comparison import comparison_findings, factor_of
 from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.table.rows import Rows
 
@@ -72,3 +72,47 @@ def test_bars_of_solves_and_of_a_softer_rig_at_some_of_their_wrenches_hold_both(
     # Noise of readings at the solves' wrenches is in the answers there, and tells of no rig.
     size = np.ptp(response(asked), axis=0)
     assert (table.rig_error > 1e-3 * size).any() == (softer > 1)
+
+
+def readings(seed, kind):
+    """Measured and expected displacements of a rig 3 % softer, bars and stated uncertainties."""
+    rng = np.random.default_rng(seed)
+    count = {"few": 5, "noise": 40, "stated": 40}.get(kind, 600)
+    expected = rng.uniform(-1, 1, count)
+    bars, stated = np.zeros(count), np.full(count, np.nan)
+    noise = rng.normal(0, 0.01, count)
+    if kind == "stated":
+        stated = rng.uniform(0.002, 0.05, count)
+        noise = rng.normal(0, stated / 2)
+    if kind == "drift":
+        expected = np.sin(np.linspace(0, 20, count))
+        noise += rng.normal(0, 0.02) * np.linspace(-1, 1, count)
+    true = expected
+    if kind == "reference":
+        bars, true = 0.02 * np.abs(expected), expected / (1 + rng.uniform(-0.02, 0.02))
+    return 1.03 * true + noise, expected, bars, stated
+
+
+@pytest.mark.parametrize("kind", ["noise", "stated", "few", "drift", "reference"])
+def test_the_interval_of_a_factor_holds_the_true_one(kind):
+    held = 0
+    for seed in range(200):
+        factor, half_width, _ = factor_of(*readings(seed, kind))
+        held += abs(factor - 1.03) <= half_width
+    assert held >= 0.92 * 200
+
+
+def test_stated_uncertainties_weigh_the_rows_of_a_factor():
+    y, x, bars, stated = readings(1, "stated")
+    weights = stated**-2.0
+    factor, half_width, _ = factor_of(y, x, bars, stated)
+    assert factor == pytest.approx((weights @ (x * y)) / (weights @ x**2), rel=1e-12)
+    assert half_width < factor_of(y, x, bars, np.full_like(stated, np.nan))[1]
+
+
+def test_a_factor_without_a_bar_of_its_answers_has_no_interval():
+    y, x, bars, stated = readings(2, "noise")
+    bars[3] = np.nan
+    factor, half_width, of_answers = factor_of(y, x, bars, stated)
+    assert factor == pytest.approx(1.03, abs=0.02)
+    assert np.isnan([half_width, of_answers]).all()

@@ -1,0 +1,133 @@
+"""Load over displacement of each axis: the curves of a bushing in a multibody program."""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from scipy.optimize import root_scalar
+
+from wrenchbook.service.contract import LOADS, OUTPUTS
+from wrenchbook.service.tables.mapped import ServedTable
+from wrenchbook.surrogate.answer import NAMES
+from wrenchbook.surrogate.findings.find import loop_of
+from wrenchbook.surrogate.kernel.replies import InverseError
+
+Others = Literal["displacement", "load"]
+HALVINGS = 40  # of the way to the end of a curve: to 1e-12 of it
+SHORT = 1e-3  # of the load range: a shorter curve is none
+_OUTSIDE = NAMES.index("outside")
+_HEAD = "axis,displacement [m or rad],load [N or N*m],bar [N or N*m],loop [N or N*m],coverage\n"
+
+
+class BushingError(ValueError):
+    """The table has no such curves; the message says what to do."""
+
+
+class _Point(NamedTuple):
+    load: float
+    bar: float  # 95 % of the load, NaN where not known
+    stiffness: float  # of the axis
+    moved: float  # 95 % of the axis' displacement
+    coverage: int
+
+
+def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
+    """Return the curves of all axes that move as CSV, each at `points` displacements.
+
+    `others` is zero on the other axes: their displacement, so that the curves are the diagonal of
+    the stiffness, or their load. A curve ends with the load range and the table's rows. The loop's
+    width is empty where rows do not tell it. Raises BushingError.
+    """
+    if not table.load_range.space.is_default:
+        raise BushingError(
+            "a bushing has one interface and no further inputs: use an FMU or the C library"
+        )
+    loop, hidden = loop_of(table.rows, table.load_range)
+    lines, why = [_HEAD], ""
+    for axis in range(len(LOADS)):
+        if axis in table.locked:
+            continue
+        try:
+            curve = _Curve(table, axis, others)
+            low, high = curve.end(-1), curve.end(1)
+            loads = curve.at(high).load - curve.at(low).load
+            if not abs(loads) > SHORT * (curve.high - curve.low):
+                raise BushingError("the rows cover no loads beside zero")
+        except (InverseError, BushingError) as error:
+            why = why or f"{OUTPUTS[axis]}: {error}"
+            continue
+        for d in np.linspace(low, high, points).tolist():
+            try:
+                point = curve.at(d)
+            except (InverseError, BushingError):  # a gap between the ends
+                point = _Point(np.nan, np.nan, np.nan, np.nan, _OUTSIDE)
+            width = abs(loop[axis]) * point.stiffness
+            if not loop[axis] and not hidden[axis] <= point.moved:
+                width = np.nan  # no loop is seen, and rows would not show one as large as the bar
+            numbers = (d, point.load, point.bar, width)
+            cells = ["" if value != value else repr(float(value)) for value in numbers]
+            lines.append(",".join([OUTPUTS[axis], *cells, NAMES[point.coverage]]) + "\n")
+    if len(lines) == 1:
+        remedy = "" if others == "load" else "; others=load needs rows of one axis alone"
+        raise BushingError(f"the table has no curve: {why}{remedy}")
+    return "".join(lines)
+
+
+class _Curve:
+    """The load of one axis over its displacement."""
+
+    def __init__(self, table: ServedTable, axis: int, others: Others) -> None:
+        self.table, self.axis, self.others = table, axis, others
+        self.unit = np.eye(len(LOADS))[axis]
+        self.low, self.high = table.load_range.low[axis], table.load_range.high[axis]
+        if not self.low < self.high:
+            raise BushingError("its load has no range")
+        self.rest = 0.0 if others == "displacement" else self._moved(0.0)
+        self.at(self.rest)
+
+    def _moved(self, load: float) -> float:
+        """Return the displacement of the axis by its load alone, m or rad."""
+        wrench = load * self.unit[None] + 0.0  # no negative zeros
+        return float(self.table.packed.batch(wrench, without_rows=True).outputs[0, self.axis])
+
+    def end(self, side: int) -> float:
+        """Return the last displacement of a side that the table covers, m or rad."""
+        inside, outside = self.rest, self._moved(self.high if side > 0 else self.low)
+        middle = outside
+        for _ in range(HALVINGS):
+            try:
+                self.at(middle)
+                inside = middle
+            except (InverseError, BushingError):
+                outside = middle
+            if inside == outside:
+                break
+            middle = 0.5 * (inside + outside)
+        return inside
+
+    def at(self, d: float) -> _Point:
+        """Return the point of a displacement, m or rad.
+
+        Raises InverseError or BushingError if the table has none within its load range.
+        """
+        packed, axis = self.table.packed, self.axis
+        if self.others == "displacement":
+            wrench, stiffness = packed.inverse(d * self.unit)
+            row = stiffness[axis]
+        else:
+            low, high = (self._moved(load) - d for load in (self.low, self.high))
+            if not low * high <= 0:
+                raise BushingError("no load of the range has this displacement")
+            span = self.low, self.high
+            tight = 1e-15 * (self.high - self.low)
+            load = root_scalar(lambda f: self._moved(f) - d, bracket=span, xtol=tight).root
+            wrench = load * self.unit + 0.0
+            slope = packed.derivatives(wrench[None], without_rows=True)[0, axis, axis]
+            row = self.unit / slope
+        reply = packed.batch(wrench[None], without_rows=True)
+        coverage, errors = int(reply.coverage[0]), reply.errors[0]
+        if not self.table.load_range.holds(wrench[None])[0] or coverage == _OUTSIDE:
+            raise BushingError("the load there is outside the load range or the rows")
+        bar = float(np.abs(row) @ np.where(row == 0, 0.0, errors))
+        return _Point(wrench[axis], bar, abs(row[axis]), errors[axis], coverage)
