@@ -20,7 +20,7 @@ from wrenchbook.service.cli.connect import (
     further_inputs,
     in_folder,
 )
-from wrenchbook.service.cli.render import matrix_table, print_json, show
+from wrenchbook.service.cli.render import matrix_table, print_json, show, stiffness_lines
 from wrenchbook.service.client import Client
 from wrenchbook.service.client.joint import LinearPart
 from wrenchbook.service.client.joint.joint import FREEDOMS
@@ -117,6 +117,24 @@ def stiffness(
     force: _Force = ZERO,
     moment: _Moment = ZERO,
     further: FurtherInput = None,
+    between: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            help="instead: slope of load over displacement of measured rows between two loads, "
+            "N or N·m, and the play at no load",
+            metavar="LOW HIGH",
+        ),
+    ] = None,
+    axis: Annotated[
+        str | None,
+        typer.Option(help="of --between: the load; by default that of the largest range"),
+    ] = None,
+    of: Annotated[
+        str | None, typer.Option(help="of --between: the output; by default uz of fz")
+    ] = None,
+    number: Annotated[
+        int | None, typer.Option("--import", min=1, help="of --between: rows of an import alone")
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(help="write JSON to this file", callback=in_folder)
     ] = None,
@@ -124,8 +142,19 @@ def stiffness(
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
-    """Show a component's 6x6 stiffness about a load, its mass, and the error of being linear."""
+    """Show a component's 6x6 stiffness about a load, its mass, and the error of being linear.
+
+    With --between: that of its measured rows.
+    """
+    if between is None and (axis or of or number):
+        raise typer.BadParameter("--axis, --of and --import are for --between LOW HIGH")
     with connected(server, data) as client:
+        if between is not None:
+            measured = client.stiffness(name, between, axis, of, number)
+            if out is not None:
+                out.write_text(json.dumps(measured, indent=2) + "\n", encoding="utf-8")
+            show(measured, as_json, lambda: stiffness_lines(measured))
+            return
         facts = client.component(name)
         part = _springs(client, name, (*force, *moment), further)
     body = part.to_dict(_mass_of(facts))

@@ -133,6 +133,32 @@ def matrix_table(
     return table
 
 
+def stiffness_lines(body: dict[str, Any]) -> Iterator[Table | str]:
+    """Lay out the measured stiffness between two loads, by branch, and the play."""
+    low, high = body["between"]
+    title = f"{body['axis']} over {body['of']}, {low:g} to {high:g}, {body['unit']}"
+    table = Table(title=title, title_justify="left")
+    for heading in ("rows", "number", "slope", "+- 95 %", "residual", "r2"):
+        table.add_column(heading, justify="left" if heading == "rows" else "right")
+    for name, line in body["lines"].items():
+        if line is not None:
+            names = ("slope", "slope_half_width", "residual", "r2")
+            numbers = ("-" if line[key] is None else f"{line[key]:.6g}" for key in names)
+            table.add_row(name, str(line["rows"]), *numbers)
+    yield table
+    if not table.row_count:
+        yield "No line: fewer than three measured rows are between these loads."
+    for name, play in body["play"].items():
+        if play is not None and play["value"] is not None:
+            unit = body["unit"].rpartition("/")[2]
+            half = f" +- {play['half_width']:.2g}" if play["half_width"] is not None else ""
+            what = "loading and unloading" if name == "branches" else "positive and negative loads"
+            yield f"Play at no load, between {what}: {play['value']:.4g}{half} {unit}"
+    if others := body["other_loads"]:
+        listed = ", ".join(f"{name} by {size:.3g}" for name, size in others.items())
+        yield f"Other loads vary in these rows, and the slopes have their effect: {listed}."
+
+
 def component_table(components: Sequence[dict[str, Any]]) -> Table:
     """Lay out the library."""
     table = Table("name", "title", "rows", "analysis", "largest force, N", "largest moment, N·m")

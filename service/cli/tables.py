@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.markup import escape
+from rich.table import Table
 
 from wrenchbook.service.cli.connect import (
     DEFAULT_SERVER,
@@ -65,8 +67,9 @@ def import_table(
         bool, typer.Option("--missing-loads-zero", help="loads without a column are zero")
     ] = False,
     tare: Annotated[
-        int, typer.Option(min=0, help="first rows, whose mean is subtracted from the others")
-    ] = 0,
+        int | None,
+        typer.Option(min=0, help="first rows, whose mean is subtracted from the others"),
+    ] = None,
     sheet: Annotated[
         str | None, typer.Option(help="sheet of an XLSX file; the first by default")
     ] = None,
@@ -88,16 +91,33 @@ def import_table(
         str | None, typer.Option(metavar="moving|fixed", help="point of the moments")
     ] = None,
     rig: Annotated[
-        Path | None, typer.Option(help="TOML of these four and name", exists=True, dir_okay=False)
+        str | None,
+        typer.Option(
+            metavar="FILE|NAME",
+            help="profile of the rig: a TOML file, else one of wrenchbook rig list; these options win",
+        ),
     ] = None,
+    skip_cycles: Annotated[
+        int | None, typer.Option(min=0, help="first cycles of the main load to leave out")
+    ] = None,
+    branch: Annotated[
+        str | None, typer.Option(metavar="loading|unloading", help="branch of the loop to load")
+    ] = None,
+    thin: Annotated[
+        float | None,
+        typer.Option(help="part of the load range: rows of a pass within it become their mean"),
+    ] = None,
+    mean_cycles: Annotated[
+        bool, typer.Option("--mean-cycles", help="repeated cycles become their mean")
+    ] = False,
     lag: Annotated[
-        str,
+        str | None,
         typer.Option(
             "--lag",
             "--time-offset",
             help="seconds to add to the displacements' times; auto: as the two logs show",
         ),
-    ] = "0",
+    ] = None,
     note: Annotated[str | None, typer.Option(help="a note to store with the import")] = None,
     wait_s: Annotated[
         float, typer.Option(help="seconds to wait until answers come from the rows", min=0, max=600)
@@ -119,18 +139,22 @@ def import_table(
         "sheet": sheet,
         "note": note,
         "wait_s": None if wait_s == 10.0 else wait_s,  # the server's default
-        "time_offset_s": None if lag == "0" else lag,
+        "time_offset_s": lag,
         "displacements": displacements,
         "load_cell": load_cell,
         "mapping": mapping,
         "ignore": ignore or (),
         "partial": partial or None,
         "ignore_extra": ignore_extra or None,
-        "tare": tare or None,
+        "tare": tare,
         "frame": frame,
         "load_point": load_point,
         "displacement_point": displacement_point,
         "rig": rig,
+        "skip_cycles": skip_cycles,
+        "branch": branch,
+        "thin": thin,
+        "mean_cycles": mean_cycles or None,
     }
     with connected(server, data) as client:
         reply = client.import_table(name, file, dry_run=dry_run, decimal=decimal, **options)
@@ -258,6 +282,55 @@ def withdraw(
             plain(Screen(), "No findings.")
 
 
+rigs = typer.Typer(no_args_is_help=True, help="List, show, add and remove profiles of test rigs.")
+_Rig = Annotated[str, typer.Argument(help="name of the profile")]
+
+
+@rigs.command("list")
+def list_rigs(as_json: AsJson = False, server: Server = DEFAULT_SERVER, data: Data = None) -> None:
+    """List the profiles: stored ones, and those of the program."""
+    with connected(server, data) as client:
+        listed = client.rigs()
+    table = Table("name", "origin", "title")
+    for rig in listed:
+        table.add_row(rig["name"], rig["origin"], escape(rig["title"]))
+    show(listed, as_json, lambda: [table])
+
+
+@rigs.command("show")
+def show_rig(
+    name: _Rig, as_json: AsJson = False, server: Server = DEFAULT_SERVER, data: Data = None
+) -> None:
+    """Print a profile as TOML."""
+    with connected(server, data) as client:
+        text = client.rig(name)
+    print_json({"name": name, "profile": text}) if as_json else sys.stdout.write(text)
+
+
+@rigs.command("add")
+def add_rig(
+    name: _Rig,
+    file: Annotated[Path, typer.Argument(help="its TOML file", exists=True, dir_okay=False)],
+    as_json: AsJson = False,
+    server: Server = DEFAULT_SERVER,
+    data: Data = None,
+) -> None:
+    """Store a profile, or replace it: wrenchbook import COMPONENT FILE --rig NAME."""
+    with connected(server, data) as client:
+        reply = client.add_rig(name, file)
+    show(reply, as_json, f"The rig {name} is stored.")
+
+
+@rigs.command("remove")
+def remove_rig(
+    name: _Rig, as_json: AsJson = False, server: Server = DEFAULT_SERVER, data: Data = None
+) -> None:
+    """Remove a stored profile; imports keep the text of theirs."""
+    with connected(server, data) as client:
+        client.remove_rig(name)
+    show({"name": name, "removed": True}, as_json, f"The rig {name} is removed.")
+
+
 TABLE_COMMANDS = {"import": import_table, "export": export_table, "withdraw": withdraw}
 
 
@@ -303,7 +376,9 @@ def _print_import(name: str, reply: dict[str, Any]) -> None:
         plain(Screen(), f"Lag of the displacements: {lag} s; {applied}.")
     rows = reply["rows"]
     others = {"refused": "have mistakes", "tare": "are the tare", "unmatched": "have no load"}
-    parts = [f"{rows[state]} {what}" for state, what in others.items() if rows[state]]
+    others |= {"skipped": "are of skipped cycles", "branch": "are off the branch"}
+    others |= {"averaged": "are in the mean of others"}
+    parts = [f"{rows[state]} {what}" for state, what in others.items() if rows.get(state)]
     if parts:
         plain(Screen(), f"Of {rows['read']} rows read {', '.join(parts)}.")
     if not (reply["dry_run"] or reply["errors"] or reply["in_use"]):

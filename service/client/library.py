@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import secrets
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from urllib.parse import quote
 
 import numpy as np
 
@@ -27,6 +29,7 @@ _ENDINGS = {
 }
 # The content decides how a file is read; these endings are of other kinds of file.
 _NOT_READ = frozenset({".fmu", ".wbt", ".pdf", ".xls"})
+_RIG_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")  # as the server's profiles have
 _IMPORT_S = 300.0  # a million rows take a minute, and another import before them as long
 
 
@@ -161,7 +164,9 @@ class LibraryCalls(Connection):
             ``lag`` (s, or ``"auto"``), ``wait_s`` (10 s: until answers come from the rows),
             ``frame`` (a rig's axes, a text or shape (3, 3)), ``load_point``,
             ``displacement_point`` ((3,), m), ``load_cell`` (``"moving"``: moments are about the
-            point where it is now, ``"fixed"``: where it was on the ground), ``rig`` (a TOML file).
+            point where it is now, ``"fixed"``: where it was on the ground), ``rig`` (a TOML file,
+            else the name of a profile of `rigs`), ``skip_cycles``, ``branch`` (``"loading"``,
+            ``"unloading"``), ``thin`` (part of the load range), ``mean_cycles``.
 
         Returns
         -------
@@ -197,7 +202,7 @@ class LibraryCalls(Connection):
             "mapping": json.dumps(dict(mapping)) if mapping else None,
             "ignore": list(ignore or ()) or None,
             "filename": filename or None,
-            "rig": Path(rig).read_text("utf-8-sig", "replace") if rig else None,
+            "rig": _profile(rig) if rig else None,
             **columns,
         }
         path, wait_s = component_path(name, "table"), _IMPORT_S + float(columns.get("wait_s") or 0)
@@ -286,6 +291,67 @@ class LibraryCalls(Connection):
         query = {"finding": finding}
         return self.call("POST" if restore else "DELETE", path, query=query).json()
 
+    def stiffness(
+        self,
+        name: str,
+        between: Sequence[float],
+        axis: str | None = None,
+        of: str | None = None,
+        number: int | None = None,
+    ) -> Document:
+        """Return the slope of a load over a displacement in measured rows between two loads.
+
+        The line is that of ``numpy.polyfit(displacement, load, 1)``: displacement on x, load on y.
+
+        Parameters
+        ----------
+        between : two floats, N or N·m
+            The rows whose load is between them.
+        axis, of : str, optional
+            The load, such as ``"fz"``, by default that of the largest range; the output, by default
+            that of the load: ``"uz"``.
+        number : int, optional
+            Of an import: its rows alone.
+
+        Returns
+        -------
+        dict
+            ``lines`` of ``all`` rows, of ``loading`` and ``unloading``, and of ``opposite`` loads:
+            ``slope`` (N/m to N·m/rad), ``slope_half_width`` (95 %), ``residual``, ``r2``, ``rows``,
+            ``unloaded`` (m or rad); ``play`` between ``branches`` and ``signs`` at no load.
+
+        Raises
+        ------
+        ProblemError
+            If there is no such component or import (404), load or output (422).
+        """
+        query = {"between": ",".join(repr(float(load)) for load in between), "axis": axis, "of": of}
+        query |= {"import": number}
+        return self.call_json("GET", component_path(name, "stiffness"), query=query)
+
+    def rigs(self) -> list[Document]:
+        """Return the profiles of test rigs: ``name``, ``origin`` (stored, shipped), ``title``."""
+        return self.call_json("GET", "/v1/rigs")["rigs"]
+
+    def rig(self, name: str) -> str:
+        """Return the TOML text of a profile; ProblemError if there is none (404)."""
+        return self.call("GET", _rig_path(name)).content.decode()
+
+    def add_rig(self, name: str, profile: str | Path) -> Document:
+        """Store a profile, a TOML file, on the server, or replace it.
+
+        Raises
+        ------
+        OSError, ProblemError
+            If the file cannot be read; if it is no profile (422).
+        """
+        content = Path(profile).read_bytes()
+        return self.call("PUT", _rig_path(name), content, kind=BINARY).json()
+
+    def remove_rig(self, name: str) -> None:
+        """Remove a stored profile; ProblemError if none is stored (404)."""
+        self.call("DELETE", _rig_path(name))
+
     def make_report(self, name: str, wrenches: int = 24, seed: int = 1) -> Document:
         """Start making a report of error against run time; it takes minutes.
 
@@ -352,6 +418,17 @@ def _named_file(file: str | Path) -> tuple[str, bytes]:
     """Return the name and the content of a file that may be a table."""
     check_readable(file)
     return Path(file).name, Path(file).read_bytes()
+
+
+def _rig_path(name: str) -> str:
+    return f"/v1/rigs/{quote(name, safe='')}"
+
+
+def _profile(rig: str | Path) -> str:
+    """Return the text of a TOML file, or the name of a profile that the server has."""
+    if isinstance(rig, str) and _RIG_NAME.fullmatch(rig) and not Path(rig).is_file():
+        return rig
+    return Path(rig).read_text("utf-8-sig", "replace")
 
 
 def _known(format_: str) -> str:

@@ -68,6 +68,10 @@ class Options:
     the TOML of the readings' rig. `time_offset_s` is added to the times of displacements, "auto" is
     the lag that the logs show; `max_gap_s` is the longest interval between loads, s.
 
+    `optional` are labels of `ignore` and `mapping` that a file may lack: those of a rig's profile.
+    Of cycles of the main load: `skip_cycles` first ones are left out, `branch` is the one to load,
+    rows of a pass within `thin` of the load range are averaged, and with `mean_cycles` the cycles.
+
     Of the component: the `load_range`, whose space is that of the rows; the `fingerprint` of its
     setup, since solves of any other are mistakes; the compliance (outputs, inputs), SI, of its
     solves in `solved`, with which findings compare rows; whether it is `linear`.
@@ -84,6 +88,11 @@ class Options:
     rig: str = ""
     time_offset_s: float | Literal["auto"] = 0.0
     max_gap_s: float | None = None
+    optional: tuple[str, ...] = ()
+    skip_cycles: int = 0
+    branch: Literal["loading", "unloading"] | None = None
+    thin: float | None = None
+    mean_cycles: bool = False
     load_range: LoadRange | None = None
     fingerprint: str | None = None
     solved: Sequence[Sequence[float]] | None = None
@@ -96,6 +105,11 @@ class Options:
         return DEFAULT if self.load_range is None else self.load_range.space
 
     @property
+    def has_cycles(self) -> bool:
+        """Whether rows are left out or averaged by the cycles of the main load."""
+        return bool(self.skip_cycles or self.branch or self.thin or self.mean_cycles)
+
+    @property
     def columns(self) -> Columns:
         """The columns of the rows."""
         return columns_of(self.space)
@@ -106,14 +120,16 @@ class Options:
         span = self.load_range
         ends = [span.low.tolist(), span.high.tolist(), span.space.as_json()] if span else None
         values["load_range"] = ends
-        return values | {"mapping": dict(self.mapping), "ignore": list(self.ignore)}
+        lists = {name: list(getattr(self, name)) for name in ("ignore", "optional")}
+        return values | {"mapping": dict(self.mapping), **lists}
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Options:
         """Return options from the result of `as_json`."""
         low, high, space = values["load_range"] or ([], [], None)
         span = LoadRange(np.array(low), np.array(high), Space.read(space)) if space else None
-        return cls(**{**values, "ignore": tuple(values["ignore"]), "load_range": span})
+        lists = {name: tuple(values[name]) for name in ("ignore", "optional")}
+        return cls(**{**values, **lists, "load_range": span})
 
 
 @dataclass(frozen=True, order=True)
@@ -213,7 +229,9 @@ class ReadReport:
     `ignored` the labels of the others, `titles` lines above the header. `converted`: some numbers
     are not in the units of arrays. `clock`, of two logs: the seconds added to the displacements'
     times, and the lag that the logs show. `read`, `zeroed` and `unmatched` count the rows of the
-    file, those in the mean of the zero offset, and those with no load at their time.
+    file, those in the mean of the zero offset, and those with no load at their time; `left_out`
+    those of skipped cycles, those of the other branch or of no sure one, and those that are in the
+    mean of others.
     """
 
     mistakes: Mistakes = field(default_factory=Mistakes)
@@ -229,6 +247,9 @@ class ReadReport:
     read: int = 0
     zeroed: int = 0
     unmatched: int = 0
+    left_out: dict[str, int] = field(
+        default_factory=lambda: {"skipped": 0, "branch": 0, "averaged": 0}
+    )
 
     def is_beyond_limits(self) -> bool:
         """Return whether reading ends here: with too many rows or mistakes, no row is loaded."""
@@ -249,9 +270,11 @@ class ReadReport:
             "rows": {
                 "read": self.read,
                 "good": good,
-                "refused": self.read - good - self.zeroed - self.unmatched,
+                "refused": self.read
+                - (good + self.zeroed + self.unmatched + sum(self.left_out.values())),
                 "tare": self.zeroed,
                 "unmatched": self.unmatched,
+                **self.left_out,
             },
             "clock": self.clock,
             "columns": [dict(zip(names, column, strict=True)) for column in self.columns],

@@ -40,6 +40,7 @@ from wrenchbook.service.library.component import (
     OneWrenchError,
     UnknownComponentError,
 )
+from wrenchbook.service.library.rigs import TooManyRigsError, UnknownRigError
 from wrenchbook.service.ops.logs import REQUEST_ID
 from wrenchbook.service.query import (
     BeyondRangeError,
@@ -70,6 +71,8 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     ImportRunningError: (503, "importing", "Another table is being imported"),
     UnknownRowError: (404, "unknown-row", "No such row"),
     UnknownImportError: (404, "unknown-import", "No such import"),
+    UnknownRigError: (404, "unknown-rig", "No such rig"),
+    TooManyRigsError: (409, "rigs-full", "The server stores no more rigs"),
     NoFieldsError: (409, "no-surface", "No row has a deformed surface"),
     TooFarError: (409, "beyond-range", "Outside the component's load range"),
     NotCoveredError: (409, "not-covered", "The table does not cover this"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from fastapi import APIRouter, Path, Query, Request
 from pydantic import Field
 from starlette.concurrency import run_in_threadpool
@@ -19,12 +20,13 @@ from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.routes import Opened, json_reply
 from wrenchbook.service.http.routes.components import component_body
 from wrenchbook.service.http.routes.rows import file_fields
-from wrenchbook.service.ledger import About
-from wrenchbook.service.messages import Card, Demand, Disagreement, Import, Imports
+from wrenchbook.service.ledger import About, UnknownImportError
+from wrenchbook.service.messages import Card, Demand, Disagreement, Import, Imports, Line, Play
 from wrenchbook.service.tables.disagreement import disagreement
 from wrenchbook.service.tables.importing import copy_rows
 from wrenchbook.service.tables.rows import iso_time
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
+from wrenchbook.surrogate.findings.cycles import measured_stiffness
 
 router = APIRouter(
     prefix="/v1/components/{name}",
@@ -53,6 +55,38 @@ ImportEdited = TypedDict(
         "table_version": int,
     },
     total=False,
+)
+
+
+MeasuredStiffness = TypedDict(
+    "MeasuredStiffness",
+    {
+        "component": str,
+        "table_version": int,
+        "import": int | None,
+        "axis": Annotated[str, Field(description="the load: y of the line")],
+        "of": Annotated[str, Field(description="the output: x of the line")],
+        "between": Annotated[list[float], Field(description="N or N·m")],
+        "unit": Annotated[str, Field(description="of slope")],
+        "lines": Annotated[
+            dict[Literal["all", "loading", "unloading", "opposite"], Line | None],
+            Field(
+                description="opposite: between the loads of the other sign; null of fewer than "
+                "three rows"
+            ),
+        ],
+        "play": Annotated[
+            dict[Literal["branches", "signs"], Play | None],
+            Field(
+                description="distance of two lines at no load, m or rad: of loading and unloading, "
+                "of positive and negative loads"
+            ),
+        ],
+        "other_loads": Annotated[
+            dict[str, float],
+            Field(description="that vary in these rows, by so much: the slope has their effect"),
+        ],
+    },
 )
 
 
@@ -157,6 +191,56 @@ def list_disagreements(name: str, workspace: Opened) -> Response:
     setup = component.load_range, component.tolerance, component.linear, table.locked
     compared = disagreement(table.rows, *setup, table.solver_error)
     return json_reply(Disagreement(component=name, table_version=table.version, **compared))
+
+
+@router.get(
+    "/stiffness",
+    summary="Slope of load over displacement of measured rows between two loads, and play",
+    response_model=MeasuredStiffness,
+)
+def get_stiffness(
+    name: str,
+    workspace: Opened,
+    between: Annotated[str, Query(max_length=100, description="two loads, N or N·m: 100,500")],
+    axis: Annotated[
+        str, Query(max_length=100, description="load; by default that of the largest range")
+    ] = "",
+    of: Annotated[
+        str, Query(max_length=100, description="output; by default that of the load: uz of fz")
+    ] = "",
+    number: Annotated[
+        int | None, Query(alias="import", ge=1, lt=2**63, description="of an import's rows alone")
+    ] = None,
+) -> Response:
+    component = workspace.library[name]
+    table = workspace.tables.caught_up(name, CATCH_UP_S)
+    rows, space = table.rows, component.space
+    if number is not None:
+        spans = workspace.ledger.import_spans(name)
+        parts = [(first, last) for first, last, record in spans if record.id == number]
+        if not parts:
+            raise UnknownImportError(f"{name!r} has no import {number} with rows in the table")
+        rows = rows.take(np.any([(a <= rows.seq) & (rows.seq <= b) for a, b in parts], axis=0))
+    try:
+        low, high = (float(text) for text in between.split(","))
+        if not -np.inf < low != high < np.inf:
+            raise ValueError
+    except ValueError:
+        message = "is not two different numbers with a comma between them, such as 100,500"
+        raise bad_body([{"loc": "query.between", "msg": message}]) from None
+    loads = [item.name for item in space.inputs if item.kind != "scalar"]
+    spread = np.ptp(rows.wrench, axis=0) if len(rows) else np.zeros(len(space.inputs))
+    axis = axis or loads[int(np.argmax((spread / component.load_range.scale)[: len(loads)]))]
+    for word, names, place in ((axis, loads, "axis"), (of, space.output_names, "of")):
+        if word and word not in names:
+            message = f"is none of {', '.join(names)}"
+            raise bad_body([{"loc": f"query.{place}", "msg": message}])
+    at = space.input_names.index(axis)
+    to = space.output_names.index(of) if of else at  # each interface has six of both
+    body = measured_stiffness(rows, component.load_range, (low, high), at, to)
+    about = {"component": name, "table_version": table.version, "import": number, "axis": axis}
+    about |= {"of": space.output_names[to], "between": sorted((low, high))}
+    return json_reply(about | {"unit": f"{space.inputs[at].unit}/{space.outputs[to].unit}"} | body)
 
 
 @router.get("/demand", summary="Queries that were not covered", response_model=Demand)

@@ -15,7 +15,7 @@ from weakref import WeakValueDictionary
 
 import orjson
 from fastapi import APIRouter, Header, Query, Request
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 from starlette.background import BackgroundTask
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile
@@ -27,15 +27,16 @@ from wrenchbook.service.formats import (
     MAX_ZERO_ROWS,
     Options,
 )
-from wrenchbook.service.formats.rig import MAX_RIG, Rig, rig_text
+from wrenchbook.service.formats.rig import MAX_RIG, NAME, OPTIONS, Rig, rig_text
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import Body
 from wrenchbook.service.http.body import PIECE, content_type, form_of, spooled
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
-from wrenchbook.service.http.problems import HttpProblemError, bad_body
+from wrenchbook.service.http.problems import HttpProblemError, bad_body, plain_errors
 from wrenchbook.service.http.routes import Opened, holds, json_reply, naming
 from wrenchbook.service.ledger import About
 from wrenchbook.service.library.component import Component
+from wrenchbook.service.library.rigs import rig_of
 from wrenchbook.service.messages import (
     ImportFinding,
     PreviewRow,
@@ -165,8 +166,31 @@ class ImportQuery(Body):
         Literal["moving", "fixed"] | None, Field(description=f"moments are about {_LOAD_CELL}")
     ] = None
     rig: Annotated[
-        str, Field(max_length=MAX_RIG, description="TOML: these four, name; kept with the import")
+        str,
+        Field(
+            max_length=MAX_RIG,
+            description="TOML of a rig's profile, or the name of a stored or shipped one: these "
+            f"four, name, {', '.join(OPTIONS)}. Options of the query win; kept with the import",
+        ),
     ] = ""
+    skip_cycles: Annotated[
+        int, Field(ge=0, le=10_000, description="first cycles of the main load to leave out")
+    ] = 0
+    branch: Annotated[
+        Literal["loading", "unloading"] | None,
+        Field(description="of the main load: the rows to load; loading leads away from no load"),
+    ] = None
+    thin: Annotated[
+        float | None,
+        Field(
+            gt=0,
+            le=0.5,
+            description="part of the load range: rows of a pass within it become their mean",
+        ),
+    ] = None
+    mean_cycles: Annotated[
+        bool, Field(description="repeated cycles become their mean, with its 95 % half width")
+    ] = False
     time_offset_s: Annotated[
         Annotated[float, Field(allow_inf_nan=False)] | Literal["auto"],
         Field(
@@ -202,19 +226,11 @@ class ImportQuery(Body):
         return text
 
     @model_validator(mode="after")
-    def _has_one_rig(self) -> ImportQuery:
-        if self.rig and rig_text(self.frame, self.load_point, self.displacement_point):
-            raise ValueError("rig has the frame and the points: send either it or these three")
-        if self.load_cell and Rig.read(self.rig).load_cell:
-            raise ValueError("rig has the load_cell already: send it once")
-        if text := self._rig_text():
+    def _rig_can_be_read(self) -> ImportQuery:
+        parts = self.frame, self.load_point, self.displacement_point, self.load_cell or ""
+        if not NAME.fullmatch(self.rig) and (text := rig_text(*parts, of=self.rig)):
             Rig.read(text)
         return self
-
-    def _rig_text(self) -> str:
-        parts = self.frame, self.load_point, self.displacement_point, self.load_cell or ""
-        axes = rig_text(*parts) if any(parts) else ""
-        return "\n".join(filter(None, (self.rig, axes)))
 
     @field_validator("note", "filename", "rig")
     @classmethod
@@ -227,18 +243,48 @@ class ImportQuery(Body):
             raise ValueError("holds a zero byte")
         return text
 
-    def options(self) -> Options:
-        """Return the options of reading the file."""
-        same = self.model_dump(include={field.name for field in fields(Options)})
+    def options(self, rig: str) -> Options:
+        """Return the options of reading the file, those of the profile `rig` where it has none.
+
+        Raises RigError or ValidationError if the profile cannot be read.
+        """
+        parts = self.frame, self.load_point, self.displacement_point, self.load_cell or ""
+        rig = rig_text(*parts, of=rig)
+        profile = profile_of(rig)
+        own, mapping = self.model_dump(include=self.model_fields_set), {}
+        for columns in (profile.mapping, self.mapping):
+            mapping |= _pairs(columns) if columns else {}
+        chosen = _pairs(self.mapping) if self.mapping else {}
+        ignore = [name for name in profile.ignore if name not in chosen]
+        query = profile.model_copy(update=own)
+        same = query.model_dump(include={field.name for field in fields(Options)})
         return Options(
             **same
             | {
-                "ignore": tuple(self.ignore),
-                "mapping": _pairs(self.mapping) if self.mapping else {},
-                "zero_rows": self.tare,
-                "rig": self._rig_text(),
+                "ignore": (*self.ignore, *ignore),
+                "mapping": mapping,
+                "optional": tuple({*ignore, *mapping} - {*self.ignore, *chosen}),
+                "zero_rows": query.tare,
+                "rig": rig,
             }
         )
+
+
+def profile_of(text: str) -> ImportQuery:
+    """Return the options of a rig's profile as a query; RigError or ValidationError if wrong."""
+    values = Rig.read(text).options if text else {}
+    if "columns" in values:
+        values["mapping"] = orjson.dumps(values.pop("columns")).decode()
+    return ImportQuery.model_validate(values)
+
+
+def profile_problem(error: ValueError) -> HttpProblemError:
+    """Return the reply to a rig's profile that cannot be read."""
+    known = plain_errors(error) if isinstance(error, ValidationError) else []
+    return bad_body(
+        [{"loc": f"rig.{one['loc']}", "msg": one["msg"]} for one in known]
+        or [{"loc": "rig", "msg": str(error)}]
+    )
 
 
 def _pairs(text: str) -> dict[str, str]:
@@ -278,8 +324,23 @@ Imported = TypedDict(
             Field(description="name, handedness, axes, points, load cell"),
         ],
         "rows": Annotated[
-            dict[Literal["read", "loaded", "refused", "tare", "unmatched"], int],
-            Field(description="read = loaded + refused + tare + unmatched, but of a dry run"),
+            dict[
+                Literal[
+                    "read",
+                    "loaded",
+                    "refused",
+                    "tare",
+                    "unmatched",
+                    "skipped",
+                    "branch",
+                    "averaged",
+                ],
+                int,
+            ],
+            Field(
+                description="read is the sum of the others, but of a dry run: skipped are those of "
+                "skip_cycles, branch those off the branch, averaged those in the mean of others"
+            ),
         ],
         "columns": Annotated[
             list[dict[Literal["column", "name", "unit"], str]],
@@ -412,7 +473,11 @@ async def import_table(
         )
     table = workspace.tables.surrogate(name)
     solved = await run_in_threadpool(solved_compliance, component, table)
-    options = replace(query.options(), solved=solved, linear=component.linear)
+    rig = await run_in_threadpool(rig_of, workspace.ledger, query.rig)
+    try:
+        options = replace(query.options(rig), solved=solved, linear=component.linear)
+    except ValueError as error:
+        raise profile_problem(error) from None
     async with received(request) as sent:
         key = permission_of(request.scope).key
         about = About(
