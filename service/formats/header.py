@@ -313,7 +313,7 @@ def _read_labels(
                 header.mistakes.append(FileMistake(line, label, str(error)))
     there = {key for names in keys for key in names}
     for name in (*options.ignore, *options.mapping) if options.role == "table" else ():
-        if _key(name) not in there and name not in options.optional:
+        if _key(name) not in there:
             message = (
                 "is named by ignore or mapping (--ignore or --column), and the file has no such "
                 "column"
@@ -337,9 +337,8 @@ def _add_column(
     columns, text = options.columns, (target or bare.label).strip()
     sign = -1.0 if target and text.startswith("-") else 1.0
     text = text.removeprefix("-") if target else text
-    below = bare.unit or (_unit(bare.label) if target else "")
     try:
-        name, unit, factor = _reading(text, below, header.preamble, columns)
+        name, unit, factor = _reading(text, bare.unit, header.preamble, columns)
     except _UnknownColumnError:
         if not options.ignore_extra or target:
             raise
@@ -400,13 +399,6 @@ def _name(label: str) -> str:
         return label
 
 
-def _unit(label: str) -> str:
-    try:
-        return split(label)[1]
-    except UnitError:
-        return ""
-
-
 def _key(label: str) -> str:
     return " ".join(label.split()).lower()
 
@@ -422,23 +414,6 @@ def _unknown(name: str, columns: Columns) -> str:
         f"displacement's with _err, {columns.compliance[0]} ... {columns.compliance[-1]}, source, "
         "note, fingerprint"
     )
-
-
-def _missing_of_profile(named: set[str], options: Options) -> Iterator[str]:
-    """Yield a message on each load that a profile names and the file lacks: it is not zero."""
-    labels: dict[str, list[str]] = {}
-    for label in set(options.optional) & set(options.mapping):
-        for name, *_ in _readings(
-            options.mapping[label].strip().removeprefix("-"), options.columns
-        ):
-            labels.setdefault(name, []).append(label)
-    for name in options.columns.loads:
-        if name in labels and name not in named:
-            yield (
-                f"there is no column for {name}: the rig's profile has it in "
-                f"{' or '.join(sorted(labels[name]))}. Name its column with mapping (--column "
-                f"'LABEL={name} [{options.columns.quantity(name).si}]'), or choose another profile"
-            )
 
 
 def _missing_columns(header: Header, labels: list[str], options: Options) -> Iterator[str]:
@@ -469,8 +444,6 @@ def _missing_columns(header: Header, labels: list[str], options: Options) -> Ite
             f"there is no column for {', '.join(absent)}{out}; if these loads were zero, say "
             "missing_loads=zero (--missing-loads-zero)"
         )
-    if options.role != "displacements":
-        yield from _missing_of_profile(named, options)
     for name in columns.further if options.role != "displacements" else ():
         if name not in named:
             example = f"{name} [{columns.quantity(name).si}]"
