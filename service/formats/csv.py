@@ -1,8 +1,9 @@
 """CSV tables: encodings, delimiters, decimal marks, comments, and mistakes by line and column.
 
-Fields are parted by ``,``, ``;``, tab or ``|``, with the latter three the decimal mark may be a
-comma. If all marks in the numbers may part thousands (``1,234``), the file is refused: a guess
-would be wrong by a factor of 1000. Blank lines and comments (``#``) count in the numbers of lines.
+Fields are parted by ``,``, ``;``, tab, ``|`` or runs of blanks, with the latter four the decimal
+mark may be a comma. If all marks in the numbers may part thousands (``1,234``), the file is
+refused: a guess would be wrong by a factor of 1000. Blank lines and comments (``#``) count in the
+numbers of lines.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import codecs
 import csv
 import io
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, islice
@@ -22,7 +23,14 @@ import numpy as np
 
 from wrenchbook.service.formats.cells import guard_formula, number_text
 from wrenchbook.service.formats.columns import TEXTS, TIME_COLUMN, Layout, WritableRows
-from wrenchbook.service.formats.header import Header, Preamble, Record, delimiter_in, read_head
+from wrenchbook.service.formats.header import (
+    Header,
+    Preamble,
+    Record,
+    delimiter_in,
+    is_row,
+    read_head,
+)
 from wrenchbook.service.formats.options import Mistakes, Options, ParsedTable, ReadReport
 from wrenchbook.service.formats.text import (
     BrokenLineError,
@@ -49,11 +57,17 @@ _SHEET_ERROR = re.compile(
     r"#(N/A|DIV/0!|REF!|VALUE!|NAME\?|NUM!|NULL!|NV|WERT!|BEZUG!|ZAHL!)", re.IGNORECASE
 )
 _IN_BRACKETS = re.compile(r"\[[^\]]*\]|\([^)]*\)|\"[^\"]*\"")
+_MARKS = re.compile(r"[;,|\t]")
+_BLANK_CELL = re.compile(r'(?:"[^"]*"|[^\s"]+)(?:\s*[\[(][^\])]*[\])])?')  # Load [N], "Load cell"
 _LINE_END = re.compile(r"\r\n|\r|\n")
 _NO_CSV = (
     "cannot be read as CSV ({}); is a quotation mark left open? Within a quoted text a quotation "
     "mark is written twice"
 )
+
+
+Split = Callable[[Iterator[str], int], Iterator[Record]]
+"""Yields the records of lines, of which the first has a number."""
 
 
 class UnreadableFileError(ValueError):
@@ -66,6 +80,11 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         encoding = _encoding(path)
         with path.open("rb") as content:
             delimiter = _delimiter(_lines(content, encoding), options)
+        split: Split = partial(records_of, delimiter=delimiter)
+        if delimiter == " ":
+            with path.open("rb") as content:
+                rows = filter(is_row, map(str.split, _lines(content, encoding)))
+                split = partial(_blank_records, width=len(next(rows)))
     except UnreadableFileError as error:
         report.mistakes.ruin(0, "file", str(error))
         return
@@ -74,7 +93,7 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         return
 
     def records(content: BinaryIO) -> Iterator[Record]:
-        every = _records(_lines(content, encoding), delimiter)
+        every = split(_lines(content, encoding), 1)
         for line, cells in islice(every, 1):  # spreadsheets put a line sep=; first
             split_up = cells[0].lower() in ("sep=", '"sep=') and not any(cells[1:])
             if not (_SEPARATOR_LINE.fullmatch(delimiter.join(cells)) or (split_up and cells[1:])):
@@ -91,7 +110,7 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         first = next(rest, None)
     with path.open("rb") as content:
         mark, inputs = "," if cell_format.comma else ".", options.columns.wrench
-        body = _Body(content, encoding, delimiter, header, mark, inputs, report.mistakes)
+        body = _Body(content, encoding, delimiter, split, header, mark, inputs, report.mistakes)
         pieces = body.pieces(first[0]) if first else iter(())
         yield from read_pieces(header, pieces, options, report, cell_format)
 
@@ -109,6 +128,7 @@ class _Body:
     content: BinaryIO
     encoding: str
     delimiter: str
+    split: Split
     header: Header
     mark: str  # of decimals
     inputs: tuple[str, ...]
@@ -117,7 +137,8 @@ class _Body:
     def pieces(self, line: int) -> Iterator[Piece]:
         """Yield the rows from a line on."""
         head = b"".join(self.content.readline(MAX_LINE) for _ in range(line - 1))
-        if self.encoding == "utf-16" or head.count(b"\r") != head.count(b"\r\n"):
+        by_line = self.delimiter == " " or self.encoding == "utf-16"
+        if by_line or head.count(b"\r") != head.count(b"\r\n"):
             self.content.seek(0)
             lines = islice(_lines(self.content, self.encoding), line - 1, None)
             yield from self._by_line(lines, line)
@@ -143,7 +164,7 @@ class _Body:
             line += count
 
     def _by_line(self, lines: Iterator[str], line: int) -> Iterator[Piece]:
-        records = until_broken(_records(lines, self.delimiter, line), self.mistakes)
+        records = until_broken(self.split(lines, line), self.mistakes)
         check = partial(_record_problem, delimiter=self.delimiter)
         yield from text_pieces(records, self.header, self.mistakes, check)
 
@@ -296,8 +317,20 @@ def _delimiter(lines: Iterator[str], options: Options) -> str:
         if _may_be_header(line):
             rest = (below for below in islice(lines, _MAX_HEAD) if _may_be_header(below))
             heads = chain([line], rest)
-            return delimiter_in(heads, lambda text: _IN_BRACKETS.sub("", text), options.columns)
+            try:
+                return delimiter_in(heads, _bare, options)
+            except ValueError as error:
+                raise BrokenLineError(number, str(error)) from None
     return ","
+
+
+def _bare(line: str) -> str:
+    """Return a line without brackets, and quoted texts without delimiters."""
+
+    def plain(match: re.Match[str]) -> str:
+        return _MARKS.sub(" ", match[0].strip('"')) if match[0][0] == '"' else ""
+
+    return _IN_BRACKETS.sub(plain, line)
 
 
 def _may_be_header(line: str) -> bool:
@@ -321,7 +354,7 @@ def _is_comment(line: str) -> bool:
     return line.startswith("#") and not _SHEET_ERROR.match(line)
 
 
-def _records(lines: Iterator[str], delimiter: str, first: int = 1) -> Iterator[Record]:
+def records_of(lines: Iterator[str], first: int, delimiter: str) -> Iterator[Record]:
     """Yield the line, from `first` on, and cells of each record with text; BrokenLineError."""
     fresh, length = True, 0
 
@@ -349,6 +382,25 @@ def _records(lines: Iterator[str], delimiter: str, first: int = 1) -> Iterator[R
                 _refuse_blank(before - row, line)
     except csv.Error as error:
         raise BrokenLineError(before + 1, _NO_CSV.format(error)) from error
+
+
+def _blank_records(lines: Iterator[str], first: int, width: int) -> Iterator[Record]:
+    """Yield the line and cells of each record between blanks; BrokenLineError.
+
+    A line that has not `width` of them may be of texts with single blanks, or with quotation marks.
+    """
+    before = first - 1
+    for number, line in enumerate(lines, first):
+        cells = line.split()
+        if not cells or _is_comment(line):
+            _refuse_blank(number - before, number)
+            continue
+        if len(cells) != width:
+            apart = re.split(r"\s{2,}", line.strip())
+            quoted = [cell.replace('"', "") for cell in _BLANK_CELL.findall(line)]
+            cells = apart if len(apart) == width else quoted
+        before = number
+        yield number, cells
 
 
 def _record_problem(cells: list[str], header: Header, delimiter: str) -> str:

@@ -3,7 +3,8 @@
 Names and spellings are those of `columns`. A number column names its unit in its label, in a row of
 units below or in the preamble. An unknown column is a mistake unless the sender leaves it out: a
 misspelt load would count as zero. The first of 31 lines that names two columns is the header;
-without one the first line is read as the header, and its mistakes are reported.
+without one the first line is read as the header, and its mistakes are reported. The sender may name
+columns by their position, from 1, if no label is that number; then a file needs no header.
 
 ATI's Net F/T demo logs counts below lines such as ``Counts per Unit Force``. A value is the counts
 over the counts per unit; the elapsed time is the RDT sequence over the sample rate (ATI manual
@@ -19,7 +20,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, islice
 
-from wrenchbook.service.formats.cells import UnitError, is_number
+from wrenchbook.service.formats.cells import QUANTITIES, TIME, UnitError, is_number, si_factor
 from wrenchbook.service.formats.columns import (
     ARRAYS,
     MAX_LABEL,
@@ -40,6 +41,7 @@ _ENTRY = re.compile(
     r"\s*[:=]?\s*(?P<value>.*)",
     re.IGNORECASE,
 )
+_POSITION = re.compile(r"[1-9]\d{0,3}")
 _BOOKKEEPING = re.compile(r"(status.*|rdt sequence|f/t sequence)", re.IGNORECASE)
 # Spellings of ATI's configuration page.
 _ATI_UNITS = {
@@ -126,60 +128,97 @@ def _positive(value: str) -> float:
     return number
 
 
+def is_row(cells: Sequence[str]) -> bool:
+    """Return whether cells are a row of two numbers or more, and nothing else."""
+    filled = [cell for cell in cells if cell.strip()]
+    return len(filled) >= _SEVERAL and all(map(is_number, filled))
+
+
 def _split_titles(
     first: Record, rest: Iterator[Record], mapping: Mapping[str, str], columns: Columns
 ) -> tuple[list[str], Record, Iterator[Record]]:
-    """Return the titles, the header and the records below it; keys of `mapping` count as names."""
+    """Return the titles, the header and the records below it; keys of `mapping` count as names.
 
-    def is_row(cells: list[str]) -> bool:
-        filled = [cell for cell in cells if cell.strip()]
-        return len(filled) >= _SEVERAL and all(is_number(cell) for cell in filled)
-
+    If they are positions, the first row of numbers may stand in place of a header.
+    """
     if _named_columns(first[1], columns, mapping) >= _SEVERAL or is_row(first[1]):
         return [], first, rest
     titles = [first]
     for record in islice(rest, MAX_TITLES):
+        end = len(titles)
         if is_row(record[1]):
             rest = chain([record], rest)
-            break
-        if _named_columns(record[1], columns, mapping) >= _SEVERAL:
-            joined = (
-                " ".join(cell.strip() for cell in cells if cell.strip()) for _, cells in titles
-            )
-            return [title[:MAX_LABEL] for title in joined], record, rest
-        titles.append(record)
+            if not any(map(_POSITION.fullmatch, mapping)):
+                break
+            if len(titles[-1][1]) == len(record[1]):  # labels, maybe with units below them
+                above = len(titles) > 1 and len(titles[-2][1]) == len(record[1])
+                end -= 1 + (above and _are_units(titles[-1][1]))
+            titles.append(next(rest))
+        elif _named_columns(record[1], columns, mapping) >= _SEVERAL:
+            titles.append(record)
+        else:
+            titles.append(record)
+            continue
+        joined = (
+            " ".join(cell.strip() for cell in cells if cell.strip()) for _, cells in titles[:end]
+        )
+        below = chain(titles[end + 1 :], rest)
+        return [title[:MAX_LABEL] for title in joined], titles[end], below
     return [], first, chain(titles[1:], rest)
 
 
-def delimiter_in(lines: Iterator[str], bare: Callable[[str], str], columns: Columns) -> str:
-    """Return the delimiter of the header; of the first line if none names columns.
+def _are_units(cells: Sequence[str]) -> bool:
+    """Return whether all cells are units of loads, displacements or times."""
 
-    It is ``;`` or tab if the line has one, else ``,`` or ``|``, whichever splits off more names.
-    `bare` removes brackets from a line: units may hold delimiters.
+    def is_unit(text: str) -> bool:
+        for quantity in (*QUANTITIES, TIME):
+            try:
+                return bool(si_factor(text, quantity))
+            except UnitError:
+                continue
+        return False
+
+    return all(is_unit(_unbracketed(cell)) for cell in cells if cell.strip())
+
+
+def delimiter_in(lines: Iterator[str], bare: Callable[[str], str], options: Options) -> str:
+    """Return the delimiter of the header, else of the first row of numbers, else of the first line.
+
+    It is ``;`` or tab if the header has one, else ``,`` or ``|``, whichever splits off more names.
+    A blank stands for runs of them. `bare` removes brackets from a line: units may hold delimiters.
+    ValueError if blanks and commas both make a row.
     """
-    heads = [bare(line) for line in islice(lines, MAX_TITLES + 1)]
+    heads, columns = [bare(line) for line in islice(lines, MAX_TITLES + 1)], options.columns
     marks = _SURE_DELIMITERS + _OTHER_DELIMITERS
 
     def names(line: str, mark: str) -> int:
-        return _named_columns(line.split(mark, columns.most), columns)
+        return _named_columns(line.split(mark, columns.most), columns, options.mapping)
 
-    header = next(
-        (line for line in heads if any(names(line, mark) >= _SEVERAL for mark in marks)), heads[0]
-    )
+    header = next((line for line in heads if any(names(line, m) >= _SEVERAL for m in marks)), "")
+    for line in heads if not header else ():
+        rows = [mark for mark in marks if is_row(line.split(mark, columns.most)[: columns.most])]
+        blank = is_row(cells := line.split(None, columns.most)[: columns.most])
+        if blank and not any(cell[0] in ",;|" or cell[-1] in ",;|" for cell in cells):
+            rows += [" "]
+        if len(rows) > 1 and rows[0] in _OTHER_DELIMITERS:
+            raise ValueError(
+                f"{line.strip()[:80]} may be columns between blanks or between commas; if by "
+                "commas, write sep=, into a line before the first, else replace the blanks by ;"
+            )
+        if rows:
+            return rows[0]
+    header = header or heads[0]
     sure = next((mark for mark in _SURE_DELIMITERS if mark in header), "")
-    return sure or max(
-        _OTHER_DELIMITERS, key=lambda mark: _named_columns(header.split(mark), columns)
-    )
+    return sure or max(_OTHER_DELIMITERS, key=lambda mark: names(header, mark))
 
 
-def _named_columns(
-    cells: Sequence[str], columns: Columns, mapping: Mapping[str, str] | None = None
-) -> int:
+def _named_columns(cells: Sequence[str], columns: Columns, mapping: Mapping[str, str]) -> int:
     """Return how many cells name a column of a table or a key of the mapping."""
-    mapped = {_key(name) for name in mapping or ()}
+    mapped = {_key(name) for name in mapping} - {""}
     labels = (" ".join(cell.split()) for cell in cells[: columns.most])
     return sum(
-        bool(label and label.lower() in mapped) or bool(_readings(label, columns))
+        not mapped.isdisjoint((_key(label), _key(_parts(label)[0])))
+        or bool(label and _readings(label, columns))
         for label in labels
     )
 
@@ -246,18 +285,23 @@ def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iter
     if any(cell.strip() for cell in cells[columns.most :]):
         message = f"names {len(cells):,} columns; a table has at most {columns.most}"
         return _no_header(line, "header", message), records
-    if all(is_number(cell) for cell in cells if cell.strip()):
-        message = (
-            "there is no header; the first line must name the columns with units, such as "
-            "fx [N], ux [mm] (a line that begins with # is a comment)"
-        )
-        return _no_header(line, "header", message), records
+    positions = [int(key) for key in options.mapping if _POSITION.fullmatch(key)]
     # Files that were joined have the mark of UTF-8 before a later label too.
     labels = [" ".join(cell.replace("\ufeff", "").split()) for cell in cells]
-    while labels and not labels[-1]:
+    if all(is_number(cell) for cell in cells if cell.strip()):
+        if not positions:
+            message = (
+                "there is no header; the first line must name the columns with units, such as "
+                "fx [N], ux [mm] (a line that begins with # is a comment); or name them by "
+                "position with mapping (--column '1=fx [N]')"
+            )
+            return _no_header(line, "header", message), records
+        labels = [str(at) for at in range(1, len(cells) + 1)]
+        records = chain([(line, cells)], records)
+    while len(labels) > max(positions, default=0) and not labels[-1]:
         labels.pop()  # a spreadsheet's empty columns on the right
     below = next(records, None)
-    units = below[1] if below and _is_units_row(labels, below[1], columns) else []
+    units = below[1] if below and _is_units_row(labels, below[1], options) else []
     if below and not units:
         records = chain([below], records)
     header = Header(width=len(labels), preamble=preamble, titles=titles)
@@ -269,16 +313,33 @@ def _no_header(line: int, field: str, message: str) -> Header:
     return Header(0, mistakes=[FileMistake(line, field, message)])
 
 
-def _is_units_row(labels: list[str], cells: list[str], columns: Columns) -> bool:
+def _is_units_row(labels: list[str], cells: list[str], options: Options) -> bool:
     """Return whether a record below labels without units holds units."""
     if any(is_number(cell) for cell in cells if cell.strip()):
         return False
+    targets = _meanings(labels, options.mapping)
     return any(
         not unit and name not in TEXTS
-        for label, cell in zip(labels, cells, strict=False)
+        for label, target, cell in zip(labels, targets, cells, strict=False)
         if cell.strip()
-        for name, unit, _ in _readings(label, columns)
+        for name, _, _ in _readings((target or label).removeprefix("-"), options.columns)
+        for unit in [_parts(label)[1]]
     )
+
+
+def _meanings(labels: Sequence[str], mapping: Mapping[str, str]) -> list[str]:
+    """Return of each label its value in a mapping, or an empty text.
+
+    A key is a label, with or without the brackets, or the position of a column, from 1, if it is no
+    label.
+    """
+    keys = [(_key(label), _key(_parts(label)[0])) for label in labels]
+    known = {_key(key): value for key, value in mapping.items() if key}
+    places = known.keys() - {key for names in keys for key in names}
+    return [
+        known.get(names[0]) or known.get(names[1]) or (known[at] if at in places else "")
+        for names, at in zip(keys, map(str, range(1, len(labels) + 1)), strict=True)
+    ]
 
 
 def _readings(label: str, columns: Columns) -> list[tuple[str, str, float]]:
@@ -293,25 +354,25 @@ def _read_labels(
     header: Header, labels: list[str], line: int, options: Options, units: Sequence[str]
 ) -> None:
     """Add the columns of the labels to the header, and all mistakes."""
-    ignored = {_key(name) for name in options.ignore}
-    mapping = {_key(name): target for name, target in options.mapping.items()}
-    keys = [(_key(label), _key(_name(label))) for label in labels]
-    for index, (label, names) in enumerate(zip(labels, keys, strict=True)):
-        if not label:
+    targets = _meanings(labels, options.mapping)
+    ignored = _meanings(labels, {name: name for name in options.ignore})
+    for index, (label, target) in enumerate(zip(labels, targets, strict=True)):
+        place = str(index + 1)
+        if not (label or target or ignored[index]):
             if not options.ignore_extra:
                 header.unnamed.append(index)
-        elif ignored.intersection(names) or label.lower() in ORIGIN:
-            header.ignored.append(label)
+        elif ignored[index] or label.lower() in ORIGIN:
+            header.ignored.append(label or place)
         else:
-            target = mapping.get(names[0]) or mapping.get(names[1])
-            unit = units[index].strip() if index < len(units) else ""
-            unit = unit[1:-1].strip() if unit[:1] + unit[-1:] in ("[]", "()") else unit
-            column = HeaderColumn(index, label, label, unit=unit)
+            unit = _unbracketed(units[index]) if index < len(units) else ""
+            unit = (target and _parts(label)[1]) or unit
+            column = HeaderColumn(index, label or place, label, unit=unit)
             try:
                 _add_column(header, column, target, options, line)
             except UnitError as error:
-                header.mistakes.append(FileMistake(line, label, str(error)))
-    there = {key for names in keys for key in names}
+                header.mistakes.append(FileMistake(line, column.label, str(error)))
+    there = {_key(key) for label in labels for key in (label, _parts(label)[0])}
+    there.update(str(at) for at in range(1, len(labels) + 1))
     for name in (*options.ignore, *options.mapping) if options.role == "table" else ():
         if _key(name) not in there:
             message = (
@@ -324,9 +385,9 @@ def _read_labels(
 
 
 def _add_column(
-    header: Header, bare: HeaderColumn, target: str | None, options: Options, line: int
+    header: Header, bare: HeaderColumn, target: str, options: Options, line: int
 ) -> None:
-    """Add the column of a label, with the unit below it, or of its target in the mapping."""
+    """Add the column of a label, with the file's unit, or of its target in the mapping."""
     if header.preamble and (kind := _BOOKKEEPING.fullmatch(bare.label)):
         header.ignored.append(bare.label)
         if kind[0].lower().startswith("status"):
@@ -384,7 +445,7 @@ def _reading(
     # With brackets, or as a bare name, the label names a column and its unit is the mistake.
     if problem and (split(label)[1] or any(not unit for _, unit, _ in meanings)):
         raise problem
-    name = _name(label)
+    name = _parts(label)[0]
     raise _UnknownColumnError(columns.interface_problem(name) or _unknown(name.lower(), columns))
 
 
@@ -392,11 +453,17 @@ class _UnknownColumnError(UnitError):
     """The label names no column of a table."""
 
 
-def _name(label: str) -> str:
+def _parts(label: str) -> tuple[str, str]:
+    """Return the name of a label and the unit in brackets at its end; empty if there is none."""
     try:
-        return split(label)[0]
+        return split(label)
     except UnitError:
-        return label
+        return label, ""
+
+
+def _unbracketed(cell: str) -> str:
+    unit = cell.strip()
+    return unit[1:-1].strip() if unit[:1] + unit[-1:] in ("[]", "()") else unit
 
 
 def _key(label: str) -> str:
