@@ -94,7 +94,7 @@ def import_table(
         str | None,
         typer.Option(
             metavar="FILE|NAME",
-            help="profile of the rig: a TOML file, else one of wrenchbook rig list; these options win",
+            help="profile of the rig: a TOML file, else one of `wrenchbook rig list`; options win",
         ),
     ] = None,
     skip_cycles: Annotated[
