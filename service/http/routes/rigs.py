@@ -10,10 +10,10 @@ from starlette.responses import Response
 
 from wrenchbook.service.formats.rig import MAX_RIG, NAME, shipped_rigs
 from wrenchbook.service.http.body import read_limited
-from wrenchbook.service.http.openapi import TEXT, answers, refused
+from wrenchbook.service.http.openapi import BYTES, TEXT, answers, refused
 from wrenchbook.service.http.problems import bad_body
 from wrenchbook.service.http.routes import Opened, json_reply
-from wrenchbook.service.http.routes.table import profile_of, profile_problem
+from wrenchbook.service.http.routes.table import PACKED_TYPE, profile_of, profile_problem
 from wrenchbook.service.library.rigs import remove_rig, rig_of, store_rig, stored_rigs
 from wrenchbook.service.messages import RigCard, Rigs
 
@@ -49,7 +49,7 @@ def get_rig(name: RigName, workspace: Opened) -> Response:
     "/{name}",
     summary="Store a profile, or replace it; it is checked as an import checks it",
     responses=answers(RigCard, "stored") | _REPLACED,
-    openapi_extra={"requestBody": {"required": True, "content": _TOML}},
+    openapi_extra={"requestBody": {"required": True, "content": {PACKED_TYPE: BYTES, **_TOML}}},
 )
 async def put_rig(name: RigName, request: Request, workspace: Opened) -> Response:
     try:
