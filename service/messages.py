@@ -619,33 +619,6 @@ class Imports(Message):
     imports: Sequence[Import]
 
 
-class RigCard(Message):
-    name: str
-    origin: Literal["stored", "shipped"]
-    title: Annotated[str, Doc("the comment in its first line")]
-
-
-class Rigs(Message):
-    rigs: Sequence[RigCard]
-
-
-class Line(Message):
-    """A line of least squares of load over displacement through measured rows, SI."""
-
-    rows: int
-    slope: float
-    slope_half_width: Annotated[float, Doc("95 %")]
-    residual: Annotated[float, Doc("standard deviation of the load about the line")]
-    r2: float | None
-    unloaded: Annotated[float | None, Doc("displacement of the line at no load")]
-    unloaded_half_width: Annotated[float | None, Doc("95 %")]
-
-
-class Play(Message):
-    value: float | None
-    half_width: Annotated[float | None, Doc("95 %")]
-
-
 class DisagreeingRow(Message):
     row: int
     wrench: dict[str, float]

@@ -119,19 +119,10 @@ def stiffness(
     further: FurtherInput = None,
     between: Annotated[
         tuple[float, float] | None,
-        typer.Option(
-            help="instead: slope of load over displacement of measured rows between two loads, "
-            "N or N·m, and the play at no load",
-            metavar="LOW HIGH",
-        ),
+        typer.Option(metavar="LOW HIGH", help="instead: of measured rows between two loads"),
     ] = None,
-    axis: Annotated[
-        str | None,
-        typer.Option(help="of --between: the load; by default that of the largest range"),
-    ] = None,
-    of: Annotated[
-        str | None, typer.Option(help="of --between: the output; by default uz of fz")
-    ] = None,
+    axis: Annotated[str | None, typer.Option(help="of --between: load, such as fz")] = None,
+    of: Annotated[str | None, typer.Option(help="of --between: output, such as uz")] = None,
     number: Annotated[
         int | None, typer.Option("--import", min=1, help="of --between: rows of an import alone")
     ] = None,
@@ -150,19 +141,18 @@ def stiffness(
         raise typer.BadParameter("--axis, --of and --import are for --between LOW HIGH")
     with connected(server, data) as client:
         if between is not None:
-            measured = client.stiffness(name, between, axis, of, number)
-            if out is not None:
-                out.write_text(json.dumps(measured, indent=2) + "\n", encoding="utf-8")
-            show(measured, as_json, lambda: stiffness_lines(measured))
-            return
-        facts = client.component(name)
-        part = _springs(client, name, (*force, *moment), further)
-    body = part.to_dict(_mass_of(facts))
+            body = client.stiffness(name, between, axis, of, number)
+            shown: list[Any] = list(stiffness_lines(body))
+        else:
+            facts = client.component(name)
+            part = _springs(client, name, (*force, *moment), further)
+            body = part.to_dict(_mass_of(facts))
+            loads, freedoms, mass = body["loads"], part.freedoms, body["mass"]
+            shown = [
+                matrix_table("stiffness, N/m to N·m/rad", loads, freedoms, body["stiffness"]),
+                matrix_table("condensed mass, kg to kg·m^2", freedoms, freedoms, mass),
+                part.error,
+            ]
     if out is not None:
         out.write_text(json.dumps(body, indent=2) + "\n", encoding="utf-8")
-    matrices = (
-        ("stiffness, N/m to N·m/rad", body["loads"], body["stiffness"]),
-        ("condensed mass, kg to kg·m^2", part.freedoms, body["mass"]),
-    )
-    tables = [matrix_table(title, rows, part.freedoms, lines) for title, rows, lines in matrices]
-    show(body, as_json, lambda: [*tables, part.error])
+    show(body, as_json, lambda: shown)

@@ -30,7 +30,7 @@ from wrenchbook.service.cli.joint import joint, stiffness
 from wrenchbook.service.cli.local import LOCAL_COMMANDS, PROGRAMS, keys, run_program
 from wrenchbook.service.cli.recording import RECORDING_COMMANDS
 from wrenchbook.service.cli.render import Screen, plain, print_answer, print_json, show
-from wrenchbook.service.cli.tables import TABLE_COMMANDS, rigs
+from wrenchbook.service.cli.tables import TABLE_COMMANDS
 from wrenchbook.service.client import ProblemError, Scene, ServerUnreachable
 from wrenchbook.service.client.client import deformed_format
 from wrenchbook.service.client.errors import InvalidArgument, mistake_line
@@ -84,7 +84,6 @@ for name, summary in PROGRAMS.items():
 for command in (joint, stiffness):
     app.command(cls=NumbersCommand)(command)
 app.add_typer(keys, name="keys")
-app.add_typer(rigs, name="rig")
 
 Three = tuple[float, float, float]
 Six = tuple[float, float, float, float, float, float]

@@ -137,26 +137,17 @@ def stiffness_lines(body: dict[str, Any]) -> Iterator[Table | str]:
     """Lay out the measured stiffness between two loads, by branch, and the play."""
     low, high = body["between"]
     title = f"{body['axis']} over {body['of']}, {low:g} to {high:g}, {body['unit']}"
-    table = Table(title=title, title_justify="left")
-    for heading in ("rows", "number", "slope", "+- 95 %", "residual", "r2"):
-        table.add_column(heading, justify="left" if heading == "rows" else "right")
+    names = ("slope", "slope_half_width", "residual", "r2")
+    table = Table("rows", "number", "slope", "+- 95 %", "residual", "r2", title=title)
     for name, line in body["lines"].items():
         if line is not None:
-            names = ("slope", "slope_half_width", "residual", "r2")
-            numbers = ("-" if line[key] is None else f"{line[key]:.6g}" for key in names)
-            table.add_row(name, str(line["rows"]), *numbers)
-    yield table
-    if not table.row_count:
-        yield "No line: fewer than three measured rows are between these loads."
+            table.add_row(name, str(line["rows"]), *(f"{line[key]:.6g}" for key in names))
+    yield table if table.row_count else "Fewer than three measured rows are between these loads."
     for name, play in body["play"].items():
-        if play is not None and play["value"] is not None:
-            unit = body["unit"].rpartition("/")[2]
-            half = f" +- {play['half_width']:.2g}" if play["half_width"] is not None else ""
-            what = "loading and unloading" if name == "branches" else "positive and negative loads"
-            yield f"Play at no load, between {what}: {play['value']:.4g}{half} {unit}"
-    if others := body["other_loads"]:
-        listed = ", ".join(f"{name} by {size:.3g}" for name, size in others.items())
-        yield f"Other loads vary in these rows, and the slopes have their effect: {listed}."
+        unit = body["unit"].rpartition("/")[2]
+        yield f"Play at no load, of {name}: {play['value']:.4g} +- {play['half_width']:.2g} {unit}"
+    for name, size in body["other_loads"].items():
+        yield f"{name} varies by {size:.3g} in these rows, and the slopes have its effect."
 
 
 def component_table(components: Sequence[dict[str, Any]]) -> Table:

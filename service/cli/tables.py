@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
+from urllib.parse import quote
 
 import typer
 from rich.markup import escape
@@ -67,8 +68,7 @@ def import_table(
         bool, typer.Option("--missing-loads-zero", help="loads without a column are zero")
     ] = False,
     tare: Annotated[
-        int | None,
-        typer.Option(min=0, help="first rows, whose mean is subtracted from the others"),
+        int | None, typer.Option(min=0, help="first rows, whose mean is subtracted from others")
     ] = None,
     sheet: Annotated[
         str | None, typer.Option(help="sheet of an XLSX file; the first by default")
@@ -92,20 +92,16 @@ def import_table(
     ] = None,
     rig: Annotated[
         str | None,
-        typer.Option(
-            metavar="FILE|NAME",
-            help="profile of the rig: a TOML file, else one of `wrenchbook rig list`; options win",
-        ),
+        typer.Option(metavar="FILE|NAME", help="profile: a TOML, or one of `wrenchbook rig list`"),
     ] = None,
     skip_cycles: Annotated[
         int | None, typer.Option(min=0, help="first cycles of the main load to leave out")
     ] = None,
     branch: Annotated[
-        str | None, typer.Option(metavar="loading|unloading", help="branch of the loop to load")
+        str | None, typer.Option(metavar="loading|unloading", help="branch to load")
     ] = None,
     thin: Annotated[
-        float | None,
-        typer.Option(help="part of the load range: rows of a pass within it become their mean"),
+        float | None, typer.Option(help="part of the load range within which rows are averaged")
     ] = None,
     mean_cycles: Annotated[
         bool, typer.Option("--mean-cycles", help="repeated cycles become their mean")
@@ -282,56 +278,35 @@ def withdraw(
             plain(Screen(), "No findings.")
 
 
-rigs = typer.Typer(no_args_is_help=True, help="List, show, add and remove profiles of test rigs.")
-_Rig = Annotated[str, typer.Argument(help="name of the profile")]
-
-
-@rigs.command("list")
-def list_rigs(as_json: AsJson = False, server: Server = DEFAULT_SERVER, data: Data = None) -> None:
-    """List the profiles: stored ones, and those of the program."""
-    with connected(server, data) as client:
-        listed = client.rigs()
-    table = Table("name", "origin", "title")
-    for rig in listed:
-        table.add_row(rig["name"], rig["origin"], escape(rig["title"]))
-    show(listed, as_json, lambda: [table])
-
-
-@rigs.command("show")
-def show_rig(
-    name: _Rig, as_json: AsJson = False, server: Server = DEFAULT_SERVER, data: Data = None
-) -> None:
-    """Print a profile as TOML."""
-    with connected(server, data) as client:
-        text = client.rig(name)
-    print_json({"name": name, "profile": text}) if as_json else sys.stdout.write(text)
-
-
-@rigs.command("add")
-def add_rig(
-    name: _Rig,
-    file: Annotated[Path, typer.Argument(help="its TOML file", exists=True, dir_okay=False)],
+def rig(
+    action: Annotated[Literal["list", "show", "add", "remove"], typer.Argument()],
+    name: Annotated[str, typer.Argument(help="of the profile")] = "",
+    file: Annotated[
+        Path | None, typer.Argument(help="of add: its TOML", exists=True, dir_okay=False)
+    ] = None,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
-    """Store a profile, or replace it: wrenchbook import COMPONENT FILE --rig NAME."""
+    """List, show, add (or replace) and remove profiles of test rigs, for import --rig NAME."""
+    path = "/v1/rigs" if action == "list" else f"/v1/rigs/{quote(name, safe='')}"
+    verb = {"list": "GET", "show": "GET", "add": "PUT", "remove": "DELETE"}[action]
+    if (action == "list") == bool(name) or (action == "add") != (file is not None):
+        raise typer.BadParameter("write list, show NAME, add NAME FILE.toml or remove NAME")
+    content = None if file is None else file.read_bytes()
     with connected(server, data) as client:
-        reply = client.add_rig(name, file)
-    show(reply, as_json, f"The rig {name} is stored.")
+        reply = client.call(verb, path, content, kind="application/toml")
+    text = reply.content.decode()
+    body: Any = {"name": name, "profile": text} if action == "show" else reply.json()
+    if action in ("add", "remove"):
+        text = f"The rig {name} is {'stored' if file else 'removed'}."
+    table = Table("name", "origin", "title")
+    for known in body["rigs"] if action == "list" else ():
+        table.add_row(known["name"], known["origin"], escape(known["title"]))
+    show(body, as_json, text.rstrip() if name else lambda: [table])
 
 
-@rigs.command("remove")
-def remove_rig(
-    name: _Rig, as_json: AsJson = False, server: Server = DEFAULT_SERVER, data: Data = None
-) -> None:
-    """Remove a stored profile; imports keep the text of theirs."""
-    with connected(server, data) as client:
-        client.remove_rig(name)
-    show({"name": name, "removed": True}, as_json, f"The rig {name} is removed.")
-
-
-TABLE_COMMANDS = {"import": import_table, "export": export_table, "withdraw": withdraw}
+TABLE_COMMANDS = {"import": import_table, "export": export_table, "withdraw": withdraw, "rig": rig}
 
 
 def _print_finding(name: str, finding: dict[str, Any], number: int | None) -> None:
@@ -377,7 +352,7 @@ def _print_import(name: str, reply: dict[str, Any]) -> None:
     rows = reply["rows"]
     others = {"refused": "have mistakes", "tare": "are the tare", "unmatched": "have no load"}
     others |= {"skipped": "are of skipped cycles", "branch": "are off the branch"}
-    others |= {"averaged": "are in the mean of others"}
+    others["averaged"] = "are in the mean of others"
     parts = [f"{rows[state]} {what}" for state, what in others.items() if rows.get(state)]
     if parts:
         plain(Screen(), f"Of {rows['read']} rows read {', '.join(parts)}.")

@@ -9,7 +9,6 @@ import secrets
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from urllib.parse import quote
 
 import numpy as np
 
@@ -301,24 +300,23 @@ class LibraryCalls(Connection):
     ) -> Document:
         """Return the slope of a load over a displacement in measured rows between two loads.
 
-        The line is that of ``numpy.polyfit(displacement, load, 1)``: displacement on x, load on y.
+        It is that of ``numpy.polyfit(displacement, load, 1)``: the displacement is x, the load y.
 
         Parameters
         ----------
         between : two floats, N or N·m
             The rows whose load is between them.
         axis, of : str, optional
-            The load, such as ``"fz"``, by default that of the largest range; the output, by default
-            that of the load: ``"uz"``.
+            Load and output, such as ``"fz"`` and ``"uz"``; that of the largest range otherwise.
         number : int, optional
             Of an import: its rows alone.
 
         Returns
         -------
         dict
-            ``lines`` of ``all`` rows, of ``loading`` and ``unloading``, and of ``opposite`` loads:
-            ``slope`` (N/m to N·m/rad), ``slope_half_width`` (95 %), ``residual``, ``r2``, ``rows``,
-            ``unloaded`` (m or rad); ``play`` between ``branches`` and ``signs`` at no load.
+            ``lines`` of ``all``, ``loading``, ``unloading`` and ``opposite`` (loads of the other
+            sign): ``slope`` in ``unit`` with ``slope_half_width`` (95 %), ``residual``, ``r2``,
+            ``rows``, ``unloaded``; ``play`` at no load between ``branches`` and ``signs``.
 
         Raises
         ------
@@ -326,31 +324,8 @@ class LibraryCalls(Connection):
             If there is no such component or import (404), load or output (422).
         """
         query = {"between": ",".join(repr(float(load)) for load in between), "axis": axis, "of": of}
-        query |= {"import": number}
-        return self.call_json("GET", component_path(name, "stiffness"), query=query)
-
-    def rigs(self) -> list[Document]:
-        """Return the profiles of test rigs: ``name``, ``origin`` (stored, shipped), ``title``."""
-        return self.call_json("GET", "/v1/rigs")["rigs"]
-
-    def rig(self, name: str) -> str:
-        """Return the TOML text of a profile; ProblemError if there is none (404)."""
-        return self.call("GET", _rig_path(name)).content.decode()
-
-    def add_rig(self, name: str, profile: str | Path) -> Document:
-        """Store a profile, a TOML file, on the server, or replace it.
-
-        Raises
-        ------
-        OSError, ProblemError
-            If the file cannot be read; if it is no profile (422).
-        """
-        content = Path(profile).read_bytes()
-        return self.call("PUT", _rig_path(name), content, kind=BINARY).json()
-
-    def remove_rig(self, name: str) -> None:
-        """Remove a stored profile; ProblemError if none is stored (404)."""
-        self.call("DELETE", _rig_path(name))
+        path = component_path(name, "stiffness")
+        return self.call_json("GET", path, query=query | {"import": number})
 
     def make_report(self, name: str, wrenches: int = 24, seed: int = 1) -> Document:
         """Start making a report of error against run time; it takes minutes.
@@ -418,10 +393,6 @@ def _named_file(file: str | Path) -> tuple[str, bytes]:
     """Return the name and the content of a file that may be a table."""
     check_readable(file)
     return Path(file).name, Path(file).read_bytes()
-
-
-def _rig_path(name: str) -> str:
-    return f"/v1/rigs/{quote(name, safe='')}"
 
 
 def _profile(rig: str | Path) -> str:

@@ -485,20 +485,18 @@ def _unknown(name: str, columns: Columns) -> str:
 
 def _missing_of_profile(named: set[str], labels: Sequence[str], options: Options) -> Iterator[str]:
     """Yield a message on each load that a profile names and the file lacks: it is not zero."""
-    profile: dict[str, list[str]] = {}
-    for label in set(options.optional) & set(options.mapping):
-        for name, *_ in _readings(
-            options.mapping[label].strip().removeprefix("-"), options.columns
-        ):
-            profile.setdefault(name, []).append(label)
     there = {_key(key) for label in labels for key in (label, _parts(label)[0])}
-    for name in options.columns.loads:
-        others = profile.get(name, [])
-        if others and name not in named and there.isdisjoint(map(_key, others)):
+    columns = options.columns
+    for load in columns.loads if options.role != "displacements" else ():
+        others = [
+            label
+            for label in options.mapping.keys() & {*options.optional}
+            if load in (r[0] for r in _readings(options.mapping[label].lstrip("- "), columns))
+        ]
+        if others and load not in named and there.isdisjoint(map(_key, others)):
             yield (
-                f"there is no column for {name}: the rig's profile has it in "
-                f"{' or '.join(sorted(others))}. Name its column with mapping (--column "
-                f"'LABEL={name} [{options.columns.quantity(name).si}]'), or choose another profile"
+                f"there is no column for {load}, in the rig {' or '.join(sorted(others))}; "
+                f"name it with mapping (--column 'LABEL={load}'), or choose another profile"
             )
 
 
@@ -530,8 +528,7 @@ def _missing_columns(header: Header, labels: list[str], options: Options) -> Ite
             f"there is no column for {', '.join(absent)}{out}; if these loads were zero, say "
             "missing_loads=zero (--missing-loads-zero)"
         )
-    if options.role != "displacements":
-        yield from _missing_of_profile(named, labels, options)
+    yield from _missing_of_profile(named, labels, options)
     for name in columns.further if options.role != "displacements" else ():
         if name not in named:
             example = f"{name} [{columns.quantity(name).si}]"

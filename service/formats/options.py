@@ -88,7 +88,7 @@ class Options:
     rig: str = ""
     time_offset_s: float | Literal["auto"] = 0.0
     max_gap_s: float | None = None
-    optional: tuple[str, ...] = ()
+    optional: Sequence[str] = ()
     skip_cycles: int = 0
     branch: Literal["loading", "unloading"] | None = None
     thin: float | None = None
@@ -120,16 +120,14 @@ class Options:
         span = self.load_range
         ends = [span.low.tolist(), span.high.tolist(), span.space.as_json()] if span else None
         values["load_range"] = ends
-        lists = {name: list(getattr(self, name)) for name in ("ignore", "optional")}
-        return values | {"mapping": dict(self.mapping), **lists}
+        return values | {"mapping": dict(self.mapping), "ignore": list(self.ignore)}
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Options:
         """Return options from the result of `as_json`."""
         low, high, space = values["load_range"] or ([], [], None)
         span = LoadRange(np.array(low), np.array(high), Space.read(space)) if space else None
-        lists = {name: tuple(values[name]) for name in ("ignore", "optional")}
-        return cls(**{**values, **lists, "load_range": span})
+        return cls(**{**values, "ignore": tuple(values["ignore"]), "load_range": span})
 
 
 @dataclass(frozen=True, order=True)
@@ -230,8 +228,7 @@ class ReadReport:
     are not in the units of arrays. `clock`, of two logs: the seconds added to the displacements'
     times, and the lag that the logs show. `read`, `zeroed` and `unmatched` count the rows of the
     file, those in the mean of the zero offset, and those with no load at their time; `left_out`
-    those of skipped cycles, those of the other branch or of no sure one, and those that are in the
-    mean of others.
+    those of cycles by cause.
     """
 
     mistakes: Mistakes = field(default_factory=Mistakes)
@@ -247,9 +244,7 @@ class ReadReport:
     read: int = 0
     zeroed: int = 0
     unmatched: int = 0
-    left_out: dict[str, int] = field(
-        default_factory=lambda: {"skipped": 0, "branch": 0, "averaged": 0}
-    )
+    left_out: dict[str, int] = field(default_factory=dict)
 
     def is_beyond_limits(self) -> bool:
         """Return whether reading ends here: with too many rows or mistakes, no row is loaded."""
@@ -263,15 +258,14 @@ class ReadReport:
 
     def as_json(self, good: int, preview: list[dict[str, Any]]) -> dict[str, Any]:
         """Return the report as in the HTTP reply, with the number of good rows and a preview."""
-        names = ("column", "name", "unit")
+        names, left_out = ("column", "name", "unit"), sum(self.left_out.values())
         return {
             "format": self.format,
             "gzip": self.gzip,
             "rows": {
                 "read": self.read,
                 "good": good,
-                "refused": self.read
-                - (good + self.zeroed + self.unmatched + sum(self.left_out.values())),
+                "refused": self.read - good - self.zeroed - self.unmatched - left_out,
                 "tare": self.zeroed,
                 "unmatched": self.unmatched,
                 **self.left_out,

@@ -12,7 +12,6 @@ import re
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -47,7 +46,6 @@ OPTIONS = (
 )
 """Keys of a profile beside those of the frame; as the import's own options of these names."""
 
-SHIPPED = Path(__file__).with_name("rigs")
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")  # of a stored or shipped profile
 _LOAD_CELLS = ("moving", "fixed")
 _SMALL_SHIFT = 0.01  # of the moment's range: as large as the default tolerance of an output
@@ -113,22 +111,25 @@ class Rig:
         except (tomllib.TOMLDecodeError, RecursionError) as error:
             raise RigError(f"the rig is not TOML: {error}") from None
         own = values.pop(_OWN, {})
-        if not isinstance(own, dict) or not own.keys() <= set(_KEYS):
-            raise RigError(f"the rig's table {_OWN} may have {', '.join(_KEYS)} alone")
-        values |= own
+        values |= own if isinstance(own, dict) else {_OWN: own}
         known = *_KEYS, *OPTIONS
         if unknown := [key for key in values if key not in known]:
             raise RigError(f"the rig has no {unknown[0][:100]!r}; it may have {', '.join(known)}")
-        name = values.get("name", hashlib.sha256(text.encode()).hexdigest()[:8])
+        name = values.get("name", cls.digest(text))
         if not isinstance(name, str) or len(name) > _MAX_NAME or text_problem(name):
             raise RigError(f"name: is not a text of at most {_MAX_NAME} characters")
         cell = values.get("load_cell", "")
         if cell not in ("", *_LOAD_CELLS):
             raise RigError(f"load_cell: is moving or fixed, not {str(cell)[:100]!r}")
         loads, moved = (_numbers(key, values.get(key, [0, 0, 0]), 3) for key in _KEYS[2:4])
-        axes = _axes(values.get("frame", "x=x,y=y,z=z"))
         options = {key: values[key] for key in OPTIONS if key in values}
+        axes = _axes(values.get("frame", "x=x,y=y,z=z"))
         return cls(axes, loads, moved, name.strip(), cell, options)
+
+    @staticmethod
+    def digest(text: str) -> str:
+        """Return the name of a rig whose TOML has none."""
+        return hashlib.sha256(text.encode()).hexdigest()[:8]
 
     @property
     def turn(self) -> Array:
@@ -169,17 +170,6 @@ def rig_text(*parts: str, of: str = "") -> str:
     pairs = zip(_KEYS[1:], parts, strict=False)
     text = "".join(f"{key} = {json.dumps(text)}\n" for key, text in pairs if text.strip())
     return f"{of.rstrip()}\n\n[{_OWN}]\n{text}" if of and text else of or text
-
-
-def named_rig(text: str, name: str) -> str:
-    """Return the TOML of a profile with its name, if it has none of its own."""
-    return text if "name" in tomllib.loads(text) else f'name = "{name}"\n{text}'
-
-
-def shipped_rigs() -> dict[str, str]:
-    """Return the TOML texts of the profiles that come with the program, by name."""
-    files = sorted(SHIPPED.glob("*.toml"))
-    return {file.stem: file.read_text("utf-8") for file in files}
 
 
 def rigged(

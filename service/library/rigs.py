@@ -2,54 +2,49 @@
 
 from __future__ import annotations
 
-from wrenchbook.service.formats.rig import NAME, named_rig, shipped_rigs
+from pathlib import Path
+
+from wrenchbook.service.formats.rig import NAME, Rig
 from wrenchbook.service.ledger import Ledger
 
-MAX_RIGS = 1000  # of a server
+SHIPPED = Path(__file__).parents[1] / "formats" / "rigs"
 
 
 class UnknownRigError(LookupError):
     """There is no profile of this name; the message lists those there are."""
 
 
-class TooManyRigsError(RuntimeError):
-    """The server has as many profiles as it may have."""
-
-
-def stored_rigs(ledger: Ledger) -> dict[str, str]:
-    """Return the TOML texts of the stored profiles, by name."""
+def profiles(ledger: Ledger) -> dict[str, tuple[str, str]]:
+    """Return the TOML text of each profile and whether it is stored or shipped, by name."""
+    shipped = {file.stem: (file.read_text("utf-8"), "shipped") for file in SHIPPED.glob("*.toml")}
     with ledger.reading() as db:
-        return dict(db.execute("SELECT name, profile FROM rigs ORDER BY name").fetchall())
+        stored = db.execute("SELECT name, profile FROM rigs").fetchall()
+    return dict(sorted((shipped | {name: (text, "stored") for name, text in stored}).items()))
 
 
 def rig_of(ledger: Ledger, rig: str) -> str:
-    """Return the TOML of a stored profile of this name, else of a shipped one; a TOML as it is.
+    """Return the TOML of a profile by its name, with it; a TOML as it is. Raises UnknownRigError.
 
-    Raises UnknownRigError if neither has the name.
+    A stored profile takes the place of a shipped one.
     """
     if not NAME.fullmatch(rig):
         return rig
-    profiles = shipped_rigs() | stored_rigs(ledger)
-    if rig not in profiles:
-        raise UnknownRigError(
-            f"there is no rig {rig!r}; there are {', '.join(sorted(profiles))}. Store it with "
-            f"wrenchbook rig add {rig} FILE.toml, or send the profile itself"
-        )
-    return named_rig(profiles[rig], rig)
+    known = profiles(ledger)
+    if rig not in known:
+        message = f"there is no rig {rig!r}; there are {', '.join(known)}. Store it with "
+        raise UnknownRigError(f"{message}wrenchbook rig add {rig} FILE.toml, or send its TOML")
+    text = known[rig][0]
+    return f'name = "{rig}"\n{text}' if Rig.read(text).name == Rig.digest(text) else text
 
 
 def store_rig(ledger: Ledger, name: str, profile: str) -> None:
-    """Store a profile, or replace it; TooManyRigsError."""
+    """Store a profile, or replace it."""
     with ledger.writing() as db:
         db.execute("INSERT OR REPLACE INTO rigs VALUES (?, ?)", (name, profile))
-        if db.execute("SELECT count(*) FROM rigs").fetchone()[0] > MAX_RIGS:
-            raise TooManyRigsError(f"a server stores {MAX_RIGS} rigs at most; remove some first")
 
 
 def remove_rig(ledger: Ledger, name: str) -> None:
     """Remove a stored profile; UnknownRigError."""
     with ledger.writing() as db:
-        removed = db.execute("DELETE FROM rigs WHERE name = ?", (name,)).rowcount
-    if not removed:
-        kind = "comes with the program and stays" if name in shipped_rigs() else "is not stored"
-        raise UnknownRigError(f"the rig {name!r} {kind}; stored: {', '.join(stored_rigs(ledger))}")
+        if not db.execute("DELETE FROM rigs WHERE name = ?", (name,)).rowcount:
+            raise UnknownRigError(f"the rig {name!r} is not stored; shipped ones stay")

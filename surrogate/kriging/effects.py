@@ -154,13 +154,10 @@ def _reach(moved: Floats, good: Indices, session: Indices) -> Floats:
     """
     ranges = np.zeros((session.max(initial=0) + 1, moved.shape[1]))
     for number in np.unique(session[good]):
-        these = moved[good[session[good] == number]]
-        known = np.isfinite(these).any(axis=0)
-        ranges[number, known] = np.nanmax(these[:, known], axis=0) - np.nanmin(
-            these[:, known], axis=0
-        )
+        these = np.ma.masked_invalid(moved[good[session[good] == number]])
+        ranges[number] = np.ma.filled(np.ma.ptp(these, axis=0), 0.0)
     widest = ranges.max(axis=0)
-    return np.where(widest > 0, ranges / np.where(widest > 0, widest, 1.0), 1.0)[session]
+    return (ranges / np.where(widest > 0.0, widest, 1.0))[session]
 
 
 def _came_by(loads: Floats, places: list[Indices]) -> Indices:

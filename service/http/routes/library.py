@@ -21,7 +21,7 @@ from wrenchbook.service.http.routes import Opened, json_reply
 from wrenchbook.service.http.routes.components import component_body
 from wrenchbook.service.http.routes.rows import file_fields
 from wrenchbook.service.ledger import About, UnknownImportError
-from wrenchbook.service.messages import Card, Demand, Disagreement, Import, Imports, Line, Play
+from wrenchbook.service.messages import Card, Demand, Disagreement, Import, Imports
 from wrenchbook.service.tables.disagreement import disagreement
 from wrenchbook.service.tables.importing import copy_rows
 from wrenchbook.service.tables.rows import iso_time
@@ -55,38 +55,6 @@ ImportEdited = TypedDict(
         "table_version": int,
     },
     total=False,
-)
-
-
-MeasuredStiffness = TypedDict(
-    "MeasuredStiffness",
-    {
-        "component": str,
-        "table_version": int,
-        "import": int | None,
-        "axis": Annotated[str, Field(description="the load: y of the line")],
-        "of": Annotated[str, Field(description="the output: x of the line")],
-        "between": Annotated[list[float], Field(description="N or N·m")],
-        "unit": Annotated[str, Field(description="of slope")],
-        "lines": Annotated[
-            dict[Literal["all", "loading", "unloading", "opposite"], Line | None],
-            Field(
-                description="opposite: between the loads of the other sign; null of fewer than "
-                "three rows"
-            ),
-        ],
-        "play": Annotated[
-            dict[Literal["branches", "signs"], Play | None],
-            Field(
-                description="distance of two lines at no load, m or rad: of loading and unloading, "
-                "of positive and negative loads"
-            ),
-        ],
-        "other_loads": Annotated[
-            dict[str, float],
-            Field(description="that vary in these rows, by so much: the slope has their effect"),
-        ],
-    },
 )
 
 
@@ -193,34 +161,20 @@ def list_disagreements(name: str, workspace: Opened) -> Response:
     return json_reply(Disagreement(component=name, table_version=table.version, **compared))
 
 
-@router.get(
-    "/stiffness",
-    summary="Slope of load over displacement of measured rows between two loads, and play",
-    response_model=MeasuredStiffness,
-)
+@router.get("/stiffness", summary="Slope of load over displacement of measured rows, and play")
 def get_stiffness(
     name: str,
     workspace: Opened,
     between: Annotated[str, Query(max_length=100, description="two loads, N or N·m: 100,500")],
-    axis: Annotated[
-        str, Query(max_length=100, description="load; by default that of the largest range")
-    ] = "",
-    of: Annotated[
-        str, Query(max_length=100, description="output; by default that of the load: uz of fz")
-    ] = "",
+    axis: Annotated[str, Query(description="load, else that of the largest range")] = "",
+    of: Annotated[str, Query(description="output, else that of the load: uz of fz")] = "",
     number: Annotated[
-        int | None, Query(alias="import", ge=1, lt=2**63, description="of an import's rows alone")
+        int | None, Query(alias="import", ge=1, lt=2**63, description="its rows alone")
     ] = None,
 ) -> Response:
-    component = workspace.library[name]
-    table = workspace.tables.caught_up(name, CATCH_UP_S)
-    rows, space = table.rows, component.space
-    if number is not None:
-        spans = workspace.ledger.import_spans(name)
-        parts = [(first, last) for first, last, record in spans if record.id == number]
-        if not parts:
-            raise UnknownImportError(f"{name!r} has no import {number} with rows in the table")
-        rows = rows.take(np.any([(a <= rows.seq) & (rows.seq <= b) for a, b in parts], axis=0))
+    component, table = workspace.library[name], workspace.tables.caught_up(name, CATCH_UP_S)
+    rows, space, span = table.rows, component.space, component.load_range
+    loads = [item.name for item in space.inputs if item.kind != "scalar"]
     try:
         low, high = (float(text) for text in between.split(","))
         if not -np.inf < low != high < np.inf:
@@ -228,19 +182,23 @@ def get_stiffness(
     except ValueError:
         message = "is not two different numbers with a comma between them, such as 100,500"
         raise bad_body([{"loc": "query.between", "msg": message}]) from None
-    loads = [item.name for item in space.inputs if item.kind != "scalar"]
-    spread = np.ptp(rows.wrench, axis=0) if len(rows) else np.zeros(len(space.inputs))
-    axis = axis or loads[int(np.argmax((spread / component.load_range.scale)[: len(loads)]))]
-    for word, names, place in ((axis, loads, "axis"), (of, space.output_names, "of")):
-        if word and word not in names:
-            message = f"is none of {', '.join(names)}"
+    if number is not None:
+        spans = [s for s in workspace.ledger.import_spans(name) if s[2].id == number]
+        if not spans:
+            raise UnknownImportError(f"{name!r} has no import {number} with rows")
+        rows = rows.take(np.any([(a <= rows.seq) & (rows.seq <= b) for a, b, _ in spans], axis=0))
+    part = np.ptp(rows.wrench, axis=0) / span.scale if len(rows) else span.scale
+    axis = axis or loads[int(np.argmax(part[: len(loads)]))]
+    for word, names, place in ((axis, loads, "axis"), (of, ("", *space.output_names), "of")):
+        if word not in names:
+            message = f"is none of {', '.join(filter(None, names))}"
             raise bad_body([{"loc": f"query.{place}", "msg": message}])
-    at = space.input_names.index(axis)
+    at = loads.index(axis)
     to = space.output_names.index(of) if of else at  # each interface has six of both
-    body = measured_stiffness(rows, component.load_range, (low, high), at, to)
     about = {"component": name, "table_version": table.version, "import": number, "axis": axis}
     about |= {"of": space.output_names[to], "between": sorted((low, high))}
-    return json_reply(about | {"unit": f"{space.inputs[at].unit}/{space.outputs[to].unit}"} | body)
+    about["unit"] = f"{space.inputs[at].unit}/{space.outputs[to].unit}"
+    return json_reply(about | measured_stiffness(rows, span, (low, high), at, to))
 
 
 @router.get("/demand", summary="Queries that were not covered", response_model=Demand)

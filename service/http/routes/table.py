@@ -15,7 +15,7 @@ from weakref import WeakValueDictionary
 
 import orjson
 from fastapi import APIRouter, Header, Query, Request
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 from starlette.background import BackgroundTask
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile
@@ -32,7 +32,7 @@ from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import Body
 from wrenchbook.service.http.body import PIECE, content_type, form_of, spooled
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
-from wrenchbook.service.http.problems import HttpProblemError, bad_body, plain_errors
+from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.routes import Opened, holds, json_reply, naming
 from wrenchbook.service.ledger import About
 from wrenchbook.service.library.component import Component
@@ -116,6 +116,8 @@ WAIT_S = 10.0  # a table of 20,000 measured rows is built by then
 MAX_WAIT_S = 600.0  # a million rows take minutes
 _POINT = "x,y,z from the interface's point in its frame, m: the point that"
 _LOAD_CELL = "the point where it is now, or where it was: translation x force is taken off them"
+_THIN = "rows of a pass of the main load within it become their mean"
+_MEAN = "become their mean, with its 95 % half width as uncertainty"
 _Text = Annotated[str, Field(max_length=1000)]
 
 
@@ -169,28 +171,18 @@ class ImportQuery(Body):
         str,
         Field(
             max_length=MAX_RIG,
-            description="TOML of a rig's profile, or the name of a stored or shipped one: these "
-            f"four, name, {', '.join(OPTIONS)}. Options of the query win; kept with the import",
+            description="TOML of a profile, or the name of one of /v1/rigs, kept with the import: "
+            f"these four, name, {', '.join(OPTIONS)}. Options of the query win",
         ),
     ] = ""
-    skip_cycles: Annotated[
-        int, Field(ge=0, le=10_000, description="first cycles of the main load to leave out")
-    ] = 0
+    skip_cycles: Annotated[int, Field(ge=0, lt=2**31, description="first ones to leave out")] = 0
     branch: Annotated[
-        Literal["loading", "unloading"] | None,
-        Field(description="of the main load: the rows to load; loading leads away from no load"),
+        Literal["loading", "unloading"] | None, Field(description="the one of the main load")
     ] = None
     thin: Annotated[
-        float | None,
-        Field(
-            gt=0,
-            le=0.5,
-            description="part of the load range: rows of a pass within it become their mean",
-        ),
+        float | None, Field(gt=0, le=0.5, description=f"part of the load range: {_THIN}")
     ] = None
-    mean_cycles: Annotated[
-        bool, Field(description="repeated cycles become their mean, with its 95 % half width")
-    ] = False
+    mean_cycles: Annotated[bool, Field(description=f"repeated ones {_MEAN}")] = False
     time_offset_s: Annotated[
         Annotated[float, Field(allow_inf_nan=False)] | Literal["auto"],
         Field(
@@ -227,10 +219,12 @@ class ImportQuery(Body):
 
     @model_validator(mode="after")
     def _rig_can_be_read(self) -> ImportQuery:
-        parts = self.frame, self.load_point, self.displacement_point, self.load_cell or ""
-        if not NAME.fullmatch(self.rig) and (text := rig_text(*parts, of=self.rig)):
-            Rig.read(text)
+        Rig.read(self._with_axes("" if NAME.fullmatch(self.rig) else self.rig))
         return self
+
+    def _with_axes(self, rig: str) -> str:
+        parts = self.frame, self.load_point, self.displacement_point, self.load_cell or ""
+        return rig_text(*parts, of=rig)
 
     @field_validator("note", "filename", "rig")
     @classmethod
@@ -244,26 +238,18 @@ class ImportQuery(Body):
         return text
 
     def options(self, rig: str) -> Options:
-        """Return the options of reading the file, those of the profile `rig` where it has none.
-
-        Raises RigError or ValidationError if the profile cannot be read.
-        """
-        parts = self.frame, self.load_point, self.displacement_point, self.load_cell or ""
-        rig = rig_text(*parts, of=rig)
-        profile = profile_of(rig)
-        own, mapping = self.model_dump(include=self.model_fields_set), {}
-        for columns in (profile.mapping, self.mapping):
-            mapping |= _pairs(columns) if columns else {}
-        chosen = _pairs(self.mapping) if self.mapping else {}
-        ignore = [name for name in profile.ignore if name not in chosen]
-        query = profile.model_copy(update=own)
+        """Return the options of reading the file; those of the profile `rig` where it has none."""
+        profile = profile_of(rig := self._with_axes(rig))
+        own, mapping = _pairs(self.mapping or "{}"), _pairs(profile.mapping or "{}")
+        ignore = set(profile.ignore) - own.keys()
+        query = profile.model_copy(update=self.model_dump(include=self.model_fields_set))
         same = query.model_dump(include={field.name for field in fields(Options)})
         return Options(
             **same
             | {
                 "ignore": (*self.ignore, *ignore),
-                "mapping": mapping,
-                "optional": tuple({*ignore, *mapping} - {*self.ignore, *chosen}),
+                "mapping": mapping | own,
+                "optional": [*(ignore | mapping.keys()) - own.keys() - set(self.ignore)],
                 "zero_rows": query.tare,
                 "rig": rig,
             }
@@ -272,19 +258,10 @@ class ImportQuery(Body):
 
 def profile_of(text: str) -> ImportQuery:
     """Return the options of a rig's profile as a query; RigError or ValidationError if wrong."""
-    values = Rig.read(text).options if text else {}
+    values = Rig.read(text).options
     if "columns" in values:
-        values["mapping"] = orjson.dumps(values.pop("columns")).decode()
+        values["mapping"] = orjson.dumps(values.pop("columns"), default=str).decode()
     return ImportQuery.model_validate(values)
-
-
-def profile_problem(error: ValueError) -> HttpProblemError:
-    """Return the reply to a rig's profile that cannot be read."""
-    known = plain_errors(error) if isinstance(error, ValidationError) else []
-    return bad_body(
-        [{"loc": f"rig.{one['loc']}", "msg": one["msg"]} for one in known]
-        or [{"loc": "rig", "msg": str(error)}]
-    )
 
 
 def _pairs(text: str) -> dict[str, str]:
@@ -324,22 +301,10 @@ Imported = TypedDict(
             Field(description="name, handedness, axes, points, load cell"),
         ],
         "rows": Annotated[
-            dict[
-                Literal[
-                    "read",
-                    "loaded",
-                    "refused",
-                    "tare",
-                    "unmatched",
-                    "skipped",
-                    "branch",
-                    "averaged",
-                ],
-                int,
-            ],
+            dict[str, int],
             Field(
-                description="read is the sum of the others, but of a dry run: skipped are those of "
-                "skip_cycles, branch those off the branch, averaged those in the mean of others"
+                description="read = loaded + refused + tare + unmatched + skipped + branch + "
+                "averaged (of cycles, if asked for), but of a dry run"
             ),
         ],
         "columns": Annotated[
@@ -474,10 +439,7 @@ async def import_table(
     table = workspace.tables.surrogate(name)
     solved = await run_in_threadpool(solved_compliance, component, table)
     rig = await run_in_threadpool(rig_of, workspace.ledger, query.rig)
-    try:
-        options = replace(query.options(rig), solved=solved, linear=component.linear)
-    except ValueError as error:
-        raise profile_problem(error) from None
+    options = replace(query.options(rig), solved=solved, linear=component.linear)
     async with received(request) as sent:
         key = permission_of(request.scope).key
         about = About(
