@@ -51,13 +51,16 @@ def with_cycles(
                 message = f"has more than {MAX_CYCLE_ROWS:,} rows, too many for options of cycles"
                 raise _CycleError("file", f"{message}; send it in parts")
         if any(map(len, parts)) and not report.mistakes.whole:
-            notes = [note for part in parts for note in part.note]
-            rows = ParsedTable(**vars(joined(parts)), note=notes)
-            rows = _left_rows(rows, options, report)
+            rows = _left_rows(_joined(parts), options, report)
             for start in range(0, len(rows), _BLOCK):
                 yield rows.take(np.arange(start, min(start + _BLOCK, len(rows))))
     except _CycleError as error:
         report.mistakes.ruin(0, *error.args)
+
+
+def _joined(parts: list[ParsedTable]) -> ParsedTable:
+    note = [note for part in parts for note in part.note]
+    return ParsedTable(**vars(joined(parts)) | {"note": note, "time": None})
 
 
 def _left_rows(rows: ParsedTable, options: Options, report: ReadReport) -> ParsedTable:
@@ -91,8 +94,7 @@ def _left_rows(rows: ParsedTable, options: Options, report: ReadReport) -> Parse
             raise _CycleError("mean_cycles", message)
         branches = [_mean(rows, passes, way, main, size) for way in (True, False)]
         branches = sorted((part for part in branches if len(part)), key=lambda part: part.seq[0])
-        notes = [note for part in branches for note in part.note]
-        rows = ParsedTable(**vars(joined(branches)), note=notes)
+        rows = _joined(branches)
     left_out["averaged"] -= len(rows)
     return rows
 

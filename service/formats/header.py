@@ -495,7 +495,7 @@ def _missing_of_profile(named: set[str], labels: Sequence[str], options: Options
         ]
         if others and load not in named and there.isdisjoint(map(_key, others)):
             yield (
-                f"there is no column for {load}, in the rig {' or '.join(sorted(others))}; "
+                f"there is no column for {load} (of the rig: {' or '.join(sorted(others))}); "
                 f"name it with mapping (--column 'LABEL={load}'), or choose another profile"
             )
 
