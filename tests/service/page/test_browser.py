@@ -235,6 +235,7 @@ def test_a_profile_is_remembered_and_cycles_are_left_out_and_have_a_stiffness(br
     assert browser.named("#stiffness tr", "loading").text.startswith("loading 14 1000000")
     browser.visit("#/c/press/overview")
     browser.visit("#/c/press/table")
+    browser.one("#rig-options summary").click()
     browser.one("#rig-profile option[value=ros]")
     assert browser.one("#rig-profile").get_attribute("value") == "instron"
 
