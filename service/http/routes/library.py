@@ -177,7 +177,7 @@ def get_stiffness(
     loads = [item.name for item in space.inputs if item.kind != "scalar"]
     try:
         low, high = (float(text) for text in between.split(","))
-        if not -np.inf < low != high < np.inf:
+        if low == high or not np.isfinite((low, high)).all():
             raise ValueError
     except ValueError:
         message = "is not two different numbers with a comma between them, such as 100,500"
