@@ -98,12 +98,6 @@ def test_a_load_of_the_profile_that_the_file_lacks_is_not_zero(rig):
     assert error["message"].startswith("there is no column for fz (of the rig: Force or Load)")
 
 
-def test_a_name_in_the_profile_by_mapping_is_asked_for_and_one_of_the_profile_is_not(rig):
-    query = {"rig": PROFILE, "dry_run": "true", "ignore": ["Wind"]}
-    (error,) = rig.post(CALL, content=FILE, params=query).json()["errors"]
-    assert (error["field"], "the file has no such" in error["message"]) == ("Wind", True)
-
-
 def test_a_stored_profile_is_in_a_backup(tmp_path):
     ledger = Ledger(tmp_path / "data" / "ledger.sqlite")
     store_rig(ledger, "hall-3", PROFILE)
