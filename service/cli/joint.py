@@ -20,7 +20,7 @@ from wrenchbook.service.cli.connect import (
     further_inputs,
     in_folder,
 )
-from wrenchbook.service.cli.render import matrix_table, print_json, show
+from wrenchbook.service.cli.render import matrix_table, print_json, show, stiffness_lines
 from wrenchbook.service.client import Client
 from wrenchbook.service.client.joint import LinearPart
 from wrenchbook.service.client.joint.joint import FREEDOMS
@@ -117,6 +117,15 @@ def stiffness(
     force: _Force = ZERO,
     moment: _Moment = ZERO,
     further: FurtherInput = None,
+    between: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="LOW HIGH", help="instead: of measured rows between two loads"),
+    ] = None,
+    axis: Annotated[str | None, typer.Option(help="of --between: load, such as fz")] = None,
+    of: Annotated[str | None, typer.Option(help="of --between: output, such as uz")] = None,
+    number: Annotated[
+        int | None, typer.Option("--import", min=1, help="of --between: rows of an import alone")
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(help="write JSON to this file", callback=in_folder)
     ] = None,
@@ -124,16 +133,26 @@ def stiffness(
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
-    """Show a component's 6x6 stiffness about a load, its mass, and the error of being linear."""
+    """Show a component's 6x6 stiffness about a load, its mass, and the error of being linear.
+
+    With --between: that of its measured rows.
+    """
+    if between is None and (axis or of or number):
+        raise typer.BadParameter("--axis, --of and --import are for --between LOW HIGH")
     with connected(server, data) as client:
-        facts = client.component(name)
-        part = _springs(client, name, (*force, *moment), further)
-    body = part.to_dict(_mass_of(facts))
+        if between is not None:
+            body = client.stiffness(name, between, axis, of, number)
+            shown: list[Any] = list(stiffness_lines(body))
+        else:
+            facts = client.component(name)
+            part = _springs(client, name, (*force, *moment), further)
+            body = part.to_dict(_mass_of(facts))
+            loads, freedoms, mass = body["loads"], part.freedoms, body["mass"]
+            shown = [
+                matrix_table("stiffness, N/m to N·m/rad", loads, freedoms, body["stiffness"]),
+                matrix_table("condensed mass, kg to kg·m^2", freedoms, freedoms, mass),
+                part.error,
+            ]
     if out is not None:
         out.write_text(json.dumps(body, indent=2) + "\n", encoding="utf-8")
-    matrices = (
-        ("stiffness, N/m to N·m/rad", body["loads"], body["stiffness"]),
-        ("condensed mass, kg to kg·m^2", part.freedoms, body["mass"]),
-    )
-    tables = [matrix_table(title, rows, part.freedoms, lines) for title, rows, lines in matrices]
-    show(body, as_json, lambda: [*tables, part.error])
+    show(body, as_json, lambda: shown)

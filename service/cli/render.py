@@ -176,6 +176,23 @@ def matrix_table(
     return table
 
 
+def stiffness_lines(body: dict[str, Any]) -> Iterator[Table | str]:
+    """Lay out the measured stiffness between two loads, by branch, and the play."""
+    low, high = body["between"]
+    title = f"{body['axis']} over {body['of']}, {low:g} to {high:g}, {body['unit']}"
+    names = ("slope", "slope_half_width", "residual", "r2")
+    table = Table("rows", "number", "slope", "+- 95 %", "residual", "r2", title=title)
+    for name, line in body["lines"].items():
+        if line is not None:
+            table.add_row(name, str(line["rows"]), *(f"{line[key]:.6g}" for key in names))
+    yield table if table.row_count else "Fewer than three measured rows are between these loads."
+    for name, play in body["play"].items():
+        unit = body["unit"].rpartition("/")[2]
+        yield f"Play at no load, of {name}: {play['value']:.4g} +- {play['half_width']:.2g} {unit}"
+    for name, size in body["other_loads"].items():
+        yield f"{name} varies by {size:.3g} in these rows, and the slopes have its effect."
+
+
 def component_table(components: Sequence[dict[str, Any]]) -> Table:
     """Lay out the library."""
     table = Table("name", "title", "rows", "analysis", "largest force, N", "largest moment, N·m")

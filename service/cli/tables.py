@@ -5,9 +5,12 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
+from urllib.parse import quote
 
 import typer
+from rich.markup import escape
+from rich.table import Table
 
 from wrenchbook.service.cli.connect import (
     DEFAULT_SERVER,
@@ -73,8 +76,8 @@ def import_table(
         bool, typer.Option("--missing-loads-zero", help="loads without a column are zero")
     ] = False,
     tare: Annotated[
-        int, typer.Option(min=0, help="first rows, whose mean is subtracted from the others")
-    ] = 0,
+        int | None, typer.Option(min=0, help="first rows, whose mean is subtracted from others")
+    ] = None,
     sheet: Annotated[
         str | None,
         typer.Option(help="sheet of a workbook, by default the first; group of a TDMS file"),
@@ -97,16 +100,29 @@ def import_table(
         str | None, typer.Option(metavar="moving|fixed", help="point of the moments")
     ] = None,
     rig: Annotated[
-        Path | None, typer.Option(help="TOML of these four and name", exists=True, dir_okay=False)
+        str | None,
+        typer.Option(metavar="FILE|NAME", help="profile: a TOML, or one of `wrenchbook rig list`"),
     ] = None,
+    skip_cycles: Annotated[
+        int | None, typer.Option(min=0, help="first cycles of the main load to leave out")
+    ] = None,
+    branch: Annotated[
+        str | None, typer.Option(metavar="loading|unloading", help="branch to load")
+    ] = None,
+    thin: Annotated[
+        float | None, typer.Option(help="part of the load range within which rows are averaged")
+    ] = None,
+    mean_cycles: Annotated[
+        bool, typer.Option("--mean-cycles", help="repeated cycles become their mean")
+    ] = False,
     lag: Annotated[
-        str,
+        str | None,
         typer.Option(
             "--lag",
             "--time-offset",
             help="seconds to add to the displacements' times; auto: as the two logs show",
         ),
-    ] = "0",
+    ] = None,
     note: Annotated[str | None, typer.Option(help="a note to store with the import")] = None,
     wait_s: Annotated[
         float, typer.Option(help="seconds to wait until answers come from the rows", min=0, max=600)
@@ -122,18 +138,22 @@ def import_table(
         "sheet": sheet,
         "note": note,
         "wait_s": None if wait_s == 10.0 else wait_s,  # the server's default
-        "time_offset_s": None if lag == "0" else lag,
+        "time_offset_s": lag,
         "displacements": displacements,
         "load_cell": load_cell,
         "mapping": _mapping(column or (), unit or ()),
         "ignore": ignore or (),
         "partial": partial or None,
         "ignore_extra": ignore_extra or None,
-        "tare": tare or None,
+        "tare": tare,
         "frame": frame,
         "load_point": load_point,
         "displacement_point": displacement_point,
         "rig": rig,
+        "skip_cycles": skip_cycles,
+        "branch": branch,
+        "thin": thin,
+        "mean_cycles": mean_cycles or None,
     }
     with connected(server, data) as client:
         reply = client.import_table(name, file, dry_run=dry_run, decimal=decimal, **options)
@@ -313,11 +333,40 @@ def compare(
     show(reply, as_json, lambda: comparison_shown(reply))
 
 
+def rig(
+    action: Annotated[Literal["list", "show", "add", "remove"], typer.Argument()],
+    name: Annotated[str, typer.Argument(help="of the profile")] = "",
+    file: Annotated[
+        Path | None, typer.Argument(help="of add: its TOML", exists=True, dir_okay=False)
+    ] = None,
+    as_json: AsJson = False,
+    server: Server = DEFAULT_SERVER,
+    data: Data = None,
+) -> None:
+    """List, show, add (or replace) and remove profiles of test rigs, for import --rig NAME."""
+    path = "/v1/rigs" if action == "list" else f"/v1/rigs/{quote(name, safe='')}"
+    verb = {"list": "GET", "show": "GET", "add": "PUT", "remove": "DELETE"}[action]
+    if (action == "list") == bool(name) or (action == "add") != (file is not None):
+        raise typer.BadParameter("write list, show NAME, add NAME FILE.toml or remove NAME")
+    content = None if file is None else file.read_bytes()
+    with connected(server, data) as client:
+        reply = client.call(verb, path, content, kind="application/toml")
+    text = reply.content.decode()
+    body: Any = {"name": name, "profile": text} if action == "show" else reply.json()
+    if action in ("add", "remove"):
+        text = f"The rig {name} is {'stored' if file else 'removed'}."
+    table = Table("name", "origin", "title")
+    for known in body["rigs"] if action == "list" else ():
+        table.add_row(known["name"], known["origin"], escape(known["title"]))
+    show(body, as_json, text.rstrip() if name else lambda: [table])
+
+
 TABLE_COMMANDS = {
     "import": import_table,
     "export": export_table,
     "withdraw": withdraw,
     "compare": compare,
+    "rig": rig,
 }
 
 
@@ -365,7 +414,9 @@ def _print_import(name: str, reply: dict[str, Any]) -> None:
         plain(Screen(), f"Lag of the displacements: {lag} s; {applied}.")
     rows = reply["rows"]
     others = {"refused": "have mistakes", "tare": "are the tare", "unmatched": "have no load"}
-    parts = [f"{rows[state]} {what}" for state, what in others.items() if rows[state]]
+    others |= {"skipped": "are of skipped cycles", "branch": "are off the branch"}
+    others["averaged"] = "are in the mean of others"
+    parts = [f"{rows[state]} {what}" for state, what in others.items() if rows.get(state)]
     if parts:
         plain(Screen(), f"Of {rows['read']} rows read {', '.join(parts)}.")
     if not (reply["dry_run"] or reply["errors"] or reply["in_use"]):

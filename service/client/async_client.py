@@ -133,6 +133,7 @@ class AsyncClient:
     invalidate_row = _awaited(Client.invalidate_row)
     restore_row = _awaited(Client.restore_row)
     withdraw_import = _awaited(Client.withdraw_import)
+    stiffness = _awaited(Client.stiffness)
     make_report = _awaited(Client.make_report)
     report_state = _awaited(Client.report_state)
     report = _awaited(Client.report)

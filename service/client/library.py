@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import secrets
 import zipfile
 from collections.abc import Mapping, Sequence
@@ -28,6 +29,7 @@ _ENDINGS = {
 }
 # The content decides how a file is read; these endings are of other kinds of file.
 _NOT_READ = frozenset({".fmu", ".wbt", ".pdf"})
+_RIG_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")  # as the server's profiles have
 _IMPORT_S = 300.0  # a million rows take a minute, and another import before them as long
 
 
@@ -162,7 +164,9 @@ class LibraryCalls(Connection):
             ``time_offset_s`` or ``lag`` (s, or ``"auto"``), ``wait_s`` (10 s: until answers come
             from the rows), ``frame`` (a rig's axes, a text or shape (3, 3)), ``load_point``,
             ``displacement_point`` ((3,), m), ``load_cell`` (``"moving"``: moments are about the
-            point where it is now, ``"fixed"``: where it was on the ground), ``rig`` (a TOML file).
+            point where it is now, ``"fixed"``: where it was on the ground), ``rig`` (a TOML file,
+            else the name of a profile of `rigs`), ``skip_cycles``, ``branch`` (``"loading"``,
+            ``"unloading"``), ``thin`` (part of the load range), ``mean_cycles``.
 
         Returns
         -------
@@ -198,7 +202,7 @@ class LibraryCalls(Connection):
             "mapping": json.dumps(dict(mapping)) if mapping else None,
             "ignore": list(ignore or ()) or None,
             "filename": filename or None,
-            "rig": Path(rig).read_text("utf-8-sig", "replace") if rig else None,
+            "rig": _profile(rig) if rig else None,
             **columns,
         }
         path, wait_s = component_path(name, "table"), _IMPORT_S + float(columns.get("wait_s") or 0)
@@ -361,6 +365,43 @@ class LibraryCalls(Connection):
         query = {"finding": finding}
         return self.call("POST" if restore else "DELETE", path, query=query).json()
 
+    def stiffness(
+        self,
+        name: str,
+        between: Sequence[float],
+        axis: str | None = None,
+        of: str | None = None,
+        number: int | None = None,
+    ) -> Document:
+        """Return the slope of a load over a displacement in measured rows between two loads.
+
+        It is that of ``numpy.polyfit(displacement, load, 1)``: the displacement is x, the load y.
+
+        Parameters
+        ----------
+        between : two floats, N or N·m
+            The rows whose load is between them.
+        axis, of : str, optional
+            Load and output, such as ``"fz"`` and ``"uz"``; that of the largest range otherwise.
+        number : int, optional
+            Of an import: its rows alone.
+
+        Returns
+        -------
+        dict
+            ``lines`` of ``all``, ``loading``, ``unloading`` and ``opposite`` (loads of the other
+            sign): ``slope`` in ``unit`` with ``slope_half_width`` (95 %), ``residual``, ``r2``,
+            ``rows``, ``unloaded``; ``play`` at no load between ``branches`` and ``signs``.
+
+        Raises
+        ------
+        ProblemError
+            If there is no such component or import (404), load or output (422).
+        """
+        query = {"between": ",".join(repr(float(load)) for load in between), "axis": axis, "of": of}
+        path = component_path(name, "stiffness")
+        return self.call_json("GET", path, query=query | {"import": number})
+
     def make_report(self, name: str, wrenches: int = 24, seed: int = 1) -> Document:
         """Start making a report of error against run time; it takes minutes.
 
@@ -427,6 +468,13 @@ def _named_file(file: str | Path) -> tuple[str, bytes]:
     """Return the name and the content of a file that may be a table."""
     check_readable(file)
     return Path(file).name, Path(file).read_bytes()
+
+
+def _profile(rig: str | Path) -> str:
+    """Return the text of a TOML file, or the name of a profile that the server has."""
+    if isinstance(rig, str) and _RIG_NAME.fullmatch(rig) and not Path(rig).is_file():
+        return rig
+    return Path(rig).read_text("utf-8-sig", "replace")
 
 
 def _known(format_: str) -> str:

@@ -361,7 +361,7 @@ def _read_labels(
     there = {_key(key) for label in labels for key in (label, _parts(label)[0])}
     there.update(str(at) for at in range(1, len(labels) + 1))
     for name in (*options.ignore, *options.mapping) if options.role == "table" else ():
-        if _key(name) not in there:
+        if _key(name) not in there and name not in options.optional:
             message = (
                 "is named by ignore or mapping (--ignore or --column), and the file has no such "
                 "column"
@@ -465,6 +465,23 @@ def _unknown(name: str, columns: Columns) -> str:
     )
 
 
+def _missing_of_profile(named: set[str], labels: Sequence[str], options: Options) -> Iterator[str]:
+    """Yield a message on each load that a profile names and the file lacks: it is not zero."""
+    there = {_key(key) for label in labels for key in (label, _parts(label)[0])}
+    columns = options.columns
+    for load in columns.loads if options.role != "displacements" else ():
+        others = [
+            label
+            for label in options.mapping.keys() & {*options.optional}
+            if load in (r[0] for r in readings_of(options.mapping[label].lstrip("- "), columns))
+        ]
+        if others and load not in named and there.isdisjoint(map(_key, others)):
+            yield (
+                f"there is no column for {load} (of the rig: {' or '.join(sorted(others))}); "
+                f"name it with mapping (--column 'LABEL={load}'), or choose another profile"
+            )
+
+
 def _missing_columns(header: Header, labels: list[str], options: Options) -> Iterator[str]:
     """Yield messages on missing columns: a load, a displacement, a time."""
     columns = options.columns
@@ -493,6 +510,7 @@ def _missing_columns(header: Header, labels: list[str], options: Options) -> Ite
             f"there is no column for {', '.join(absent)}{out}; if these loads were zero, say "
             "missing_loads=zero (--missing-loads-zero)"
         )
+    yield from _missing_of_profile(named, labels, options)
     for name in columns.further if options.role != "displacements" else ():
         if name not in named:
             example = f"{name} [{columns.quantity(name).si}]"

@@ -69,6 +69,10 @@ class Options:
     `rig` is the TOML of the readings' rig. `time_offset_s` is added to the times of displacements,
     "auto" is the lag that the logs show; `max_gap_s` is the longest interval between loads, s.
 
+    `optional` are labels of `ignore` and `mapping` that a file may lack: those of a rig's profile.
+    Of cycles of the main load: `skip_cycles` first ones are left out, `branch` is the one to load,
+    rows of a pass within `thin` of the load range are averaged, and with `mean_cycles` the cycles.
+
     Of the component: the `load_range`, whose space is that of the rows; the `fingerprint` of its
     setup, since solves of any other are mistakes; the compliance (outputs, inputs), SI, of its
     solves in `solved`, with which findings compare rows; whether it is `linear`.
@@ -85,6 +89,11 @@ class Options:
     rig: str = ""
     time_offset_s: float | Literal["auto"] = 0.0
     max_gap_s: float | None = None
+    optional: Sequence[str] = ()
+    skip_cycles: int = 0
+    branch: Literal["loading", "unloading"] | None = None
+    thin: float | None = None
+    mean_cycles: bool = False
     load_range: LoadRange | None = None
     fingerprint: str | None = None
     solved: Sequence[Sequence[float]] | None = None
@@ -95,6 +104,11 @@ class Options:
     def space(self) -> Space:
         """The inputs and outputs of the rows."""
         return DEFAULT if self.load_range is None else self.load_range.space
+
+    @property
+    def has_cycles(self) -> bool:
+        """Whether rows are left out or averaged by the cycles of the main load."""
+        return bool(self.skip_cycles or self.branch or self.thin or self.mean_cycles)
 
     @property
     def columns(self) -> Columns:
@@ -215,7 +229,8 @@ class ReadReport:
     are not in the units of arrays. `clock`, of two logs: the seconds added to the displacements'
     times, and the lag that the logs show. `sheets` are those of a workbook, or the groups of a
     TDMS file, and `sheet` is the one that was read. `read`, `zeroed` and `unmatched` count the rows
-    of the file, those in the mean of the zero offset, and those with no load at their time.
+    of the file, those in the mean of the zero offset, and those with no load at their time;
+    `left_out` those of cycles by cause.
     """
 
     mistakes: Mistakes = field(default_factory=Mistakes)
@@ -233,6 +248,7 @@ class ReadReport:
     read: int = 0
     zeroed: int = 0
     unmatched: int = 0
+    left_out: dict[str, int] = field(default_factory=dict)
 
     def is_beyond_limits(self) -> bool:
         """Return whether reading ends here: with too many rows or mistakes, no row is loaded."""
@@ -246,16 +262,17 @@ class ReadReport:
 
     def as_json(self, good: int, preview: list[dict[str, Any]]) -> dict[str, Any]:
         """Return the report as in the HTTP reply, with the number of good rows and a preview."""
-        names = ("column", "name", "unit")
+        names, left_out = ("column", "name", "unit"), sum(self.left_out.values())
         return {
             "format": self.format,
             "gzip": self.gzip,
             "rows": {
                 "read": self.read,
                 "good": good,
-                "refused": self.read - good - self.zeroed - self.unmatched,
+                "refused": self.read - good - self.zeroed - self.unmatched - left_out,
                 "tare": self.zeroed,
                 "unmatched": self.unmatched,
+                **self.left_out,
             },
             "clock": self.clock,
             "columns": [dict(zip(names, column, strict=True)) for column in self.columns],

@@ -21,6 +21,7 @@ import numpy as np
 from wrenchbook.service.formats.cells import FORCE, si_factor
 from wrenchbook.service.formats.columnar import read_hdf5, read_mat, read_parquet, read_tdms
 from wrenchbook.service.formats.csv import read_csv
+from wrenchbook.service.formats.cycles import with_cycles
 from wrenchbook.service.formats.header import POSITION
 from wrenchbook.service.formats.json import read_json
 from wrenchbook.service.formats.lvm import MAGIC, read_lvm
@@ -241,12 +242,14 @@ def _corrected(
     The order of all corrections: meaning, sign and unit of each column (the readers), the join of
     two logs by time, the zero offset, the rig's frame, its load point and displacement point, the
     moment of a load cell on the ground. Then come the limits, the setup, whether the point of the
-    moments must be known, and outside of this the findings.
+    moments must be known, the cycles of the main load (first ones left out, the branch, the mean by
+    place, the mean of the cycles), and outside of this the findings.
     """
     pieces = rigged(zeroed(pieces, options, report), options, report)
     if is_corrected(options):  # the readers check other rows, with the label of each column
         pieces = (within_limits(piece, options, report) for piece in pieces)
-    yield from with_known_point(with_own_setup(pieces, options, report), options, report)
+    pieces = with_known_point(with_own_setup(pieces, options, report), options, report)
+    yield from with_cycles(pieces, options, report)
 
 
 def _columns(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:

@@ -11,7 +11,7 @@ import json
 import re
 import tomllib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -34,11 +34,19 @@ from wrenchbook.surrogate.table.space import PER_INTERFACE
 
 GAP_FACTOR = 5.0  # times the median interval of the loads: in a longer one samples were lost
 _CLOCK = 1e6  # s: clock times count from 1900 or 1970, elapsed ones from the beginning of a test
-MAX_RIG = 4000  # characters of a TOML: it is sent in a URL
+MAX_RIG = 8000  # characters of a TOML: it is sent in a URL, whose head has 64 KiB at most
 _MAX_NAME = 100  # characters
 _SKEW = 1e-3  # axes written as 0.707 are perpendicular unit vectors to 2e-4
 _FARTHEST = 100.0  # m: a point given in mm is refused
 _KEYS = ("name", "frame", "load_point", "displacement_point", "load_cell")
+_OWN = "import"  # the table of the options of one import, which win
+OPTIONS = (
+    *("columns", "ignore", "ignore_extra", "decimal", "missing_loads", "tare", "lag", "sheet"),
+    *("skip_cycles", "branch", "thin", "mean_cycles"),
+)
+"""Keys of a profile beside those of the frame; as the import's own options of these names."""
+
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")  # of a stored or shipped profile
 _LOAD_CELLS = ("moving", "fixed")
 _SMALL_SHIFT = 0.01  # of the moment's range: as large as the default tolerance of an output
 _FEW_ROWS = 0.1  # of the rows: outliers and the corners of the load range alone do not ask
@@ -90,24 +98,38 @@ class Rig:
     # Whether the load point moves with the interface or stays where it was: moving, fixed; empty if
     # not known.
     load_cell: str = ""
+    options: dict[str, Any] = field(default_factory=dict)  # of an import, by `OPTIONS`
 
     @classmethod
     def read(cls, text: str) -> Rig:
-        """Return the rig of a TOML text; RigError if a key or a value is wrong."""
+        """Return the rig of a TOML text; RigError if a key or a value is wrong.
+
+        Values of its table ``import`` take the place of its own.
+        """
         try:
             values = tomllib.loads(text)
         except (tomllib.TOMLDecodeError, RecursionError) as error:
             raise RigError(f"the rig is not TOML: {error}") from None
-        if unknown := [key for key in values if key not in _KEYS]:
-            raise RigError(f"the rig has no {unknown[0][:100]!r}; it may have {', '.join(_KEYS)}")
-        name = values.get("name", hashlib.sha256(text.encode()).hexdigest()[:8])
+        own = values.pop(_OWN, {})
+        values |= own if isinstance(own, dict) else {_OWN: own}
+        known = *_KEYS, *OPTIONS
+        if unknown := [key for key in values if key not in known]:
+            raise RigError(f"the rig has no {unknown[0][:100]!r}; it may have {', '.join(known)}")
+        name = values.get("name", cls.digest(text))
         if not isinstance(name, str) or len(name) > _MAX_NAME or text_problem(name):
             raise RigError(f"name: is not a text of at most {_MAX_NAME} characters")
         cell = values.get("load_cell", "")
         if cell not in ("", *_LOAD_CELLS):
             raise RigError(f"load_cell: is moving or fixed, not {str(cell)[:100]!r}")
         loads, moved = (_numbers(key, values.get(key, [0, 0, 0]), 3) for key in _KEYS[2:4])
-        return cls(_axes(values.get("frame", "x=x,y=y,z=z")), loads, moved, name.strip(), cell)
+        options = {key: values[key] for key in OPTIONS if key in values}
+        axes = _axes(values.get("frame", "x=x,y=y,z=z"))
+        return cls(axes, loads, moved, name.strip(), cell, options)
+
+    @staticmethod
+    def digest(text: str) -> str:
+        """Return the name of a rig whose TOML has none."""
+        return hashlib.sha256(text.encode()).hexdigest()[:8]
 
     @property
     def turn(self) -> Array:
@@ -140,10 +162,14 @@ class Rig:
         return values | {k: v.tolist() for k, v in arrays} | {"load_cell": self.load_cell or None}
 
 
-def rig_text(*parts: str) -> str:
-    """Return the TOML of frame, load point, displacement point and load cell, but of empty ones."""
+def rig_text(*parts: str, of: str = "") -> str:
+    """Return the TOML of frame, load point, displacement point and load cell, but of empty ones.
+
+    They take the place of those of the TOML `of`, which is before them.
+    """
     pairs = zip(_KEYS[1:], parts, strict=False)
-    return "".join(f"{key} = {json.dumps(text)}\n" for key, text in pairs if text.strip())
+    text = "".join(f"{key} = {json.dumps(text)}\n" for key, text in pairs if text.strip())
+    return f"{of.rstrip()}\n\n[{_OWN}]\n{text}" if of and text else of or text
 
 
 def rigged(

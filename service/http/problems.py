@@ -20,6 +20,7 @@ from wrenchbook.service.events import TooManyListenersError
 from wrenchbook.service.fields.deformed import NoFieldsError, TooFarError
 from wrenchbook.service.files.redact import redact_values
 from wrenchbook.service.formats import SheetFullError, UnitError
+from wrenchbook.service.formats.rig import RigError
 from wrenchbook.service.jobs.waiting import TooManyPollsError
 from wrenchbook.service.ledger import (
     AppendError,
@@ -41,6 +42,7 @@ from wrenchbook.service.library.component import (
     OneWrenchError,
     UnknownComponentError,
 )
+from wrenchbook.service.library.rigs import UnknownRigError
 from wrenchbook.service.ops.logs import REQUEST_ID
 from wrenchbook.service.query import (
     BeyondRangeError,
@@ -72,6 +74,8 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     ImportRunningError: (503, "importing", "Another table is being imported"),
     UnknownRowError: (404, "unknown-row", "No such row"),
     UnknownImportError: (404, "unknown-import", "No such import"),
+    UnknownRigError: (404, "unknown-rig", "No such rig"),
+    RigError: (422, "rig", "The rig cannot be read"),
     NoFieldsError: (409, "no-surface", "No row has a deformed surface"),
     TooFarError: (409, "beyond-range", "Outside the component's load range"),
     NotCoveredError: (409, "not-covered", "The table does not cover this"),

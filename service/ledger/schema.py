@@ -1,7 +1,7 @@
 """The SQL of the ledger's tables, and the steps from the schemas of released versions."""
 
 APPLICATION_ID = 0x77726E63  # "wrnc": tells a ledger from other programs' SQLite files
-VERSION = 14  # of TABLES; raise it, and add a step from the previous one, with each change
+VERSION = 15  # of TABLES; raise it, and add a step from the previous one, with each change
 
 # `wrench`, `displacement` and their kin are float64, little-endian, of any number of loads and
 # outputs; see packing.py.
@@ -31,6 +31,11 @@ _STATE = """
         estimate TEXT NOT NULL,
         PRIMARY KEY (component, fingerprint)
     );
+"""
+
+# Profiles of test rigs: TOML texts by name.
+_RIGS = """
+    CREATE TABLE rigs (name TEXT PRIMARY KEY, profile TEXT NOT NULL);
 """
 
 # A record has consecutive rows, from `seq`, of one setup, source and note: the bytes of their
@@ -190,6 +195,7 @@ TABLES = f"""
         UNIQUE (component, kind, client, sequence)
     );
     {_STATE}
+    {_RIGS}
 """
 
 # By the schema version of a file: the version that the script leads to, and the script. 8 is that
@@ -237,4 +243,5 @@ STEPS = {
         {_INDICES}
         """,
     ),
+    14: (15, _RIGS),
 }

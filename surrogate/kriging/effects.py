@@ -2,7 +2,8 @@
 
 Readings are y = f(w) + Z b + e: f a Gaussian process with a linear mean, f(0) = 0, e noise, and Z
 known of each row: 1 (the zero offset), which session it is of, the time within it, and the sign of
-the output's motion since the load before: while a load is held it keeps its branch. With the
+the output's motion since the load before, times the output's range in the session over that in its
+widest one: while a load is held it keeps its branch. With the
 covariance K = U L U' of f, D = 1 / (L + v) and B = U' (F, Z), F the mean's terms,
 
     b = (B' D B + s^2 / P)^-1 B' D U' y,    covariance s^2 (B' D B + s^2 / P)^-1
@@ -105,6 +106,7 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     place = _places_of(loads, places)
     good, loads, moved = _means_at_places(loads, rows.displacement, good, place)
     rows = replace(rows, wrench=loads * load_range.scale, displacement=moved)
+    reach = _reach(moved, good, session)
     if len(good) > SAMPLE:
         good = np.sort(np.random.default_rng(0).choice(good, SAMPLE, replace=False))
     steps = terms_of(loads, len(np.unique(place)))
@@ -123,7 +125,8 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
         for _ in range(ROUNDS):
             beside = np.column_stack((terms, signs[good, output]))[known]
             evidence[output] = beside, moved[good, output][known]
-            signs[good, output] = sure_directions(*evidence[output], steps[good])
+            sure = sure_directions(*evidence[output], steps[good])
+            signs[good, output] = reach[good, output] * sure
     some = shown.any(axis=1)
     # A loop is in rows without a sure direction too, on a side that is not known: its size is that
     # of the others.
@@ -143,7 +146,7 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     most = np.where(size != 0, np.abs(size) + half_width, 0.0)
     zero, loop, drift, _ = np.split(size, [1, 2, 2 + count])
     for output in np.flatnonzero(loop).tolist():
-        signs[:, output] = sure_directions(*evidence[output], steps)
+        signs[:, output] = reach[:, output] * sure_directions(*evidence[output], steps)
     bar = most[1] + 0.5 * most[2 : 2 + count].max(axis=0) + most[2 + count :].max(axis=0)
     # Where sessions differ, what they have in common is no displacement of the part either.
     common = np.abs(mean[0]) + DEFAULTS.half_width * deviation[0]
@@ -151,6 +154,20 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     hidden = np.where(half_width[1] > 0, 2 * half_width[1], np.inf)
     of_rows = signs * loop + middle @ size[2:]
     return Effects(zero[0], 2 * loop[0], drift, offset, bar, of_rows, hidden)
+
+
+def _reach(moved: Floats, good: Indices, session: Indices) -> Floats:
+    """Return the range of each output in a row's session, (n, m), over that of its widest session.
+
+    A loop is a part of it: friction of a test with a force along one axis moves an output by as
+    much less as the force does, than that of a test along another.
+    """
+    ranges = np.zeros((session.max(initial=0) + 1, moved.shape[1]))
+    for number in np.unique(session[good]):
+        these = np.ma.masked_invalid(moved[good[session[good] == number]])
+        ranges[number] = np.ma.filled(np.ma.ptp(these, axis=0), 0.0)
+    widest = ranges.max(axis=0)
+    return (ranges / np.where(widest > 0.0, widest, 1.0))[session]
 
 
 def _places_of(loads: Floats, sessions: list[Indices]) -> Indices:

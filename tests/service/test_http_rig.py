@@ -155,8 +155,8 @@ def test_the_zero_offset_is_that_of_the_rigs_readings(http, measured):
 
 def test_a_rig_of_more_text_than_is_kept_is_refused(http, measured):
     add(http, measured)
-    refused = send(http, f"{HEADER}\n{ONE}\n", rig="#" * 5000)
-    assert (refused.status_code, "4000 characters" in refused.text) == (422, True)
+    refused = send(http, f"{HEADER}\n{ONE}\n", rig="#" * 9000)
+    assert (refused.status_code, "8000 characters" in refused.text) == (422, True)
 
 
 def test_two_logs_are_joined_before_their_readings_are_taken_to_the_interface(http, measured):
@@ -316,7 +316,7 @@ def test_a_translation_that_a_cell_on_the_ground_needs_and_nobody_measured_is_na
     [
         ({"load_cell": "ground"}, "moving"),
         ({"rig": "load_cell = 'ground'"}, "load_cell: is moving or fixed"),
-        ({"rig": "load_cell = 'fixed'", "load_cell": "fixed"}, "send it once"),
+        ({"rig": "[import]\nload_cell = 'fixed'", "load_cell": "fixed"}, "import"),
     ],
 )
 def test_a_load_cell_of_no_kind_or_told_twice_is_refused(http, query, problem):

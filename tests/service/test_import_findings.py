@@ -306,4 +306,4 @@ def test_auto_without_a_lag_in_the_logs_is_refused_with_a_remedy(http, motion):
 
 
 def test_lag_and_offset_are_one_law():
-    assert ImportQuery.model_validate({"lag": "0.5"}).options().time_offset_s == 0.5
+    assert ImportQuery.model_validate({"lag": "0.5"}).options("").time_offset_s == 0.5

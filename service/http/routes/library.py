@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from fastapi import APIRouter, Path, Query, Request
 from pydantic import Field
 from starlette.concurrency import run_in_threadpool
@@ -20,7 +21,7 @@ from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.routes import Opened, json_reply
 from wrenchbook.service.http.routes.components import component_body
 from wrenchbook.service.http.routes.rows import file_fields
-from wrenchbook.service.ledger import About
+from wrenchbook.service.ledger import About, UnknownImportError
 from wrenchbook.service.messages import Card, Comparison, Demand, Disagreement, Import, Imports
 from wrenchbook.service.tables.comparison import (
     UncomparableError,
@@ -32,6 +33,7 @@ from wrenchbook.service.tables.importing import copy_rows
 from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.tables.rows import iso_time
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
+from wrenchbook.surrogate.findings.cycles import measured_stiffness
 
 router = APIRouter(
     prefix="/v1/components/{name}",
@@ -210,6 +212,46 @@ def _compared(
         return Response(comparison_csv(reply, component.space), 200, headers, "text/csv")
     more = {"table_version": table.version, "inputs": component.space.input_names}
     return json_reply(Comparison(component=name, **more, **reply))
+
+
+@router.get("/stiffness", summary="Slope of load over displacement of measured rows, and play")
+def get_stiffness(
+    name: str,
+    workspace: Opened,
+    between: Annotated[str, Query(max_length=100, description="two loads, N or N·m: 100,500")],
+    axis: Annotated[str, Query(description="load, else that of the largest range")] = "",
+    of: Annotated[str, Query(description="output, else that of the load: uz of fz")] = "",
+    number: Annotated[
+        int | None, Query(alias="import", ge=1, lt=2**63, description="its rows alone")
+    ] = None,
+) -> Response:
+    component, table = workspace.library[name], workspace.tables.caught_up(name, CATCH_UP_S)
+    rows, space, span = table.rows, component.space, component.load_range
+    loads = [item.name for item in space.inputs if item.kind != "scalar"]
+    try:
+        low, high = (float(text) for text in between.split(","))
+        if low == high or not np.isfinite((low, high)).all():
+            raise ValueError
+    except ValueError:
+        message = "is not two different numbers with a comma between them, such as 100,500"
+        raise bad_body([{"loc": "query.between", "msg": message}]) from None
+    if number is not None:
+        spans = [s for s in workspace.ledger.import_spans(name) if s[2].id == number]
+        if not spans:
+            raise UnknownImportError(f"{name!r} has no import {number} with rows")
+        rows = rows.take(np.any([(a <= rows.seq) & (rows.seq <= b) for a, b, _ in spans], axis=0))
+    part = np.ptp(rows.wrench, axis=0) / span.scale if len(rows) else span.scale
+    axis = axis or loads[int(np.argmax(part[: len(loads)]))]
+    for word, names, place in ((axis, loads, "axis"), (of, ("", *space.output_names), "of")):
+        if word not in names:
+            message = f"is none of {', '.join(filter(None, names))}"
+            raise bad_body([{"loc": f"query.{place}", "msg": message}])
+    at = loads.index(axis)
+    to = space.output_names.index(of) if of else at  # each interface has six of both
+    about = {"component": name, "table_version": table.version, "import": number, "axis": axis}
+    about |= {"of": space.output_names[to], "between": sorted((low, high))}
+    about["unit"] = f"{space.inputs[at].unit}/{space.outputs[to].unit}"
+    return json_reply(about | measured_stiffness(rows, span, (low, high), at, to))
 
 
 @router.get("/demand", summary="Queries that were not covered", response_model=Demand)

@@ -28,7 +28,7 @@ from wrenchbook.service.formats import (
     Options,
 )
 from wrenchbook.service.formats.options import Format as FileFormat
-from wrenchbook.service.formats.rig import MAX_RIG, Rig, rig_text
+from wrenchbook.service.formats.rig import MAX_RIG, NAME, OPTIONS, Rig, RigError, rig_text
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import Body
 from wrenchbook.service.http.body import PIECE, content_type, form_of, spooled
@@ -37,6 +37,7 @@ from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.routes import Opened, holds, json_reply, naming
 from wrenchbook.service.ledger import About
 from wrenchbook.service.library.component import Component
+from wrenchbook.service.library.rigs import rig_of
 from wrenchbook.service.messages import (
     ImportFinding,
     PreviewRow,
@@ -115,11 +116,14 @@ _TAKEN = frozenset(
 _MAX_COLUMNS = 1000
 # Options of files, which a block is not.
 _OF_FILES = {"tare", "preview", "sheet", "time_offset_s", "max_gap_s", "filename"}
+_OF_FILES |= {"skip_cycles", "branch", "thin", "mean_cycles"}
 _MAX_APPENDED_BYTES = 1 << 20
 WAIT_S = 10.0  # a table of 20,000 measured rows is built by then
 MAX_WAIT_S = 600.0  # a million rows take minutes
 _POINT = "x,y,z from the interface's point in its frame, m: the point that"
 _LOAD_CELL = "the point where it is now, or where it was: translation x force is taken off them"
+_THIN = "rows of a pass of the main load within it become their mean"
+_MEAN = "become their mean, with its 95 % half width as uncertainty"
 _Text = Annotated[str, Field(max_length=1000)]
 
 
@@ -173,8 +177,21 @@ class ImportQuery(Body):
         Literal["moving", "fixed"] | None, Field(description=f"moments are about {_LOAD_CELL}")
     ] = None
     rig: Annotated[
-        str, Field(max_length=MAX_RIG, description="TOML: these four, name; kept with the import")
+        str,
+        Field(
+            max_length=MAX_RIG,
+            description="TOML of a profile, or the name of one of /v1/rigs, kept with the import: "
+            f"these four, name, {', '.join(OPTIONS)}. Options of the query win",
+        ),
     ] = ""
+    skip_cycles: Annotated[int, Field(ge=0, lt=2**31, description="first ones to leave out")] = 0
+    branch: Annotated[
+        Literal["loading", "unloading"] | None, Field(description="the one of the main load")
+    ] = None
+    thin: Annotated[
+        float | None, Field(gt=0, le=0.5, description=f"part of the load range: {_THIN}")
+    ] = None
+    mean_cycles: Annotated[bool, Field(description=f"repeated ones {_MEAN}")] = False
     time_offset_s: Annotated[
         Annotated[float, Field(allow_inf_nan=False)] | Literal["auto"],
         Field(
@@ -219,19 +236,13 @@ class ImportQuery(Body):
         return text
 
     @model_validator(mode="after")
-    def _has_one_rig(self) -> ImportQuery:
-        if self.rig and rig_text(self.frame, self.load_point, self.displacement_point):
-            raise ValueError("rig has the frame and the points: send either it or these three")
-        if self.load_cell and Rig.read(self.rig).load_cell:
-            raise ValueError("rig has the load_cell already: send it once")
-        if text := self._rig_text():
-            Rig.read(text)
+    def _rig_can_be_read(self) -> ImportQuery:
+        Rig.read(self._with_axes("" if NAME.fullmatch(self.rig) else self.rig))
         return self
 
-    def _rig_text(self) -> str:
+    def _with_axes(self, rig: str) -> str:
         parts = self.frame, self.load_point, self.displacement_point, self.load_cell or ""
-        axes = rig_text(*parts) if any(parts) else ""
-        return "\n".join(filter(None, (self.rig, axes)))
+        return rig_text(*parts, of=rig)
 
     @model_validator(mode="after")
     def _can_be_appended(self) -> ImportQuery:
@@ -251,18 +262,35 @@ class ImportQuery(Body):
             raise ValueError("holds a zero byte")
         return text
 
-    def options(self) -> Options:
-        """Return the options of reading the file."""
-        same = self.model_dump(include={field.name for field in fields(Options)})
+    def options(self, rig: str) -> Options:
+        """Return the options of reading the file; those of the profile `rig` where it has none."""
+        profile = profile_of(rig := self._with_axes(rig))
+        others = profile.model_fields_set & _OF_FILES
+        if self.append is not None and others:
+            names = ", ".join(sorted(others))
+            raise RigError(f"append takes no {names}, as this profile has: a block is no file")
+        own, mapping = _pairs(self.mapping or "{}"), _pairs(profile.mapping or "{}")
+        ignore = set(profile.ignore) - own.keys()
+        query = profile.model_copy(update=self.model_dump(include=self.model_fields_set))
+        same = query.model_dump(include={field.name for field in fields(Options)})
         return Options(
             **same
             | {
-                "ignore": tuple(self.ignore),
-                "mapping": _pairs(self.mapping) if self.mapping else {},
-                "zero_rows": self.tare,
-                "rig": self._rig_text(),
+                "ignore": (*self.ignore, *ignore),
+                "mapping": mapping | own,
+                "optional": [*(ignore | mapping.keys()) - own.keys() - set(self.ignore)],
+                "zero_rows": query.tare,
+                "rig": rig,
             }
         )
+
+
+def profile_of(text: str) -> ImportQuery:
+    """Return the options of a rig's profile as a query; RigError or ValidationError if wrong."""
+    values = Rig.read(text).options
+    if "columns" in values:
+        values["mapping"] = orjson.dumps(values.pop("columns"), default=str).decode()
+    return ImportQuery.model_validate(values)
 
 
 def _pairs(text: str) -> dict[str, str]:
@@ -302,8 +330,11 @@ Imported = TypedDict(
             Field(description="name, handedness, axes, points, load cell"),
         ],
         "rows": Annotated[
-            dict[Literal["read", "loaded", "refused", "tare", "unmatched"], int],
-            Field(description="read = loaded + refused + tare + unmatched, but of a dry run"),
+            dict[str, int],
+            Field(
+                description="read = loaded + refused + tare + unmatched + skipped + branch + "
+                "averaged (of cycles, if asked for), but of a dry run"
+            ),
         ],
         "columns": Annotated[
             list[dict[Literal["column", "name", "unit"], str]],
@@ -451,7 +482,8 @@ async def import_table(
         )
     table = workspace.tables.surrogate(name)
     solved = await run_in_threadpool(solved_compliance, component, table)
-    options = replace(query.options(), solved=solved, linear=component.linear)
+    rig = await run_in_threadpool(rig_of, workspace.ledger, query.rig)
+    options = replace(query.options(rig), solved=solved, linear=component.linear)
     most = _MAX_APPENDED_BYTES if query.append else MAX_TABLE_BYTES
     async with received(request, most) as sent:
         key = permission_of(request.scope).key

@@ -14,7 +14,7 @@ const TYPES = { csv: "text/csv", txt: "text/csv", tsv: "text/csv", json: "applic
 export function importForm(about, signal) {
   const state = { file: null, text: null, about, signal, place: el("div", { class: "stack", "aria-live": "polite", id: "checked" }) };
   // A field that is left tells of a change that a check may know already.
-  state.options = importOptions(() => { if (state.file && optionsOf(state) !== state.checked) check(state); });
+  state.options = importOptions(about.name, () => { if (state.file && optionsOf(state) !== state.checked) check(state); }, signal);
   const take = async (file) => {
     if (!file) return;
     state.file = file;
@@ -97,9 +97,9 @@ function again(state, mend = () => {}) {
 
 // Each row of the file is counted once.
 function tallies(result) {
-  const { read, refused, tare, unmatched } = result.rows;
+  const { read, refused, tare, unmatched, skipped, branch, averaged } = result.rows;
   return [
-    el("span", {}, `${count(result.inserted)} new rows${result.existing ? `, ${count(result.existing)} are in the table already` : ""}; ${count(read)} read${refused ? `, ${count(refused)} refused` : ""}${tare ? `, ${count(tare)} taken as tare` : ""}${unmatched ? `, ${count(unmatched)} without a load at their time` : ""}.`),
+    el("span", {}, `${count(result.inserted)} new rows${result.existing ? `, ${count(result.existing)} are in the table already` : ""}; ${count(read)} read${refused ? `, ${count(refused)} refused` : ""}${tare ? `, ${count(tare)} taken as tare` : ""}${unmatched ? `, ${count(unmatched)} without a load at their time` : ""}${skipped ? `, ${count(skipped)} of skipped cycles` : ""}${branch ? `, ${count(branch)} off the branch` : ""}${averaged ? `, ${count(averaged)} in the mean of others` : ""}.`),
     result.clock ? el("span", {}, `Clocks: ${number(result.clock.applied_s)} s added to the times of the displacements; ${result.clock.lag_s === null ? "the logs do not show a lag" : `the logs show ${number(result.clock.lag_s)} ± ${number(result.clock.uncertainty_s, 1)} s`}.`) : null,
     result.ignored?.length ? el("span", {}, `Columns left out: ${result.ignored.join(", ")}.`) : null,
     result.sheets?.length > 1 ? el("span", {}, `Sheet ${result.sheet} was read, of ${result.sheets.join(", ")}.`) : null,
@@ -130,7 +130,7 @@ async function load(state) {
     await caughtUp(state.about.name, state.signal);
     const kept = result.import ? (await get(`${of(state.about.name)}/imports`, state.signal)).imports.find((one) => one.id === result.import) : null;
     const name = encodeURIComponent(state.about.name);
-    put(state.place, note("covered", el("strong", {}, `${count(result.inserted)} rows are in the table.`), result.errors.length || result.existing || result.rows.tare ? tallies(result) : null,
+    put(state.place, note("covered", el("strong", {}, `${count(result.inserted)} rows are in the table.`), result.errors.length || result.existing || result.rows.read !== result.rows.loaded ? tallies(result) : null,
       el("span", {}, el("a", { href: `#/c/${name}/query` }, "Query it"), ", or see ", el("a", { href: `#/c/${name}/rows` }, "the rows"), ". This is ", el("a", { href: `#/c/${name}/entry` }, `version ${result.table_version}`), ".")),
     ...findings(state, kept?.findings || result.findings, kept?.id));
   } catch (error) { if (!state.signal.aborted) put(state.place, trouble(error)); }

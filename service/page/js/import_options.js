@@ -1,5 +1,6 @@
 // What an import is body beside the file: what its columns are, what to leave out, tare.
 
+import { cycleOptions } from "./cycle_options.js";
 import { el, field, select } from "./dom.js";
 import { rigOptions } from "./rig_options.js";
 
@@ -12,7 +13,7 @@ const UNITS = {
 const MEANINGS = "column-meanings";
 
 // `changed()` is called when anything is said otherwise.
-export function importOptions(changed) {
+export function importOptions(name, changed, signal) {
   const check = (text) => {
     const input = el("input", { type: "checkbox", onchange: changed });
     return [input, el("label", { class: "check" }, input, text)];
@@ -36,7 +37,7 @@ export function importOptions(changed) {
     el("div", { class: "stack" }, zeroLine, extraLine, partialLine,
       el("div", { class: "few" }, field("Tare: number of first rows, whose mean is subtracted", tare), field("Decimal mark (CSV)", decimal), field("Sheet (Excel), group (TDMS)", sheet)),
       field("Note, stored with the import", said)));
-  const columns = columnTable(), rig = rigOptions(changed);
+  const columns = columnTable(), rig = rigOptions(name, changed, signal), cycles = cycleOptions(changed);
   const query = () => {
     const asked = new URLSearchParams();
     if (zero.checked) asked.set("missing_loads", "zero");
@@ -48,6 +49,7 @@ export function importOptions(changed) {
     if (displacements() && lag.value.trim()) asked.set("lag", lag.value.trim());
     if (said.value.trim()) asked.set("note", said.value.trim());
     rig.tell(asked);
+    cycles.tell(asked);
     columns.tell(asked);
     return asked;
   };
@@ -57,7 +59,7 @@ export function importOptions(changed) {
     logs.open = true;
     changed();
   } }, `Use a lag of ${Number(seconds.toPrecision(4))} s`));
-  return { root: [logs, root, rig.root], query, columns, rig, displacements, correction };
+  return { root: [logs, root, rig.root, cycles.root], query, columns, rig, displacements, correction };
 }
 
 // One input a column of the file: empty is as the file says.

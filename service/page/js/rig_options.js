@@ -1,5 +1,6 @@
 // The frame and the reference points of the readings of an import, with a picture of them.
 
+import { profileChoice } from "./cycle_options.js";
 import { el, field, put, select } from "./dom.js";
 import { pointsOf, rigPicture } from "./rig_picture.js";
 
@@ -7,41 +8,42 @@ const AXES = ["x", "y", "z"];
 const PLAIN = "x=x,y=y,z=z";
 
 // `changed()` is called when one of them is another.
-export function rigOptions(changed) {
+export function rigOptions(name, changed, signal) {
   const picture = el("div", { class: "stack", id: "rig-picture" });
   const input = (id, placeholder) => el("input", { id, placeholder, autocomplete: "off", spellcheck: "false", maxlength: 1000, oninput: () => draw(), onchange: changed });
   const frame = input("rig-frame", PLAIN), load = input("rig-load-point", "0,0,0"), moved = input("rig-displacement-point", "0,0,0");
   const parts = { frame, load_point: load, displacement_point: moved };
   const cell = select([["", "not said"], ["moving", "moves with the interface"], ["fixed", "stays on the ground"]], "", changed);
   cell.id = "load-cell";
-  const state = { toml: "" };
+  const state = { toml: "" }, profile = profileChoice(name, () => { draw(); changed(); }, signal);
   const file = el("input", { type: "file", id: "rig-file", accept: ".toml", onchange: () => take(file.files[0]) });
   const remove = el("button", { type: "button", class: "small", hidden: true, onclick: () => { file.value = ""; take(null); } }, "Remove the file");
   const take = async (chosen) => {
     state.toml = chosen ? await chosen.text() : "";
-    for (const one of Object.values(parts)) one.disabled = Boolean(state.toml);
+    for (const one of [profile, ...Object.values(parts)]) one.disabled = Boolean(state.toml);
     remove.hidden = !state.toml;
     draw();
     changed();
   };
-  const draw = () => put(picture, state.toml ? el("p", { class: "muted small" }, "The rig of the file is drawn once a table is checked.") : drawn(read(frame, load, moved)));
-  const root = el("details", { id: "rig-options" }, el("summary", {}, "Frame and points of the readings"),
+  const draw = () => put(picture, state.toml || profile.value ? el("p", { class: "muted small" }, "The rig of the profile is drawn once a table is checked.") : drawn(read(frame, load, moved)));
+  const root = el("details", { id: "rig-options" }, el("summary", {}, "Rig: profile, frame and points of the readings"),
     el("div", { class: "halves" },
       el("div", { class: "stack" },
+        field("Profile of the rig: columns, zero, frame and cycles of its files; what is set on this page wins", profile),
         el("p", { class: "muted small" }, "Leave these empty where loads and displacements are those of the interface’s point in its axes. Points are in metres, from the interface’s point, in the interface’s frame. They are applied after units and tare."),
         field("Where the rig’s axes point in the interface’s frame, such as x=-y,y=x,z=z, or nine numbers", frame),
         field("Load point: the point that moments are about, x,y,z in m", load),
         field("Displacement point: the point whose translation was measured, x,y,z in m", moved),
         field("Load cell: the point of the moments", cell),
-        field("Or a rig file (TOML) with name, frame, load_point, displacement_point, load_cell", file), el("div", {}, remove)),
+        field("Or a profile as a file (TOML)", file), el("div", {}, remove)),
       picture));
   const tell = (asked) => {
-    if (state.toml) asked.set("rig", state.toml);
-    else for (const [name, one] of Object.entries(parts)) if (one.value.trim()) asked.set(name, one.value.trim());
+    if (state.toml || profile.value) asked.set("rig", state.toml || profile.value);
+    if (!state.toml) for (const [name, one] of Object.entries(parts)) if (one.value.trim()) asked.set(name, one.value.trim());
     if (cell.value) asked.set("load_cell", cell.value);
   };
   // `rig` of the reply of a check: what the server has read.
-  const show = (rig) => { if (state.toml && rig) put(picture, drawn({ rig })); };
+  const show = (rig) => { if ((state.toml || profile.value) && rig) put(picture, drawn({ rig })); };
   // The buttons that a finding of a lever offers; a point is added to the one that is given.
   const corrections = (lever) => {
     const one = (text, input, sign) => el("button", { type: "button", class: "small", onclick: () => {

@@ -3,6 +3,7 @@
 import { el, field, put, save, select } from "./dom.js";
 import { of, send, trouble } from "./api.js";
 import { importForm } from "./import.js";
+import { stiffnessForm } from "./stiffness.js";
 
 const FORMATS = [["csv", "CSV"], ["xlsx", "Excel (XLSX)"], ["parquet", "Parquet"], ["hdf5", "HDF5"], ["json", "JSON"], ["packed", "Packed table"],
   ["bushing displacement", "Bushing (CSV), no displacement on other axes"], ["bushing load", "Bushing (CSV), no load on other axes"]];
@@ -13,7 +14,8 @@ const IN_UNITS = ["csv", "xlsx"]; // programs read the others: always SI
 export async function show(root, about, signal) {
   put(root, el("div", { class: "stack" },
     el("section", { class: "card" }, el("h2", {}, "Import rows"), importForm(about, signal)),
-    el("section", { class: "card" }, el("h2", {}, "Export the table"), exportForm(about, signal))));
+    el("section", { class: "card" }, el("h2", {}, "Export the table"), exportForm(about, signal)),
+    el("section", { class: "card" }, el("h2", {}, "Measured stiffness"), stiffnessForm(about, signal))));
 }
 
 function exportForm(about, signal) {

@@ -215,6 +215,31 @@ def test_a_rig_file_is_applied_drawn_and_kept_with_the_import(browser, client, t
     assert "name = 'bench 3'" in browser.named("details pre", "bench").text
 
 
+def test_a_profile_is_remembered_and_cycles_are_left_out_and_have_a_stiffness(browser, client):
+    spans = {"force": [600] * 3, "moment": [60] * 3}
+    client.call_json("POST", "/v1/components", {"name": "press", "title": "P", "range": spans})
+    loads = [*range(0, 500, 50), *range(500, 0, -50)] * 3
+    lines = "\n".join(f"{load},{load / 1000 + k * 1e-9}" for k, load in enumerate(loads))
+    browser.visit("#/c/press/table")
+    browser.one("#rig-options summary").click()
+    browser.one("#rig-profile option[value=instron]").click()
+    browser.one("#cycle-options summary").click()
+    browser.type("#skip-cycles", "1")
+    browser.drop(".drop", "press.csv", f"Load (N),Extension (mm)\n{lines}\n")
+    browser.named(".note", "60 read, 21 of skipped cycles")
+    browser.one("#import").click()
+    browser.named(".note", "39 rows are in the table")
+    browser.type("#stiffness-low", "100")
+    browser.type("#stiffness-high", "400")
+    browser.one("#stiffness-ask").click()
+    assert browser.named("#stiffness tr", "loading").text.startswith("loading 14 1000000")
+    browser.visit("#/c/press/overview")
+    browser.visit("#/c/press/table")
+    browser.one("#rig-options summary").click()
+    browser.one("#rig-profile option[value=ros]")
+    assert browser.one("#rig-profile").get_attribute("value") == "instron"
+
+
 def test_columns_are_named_left_out_and_turned_before_an_import(browser, gauged):
     browser.visit("#/c/gauged/table")
     browser.drop(".drop", "gauged.csv", GAUGED)

@@ -1,0 +1,54 @@
+"""Profiles of test rigs by name: columns, frame, zero and cycles of its files, as TOML texts."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Path, Request
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import Response
+
+from wrenchbook.service.formats.rig import MAX_RIG, NAME
+from wrenchbook.service.http.body import read_limited
+from wrenchbook.service.http.openapi import BYTES, TEXT, refused
+from wrenchbook.service.http.problems import bad_body
+from wrenchbook.service.http.routes import Opened
+from wrenchbook.service.http.routes.table import profile_of
+from wrenchbook.service.library.rigs import profiles, remove_rig, rig_of, store_rig
+
+router = APIRouter(prefix="/v1/rigs", tags=["rigs"], responses=refused(404, 422))
+
+RigName = Annotated[str, Path(pattern=f"^{NAME.pattern}$")]
+_TOML = {"application/toml": TEXT}
+_SENT = {"requestBody": {"required": True, "content": {"application/octet-stream": BYTES, **_TOML}}}
+_READ: Any = {200: {"description": "the stored one, else the program's", "content": _TOML}}
+
+
+@router.get("", summary="The profiles: name, origin (stored or shipped), title (a first comment)")
+def list_rigs(workspace: Opened) -> dict[str, list[dict[str, str]]]:
+    known = profiles(workspace.ledger).items()
+    titles = {name: text.partition("\n")[0].partition("#")[2].strip() for name, (text, _) in known}
+    return {"rigs": [{"name": k, "origin": kind, "title": titles[k]} for k, (_, kind) in known]}
+
+
+@router.get("/{name}", summary="A profile as TOML", response_class=Response, responses=_READ)
+def get_rig(name: RigName, workspace: Opened) -> Response:
+    return Response(rig_of(workspace.ledger, name), 200, None, "application/toml; charset=utf-8")
+
+
+@router.put("/{name}", summary="Store a profile, or replace it", openapi_extra=_SENT)
+async def put_rig(name: RigName, request: Request, workspace: Opened) -> dict[str, str]:
+    content = await read_limited(request.receive, 4 * MAX_RIG)
+    text = content.decode("utf-8-sig", "replace")
+    if len(text) > MAX_RIG or "\ufffd" in text:
+        message = f"is not UTF-8 text of at most {MAX_RIG} characters"
+        raise bad_body([{"loc": "body", "msg": message}])
+    profile_of(text)
+    await run_in_threadpool(store_rig, workspace.ledger, name, text)
+    return {"stored": name}
+
+
+@router.delete("/{name}", summary="Remove a stored profile; imports keep the text of theirs")
+def delete_rig(name: RigName, workspace: Opened) -> dict[str, str]:
+    remove_rig(workspace.ledger, name)
+    return {"removed": name}

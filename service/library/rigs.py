@@ -1,0 +1,50 @@
+"""Profiles of test rigs, in the ledger's database; those that come with the program are files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from wrenchbook.service.formats.rig import NAME, Rig
+from wrenchbook.service.ledger import Ledger
+
+SHIPPED = Path(__file__).parents[1] / "formats" / "rigs"
+
+
+class UnknownRigError(LookupError):
+    """There is no profile of this name; the message lists those there are."""
+
+
+def profiles(ledger: Ledger) -> dict[str, tuple[str, str]]:
+    """Return the TOML text of each profile and whether it is stored or shipped, by name."""
+    shipped = {file.stem: (file.read_text("utf-8"), "shipped") for file in SHIPPED.glob("*.toml")}
+    with ledger.reading() as db:
+        stored = db.execute("SELECT name, profile FROM rigs").fetchall()
+    return dict(sorted((shipped | {name: (text, "stored") for name, text in stored}).items()))
+
+
+def rig_of(ledger: Ledger, rig: str) -> str:
+    """Return the TOML of a profile by its name, with it; a TOML as it is. Raises UnknownRigError.
+
+    A stored profile takes the place of a shipped one.
+    """
+    if not NAME.fullmatch(rig):
+        return rig
+    known = profiles(ledger)
+    if rig not in known:
+        message = f"there is no rig {rig!r}; there are {', '.join(known)}. Store it with "
+        raise UnknownRigError(f"{message}wrenchbook rig add {rig} FILE.toml, or send its TOML")
+    text = known[rig][0]
+    return f'name = "{rig}"\n{text}' if Rig.read(text).name == Rig.digest(text) else text
+
+
+def store_rig(ledger: Ledger, name: str, profile: str) -> None:
+    """Store a profile, or replace it."""
+    with ledger.writing() as db:
+        db.execute("INSERT OR REPLACE INTO rigs VALUES (?, ?)", (name, profile))
+
+
+def remove_rig(ledger: Ledger, name: str) -> None:
+    """Remove a stored profile; UnknownRigError."""
+    with ledger.writing() as db:
+        if not db.execute("DELETE FROM rigs WHERE name = ?", (name,)).rowcount:
+            raise UnknownRigError(f"the rig {name!r} is not stored; shipped ones stay")

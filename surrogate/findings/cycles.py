@@ -1,0 +1,119 @@
+"""Cycles of a load: its passes between turning points, and lines of load over displacement."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import find_peaks
+from scipy.special import stdtrit
+
+from ..kriging.effects import sessions_of
+from ..table.rows import Floats, LoadRange, Rows
+
+TURN = 0.1  # of the load's range: smaller reversals are noise, and no turning points
+# Of the load's range: rows behind a turning point that are so near to it, as of a load that is held
+# with noise, have no sure direction.
+NEAR_TURN = 0.01
+ALONG = 0.05  # of half a load's range: where another load varies by more, its effect is in a slope
+
+
+class Passes(NamedTuple):
+    """The pass of each row, (n,), two a cycle; whether it is loading, and the row's pass is sure.
+
+    A turning point is of the pass that led to it. Loading leads away from no load; where the load
+    is as large in both directions it rises.
+    """
+
+    number: NDArray[np.intp]
+    loading: NDArray[np.bool_]
+    sure: NDArray[np.bool_]
+
+    def take(self, which: NDArray[Any]) -> Passes:
+        """Return the passes of the rows that an index array or a mask of shape (n,) picks."""
+        return Passes(self.number[which], self.loading[which], self.sure[which])
+
+
+def passes_of(load: Floats) -> Passes:
+    """Return the passes of a load, (n,), in the order of its measurement."""
+    span, number, sure = np.ptp(load), np.zeros(len(load), dtype=np.intp), np.ones(len(load), bool)
+    if span == 0.0:
+        return Passes(number, sure.copy(), sure)
+    peaks, valleys = (find_peaks(way, prominence=TURN * span)[0] for way in (load, -load))
+    turns = np.sort(np.concatenate((peaks, valleys)))
+    for turn, end in pairwise([*turns.tolist(), len(load) - 1]):
+        held = turn + 1 + np.argmin(np.append(load[turn + 1 : end + 1] == load[turn], False))
+        number[held:] += 1  # a load that is held keeps the branch that it came by
+        near = np.abs(load[held : end + 1] - load[turn]) <= NEAR_TURN * span
+        sure[held : held + np.argmin(np.append(near, False))] = False
+    rises = turns[0] in peaks if len(turns) else load[-1] >= load[0]
+    falls_away = load.max() + load.min() < -TURN * span
+    return Passes(number, (number % 2 == 0) == (rises != falls_away), sure)
+
+
+def line_through(displacement: Floats, load: Floats) -> dict[str, float] | None:
+    """Return the line load = slope * displacement + offset of least squares; None of too few rows.
+
+    The displacement is x and the load is y, as in ``numpy.polyfit(displacement, load, 1)``: noise
+    of the displacement lowers the slope by its part of the variance. Half widths are of 95 %.
+    """
+    free = len(load) - 2
+    if free < 1 or np.ptp(displacement) == 0.0 or np.ptp(load) == 0.0:
+        return None
+    (slope, offset), covariance = np.polyfit(displacement, load, 1, cov=True)
+    squares = ((load - slope * displacement - offset) ** 2).sum()
+    gradient = np.array([offset / slope**2, -1.0 / slope])
+    variances = covariance[0, 0], gradient @ covariance @ gradient
+    half_widths = stdtrit(free, 0.975) * np.sqrt(variances)
+    numbers = (
+        slope,
+        half_widths[0],
+        np.sqrt(squares / free),
+        1.0 - squares / len(load) / load.var(),
+    )
+    names = "slope", "slope_half_width", "residual", "r2", "unloaded", "unloaded_half_width"
+    line = zip(names, (*numbers, -offset / slope, half_widths[1]), strict=True)
+    return {"rows": len(load)} | {name: float(value) for name, value in line}
+
+
+def measured_stiffness(
+    rows: Rows, load_range: LoadRange, between: tuple[float, float], axis: int, output: int
+) -> dict[str, Any]:
+    """Return lines of a load over an output through the measured rows between two loads.
+
+    ``lines`` are of all of them, of both branches and of the rows between the negative loads.
+    ``play`` is the distance of two lines at no load: of the branches, and of positive and negative
+    loads. ``other_loads`` vary in these rows by the given number, N and N·m.
+    """
+    rows = rows.take((rows.source != "fea") & np.isfinite(rows.displacement[:, output]))
+    load, moved, session = rows.wrench[:, axis], rows.displacement[:, output], sessions_of(rows)
+    loading, sure = np.zeros((2, len(rows)), dtype=bool)
+    for number in np.unique(session):
+        at = np.flatnonzero(session == number)
+        _, loading[at], sure[at] = passes_of(load[at])
+    low, high = sorted(between)
+    chosen = (load >= low) & (load <= high)
+    parts = {
+        "all": chosen,
+        "loading": chosen & loading & sure,
+        "unloading": chosen & ~loading & sure,
+    }
+    parts["opposite"] = (-load >= low) & (-load <= high) & (low * high > 0)
+    lines = {name: line_through(moved[part], load[part]) for name, part in parts.items()}
+    play: dict[str, Any] = {}
+    signs = ("all", "opposite") if low >= 0 else ("opposite", "all")
+    for name, ends in (("branches", ("unloading", "loading")), ("signs", signs)):
+        first, second = (lines[end] for end in ends)
+        if first and second:
+            width = first["unloaded"] - second["unloaded"]
+            half = np.hypot(first["unloaded_half_width"], second["unloaded_half_width"])
+            width = abs(width) if name == "branches" else width
+            play[name] = {"value": width, "half_width": float(half)}
+    inputs = zip(load_range.space.input_names, load_range.scale, rows.wrench[chosen].T, strict=True)
+    varied = {
+        name: float(np.ptp(w)) for name, size, w in inputs if len(w) and np.ptp(w) > ALONG * size
+    }
+    varied.pop(load_range.space.input_names[axis], None)
+    return {"lines": lines, "play": play, "other_loads": varied}

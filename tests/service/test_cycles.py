@@ -1,0 +1,194 @@
+"""Cycles of a test at an import, and the stiffness of measured rows between two loads."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import t as student
+
+from tests.service.test_import_findings import CALL, csv_of, send
+from tests.surrogate.findings.rigs import cantilever
+from wrenchbook.service.formats.cycles import MAX_CYCLE_ROWS, with_cycles
+from wrenchbook.service.formats.options import Options, ParsedTable, ReadReport
+from wrenchbook.surrogate.findings.cycles import passes_of
+from wrenchbook.surrogate.table.rows import Rows
+
+FORCE, MOMENT = 500.0, 50.0
+SEEDS = (911, 922, 933)
+SETTLING = 0.04  # of the load's range: friction turns over behind a turning point
+COUNTS = ("loaded", "refused", "tare", "unmatched", "skipped", "branch", "averaged")
+
+
+def cycles(low, count, points=30):
+    """Return a load that goes `count` times from `low` to 1 and back."""
+    up = np.linspace(low, 1.0, points)
+    return np.concatenate([np.concatenate((up, up[-2:0:-1])) for _ in range(count)] + [[low]])
+
+
+class Loop:
+    """A cantilever under cycles of one load, with friction in the rig and noise."""
+
+    def __init__(self, seed, axis=2, loop=0.05, noise=0.003, low=-1.0, count=4):
+        rng = np.random.default_rng(seed)
+        self.column = cantilever(rng)[0][:, axis] * (FORCE if axis < 3 else MOMENT)
+        self.axis, self.low, share = axis, low, cycles(low, count)
+        self.size = np.ptp(self.true(np.linspace(low, 1, 50)), axis=0)
+        self.half = loop / 2 * self.size * np.sign(self.column)
+        state, states = 1.0, []
+        for step in np.diff(share, prepend=low):
+            state = np.clip(state + 2 * step / (SETTLING * (1 - low)), -1, 1)
+            states.append(state)
+        moved = self.true(share) - np.outer(states, self.half)
+        moved += noise * self.size * rng.normal(size=moved.shape)
+        self.rows = Rows.of(self.wrench(share), moved)
+
+    def true(self, share):
+        return np.outer(share - 0.15 * share**3, self.column)
+
+    def wrench(self, share):
+        wrench = np.zeros((len(share), 6))
+        wrench[:, self.axis] = share * (FORCE if self.axis < 3 else MOMENT)
+        return wrench
+
+    def held(self, http, sign):
+        """Return the part of the bars that hold a branch: sign -1 of loading, 1 of unloading."""
+        share = np.random.default_rng(1).uniform(max(self.low, -0.95), 0.95, 60)
+        body = {"wrenches": self.wrench(share).tolist(), "on_thin": "estimate"}
+        reply = http.post(CALL.replace("table", "displacements"), json=body).json()
+        moved, error = np.array(reply["displacements"]), np.array(reply["errors"], dtype=float)
+        return (np.abs(moved - self.true(share) - sign * self.half) <= error).mean()
+
+
+def add(http):
+    spans = {"force": [FORCE] * 3, "moment": [MOMENT] * 3}
+    http.post("/v1/components", json={"name": "rig", "title": "R", "range": spans})
+
+
+def load(http, rows, **query):
+    reply = send(http, csv_of(rows), load_cell="moving", wait_s=120, **query)
+    assert reply.status_code == 200, reply.text
+    counts = reply.json()["rows"]
+    assert counts["read"] == sum(counts.get(name, 0) for name in COUNTS)
+    return counts
+
+
+@pytest.mark.parametrize(("loop", "noise"), [(0.02, 0.01), (0.05, 0.003), (0.08, 0.001)])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_bars_of_a_loaded_branch_hold_it_in_nine_of_ten(http, seed, loop, noise):
+    add(http)
+    made = Loop(seed, loop=loop, noise=noise)
+    counts = load(http, made.rows, branch="unloading", skip_cycles=1)
+    assert counts["branch"] > counts["skipped"] > 0
+    assert made.held(http, 1) >= 0.9
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_of_tests_of_several_axes_in_one_table_bars_hold_both_branches(http, seed):
+    add(http)
+    for made in (tests := [Loop(seed, axis, noise=0.01) for axis in (2, 1, 4)]):
+        load(http, made.rows)
+    assert min(made.held(http, sign) for made in tests for sign in (-1, 1)) >= 0.9
+
+
+def left(rows, **options):
+    report = ReadReport(read=len(rows))
+    parts = (rows.take(at) for at in np.array_split(np.arange(len(rows)), 3))
+    pieces = [ParsedTable(**vars(part), note=["a"] * len(part)) for part in parts]
+    found = list(with_cycles(iter(pieces), Options(**options), report))
+    return (found[0] if found else rows.take(np.arange(0))), report
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_soft_preload_cycles_that_are_skipped_leave_the_rows_of_the_others(seed):
+    clean = Loop(seed, low=0.0).rows
+    soft, first = clean.displacement.copy(), np.arange(len(clean)) < 58 * 2
+    soft[first] = 1.4 * soft[first] + 1e-4
+    rows, report = left(replace(clean, displacement=soft), skip_cycles=2)
+    # The lowest row between two cycles is of the one before.
+    assert (rows.displacement == clean.displacement[58 * 2 + 1 :]).all()
+    assert report.left_out["skipped"] + len(rows) == len(clean)
+
+
+def test_the_mean_of_cycles_is_numpys_with_the_half_width_of_the_scatter():
+    rows = Loop(5, count=6, low=0.0, noise=0.01).rows
+    found, report = left(rows, mean_cycles=True)
+    up = rows.displacement[:-1].reshape(6, 58, 6)[1:, 1:30]  # the lowest row is of the pass before
+    mean = found.displacement[np.searchsorted(found.wrench[:30, 2], 100.0) : 29]
+    np.testing.assert_allclose(mean[-1], [*up[:, 27].mean(axis=0)], atol=0.01 * np.ptp(up))
+    scatter = np.sqrt(up.var(axis=0, ddof=1).mean(axis=0))
+    half = student.ppf(0.975, 29 * 4) * scatter / np.sqrt(5)
+    np.testing.assert_allclose(np.median(found.uncertainty[:30], axis=0), half, rtol=0.3)
+    assert report.left_out["averaged"] == len(rows) - len(found)
+
+
+def test_rows_of_a_pass_within_one_place_become_their_mean():
+    wrench = np.zeros((9, 6))
+    wrench[:, 2] = [0, 10, 11, 12, 20, 100, 11, 10, 0]
+    moved = wrench / 1e6
+    found, report = left(Rows.of(wrench, moved), thin=0.05)
+    np.testing.assert_allclose(found.wrench[:, 2], [0, 11, 20, 100, 10.5, 0])
+    np.testing.assert_allclose(found.displacement, found.wrench / 1e6)
+    assert report.left_out["averaged"] == 3
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_loading_leads_away_from_no_load_and_a_held_load_keeps_its_branch(sign):
+    load = sign * np.array([0, 0, 40, 100, 100, 99.5, 60, 0, 0, 5, 50, 100.0])
+    passes = passes_of(load)
+    assert passes.loading.tolist() == [True] * 5 + [False] * 4 + [True] * 3
+    assert passes.number.tolist() == [0] * 5 + [1] * 4 + [2] * 3
+    assert np.flatnonzero(~passes.sure).tolist() == [5]
+
+
+def other_load(rows):
+    wrench = rows.wrench.copy()
+    wrench[60:120, 3] = MOMENT / 2
+    return replace(rows, wrench=wrench)
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "words"),
+    [
+        (other_load, {"mean_cycles": True}, "mx differs by up to 25"),
+        (lambda rows: rows.take(np.arange(30)), {"branch": "unloading"}, "no unloading branch"),
+        (lambda rows: replace(rows, source=np.full(len(rows), "fea")), {"thin": 0.1}, "solves"),
+    ],
+)
+def test_cycles_that_do_not_allow_an_option_are_refused(change, options, words):
+    rows, report = left(change(Loop(5, low=0.0).rows), **options)
+    (mistake,) = report.mistakes.listed()
+    assert (len(rows), report.mistakes.whole, words in mistake.message) == (0, True, True)
+
+
+def test_a_file_of_more_rows_than_cycles_take_is_refused():
+    report = ReadReport(read=MAX_CYCLE_ROWS + 1)
+    piece = ParsedTable(**vars(Loop(5).rows), note=[])
+    assert list(with_cycles(iter([piece]), Options(thin=0.1), report)) == []
+    assert "send it in parts" in report.mistakes.listed()[0].message
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_stiffness_between_two_loads_is_numpys_polyfit_of_each_branch(http, seed):
+    add(http)
+    made = Loop(seed, loop=0.06, noise=0.002)
+    load(http, made.rows)
+    query = {"between": "100,400", "axis": "fz", "of": "uz", "import": 1}
+    body = http.get(CALL.replace("table", "stiffness"), params=query).json()
+    force, moved = made.rows.wrench[:, 2], made.rows.displacement[:, 2]
+    between, rising = (force >= 100) & (force <= 400), passes_of(force).loading
+    parts = {"all": between, "loading": between & rising, "unloading": between & ~rising}
+    parts["opposite"] = (force <= -100) & (force >= -400)
+    unloaded = {}
+    for name, part in parts.items():
+        slope, offset = np.polyfit(moved[part], force[part], 1)
+        unloaded[name] = -offset / slope
+        line = body["lines"][name]
+        assert line["rows"] == part.sum()
+        assert line["slope"] == pytest.approx(slope, rel=1e-9)
+        r2 = np.corrcoef(moved[part], force[part])[0, 1] ** 2
+        assert line["r2"] == pytest.approx(r2, rel=1e-9)
+    play = abs(unloaded["unloading"] - unloaded["loading"])
+    assert body["play"]["branches"]["value"] == pytest.approx(play, rel=1e-9)
+    play = unloaded["all"] - unloaded["opposite"]
+    assert body["play"]["signs"]["value"] == pytest.approx(play, rel=1e-9)
+    assert (body["unit"], body["other_loads"]) == ("N/m", {})
