@@ -7,26 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from wrenchbook.fea.mesh.facets import Face
+
 Array = np.ndarray
 
 METRES = 1e-3
 """gmsh works in mm here: its geometry kernel's tolerances are absolute and made for mm."""
-
-
-@dataclass(frozen=True)
-class Face:
-    """One face."""
-
-    number: int  # what ``faces = [...]`` names it by
-    kind: str  # "Plane", "Cylinder", "Cone", "Sphere", "Torus", "BSpline surface",
-    area: float  # m^2
-    centre: tuple[float, float, float]  # area centre, m
-    # Outward unit normal of a plane face; None for others
-    normal: tuple[float, float, float] | None
-    radius: float | None  # of a cylinder, m; None for others
-    # low, high: Corners of the box around it, m
-    low: tuple[float, float, float]
-    high: tuple[float, float, float]
 
 
 @dataclass(frozen=True)

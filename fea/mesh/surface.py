@@ -1,0 +1,374 @@
+"""Facet groups by geometry: the faces of a surface, and the law by which keys choose facets.
+
+A face is one of the geometry file, or of a mesh file a connected smooth part of its surface.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import combinations
+from typing import Any, NoReturn
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from wrenchbook.fea.mesh.facets import (
+    TRIANGLES,
+    Face,
+    corners_of,
+    missing,
+    near_message,
+    outer_surface,
+)
+from wrenchbook.fea.mesh.mesh import FacetBlock, FacetGroup, Mesh
+from wrenchbook.fea.spec.problems import BundleError, BundleProblem, point_text
+from wrenchbook.fea.spec.schema import FaceSelector
+
+Array = np.ndarray
+Point = tuple[float, float, float]
+
+_SMOOTH = np.cos(np.radians(40))  # gmsh's usual angle of a feature; nine flats a turn are round
+_FLAT = 2e-3  # rad: roundoff of coordinates in single precision turns facets by less
+_EVEN = 1e-4  # of a face's size: a plane face is off its plane by no more
+_NEAR = 1e-3  # of a facet's size, or of a radius: lengths closer than this count as equal
+_EDGE = 2e-2  # of a facet's size: its triangles are off a round face by less, at 16 cells a turn
+_MAX_RADIUS = 10.0  # of a face's size; a flatter arc shows no radius to three digits
+_ANGLE = 10.0  # degrees, of `normal` without `angle`
+_THIN = 0.5  # of the side of a square of the chosen area: a thinner wall has two sides in a box
+
+
+class Surface:
+    """The facets of a mesh's surface, each with the number of its face.
+
+    group, numbers, faces: facets, their faces' numbers, and these faces, of a geometry file.
+    """
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        group: FacetGroup | None = None,
+        numbers: Array | None = None,
+        faces: tuple[Face, ...] = (),
+    ) -> None:
+        self.mesh = mesh
+        self.blocks = (group or outer_surface(mesh.blocks)).blocks
+        corners = [n[:, [0, 1, 2, corners_of(kind) - 1]] for kind, n in self.blocks]
+        self.corners = np.concatenate(corners)  # shape (f, 4); a triangle has its third twice
+        rows = [n[:, TRIANGLES[kind]].reshape(-1, 3) for kind, n in self.blocks]
+        self.triangles = np.concatenate(rows)
+        each = np.repeat([len(TRIANGLES[k]) for k, _ in self.blocks], [len(n) for n in corners])
+        self.owners = np.repeat(np.arange(len(each)), each)  # facet of each triangle
+        x = mesh.points[self.triangles]
+        self._vectors = 0.5 * np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+        parts = np.linalg.norm(self._vectors, axis=1, keepdims=True)
+        self.areas = self._of_facets(parts)[:, 0]
+        self.normals = _unit(self._of_facets(self._vectors))
+        weight = np.maximum(self.areas, 1e-300)[:, None]
+        self.middles = self._of_facets(parts * x.mean(axis=1)) / weight
+        self.sizes = np.linalg.norm(np.ptp(mesh.points[self.corners], axis=1), axis=1)
+        self.numbers, self.faces = (
+            self._smooth_parts() if numbers is None else (numbers, tuple(faces))
+        )
+
+    def _of_facets(self, values: Array) -> Array:
+        """Sum values of triangles, shape (t, k), by facet."""
+        columns = [np.bincount(self.owners, column, len(self.corners)) for column in values.T]
+        return np.stack(columns, axis=1)
+
+    def group(self, chosen: Array) -> FacetGroup:
+        """Return the chosen facets, a mask of shape (f,), as a group."""
+        ends = np.cumsum([len(nodes) for _, nodes in self.blocks])
+        parts = zip(self.blocks, np.split(chosen, ends[:-1]), strict=True)
+        return FacetGroup(tuple(FacetBlock(k, n[part]) for (k, n), part in parts if part.any()))
+
+    def _smooth_parts(self) -> tuple[Array, tuple[Face, ...]]:
+        """Split the surface at sharp edges, and smooth parts that are no cylinder at planes."""
+        count, normals = len(self.corners), _unit(self._vectors)
+        edges = np.sort(self.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        order = np.lexsort(edges.T)
+        same = np.concatenate([[False], (np.diff(edges[order], axis=0) == 0).all(axis=1), [False]])
+        at = np.flatnonzero(same[1:-1] & ~same[:-2] & ~same[2:])  # edges of two triangles
+        one, two = order[at] // 3, order[at + 1] // 3
+        smooth = np.einsum("ij,ij->i", normals[one], normals[two]) > _SMOOTH
+        first, second = self.owners[one[smooth]], self.owners[two[smooth]]
+
+        def parts(joined: Array) -> Array:
+            pair = first[joined], second[joined]
+            graph = coo_array((np.ones(len(pair[0])), pair), shape=(count, count))
+            return connected_components(graph, directed=False)[1]
+
+        turn = np.linalg.norm(np.cross(self.normals[first], self.normals[second]), axis=1)
+        whole, flat = parts(turn < 2), parts(turn < _FLAT)
+        # A plane in a smooth part has a node of two facets or more, all of them in that plane; a
+        # strip of a round face has none.
+        facets = np.arange(count).repeat(4)
+        facets, nodes = np.unique(np.stack([facets, self.corners.ravel()]), axis=1)
+        pairs = np.stack([whole[facets], nodes])
+        _, index, times = np.unique(pairs, axis=1, return_inverse=True, return_counts=True)
+        low, high = np.full(len(times), count), np.zeros(len(times), dtype=np.int64)
+        np.minimum.at(low, index.ravel(), flat[facets])
+        np.maximum.at(high, index.ravel(), flat[facets])
+        plane = np.isin(flat, low[(low == high) & (times > 1)])
+        split = np.zeros(count, dtype=bool)
+        for part in _members(whole):
+            mixed = plane[part].any() and len(np.unique(flat[part])) > 1
+            split[part] = mixed and self.cylinder(part) is None
+        alike = (plane[first] == plane[second]) & (~plane[first] | (turn < _FLAT))
+        members = _members(parts(alike | ~split[first]))
+        centres = [np.average(self.middles[n], axis=0, weights=self.areas[n]) for n in members]
+        # Numbered by place, so that another mesh of the part has the same numbers.
+        places = np.round(np.array(centres) / (_NEAR * np.ptp(self.mesh.points, axis=0).max()))
+        ranked = [members[i] for i in np.lexsort(places.T[::-1])]
+        numbers = np.zeros(count, dtype=np.int64)
+        for number, part in enumerate(ranked, 1):
+            numbers[part] = number
+        return numbers, tuple(self._face(number, part) for number, part in enumerate(ranked, 1))
+
+    def _face(self, number: int, members: Array) -> Face:
+        x = self.mesh.points[np.unique(self.corners[members])]
+        centre = _three(np.average(self.middles[members], axis=0, weights=self.areas[members]))
+        mean = _unit(self.areas[None, members] @ self.normals[members])[0]
+        area, low, high = float(self.areas[members].sum()), x.min(axis=0), x.max(axis=0)
+        face = Face(number, "Curved", area, centre, None, None, _three(low), _three(high))
+        if np.ptp(x @ mean) < _EVEN * np.linalg.norm(high - low):
+            return replace(face, kind="Plane", normal=_three(np.round(mean, 12)))
+        return self.cylinder(members, face) or face
+
+    def cylinder(self, members: Array, face: Face | None = None) -> Face | None:
+        """Return a face with radius and axis of the cylinder that facets lie on, else None."""
+        x = self.mesh.points[np.unique(self.corners[members])]
+        middle, size = x.mean(axis=0), float(np.linalg.norm(np.ptp(x, axis=0)))
+        vectors = self.normals[members] * self.areas[members, None] / size**2
+        frame = np.linalg.eigh(vectors.T @ vectors)[1]  # first: the direction square to normals
+        local = (x - middle) @ frame / size
+        some = local[:: max(1, len(x) // 2000)]  # enough for five numbers
+
+        def off(values: Array, at: Array) -> Array:
+            arms = np.cross(at - [0, *values[:2]], _unit(np.array([[1, *values[2:4]]])))
+            return np.linalg.norm(arms, axis=1) - values[4]
+
+        ones = np.column_stack([2 * some[:, 1:], np.ones(len(some))])
+        b, c, rest = np.linalg.lstsq(ones, (some[:, 1:] ** 2).sum(axis=1))[0]
+        start = np.array([b, c, 0, 0, np.sqrt(max(rest + b**2 + c**2, 1e-30))])
+        if len(some) < 6 or start[4] > _MAX_RADIUS or np.abs(off(start, some)).max() > start[4]:
+            return None
+        fit = least_squares(off, start, args=(some,), xtol=1e-12, ftol=1e-12, max_nfev=50).x
+        if np.abs(off(fit, local)).max() > _NEAR * fit[4]:
+            return None
+        axis = _unit((frame @ [1, *fit[2:4]])[None])[0]
+        axis *= np.sign(axis[np.abs(axis).argmax()])
+        point = middle + size * frame @ [0, *fit[:2]]
+        point += axis * (axis @ (middle - point))
+        radius, axis = float(f"{size * fit[4]:.9g}"), _three(np.round(axis, 9))
+        face = face or self._face(0, members)
+        return replace(face, kind="Cylinder", radius=radius, axis=axis, point=_three(point))
+
+    def choose(self, groups: Mapping[str, FaceSelector]) -> Mesh:
+        """Return the mesh with facet groups by the keys of ``[mesh.groups.NAME]``.
+
+        Raises BundleError if a key selects nothing, or probably more than is meant.
+        """
+        masks: dict[str, Array] = {}
+        problems: list[BundleProblem] = []
+        there = {**self.mesh.node_groups, **self.mesh.facet_groups}
+
+        def resolve(name: str, users: tuple[str, ...]) -> Array:
+            where = f"mesh.groups.{users[-1] if users else name}"
+            if name in users:
+                _refuse(f"{where}.inside", f'"{name}" is inside itself; choose by other keys')
+            if name in groups and name in there:
+                _refuse(where, "the mesh file has a group of this name; take another name")
+            if name not in {**groups, **there}:
+                known = [*groups, *there]
+                raise BundleError([missing(f"{where}.inside", name, "facet or node group", known)])
+            if name not in masks and name in groups:
+                inside = groups[name].inside
+                mask = None if inside is None else resolve(inside, (*users, name))
+                masks[name] = self._chosen(groups[name], where, mask)
+            return masks[name] if name in groups else self._of_file(name)
+
+        for name in groups:
+            try:
+                resolve(name, ())
+            except BundleError as error:
+                problems += [each for each in error.problems if each not in problems]
+        if problems:
+            raise BundleError(problems)
+        chosen = {name: self.group(masks[name]) for name in groups}
+        return replace(self.mesh, facet_groups={**self.mesh.facet_groups, **chosen})
+
+    def _of_file(self, name: str) -> Array:
+        """Return the facets of a group of the mesh file, a mask of shape (f,)."""
+        if (group := self.mesh.facet_groups.get(name)) is None:
+            return np.isin(self.corners, self.mesh.node_groups[name]).all(axis=1)
+        rows = [row for kind, n in group.blocks for row in n[:, : corners_of(kind)].tolist()]
+        known = set(map(frozenset, rows))
+        return np.array([frozenset(row) in known for row in self.corners.tolist()], dtype=bool)
+
+    def _chosen(self, choice: FaceSelector, where: str, inside: Array | None) -> Array:
+        """Return the facets of a group, a mask of shape (f,), `inside` one of another."""
+        if lost := [
+            number for number in choice.faces if number not in {f.number for f in self.faces}
+        ]:
+            message = f"there is no face {lost[0]}; the geometry has 1 to {len(self.faces)}"
+            _refuse(f"{where}.faces", message)
+        adding = [np.isin(self.numbers, choice.faces)] if choice.faces else []
+        adding += [self.numbers == self._nearest(point, f"{where}.near") for point in choice.near]
+        adding += [] if choice.plane is None else [self._in_plane(choice, f"{where}.plane")]
+        adding += [] if choice.radius is None else [self._round(choice, f"{where}.radius")]
+        chosen = np.any(adding, axis=0) if adding else np.ones(len(self.areas), dtype=bool)
+        # Each restriction: the facets it keeps, how far each one is from that, and in what.
+        restrictions: list[tuple[str, Array, Array, str]] = []
+        if choice.box is not None:
+            x, (low, high) = self.mesh.points[self.corners], np.array(choice.box)
+            outside = np.maximum(low - x, x - high).max(axis=(1, 2))
+            advice = "m outside with a corner; widen the box"
+            restrictions.append(("box", outside <= _NEAR * self.sizes, outside, advice))
+        if choice.normal is not None:
+            limit = _ANGLE if choice.angle is None else choice.angle
+            angles = np.degrees(np.arccos(np.clip(self.normals @ choice.normal, -1, 1)))
+            advice = f"degrees off, more than {limit:g}; turn normal, or write a larger angle"
+            restrictions.append(("normal", angles <= limit, angles, advice))
+        if inside is not None:
+            places = self.middles[inside][:: max(1, int(inside.sum()) // 100)]
+            apart = np.linalg.norm(self.middles[:, None] - places, axis=2).min(axis=1)
+            advice = f'm from some of the {inside.sum()} of "{choice.inside}"; take a group there'
+            restrictions.append(("inside", inside, apart, advice))
+        for key, kept, excess, advice in restrictions:
+            if not (chosen & kept).any():
+                index = np.flatnonzero(chosen)[excess[chosen].argmin()]
+                message = (
+                    f"keeps none of {chosen.sum()} facets; the nearest, at "
+                    f"{point_text(self.middles[index])} m, is {excess[index]:.3g} {advice}"
+                )
+                _refuse(f"{where}.{key}", message)
+            chosen &= kept
+        if choice.box is not None and choice.normal is None and not adding:
+            self._check_sides(chosen, f"{where}.box")
+        return chosen
+
+    def _nearest(self, point: Point, where: str) -> int:
+        """Return the number of the face nearest to a point; of several, or none near, refuse."""
+        x = self.mesh.points[self.triangles] - np.array(point)
+        edges = np.roll(x, -1, axis=1) - x
+        normals = _unit(self._vectors)
+        # Above the inside of a triangle it is that to its plane, else that to an edge.
+        sides = np.einsum("tex,tx->te", np.cross(x, edges), normals)
+        along = -np.einsum("tex,tex->te", x, edges) / np.maximum((edges**2).sum(axis=2), 1e-300)
+        to_edges = np.linalg.norm(x + np.clip(along, 0, 1)[:, :, None] * edges, axis=2).min(axis=1)
+        height = np.abs(np.einsum("tx,tx->t", x[:, 0], normals))
+        distance = np.where((sides >= 0).all(axis=1), height, to_edges)
+        least, size = distance.min(), self.sizes[self.owners[distance.argmin()]]
+        close = self.owners[distance <= least + _EDGE * size]
+        numbers = np.unique(self.numbers[close]).tolist()
+        if message := near_message(point, "face", numbers, least, size):
+            _refuse(where, message)
+        return numbers[0]
+
+    def _in_plane(self, choice: FaceSelector, where: str) -> Array:
+        plane = choice.plane
+        normal = np.eye(3)["xyz".index(plane)] if isinstance(plane, str) else np.array(plane)
+        at = float(normal @ choice.at) if isinstance(choice.at, tuple) else float(choice.at or 0)
+        heights = self.mesh.points[self.corners] @ normal - at
+        # A facet of a round face that touches the plane is level too.
+        even = [face.number for face in self.faces if face.kind in ("Plane", "Curved")]
+        level = np.abs(heights).max(axis=1) <= _NEAR * self.sizes
+        level &= np.isin(self.numbers, even)
+        if not level.any():
+            square = [f for f in self.faces if f.normal and abs(normal @ f.normal) > 1 - 1e-6]
+            places = sorted({round(float(normal @ face.centre), 9) for face in square})
+            listed = ", ".join(f"{place:g}" for place in places) or "none anywhere"
+            along = plane if isinstance(plane, str) else f"x . {point_text(normal)}"
+            _refuse(where, f"no plane face at {along} = {at:g} m (there are at: {listed})")
+        return level
+
+    def _round(self, choice: FaceSelector, where: str) -> Array:
+        radius = float(choice.radius or 0)
+        if choice.cylinder is None:
+            radii = {face.number: face.radius for face in self.faces if face.radius is not None}
+            chosen = [n for n, other in radii.items() if abs(other - radius) < _NEAR * radius]
+            listed = ", ".join(
+                f"{r:g}" for r in sorted({float(f"{r:.6g}") for r in radii.values()})
+            )
+            if not chosen:
+                message = f"no cylinder of radius {radius:g} m (there are: {listed or 'none'})"
+                _refuse(where, message)
+            return np.isin(self.numbers, chosen)
+        axis = np.array(choice.cylinder.axis)
+        arms = np.cross(self.mesh.points[self.corners] - choice.cylinder.point, axis)
+        off = np.abs(np.linalg.norm(arms, axis=2) - radius).max(axis=1)
+        on = (off < _NEAR * radius) & (np.abs(self.normals @ axis) < 0.5)  # no end of it
+        if not on.any():
+            message = (
+                f"no facet lies on the cylinder of radius {radius:g} m about this axis; the "
+                f"nearest is {off.min():.3g} m off, at {point_text(self.middles[off.argmin()])} m"
+            )
+            _refuse(where, message)
+        return on
+
+    def _check_sides(self, chosen: Array, where: str) -> None:
+        """Refuse a box round both sides of a thin wall."""
+        parts = {f: chosen & (self.numbers == f.number) for f in self.faces if f.normal is not None}
+        for a, b in combinations([face for face, part in parts.items() if part.any()], 2):
+            normal = np.array(a.normal)
+            gap = float(normal @ np.subtract(a.centre, b.centre))
+            least = min(self.areas[parts[a]].sum(), self.areas[parts[b]].sum())
+            if normal @ b.normal < -0.99 and 0 < gap < _THIN * np.sqrt(least):
+                message = (
+                    f"has both sides of a wall {gap:.3g} m thick: {parts[a].sum()} facets of face "
+                    f"{a.number} and {parts[b].sum()} of face {b.number}; add normal = "
+                    f"{_short(*normal)} for one side, or faces = [{a.number}, {b.number}] for both"
+                )
+                _refuse(where, message)
+
+    def line(self, face: Face) -> str:
+        """Return the TOML that selects a face alone, the plainest there is."""
+        members = self.numbers == face.number
+        ways: list[dict[str, Any]] = []
+        if face.normal is not None:
+            axis = int(np.abs(face.normal).argmax())
+            even = abs(face.normal[axis]) > 1 - 1e-9
+            plane = "xyz"[axis] if even else _short(*face.normal)
+            ways.append(
+                {"plane": plane, "at": _short(*face.centre)[axis] if even else _short(*face.centre)}
+            )
+        if face.radius is not None:
+            ways.append({"radius": float(f"{face.radius:.6g}")})
+        at = self.middles[members]
+        ways.append({"near": _short(*at[np.linalg.norm(at - face.centre, axis=1).argmin()])})
+        ways.append({"faces": [face.number]})
+        for way in ways:
+            with contextlib.suppress(BundleError):
+                if np.array_equal(self._chosen(FaceSelector(**way), "", None), members):
+                    return f"{{{', '.join(f'{k} = {json.dumps(v)}' for k, v in way.items())}}}"
+        raise AssertionError(face)
+
+
+def _refuse(where: str, message: str) -> NoReturn:
+    raise BundleError([BundleProblem(where, message)])
+
+
+def _unit(vectors: Array) -> Array:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)
+
+
+def _members(labels: Array) -> list[Array]:
+    """Return the indices of each label, from 0 on."""
+    order = np.argsort(labels, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
+
+
+def _three(values: Array) -> Point:
+    x, y, z = (float(value) + 0.0 for value in values)
+    return x, y, z
+
+
+def _short(*values: float) -> list[float]:
+    """Round numbers to six digits of the largest."""
+    digits = 5 - int(np.floor(np.log10(max(*map(abs, values), 1e-12))))
+    return [round(float(value), digits) + 0.0 for value in values]
