@@ -318,9 +318,15 @@ def _check_disjoint(
     mesh: Mesh, fixed: Array, interfaces: list[AttachedInterface], problems: list[BundleProblem]
 ) -> None:
     for interface in interfaces:
-        shared = len(np.intersect1d(fixed, interface.section.node_ids))
-        if shared:
-            message = f"{shared} of its nodes are fixed by [supports]; the two must not touch"
+        nodes = interface.section.node_ids
+        shared = np.intersect1d(fixed, nodes)
+        if len(shared):
+            at = point_text(mesh.points[shared[0]])
+            message = (
+                f"{len(shared)} of its nodes are fixed by [supports] (of {len(nodes)}; one is at "
+                f"{at} m); the two must not touch: leave cells between them, or narrow one (box, "
+                "normal or inside of [mesh.groups.NAME])"
+            )
             problems.append(BundleProblem(interface.where, message))
     for first, second in combinations(interfaces, 2):
         nodes = np.intersect1d(first.section.node_ids, second.section.node_ids)

@@ -75,7 +75,7 @@ def draw_faces(surface: Surface, faces: list[dict[str, Any]], page: Path) -> Non
         i, j, k = rows.reshape(-1, 3).T
         name = f"{face['number']}: {face['kind'].lower()}"
         shown = {"name": name, "meta": face["toml"], "hovertemplate": name + "<br>%{meta}"}
-        figure.add_mesh3d(x=x, y=y, z=z, i=i, j=j, k=k, flatshading=True, **shown)
+        figure.add_mesh3d(x=x, y=y, z=z, i=i, j=j, k=k, **shown)
         members = np.flatnonzero(surface.numbers == face["number"])
         middle = 1e3 * surface.middles[members]
         at = np.linalg.norm(middle - 1e3 * np.array(face["centre"]), axis=1).argmin()

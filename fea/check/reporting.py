@@ -37,7 +37,6 @@ from wrenchbook.fea.inspection import (
     stack_problems,
 )
 from wrenchbook.fea.mesh.cad.meshing import list_shape
-from wrenchbook.fea.mesh.facets import Face
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.surface import Surface
 from wrenchbook.fea.solver.vibration import Riding
@@ -92,7 +91,7 @@ def report(
     summary: dict[str, Any] = {"ok": False, "problems": [], "warnings": []}
     folder = Path(folder)
     if surface is not None:
-        summary["faces"] = [_listed(surface, face) for face in surface.faces]
+        summary["faces"] = [asdict(face) | {"toml": surface.line(face)} for face in surface.faces]
     try:
         try:
             bundle = read_bundle(folder)
@@ -130,12 +129,6 @@ def surface_in(folder: Path) -> Surface | None:
         return None if source is None else surface_of(source)
     except (OSError, ValueError, RecursionError, LookupError, AttributeError, BundleError):
         return None  # `report` says why
-
-
-def _listed(surface: Surface, face: Face) -> dict[str, Any]:
-    if face.kind == "Cylinder":  # a geometry file's has its radius alone
-        face = surface.cylinder(np.flatnonzero(surface.numbers == face.number), face) or face
-    return asdict(face) | {"toml": surface.line(face)}
 
 
 def _geometry_named_in(folder: Path) -> Path | None:
@@ -295,19 +288,24 @@ def _source(report: Mapping[str, Any]) -> Iterator[str]:
         yield "bodies:  number  volume cm^3  middle m"
     for body in report.get("bodies", [])[:_MAX_LINES]:
         yield f"  {body['number']:>13}  {1e6 * body['volume']:>11.5g}  {_vector(body['centre'])}"
+    yield from _faces(report["faces"])
+
+
+def _faces(faces: list[dict[str, Any]]) -> Iterator[str]:
     yield "faces:   number  area mm^2    middle m                      what"
-    for face in report["faces"][:_MAX_LINES]:
+    for face in faces[:_MAX_LINES]:
         shape = str(face["kind"]).lower()
         if face["normal"] is not None:
             shape = f"plane, normal {_vector(face['normal'])}"
         elif face["radius"] is not None:
             shape = f"cylinder, radius {1e3 * face['radius']:.5g} mm"
-            shape += f", axis {_vector(face['axis'])}" if face["axis"] else ""
+            if face["axis"] is not None:
+                shape += f", axis {_vector(face['axis'])} through {_vector(face['point'])}"
         head = f"  {face['number']:>13}  {1e6 * face['area']:>11.5g}  {_vector(face['centre']):<28}"
         yield f"{head}  {shape}"
         if "toml" in face:
             yield f"{'':>17}NAME = {face['toml']}"
-    if (more := len(report["faces"]) - _MAX_LINES) > 0:
+    if (more := len(faces) - _MAX_LINES) > 0:
         yield f"  and {more} more"
 
 

@@ -85,10 +85,7 @@ class Face:
     # Outward unit normal of a plane face; None for others
     normal: tuple[float, float, float] | None
     radius: float | None  # of a cylinder, m; None for others
-    # low, high: Corners of the box around it, m
-    low: tuple[float, float, float]
-    high: tuple[float, float, float]
-    axis: tuple[float, float, float] | None = None  # of a cylinder that a mesh shows; None else
+    axis: tuple[float, float, float] | None = None  # of a cylinder that a mesh shows
     point: tuple[float, float, float] | None = None  # on that axis, m
 
 
@@ -204,5 +201,11 @@ def near_message(
     return None
 
 
+_NONE = (
+    " (it has none at all: choose facets by [mesh.groups.NAME]; "
+    "`wrenchbook check FOLDER --faces` lists the faces with the lines to write)"
+)
+
+
 def _listed(groups: list[str]) -> str:
-    return f" (it has {', '.join(groups)})" if groups else " (it has none at all)"
+    return f" (it has {', '.join(groups)})" if groups else _NONE

@@ -9,6 +9,7 @@ import contextlib
 import json
 from collections.abc import Mapping
 from dataclasses import replace
+from graphlib import CycleError, TopologicalSorter
 from itertools import combinations
 from typing import Any, NoReturn
 
@@ -21,7 +22,7 @@ from wrenchbook.fea.mesh.facets import (
     TRIANGLES,
     Face,
     corners_of,
-    missing,
+    group_nodes,
     near_message,
     outer_surface,
 )
@@ -40,6 +41,7 @@ _EDGE = 2e-2  # of a facet's size: its triangles are off a round face by less, a
 _MAX_RADIUS = 10.0  # of a face's size; a flatter arc shows no radius to three digits
 _ANGLE = 10.0  # degrees, of `normal` without `angle`
 _THIN = 0.5  # of the side of a square of the chosen area: a thinner wall has two sides in a box
+_UNKNOWN = Face(0, "Curved", 0.0, (0.0, 0.0, 0.0), None, None)
 
 
 class Surface:
@@ -71,8 +73,12 @@ class Surface:
         weight = np.maximum(self.areas, 1e-300)[:, None]
         self.middles = self._of_facets(parts * x.mean(axis=1)) / weight
         self.sizes = np.linalg.norm(np.ptp(mesh.points[self.corners], axis=1), axis=1)
-        self.numbers, self.faces = (
-            self._smooth_parts() if numbers is None else (numbers, tuple(faces))
+        if numbers is None:
+            numbers, faces = self._smooth_parts()
+        self.numbers = numbers
+        self.faces = tuple(
+            face if face.kind != "Cylinder" or face.axis else self._with_axis(face)
+            for face in faces
         )
 
     def _of_facets(self, values: Array) -> Array:
@@ -120,27 +126,26 @@ class Surface:
             split[part] = mixed and self.cylinder(part) is None
         alike = (plane[first] == plane[second]) & (~plane[first] | (turn < _FLAT))
         members = _members(parts(alike | ~split[first]))
-        centres = [np.average(self.middles[n], axis=0, weights=self.areas[n]) for n in members]
+        faces = [self._face(part) for part in members]
         # Numbered by place, so that another mesh of the part has the same numbers.
-        places = np.round(np.array(centres) / (_NEAR * np.ptp(self.mesh.points, axis=0).max()))
-        ranked = [members[i] for i in np.lexsort(places.T[::-1])]
-        numbers = np.zeros(count, dtype=np.int64)
-        for number, part in enumerate(ranked, 1):
-            numbers[part] = number
-        return numbers, tuple(self._face(number, part) for number, part in enumerate(ranked, 1))
+        places = np.array([face.centre for face in faces])
+        places = np.round(places / (_NEAR * np.ptp(self.mesh.points, axis=0).max()))
+        ranked, numbers = np.lexsort(places.T[::-1]).tolist(), np.zeros(count, dtype=np.int64)
+        for number, i in enumerate(ranked, 1):
+            numbers[members[i]] = number
+        return numbers, tuple(replace(faces[i], number=n) for n, i in enumerate(ranked, 1))
 
-    def _face(self, number: int, members: Array) -> Face:
-        x = self.mesh.points[np.unique(self.corners[members])]
-        centre = _three(np.average(self.middles[members], axis=0, weights=self.areas[members]))
-        mean = _unit(self.areas[None, members] @ self.normals[members])[0]
-        area, low, high = float(self.areas[members].sum()), x.min(axis=0), x.max(axis=0)
-        face = Face(number, "Curved", area, centre, None, None, _three(low), _three(high))
-        if np.ptp(x @ mean) < _EVEN * np.linalg.norm(high - low):
+    def _face(self, members: Array) -> Face:
+        x, areas = self.mesh.points[np.unique(self.corners[members])], self.areas[members]
+        centre = _three(np.average(self.middles[members], axis=0, weights=areas))
+        mean = _unit(areas[None] @ self.normals[members])[0]
+        face = Face(0, "Curved", float(areas.sum()), centre, None, None)
+        if np.ptp(x @ mean) < _EVEN * np.linalg.norm(np.ptp(x, axis=0)):
             return replace(face, kind="Plane", normal=_three(np.round(mean, 12)))
         return self.cylinder(members, face) or face
 
-    def cylinder(self, members: Array, face: Face | None = None) -> Face | None:
-        """Return a face with radius and axis of the cylinder that facets lie on, else None."""
+    def cylinder(self, members: Array, face: Face = _UNKNOWN) -> Face | None:
+        """Return `face` with the axis and radius of the cylinder that facets lie on, or None."""
         x = self.mesh.points[np.unique(self.corners[members])]
         middle, size = x.mean(axis=0), float(np.linalg.norm(np.ptp(x, axis=0)))
         vectors = self.normals[members] * self.areas[members, None] / size**2
@@ -155,18 +160,21 @@ class Surface:
         ones = np.column_stack([2 * some[:, 1:], np.ones(len(some))])
         b, c, rest = np.linalg.lstsq(ones, (some[:, 1:] ** 2).sum(axis=1))[0]
         start = np.array([b, c, 0, 0, np.sqrt(max(rest + b**2 + c**2, 1e-30))])
-        if len(some) < 6 or start[4] > _MAX_RADIUS or np.abs(off(start, some)).max() > start[4]:
+        if len(some) < 6 or np.abs(off(start, some)).max() > start[4]:
             return None
         fit = least_squares(off, start, args=(some,), xtol=1e-12, ftol=1e-12, max_nfev=50).x
-        if np.abs(off(fit, local)).max() > _NEAR * fit[4]:
+        if fit[4] > _MAX_RADIUS or np.abs(off(fit, local)).max() > _NEAR * min(fit[4], 1.0):
             return None
         axis = _unit((frame @ [1, *fit[2:4]])[None])[0]
         axis *= np.sign(axis[np.abs(axis).argmax()])
         point = middle + size * frame @ [0, *fit[:2]]
         point += axis * (axis @ (middle - point))
-        radius, axis = float(f"{size * fit[4]:.9g}"), _three(np.round(axis, 9))
-        face = face or self._face(0, members)
-        return replace(face, kind="Cylinder", radius=radius, axis=axis, point=_three(point))
+        radius = face.radius or float(f"{size * fit[4]:.9g}")
+        axis, point = _three(np.round(axis, 9)), _three(point)
+        return replace(face, kind="Cylinder", radius=radius, axis=axis, point=point)
+
+    def _with_axis(self, face: Face) -> Face:
+        return self.cylinder(np.flatnonzero(self.numbers == face.number), face) or face
 
     def choose(self, groups: Mapping[str, FaceSelector]) -> Mesh:
         """Return the mesh with facet groups by the keys of ``[mesh.groups.NAME]``.
@@ -175,76 +183,75 @@ class Surface:
         """
         masks: dict[str, Array] = {}
         problems: list[BundleProblem] = []
-        there = {**self.mesh.node_groups, **self.mesh.facet_groups}
-
-        def resolve(name: str, users: tuple[str, ...]) -> Array:
-            where = f"mesh.groups.{users[-1] if users else name}"
-            if name in users:
-                _refuse(f"{where}.inside", f'"{name}" is inside itself; choose by other keys')
-            if name in groups and name in there:
-                _refuse(where, "the mesh file has a group of this name; take another name")
-            if name not in {**groups, **there}:
-                known = [*groups, *there]
-                raise BundleError([missing(f"{where}.inside", name, "facet or node group", known)])
-            if name not in masks and name in groups:
-                inside = groups[name].inside
-                mask = None if inside is None else resolve(inside, (*users, name))
-                masks[name] = self._chosen(groups[name], where, mask)
-            return masks[name] if name in groups else self._of_file(name)
-
-        for name in groups:
+        there = {*self.mesh.node_groups, *self.mesh.facet_groups}
+        users = {n: {other for other in groups if other == c.inside} for n, c in groups.items()}
+        try:
+            order = [*TopologicalSorter(users).static_order()]
+        except CycleError as error:
+            message = f"{' inside '.join(error.args[1])}: choose one of them by other keys"
+            _refuse(f"mesh.groups.{error.args[1][0]}.inside", message)
+        for name in order:
+            where, inside = f"mesh.groups.{name}", groups[name].inside
+            mask = None
+            if name in there:
+                message = "the mesh file has a group of this name; take another name"
+                problems.append(BundleProblem(where, message))
+            if inside in groups:
+                mask = masks.get(inside or "")
+            elif inside is not None:
+                mask = self._of_file(inside, f"{where}.inside", problems)
+            if inside is not None and mask is None:
+                continue  # that group has its own problem
             try:
-                resolve(name, ())
+                masks[name] = self._chosen(groups[name], where, mask)
             except BundleError as error:
-                problems += [each for each in error.problems if each not in problems]
+                problems += error.problems
         if problems:
             raise BundleError(problems)
         chosen = {name: self.group(masks[name]) for name in groups}
         return replace(self.mesh, facet_groups={**self.mesh.facet_groups, **chosen})
 
-    def _of_file(self, name: str) -> Array:
+    def _of_file(self, name: str, where: str, problems: list[BundleProblem]) -> Array | None:
         """Return the facets of a group of the mesh file, a mask of shape (f,)."""
-        if (group := self.mesh.facet_groups.get(name)) is None:
-            return np.isin(self.corners, self.mesh.node_groups[name]).all(axis=1)
-        rows = [row for kind, n in group.blocks for row in n[:, : corners_of(kind)].tolist()]
-        known = set(map(frozenset, rows))
-        return np.array([frozenset(row) in known for row in self.corners.tolist()], dtype=bool)
+        if (group := self.mesh.facet_groups.get(name)) is not None:
+            rows = [n[:, : corners_of(kind)].tolist() for kind, n in group.blocks]
+            known = {frozenset(row) for block in rows for row in block}
+            return np.fromiter((frozenset(row) in known for row in self.corners.tolist()), bool)
+        nodes = group_nodes(self.mesh, where, name, problems)
+        return np.asarray(np.isin(self.corners, nodes).all(axis=1)) if len(nodes) else None
 
     def _chosen(self, choice: FaceSelector, where: str, inside: Array | None) -> Array:
         """Return the facets of a group, a mask of shape (f,), `inside` one of another."""
         if lost := [
             number for number in choice.faces if number not in {f.number for f in self.faces}
         ]:
-            message = f"there is no face {lost[0]}; the geometry has 1 to {len(self.faces)}"
+            message = f"there is no face {lost[0]}; the mesh has 1 to {len(self.faces)}"
             _refuse(f"{where}.faces", message)
         adding = [np.isin(self.numbers, choice.faces)] if choice.faces else []
         adding += [self.numbers == self._nearest(point, f"{where}.near") for point in choice.near]
         adding += [] if choice.plane is None else [self._in_plane(choice, f"{where}.plane")]
         adding += [] if choice.radius is None else [self._round(choice, f"{where}.radius")]
         chosen = np.any(adding, axis=0) if adding else np.ones(len(self.areas), dtype=bool)
-        # Each restriction: the facets it keeps, how far each one is from that, and in what.
-        restrictions: list[tuple[str, Array, Array, str]] = []
+        # Each restriction: the facets it keeps, and how far each one is from that.
+        keeps: dict[str, tuple[Array, Array, str]] = {}
         if choice.box is not None:
             x, (low, high) = self.mesh.points[self.corners], np.array(choice.box)
             outside = np.maximum(low - x, x - high).max(axis=(1, 2))
-            advice = "m outside with a corner; widen the box"
-            restrictions.append(("box", outside <= _NEAR * self.sizes, outside, advice))
+            keeps["box"] = outside <= _NEAR * self.sizes, outside, "m out of it by a corner"
         if choice.normal is not None:
-            limit = _ANGLE if choice.angle is None else choice.angle
             angles = np.degrees(np.arccos(np.clip(self.normals @ choice.normal, -1, 1)))
-            advice = f"degrees off, more than {limit:g}; turn normal, or write a larger angle"
-            restrictions.append(("normal", angles <= limit, angles, advice))
+            keeps["normal"] = angles <= (choice.angle or _ANGLE), angles, "degrees from it"
         if inside is not None:
-            places = self.middles[inside][:: max(1, int(inside.sum()) // 100)]
-            apart = np.linalg.norm(self.middles[:, None] - places, axis=2).min(axis=1)
-            advice = f'm from some of the {inside.sum()} of "{choice.inside}"; take a group there'
-            restrictions.append(("inside", inside, apart, advice))
-        for key, kept, excess, advice in restrictions:
+            middle = self.middles[inside].mean(axis=0)
+            apart = np.linalg.norm(self.middles - middle, axis=1)
+            keeps["inside"] = inside, apart, f"m from the middle of {choice.inside}"
+        for key, (kept, excess, unit) in keeps.items():
             if not (chosen & kept).any():
                 index = np.flatnonzero(chosen)[excess[chosen].argmin()]
                 message = (
-                    f"keeps none of {chosen.sum()} facets; the nearest, at "
-                    f"{point_text(self.middles[index])} m, is {excess[index]:.3g} {advice}"
+                    f"keeps none of the {chosen.sum()} facets that the other keys select; the "
+                    f"nearest, at {point_text(self.middles[index])} m, is {excess[index]:.3g} "
+                    f"{unit}; change one of the keys"
                 )
                 _refuse(f"{where}.{key}", message)
             chosen &= kept
@@ -264,7 +271,7 @@ class Surface:
         height = np.abs(np.einsum("tx,tx->t", x[:, 0], normals))
         distance = np.where((sides >= 0).all(axis=1), height, to_edges)
         least, size = distance.min(), self.sizes[self.owners[distance.argmin()]]
-        close = self.owners[distance <= least + _EDGE * size]
+        close = self.owners[distance <= least + (_EDGE * size if least <= size else 0.0)]
         numbers = np.unique(self.numbers[close]).tolist()
         if message := near_message(point, "face", numbers, least, size):
             _refuse(where, message)
@@ -328,25 +335,25 @@ class Surface:
 
     def line(self, face: Face) -> str:
         """Return the TOML that selects a face alone, the plainest there is."""
-        members = self.numbers == face.number
-        ways: list[dict[str, Any]] = []
+        members, middle = self.numbers == face.number, _short(*face.centre)
+        at = self.middles[members]
+        ways: list[dict[str, Any]] = [
+            {"near": _short(*at[np.linalg.norm(at - face.centre, axis=1).argmin()])},
+            {"faces": [face.number]},
+        ]
+        if face.radius is not None:
+            ways.insert(0, {"radius": float(f"{face.radius:.6g}")})
         if face.normal is not None:
             axis = int(np.abs(face.normal).argmax())
             even = abs(face.normal[axis]) > 1 - 1e-9
-            plane = "xyz"[axis] if even else _short(*face.normal)
-            ways.append(
-                {"plane": plane, "at": _short(*face.centre)[axis] if even else _short(*face.centre)}
-            )
-        if face.radius is not None:
-            ways.append({"radius": float(f"{face.radius:.6g}")})
-        at = self.middles[members]
-        ways.append({"near": _short(*at[np.linalg.norm(at - face.centre, axis=1).argmin()])})
-        ways.append({"faces": [face.number]})
+            square = {"plane": "xyz"[axis], "at": middle[axis]}
+            ways.insert(0, square if even else {"plane": _short(*face.normal), "at": middle})
         for way in ways:
+            text = f"{{{', '.join(f'{key} = {json.dumps(value)}' for key, value in way.items())}}}"
             with contextlib.suppress(BundleError):
                 if np.array_equal(self._chosen(FaceSelector(**way), "", None), members):
-                    return f"{{{', '.join(f'{k} = {json.dumps(v)}' for k, v in way.items())}}}"
-        raise AssertionError(face)
+                    return text
+        raise AssertionError(face)  # its number selects it
 
 
 def _refuse(where: str, message: str) -> NoReturn:

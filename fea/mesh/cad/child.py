@@ -174,63 +174,30 @@ def choose_bodies(
     size: float,
     problems: list[BundleProblem],
 ) -> dict[str, list[int]]:
-    """Return the numbers of the bodies of each region; notes choices that name none.
+    """Return the numbers of the bodies of each region, of the open file; notes mistakes.
 
-    gmsh: with the file open.
-    bodies: all there are.
-    regions: what the bundle says.
     size: Cell size, m: the scale of what counts as near.
-    problems: Mistakes are added.
     """
     chosen = {}
     there = [body.number for body in bodies]
     for name, choice in regions.items():
         where = f"mesh.regions.{name}"
         for number in set(choice.bodies) - set(there):
-            message = f"there is no body {number}; the geometry has {_spans(there)}"
+            message = f"there is no body {number}; the geometry has 1 to {len(there)}"
             problems.append(BundleProblem(f"{where}.bodies", message))
-        numbers = set(choice.bodies) & set(there)
+        numbers = set(choice.bodies)
         for point in choice.near:
-            numbers.update(_nearest(gmsh, bodies, point, where, size, problems))
+            vertex = gmsh.model.occ.addPoint(*(x / METRES for x in point))
+            off = [gmsh.model.occ.getDistance(0, vertex, 3, n)[0] * METRES for n in there]
+            gmsh.model.occ.remove([(0, vertex)])
+            close = [
+                n for n, each in zip(there, off, strict=True) if each <= min(off) + _NEAR * size
+            ]
+            if message := near_message(point, "body", close, min(off), size):
+                problems.append(BundleProblem(f"{where}.near", message))
+            numbers.update(close)
         chosen[name] = sorted(numbers)
     return chosen
-
-
-def _nearest(
-    gmsh: Any,
-    bodies: Sequence[Solid],
-    point: tuple[float, float, float],
-    where: str,
-    size: float,
-    problems: list[BundleProblem],
-) -> list[int]:
-    """Return the body nearest to a point; two as near, or none near, are refused."""
-    # Distances from a point, m, of all the bodies that can be nearest.
-    margin = _NEAR * size
-    at = np.array(point)
-    offs = {s.number: np.maximum(np.array(s.low) - at, at - s.high) for s in bodies}
-    bound = {number: float(np.linalg.norm(np.maximum(0.0, off))) for number, off in offs.items()}
-    distances: dict[int, float] = {}
-    vertex = gmsh.model.occ.addPoint(*(x / METRES for x in point))
-    for number in sorted(bound, key=lambda n: bound[n]):
-        if distances and bound[number] > min(distances.values()) + margin:
-            break
-        distances[number] = gmsh.model.occ.getDistance(0, vertex, 3, number)[0] * METRES
-    gmsh.model.occ.remove([(0, vertex)])
-    least = min(distances.values())
-    nearest = [n for n, distance in distances.items() if distance <= least + margin]
-    message = near_message(point, "body", nearest, least, size)
-    if message is None:
-        return nearest
-    problems.append(BundleProblem(f"{where}.near", message))
-    return []
-
-
-def _spans(numbers: list[int]) -> str:
-    """Return ``1 to 9`` for runs, else the numbers."""
-    if len(numbers) > 2 and numbers == list(range(numbers[0], numbers[-1] + 1)):
-        return f"{numbers[0]} to {numbers[-1]}"
-    return ", ".join(map(str, numbers))
 
 
 if __name__ == "__main__":

@@ -17,13 +17,11 @@ METRES = 1e-3
 
 @dataclass(frozen=True)
 class Solid:
-    """One solid body: its number, volume (m^3), centre of mass and box (m)."""
+    """One solid body: its number, volume (m^3) and centre of mass (m)."""
 
     number: int
     volume: float
     centre: tuple[float, float, float]
-    low: tuple[float, float, float]
-    high: tuple[float, float, float]
 
 
 def bodies_of(gmsh: Any) -> tuple[Solid, ...]:
@@ -33,7 +31,6 @@ def bodies_of(gmsh: Any) -> tuple[Solid, ...]:
             number,
             gmsh.model.occ.getMass(3, number) * METRES**3,
             _metres(gmsh.model.occ.getCenterOfMass(3, number)),
-            *_box(gmsh, 3, number),
         )
         for _, number in gmsh.model.getEntities(3)
     )
@@ -60,13 +57,7 @@ def _face(gmsh: Any, number: int) -> Face:
         _metres(gmsh.model.occ.getCenterOfMass(2, number)),
         _outward(gmsh, number) if name == "Plane" else None,
         _radius(gmsh, number) if name == "Cylinder" else None,
-        *_box(gmsh, 2, number),
     )
-
-
-def _box(gmsh: Any, dimension: int, number: int) -> tuple[Any, Any]:
-    box = gmsh.model.occ.getBoundingBox(dimension, number)
-    return _metres(box[:3]), _metres(box[3:])
 
 
 def _metres(point: Any) -> tuple[float, float, float]:
