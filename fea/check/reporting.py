@@ -37,6 +37,7 @@ from wrenchbook.fea.inspection import (
     stack_problems,
 )
 from wrenchbook.fea.mesh.cad.meshing import list_shape
+from wrenchbook.fea.mesh.facets import Face
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.surface import Surface
 from wrenchbook.fea.solver.vibration import Riding
@@ -91,7 +92,7 @@ def report(
     summary: dict[str, Any] = {"ok": False, "problems": [], "warnings": []}
     folder = Path(folder)
     if surface is not None:
-        summary["faces"] = [asdict(face) | {"toml": surface.line(face)} for face in surface.faces]
+        summary["faces"] = [_listed(surface, face) for face in surface.faces]
     try:
         try:
             bundle = read_bundle(folder)
@@ -129,6 +130,12 @@ def surface_in(folder: Path) -> Surface | None:
         return None if source is None else surface_of(source)
     except (OSError, ValueError, RecursionError, LookupError, AttributeError, BundleError):
         return None  # `report` says why
+
+
+def _listed(surface: Surface, face: Face) -> dict[str, Any]:
+    if face.kind == "Cylinder" and face.axis is None:  # of a geometry file
+        face = surface.cylinder(np.flatnonzero(surface.numbers == face.number), face) or face
+    return asdict(face) | {"toml": surface.line(face)}
 
 
 def _geometry_named_in(folder: Path) -> Path | None:

@@ -75,11 +75,7 @@ class Surface:
         self.sizes = np.linalg.norm(np.ptp(mesh.points[self.corners], axis=1), axis=1)
         if numbers is None:
             numbers, faces = self._smooth_parts()
-        self.numbers = numbers
-        self.faces = tuple(
-            face if face.kind != "Cylinder" or face.axis else self._with_axis(face)
-            for face in faces
-        )
+        self.numbers, self.faces = numbers, faces
 
     def _of_facets(self, values: Array) -> Array:
         """Sum values of triangles, shape (t, k), by facet."""
@@ -112,13 +108,14 @@ class Surface:
         whole, flat = parts(turn < 2), parts(turn < _FLAT)
         # A plane in a smooth part has a node of two facets or more, all of them in that plane; a
         # strip of a round face has none.
-        facets = np.arange(count).repeat(4)
-        facets, nodes = np.unique(np.stack([facets, self.corners.ravel()]), axis=1)
-        pairs = np.stack([whole[facets], nodes])
-        _, index, times = np.unique(pairs, axis=1, return_inverse=True, return_counts=True)
+        nodes = len(self.mesh.points)
+        keys = np.unique(np.arange(count).repeat(4) * nodes + self.corners.ravel())
+        facets = keys // nodes
+        keys = whole[facets].astype(np.int64) * nodes + keys % nodes
+        _, index, times = np.unique(keys, return_inverse=True, return_counts=True)
         low, high = np.full(len(times), count), np.zeros(len(times), dtype=np.int64)
-        np.minimum.at(low, index.ravel(), flat[facets])
-        np.maximum.at(high, index.ravel(), flat[facets])
+        np.minimum.at(low, index, flat[facets])
+        np.maximum.at(high, index, flat[facets])
         plane = np.isin(flat, low[(low == high) & (times > 1)])
         split = np.zeros(count, dtype=bool)
         for part in _members(whole):
@@ -173,9 +170,6 @@ class Surface:
         axis, point = _three(np.round(axis, 9)), _three(point)
         return replace(face, kind="Cylinder", radius=radius, axis=axis, point=point)
 
-    def _with_axis(self, face: Face) -> Face:
-        return self.cylinder(np.flatnonzero(self.numbers == face.number), face) or face
-
     def choose(self, groups: Mapping[str, FaceSelector]) -> Mesh:
         """Return the mesh with facet groups by the keys of ``[mesh.groups.NAME]``.
 
@@ -222,10 +216,8 @@ class Surface:
 
     def _chosen(self, choice: FaceSelector, where: str, inside: Array | None) -> Array:
         """Return the facets of a group, a mask of shape (f,), `inside` one of another."""
-        if lost := [
-            number for number in choice.faces if number not in {f.number for f in self.faces}
-        ]:
-            message = f"there is no face {lost[0]}; the mesh has 1 to {len(self.faces)}"
+        if lost := {*choice.faces} - {face.number for face in self.faces}:
+            message = f"there is no face {min(lost)}; the mesh has 1 to {len(self.faces)}"
             _refuse(f"{where}.faces", message)
         adding = [np.isin(self.numbers, choice.faces)] if choice.faces else []
         adding += [self.numbers == self._nearest(point, f"{where}.near") for point in choice.near]
@@ -242,8 +234,7 @@ class Surface:
             angles = np.degrees(np.arccos(np.clip(self.normals @ choice.normal, -1, 1)))
             keeps["normal"] = angles <= (choice.angle or _ANGLE), angles, "degrees from it"
         if inside is not None:
-            middle = self.middles[inside].mean(axis=0)
-            apart = np.linalg.norm(self.middles - middle, axis=1)
+            apart = np.linalg.norm(self.middles - self.middles[inside].mean(axis=0), axis=1)
             keeps["inside"] = inside, apart, f"m from the middle of {choice.inside}"
         for key, (kept, excess, unit) in keeps.items():
             if not (chosen & kept).any():
@@ -261,18 +252,21 @@ class Surface:
 
     def _nearest(self, point: Point, where: str) -> int:
         """Return the number of the face nearest to a point; of several, or none near, refuse."""
-        x = self.mesh.points[self.triangles] - np.array(point)
+        off = np.linalg.norm(self.middles - np.array(point), axis=1)
+        reach = (off + self.sizes).min() + _EDGE * self.sizes.max()
+        close = (off - self.sizes <= reach)[self.owners]
+        owners, normals = self.owners[close], _unit(self._vectors[close])
+        x = self.mesh.points[self.triangles[close]] - np.array(point)
         edges = np.roll(x, -1, axis=1) - x
-        normals = _unit(self._vectors)
         # Above the inside of a triangle it is that to its plane, else that to an edge.
         sides = np.einsum("tex,tx->te", np.cross(x, edges), normals)
         along = -np.einsum("tex,tex->te", x, edges) / np.maximum((edges**2).sum(axis=2), 1e-300)
         to_edges = np.linalg.norm(x + np.clip(along, 0, 1)[:, :, None] * edges, axis=2).min(axis=1)
         height = np.abs(np.einsum("tx,tx->t", x[:, 0], normals))
         distance = np.where((sides >= 0).all(axis=1), height, to_edges)
-        least, size = distance.min(), self.sizes[self.owners[distance.argmin()]]
-        close = self.owners[distance <= least + (_EDGE * size if least <= size else 0.0)]
-        numbers = np.unique(self.numbers[close]).tolist()
+        least, size = distance.min(), self.sizes[owners[distance.argmin()]]
+        near = distance <= least + (_EDGE * size if least <= size else 0.0)
+        numbers = np.unique(self.numbers[owners[near]]).tolist()
         if message := near_message(point, "face", numbers, least, size):
             _refuse(where, message)
         return numbers[0]
@@ -299,10 +293,8 @@ class Surface:
         if choice.cylinder is None:
             radii = {face.number: face.radius for face in self.faces if face.radius is not None}
             chosen = [n for n, other in radii.items() if abs(other - radius) < _NEAR * radius]
-            listed = ", ".join(
-                f"{r:g}" for r in sorted({float(f"{r:.6g}") for r in radii.values()})
-            )
             if not chosen:
+                listed = ", ".join(dict.fromkeys(f"{r:.6g}" for r in sorted(radii.values())))
                 message = f"no cylinder of radius {radius:g} m (there are: {listed or 'none'})"
                 _refuse(where, message)
             return np.isin(self.numbers, chosen)
