@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 
 from wrenchbook.fea.coupling.section import InterfaceSection, section_of_facets, section_of_nodes
-from wrenchbook.fea.mesh.cad.meshing import mesh_geometry
+from wrenchbook.fea.mesh.cad.meshing import mesh_geometry, surface_of_geometry
 from wrenchbook.fea.mesh.element_order import first_order_problems, second_order
 from wrenchbook.fea.mesh.facets import facets_within, group_nodes, missing, outer_surface
 from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.mesh.io.temperature_field import shape_on
 from wrenchbook.fea.mesh.mapping import cell_problems
 from wrenchbook.fea.mesh.mesh import Mesh
+from wrenchbook.fea.mesh.surface import Surface
 from wrenchbook.fea.spec.material import AnyMaterial
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem, point_text
 from wrenchbook.fea.spec.schema import (
@@ -24,7 +26,9 @@ from wrenchbook.fea.spec.schema import (
     Analysis,
     Bundle,
     Generator,
+    GeometryFile,
     Interface,
+    MeshFile,
     MeshSource,
     ScalarInput,
     Supports,
@@ -208,12 +212,24 @@ def mesh_of(source: MeshSource) -> Mesh:
     """
     if isinstance(source, Generator):
         return source.mesh()
-    if source.file is None:
-        raise ValueError("a mesh source needs a file or a generator with its parameters")
     if source.geometry is not None:
         return mesh_geometry(source.file, source.geometry)
-    mesh = read_mesh(source.file, source.unit)
-    return mesh if source.order is None else second_order(mesh)
+    return read_grouped(source.file, source)
+
+
+def read_grouped(file: Path, source: MeshSource) -> Mesh:
+    """Return the mesh of a file with the unit, the order and the groups of `source`."""
+    mesh = read_mesh(file, source.unit)
+    mesh = mesh if source.order is None else second_order(mesh)
+    grouped = isinstance(source, MeshFile) and source.groups
+    return Surface(mesh).choose(grouped) if grouped else mesh
+
+
+def surface_of(source: MeshSource) -> Surface:
+    """Return the numbered faces of a bundle's mesh, without its groups by geometry."""
+    if isinstance(source, GeometryFile):
+        return surface_of_geometry(source.file, source)
+    return Surface(mesh_of(replace(source, groups={}) if isinstance(source, MeshFile) else source))
 
 
 def _fill_unnamed(
@@ -302,9 +318,15 @@ def _check_disjoint(
     mesh: Mesh, fixed: Array, interfaces: list[AttachedInterface], problems: list[BundleProblem]
 ) -> None:
     for interface in interfaces:
-        shared = len(np.intersect1d(fixed, interface.section.node_ids))
-        if shared:
-            message = f"{shared} of its nodes are fixed by [supports]; the two must not touch"
+        nodes = interface.section.node_ids
+        shared = np.intersect1d(fixed, nodes)
+        if len(shared):
+            at = point_text(mesh.points[shared[0]])
+            message = (
+                f"{len(shared)} of its nodes are fixed by [supports] (of {len(nodes)}; one is at "
+                f"{at} m); the two must not touch: leave cells between them, or narrow one (box, "
+                "normal or inside of [mesh.groups.NAME])"
+            )
             problems.append(BundleProblem(interface.where, message))
     for first, second in combinations(interfaces, 2):
         nodes = np.intersect1d(first.section.node_ids, second.section.node_ids)

@@ -16,10 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from wrenchbook.fea.component import build
+from wrenchbook.fea.component import build, read_grouped
 from wrenchbook.fea.failure import SolveFailed
-from wrenchbook.fea.mesh.element_order import second_order
-from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.mesh.refine import halved, refined
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError
@@ -170,9 +168,7 @@ def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
         if source is None:
             raise ValueError("a component without a [mesh] is a table: nothing is meshed")
         try:
-            mesh = read_mesh(path, source.unit)
-            mesh = mesh if source.order is None else second_order(mesh)
-            solvers.append(Solver(build(bundle, mesh)))
+            solvers.append(Solver(build(bundle, read_grouped(path, source))))
         except BundleError as error:
             named = [
                 replace(problem, where=f"{path.name}: {problem.where}")

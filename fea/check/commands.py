@@ -19,8 +19,9 @@ from wrenchbook.fea.accuracy.convergence import studied, write
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.reference import json_schema
 from wrenchbook.fea.check.proposal import propose
-from wrenchbook.fea.check.reporting import as_text, report
+from wrenchbook.fea.check.reporting import as_text, report, surface_in
 from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.mesh.surface import Surface
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.vibration import Riding
 from wrenchbook.fea.spec.problems import BundleError
@@ -46,8 +47,42 @@ def check(options: argparse.Namespace) -> Reply:
             raise ValueError("--inertia and --centre need --mass")
     except ValueError as error:
         options.usage_error(str(error))
-    summary = report(folder, riding, options.nonlinear)
+    if options.plot is not None:
+        wanted = f"--plot {options.plot}: the page is an .html file"
+        _check_output(options, options.plot, (".html", ".htm"), wanted)
+    surface = surface_in(folder) if options.faces or options.plot else None
+    summary = report(folder, riding, options.nonlinear, surface)
+    if surface is not None and options.plot is not None:
+        draw_faces(surface, summary["faces"], options.plot)
     return int(not summary["ok"]), summary, as_text(summary)
+
+
+_CLICK = """const line = document.createElement("pre");
+line.textContent = "Click a face: its lines for component.toml";
+document.body.prepend(line);
+document.getElementById("{plot_id}").on("plotly_click", event => {
+  line.textContent = "[mesh.groups]\\nNAME = " + event.points[0].data.meta;
+});"""
+
+
+def draw_faces(surface: Surface, faces: list[dict[str, Any]], page: Path) -> None:
+    """Draw numbered faces as a page; a click shows the lines that select one."""
+    figure, points = go.Figure(), 1e3 * surface.mesh.points
+    owners, off = surface.numbers[surface.owners], 0.01 * np.ptp(points, axis=0).max()
+    for face in faces:
+        nodes, rows = np.unique(surface.triangles[owners == face["number"]], return_inverse=True)
+        x, y, z = points[nodes].T
+        i, j, k = rows.reshape(-1, 3).T
+        name = f"{face['number']}: {face['kind'].lower()}"
+        shown = {"name": name, "meta": face["toml"], "hovertemplate": name + "<br>%{meta}"}
+        figure.add_mesh3d(x=x, y=y, z=z, i=i, j=j, k=k, **shown)
+        members = np.flatnonzero(surface.numbers == face["number"])
+        middle = 1e3 * surface.middles[members]
+        at = np.linalg.norm(middle - 1e3 * np.array(face["centre"]), axis=1).argmin()
+        x, y, z = middle[at] + off * surface.normals[members[at]]
+        figure.add_scatter3d(x=[x], y=[y], z=[z], mode="text", text=str(face["number"]), **shown)
+    figure.update_layout(scene_aspectmode="data", showlegend=False, height=800)
+    figure.write_html(page, include_plotlyjs=True, post_script=_CLICK)
 
 
 def new(options: argparse.Namespace) -> Reply:
@@ -172,6 +207,8 @@ def _parser() -> argparse.ArgumentParser:
     add("--centre", type=_numbers, help="its centre from the interface point, m: x,y,z")
     add("--nonlinear", action="store_true", help="nonlinear solves for the stresses over the range")
     add("--schema", action="store_true", help="the JSON schema of component.toml, for editors")
+    add("--faces", action="store_true", help="list the faces of any mesh, with the TOML of each")
+    add("--plot", type=Path, help="draw the numbered faces as a page, .html")
     add("folder", type=Path, metavar="FOLDER", nargs="?", help="folder of the component bundle")
 
     text = "Solve a part on finer meshes: order, limit, and the error of its mesh."

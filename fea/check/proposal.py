@@ -38,6 +38,7 @@ _TRANSLATORS: dict[str, Callable[[str], Translated]] = {
     **dict.fromkeys((".bdf", ".nas", ".dat"), read_nastran),
 }
 _INCLUDE = re.compile(r"^[ \t]*(INCLUDE\b|/INPUT,|\*USE,)[^$!\n]*", re.I | re.M)
+_FACES = "`wrenchbook check FOLDER --faces` lists its faces, with lines for [mesh.groups]"
 _CHOOSE = "CHOOSE"  # a group that no mesh has: `check` then lists those there are
 _UNITS = ((1e8, "m"), (2e6, "in"), (-1.0, "mm"))
 """Young's moduli above which a deck's unit is likely: few in Pa are below 1e8, none in MPa is above
@@ -82,6 +83,8 @@ class _Proposal:
 
     def lines(self, name: str, file: str) -> list[str]:
         """Return the lines of ``component.toml``."""
+        if not self.groups:
+            self.decide.append(f"groups: the mesh has none; {_FACES}")
         first = sorted({kind for kind in self.mesh.cell_counts if kind in SECOND})
         if first:
             self.decide.append(f"{', '.join(first)} cells get midside nodes (order = 2)")
@@ -284,7 +287,9 @@ def _deck_text(file: Path) -> tuple[str, list[str], list[str]]:
             skipped = [f"{what} ({count})" for what, count in translated.skipped.items() if count]
             return "\n".join(translated.lines()), skipped, translated.decide
         if file.suffix.lower() != ".inp":
-            raise MeshFileError(f"is no .inp, {', '.join(_TRANSLATORS)}; write [mesh] by hand")
+            raise MeshFileError(
+                f"is no .inp, {', '.join(_TRANSLATORS)}; write [mesh] by hand: {_FACES}"
+            )
         return text, [], []
     except OSError as error:
         message = f"cannot be read ({error.strerror}); name an input deck"

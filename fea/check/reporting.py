@@ -13,6 +13,7 @@ import numpy as np
 from wrenchbook.fea.accuracy.advice import over_tolerance, straight_edges
 from wrenchbook.fea.accuracy.estimate import accuracy_or_why
 from wrenchbook.fea.bundle.read import FILE_NAME, Bundle, BundleError, read_bundle
+from wrenchbook.fea.bundle.tables import ComponentFile
 from wrenchbook.fea.check.cost import estimate
 from wrenchbook.fea.check.findings import contradictions, listing, motion_problems, parts
 from wrenchbook.fea.check.trial import (
@@ -23,7 +24,7 @@ from wrenchbook.fea.check.trial import (
     trial,
     weight_warnings,
 )
-from wrenchbook.fea.component import AttachedInterface, ComponentModel, build, mesh_of
+from wrenchbook.fea.component import AttachedInterface, ComponentModel, build, mesh_of, surface_of
 from wrenchbook.fea.deck.running import deck_report
 from wrenchbook.fea.inspection import (
     Bodies,
@@ -36,8 +37,11 @@ from wrenchbook.fea.inspection import (
     stack_problems,
 )
 from wrenchbook.fea.mesh.cad.meshing import list_shape
+from wrenchbook.fea.mesh.facets import Face
 from wrenchbook.fea.mesh.mesh import Mesh
+from wrenchbook.fea.mesh.surface import Surface
 from wrenchbook.fea.solver.vibration import Riding
+from wrenchbook.fea.spec.keys import keys_of, kind_of, validated
 from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS, GEOMETRY_ENDINGS
 
@@ -48,7 +52,10 @@ _OF_MATERIAL = ["region", "law", "youngs_modulus", "poisson_ratio", "density", "
 
 
 def report(
-    folder: str | Path, riding: Riding | None = None, nonlinear: bool = False
+    folder: str | Path,
+    riding: Riding | None = None,
+    nonlinear: bool = False,
+    surface: Surface | None = None,
 ) -> dict[str, Any]:
     """Read the bundle, build its mesh, resolve its groups and look for what would go wrong.
 
@@ -61,13 +68,16 @@ def report(
     nonlinear
         Whether stresses under the full range are those of a nonlinear solve, where the component is
         nonlinear; without it they are first order.
+    surface
+        Of `surface_in`, to list its faces.
 
     Returns
     -------
     dict
         Always ``ok``, ``problems`` (what stops a solve) and ``warnings`` (what may make it wrong),
         each a list of ``{"where", "message"}``. As far as it gets: ``name``, ``fingerprint``,
-        ``has_fea``; ``faces`` and ``bodies`` of a geometry file; ``unknowns`` (three a node),
+        ``has_fea``; ``faces`` and ``bodies`` of a geometry file (``faces``
+        with ``toml`` of any surface); ``unknowns`` (three a node),
         ``nodes``, ``cells``, ``groups``, ``quality`` (see `fea.inspection`), ``parts``,
         ``coincident_nodes``; of an input deck ``mesh_file`` (see `fea.check.findings`);
         ``materials``, ``section`` (of several interfaces ``sections``, with
@@ -81,6 +91,8 @@ def report(
     """
     summary: dict[str, Any] = {"ok": False, "problems": [], "warnings": []}
     folder = Path(folder)
+    if surface is not None:
+        summary["faces"] = [_listed(surface, face) for face in surface.faces]
     try:
         try:
             bundle = read_bundle(folder)
@@ -109,6 +121,23 @@ def report(
     return summary
 
 
+def surface_in(folder: Path) -> Surface | None:
+    """Return the surface of a bundle's mesh; None where its [mesh] or file will not do."""
+    try:
+        table = tomllib.loads((folder / FILE_NAME).read_text("utf-8"))["mesh"]
+        keys = {key: value for key, value in table.items() if key not in ("groups", "regions")}
+        source = validated(kind_of(keys_of(ComponentFile)["mesh"]), keys, "mesh", [], folder)
+        return None if source is None else surface_of(source)
+    except (OSError, ValueError, RecursionError, LookupError, AttributeError, BundleError):
+        return None  # `report` says why
+
+
+def _listed(surface: Surface, face: Face) -> dict[str, Any]:
+    if face.kind == "Cylinder" and face.axis is None:  # of a geometry file
+        face = surface.cylinder(np.flatnonzero(surface.numbers == face.number), face) or face
+    return asdict(face) | {"toml": surface.line(face)}
+
+
 def _geometry_named_in(folder: Path) -> Path | None:
     """Return the STEP file of a bundle with mistakes: its faces help to write the rest."""
     try:
@@ -122,7 +151,8 @@ def _geometry_named_in(folder: Path) -> Path | None:
 
 def _list_geometry(path: Path | None, summary: dict[str, Any]) -> None:
     if path is not None:
-        summary["faces"], summary["bodies"] = list_shape(path)
+        faces, summary["bodies"] = list_shape(path)
+        summary.setdefault("faces", faces)
 
 
 def _inspect_mesh(
@@ -261,19 +291,28 @@ def _source(report: Mapping[str, Any]) -> Iterator[str]:
         )
     if "faces" not in report:
         return
-    yield "bodies:  number  volume cm^3  middle m"
-    for body in report["bodies"][:_MAX_LINES]:
+    if "bodies" in report:
+        yield "bodies:  number  volume cm^3  middle m"
+    for body in report.get("bodies", [])[:_MAX_LINES]:
         yield f"  {body['number']:>13}  {1e6 * body['volume']:>11.5g}  {_vector(body['centre'])}"
+    yield from _faces(report["faces"])
+
+
+def _faces(faces: list[dict[str, Any]]) -> Iterator[str]:
     yield "faces:   number  area mm^2    middle m                      what"
-    for face in report["faces"][:_MAX_LINES]:
+    for face in faces[:_MAX_LINES]:
         shape = str(face["kind"]).lower()
         if face["normal"] is not None:
             shape = f"plane, normal {_vector(face['normal'])}"
         elif face["radius"] is not None:
             shape = f"cylinder, radius {1e3 * face['radius']:.5g} mm"
+            if face["axis"] is not None:
+                shape += f", axis {_vector(face['axis'])} through {_vector(face['point'])}"
         head = f"  {face['number']:>13}  {1e6 * face['area']:>11.5g}  {_vector(face['centre']):<28}"
         yield f"{head}  {shape}"
-    if (more := len(report["faces"]) - _MAX_LINES) > 0:
+        if "toml" in face:
+            yield f"{'':>17}NAME = {face['toml']}"
+    if (more := len(faces) - _MAX_LINES) > 0:
         yield f"  and {more} more"
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
@@ -57,6 +59,34 @@ FACES: dict[str, tuple[tuple[int, ...], ...]] = {
     "wedge15": _with_midsides(_WEDGE_FACES, _WEDGE_EDGES, 6),
 }
 """Local nodes of each face of each kind of cell, in VTK facet order, seen from outside."""
+
+
+TRIANGLES: dict[str, tuple[tuple[int, int, int], ...]] = {
+    "tri3": ((0, 1, 2),),
+    "quad4": ((0, 1, 2), (0, 2, 3)),
+    "tri6": ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)),
+    "quad8": ((0, 4, 7), (4, 1, 5), (5, 2, 6), (6, 3, 7), (4, 5, 7), (5, 6, 7)),
+    "quad9": (
+        *((0, 4, 8), (4, 1, 8), (1, 5, 8), (5, 2, 8)),
+        *((2, 6, 8), (6, 3, 8), (3, 7, 8), (7, 0, 8)),
+    ),
+}
+"""Triangles of each facet, seen from outside; quadratic ones are split through midside nodes."""
+
+
+@dataclass(frozen=True)
+class Face:
+    """A face of a geometry file, or a connected smooth part of a mesh's surface."""
+
+    number: int  # what ``faces = [...]`` names it by
+    kind: str  # "Plane", "Cylinder", "Cone", "Sphere", "Torus", "BSpline surface", "Curved",
+    area: float  # m^2
+    centre: tuple[float, float, float]  # area centre, m
+    # Outward unit normal of a plane face; None for others
+    normal: tuple[float, float, float] | None
+    radius: float | None  # of a cylinder, m; None for others
+    axis: tuple[float, float, float] | None = None  # of a cylinder that a mesh shows
+    point: tuple[float, float, float] | None = None  # on that axis, m
 
 
 def faces_of(blocks: tuple[CellBlock, ...]) -> dict[str, Array]:
@@ -158,5 +188,24 @@ def missing(key: str, name: str, kind: str, groups: list[str]) -> BundleProblem:
     return BundleProblem(key, message)
 
 
+def near_message(
+    point: tuple[float, float, float], kind: str, nearest: list[int], distance: float, size: float
+) -> str | None:
+    """Return why a point names no one face or body: it is far from all, or as near to two."""
+    at = ", ".join(f"{x:g}" for x in point)
+    if distance > size:
+        return f"({at}) m is {distance:.3g} m off the nearest {kind} ({nearest[0]}); correct it"
+    if len(nearest) > 1:
+        named = ", ".join(map(str, nearest))
+        return f"({at}) m lies on the edge between {kind} {named}; move it off the edge"
+    return None
+
+
+_NONE = (
+    " (it has none at all: choose facets by [mesh.groups.NAME]; "
+    "`wrenchbook check FOLDER --faces` lists the faces with the lines to write)"
+)
+
+
 def _listed(groups: list[str]) -> str:
-    return f" (it has {', '.join(groups)})" if groups else " (it has none at all)"
+    return f" (it has {', '.join(groups)})" if groups else _NONE

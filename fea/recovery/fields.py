@@ -8,7 +8,7 @@ import numpy as np
 
 from wrenchbook.fea.assembly.body import ElasticBody
 from wrenchbook.fea.component import ComponentModel
-from wrenchbook.fea.mesh.facets import outer_surface
+from wrenchbook.fea.mesh.facets import TRIANGLES, outer_surface
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.recovery.stress import (
     cauchy_stress,
@@ -112,18 +112,6 @@ def _stresses(
 MAX_VERTICES = 40_000
 """Vertices kept of a surface: a row's field then takes some 2 MB, and JSON of it some 10 MB."""
 
-# Facets as seen from outside; quadratic ones are split through their midside nodes.
-_TRIANGLES: dict[str, tuple[tuple[int, int, int], ...]] = {
-    "tri3": ((0, 1, 2),),
-    "quad4": ((0, 1, 2), (0, 2, 3)),
-    "tri6": ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)),
-    "quad8": ((0, 4, 7), (4, 1, 5), (5, 2, 6), (6, 3, 7), (4, 5, 7), (5, 6, 7)),
-    "quad9": (
-        *((0, 4, 8), (4, 1, 8), (1, 5, 8), (5, 2, 8)),
-        *((2, 6, 8), (6, 3, 8), (3, 7, 8), (7, 0, 8)),
-    ),
-}
-
 
 @dataclass(frozen=True, eq=False)
 class Surface:
@@ -142,7 +130,7 @@ def surface_of(mesh: Mesh, max_vertices: int = MAX_VERTICES) -> Surface:
     """
     blocks = outer_surface(mesh.blocks).blocks
     triangles = np.concatenate(
-        [facets[:, _TRIANGLES[kind]].reshape(-1, 3) for kind, facets in blocks]
+        [facets[:, TRIANGLES[kind]].reshape(-1, 3) for kind, facets in blocks]
     )
     nodes, flat = np.unique(triangles, return_inverse=True)
     triangles, count = flat.reshape(-1, 3), len(nodes)

@@ -22,6 +22,7 @@ from wrenchbook.fea.spec.schema import (
     Deck,
     FaceSelector,
     Interface,
+    MeshFile,
     MeshSource,
     Supports,
 )
@@ -42,6 +43,7 @@ CASE = "nodes of the last case"
 Before these words they were the nodes of all cases together.
 """
 
+_RESTRICTING = ("box", "normal", "angle", "inside")
 _GROUP = re.compile(r'"nodes_(?:held_in|with_forces)')  # of `fea.mesh.io.abaqus_content`
 _KEYWORD = re.compile(rb"^[^\w*\n]*\*[ \t]*(BOUNDARY|CLOAD|STEP|LOAD CASE)\b([^*]*)", re.I | re.M)
 _NEW = re.compile(rb",\s*(?:OP\s*=\s*NEW|PERTURBATION)\b", re.I)
@@ -106,15 +108,22 @@ def _mesh(source: MeshSource | None) -> object:
             keys |= {"regions": {name: _chosen(each) for name, each in meshing.regions.items()}}
             return content | {"geometry": keys}
         order = {} if source.order is None else {"order": source.order}
-        return content | {"unit": source.unit} | order
+        chosen = source.groups.items() if isinstance(source, MeshFile) else ()
+        named = {"groups": {name: _chosen(each) for name, each in chosen}} if chosen else {}
+        return content | {"unit": source.unit} | order | named
     return {"generator": source.generator, "parameters": dict(source.parameters or {})}
 
 
 def _chosen(choice: FaceSelector | BodySelector) -> object:
     if isinstance(choice, BodySelector):
         return {"numbers": choice.bodies, "near": choice.near, "plane": None, "radius": None}
-    plane = None if choice.plane is None else ("xyz".index(choice.plane), choice.at)
-    return {"numbers": choice.faces, "near": choice.near, "plane": plane, "radius": choice.radius}
+    plane = choice.plane
+    if plane is not None:
+        plane = ("xyz".index(plane) if isinstance(plane, str) else plane, choice.at)
+    cylinder = choice.cylinder and (choice.cylinder.point, choice.cylinder.axis)
+    newer = [("cylinder", cylinder), *((key, getattr(choice, key)) for key in _RESTRICTING)]
+    keys = {"numbers": choice.faces, "near": choice.near, "plane": plane, "radius": choice.radius}
+    return keys | {key: value for key, value in newer if value is not None}
 
 
 def _names_nodes_of_cases(source: MeshSource | None, groups: object) -> bool:

@@ -75,6 +75,9 @@ def _direction(axis: tuple[float, float, float]) -> tuple[float, float, float]:
     return unit_vector(axis)
 
 
+Direction = Annotated[Three, AfterValidator(_direction)]
+
+
 @table
 class Solid:
     """What every material has."""
@@ -116,7 +119,7 @@ class Cylinder:
 
     point: Three = key("m", "[0, 0, 0]")
     """on the axis"""
-    axis: Annotated[Three, AfterValidator(_direction)] = key("", "[0, 0, 1]")
+    axis: Direction = key("", "[0, 0, 1]")
     """its direction, made a unit vector"""
 
 

@@ -42,7 +42,7 @@ from wrenchbook.fea.spec.keys import (
     mesh_axes,
     table,
 )
-from wrenchbook.fea.spec.material import AnyMaterial
+from wrenchbook.fea.spec.material import AnyMaterial, Cylinder, Direction
 
 FREEDOMS = ("ux", "uy", "uz", "rx", "ry", "rz")
 """The interface's six degrees of freedom, in the order of the wrench contract."""
@@ -96,10 +96,7 @@ _NUMBER = f"a whole number from 1 to {MAX_COUNT}, as `wrenchbook check` lists it
 
 
 class Selector:
-    """Which faces of a geometry make a group, or which of its bodies make a region.
-
-    A face or body belongs if any of the keys names it.
-    """
+    """Which faces of a part make a group, or which bodies of a geometry make a region."""
 
     ways: tuple[str, ...] = ()
 
@@ -109,26 +106,57 @@ class Selector:
             raise MistakesError((self.ways[0], f"missing; choose by {listed}"))
 
 
+def _box(corners: tuple[Any, Any]) -> tuple[Any, Any]:
+    if any(low > high for low, high in zip(*corners, strict=True)):
+        raise ValueError("must be the low corner, then the high one: no number of the first larger")
+    return corners
+
+
+Box = Annotated[tuple[Three, Three], counted(2, "must be two points"), AfterValidator(_box)]
+
+
 @table
 class FaceSelector(Selector):
-    """Faces of a geometry."""
+    """Faces of the surface: facets that any of `ADDING` names, restricted by each other key."""
 
-    ways = ("faces", "near", "plane", "radius")
+    ADDING: ClassVar = ("faces", "near", "plane", "radius")
+    ways = (*ADDING, "box", "normal", "inside")
     faces: Numbers = key("", "[3, 7]", default=(), absent="none", write=_NUMBER)
     """by number"""
     near: Near = key("m", "[[0.05, 0.0, 0.01]]", default=(), absent="none")
     """for each point (or the one point) the face nearest to it"""
-    plane: Literal["x", "y", "z"] | None = key("", '"x"', default=None)
-    """every plane face square to this axis, `at` that place"""
-    at: Number | None = key("m", "0.0", default=None, absent="-")
-    """with `plane`: where it is along its axis"""
+    plane: Annotated[
+        Literal["x", "y", "z"] | Direction | None, either(Literal["x", "y", "z"], Direction)
+    ] = key("", '"x"', default=None)
+    """every facet in the plane square to this axis, or direction `[0.6, 0.8, 0]`, `at` a place"""
+    at: Annotated[Number | Three | None, either(Number, Three)] = key(
+        "m", "0.0", default=None, absent="-"
+    )
+    """with `plane`: where it is along its axis or direction, or a point of it"""
     radius: Positive | None = key("m", "0.008", default=None)
     """every cylindrical face of that radius"""
+    cylinder: Cylinder | None = key(
+        "", "{point = [0, 0, 0], axis = [0, 0, 1]}", default=None, absent="any"
+    )
+    """with `radius`: the facets of the cylinder about this axis alone"""
+    box: Box | None = key("m", "[[0, 0, 0], [0.1, 0.1, 0.01]]", default=None)
+    """restricts: facets all corners of which lie between the low and the high corner"""
+    normal: Direction | None = key("", "[0, 0, 1]", default=None)
+    """restricts: facets whose outward normal has this direction, within `angle`"""
+    angle: Annotated[Number, Field(gt=0, lt=90)] | None = key(
+        "deg", "30", default=None, absent="10"
+    )
+    """with `normal`: the largest angle to it, below 90"""
+    inside: Text | None = key("", '"flange"', default=None)
+    """restricts: facets of this other group"""
 
     def __post_init__(self) -> None:
         if self.plane is None and self.at is not None:
             message = 'missing; "at" is a place along plane = "x", "y" or "z"'
             raise MistakesError(("plane", message))
+        for name, of in (("radius", "cylinder"), ("normal", "angle")):
+            if getattr(self, name) is None and getattr(self, of) is not None:
+                raise MistakesError((name, f'missing; "{of}" is of no use without it'))
         super().__post_init__()
         if self.plane is not None and self.at is None:
             raise MistakesError(("at", "missing; write a number in m"))
@@ -160,6 +188,10 @@ class MeshFile:
     order: Order | None = key("", "2", default=None)
     """gives the cells of a first-order mesh file midside nodes, in the middle of straight edges
     (STEP is meshed so anyway)"""
+    groups: Mapping[str, FaceSelector] = key(
+        "", "{tip = {radius = 0.008}}", default=dict, absent="none"
+    )
+    """mesh file or STEP: facet groups named by geometry, each `[mesh.groups.NAME]`"""
 
 
 def _no_all(regions: dict[str, BodySelector]) -> dict[str, BodySelector]:
@@ -179,7 +211,7 @@ class GeometryMeshing:
     groups: Mapping[str, FaceSelector] = key(
         "", "{tip = {radius = 0.008}}", default=dict, absent="none"
     )
-    """STEP: named facet groups, each `[mesh.groups.NAME]`"""
+    """facet groups named by geometry, each `[mesh.groups.NAME]`"""
     regions: Annotated[Mapping[str, BodySelector], AfterValidator(_no_all)] = key(
         "", "{steel = {bodies = [1]}}", default=dict, absent="none"
     )

@@ -6,7 +6,7 @@ A bundle names the file, the cell size, and groups by face::
     file = "bracket.step"          # holds its length unit; cells are tet10
     size = 0.004                   # edge length of the cells, m
     curvature = 16                 # least cells round a full turn; optional
-    [mesh.groups]                  # facet groups; several ways in one group add up
+    [mesh.groups]                  # facet groups, by the law of `fea.mesh.surface`
     base = {plane = "z", at = 0.0}                # every plane face there, m
     bolts = {radius = 0.0033}                     # every cylinder of that radius, m
     head = {near = [0.04, 0.03, 0.058]}           # the face nearest to a point, or a list of points

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from wrenchbook.fea.mesh.facets import Face
+
 Array = np.ndarray
 
 METRES = 1e-3
@@ -14,30 +16,12 @@ METRES = 1e-3
 
 
 @dataclass(frozen=True)
-class Face:
-    """One face."""
-
-    number: int  # what ``faces = [...]`` names it by
-    kind: str  # "Plane", "Cylinder", "Cone", "Sphere", "Torus", "BSpline surface",
-    area: float  # m^2
-    centre: tuple[float, float, float]  # area centre, m
-    # Outward unit normal of a plane face; None for others
-    normal: tuple[float, float, float] | None
-    radius: float | None  # of a cylinder, m; None for others
-    # low, high: Corners of the box around it, m
-    low: tuple[float, float, float]
-    high: tuple[float, float, float]
-
-
-@dataclass(frozen=True)
 class Solid:
-    """One solid body: its number, volume (m^3), centre of mass and box (m)."""
+    """One solid body: its number, volume (m^3) and centre of mass (m)."""
 
     number: int
     volume: float
     centre: tuple[float, float, float]
-    low: tuple[float, float, float]
-    high: tuple[float, float, float]
 
 
 def bodies_of(gmsh: Any) -> tuple[Solid, ...]:
@@ -47,7 +31,6 @@ def bodies_of(gmsh: Any) -> tuple[Solid, ...]:
             number,
             gmsh.model.occ.getMass(3, number) * METRES**3,
             _metres(gmsh.model.occ.getCenterOfMass(3, number)),
-            *_box(gmsh, 3, number),
         )
         for _, number in gmsh.model.getEntities(3)
     )
@@ -74,13 +57,7 @@ def _face(gmsh: Any, number: int) -> Face:
         _metres(gmsh.model.occ.getCenterOfMass(2, number)),
         _outward(gmsh, number) if name == "Plane" else None,
         _radius(gmsh, number) if name == "Cylinder" else None,
-        *_box(gmsh, 2, number),
     )
-
-
-def _box(gmsh: Any, dimension: int, number: int) -> tuple[Any, Any]:
-    box = gmsh.model.occ.getBoundingBox(dimension, number)
-    return _metres(box[:3]), _metres(box[3:])
 
 
 def _metres(point: Any) -> tuple[float, float, float]:

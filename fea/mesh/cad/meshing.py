@@ -10,21 +10,28 @@ import re
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from wrenchbook.fea.mesh.cad.entities import METRES
+from wrenchbook.fea.mesh.facets import Face
 from wrenchbook.fea.mesh.io.raw import RawMesh, to_mesh
 from wrenchbook.fea.mesh.mapping import cell_problems
 from wrenchbook.fea.mesh.mesh import Mesh
+from wrenchbook.fea.mesh.surface import Surface
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import GeometryMeshing
+
+Array = np.ndarray
 
 _ATTEMPTS: Final = ((True, 1.0), (False, 1.0), (True, 0.97), (True, 1.03))
 """Optimisation of curved cells, and times the cell size. The optimiser aborts where it cannot turn
 a single cell back; another size puts the cells elsewhere."""
+
+_SURFACE = " of the geometry"  # the group of all its facets, on the way from the child
 
 
 class _GmshError(BundleError):
@@ -32,13 +39,21 @@ class _GmshError(BundleError):
 
 
 def mesh_geometry(path: Path, geometry: GeometryMeshing) -> Mesh:
-    """Mesh the bodies of a geometry file.
+    """Mesh the bodies of a geometry file, with their groups.
+
+    Raises BundleError if the file cannot be read or meshed, or a group or region names nothing.
+    """
+    return surface_of_geometry(path, geometry).choose(geometry.groups)
+
+
+def surface_of_geometry(path: Path, geometry: GeometryMeshing) -> Surface:
+    """Mesh the bodies of a geometry file; the surface has the mesh, without groups.
 
     The same file and keys give the same nodes, in whatever process, with the same version of gmsh
     and its geometry kernel; another version may put them elsewhere, within what a mesh of that
     size leaves open anyway. Where gmsh fails, or leaves cells inside out, `_ATTEMPTS` follow.
 
-    Raises BundleError if the file cannot be read or meshed, or a group or region names nothing.
+    Raises BundleError as `mesh_geometry`, but of no group.
     """
     folded = failure = None
     for optimise, times in _ATTEMPTS:
@@ -56,10 +71,21 @@ def mesh_geometry(path: Path, geometry: GeometryMeshing) -> Mesh:
             name: [np.arange(len(rows) if i in chosen else 0) for i, rows in enumerate(nodes)]
             for name, chosen in fields["sets"].items()
         }
-        mesh = to_mesh(RawMesh(points, blocks, sets), METRES)
+        faces = [Face(**face) for face in fields["faces"]]
+        facets = [block for block in blocks if block[0] == "tri6"]
+        raw = RawMesh(points, blocks, sets, facet_sets={_SURFACE: facets})
+        mesh = to_mesh(raw, METRES)
+        # The faces of cells in the place of gmsh's facets, in the order of the cells.
+        group = mesh.facet_groups[_SURFACE]
+        owners = np.repeat([face.number for face in faces], [len(rows) for _, rows in facets])
+        used = np.unique(np.concatenate([rows for kind, rows in blocks if kind == "tet10"]))
+        drawn = np.searchsorted(used, np.concatenate([rows for _, rows in facets]))
+        numbers = np.zeros(len(owners), dtype=np.int64)
+        numbers[_order(group.blocks[0].nodes)] = owners[_order(drawn)]
+        surface = Surface(replace(mesh, facet_groups={}), group, numbers, tuple(faces))
         if not cell_problems(mesh):
-            return mesh
-        folded = folded or mesh
+            return surface
+        folded = folded or surface
     if folded is not None:
         return folded  # `fea.component.build` names its cells
     message = (
@@ -68,6 +94,10 @@ def mesh_geometry(path: Path, geometry: GeometryMeshing) -> Mesh:
         "geometry (tiny edges, faces that overlap) where it was drawn"
     )
     raise BundleError([BundleProblem("mesh.size", message)])
+
+
+def _order(facets: Array) -> Array:
+    return np.lexsort(np.sort(facets[:, :3], axis=1).T)
 
 
 def list_shape(path: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
@@ -81,7 +111,7 @@ def list_shape(path: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
 
 def _in_child(
     path: Path, geometry: GeometryMeshing | None, optimise: bool = True
-) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+) -> tuple[dict[str, Any], dict[str, Array]]:
     """Return the answer of `child`: fields of JSON, and arrays.
 
     The child inherits the limits of this process, and ends with it.

@@ -1,0 +1,373 @@
+"""Facet groups by geometry: the faces of a surface, and the law by which keys choose facets.
+
+A face is one of the geometry file, or of a mesh file a connected smooth part of its surface.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from graphlib import CycleError, TopologicalSorter
+from itertools import combinations
+from typing import Any, NoReturn
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from wrenchbook.fea.mesh.facets import (
+    TRIANGLES,
+    Face,
+    corners_of,
+    group_nodes,
+    near_message,
+    outer_surface,
+)
+from wrenchbook.fea.mesh.mesh import FacetBlock, FacetGroup, Mesh
+from wrenchbook.fea.spec.problems import BundleError, BundleProblem, point_text
+from wrenchbook.fea.spec.schema import FaceSelector
+
+Array = np.ndarray
+Point = tuple[float, float, float]
+
+_SMOOTH = np.cos(np.radians(40))  # gmsh's usual angle of a feature; nine flats a turn are round
+_FLAT = 2e-3  # rad: roundoff of coordinates in single precision turns facets by less
+_EVEN = 1e-4  # of a face's size: a plane face is off its plane by no more
+_NEAR = 1e-3  # of a facet's size, or of a radius: lengths closer than this count as equal
+_EDGE = 2e-2  # of a facet's size: its triangles are off a round face by less, at 16 cells a turn
+_MAX_RADIUS = 10.0  # of a face's size; a flatter arc shows no radius to three digits
+_ANGLE = 10.0  # degrees, of `normal` without `angle`
+_THIN = 0.5  # of the side of a square of the chosen area: a thinner wall has two sides in a box
+_UNKNOWN = Face(0, "Curved", 0.0, (0.0, 0.0, 0.0), None, None)
+
+
+class Surface:
+    """The facets of a mesh's surface, each with the number of its face.
+
+    group, numbers, faces: facets, their faces' numbers, and these faces, of a geometry file.
+    """
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        group: FacetGroup | None = None,
+        numbers: Array | None = None,
+        faces: tuple[Face, ...] = (),
+    ) -> None:
+        self.mesh = mesh
+        self.blocks = (group or outer_surface(mesh.blocks)).blocks
+        corners = [n[:, [0, 1, 2, corners_of(kind) - 1]] for kind, n in self.blocks]
+        self.corners = np.concatenate(corners)  # shape (f, 4); a triangle has its third twice
+        rows = [n[:, TRIANGLES[kind]].reshape(-1, 3) for kind, n in self.blocks]
+        self.triangles = np.concatenate(rows)
+        each = np.repeat([len(TRIANGLES[k]) for k, _ in self.blocks], [len(n) for n in corners])
+        self.owners = np.repeat(np.arange(len(each)), each)  # facet of each triangle
+        x = mesh.points[self.triangles]
+        self._vectors = 0.5 * np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+        parts = np.linalg.norm(self._vectors, axis=1, keepdims=True)
+        self.areas = self._of_facets(parts)[:, 0]
+        self.normals = _unit(self._of_facets(self._vectors))
+        weight = np.maximum(self.areas, 1e-300)[:, None]
+        self.middles = self._of_facets(parts * x.mean(axis=1)) / weight
+        self.sizes = np.linalg.norm(np.ptp(mesh.points[self.corners], axis=1), axis=1)
+        if numbers is None:
+            numbers, faces = self._smooth_parts()
+        self.numbers, self.faces = numbers, faces
+
+    def _of_facets(self, values: Array) -> Array:
+        """Sum values of triangles, shape (t, k), by facet."""
+        columns = [np.bincount(self.owners, column, len(self.corners)) for column in values.T]
+        return np.stack(columns, axis=1)
+
+    def group(self, chosen: Array) -> FacetGroup:
+        """Return the chosen facets, a mask of shape (f,), as a group."""
+        ends = np.cumsum([len(nodes) for _, nodes in self.blocks])
+        parts = zip(self.blocks, np.split(chosen, ends[:-1]), strict=True)
+        return FacetGroup(tuple(FacetBlock(k, n[part]) for (k, n), part in parts if part.any()))
+
+    def _smooth_parts(self) -> tuple[Array, tuple[Face, ...]]:
+        """Split the surface at sharp edges, and smooth parts that are no cylinder at planes."""
+        count, normals = len(self.corners), _unit(self._vectors)
+        edges = np.sort(self.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        order = np.lexsort(edges.T)
+        same = np.concatenate([[False], (np.diff(edges[order], axis=0) == 0).all(axis=1), [False]])
+        at = np.flatnonzero(same[1:-1] & ~same[:-2] & ~same[2:])  # edges of two triangles
+        one, two = order[at] // 3, order[at + 1] // 3
+        smooth = np.einsum("ij,ij->i", normals[one], normals[two]) > _SMOOTH
+        first, second = self.owners[one[smooth]], self.owners[two[smooth]]
+
+        def parts(joined: Array) -> Array:
+            pair = first[joined], second[joined]
+            graph = coo_array((np.ones(len(pair[0])), pair), shape=(count, count))
+            return connected_components(graph, directed=False)[1]
+
+        turn = np.linalg.norm(np.cross(self.normals[first], self.normals[second]), axis=1)
+        whole, flat = parts(turn < 2), parts(turn < _FLAT)
+        # A plane in a smooth part has a node of two facets or more, all of them in that plane; a
+        # strip of a round face has none.
+        nodes = len(self.mesh.points)
+        keys = np.unique(np.arange(count).repeat(4) * nodes + self.corners.ravel())
+        facets = keys // nodes
+        keys = whole[facets].astype(np.int64) * nodes + keys % nodes
+        _, index, times = np.unique(keys, return_inverse=True, return_counts=True)
+        low, high = np.full(len(times), count), np.zeros(len(times), dtype=np.int64)
+        np.minimum.at(low, index, flat[facets])
+        np.maximum.at(high, index, flat[facets])
+        plane = np.isin(flat, low[(low == high) & (times > 1)])
+        split = np.zeros(count, dtype=bool)
+        for part in _members(whole):
+            mixed = plane[part].any() and len(np.unique(flat[part])) > 1
+            split[part] = mixed and self.cylinder(part) is None
+        alike = (plane[first] == plane[second]) & (~plane[first] | (turn < _FLAT))
+        members = _members(parts(alike | ~split[first]))
+        faces = [self._face(part) for part in members]
+        # Numbered by place, so that another mesh of the part has the same numbers.
+        places = np.array([face.centre for face in faces])
+        places = np.round(places / (_NEAR * np.ptp(self.mesh.points, axis=0).max()))
+        ranked, numbers = np.lexsort(places.T[::-1]).tolist(), np.zeros(count, dtype=np.int64)
+        for number, i in enumerate(ranked, 1):
+            numbers[members[i]] = number
+        return numbers, tuple(replace(faces[i], number=n) for n, i in enumerate(ranked, 1))
+
+    def _face(self, members: Array) -> Face:
+        x, areas = self.mesh.points[np.unique(self.corners[members])], self.areas[members]
+        centre = _three(np.average(self.middles[members], axis=0, weights=areas))
+        mean = _unit(areas[None] @ self.normals[members])[0]
+        face = Face(0, "Curved", float(areas.sum()), centre, None, None)
+        if np.ptp(x @ mean) < _EVEN * np.linalg.norm(np.ptp(x, axis=0)):
+            return replace(face, kind="Plane", normal=_three(np.round(mean, 12)))
+        return self.cylinder(members, face) or face
+
+    def cylinder(self, members: Array, face: Face = _UNKNOWN) -> Face | None:
+        """Return `face` with the axis and radius of the cylinder that facets lie on, or None."""
+        x = self.mesh.points[np.unique(self.corners[members])]
+        middle, size = x.mean(axis=0), float(np.linalg.norm(np.ptp(x, axis=0)))
+        vectors = self.normals[members] * self.areas[members, None] / size**2
+        frame = np.linalg.eigh(vectors.T @ vectors)[1]  # first: the direction square to normals
+        local = (x - middle) @ frame / size
+        some = local[:: max(1, len(x) // 2000)]  # enough for five numbers
+
+        def off(values: Array, at: Array) -> Array:
+            arms = np.cross(at - [0, *values[:2]], _unit(np.array([[1, *values[2:4]]])))
+            return np.linalg.norm(arms, axis=1) - values[4]
+
+        ones = np.column_stack([2 * some[:, 1:], np.ones(len(some))])
+        b, c, rest = np.linalg.lstsq(ones, (some[:, 1:] ** 2).sum(axis=1))[0]
+        start = np.array([b, c, 0, 0, np.sqrt(max(rest + b**2 + c**2, 1e-30))])
+        if len(some) < 6 or np.abs(off(start, some)).max() > start[4]:
+            return None
+        fit = least_squares(off, start, args=(some,), xtol=1e-12, ftol=1e-12, max_nfev=50).x
+        if fit[4] > _MAX_RADIUS or np.abs(off(fit, local)).max() > _NEAR * min(fit[4], 1.0):
+            return None
+        axis = _unit((frame @ [1, *fit[2:4]])[None])[0]
+        axis *= np.sign(axis[np.abs(axis).argmax()])
+        point = middle + size * frame @ [0, *fit[:2]]
+        point += axis * (axis @ (middle - point))
+        radius = face.radius or float(f"{size * fit[4]:.9g}")
+        axis, point = _three(np.round(axis, 9)), _three(point)
+        return replace(face, kind="Cylinder", radius=radius, axis=axis, point=point)
+
+    def choose(self, groups: Mapping[str, FaceSelector]) -> Mesh:
+        """Return the mesh with facet groups by the keys of ``[mesh.groups.NAME]``.
+
+        Raises BundleError if a key selects nothing, or probably more than is meant.
+        """
+        masks: dict[str, Array] = {}
+        problems: list[BundleProblem] = []
+        there = {*self.mesh.node_groups, *self.mesh.facet_groups}
+        users = {n: {other for other in groups if other == c.inside} for n, c in groups.items()}
+        try:
+            order = [*TopologicalSorter(users).static_order()]
+        except CycleError as error:
+            message = f"{' inside '.join(error.args[1])}: choose one of them by other keys"
+            _refuse(f"mesh.groups.{error.args[1][0]}.inside", message)
+        for name in order:
+            where, inside = f"mesh.groups.{name}", groups[name].inside
+            mask = None
+            if name in there:
+                message = "the mesh file has a group of this name; take another name"
+                problems.append(BundleProblem(where, message))
+            if inside in groups:
+                mask = masks.get(inside or "")
+            elif inside is not None:
+                mask = self._of_file(inside, f"{where}.inside", problems)
+            if inside is not None and mask is None:
+                continue  # that group has its own problem
+            try:
+                masks[name] = self._chosen(groups[name], where, mask)
+            except BundleError as error:
+                problems += error.problems
+        if problems:
+            raise BundleError(problems)
+        chosen = {name: self.group(masks[name]) for name in groups}
+        return replace(self.mesh, facet_groups={**self.mesh.facet_groups, **chosen})
+
+    def _of_file(self, name: str, where: str, problems: list[BundleProblem]) -> Array | None:
+        """Return the facets of a group of the mesh file, a mask of shape (f,)."""
+        if (group := self.mesh.facet_groups.get(name)) is not None:
+            rows = [n[:, : corners_of(kind)].tolist() for kind, n in group.blocks]
+            known = {frozenset(row) for block in rows for row in block}
+            return np.fromiter((frozenset(row) in known for row in self.corners.tolist()), bool)
+        nodes = group_nodes(self.mesh, where, name, problems)
+        return np.asarray(np.isin(self.corners, nodes).all(axis=1)) if len(nodes) else None
+
+    def _chosen(self, choice: FaceSelector, where: str, inside: Array | None) -> Array:
+        """Return the facets of a group, a mask of shape (f,), `inside` one of another."""
+        if lost := {*choice.faces} - {face.number for face in self.faces}:
+            message = f"there is no face {min(lost)}; the mesh has 1 to {len(self.faces)}"
+            _refuse(f"{where}.faces", message)
+        adding = [np.isin(self.numbers, choice.faces)] if choice.faces else []
+        adding += [self.numbers == self._nearest(point, f"{where}.near") for point in choice.near]
+        adding += [] if choice.plane is None else [self._in_plane(choice, f"{where}.plane")]
+        adding += [] if choice.radius is None else [self._round(choice, f"{where}.radius")]
+        chosen = np.any(adding, axis=0) if adding else np.ones(len(self.areas), dtype=bool)
+        # Each restriction: the facets it keeps, and how far each one is from that.
+        keeps: dict[str, tuple[Array, Array, str]] = {}
+        if choice.box is not None:
+            x, (low, high) = self.mesh.points[self.corners], np.array(choice.box)
+            outside = np.maximum(low - x, x - high).max(axis=(1, 2))
+            keeps["box"] = outside <= _NEAR * self.sizes, outside, "m out of it by a corner"
+        if choice.normal is not None:
+            angles = np.degrees(np.arccos(np.clip(self.normals @ choice.normal, -1, 1)))
+            keeps["normal"] = angles <= (choice.angle or _ANGLE), angles, "degrees from it"
+        if inside is not None:
+            apart = np.linalg.norm(self.middles - self.middles[inside].mean(axis=0), axis=1)
+            keeps["inside"] = inside, apart, f"m from the middle of {choice.inside}"
+        for key, (kept, excess, unit) in keeps.items():
+            if not (chosen & kept).any():
+                index = np.flatnonzero(chosen)[excess[chosen].argmin()]
+                message = (
+                    f"keeps none of the {chosen.sum()} facets that the other keys select; the "
+                    f"nearest, at {point_text(self.middles[index])} m, is {excess[index]:.3g} "
+                    f"{unit}; change one of the keys"
+                )
+                _refuse(f"{where}.{key}", message)
+            chosen &= kept
+        if choice.box is not None and choice.normal is None and not adding:
+            self._check_sides(chosen, f"{where}.box")
+        return chosen
+
+    def _nearest(self, point: Point, where: str) -> int:
+        """Return the number of the face nearest to a point; of several, or none near, refuse."""
+        off = np.linalg.norm(self.middles - np.array(point), axis=1)
+        reach = (off + self.sizes).min() + _EDGE * self.sizes.max()
+        close = (off - self.sizes <= reach)[self.owners]
+        owners, normals = self.owners[close], _unit(self._vectors[close])
+        x = self.mesh.points[self.triangles[close]] - np.array(point)
+        edges = np.roll(x, -1, axis=1) - x
+        # Above the inside of a triangle it is that to its plane, else that to an edge.
+        sides = np.einsum("tex,tx->te", np.cross(x, edges), normals)
+        along = -np.einsum("tex,tex->te", x, edges) / np.maximum((edges**2).sum(axis=2), 1e-300)
+        to_edges = np.linalg.norm(x + np.clip(along, 0, 1)[:, :, None] * edges, axis=2).min(axis=1)
+        height = np.abs(np.einsum("tx,tx->t", x[:, 0], normals))
+        distance = np.where((sides >= 0).all(axis=1), height, to_edges)
+        least, size = distance.min(), self.sizes[owners[distance.argmin()]]
+        near = distance <= least + (_EDGE * size if least <= size else 0.0)
+        numbers = np.unique(self.numbers[owners[near]]).tolist()
+        if message := near_message(point, "face", numbers, least, size):
+            _refuse(where, message)
+        return numbers[0]
+
+    def _in_plane(self, choice: FaceSelector, where: str) -> Array:
+        plane = choice.plane
+        normal = np.eye(3)["xyz".index(plane)] if isinstance(plane, str) else np.array(plane)
+        at = float(normal @ choice.at) if isinstance(choice.at, tuple) else float(choice.at or 0)
+        heights = self.mesh.points[self.corners] @ normal - at
+        # A facet of a round face that touches the plane is level too.
+        even = [face.number for face in self.faces if face.kind in ("Plane", "Curved")]
+        level = np.abs(heights).max(axis=1) <= _NEAR * self.sizes
+        level &= np.isin(self.numbers, even)
+        if not level.any():
+            square = [f for f in self.faces if f.normal and abs(normal @ f.normal) > 1 - 1e-6]
+            places = sorted({round(float(normal @ face.centre), 9) for face in square})
+            listed = ", ".join(f"{place:g}" for place in places) or "none anywhere"
+            along = plane if isinstance(plane, str) else f"x . {point_text(normal)}"
+            _refuse(where, f"no plane face at {along} = {at:g} m (there are at: {listed})")
+        return level
+
+    def _round(self, choice: FaceSelector, where: str) -> Array:
+        radius = float(choice.radius or 0)
+        if choice.cylinder is None:
+            radii = {face.number: face.radius for face in self.faces if face.radius is not None}
+            chosen = [n for n, other in radii.items() if abs(other - radius) < _NEAR * radius]
+            if not chosen:
+                listed = ", ".join(dict.fromkeys(f"{r:.6g}" for r in sorted(radii.values())))
+                message = f"no cylinder of radius {radius:g} m (there are: {listed or 'none'})"
+                _refuse(where, message)
+            return np.isin(self.numbers, chosen)
+        axis = np.array(choice.cylinder.axis)
+        arms = np.cross(self.mesh.points[self.corners] - choice.cylinder.point, axis)
+        off = np.abs(np.linalg.norm(arms, axis=2) - radius).max(axis=1)
+        on = (off < _NEAR * radius) & (np.abs(self.normals @ axis) < 0.5)  # no end of it
+        if not on.any():
+            message = (
+                f"no facet lies on the cylinder of radius {radius:g} m about this axis; the "
+                f"nearest is {off.min():.3g} m off, at {point_text(self.middles[off.argmin()])} m"
+            )
+            _refuse(where, message)
+        return on
+
+    def _check_sides(self, chosen: Array, where: str) -> None:
+        """Refuse a box round both sides of a thin wall."""
+        parts = {f: chosen & (self.numbers == f.number) for f in self.faces if f.normal is not None}
+        for a, b in combinations([face for face, part in parts.items() if part.any()], 2):
+            normal = np.array(a.normal)
+            gap = float(normal @ np.subtract(a.centre, b.centre))
+            least = min(self.areas[parts[a]].sum(), self.areas[parts[b]].sum())
+            if normal @ b.normal < -0.99 and 0 < gap < _THIN * np.sqrt(least):
+                message = (
+                    f"has both sides of a wall {gap:.3g} m thick: {parts[a].sum()} facets of face "
+                    f"{a.number} and {parts[b].sum()} of face {b.number}; add normal = "
+                    f"{_short(*normal)} for one side, or faces = [{a.number}, {b.number}] for both"
+                )
+                _refuse(where, message)
+
+    def line(self, face: Face) -> str:
+        """Return the TOML that selects a face alone, the plainest there is."""
+        members, middle = self.numbers == face.number, _short(*face.centre)
+        at = self.middles[members]
+        ways: list[dict[str, Any]] = [
+            {"near": _short(*at[np.linalg.norm(at - face.centre, axis=1).argmin()])},
+            {"faces": [face.number]},
+        ]
+        if face.radius is not None:
+            ways.insert(0, {"radius": float(f"{face.radius:.6g}")})
+        if face.normal is not None:
+            axis = int(np.abs(face.normal).argmax())
+            even = abs(face.normal[axis]) > 1 - 1e-9
+            square = {"plane": "xyz"[axis], "at": middle[axis]}
+            ways.insert(0, square if even else {"plane": _short(*face.normal), "at": middle})
+        for way in ways:
+            text = f"{{{', '.join(f'{key} = {json.dumps(value)}' for key, value in way.items())}}}"
+            with contextlib.suppress(BundleError):
+                if np.array_equal(self._chosen(FaceSelector(**way), "", None), members):
+                    return text
+        raise AssertionError(face)  # its number selects it
+
+
+def _refuse(where: str, message: str) -> NoReturn:
+    raise BundleError([BundleProblem(where, message)])
+
+
+def _unit(vectors: Array) -> Array:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)
+
+
+def _members(labels: Array) -> list[Array]:
+    """Return the indices of each label, from 0 on."""
+    order = np.argsort(labels, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
+
+
+def _three(values: Array) -> Point:
+    x, y, z = (float(value) + 0.0 for value in values)
+    return x, y, z
+
+
+def _short(*values: float) -> list[float]:
+    """Round numbers to six digits of the largest."""
+    digits = 5 - int(np.floor(np.log10(max(*map(abs, values), 1e-12))))
+    return [round(float(value), digits) + 0.0 for value in values]
