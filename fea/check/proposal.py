@@ -21,23 +21,23 @@ from wrenchbook.fea.mesh.deck_content import (
     DeckContent,
     LoadCase,
     SolidSection,
-    deck_text,
     in_si,
 )
 from wrenchbook.fea.mesh.element_order import SECOND, second_order
 from wrenchbook.fea.mesh.io.ansys import read_ansys
 from wrenchbook.fea.mesh.io.nastran import read_nastran
-from wrenchbook.fea.mesh.io.raw import MeshFileError, Translated
+from wrenchbook.fea.mesh.io.raw import Translated
 from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.mesh.mesh import Mesh
-from wrenchbook.fea.spec.problems import BundleError, BundleProblem
+from wrenchbook.fea.spec.deck_text import DeckText, deck_text
+from wrenchbook.fea.spec.problems import BundleError, BundleProblem, MeshFileError
 from wrenchbook.fea.spec.schema import FREEDOMS, UNITS
 
-_TRANSLATORS: dict[str, Callable[[str], Translated]] = {
+_TRANSLATORS: dict[str, Callable[[DeckText], Translated]] = {
     ".cdb": read_ansys,
     **dict.fromkeys((".bdf", ".nas", ".dat"), read_nastran),
 }
-_INCLUDE = re.compile(r"^[ \t]*(INCLUDE\b|/INPUT,|\*USE,)[^$!\n]*", re.I | re.M)
+_INCLUDE = re.compile(r"^[ \t]*(/INPUT,|\*USE,)[^!\n]*", re.I | re.M)
 _CHOOSE = "CHOOSE"  # a group that no mesh has: `check` then lists those there are
 _UNITS = ((1e8, "m"), (2e6, "in"), (-1.0, "mm"))
 """Young's moduli above which a deck's unit is likely: few in Pa are below 1e8, none in MPa is above

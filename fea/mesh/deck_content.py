@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from wrenchbook.fea.spec.schema import UNITS
 
@@ -23,20 +22,6 @@ def integrations(text: str) -> list[str]:
     """Return how a deck integrates its 20-node hexahedra: "full" (C3D20), "reduced" (C3D20R)."""
     kinds = {"reduced" if "R" in letters.upper() else "full" for letters in _HEX20.findall(text)}
     return sorted(kinds)
-
-
-def deck_text(path: Path) -> str:
-    """Return a deck's text with newlines alone: UTF-8, or UTF-16 by its mark or its zero bytes.
-
-    Raises OSError if the file cannot be read.
-    """
-    raw = path.read_bytes()
-    encoding = "utf-8-sig"
-    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
-        encoding = "utf-16"
-    elif b"\0" in raw[:2]:
-        encoding = "utf-16-be" if raw[:1] == b"\0" else "utf-16-le"
-    return raw.decode(encoding, errors="replace").replace("\r\n", "\n")
 
 
 def in_si(quantity: str, unit: str) -> float:

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from wrenchbook.fea.spec.deck_text import deck_text
 from wrenchbook.fea.spec.material import AnyMaterial, Orthotropic
 from wrenchbook.fea.spec.schema import (
     ACCELERATIONS,
@@ -98,6 +99,8 @@ def _mesh(source: MeshSource | None) -> object:
     if source.file is not None:
         # The ending chooses the reader; the rest of the name changes nothing.
         content: dict[str, object] = {"file": _bytes(source.file), "ending": source.file.suffix}
+        if included := deck_text(source.file).included if _is_deck(source.file) else ():
+            content["included"] = [_bytes(file) for file in included]
         if source.geometry is not None:
             meshing = source.geometry
             keys = {"size": meshing.size, "curvature": meshing.curvature or 0}
@@ -110,6 +113,10 @@ def _mesh(source: MeshSource | None) -> object:
     return {"generator": source.generator, "parameters": dict(source.parameters or {})}
 
 
+def _is_deck(file: Path) -> bool:
+    return file.suffix.lower() == ".inp"
+
+
 def _chosen(choice: FaceSelector | BodySelector) -> object:
     if isinstance(choice, BodySelector):
         return {"numbers": choice.bodies, "near": choice.near, "plane": None, "radius": None}
@@ -119,11 +126,11 @@ def _chosen(choice: FaceSelector | BodySelector) -> object:
 
 def _names_nodes_of_cases(source: MeshSource | None, groups: object) -> bool:
     """Return whether a group is of single nodes of a deck whose cases are no sum of each other."""
-    if source is None or source.file is None or source.file.suffix.lower() != ".inp":
+    if source is None or source.file is None or not _is_deck(source.file):
         return False
     if not _GROUP.search(json.dumps(groups)):
         return False
-    text = source.file.read_bytes().replace(b"\0", b"")  # UTF-16 too
+    text = deck_text(source.file).encode(errors="replace")
     initials = ""
     for word, more in _KEYWORD.findall(text):
         initial = word[:1].decode().lower().replace("c", "b")

@@ -16,9 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from wrenchbook.fea.mesh.deck_content import deck_text
-from wrenchbook.fea.mesh.io.raw import NODES_PER_LINE, Block, MeshFileError, RawMesh
+from wrenchbook.fea.mesh.io.raw import NODES_PER_LINE, Block, RawMesh
 from wrenchbook.fea.mesh.mesh import NODES_PER_CELL, NODES_PER_FACET
+from wrenchbook.fea.spec.deck_text import DeckText, deck_text
+from wrenchbook.fea.spec.problems import MeshFileError
 
 Array = np.ndarray
 
@@ -60,9 +61,13 @@ class Frame:
 
 @dataclass(frozen=True)
 class Keyword:
-    """One block: its line, its word, its options by capitals, its rows of fields, its frame."""
+    """One block: its line, its word, its options by capitals, its rows of fields, its frame.
+
+    `line` counts in the deck with its included files in place, `at` in the file that `at` names.
+    """
 
     line: int
+    at: str
     word: str
     options: dict[str, str]
     rows: list[list[str]] = field(default_factory=list)
@@ -70,10 +75,10 @@ class Keyword:
 
     def wrong(self, message: object) -> MeshFileError:
         """Return the error that names the line."""
-        return MeshFileError(f"line {self.line}: *{self.word} {message}")
+        return MeshFileError(f"line {self.at}: *{self.word} {message}")
 
 
-def read_keywords(text: str) -> Iterator[Keyword]:
+def read_keywords(text: DeckText) -> Iterator[Keyword]:
     """Yield the blocks of a deck in the assembly, those of a part where an instance puts it.
 
     Raises MeshFileError if an instance is of no part, a part comes twice, or parts have no
@@ -108,20 +113,20 @@ def read_keywords(text: str) -> Iterator[Keyword]:
             yield replace(keyword, frame=frame)
 
 
-def _without_instances(text: str) -> Iterator[Keyword]:
+def _without_instances(text: DeckText) -> Iterator[Keyword]:
     first = None
     for keyword in _blocks(text):
         if keyword.word == "PART":
             if first is not None:
                 raise keyword.wrong(
-                    f"comes twice (line {first.line}), and no *INSTANCE places either; write the "
+                    f"comes twice (line {first.at}), and no *INSTANCE places either; write the "
                     "assembly too, or one flat deck"
                 )
             first = keyword
         yield keyword
 
 
-def _blocks(text: str) -> Iterator[Keyword]:
+def _blocks(text: DeckText) -> Iterator[Keyword]:
     head: Keyword | None = None
     open_head = ""
     for number, line in enumerate(text.splitlines(), start=1):
@@ -136,7 +141,7 @@ def _blocks(text: str) -> Iterator[Keyword]:
             keyword, *options = (part.strip() for part in line.lstrip("*").split(","))
             pairs = (option.partition("=") for option in options if option)
             values = {key.strip().upper(): value.strip() for key, _, value in pairs}
-            head = Keyword(first, keyword.upper(), values)
+            head = Keyword(first, text.place(first), keyword.upper(), values)
             open_head = line if line.endswith(",") else ""
         elif head is not None:
             head.rows.append([each.strip() for each in line.rstrip(",").split(",")])
@@ -185,7 +190,6 @@ _WEDGE_FACES = ("123", "465", "1452", "2563", "3641")
 SOLID_FACES = {"hex": _HEX_FACES, "tet": _TET_FACES, "wedge": _WEDGE_FACES}
 
 _REFUSED = {
-    "INCLUDE": "paste the included file's lines in its place, so that the bundle is complete",
     "SYSTEM": "give the coordinates in the one global system",
     "NGEN": "write the nodes out",
     "NFILL": "write the nodes out",
@@ -212,8 +216,8 @@ class Deck:
     surfaces: dict[str, list[tuple[int, str]]] = field(default_factory=dict)
     names: dict[str, str] = field(default_factory=dict)
     frames: dict[str, Frame] = field(default_factory=dict)
-    node_lines: list[tuple[int, int]] = field(default_factory=list)
-    element_lines: list[int] = field(default_factory=list)
+    node_lines: list[tuple[int, str]] = field(default_factory=list)
+    element_lines: list[str] = field(default_factory=list)
     entries: int = 0
 
 
@@ -241,7 +245,7 @@ def parsed(path: Path, take: Callable[[Deck, Keyword], None]) -> Deck:
 def _take_nodes(deck: Deck, keyword: Keyword) -> None:
     if keyword.options.get("SYSTEM", "R").upper() != "R":
         raise MeshFileError("is in a local system; give global Cartesian coordinates")
-    deck.node_lines.append((len(deck.nodes), keyword.line))
+    deck.node_lines.append((len(deck.nodes), keyword.at))
     labels = []
     for row in keyword.rows:
         label = keyword.frame.label(row[0])
@@ -272,13 +276,13 @@ def _take_elements(deck: Deck, keyword: Keyword) -> None:
         return
     for i, row in enumerate(table):
         if row[0] in deck.where:
-            line = [*deck.element_lines, keyword.line][deck.where[row[0]][0]]
+            line = [*deck.element_lines, keyword.at][deck.where[row[0]][0]]
             raise MeshFileError(
                 f"defines element {row[0] % STRIDE} again; the *ELEMENT of line {line} has it too"
             )
         deck.where[row[0]] = (len(deck.kinds), i)
     deck.kinds.append(kind)
-    deck.element_lines.append(keyword.line)
+    deck.element_lines.append(keyword.at)
     deck.cells.append([row[1:] for row in table])
     if "ELSET" in keyword.options:
         labels = [row[0] for row in table]

@@ -29,7 +29,8 @@ from wrenchbook.fea.mesh.io.abaqus import (
     set_key,
     set_names,
 )
-from wrenchbook.fea.mesh.io.raw import MeshFileError, RawMesh
+from wrenchbook.fea.mesh.io.raw import RawMesh
+from wrenchbook.fea.spec.problems import MeshFileError
 
 _BOUNDARY_TYPES = {
     "ENCASTRE": "012345",
@@ -212,14 +213,14 @@ def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
 
 
 def _where(keyword: Keyword) -> str:
-    return f"line {keyword.line}: *{keyword.word}"
+    return f"line {keyword.at}: *{keyword.word}"
 
 
 def _take_elements(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
     kind = keyword.options["TYPE"].upper()
     if kind_of(kind) is None:
         reader.lack(keyword, f"of type {kind} is not solved: only solid cells are")
-    elif keyword.line in deck.element_lines[-1:]:
+    elif keyword.at in deck.element_lines[-1:]:
         counts = reader.content.elements
         counts[kind] = counts.get(kind, 0) + len(deck.cells[-1])
 

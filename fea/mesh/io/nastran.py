@@ -11,7 +11,9 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-from wrenchbook.fea.mesh.io.raw import Case, MeshFileError, Translated
+from wrenchbook.fea.mesh.io.raw import Case, Translated
+from wrenchbook.fea.spec.deck_text import DeckText
+from wrenchbook.fea.spec.problems import MeshFileError
 
 _SOLIDS = {
     ("CHEXA", 8): "C3D8",
@@ -49,7 +51,7 @@ class _Bulk(Translated):
     mass_factor: float = 1.0
 
 
-def read_nastran(text: str) -> Translated:
+def read_nastran(text: DeckText) -> Translated:
     """Return the content of a bulk data file: regions PSOLID_1, groups RBE2_7, a case a subcase.
 
     Raises MeshFileError if a card cannot be read, or nodes are in a local coordinate system.
@@ -60,7 +62,7 @@ def read_nastran(text: str) -> Translated:
     if factor := _MASS_FACTOR.search(text):
         data.mass_factor = _real(factor[1])
     lines_before = text.count("\n") - bulk.count("\n")
-    for number, name, fields in _cards(bulk.splitlines(), lines_before):
+    for number, name, fields in _cards(bulk.splitlines(), text, lines_before):
         if name == "ENDDATA":
             break
         taker = _TAKERS.get(name)
@@ -70,7 +72,9 @@ def read_nastran(text: str) -> Translated:
             elif name not in _QUIET:
                 data.skipped[name] += 1
         except (ValueError, LookupError) as error:
-            raise MeshFileError(f"line {number}: {name} cannot be read ({error})") from None
+            raise MeshFileError(
+                f"line {text.place(number)}: {name} cannot be read ({error})"
+            ) from None
     _take_cases(data, control)
     return data
 
@@ -133,7 +137,7 @@ def _selections(data: _Bulk, control: str) -> dict[str, dict[str, str]]:
     return cases
 
 
-def _cards(lines: list[str], skipped: int) -> Iterator[tuple[int, str, list[str]]]:
+def _cards(lines: list[str], text: DeckText, skipped: int) -> Iterator[tuple[int, str, list[str]]]:
     """Yield line number, name and fields of each card, its continuations joined."""
     card: tuple[int, str, list[str]] | None = None
     for number, line in enumerate(lines, start=skipped + 1):
@@ -147,7 +151,7 @@ def _cards(lines: list[str], skipped: int) -> Iterator[tuple[int, str, list[str]
             fields = [line[8 + width * i : 8 + width * (i + 1)].strip() for i in range(count)]
         if any(fields[count + 1 :]):
             raise MeshFileError(
-                f"line {number}: has more than {count} fields; continue on a new line"
+                f"line {text.place(number)}: has more than {count} fields; continue on a new line"
             )
         fields = (fields + [""] * count)[:count]
         if card is not None and head[:1] in ("", "+", "*"):

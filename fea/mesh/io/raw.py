@@ -18,6 +18,7 @@ from wrenchbook.fea.mesh.mesh import (
     FacetGroup,
     Mesh,
 )
+from wrenchbook.fea.spec.problems import MeshFileError
 
 Array = np.ndarray
 
@@ -25,10 +26,6 @@ Block = tuple[str, Array]
 
 NODES_PER_LINE = {"point1": 1, "line2": 2, "line3": 3}
 """Kinds that give node groups only: a group on an edge or a point of the part."""
-
-
-class MeshFileError(ValueError):
-    """A mesh file cannot be used; the message says why and what to do."""
 
 
 @dataclass(frozen=True, eq=False)
