@@ -17,6 +17,7 @@ from wrenchbook.fea.bundle.read import FILE_NAME
 from wrenchbook.fea.check.reporting import report
 from wrenchbook.fea.inspection import stacked_singly
 from wrenchbook.fea.mesh.deck_content import (
+    Constant,
     CoupledGroup,
     DeckContent,
     LoadCase,
@@ -117,17 +118,35 @@ class _Proposal:
         sections = [
             section for section in self.deck.sections if section.region in self.mesh.regions
         ]
-        alone = len({section.material for section in sections}) == 1 and self.filled(sections)
-        pairs = [("all" if alone else section.region, section.material) for section in sections]
+        kinds = {(section.material, self.directions(section)) for section in sections}
+        alone = len(kinds) == 1 and self.filled(sections)
+        by_region = {"all" if alone else section.region: section for section in sections}
         lines = []
-        for region, name in dict(pairs).items() if pairs else [("all", "")]:
-            constants = self.deck.materials.get(name, {})
-            values = [f"{key} = {constants[key] * in_si(key, self.unit):.9g}" for key in constants]
+        for region, section in (by_region or {"all": SolidSection("", "all", "")}).items():
+            constants = self.deck.materials.get(section.material, {})
+            values = [
+                f"{key} = {_numbers(value, in_si(key, self.unit))}"
+                for key, value in constants.items()
+            ]
+            values += self.directions(section)
             lacking = [key for key in _ELASTIC if key not in constants]
             if lacking:
                 self.decide.append(f'material of "{region}": write its {" and ".join(lacking)}')
             lines += ["", "[[material]]", f"region = {_text(region)}", *values]
         return lines
+
+    def directions(self, section: SolidSection) -> tuple[str, ...]:
+        """Return the law and the axes of an orthotropic material."""
+        constants = self.deck.materials.get(section.material, {})
+        if not isinstance(constants.get("youngs_modulus"), tuple):
+            return ()
+        axes, cylinder = section.orientation.axes, section.orientation.cylinder
+        rows = ", ".join(_numbers(axes[i : i + 3], digits=15) for i in (0, 3, 6))
+        at = f"axes = [{rows}]"
+        if cylinder:
+            point = _numbers(cylinder[:3], UNITS[self.unit])
+            at = f"cylinder = {{point = {point}, axis = {_numbers(cylinder[3:], digits=15)}}}"
+        return 'law = "orthotropic"', at
 
     def filled(self, sections: list[SolidSection]) -> bool:
         """Return whether each cell is in a section."""
@@ -151,6 +170,9 @@ class _Proposal:
                 f"group = {_text(support.group)}",
                 f"directions = [{ways}]",
             ]
+            if axes := support.axes:
+                rows = ", ".join(_numbers(axes[i : i + 3], digits=15) for i in (0, 3, 6))
+                lines.append(f"axes = [{rows}]")
         return lines
 
     def interfaces(self) -> list[str]:
@@ -248,8 +270,10 @@ def propose(
     proposal.decide += decide
     if unit is None:
         materials = proposal.deck.materials.values()
-        largest = max([0.0, *(material.get("youngs_modulus", 0.0) for material in materials)])
-        density = max((material.get("density", 0.0) for material in materials), default=0.0)
+        largest, density = (
+            max([0.0, *(np.max(material.get(key, 0.0)) for material in materials)])
+            for key in ("youngs_modulus", "density")
+        )
         unit = next(unit for least, unit in _UNITS if largest > least)
         if density > _IN_KILOGRAMS:
             unit = "m"
@@ -291,6 +315,12 @@ def _deck_text(file: Path) -> tuple[str, list[str], list[str]]:
         raise BundleError([BundleProblem(str(file), message)]) from None
     except MeshFileError as error:
         raise BundleError([BundleProblem(file.name, str(error))]) from None
+
+
+def _numbers(value: Constant, factor: float = 1.0, digits: int = 9) -> str:
+    if isinstance(value, tuple):
+        return f"[{', '.join(_numbers(each, factor, digits) for each in value)}]"
+    return f"{value * factor:.{digits}g}"
 
 
 def _text(value: str) -> str:

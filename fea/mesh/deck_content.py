@@ -33,8 +33,22 @@ def in_si(quantity: str, unit: str) -> float:
     length, force = UNITS[unit], _FORCES.get(unit, 1.0)
     stress = force / length**2
     factors = {"youngs_modulus": stress, "yield_strength": stress, "density": stress / length**2}
-    factors |= {"length": length, "force": force, "moment": force * length}
+    factors |= {"shear_modulus": stress, "length": length, "force": force, "moment": force * length}
     return factors.get(quantity, 1.0)
+
+
+Constant = float | tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Orientation:
+    """Directions 1, 2, 3 of a material in rows, nine numbers; or radial, round and along an axis.
+
+    `cylinder` has a point on the axis, in the deck's length unit, and its direction, or nothing.
+    """
+
+    axes: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    cylinder: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -44,15 +58,20 @@ class SolidSection:
     where: str
     region: str
     material: str
+    orientation: Orientation = Orientation()
 
 
 @dataclass(frozen=True)
 class HeldGroup:
-    """A node or facet group that does not move along `directions`, such as "xyz"."""
+    """A node or facet group that does not move along `directions`, such as "xyz".
+
+    `axes` are nine numbers, the directions x, y, z in rows; empty: the global ones.
+    """
 
     where: str
     group: str
     directions: str
+    axes: tuple[float, ...] = ()
 
 
 @dataclass
@@ -112,7 +131,7 @@ class DeckContent:
     Attributes
     ----------
     materials
-        Constants of each, by the keys of ``[[material]]``.
+        Constants of each, by the keys of ``[[material]]``; three of an orthotropic one.
     sections
         In the order of the deck; they name groups of the mesh.
     cases
@@ -125,7 +144,7 @@ class DeckContent:
         By line and keyword, what counts and cannot be taken over, and what to do.
     """
 
-    materials: dict[str, dict[str, float]] = field(default_factory=dict)
+    materials: dict[str, dict[str, Constant]] = field(default_factory=dict)
     sections: list[SolidSection] = field(default_factory=list)
     cases: list[LoadCase] = field(default_factory=list)
     elements: dict[str, int] = field(default_factory=dict)

@@ -8,6 +8,7 @@ a part come once for each. Materials, supports and loads are read in `fea.mesh.i
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -22,6 +23,9 @@ from wrenchbook.fea.spec.deck_text import DeckText, deck_text
 from wrenchbook.fea.spec.problems import MeshFileError
 
 Array = np.ndarray
+
+System = tuple[Array, Array]
+"""Axes in rows, shape (3, 3), and origin, shape (3,), the deck's length unit."""
 
 STRIDE = 10**12
 """Labels of one instance; Abaqus has at most 9 digits, a label above is refused."""
@@ -190,7 +194,6 @@ _WEDGE_FACES = ("123", "465", "1452", "2563", "3641")
 SOLID_FACES = {"hex": _HEX_FACES, "tet": _TET_FACES, "wedge": _WEDGE_FACES}
 
 _REFUSED = {
-    "SYSTEM": "give the coordinates in the one global system",
     "NGEN": "write the nodes out",
     "NFILL": "write the nodes out",
     "NCOPY": "write the nodes out",
@@ -218,7 +221,25 @@ class Deck:
     frames: dict[str, Frame] = field(default_factory=dict)
     node_lines: list[tuple[int, str]] = field(default_factory=list)
     element_lines: list[str] = field(default_factory=list)
+    systems: dict[int, System] = field(default_factory=dict)
     entries: int = 0
+
+
+def axes_through(origin: Array, first: Array, second: Array) -> Array:
+    """Return right-handed axes in rows: 1 from `origin` to `first`, 2 towards `second`."""
+    x = first - origin
+    z = np.cross(x, second - origin)
+    lengths = np.linalg.norm(x), np.linalg.norm(z)
+    if not min(lengths) > 0 or not np.isfinite(lengths).all():
+        raise ValueError("its three points are on one line")
+    x, z = x / lengths[0], z / lengths[1]
+    return np.array([x, np.cross(z, x), z])
+
+
+def numbers(keyword: Keyword, row: int, count: int) -> Array:
+    """Return numbers of a row, those that are not there 0, shape (count,)."""
+    fields = keyword.rows[row] if row < len(keyword.rows) else []
+    return np.array([float(each or 0.0) for each in (*fields, *[""] * count)[:count]])
 
 
 def parsed(path: Path, take: Callable[[Deck, Keyword], None]) -> Deck:
@@ -243,13 +264,20 @@ def parsed(path: Path, take: Callable[[Deck, Keyword], None]) -> Deck:
 
 
 def _take_nodes(deck: Deck, keyword: Keyword) -> None:
-    if keyword.options.get("SYSTEM", "R").upper() != "R":
-        raise MeshFileError("is in a local system; give global Cartesian coordinates")
+    kind = keyword.options.get("SYSTEM", "R").upper()
+    if kind not in ("R", "C"):
+        raise MeshFileError(f"is in a system {kind}; give Cartesian or cylindrical coordinates")
+    axes, origin = deck.systems.get(keyword.frame.number, (np.eye(3), np.zeros(3)))
+    moved = keyword.frame.number in deck.systems
     deck.node_lines.append((len(deck.nodes), keyword.at))
     labels = []
     for row in keyword.rows:
         label = keyword.frame.label(row[0])
-        point = keyword.frame.transformed([float(x or 0.0) for x in (*row[1:4], "", "", "")[:3]])
+        point = [float(x or 0.0) for x in (*row[1:4], "", "", "")[:3]]
+        if kind == "C":
+            angle = math.radians(point[1])
+            point[:2] = point[0] * math.cos(angle), point[0] * math.sin(angle)
+        point = keyword.frame.transformed((point @ axes + origin).tolist() if moved else point)
         if deck.nodes.setdefault(label, point) != point:
             index = list(deck.nodes).index(label)
             line = next(line for first, line in reversed(deck.node_lines) if first <= index)
@@ -261,6 +289,21 @@ def _take_nodes(deck: Deck, keyword: Keyword) -> None:
         labels.append(label)
     if "NSET" in keyword.options:
         _add(deck, deck.node_sets, keyword.frame, keyword.options["NSET"], labels)
+
+
+def _take_system(deck: Deck, keyword: Keyword) -> None:
+    """Take the axes of the nodes that follow in the part; without rows, the global ones."""
+    if not keyword.rows:
+        deck.systems.pop(keyword.frame.number, None)
+        return
+    origin, first = numbers(keyword, 0, 6).reshape(2, 3)
+    axes = np.eye(3)
+    if any(keyword.rows[0][3:6]):
+        second = numbers(keyword, 1, 3)
+        if len(keyword.rows) == 1:  # z stays
+            second = origin + np.cross([0.0, 0.0, 1.0], first - origin)
+        axes = axes_through(origin, first, second)
+    deck.systems[keyword.frame.number] = axes, origin
 
 
 def _take_elements(deck: Deck, keyword: Keyword) -> None:
@@ -394,6 +437,7 @@ def _take_instance(deck: Deck, keyword: Keyword) -> None:
 
 
 TAKERS: dict[str, Callable[[Deck, Keyword], None]] = {
+    "SYSTEM": _take_system,
     "NODE": _take_nodes,
     "ELEMENT": _take_elements,
     "NSET": _take_node_set,

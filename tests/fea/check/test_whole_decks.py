@@ -56,17 +56,11 @@ def included(folder):
     """Return a component whose deck has its nodes and supports in other files."""
     (folder / "deck.inp").write_text(HELD)
     propose(folder / "deck.inp", folder / "new", "mm")
-    text = (
-        (folder / "new" / "deck.inp")
-        .read_text()
-        .replace("*NODE, NSET=NALL", "*NODE, NSET=NALL, INPUT=n.txt", 1)
-    )
-    parts = [("1,", "*ELEMENT", "n.txt"), ("*BOUNDARY", "*CLOAD", "held.inc")]
+    text = (folder / "new" / "deck.inp").read_text().replace("NALL", "NALL, INPUT=n.txt", 1)
     first, last = text.index("\n", text.index("*NODE")) + 1, text.index("*ELEMENT")
     (folder / "new" / "n.txt").write_text(text[first:last])
-    in_files(
-        folder / "new", text[:first] + text[last:], "deck.inp", parts[1:], '*INCLUDE, INPUT="{}"\n'
-    )
+    text, parts = text[:first] + text[last:], [("*BOUNDARY", "*CLOAD", "held.inc")]
+    in_files(folder / "new", text, "deck.inp", parts, '*INCLUDE, INPUT="{}"\n')
     return folder / "new"
 
 
