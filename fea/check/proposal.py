@@ -320,7 +320,7 @@ def _deck_text(file: Path) -> tuple[str, list[str], list[str]]:
 def _numbers(value: Constant, factor: float = 1.0, digits: int = 9) -> str:
     if isinstance(value, tuple):
         return f"[{', '.join(_numbers(each, factor, digits) for each in value)}]"
-    return f"{value * factor:.{digits}g}"
+    return f"{value * factor + 0.0:.{digits}g}"
 
 
 def _text(value: str) -> str:

@@ -38,6 +38,7 @@ from wrenchbook.fea.mesh.io.abaqus import (
 from wrenchbook.fea.mesh.io.raw import RawMesh
 from wrenchbook.fea.spec.problems import MeshFileError
 
+_GLOBAL: tuple[float, ...] = ()  # axes
 _BOUNDARY_TYPES = {
     "ENCASTRE": "012345",
     "PINNED": "012",
@@ -444,7 +445,7 @@ def _supports(
         if partly and any(label in reader.points and label in reader.turned for label in labels):
             reader.content.missing[where] = "holds a coupled node along turned axes"
         plain = [label for label in labels if label not in reader.points]
-        turned = list({tuple(reader.turned.get(label, ())) for label in plain})
+        turned = list({reader.turned.get(label, _GLOBAL) for label in plain})
         if key and len(turned) == 1:
             by_set.setdefault((key, turned[0]), (where, set()))[1].update(freedoms)
         for label in plain if not key or turned[1:] else ():
@@ -452,7 +453,9 @@ def _supports(
     together: dict[tuple[str, tuple[float, ...]], list[int]] = defaultdict(list)
     for label, (_, freedoms) in by_node.items():
         ways = _directions(freedoms)
-        together[ways, reader.turned.get(label, ()) if ways != "xyz" else ()].append(label)
+        together[ways, reader.turned.get(label, _GLOBAL) if ways != "xyz" else _GLOBAL].append(
+            label
+        )
     held = [
         HeldGroup(where, key, _directions(freedoms_held), axes)
         for (key, axes), (where, freedoms_held) in by_set.items()
