@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_right
-from collections.abc import Iterator
 from pathlib import Path
 
 from wrenchbook.fea.spec.problems import MeshFileError
 
 _MAX_DEPTH = 10  # decks of vehicle programmes nest four files
-_MAX_INCLUDES = 1000
+_MAX_FILES = 1000
 _MAX_CHARACTERS = 512 * 1024 * 1024  # of a bundle, unpacked: a file included often counts each time
 
 # Keywords of Abaqus that may have their rows in another file, and Nastran's statement.
@@ -19,10 +18,11 @@ _ABAQUS = re.compile(
     r"((?:(?=,)(?:,[ \t]*\n|[^\n])*)?)",
     re.I,
 )
-_INPUT = re.compile(r",\s*INPUT\s*=\s*(\"[^\"]*\"|[^,]*)", re.I)
+_INPUT = re.compile(r",\s*(INPUT)\s*=\s*(\"[^\"]*\"|[^,]*)", re.I)
 _NASTRAN = re.compile(
     r"^[ \t]*(INCLUDE)\b[ \t]*('[^']{0,999}'|\"[^\"]{0,999}\"|[^\n$]*)", re.I | re.M
 )
+_NONE = re.compile(r"(?!)")
 _NASTRAN_ENDINGS = (".bdf", ".nas", ".dat")
 
 
@@ -45,106 +45,91 @@ class DeckText(str):
 def deck_text(path: Path) -> DeckText:
     """Return a deck's text with newlines alone: UTF-8, or UTF-16 by its mark or its zero bytes.
 
-    Files of ``*INCLUDE, INPUT=`` and of keywords with INPUT, and of Nastran's INCLUDE, stand in
-    their place. Their names count from the deck's folder or that of the file that includes them.
+    Files that it includes stand in their place: of ``*INCLUDE`` and of keywords with INPUT, and of
+    Nastran's INCLUDE. Names count from the deck's folder or that of the file that has them.
 
-    Raises
-    ------
-    OSError
-        If the deck cannot be read.
-    MeshFileError
-        If an included file is missing, outside the deck's folder or part of itself, or there is too
-        much of them; it names file and line.
+    Raises OSError if the deck cannot be read, MeshFileError with file and line if an included file
+    is missing, outside the deck's folder or part of itself, or if there is too much of them.
     """
-    pattern = _NASTRAN if path.suffix.lower() in _NASTRAN_ENDINGS else _ABAQUS
-    if path.suffix.lower() not in (".inp", *_NASTRAN_ENDINGS):
-        return DeckText(_plain(path))
-    folder, included, size = path.parent.resolve(), list[Path](), 0
+    folder, ending = path.parent.resolve(), path.suffix.lower()
+    pattern = _NASTRAN if ending in _NASTRAN_ENDINGS else _ABAQUS if ending == ".inp" else _NONE
+    included, pieces, parts = list[Path](), list[tuple[int, str, int]](), list[str]()
+    lines, size = 1, 0
 
-    def stretches(file: Path, stack: tuple[Path, ...]) -> Iterator[tuple[str, str, int]]:
-        """Yield parts of the text, each with its file and first line."""
+    def put(part: str, name: str, line: int) -> None:
+        nonlocal lines
+        part += "\n" if part and not part.endswith("\n") else ""
+        pieces.append((lines, name, line))
+        parts.append(part)
+        lines += part.count("\n")
+
+    def take(file: Path, stack: tuple[Path, ...]) -> None:
         nonlocal size
+        name = "" if len(stack) == 1 else file.relative_to(folder).as_posix()
         text, end, line = _plain(file), 0, 1
-        name = "" if len(stack) == 1 else stack[-1].relative_to(folder).as_posix()
         size += len(text)
-        for match in _statements(pattern, text):
-            file_name = _file_name(match)
-            if file_name is None:
+        for match in pattern.finditer(text):
+            inner = _file_name(match, text)
+            if inner is None:
                 continue
             at = line + text.count("\n", end, match.start())
-            where = f"line {at}" + (f" of {name}" if name else "")
-            star = "*" if pattern is _ABAQUS else ""
-            where += f': {star}{match[1].upper()} names "{file_name[:100]}"'
-            inner = _inside(folder, stack[-1].parent, file_name, where, pattern, text)
-            if inner in stack:
-                raise MeshFileError(f"{where}, which includes itself; take one of the two out")
-            included.append(inner)
-            if len(stack) > _MAX_DEPTH or len(included) > _MAX_INCLUDES:
-                most = f"{_MAX_DEPTH} deep and {_MAX_INCLUDES} in all"
-                raise MeshFileError(f"{where}, one file too many: they may be {most}")
-            if size > _MAX_CHARACTERS:
-                most = _MAX_CHARACTERS >> 20
-                raise MeshFileError(f"{where}; a deck with its files may have {most} MiB in all")
-            head = "" if match[1].upper() == "INCLUDE" else _INPUT.sub("", match[0]) + "\n"
-            yield text[end : match.start()] + head, name, line
-            yield from stretches(inner, (*stack, inner))
+            try:
+                if size > _MAX_CHARACTERS or len(stack) > _MAX_DEPTH or len(included) > _MAX_FILES:
+                    most = f"{_MAX_CHARACTERS >> 20} MiB, {_MAX_FILES} in all and {_MAX_DEPTH} deep"
+                    raise ValueError(f"one file too many: they may be {most}")
+                included.append(_inside(folder, stack[-1].parent, inner))
+                if included[-1] in stack:
+                    raise ValueError("which includes itself; take one of the two out")
+            except FileNotFoundError:
+                names = (_file_name(each, text) for each in pattern.finditer(text))
+                there = ", ".join(dict.fromkeys(filter(None, names)))
+                why = f"which is not there; these must lie beside the deck: {there}"
+                raise _wrong(match, at, name, inner, why) from None
+            except (OSError, RuntimeError, ValueError) as error:
+                raise _wrong(match, at, name, inner, error) from None
+            rows = "" if match[1].upper() == "INCLUDE" else _INPUT.sub("", match[0]) + "\n"
+            put(text[end : match.start()] + rows, name, line)
+            take(included[-1], (*stack, included[-1]))
             line, end = at + match[0].count("\n"), match.end()
-        yield text[end:], name, line
+        put(text[end:], name, line)
 
-    lines, pieces, parts = 1, [], []
-    for part, file, line in stretches(path, (path.resolve(),)):
-        ended = part if not part or part.endswith("\n") else f"{part}\n"
-        pieces.append((lines, file, line))
-        lines += ended.count("\n")
-        parts.append(ended)
-    text = DeckText("".join(parts))
-    text.included, text.pieces = tuple(included), tuple(pieces)
-    return text
+    take(path, (path.resolve(),))
+    whole = DeckText("".join(parts))
+    whole.included, whole.pieces = tuple(included), tuple(pieces)
+    return whole
 
 
-def _statements(pattern: re.Pattern[str], text: str) -> Iterator[re.Match[str]]:
-    """Yield the matches with nothing before them on their line."""
-    for match in pattern.finditer(text):
-        if not text[text.rfind("\n", 0, match.start()) + 1 : match.start()].strip():
-            yield match
+def _wrong(match: re.Match[str], line: int, of: str, name: str, why: object) -> MeshFileError:
+    where = f"line {line}" + (f" of {of}" if of else "")
+    word = match[0].lstrip()[0].replace("I", "").replace("i", "") + match[1].upper()
+    return MeshFileError(f'{where}: {word} names "{name[:100]}", {why}')
 
 
-def _file_name(match: re.Match[str]) -> str | None:
-    """Return the file that a match of a pattern names; None of a keyword that has its own rows."""
-    name: str | None = match[2]
-    if match.re is _ABAQUS:
-        given = _INPUT.search(match[2])
-        name = given[1] if given else None
-    if name is None and match[1].upper() != "INCLUDE":
+def _file_name(match: re.Match[str], text: str) -> str | None:
+    """Return the file that a statement names; None if it has its own rows or is within a line."""
+    if text[text.rfind("\n", 0, match.start()) + 1 : match.start()].strip():
         return None
-    joined = "".join(part.strip() for part in (name or "").splitlines())
-    return joined.strip(" \t\"'").replace("\\", "/")
+    given = _INPUT.search(match[2]) if match.re is _ABAQUS else match
+    if given is None and match[1].upper() != "INCLUDE":
+        return None
+    name = "" if given is None else "".join(part.strip() for part in given[2].splitlines())
+    return name.strip(" \t\"'").replace("\\", "/")
 
 
-def _inside(
-    folder: Path, here: Path, name: str, where: str, pattern: re.Pattern[str], text: str
-) -> Path:
-    """Return the file of a name in a deck's folder, resolved; MeshFileError if it is none."""
-    beside = "put the file into the deck's folder and name it from there"
-    if Path(name).is_absolute() or re.match(r"\w:", name):
-        raise MeshFileError(f"{where}, which is no name within the deck's folder; {beside}")
-    try:
-        paths = dict.fromkeys((root / name).resolve() for root in (folder, here))
-        if not all(path.is_relative_to(folder) for path in paths if path.exists()):
-            raise MeshFileError(f"{where}, which is outside the deck's folder; {beside}")
-        files = [path for path in paths if path.is_file()]
-    except (OSError, RuntimeError, ValueError) as error:
-        if isinstance(error, MeshFileError):
-            raise
-        raise MeshFileError(f"{where}, which cannot be a file; {beside}") from None
-    if not files:
-        names = dict.fromkeys(filter(None, map(_file_name, _statements(pattern, text))))
-        message = f"must lie beside the deck: {', '.join(names)}"
-        raise MeshFileError(f"{where}, which is not there; these {message}")
+def _inside(folder: Path, here: Path, name: str) -> Path:
+    """Return the file of a name in a deck's folder, resolved.
+
+    Raises ValueError if it is outside, FileNotFoundError if it is not there.
+    """
+    paths = dict.fromkeys((root / name).resolve() for root in (folder, here))
+    there = [path for path in paths if path.exists()]
+    if re.match(r"/|\w:", name) or not all(path.is_relative_to(folder) for path in there):
+        raise ValueError("which is outside the deck's folder; put the file there")
+    files = [path for path in there if path.is_file()]
     if len(files) > 1:
-        raise MeshFileError(
-            f"{where}, of which there are two, by the deck and by the including file"
-        )
+        raise ValueError("of which there are two: by the deck, and by the file that includes it")
+    if not files:
+        raise FileNotFoundError
     return files[0]
 
 

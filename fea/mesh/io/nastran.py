@@ -102,13 +102,10 @@ class _Bulk(Translated):
         if kind == "R":
             return axes
         out = self.point(node) - origin
-        if kind == "C":
-            out = out - (out @ axes[2]) * axes[2]
-            radial, around, axial = axes_through(np.zeros(3), out, np.cross(axes[2], out))
-            return np.array([radial, around, axial])
         around = np.cross(axes[2], out)
-        radial, around, polar = axes_through(np.zeros(3), out, around)
-        return np.array([radial, -polar, around])
+        if kind == "C":
+            return axes_through(np.zeros(3), np.cross(around, axes[2]), around)
+        return axes_through(np.zeros(3), out, np.cross(around, out))
 
 
 def read_nastran(text: DeckText) -> Translated:
