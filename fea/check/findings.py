@@ -311,7 +311,19 @@ def _direction(vector: Array) -> str:
 _SAME = 1e-3  # relative: decks write constants to three digits and more
 _NEAR = 1e-6  # of the mesh's size: two points coincide
 _SOLID = re.compile(r"(C3D\d+)([A-Z]*)")
-_COMPARED = ("youngs_modulus", "poisson_ratio", "density", "thermal_expansion", "yield_strength")
+_OF_THREE = {
+    "youngs_modulus": "youngs_moduli",
+    "poisson_ratio": "poisson_ratios",
+    "shear_modulus": "shear_moduli",
+}
+_COMPARED = (
+    "shear_modulus",
+    "youngs_modulus",
+    "poisson_ratio",
+    "density",
+    "thermal_expansion",
+    "yield_strength",
+)
 
 
 def listing(deck: DeckContent) -> dict[str, Any]:
@@ -382,37 +394,37 @@ def _other_material(component: ComponentModel, deck: DeckContent, section: Any) 
             continue
         if material.orthotropic is not None:
             yield from _turned(component, section, material.orthotropic, start, unit)
-            names = {"youngs_modulus": "youngs_moduli", "poisson_ratio": "poisson_ratios"}
-            for key in (*names, "shear_modulus") if orthotropic else ():
-                values = np.array(getattr(material, names.get(key, "shear_moduli")))
-                others = np.array(constants[key]) * in_si(key, unit)
-                if np.abs(values - others).max() > _SAME * np.abs(others).max():
-                    yield f"{start}: {key} {others} in SI; the component has {values}"
-            continue
         for key in filter(constants.__contains__, _COMPARED):
-            constant = float(np.max(constants[key]))
-            value, other = getattr(material, key), constant * in_si(key, unit)
-            value = value[0] if isinstance(value, tuple) else value
+            value = getattr(material, _OF_THREE.get(key, key) if orthotropic else key)
+            other = np.multiply(constants[key], in_si(key, unit))
             if value is None and key == "yield_strength":
                 continue  # named with *PLASTIC itself
-            if value is None or abs(value - other) > _SAME * abs(other):
-                yield (
-                    f"{start}: {key} {constant:g}, with lengths in {unit} {other:.4g} in SI; "
-                    f"the component has {'none' if value is None else format(value, '.4g')}"
+            if value is None or np.abs(value - other).max() > _SAME * np.abs(other).max():
+                there = (
+                    "none" if value is None else _listed(value if orthotropic else np.unique(value))
                 )
+                here = (
+                    f"{_listed(constants[key], 6)}, with lengths in {unit} {_listed(other)} in SI"
+                )
+                yield f"{start}: {key} {here}; the component has {there}"
+
+
+def _listed(values: Any, digits: int = 4) -> str:
+    return ", ".join(f"{value:.{digits}g}" for value in np.ravel(values))
 
 
 def _turned(
     component: ComponentModel, section: SolidSection, material: Orthotropic, start: str, unit: str
 ) -> Iterator[str]:
     """Compare the directions of a material with those of the deck at the nodes of the section."""
-    mesh, cylinder = component.mesh, section.orientation.cylinder
+    mesh, axes = component.mesh, section.orientation or np.eye(3).ravel()
     cells = zip(mesh.blocks, mesh.regions[section.region], strict=True)
     points = mesh.points[np.unique(np.concatenate([b.nodes[c].ravel() for b, c in cells]))]
-    other = replace(material, axes=np.reshape(section.orientation.axes, (3, 3)), cylinder=None)
-    if cylinder:
-        (x, y, z), (a, b, c) = in_si("length", unit) * np.array(cylinder[:3]), cylinder[3:]
+    if len(axes) == 6:
+        (x, y, z), (a, b, c) = in_si("length", unit) * np.array(axes[:3]), axes[3:]
         other = replace(material, cylinder=Cylinder((x, y, z), (a, b, c)))
+    else:
+        other = replace(material, axes=np.reshape(axes, (3, 3)), cylinder=None)
     same = np.abs((material.directions(points) * other.directions(points)).sum(axis=-1))
     if (same < 1 - _SAME).any(axis=-1).mean() > 0.5:  # on a cylinder's axis they are of no kind
         yield f"{start} in other directions than the component: see its *ORIENTATION"

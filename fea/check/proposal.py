@@ -140,13 +140,11 @@ class _Proposal:
         constants = self.deck.materials.get(section.material, {})
         if not isinstance(constants.get("youngs_modulus"), tuple):
             return ()
-        axes, cylinder = section.orientation.axes, section.orientation.cylinder
-        rows = ", ".join(_numbers(axes[i : i + 3], digits=15) for i in (0, 3, 6))
-        at = f"axes = [{rows}]"
-        if cylinder:
-            point = _numbers(cylinder[:3], UNITS[self.unit])
-            at = f"cylinder = {{point = {point}, axis = {_numbers(cylinder[3:], digits=15)}}}"
-        return 'law = "orthotropic"', at
+        axes = section.orientation
+        if len(axes) != 6:
+            return ('law = "orthotropic"', *_axes(axes))
+        point, axis = _numbers(axes[:3], UNITS[self.unit]), _numbers(axes[3:], digits=15)
+        return 'law = "orthotropic"', f"cylinder = {{point = {point}, axis = {axis}}}"
 
     def filled(self, sections: list[SolidSection]) -> bool:
         """Return whether each cell is in a section."""
@@ -170,9 +168,7 @@ class _Proposal:
                 f"group = {_text(support.group)}",
                 f"directions = [{ways}]",
             ]
-            if axes := support.axes:
-                rows = ", ".join(_numbers(axes[i : i + 3], digits=15) for i in (0, 3, 6))
-                lines.append(f"axes = [{rows}]")
+            lines += _axes(support.axes)
         return lines
 
     def interfaces(self) -> list[str]:
@@ -321,6 +317,11 @@ def _numbers(value: Constant, factor: float = 1.0, digits: int = 9) -> str:
     if isinstance(value, tuple):
         return f"[{', '.join(_numbers(each, factor, digits) for each in value)}]"
     return f"{value * factor + 0.0:.{digits}g}"
+
+
+def _axes(axes: tuple[float, ...]) -> list[str]:
+    rows = ", ".join(_numbers(axes[i : i + 3], digits=15) for i in range(0, len(axes), 3))
+    return [f"axes = [{rows}]"] if axes else []
 
 
 def _text(value: str) -> str:

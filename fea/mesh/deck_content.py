@@ -41,24 +41,17 @@ Constant = float | tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class Orientation:
-    """Directions 1, 2, 3 of a material in rows, nine numbers; or radial, round and along an axis.
-
-    `cylinder` has a point on the axis, in the deck's length unit, and its direction, or nothing.
-    """
-
-    axes: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
-    cylinder: tuple[float, ...] = ()
-
-
-@dataclass(frozen=True)
 class SolidSection:
-    """A cell group and the name of its material; `where` is the line and keyword."""
+    """A cell group and the name of its material; `where` is the line and keyword.
+
+    `orientation` are the material's directions in rows, nine numbers, or a point of a cylinder's
+    axis, in the deck's length unit, and its direction, six; empty: the global axes.
+    """
 
     where: str
     region: str
     material: str
-    orientation: Orientation = Orientation()
+    orientation: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -68,8 +68,9 @@ def deck_text(path: Path) -> DeckText:
         name = "" if len(stack) == 1 else file.relative_to(folder).as_posix()
         text, end, line = _plain(file), 0, 1
         size += len(text)
-        for match in pattern.finditer(text):
-            inner = _file_name(match, text)
+        named = [(match, _file_name(match, text)) for match in pattern.finditer(text)]
+        beside = ", ".join(dict.fromkeys(inner for _, inner in named if inner))
+        for match, inner in named:
             if inner is None:
                 continue
             at = line + text.count("\n", end, match.start())
@@ -77,16 +78,13 @@ def deck_text(path: Path) -> DeckText:
                 if size > _MAX_CHARACTERS or len(stack) > _MAX_DEPTH or len(included) > _MAX_FILES:
                     most = f"{_MAX_CHARACTERS >> 20} MiB, {_MAX_FILES} in all and {_MAX_DEPTH} deep"
                     raise ValueError(f"one file too many: they may be {most}")
-                included.append(_inside(folder, stack[-1].parent, inner))
+                included.append(_inside(folder, stack[-1].parent, inner, beside))
                 if included[-1] in stack:
                     raise ValueError("which includes itself; take one of the two out")
-            except FileNotFoundError:
-                names = (_file_name(each, text) for each in pattern.finditer(text))
-                there = ", ".join(dict.fromkeys(filter(None, names)))
-                why = f"which is not there; these must lie beside the deck: {there}"
-                raise _wrong(match, at, name, inner, why) from None
             except (OSError, RuntimeError, ValueError) as error:
-                raise _wrong(match, at, name, inner, error) from None
+                where = f"line {at} of {name}: " if name else f"line {at}: "
+                word = "*" * (pattern is _ABAQUS) + match[1].upper()
+                raise MeshFileError(f'{where}{word} names "{inner[:100]}", {error}') from None
             rows = "" if match[1].upper() == "INCLUDE" else _INPUT.sub("", match[0]) + "\n"
             put(text[end : match.start()] + rows, name, line)
             take(included[-1], (*stack, included[-1]))
@@ -97,12 +95,6 @@ def deck_text(path: Path) -> DeckText:
     whole = DeckText("".join(parts))
     whole.included, whole.pieces = tuple(included), tuple(pieces)
     return whole
-
-
-def _wrong(match: re.Match[str], line: int, of: str, name: str, why: object) -> MeshFileError:
-    where = f"line {line}" + (f" of {of}" if of else "")
-    word = match[0].lstrip()[0].replace("I", "").replace("i", "") + match[1].upper()
-    return MeshFileError(f'{where}: {word} names "{name[:100]}", {why}')
 
 
 def _file_name(match: re.Match[str], text: str) -> str | None:
@@ -116,20 +108,16 @@ def _file_name(match: re.Match[str], text: str) -> str | None:
     return name.strip(" \t\"'").replace("\\", "/")
 
 
-def _inside(folder: Path, here: Path, name: str) -> Path:
-    """Return the file of a name in a deck's folder, resolved.
-
-    Raises ValueError if it is outside, FileNotFoundError if it is not there.
-    """
+def _inside(folder: Path, here: Path, name: str, beside: str) -> Path:
+    """Return the file of a name in a deck's folder, resolved; ValueError if there is none."""
     paths = dict.fromkeys((root / name).resolve() for root in (folder, here))
-    there = [path for path in paths if path.exists()]
-    if re.match(r"/|\w:", name) or not all(path.is_relative_to(folder) for path in there):
+    inside = [path for path in paths if path.is_relative_to(folder)]
+    if re.match(r"/|\w:", name) or not inside:  # whatever is there: no sender may know
         raise ValueError("which is outside the deck's folder; put the file there")
-    files = [path for path in there if path.is_file()]
-    if len(files) > 1:
-        raise ValueError("of which there are two: by the deck, and by the file that includes it")
-    if not files:
-        raise FileNotFoundError
+    files = [path for path in inside if path.is_file()]
+    if len(files) != 1:
+        why = "of which there are two" if files else "which is not there"
+        raise ValueError(f"{why}; these must lie beside the deck: {beside}")
     return files[0]
 
 

@@ -99,7 +99,7 @@ def _mesh(source: MeshSource | None) -> object:
     if source.file is not None:
         # The ending chooses the reader; the rest of the name changes nothing.
         content: dict[str, object] = {"file": _bytes(source.file), "ending": source.file.suffix}
-        if included := deck_text(source.file).included if _is_deck(source.file) else ():
+        if included := deck_text(source.file).included:
             content["included"] = [_bytes(file) for file in included]
         if source.geometry is not None:
             meshing = source.geometry
@@ -113,10 +113,6 @@ def _mesh(source: MeshSource | None) -> object:
     return {"generator": source.generator, "parameters": dict(source.parameters or {})}
 
 
-def _is_deck(file: Path) -> bool:
-    return file.suffix.lower() == ".inp"
-
-
 def _chosen(choice: FaceSelector | BodySelector) -> object:
     if isinstance(choice, BodySelector):
         return {"numbers": choice.bodies, "near": choice.near, "plane": None, "radius": None}
@@ -126,7 +122,7 @@ def _chosen(choice: FaceSelector | BodySelector) -> object:
 
 def _names_nodes_of_cases(source: MeshSource | None, groups: object) -> bool:
     """Return whether a group is of single nodes of a deck whose cases are no sum of each other."""
-    if source is None or source.file is None or not _is_deck(source.file):
+    if source is None or source.file is None or source.file.suffix.lower() != ".inp":
         return False
     if not _GROUP.search(json.dumps(groups)):
         return False

@@ -16,7 +16,6 @@ from wrenchbook.fea.mesh.deck_content import (
     DeckContent,
     HeldGroup,
     LoadCase,
-    Orientation,
     SolidSection,
 )
 from wrenchbook.fea.mesh.facets import FACES
@@ -135,8 +134,8 @@ class _Reader:
     """
 
     content: DeckContent = field(default_factory=DeckContent)
-    sections: list[tuple[str, str, str, Orientation]] = field(default_factory=list)
-    orientations: dict[str, Orientation] = field(default_factory=dict)
+    sections: list[tuple[str, str, str, str]] = field(default_factory=list)
+    orientations: dict[str, tuple[float, ...]] = field(default_factory=dict)
     turned: dict[int, tuple[float, ...]] = field(default_factory=dict)
     couplings: list[_Coupling] = field(default_factory=list)
     steps: list[_Step] = field(default_factory=lambda: [_Step()])
@@ -211,8 +210,14 @@ def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
         content.cases.insert(0, case)
     regions, groups = set_names(deck, deck.element_sets), set_names(deck, deck.node_sets)
     faces = set_names(deck, deck.surfaces)
+    content.missing |= {
+        where: f'has the orientation "{orientation}", which is not taken over'
+        for where, _, _, orientation in reader.sections
+        if orientation and orientation not in reader.orientations
+    }
     for where, key, name, orientation in reader.sections:
-        content.sections.append(SolidSection(where, regions[key], name, orientation))
+        axes = reader.orientations.get(orientation, _GLOBAL)
+        content.sections.append(SolidSection(where, regions[key], name, axes))
     for case in content.cases:
         case.supports = [replace(support, group=groups[support.group]) for support in case.supports]
         case.loads = {groups[key]: loads for key, loads in case.loads.items()}
@@ -263,10 +268,8 @@ def _take_constants(reader: _Reader, _: Deck, keyword: Keyword) -> None:
 
 def _take_section(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
     key = set_key(deck, deck.element_sets, keyword.options["ELSET"], keyword.frame)
-    name = keyword.options.get("ORIENTATION", "").upper()
-    if name and name not in reader.orientations:
-        reader.lack(keyword, f'has the orientation "{name}", of which nothing is taken over')
-    orientation = reader.orientations.get(name, Orientation())
+    orientation = keyword.options.get("ORIENTATION", "")
+    orientation = keyword.frame.key(orientation) if orientation else ""
     reader.sections.append((_where(keyword), key, keyword.options["MATERIAL"], orientation))
 
 
@@ -283,8 +286,7 @@ def _take_orientation(reader: _Reader, _: Deck, keyword: Keyword) -> None:
             raise ValueError("a cylinder with an angle")
         points = [keyword.frame.transformed(point.tolist()) for point in (first, second)]
         axis = np.subtract(points[1], points[0])
-        cylinder = (*points[0], *(axis / np.linalg.norm(axis)).tolist())
-        orientation = Orientation(cylinder=cylinder)
+        axes = np.array([*points[0], *(axis / np.linalg.norm(axis))])
     else:
         axes = axes_through(origin, first, second)
         if angle:
@@ -293,8 +295,8 @@ def _take_orientation(reader: _Reader, _: Deck, keyword: Keyword) -> None:
             axes[[i, j]] = cos * axes[i] + sin * axes[j], cos * axes[j] - sin * axes[i]
         if keyword.frame.rotation:
             axes = axes @ np.array(keyword.frame.rotation).reshape(3, 3).T
-        orientation = Orientation(tuple(axes.ravel().tolist()))
-    reader.orientations[keyword.options["NAME"].upper()] = orientation
+    name = keyword.frame.key(keyword.options["NAME"])
+    reader.orientations[name] = tuple(axes.ravel().tolist())
 
 
 def _take_transform(reader: _Reader, deck: Deck, keyword: Keyword) -> None:

@@ -10,7 +10,6 @@ import re
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from itertools import takewhile
 
 import numpy as np
 
@@ -70,7 +69,7 @@ class _Bulk(Translated):
                 raise ValueError(f"the coordinate system {number} is not defined, or by itself")
             name, fields = self.cards.pop(number)
             if name[4] == "1":
-                points = np.array([self.point(node) for node in fields[1:4]])
+                points = np.array([self.point(self.grids[node]) for node in fields[1:4]])
             else:
                 numbers = np.array([_real(each) for each in fields[2:11]]).reshape(3, 3)
                 points = np.array([self.placed(fields[1], each) for each in numbers])
@@ -81,19 +80,15 @@ class _Bulk(Translated):
     def placed(self, number: str, point: Array) -> Array:
         """Return a point of a coordinate system, its angles in degrees, in basic axes: (3,)."""
         kind, axes, origin = self.system(number)
-        radius, second, third = point
+        radius, (a, b) = point[0], np.radians(point[1:])
         if kind == "C":
-            second = np.radians(second)
-            point = np.array([radius * np.cos(second), radius * np.sin(second), third])
+            point = np.array([radius * np.cos(a), radius * np.sin(a), point[2]])
         elif kind == "S":
-            second, third = np.radians([second, third])
-            flat = np.array([np.cos(third), np.sin(third)]) * np.sin(second)
-            point = radius * np.array([*flat, np.cos(second)])
+            point = radius * np.array([np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), np.cos(a)])
         return origin + point @ axes
 
-    def point(self, node: str) -> Array:
-        """Return where a node is, in basic axes, shape (3,)."""
-        fields = self.grids[node]
+    def point(self, fields: list[str]) -> Array:
+        """Return where the node of a GRID is, in basic axes, shape (3,)."""
         return self.placed(fields[1], np.array([_real(each) for each in fields[2:5]]))
 
     def axes_at(self, number: str, node: str) -> Array:
@@ -101,7 +96,7 @@ class _Bulk(Translated):
         kind, axes, origin = self.system(number)
         if kind == "R":
             return axes
-        out = self.point(node) - origin
+        out = self.point(self.grids[node]) - origin
         around = np.cross(axes[2], out)
         if kind == "C":
             return axes_through(np.zeros(3), np.cross(around, axes[2]), around)
@@ -119,9 +114,7 @@ def read_nastran(text: DeckText) -> Translated:
     if factor := _MASS_FACTOR.search(text):
         data.mass_factor = _real(factor[1])
     lines_before = text.count("\n") - bulk.count("\n")
-    cards = [
-        *takewhile(lambda card: card[1] != "ENDDATA", _cards(bulk.splitlines(), text, lines_before))
-    ]
+    cards = list(_cards(bulk.splitlines(), text, lines_before))
     for _, name, fields in cards:  # nodes may stand after what needs them
         if name == "GRID":
             data.grids[fields[0]] = fields
@@ -184,7 +177,7 @@ def _turn(data: _Bulk) -> dict[str, Array]:
         ways[node].add(way)
     for node, own in ways.items():
         number = data.grids[node][5] if node in data.grids else ""
-        if number not in ("", "0"):
+        if number not in ("", "0", "-1"):
             kind, axes, _ = data.system(number)
             alike = kind == "C" and ("1" in own) == ("2" in own)  # about the axis
             turned[node] = axes if alike else data.axes_at(number, node)
@@ -235,6 +228,8 @@ def _cards(lines: list[str], text: DeckText, skipped: int) -> Iterator[tuple[int
         if "," not in line:
             head, width = line[:8].strip(), 64 // count
             fields = [line[8 + width * i : 8 + width * (i + 1)].strip() for i in range(count)]
+        if head.upper() == "ENDDATA":
+            break
         if any(fields[count + 1 :]):
             raise MeshFileError(
                 f"line {text.place(number)}: has more than {count} fields; continue on a new line"
@@ -256,9 +251,7 @@ def _real(field: str) -> float:
 
 
 def _grid(data: _Bulk, _: str, fields: list[str]) -> None:
-    if fields[5] == "-1":
-        raise ValueError("it is a fluid's")
-    coordinates = ", ".join(f"{x:.12g}" for x in data.point(fields[0]).tolist())
+    coordinates = ", ".join(f"{x:.12g}" for x in data.point(fields).tolist())
     data.nodes.append(f"{fields[0]}, {coordinates}")
     _hold(data, ("GRID", ""), fields[0], fields[6])
 

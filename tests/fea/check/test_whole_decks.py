@@ -125,11 +125,11 @@ def test_an_orientation_turns_engineering_constants_as_in_calculix(tmp_path, nam
     ("old", "new", "words"),
     [
         ("axes = [[0.69", "#", "in other directions"),
-        ("135e3, 10e3", "135e3, 11e3", "youngs_modulus [1.35e+11 1.10e+10"),
+        ("135e3, 10e3", "135e3, 11e3", "1.1e+10, 9e+09 in SI; the component has 1.35e+11, 1e+10"),
         (PLY, "*ELASTIC\n70000., 0.3\n", "which is isotropic"),
         ("-1., 1., 0.\n", "2., 2., 0.6\n", "*ORIENTATION is not understood"),
         ("NAME=Ply", "NAME=Ply, SYSTEM=SPHERICAL", "SPHERICAL by COORDINATES"),
-        ("ORIENTATION=PLY", "ORIENTATION=OTHER", 'orientation "OTHER", of which nothing is taken'),
+        ("ORIENTATION=PLY", "ORIENTATION=OTHER", 'orientation "OTHER", which is not taken over'),
     ],
 )
 def test_a_component_of_other_directions_than_its_deck_is_warned_of(tmp_path, old, new, words):
