@@ -311,11 +311,6 @@ def _direction(vector: Array) -> str:
 _SAME = 1e-3  # relative: decks write constants to three digits and more
 _NEAR = 1e-6  # of the mesh's size: two points coincide
 _SOLID = re.compile(r"(C3D\d+)([A-Z]*)")
-_OF_THREE = {
-    "youngs_modulus": "youngs_moduli",
-    "poisson_ratio": "poisson_ratios",
-    "shear_modulus": "shear_moduli",
-}
 _COMPARED = (
     "shear_modulus",
     "youngs_modulus",
@@ -395,7 +390,8 @@ def _other_material(component: ComponentModel, deck: DeckContent, section: Any) 
         if material.orthotropic is not None:
             yield from _turned(component, section, material.orthotropic, start, unit)
         for key in filter(constants.__contains__, _COMPARED):
-            value = getattr(material, _OF_THREE.get(key, key) if orthotropic else key)
+            three = key.replace("modulus", "moduli").replace("ratio", "ratios")
+            value = getattr(material, three if orthotropic else key)
             other = np.multiply(constants[key], in_si(key, unit))
             if value is None and key == "yield_strength":
                 continue  # named with *PLASTIC itself

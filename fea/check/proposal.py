@@ -124,11 +124,8 @@ class _Proposal:
         lines = []
         for region, section in (by_region or {"all": SolidSection("", "all", "")}).items():
             constants = self.deck.materials.get(section.material, {})
-            values = [
-                f"{key} = {_numbers(value, in_si(key, self.unit))}"
-                for key, value in constants.items()
-            ]
-            values += self.directions(section)
+            each = ((key, _numbers(constants[key], in_si(key, self.unit))) for key in constants)
+            values = [*(f"{key} = {value}" for key, value in each), *self.directions(section)]
             lacking = [key for key in _ELASTIC if key not in constants]
             if lacking:
                 self.decide.append(f'material of "{region}": write its {" and ".join(lacking)}')

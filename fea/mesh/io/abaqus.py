@@ -8,7 +8,6 @@ a part come once for each. Materials, supports and loads are read in `fea.mesh.i
 
 from __future__ import annotations
 
-import math
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -23,9 +22,6 @@ from wrenchbook.fea.spec.deck_text import DeckText, deck_text
 from wrenchbook.fea.spec.problems import MeshFileError
 
 Array = np.ndarray
-
-System = tuple[Array, Array]
-"""Axes in rows, shape (3, 3), and origin, shape (3,), the deck's length unit."""
 
 STRIDE = 10**12
 """Labels of one instance; Abaqus has at most 9 digits, a label above is refused."""
@@ -221,7 +217,7 @@ class Deck:
     frames: dict[str, Frame] = field(default_factory=dict)
     node_lines: list[tuple[int, str]] = field(default_factory=list)
     element_lines: list[str] = field(default_factory=list)
-    systems: dict[int, System] = field(default_factory=dict)
+    systems: dict[int, tuple[Array, Array]] = field(default_factory=dict)  # axes in rows, origin
     entries: int = 0
 
 
@@ -234,6 +230,16 @@ def axes_through(origin: Array, first: Array, second: Array) -> Array:
         raise ValueError("its three points are on one line")
     x, z = x / lengths[0], z / lengths[1]
     return np.array([x, np.cross(z, x), z])
+
+
+def cartesian(kind: str, point: Array) -> Array:
+    """Return a point by its coordinates in a system R, C or S, angles in degrees, shape (3,)."""
+    radius, (a, b) = point[0], np.radians(point[1:])
+    if kind == "C":
+        return np.array([radius * np.cos(a), radius * np.sin(a), point[2]])
+    if kind == "S":
+        return radius * np.array([np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), np.cos(a)])
+    return point
 
 
 def numbers(keyword: Keyword, row: int, count: int) -> Array:
@@ -268,16 +274,15 @@ def _take_nodes(deck: Deck, keyword: Keyword) -> None:
     if kind not in ("R", "C"):
         raise MeshFileError(f"is in a system {kind}; give Cartesian or cylindrical coordinates")
     axes, origin = deck.systems.get(keyword.frame.number, (np.eye(3), np.zeros(3)))
-    moved = keyword.frame.number in deck.systems
+    moved = kind == "C" or keyword.frame.number in deck.systems
     deck.node_lines.append((len(deck.nodes), keyword.at))
     labels = []
     for row in keyword.rows:
         label = keyword.frame.label(row[0])
         point = [float(x or 0.0) for x in (*row[1:4], "", "", "")[:3]]
-        if kind == "C":
-            angle = math.radians(point[1])
-            point[:2] = point[0] * math.cos(angle), point[0] * math.sin(angle)
-        point = keyword.frame.transformed((point @ axes + origin).tolist() if moved else point)
+        if moved:
+            point = (cartesian(kind, np.array(point)) @ axes + origin).tolist()
+        point = keyword.frame.transformed(point)
         if deck.nodes.setdefault(label, point) != point:
             index = list(deck.nodes).index(label)
             line = next(line for first, line in reversed(deck.node_lines) if first <= index)

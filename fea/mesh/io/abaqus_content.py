@@ -455,9 +455,8 @@ def _supports(
     together: dict[tuple[str, tuple[float, ...]], list[int]] = defaultdict(list)
     for label, (_, freedoms) in by_node.items():
         ways = _directions(freedoms)
-        together[ways, reader.turned.get(label, _GLOBAL) if ways != "xyz" else _GLOBAL].append(
-            label
-        )
+        axes = _GLOBAL if ways == "xyz" else reader.turned.get(label, _GLOBAL)
+        together[ways, axes].append(label)
     held = [
         HeldGroup(where, key, _directions(freedoms_held), axes)
         for (key, axes), (where, freedoms_held) in by_set.items()

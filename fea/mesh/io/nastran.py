@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wrenchbook.fea.mesh.io.abaqus import axes_through
+from wrenchbook.fea.mesh.io.abaqus import axes_through, cartesian
 from wrenchbook.fea.mesh.io.raw import Case, Translated
 from wrenchbook.fea.spec.deck_text import DeckText
 from wrenchbook.fea.spec.problems import MeshFileError
@@ -58,12 +58,12 @@ class _Bulk(Translated):
     # Fields of coordinate systems and of nodes by number; systems by number: kind, axes, origin
     cards: dict[str, tuple[str, list[str]]] = field(default_factory=dict)
     grids: dict[str, list[str]] = field(default_factory=dict)
-    systems: dict[str, tuple[str, Array, Array]] = field(
-        default_factory=lambda: dict.fromkeys(("", "0"), ("R", np.eye(3), np.zeros(3)))
-    )
+    systems: dict[str, tuple[str, Array, Array]] = field(default_factory=dict)
 
     def system(self, number: str) -> tuple[str, Array, Array]:
         """Return kind (R, C, S), axes in rows and origin of a coordinate system, in basic axes."""
+        if number in ("", "0"):
+            return "R", np.eye(3), np.zeros(3)
         if number not in self.systems:
             if number not in self.cards:
                 raise ValueError(f"the coordinate system {number} is not defined, or by itself")
@@ -80,12 +80,7 @@ class _Bulk(Translated):
     def placed(self, number: str, point: Array) -> Array:
         """Return a point of a coordinate system, its angles in degrees, in basic axes: (3,)."""
         kind, axes, origin = self.system(number)
-        radius, (a, b) = point[0], np.radians(point[1:])
-        if kind == "C":
-            point = np.array([radius * np.cos(a), radius * np.sin(a), point[2]])
-        elif kind == "S":
-            point = radius * np.array([np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), np.cos(a)])
-        return origin + point @ axes
+        return origin + cartesian(kind, point) @ axes
 
     def point(self, fields: list[str]) -> Array:
         """Return where the node of a GRID is, in basic axes, shape (3,)."""
