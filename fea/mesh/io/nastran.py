@@ -79,6 +79,8 @@ class _Bulk(Translated):
 
     def placed(self, number: str, point: Array) -> Array:
         """Return a point of a coordinate system, its angles in degrees, in basic axes: (3,)."""
+        if number in ("", "0"):
+            return point
         kind, axes, origin = self.system(number)
         return origin + cartesian(kind, point) @ axes
 
