@@ -16,13 +16,14 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.fea.bundle.tables import ComponentFile, MaterialTable
-from wrenchbook.fea.mesh.deck_content import deck_text, integrations
+from wrenchbook.fea.mesh.deck_content import integrations
 from wrenchbook.fea.mesh.generators import GENERATORS
 from wrenchbook.fea.readers import reader_named, reader_names
+from wrenchbook.fea.spec.deck_text import deck_text
 from wrenchbook.fea.spec.fingerprint import fingerprint
 from wrenchbook.fea.spec.keys import keys_of, kind_of, missing, shown, unknown, validated
 from wrenchbook.fea.spec.material import AnyMaterial
-from wrenchbook.fea.spec.problems import BundleError, BundleProblem, suggest
+from wrenchbook.fea.spec.problems import BundleError, BundleProblem, MeshFileError, suggest
 from wrenchbook.fea.spec.schema import (
     ACCELERATIONS,
     FREEDOMS,
@@ -282,15 +283,17 @@ class _Reader:
 
         The integration of an input deck's 20-node hexahedra is the default of its component.
         """
-        if "analysis" not in self.table:
-            return Analysis(True)
-        analysis, table = self.read("analysis"), self.table["analysis"]
+        analysis, table = self.read("analysis") or Analysis(True), self.table.get("analysis")
         file = mesh.file if mesh is not None else None
-        if type(table) is not dict or "integration" in table:
-            return analysis
         if file is None or file.suffix.lower() != ".inp":
             return analysis
-        of_deck = integrations(deck_text(file))
+        try:
+            of_deck = integrations(deck_text(file))
+        except MeshFileError as error:
+            self.wrong("mesh.file", f'"{file.name}" {error}')
+            return analysis
+        if type(table) is not dict or "integration" in table:
+            return analysis
         if len(of_deck) > 1:
             message = "missing; the deck has C3D20 (full) and C3D20R (reduced): one for all cells"
             self.wrong("analysis.integration", message)

@@ -18,15 +18,23 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from wrenchbook.fea.component import AttachedInterface, ComponentModel
 from wrenchbook.fea.inspection import Bodies, gap
-from wrenchbook.fea.mesh.deck_content import CoupledGroup, DeckContent, HeldGroup, in_si
+from wrenchbook.fea.mesh.deck_content import (
+    CoupledGroup,
+    DeckContent,
+    HeldGroup,
+    SolidSection,
+    in_si,
+)
 from wrenchbook.fea.mesh.facets import group_nodes
 from wrenchbook.fea.mesh.mesh import Mesh
+from wrenchbook.fea.spec.material import Cylinder, Orthotropic
 from wrenchbook.fea.spec.problems import BundleProblem, point_text
 from wrenchbook.fea.spec.schema import FREEDOMS
 
@@ -303,7 +311,14 @@ def _direction(vector: Array) -> str:
 _SAME = 1e-3  # relative: decks write constants to three digits and more
 _NEAR = 1e-6  # of the mesh's size: two points coincide
 _SOLID = re.compile(r"(C3D\d+)([A-Z]*)")
-_COMPARED = ("youngs_modulus", "poisson_ratio", "density", "thermal_expansion", "yield_strength")
+_COMPARED = (
+    "shear_modulus",
+    "youngs_modulus",
+    "poisson_ratio",
+    "density",
+    "thermal_expansion",
+    "yield_strength",
+)
 
 
 def listing(deck: DeckContent) -> dict[str, Any]:
@@ -367,20 +382,48 @@ def _other_material(component: ComponentModel, deck: DeckContent, section: Any) 
     for number in np.unique(np.concatenate([np.empty(0, dtype=int), *numbers])).tolist():
         material = component.bundle.materials[number]
         start = f'{section.where} gives "{section.region}" the material "{section.material}"'
-        if material.law == "orthotropic":
-            if "youngs_modulus" in constants:
-                yield f'{start}, which is isotropic; the component has law = "orthotropic"'
+        orthotropic = isinstance(constants.get("youngs_modulus"), tuple)
+        if (material.law == "orthotropic") != orthotropic and "youngs_modulus" in constants:
+            law = "orthotropic" if orthotropic else "isotropic"
+            yield f'{start}, which is {law}; the component has law = "{material.law}"'
             continue
+        if material.orthotropic is not None:
+            yield from _turned(component, section, material.orthotropic, start, unit)
         for key in filter(constants.__contains__, _COMPARED):
-            value, other = getattr(material, key), constants[key] * in_si(key, unit)
-            value = value[0] if isinstance(value, tuple) else value
+            three = key.replace("modulus", "moduli").replace("ratio", "ratios")
+            value = getattr(material, three if orthotropic else key)
+            other = np.multiply(constants[key], in_si(key, unit))
             if value is None and key == "yield_strength":
                 continue  # named with *PLASTIC itself
-            if value is None or abs(value - other) > _SAME * abs(other):
-                yield (
-                    f"{start}: {key} {constants[key]:g}, with lengths in {unit} {other:.4g} in SI; "
-                    f"the component has {'none' if value is None else format(value, '.4g')}"
+            if value is None or np.abs(value - other).max() > _SAME * np.abs(other).max():
+                there = (
+                    "none" if value is None else _listed(value if orthotropic else np.unique(value))
                 )
+                here = (
+                    f"{_listed(constants[key], 6)}, with lengths in {unit} {_listed(other)} in SI"
+                )
+                yield f"{start}: {key} {here}; the component has {there}"
+
+
+def _listed(values: Any, digits: int = 4) -> str:
+    return ", ".join(f"{value:.{digits}g}" for value in np.ravel(values))
+
+
+def _turned(
+    component: ComponentModel, section: SolidSection, material: Orthotropic, start: str, unit: str
+) -> Iterator[str]:
+    """Compare the directions of a material with those of the deck at the nodes of the section."""
+    mesh, axes = component.mesh, section.orientation or np.eye(3).ravel()
+    cells = zip(mesh.blocks, mesh.regions[section.region], strict=True)
+    points = mesh.points[np.unique(np.concatenate([b.nodes[c].ravel() for b, c in cells]))]
+    if len(axes) == 6:
+        (x, y, z), (a, b, c) = in_si("length", unit) * np.array(axes[:3]), axes[3:]
+        other = replace(material, cylinder=Cylinder((x, y, z), (a, b, c)))
+    else:
+        other = replace(material, axes=np.reshape(axes, (3, 3)), cylinder=None)
+    same = np.abs((material.directions(points) * other.directions(points)).sum(axis=-1))
+    if (same < 1 - _SAME).any(axis=-1).mean() > 0.5:  # on a cylinder's axis they are of no kind
+        yield f"{start} in other directions than the component: see its *ORIENTATION"
 
 
 def _freed(component: ComponentModel, group: HeldGroup) -> Iterator[str]:
@@ -389,11 +432,12 @@ def _freed(component: ComponentModel, group: HeldGroup) -> Iterator[str]:
     held_ones = [attached for attached in component.interfaces if len(attached.locked) == 6]
     for interface in (*held_ones, *(bushing for bushing, _ in component.bushings)):
         nodes = np.setdiff1d(nodes, interface.section.node_ids)
-    held = np.zeros((len(component.mesh.points), 3))
+    held = np.zeros((len(component.mesh.points), 3, 3))
     sliding, projectors = component.sliding
-    held[sliding] = np.diagonal(projectors, axis1=1, axis2=2)
-    ways = ["xyz".index(letter) for letter in group.directions]
-    free = int((held[nodes][:, ways] < 1 - _NEAR).any(axis=1).sum())
+    held[sliding] = projectors
+    axes = np.reshape(group.axes or np.eye(3), (3, 3))
+    ways = axes[["xyz".index(letter) for letter in group.directions]]
+    free = int((np.einsum("di,nij,dj->nd", ways, held[nodes], ways) < 1 - _NEAR).any(axis=1).sum())
     if free:
         yield (
             f'{group.where} holds "{group.group}" along {", ".join(group.directions)}; {free} of '

@@ -17,27 +17,28 @@ from wrenchbook.fea.bundle.read import FILE_NAME
 from wrenchbook.fea.check.reporting import report
 from wrenchbook.fea.inspection import stacked_singly
 from wrenchbook.fea.mesh.deck_content import (
+    Constant,
     CoupledGroup,
     DeckContent,
     LoadCase,
     SolidSection,
-    deck_text,
     in_si,
 )
 from wrenchbook.fea.mesh.element_order import SECOND, second_order
 from wrenchbook.fea.mesh.io.ansys import read_ansys
 from wrenchbook.fea.mesh.io.nastran import read_nastran
-from wrenchbook.fea.mesh.io.raw import MeshFileError, Translated
+from wrenchbook.fea.mesh.io.raw import Translated
 from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.mesh.mesh import Mesh
-from wrenchbook.fea.spec.problems import BundleError, BundleProblem
+from wrenchbook.fea.spec.deck_text import DeckText, deck_text
+from wrenchbook.fea.spec.problems import BundleError, BundleProblem, MeshFileError
 from wrenchbook.fea.spec.schema import FREEDOMS, UNITS
 
-_TRANSLATORS: dict[str, Callable[[str], Translated]] = {
+_TRANSLATORS: dict[str, Callable[[DeckText], Translated]] = {
     ".cdb": read_ansys,
     **dict.fromkeys((".bdf", ".nas", ".dat"), read_nastran),
 }
-_INCLUDE = re.compile(r"^[ \t]*(INCLUDE\b|/INPUT,|\*USE,)[^$!\n]*", re.I | re.M)
+_INCLUDE = re.compile(r"^[ \t]*(/INPUT,|\*USE,)[^!\n]*", re.I | re.M)
 _FACES = "`wrenchbook check FOLDER --faces` lists its faces, with lines for [mesh.groups]"
 _CHOOSE = "CHOOSE"  # a group that no mesh has: `check` then lists those there are
 _UNITS = ((1e8, "m"), (2e6, "in"), (-1.0, "mm"))
@@ -120,17 +121,30 @@ class _Proposal:
         sections = [
             section for section in self.deck.sections if section.region in self.mesh.regions
         ]
-        alone = len({section.material for section in sections}) == 1 and self.filled(sections)
-        pairs = [("all" if alone else section.region, section.material) for section in sections]
+        kinds = {(section.material, self.directions(section)) for section in sections}
+        alone = len(kinds) == 1 and self.filled(sections)
+        by_region = {"all" if alone else section.region: section for section in sections}
         lines = []
-        for region, name in dict(pairs).items() if pairs else [("all", "")]:
-            constants = self.deck.materials.get(name, {})
-            values = [f"{key} = {constants[key] * in_si(key, self.unit):.9g}" for key in constants]
+        for region, section in (by_region or {"all": SolidSection("", "all", "")}).items():
+            constants = self.deck.materials.get(section.material, {})
+            each = ((key, _numbers(constants[key], in_si(key, self.unit))) for key in constants)
+            values = [*(f"{key} = {value}" for key, value in each), *self.directions(section)]
             lacking = [key for key in _ELASTIC if key not in constants]
             if lacking:
                 self.decide.append(f'material of "{region}": write its {" and ".join(lacking)}')
             lines += ["", "[[material]]", f"region = {_text(region)}", *values]
         return lines
+
+    def directions(self, section: SolidSection) -> tuple[str, ...]:
+        """Return the law and the axes of an orthotropic material."""
+        constants = self.deck.materials.get(section.material, {})
+        if not isinstance(constants.get("youngs_modulus"), tuple):
+            return ()
+        axes = section.orientation
+        if len(axes) != 6:
+            return ('law = "orthotropic"', *_axes(axes))
+        point, axis = _numbers(axes[:3], UNITS[self.unit]), _numbers(axes[3:], digits=15)
+        return 'law = "orthotropic"', f"cylinder = {{point = {point}, axis = {axis}}}"
 
     def filled(self, sections: list[SolidSection]) -> bool:
         """Return whether each cell is in a section."""
@@ -154,6 +168,7 @@ class _Proposal:
                 f"group = {_text(support.group)}",
                 f"directions = [{ways}]",
             ]
+            lines += _axes(support.axes)
         return lines
 
     def interfaces(self) -> list[str]:
@@ -251,8 +266,10 @@ def propose(
     proposal.decide += decide
     if unit is None:
         materials = proposal.deck.materials.values()
-        largest = max([0.0, *(material.get("youngs_modulus", 0.0) for material in materials)])
-        density = max((material.get("density", 0.0) for material in materials), default=0.0)
+        largest, density = (
+            max([0.0, *(np.max(material.get(key, 0.0)) for material in materials)])
+            for key in ("youngs_modulus", "density")
+        )
         unit = next(unit for least, unit in _UNITS if largest > least)
         if density > _IN_KILOGRAMS:
             unit = "m"
@@ -296,6 +313,17 @@ def _deck_text(file: Path) -> tuple[str, list[str], list[str]]:
         raise BundleError([BundleProblem(str(file), message)]) from None
     except MeshFileError as error:
         raise BundleError([BundleProblem(file.name, str(error))]) from None
+
+
+def _numbers(value: Constant, factor: float = 1.0, digits: int = 9) -> str:
+    if isinstance(value, tuple):
+        return f"[{', '.join(_numbers(each, factor, digits) for each in value)}]"
+    return f"{value * factor + 0.0:.{digits}g}"
+
+
+def _axes(axes: tuple[float, ...]) -> list[str]:
+    rows = ", ".join(_numbers(axes[i : i + 3], digits=15) for i in range(0, len(axes), 3))
+    return [f"axes = [{rows}]"] if axes else []
 
 
 def _text(value: str) -> str:

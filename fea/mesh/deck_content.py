@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from wrenchbook.fea.spec.schema import UNITS
 
@@ -25,20 +24,6 @@ def integrations(text: str) -> list[str]:
     return sorted(kinds)
 
 
-def deck_text(path: Path) -> str:
-    """Return a deck's text with newlines alone: UTF-8, or UTF-16 by its mark or its zero bytes.
-
-    Raises OSError if the file cannot be read.
-    """
-    raw = path.read_bytes()
-    encoding = "utf-8-sig"
-    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
-        encoding = "utf-16"
-    elif b"\0" in raw[:2]:
-        encoding = "utf-16-be" if raw[:1] == b"\0" else "utf-16-le"
-    return raw.decode(encoding, errors="replace").replace("\r\n", "\n")
-
-
 def in_si(quantity: str, unit: str) -> float:
     """Return the factor from a deck's consistent units to SI.
 
@@ -48,26 +33,38 @@ def in_si(quantity: str, unit: str) -> float:
     length, force = UNITS[unit], _FORCES.get(unit, 1.0)
     stress = force / length**2
     factors = {"youngs_modulus": stress, "yield_strength": stress, "density": stress / length**2}
-    factors |= {"length": length, "force": force, "moment": force * length}
+    factors |= {"shear_modulus": stress, "length": length, "force": force, "moment": force * length}
     return factors.get(quantity, 1.0)
+
+
+Constant = float | tuple[float, ...]
 
 
 @dataclass(frozen=True)
 class SolidSection:
-    """A cell group and the name of its material; `where` is the line and keyword."""
+    """A cell group and the name of its material; `where` is the line and keyword.
+
+    `orientation` are the material's directions in rows, nine numbers, or a point of a cylinder's
+    axis, in the deck's length unit, and its direction, six; empty: the global axes.
+    """
 
     where: str
     region: str
     material: str
+    orientation: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
 class HeldGroup:
-    """A node or facet group that does not move along `directions`, such as "xyz"."""
+    """A node or facet group that does not move along `directions`, such as "xyz".
+
+    `axes` are nine numbers, the directions x, y, z in rows; empty: the global ones.
+    """
 
     where: str
     group: str
     directions: str
+    axes: tuple[float, ...] = ()
 
 
 @dataclass
@@ -127,7 +124,7 @@ class DeckContent:
     Attributes
     ----------
     materials
-        Constants of each, by the keys of ``[[material]]``.
+        Constants of each, by the keys of ``[[material]]``; three of an orthotropic one.
     sections
         In the order of the deck; they name groups of the mesh.
     cases
@@ -140,7 +137,7 @@ class DeckContent:
         By line and keyword, what counts and cannot be taken over, and what to do.
     """
 
-    materials: dict[str, dict[str, float]] = field(default_factory=dict)
+    materials: dict[str, dict[str, Constant]] = field(default_factory=dict)
     sections: list[SolidSection] = field(default_factory=list)
     cases: list[LoadCase] = field(default_factory=list)
     elements: dict[str, int] = field(default_factory=dict)

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from wrenchbook.fea.spec.deck_text import deck_text
 from wrenchbook.fea.spec.material import AnyMaterial, Orthotropic
 from wrenchbook.fea.spec.schema import (
     ACCELERATIONS,
@@ -100,6 +101,8 @@ def _mesh(source: MeshSource | None) -> object:
     if source.file is not None:
         # The ending chooses the reader; the rest of the name changes nothing.
         content: dict[str, object] = {"file": _bytes(source.file), "ending": source.file.suffix}
+        if included := deck_text(source.file).included:
+            content["included"] = [_bytes(file) for file in included]
         if source.geometry is not None:
             meshing = source.geometry
             keys = {"size": meshing.size, "curvature": meshing.curvature or 0}
@@ -132,7 +135,7 @@ def _names_nodes_of_cases(source: MeshSource | None, groups: object) -> bool:
         return False
     if not _GROUP.search(json.dumps(groups)):
         return False
-    text = source.file.read_bytes().replace(b"\0", b"")  # UTF-16 too
+    text = deck_text(source.file).encode(errors="replace")
     initials = ""
     for word, more in _KEYWORD.findall(text):
         initial = word[:1].decode().lower().replace("c", "b")

@@ -41,6 +41,10 @@ class BundleError(ValueError):
         return BundleError, (self.problems,)
 
 
+class MeshFileError(ValueError):
+    """A mesh file cannot be used; the message says why and what to do."""
+
+
 def suggest(word: str, known: Iterable[str]) -> str:
     """Return ``'; did you mean "..."?'`` for the nearest of `known`, or an empty string."""
     lower = {name.lower(): name for name in known}  # RIM and rim are near

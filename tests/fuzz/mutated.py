@@ -20,9 +20,9 @@ from tests.service.test_rig_files import RUN, tdms
 from tests.service.test_table_files import DIALECTS
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
-from wrenchbook.fea.mesh.io.abaqus import MeshFileError
 from wrenchbook.fea.mesh.io.abaqus_content import read_deck
 from wrenchbook.fea.mesh.io.read import read_mesh
+from wrenchbook.fea.spec.problems import MeshFileError
 from wrenchbook.service.formats import Options, ParsedTable, write_hdf5
 from wrenchbook.service.formats.options import ReadReport
 from wrenchbook.service.formats.read import read_table_file

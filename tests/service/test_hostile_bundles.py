@@ -16,8 +16,8 @@ import pytest
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.mesh.io.abaqus_content import read_deck
-from wrenchbook.fea.mesh.io.raw import MeshFileError
 from wrenchbook.fea.mesh.io.read import read_mesh
+from wrenchbook.fea.spec.problems import MeshFileError
 from wrenchbook.service.library import bundles
 from wrenchbook.service.library.bundles import check_mesh, toml_text, unpack
 

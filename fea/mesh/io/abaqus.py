@@ -16,9 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from wrenchbook.fea.mesh.deck_content import deck_text
-from wrenchbook.fea.mesh.io.raw import NODES_PER_LINE, Block, MeshFileError, RawMesh
+from wrenchbook.fea.mesh.io.raw import NODES_PER_LINE, Block, RawMesh
 from wrenchbook.fea.mesh.mesh import NODES_PER_CELL, NODES_PER_FACET
+from wrenchbook.fea.spec.deck_text import DeckText, deck_text
+from wrenchbook.fea.spec.problems import MeshFileError
 
 Array = np.ndarray
 
@@ -60,9 +61,13 @@ class Frame:
 
 @dataclass(frozen=True)
 class Keyword:
-    """One block: its line, its word, its options by capitals, its rows of fields, its frame."""
+    """One block: its line, its word, its options by capitals, its rows of fields, its frame.
+
+    `line` counts in the deck with its included files in place, `at` in the file that `at` names.
+    """
 
     line: int
+    at: str
     word: str
     options: dict[str, str]
     rows: list[list[str]] = field(default_factory=list)
@@ -70,10 +75,10 @@ class Keyword:
 
     def wrong(self, message: object) -> MeshFileError:
         """Return the error that names the line."""
-        return MeshFileError(f"line {self.line}: *{self.word} {message}")
+        return MeshFileError(f"line {self.at}: *{self.word} {message}")
 
 
-def read_keywords(text: str) -> Iterator[Keyword]:
+def read_keywords(text: DeckText) -> Iterator[Keyword]:
     """Yield the blocks of a deck in the assembly, those of a part where an instance puts it.
 
     Raises MeshFileError if an instance is of no part, a part comes twice, or parts have no
@@ -108,20 +113,20 @@ def read_keywords(text: str) -> Iterator[Keyword]:
             yield replace(keyword, frame=frame)
 
 
-def _without_instances(text: str) -> Iterator[Keyword]:
+def _without_instances(text: DeckText) -> Iterator[Keyword]:
     first = None
     for keyword in _blocks(text):
         if keyword.word == "PART":
             if first is not None:
                 raise keyword.wrong(
-                    f"comes twice (line {first.line}), and no *INSTANCE places either; write the "
+                    f"comes twice (line {first.at}), and no *INSTANCE places either; write the "
                     "assembly too, or one flat deck"
                 )
             first = keyword
         yield keyword
 
 
-def _blocks(text: str) -> Iterator[Keyword]:
+def _blocks(text: DeckText) -> Iterator[Keyword]:
     head: Keyword | None = None
     open_head = ""
     for number, line in enumerate(text.splitlines(), start=1):
@@ -136,7 +141,7 @@ def _blocks(text: str) -> Iterator[Keyword]:
             keyword, *options = (part.strip() for part in line.lstrip("*").split(","))
             pairs = (option.partition("=") for option in options if option)
             values = {key.strip().upper(): value.strip() for key, _, value in pairs}
-            head = Keyword(first, keyword.upper(), values)
+            head = Keyword(first, text.place(first), keyword.upper(), values)
             open_head = line if line.endswith(",") else ""
         elif head is not None:
             head.rows.append([each.strip() for each in line.rstrip(",").split(",")])
@@ -185,8 +190,6 @@ _WEDGE_FACES = ("123", "465", "1452", "2563", "3641")
 SOLID_FACES = {"hex": _HEX_FACES, "tet": _TET_FACES, "wedge": _WEDGE_FACES}
 
 _REFUSED = {
-    "INCLUDE": "paste the included file's lines in its place, so that the bundle is complete",
-    "SYSTEM": "give the coordinates in the one global system",
     "NGEN": "write the nodes out",
     "NFILL": "write the nodes out",
     "NCOPY": "write the nodes out",
@@ -212,9 +215,37 @@ class Deck:
     surfaces: dict[str, list[tuple[int, str]]] = field(default_factory=dict)
     names: dict[str, str] = field(default_factory=dict)
     frames: dict[str, Frame] = field(default_factory=dict)
-    node_lines: list[tuple[int, int]] = field(default_factory=list)
-    element_lines: list[int] = field(default_factory=list)
+    node_lines: list[tuple[int, str]] = field(default_factory=list)
+    element_lines: list[str] = field(default_factory=list)
+    systems: dict[int, tuple[Array, Array]] = field(default_factory=dict)  # axes in rows, origin
     entries: int = 0
+
+
+def axes_through(origin: Array, first: Array, second: Array) -> Array:
+    """Return right-handed axes in rows: 1 from `origin` to `first`, 2 towards `second`."""
+    x = first - origin
+    z = np.cross(x, second - origin)
+    lengths = np.linalg.norm(x), np.linalg.norm(z)
+    if not min(lengths) > 0 or not np.isfinite(lengths).all():
+        raise ValueError("its three points are on one line")
+    x, z = x / lengths[0], z / lengths[1]
+    return np.array([x, np.cross(z, x), z])
+
+
+def cartesian(kind: str, point: Array) -> Array:
+    """Return a point by its coordinates in a system R, C or S, angles in degrees, shape (3,)."""
+    radius, (a, b) = point[0], np.radians(point[1:])
+    if kind == "C":
+        return np.array([radius * np.cos(a), radius * np.sin(a), point[2]])
+    if kind == "S":
+        return radius * np.array([np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), np.cos(a)])
+    return point
+
+
+def numbers(keyword: Keyword, row: int, count: int) -> Array:
+    """Return numbers of a row, those that are not there 0, shape (count,)."""
+    fields = keyword.rows[row] if row < len(keyword.rows) else []
+    return np.array([float(each or 0.0) for each in (*fields, *[""] * count)[:count]])
 
 
 def parsed(path: Path, take: Callable[[Deck, Keyword], None]) -> Deck:
@@ -239,13 +270,19 @@ def parsed(path: Path, take: Callable[[Deck, Keyword], None]) -> Deck:
 
 
 def _take_nodes(deck: Deck, keyword: Keyword) -> None:
-    if keyword.options.get("SYSTEM", "R").upper() != "R":
-        raise MeshFileError("is in a local system; give global Cartesian coordinates")
-    deck.node_lines.append((len(deck.nodes), keyword.line))
+    kind = keyword.options.get("SYSTEM", "R").upper()
+    if kind not in ("R", "C"):
+        raise MeshFileError(f"is in a system {kind}; give Cartesian or cylindrical coordinates")
+    axes, origin = deck.systems.get(keyword.frame.number, (np.eye(3), np.zeros(3)))
+    moved = kind == "C" or keyword.frame.number in deck.systems
+    deck.node_lines.append((len(deck.nodes), keyword.at))
     labels = []
     for row in keyword.rows:
         label = keyword.frame.label(row[0])
-        point = keyword.frame.transformed([float(x or 0.0) for x in (*row[1:4], "", "", "")[:3]])
+        point = [float(x or 0.0) for x in (*row[1:4], "", "", "")[:3]]
+        if moved:
+            point = (cartesian(kind, np.array(point)) @ axes + origin).tolist()
+        point = keyword.frame.transformed(point)
         if deck.nodes.setdefault(label, point) != point:
             index = list(deck.nodes).index(label)
             line = next(line for first, line in reversed(deck.node_lines) if first <= index)
@@ -257,6 +294,21 @@ def _take_nodes(deck: Deck, keyword: Keyword) -> None:
         labels.append(label)
     if "NSET" in keyword.options:
         _add(deck, deck.node_sets, keyword.frame, keyword.options["NSET"], labels)
+
+
+def _take_system(deck: Deck, keyword: Keyword) -> None:
+    """Take the axes of the nodes that follow in the part; without rows, the global ones."""
+    if not keyword.rows:
+        deck.systems.pop(keyword.frame.number, None)
+        return
+    origin, first = numbers(keyword, 0, 6).reshape(2, 3)
+    axes = np.eye(3)
+    if any(keyword.rows[0][3:6]):
+        second = numbers(keyword, 1, 3)
+        if len(keyword.rows) == 1:  # z stays
+            second = origin + np.cross([0.0, 0.0, 1.0], first - origin)
+        axes = axes_through(origin, first, second)
+    deck.systems[keyword.frame.number] = axes, origin
 
 
 def _take_elements(deck: Deck, keyword: Keyword) -> None:
@@ -272,13 +324,13 @@ def _take_elements(deck: Deck, keyword: Keyword) -> None:
         return
     for i, row in enumerate(table):
         if row[0] in deck.where:
-            line = [*deck.element_lines, keyword.line][deck.where[row[0]][0]]
+            line = [*deck.element_lines, keyword.at][deck.where[row[0]][0]]
             raise MeshFileError(
                 f"defines element {row[0] % STRIDE} again; the *ELEMENT of line {line} has it too"
             )
         deck.where[row[0]] = (len(deck.kinds), i)
     deck.kinds.append(kind)
-    deck.element_lines.append(keyword.line)
+    deck.element_lines.append(keyword.at)
     deck.cells.append([row[1:] for row in table])
     if "ELSET" in keyword.options:
         labels = [row[0] for row in table]
@@ -390,6 +442,7 @@ def _take_instance(deck: Deck, keyword: Keyword) -> None:
 
 
 TAKERS: dict[str, Callable[[Deck, Keyword], None]] = {
+    "SYSTEM": _take_system,
     "NODE": _take_nodes,
     "ELEMENT": _take_elements,
     "NSET": _take_node_set,

@@ -8,7 +8,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from wrenchbook.fea.mesh.deck_content import (
+    Constant,
     CoupledGroup,
     DeckContent,
     HeldGroup,
@@ -22,15 +25,19 @@ from wrenchbook.fea.mesh.io.abaqus import (
     Deck,
     Frame,
     Keyword,
+    axes_through,
     kind_of,
     named,
+    numbers,
     parsed,
     raw_mesh,
     set_key,
     set_names,
 )
-from wrenchbook.fea.mesh.io.raw import MeshFileError, RawMesh
+from wrenchbook.fea.mesh.io.raw import RawMesh
+from wrenchbook.fea.spec.problems import MeshFileError
 
+_GLOBAL: tuple[float, ...] = ()  # axes
 _BOUNDARY_TYPES = {
     "ENCASTRE": "012345",
     "PINNED": "012",
@@ -46,7 +53,6 @@ _MISSING = {
     "EQUATION": "ties nodes by equations: they move freely here; bond them in the mesh",
     "MPC": "ties nodes to each other: they move freely here; bond them in the mesh",
     "TIE": "ties surfaces: the parts are loose here; mesh them as one",
-    "TRANSFORM": "turns the axes of nodes; *BOUNDARY and *CLOAD are compared in the global ones",
     "SPRING": "is not solved; write [[supports.bushing]] for a spring to the ground",
     "CONNECTOR SECTION": "is not solved; write [[supports.bushing]] for a spring to the ground",
     "CONTACT": "is not solved: surfaces do not meet; compare bonded and free as bounds",
@@ -58,7 +64,6 @@ _MISSING = {
     "MEMBRANE SECTION": "is not solved: membranes are groups of faces only",
     "BEAM SECTION": "is not solved: beams and trusses are groups of nodes only",
     "HYPERELASTIC": 'is not compared; write law = "neo-hookean" with small-strain constants',
-    "ORIENTATION": 'is not compared; write law = "orthotropic" with axes or a cylinder',
     "DISTRIBUTING COUPLING": "is not compared; write [interface] with the section's group",
     "KINEMATIC COUPLING": "is not compared; write [interface] with the section's group",
     "HYPERFOAM": "is not solved: materials are elastic, or neo-Hookean",
@@ -124,11 +129,14 @@ class _Reader:
     """Content read besides the mesh; groups are keys of the deck's sets until the end.
 
     `steps` begins with what precedes the first; `sets` are keys of node sets by their labels, and
-    `points` the number of a coupling and the first freedom of each reference node.
+    `points` the number of a coupling and the first freedom of each reference node. `turned` are the
+    axes of nodes, nine numbers, that are not the global ones.
     """
 
     content: DeckContent = field(default_factory=DeckContent)
-    sections: list[tuple[str, str, str]] = field(default_factory=list)
+    sections: list[tuple[str, str, str, str]] = field(default_factory=list)
+    orientations: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    turned: dict[int, tuple[float, ...]] = field(default_factory=dict)
     couplings: list[_Coupling] = field(default_factory=list)
     steps: list[_Step] = field(default_factory=lambda: [_Step()])
     sets: dict[frozenset[int], str] = field(default_factory=dict)
@@ -158,7 +166,7 @@ class _Reader:
         self.content.missing[_where(keyword)] = message
 
     @property
-    def constants(self) -> dict[str, float]:
+    def constants(self) -> dict[str, Constant]:
         """The material that the keywords are of."""
         return self.content.materials.setdefault(self.material, {})
 
@@ -195,11 +203,21 @@ def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
                 loads = case.loads.setdefault(key or single_key, [0.0] * 6)
             else:
                 loads = case.couplings[number].loads
-            loads[(freedom + first) % 6] += value
+            turn, way = divmod((freedom + first) % 6, 3)
+            along = reader.turned.get(label, np.eye(3).ravel())[3 * way : 3 * way + 3]
+            for i, part in enumerate(along):
+                loads[3 * turn + i] += part * value
         content.cases.insert(0, case)
     regions, groups = set_names(deck, deck.element_sets), set_names(deck, deck.node_sets)
     faces = set_names(deck, deck.surfaces)
-    content.sections += [SolidSection(w, regions[key], name) for w, key, name in reader.sections]
+    content.missing |= {
+        where: f'has the orientation "{orientation}", which is not taken over'
+        for where, _, _, orientation in reader.sections
+        if orientation and orientation not in reader.orientations
+    }
+    for where, key, name, orientation in reader.sections:
+        axes = reader.orientations.get(orientation, _GLOBAL)
+        content.sections.append(SolidSection(where, regions[key], name, axes))
     for case in content.cases:
         case.supports = [replace(support, group=groups[support.group]) for support in case.supports]
         case.loads = {groups[key]: loads for key, loads in case.loads.items()}
@@ -212,14 +230,14 @@ def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
 
 
 def _where(keyword: Keyword) -> str:
-    return f"line {keyword.line}: *{keyword.word}"
+    return f"line {keyword.at}: *{keyword.word}"
 
 
 def _take_elements(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
     kind = keyword.options["TYPE"].upper()
     if kind_of(kind) is None:
         reader.lack(keyword, f"of type {kind} is not solved: only solid cells are")
-    elif keyword.line in deck.element_lines[-1:]:
+    elif keyword.at in deck.element_lines[-1:]:
         counts = reader.content.elements
         counts[kind] = counts.get(kind, 0) + len(deck.cells[-1])
 
@@ -230,6 +248,13 @@ def _take_material(reader: _Reader, _: Deck, keyword: Keyword) -> None:
 
 def _take_constants(reader: _Reader, _: Deck, keyword: Keyword) -> None:
     kind = keyword.options.get("TYPE", "ISO").upper()
+    if keyword.word == "ELASTIC" and kind.replace(" ", "") == "ENGINEERINGCONSTANTS":
+        values = [float(each) for row in keyword.rows for each in row if each][:9]
+        if len(values) < 9:
+            raise ValueError(f"{len(values)} engineering constants where nine should be")
+        names = ("youngs_modulus", "poisson_ratio", "shear_modulus")
+        reader.constants.update({k: tuple(values[3 * i : 3 * i + 3]) for i, k in enumerate(names)})
+        return
     if kind not in ("ISO", "ISOTROPIC"):
         reader.lack(keyword, f"of type {kind} is not compared; write it into [[material]]")
         return
@@ -243,7 +268,44 @@ def _take_constants(reader: _Reader, _: Deck, keyword: Keyword) -> None:
 
 def _take_section(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
     key = set_key(deck, deck.element_sets, keyword.options["ELSET"], keyword.frame)
-    reader.sections.append((_where(keyword), key, keyword.options["MATERIAL"]))
+    orientation = keyword.options.get("ORIENTATION", "")
+    orientation = keyword.frame.key(orientation) if orientation else ""
+    reader.sections.append((_where(keyword), key, keyword.options["MATERIAL"], orientation))
+
+
+def _take_orientation(reader: _Reader, _: Deck, keyword: Keyword) -> None:
+    """Take axes through points, by an angle about one of them; or about the axis of a cylinder."""
+    system = keyword.options.get("SYSTEM", "RECTANGULAR").upper()
+    kind = keyword.options.get("DEFINITION", "COORDINATES").upper()
+    first, second, origin = numbers(keyword, 0, 9).reshape(3, 3)
+    number, angle = numbers(keyword, 1, 2)
+    if kind != "COORDINATES" or system not in ("RECTANGULAR", "CYLINDRICAL"):
+        raise ValueError(f"{system} by {kind}; it may be RECTANGULAR or CYLINDRICAL")
+    if system == "CYLINDRICAL":
+        if angle:
+            raise ValueError("a cylinder with an angle")
+        points = [keyword.frame.transformed(point.tolist()) for point in (first, second)]
+        axis = np.subtract(points[1], points[0])
+        axes = np.array([*points[0], *(axis / np.linalg.norm(axis))])
+    else:
+        axes = axes_through(origin, first, second)
+        if angle:
+            i, j = int(number) % 3, (int(number) + 1) % 3
+            cos, sin = math.cos(math.radians(angle)), math.sin(math.radians(angle))
+            axes[[i, j]] = cos * axes[i] + sin * axes[j], cos * axes[j] - sin * axes[i]
+        if keyword.frame.rotation:
+            axes = axes @ np.array(keyword.frame.rotation).reshape(3, 3).T
+    name = keyword.frame.key(keyword.options["NAME"])
+    reader.orientations[name] = tuple(axes.ravel().tolist())
+
+
+def _take_transform(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+    if (kind := keyword.options.get("TYPE", "R").upper()) != "R":
+        reader.lack(keyword, f"of type {kind} turns nodes; they are taken in the global axes")
+        return
+    axes = axes_through(np.zeros(3), *numbers(keyword, 0, 6).reshape(2, 3))
+    for label in named(deck, deck.node_sets, keyword.options["NSET"], keyword.frame):
+        reader.turned[label] = tuple(axes.ravel().tolist())
 
 
 def _take_boundary(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
@@ -359,6 +421,8 @@ _TAKERS: dict[str, Callable[[_Reader, Deck, Keyword], None]] = {
     "MATERIAL": _take_material,
     **dict.fromkeys(_CONSTANTS, _take_constants),
     "SOLID SECTION": _take_section,
+    "ORIENTATION": _take_orientation,
+    "TRANSFORM": _take_transform,
     "BOUNDARY": _take_boundary,
     "COUPLING": _take_coupling,
     "KINEMATIC": _take_coupling_kind,
@@ -374,26 +438,32 @@ def _supports(
 ) -> tuple[list[HeldGroup], list[set[int]]]:
     """Return the groups that a step holds, by their keys, and the freedoms of each coupling."""
     of_couplings: list[set[int]] = [set() for _ in range(count)]
-    by_set: dict[str, tuple[str, set[int]]] = {}
+    by_set: dict[tuple[str, tuple[float, ...]], tuple[str, set[int]]] = {}
     by_node: dict[int, tuple[str, set[int]]] = {}
     for where, key, labels, freedoms in step.motions:
         for number, first in (reader.points[label] for label in labels if label in reader.points):
             of_couplings[number] |= {first + i for i in freedoms if first + i < 6}
+        partly = any(0 < len(freedoms & part) < 3 for part in ({0, 1, 2}, {3, 4, 5}))
+        if partly and any(label in reader.points and label in reader.turned for label in labels):
+            reader.content.missing[where] = "holds a coupled node along turned axes"
         plain = [label for label in labels if label not in reader.points]
-        if key and plain:
-            by_set.setdefault(key, (where, set()))[1].update(freedoms)
-        for label in plain if not key else ():
+        turned = list({reader.turned.get(label, _GLOBAL) for label in plain})
+        if key and len(turned) == 1:
+            by_set.setdefault((key, turned[0]), (where, set()))[1].update(freedoms)
+        for label in plain if not key or turned[1:] else ():
             by_node.setdefault(label, (where, set()))[1].update(freedoms)
-    together: dict[str, list[int]] = defaultdict(list)
+    together: dict[tuple[str, tuple[float, ...]], list[int]] = defaultdict(list)
     for label, (_, freedoms) in by_node.items():
-        together[_directions(freedoms)].append(label)
+        ways = _directions(freedoms)
+        axes = _GLOBAL if ways == "xyz" else reader.turned.get(label, _GLOBAL)
+        together[ways, axes].append(label)
     held = [
-        HeldGroup(where, key, _directions(freedoms_held))
-        for key, (where, freedoms_held) in by_set.items()
+        HeldGroup(where, key, _directions(freedoms_held), axes)
+        for (key, axes), (where, freedoms_held) in by_set.items()
     ]
-    for ways, labels in together.items():
+    for (ways, axes), labels in together.items():
         key = _set_of(reader, deck, labels, f"nodes_held_in_{ways}")
-        held.append(HeldGroup(by_node[labels[0]][0], key, ways))
+        held.append(HeldGroup(by_node[labels[0]][0], key, ways, axes))
     return [freedoms_held for freedoms_held in held if freedoms_held.directions], of_couplings
 
 

@@ -6,7 +6,8 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from wrenchbook.fea.mesh.io.raw import Case, MeshFileError, Translated
+from wrenchbook.fea.mesh.io.raw import Case, Translated
+from wrenchbook.fea.spec.problems import MeshFileError
 
 _HEX, _TET = ("45", "185", "95", "186"), ("92", "187", "285")
 _SKIPPED = {"CE", "CP", "SFE", "SF", "BF", "BFE", "TB", "ACEL", "RBE3", "CERIG", "OMEGA"}

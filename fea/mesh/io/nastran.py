@@ -11,7 +11,14 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-from wrenchbook.fea.mesh.io.raw import Case, MeshFileError, Translated
+import numpy as np
+
+from wrenchbook.fea.mesh.io.abaqus import axes_through, cartesian
+from wrenchbook.fea.mesh.io.raw import Case, Translated
+from wrenchbook.fea.spec.deck_text import DeckText
+from wrenchbook.fea.spec.problems import MeshFileError
+
+Array = np.ndarray
 
 _SOLIDS = {
     ("CHEXA", 8): "C3D8",
@@ -26,7 +33,8 @@ _ORDER = {
     "C3D20R": [*range(12), *range(16, 20), *range(12, 16)],
     "C3D15": [*range(9), *range(12, 15), *range(9, 12)],
 }
-_QUIET = {"PARAM", "CORD2R", "END BULK", "MPCADD"}
+_QUIET = {"PARAM", "END BULK", "MPCADD"}
+_SYSTEMS = ("CORD1R", "CORD1C", "CORD1S", "CORD2R", "CORD2C", "CORD2S")
 _EXPONENT = re.compile(r"(?<=[\d.])([+-]\d+)$")
 _MASS_FACTOR = re.compile(r"^\s*PARAM[\s,*]+WTMASS[\s,]+([\w.+-]+)", re.I | re.M)
 _NONLINEAR = re.compile(r"^\s*SOL\s+(106|NLSTATIC|400|60[01])\b", re.I | re.M)
@@ -47,9 +55,52 @@ class _Bulk(Translated):
     )
     sums: dict[tuple[str, str], list[tuple[float, str]]] = field(default_factory=dict)
     mass_factor: float = 1.0
+    # Fields of coordinate systems and of nodes by number; systems by number: kind, axes, origin
+    cards: dict[str, tuple[str, list[str]]] = field(default_factory=dict)
+    grids: dict[str, list[str]] = field(default_factory=dict)
+    systems: dict[str, tuple[str, Array, Array]] = field(default_factory=dict)
+
+    def system(self, number: str) -> tuple[str, Array, Array]:
+        """Return kind (R, C, S), axes in rows and origin of a coordinate system, in basic axes."""
+        if number in ("", "0"):
+            return "R", np.eye(3), np.zeros(3)
+        if number not in self.systems:
+            if number not in self.cards:
+                raise ValueError(f"the coordinate system {number} is not defined, or by itself")
+            name, fields = self.cards.pop(number)
+            if name[4] == "1":
+                points = np.array([self.point(self.grids[node]) for node in fields[1:4]])
+            else:
+                numbers = np.array([_real(each) for each in fields[2:11]]).reshape(3, 3)
+                points = np.array([self.placed(fields[1], each) for each in numbers])
+            z, x, y = axes_through(*points)  # its second point is on z, its third in xz
+            self.systems[number] = name[5], np.array([x, y, z]), points[0]
+        return self.systems[number]
+
+    def placed(self, number: str, point: Array) -> Array:
+        """Return a point of a coordinate system, its angles in degrees, in basic axes: (3,)."""
+        if number in ("", "0"):
+            return point
+        kind, axes, origin = self.system(number)
+        return origin + cartesian(kind, point) @ axes
+
+    def point(self, fields: list[str]) -> Array:
+        """Return where the node of a GRID is, in basic axes, shape (3,)."""
+        return self.placed(fields[1], np.array([_real(each) for each in fields[2:5]]))
+
+    def axes_at(self, number: str, node: str) -> Array:
+        """Return the axes of a coordinate system at a node in rows, shape (3, 3)."""
+        kind, axes, origin = self.system(number)
+        if kind == "R":
+            return axes
+        out = self.point(self.grids[node]) - origin
+        around = np.cross(axes[2], out)
+        if kind == "C":
+            return axes_through(np.zeros(3), np.cross(around, axes[2]), around)
+        return axes_through(np.zeros(3), out, np.cross(around, out))
 
 
-def read_nastran(text: str) -> Translated:
+def read_nastran(text: DeckText) -> Translated:
     """Return the content of a bulk data file: regions PSOLID_1, groups RBE2_7, a case a subcase.
 
     Raises MeshFileError if a card cannot be read, or nodes are in a local coordinate system.
@@ -60,24 +111,32 @@ def read_nastran(text: str) -> Translated:
     if factor := _MASS_FACTOR.search(text):
         data.mass_factor = _real(factor[1])
     lines_before = text.count("\n") - bulk.count("\n")
-    for number, name, fields in _cards(bulk.splitlines(), lines_before):
-        if name == "ENDDATA":
-            break
+    cards = list(_cards(bulk.splitlines(), text, lines_before))
+    for _, name, fields in cards:  # nodes may stand after what needs them
+        if name == "GRID":
+            data.grids[fields[0]] = fields
+        elif name in _SYSTEMS:
+            data.cards[fields[0]] = name, fields
+            if name[4] == "1" and fields[4]:
+                data.cards[fields[4]] = name, fields[4:]
+    for number, name, fields in cards:
         taker = _TAKERS.get(name)
         try:
             if taker is not None:
                 taker(data, name, fields)
-            elif name not in _QUIET:
+            elif name not in (*_QUIET, *_SYSTEMS):
                 data.skipped[name] += 1
         except (ValueError, LookupError) as error:
-            raise MeshFileError(f"line {number}: {name} cannot be read ({error})") from None
+            raise MeshFileError(
+                f"line {text.place(number)}: {name} cannot be read ({error})"
+            ) from None
     _take_cases(data, control)
     return data
 
 
 def _take_cases(data: _Bulk, control: str) -> None:
     """Make a case of each subcase from the sets that it selects."""
-    used = set()
+    used, turned = set(), _turn(data)
     held: dict[str, list[str]] = {}
 
     def rows(kind: str, number: str) -> Iterator[tuple[str, str, float]]:
@@ -95,12 +154,33 @@ def _take_cases(data: _Bulk, control: str) -> None:
             for node, way, value in (*rows("GRID", ""), *rows("SPC", number)):
                 held[number].append(f"{node}, {way}")
                 data.skipped["SPC with a motion that is not 0"] += value != 0.0
-        loads = rows("LOAD", selected.get("LOAD", ""))
-        loads = [f"{node}, {way}, {value:.9g}" for node, way, value in loads if value]
+        loads = [
+            f"{node}, {first + i}, {part * value:.9g}"
+            for node, way, value in rows("LOAD", selected.get("LOAD", ""))
+            for first in (1 if way in "123" else 4,)
+            for i, part in enumerate(turned.get(node, np.eye(3))[:, int(way) - first].tolist())
+            if part * value
+        ]
         data.cases.append(Case(name, held[number], loads))
     for (kind, number), unused in data.sets.items():
         if (kind, number) not in used:
             data.skipped[f"{kind} set {number}, which no case selects"] += len(unused)
+
+
+def _turn(data: _Bulk) -> dict[str, Array]:
+    """Give nodes that are held in a system of their own (CD) its axes there; return them."""
+    ways, turned = defaultdict[str, set[str]](set), dict[str, Array]()
+    for node, way, _ in (row for key in data.sets if key[0] != "LOAD" for row in data.sets[key]):
+        ways[node].add(way)
+    for node, own in ways.items():
+        number = data.grids[node][5] if node in data.grids else ""
+        if number not in ("", "0", "-1"):
+            kind, axes, _ = data.system(number)
+            alike = kind == "C" and ("1" in own) == ("2" in own)  # about the axis
+            turned[node] = axes if alike else data.axes_at(number, node)
+            row = ", ".join(f"{each:.15g}" for each in turned[node][:2].ravel().tolist())
+            data.transforms[row].append(node)
+    return turned
 
 
 def _selections(data: _Bulk, control: str) -> dict[str, dict[str, str]]:
@@ -133,7 +213,7 @@ def _selections(data: _Bulk, control: str) -> dict[str, dict[str, str]]:
     return cases
 
 
-def _cards(lines: list[str], skipped: int) -> Iterator[tuple[int, str, list[str]]]:
+def _cards(lines: list[str], text: DeckText, skipped: int) -> Iterator[tuple[int, str, list[str]]]:
     """Yield line number, name and fields of each card, its continuations joined."""
     card: tuple[int, str, list[str]] | None = None
     for number, line in enumerate(lines, start=skipped + 1):
@@ -145,9 +225,11 @@ def _cards(lines: list[str], skipped: int) -> Iterator[tuple[int, str, list[str]
         if "," not in line:
             head, width = line[:8].strip(), 64 // count
             fields = [line[8 + width * i : 8 + width * (i + 1)].strip() for i in range(count)]
+        if head.upper() == "ENDDATA":
+            break
         if any(fields[count + 1 :]):
             raise MeshFileError(
-                f"line {number}: has more than {count} fields; continue on a new line"
+                f"line {text.place(number)}: has more than {count} fields; continue on a new line"
             )
         fields = (fields + [""] * count)[:count]
         if card is not None and head[:1] in ("", "+", "*"):
@@ -166,9 +248,7 @@ def _real(field: str) -> float:
 
 
 def _grid(data: _Bulk, _: str, fields: list[str]) -> None:
-    if fields[1] not in ("", "0") or fields[5] not in ("", "0", "-1"):
-        raise ValueError("it is in a local coordinate system; write the file in the basic system")
-    coordinates = ", ".join(f"{_real(each):.12g}" for each in fields[2:5])
+    coordinates = ", ".join(f"{x:.12g}" for x in data.point(fields).tolist())
     data.nodes.append(f"{fields[0]}, {coordinates}")
     _hold(data, ("GRID", ""), fields[0], fields[6])
 
@@ -259,11 +339,10 @@ def _mean(data: _Bulk, name: str, fields: list[str]) -> None:
 
 
 def _load(data: _Bulk, name: str, fields: list[str]) -> None:
-    if fields[2] not in ("", "0"):
-        data.skipped[f"{name} in a local coordinate system"] += 1
-        return
     first, size = (1 if name == "FORCE" else 4), _real(fields[3])
-    values = ((first + i, size * _real(each)) for i, each in enumerate(fields[4:7]))
+    load = np.array([size * _real(each) for each in fields[4:7]])
+    load = load @ data.axes_at(fields[2], fields[1])
+    values = ((first + i, each) for i, each in enumerate(load.tolist()))
     data.sets["LOAD", fields[0]] += [(fields[1], str(way), value) for way, value in values]
 
 

@@ -18,6 +18,7 @@ from wrenchbook.fea.mesh.mesh import (
     FacetGroup,
     Mesh,
 )
+from wrenchbook.fea.spec.problems import MeshFileError
 
 Array = np.ndarray
 
@@ -25,10 +26,6 @@ Block = tuple[str, Array]
 
 NODES_PER_LINE = {"point1": 1, "line2": 2, "line3": 3}
 """Kinds that give node groups only: a group on an edge or a point of the part."""
-
-
-class MeshFileError(ValueError):
-    """A mesh file cannot be used; the message says why and what to do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,6 +182,8 @@ class Translated:
         Material by region.
     groups
         Nodes by name.
+    transforms
+        Nodes by the row of their ``*TRANSFORM``.
     couplings
         Lines of couplings.
     cases
@@ -202,6 +201,7 @@ class Translated:
     constants: dict[str, dict[str, str]] = field(default_factory=lambda: defaultdict(dict))
     sections: dict[str, str] = field(default_factory=dict)
     groups: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
+    transforms: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
     couplings: list[str] = field(default_factory=list)
     cases: list[Case] = field(default_factory=list)
     skipped: Counter[str] = field(default_factory=Counter)
@@ -222,6 +222,9 @@ class Translated:
         known = {region for _, region in self.elements}
         pairs = ((region, name) for region, name in self.sections.items() if region in known)
         lines += [f"*SOLID SECTION, ELSET={region}, MATERIAL={name}" for region, name in pairs]
+        for number, (row, nodes) in enumerate(self.transforms.items(), 1):
+            lines += [f"*NSET, NSET=TURNED_{number}", *_rows(nodes)]
+            lines += [f"*TRANSFORM, NSET=TURNED_{number}", row]
         lines += self.couplings
         before = Case()
         for case in self.cases or [before]:

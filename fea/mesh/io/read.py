@@ -13,9 +13,9 @@ import numpy as np
 from meshio import _mesh
 
 from wrenchbook.fea.mesh.io.abaqus_content import read_deck
-from wrenchbook.fea.mesh.io.raw import Block, MeshFileError, RawMesh, to_mesh
+from wrenchbook.fea.mesh.io.raw import Block, RawMesh, to_mesh
 from wrenchbook.fea.mesh.mesh import Mesh
-from wrenchbook.fea.spec.problems import BundleError, BundleProblem
+from wrenchbook.fea.spec.problems import BundleError, BundleProblem, MeshFileError
 from wrenchbook.fea.spec.schema import UNITS
 
 Array = np.ndarray

@@ -1,0 +1,206 @@
+"""Decks of several files, with local axes, couplings of some freedoms and cells of all kinds."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+from tests.fea.cae import cards
+from tests.fea.check.test_load_cases import (
+    BAR,
+    HEAD,
+    HELD,
+    MID,
+    PULL,
+    RIGID,
+    ROOT_HELD,
+    bulk,
+    proposal,
+    step,
+    tip,
+    tips_by_calculix,
+)
+from wrenchbook.fea.bundle.read import BundleError, read_bundle
+from wrenchbook.fea.check import report as check
+from wrenchbook.fea.check.proposal import propose
+from wrenchbook.fea.mesh.io.read import read_mesh
+from wrenchbook.fea.solve import Solver
+
+
+def compliance(folder):
+    return Solver(read_bundle(folder)).linear.compliance
+
+
+def in_files(folder, text, name, parts, include):
+    """Write a deck of which each part, (start, end, file), stands in a file of its own."""
+    for start, end, file in parts:
+        first, last = text.index(start), text.index(end)
+        (folder / file).parent.mkdir(exist_ok=True, parents=True)
+        (folder / file).write_text(text[first:last])
+        text = text[:first] + include.format(file) + text[last:]
+    (folder / name).write_text(text)
+    return folder / name
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "parts", "include"),
+    [
+        (
+            HELD,
+            "a.inp",
+            [("1,", "*ELEMENT", "mesh/nodes.txt"), ("*MATERIAL", "*RIGID", "b.inc")],
+            "*INCLUDE, INPUT={}\n",
+        ),
+        (
+            bulk(),
+            "a.bdf",
+            [("GRID", "CHEXA", "mesh/grid.bdf"), ("SPC = 1", "BEGIN BULK", "case.bdf")],
+            "INCLUDE '{}'\n",
+        ),
+    ],
+    ids=["abaqus", "nastran"],
+)
+def test_a_deck_of_several_files_is_the_deck_of_its_lines(tmp_path, text, name, parts, include):
+    (tmp_path / name.replace("a", "whole")).write_text(text)
+    propose(tmp_path / name.replace("a", "whole"), tmp_path / "one", "mm")
+    found = propose(in_files(tmp_path, text, name, parts, include), tmp_path / "new", "mm")
+    assert "INCLUDE" not in (tmp_path / "new" / "a.inp").read_text()  # the proposal is complete
+    assert found["check"]["ok"]
+    assert (compliance(tmp_path / "new") == compliance(tmp_path / "one")).all()
+
+
+def included(folder):
+    """Return a component whose deck has its nodes and supports in other files."""
+    (folder / "deck.inp").write_text(HELD)
+    propose(folder / "deck.inp", folder / "new", "mm")
+    text = (folder / "new" / "deck.inp").read_text().replace("NALL", "NALL, INPUT=n.txt", 1)
+    first, last = text.index("\n", text.index("*NODE")) + 1, text.index("*ELEMENT")
+    (folder / "new" / "n.txt").write_text(text[first:last])
+    text, parts = text[:first] + text[last:], [("*BOUNDARY", "*CLOAD", "held.inc")]
+    in_files(folder / "new", text, "deck.inp", parts, '*INCLUDE, INPUT="{}"\n')
+    return folder / "new"
+
+
+def test_the_fingerprint_of_a_deck_is_of_its_included_files_too(tmp_path):
+    folder = included(tmp_path)
+    before = read_bundle(folder).fingerprint
+    assert compliance(folder)[2, 2] > 0
+    (folder / "n.txt").write_text((folder / "n.txt").read_text() + "9999, 0., 0., 0.\n")
+    assert read_bundle(folder).fingerprint != before
+
+
+def test_an_included_file_that_is_a_link_out_of_the_folder_is_refused(tmp_path):
+    folder = included(tmp_path)
+    shutil.move(folder / "n.txt", tmp_path / "n.txt")
+    (folder / "n.txt").symlink_to(tmp_path / "n.txt")
+    with pytest.raises(BundleError, match="outside the deck's folder"):
+        read_bundle(folder)
+
+
+PLY = "*ELASTIC, TYPE=ENGINEERING CONSTANTS\n135e3, 10e3, 9e3, .3, .25, .4, 5e3, 4e3,\n3.5e3\n"
+HOLD = "*BOUNDARY\nROOT, 1, 3\n"
+ORIENTATIONS = {
+    "axes through points": "\n1., 1., 0.3, -1., 1., 0.",
+    "axes turned about the third": ", SYSTEM=RECTANGULAR\n1., 1., 0., -1., 1., 0.\n3, 20.",
+    "a cylinder": ", SYSTEM=CYLINDRICAL\n0., 5., -40., 0., 5., -30.",
+}
+
+
+def laminate(rows):
+    """Return the bar of an orthotropic material with an orientation of such rows."""
+    text = HEAD.replace("*ELASTIC\n70000., 0.3\n", PLY)
+    text = text.replace("*MATERIAL", f"*ORIENTATION, NAME=Ply{rows}\n*MATERIAL")
+    return text.replace("MATERIAL=ALU\n", "MATERIAL=ALU, ORIENTATION=PLY\n") + RIGID
+
+
+@pytest.mark.parametrize("name", ORIENTATIONS)
+def test_an_orientation_turns_engineering_constants_as_in_calculix(tmp_path, name):
+    text = laminate(ORIENTATIONS[name]) + step(HOLD + PULL)
+    found = proposal(tmp_path, text)
+    assert (found["left"], found["check"]["warnings"]) == ([], [])
+    assert tip(tmp_path) == pytest.approx(tips_by_calculix(tmp_path, text)[0], rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("axes = [[0.69", "#", "in other directions"),
+        ("135e3, 10e3", "135e3, 11e3", "1.1e+10, 9e+09 in SI; the component has 1.35e+11, 1e+10"),
+        (PLY, "*ELASTIC\n70000., 0.3\n", "which is isotropic"),
+        ("-1., 1., 0.\n", "2., 2., 0.6\n", "*ORIENTATION is not understood"),
+        ("NAME=Ply", "NAME=Ply, SYSTEM=SPHERICAL", "SPHERICAL by COORDINATES"),
+        ("ORIENTATION=PLY", "ORIENTATION=OTHER", 'orientation "OTHER", which is not taken over'),
+    ],
+)
+def test_a_component_of_other_directions_than_its_deck_is_warned_of(tmp_path, old, new, words):
+    proposal(tmp_path, laminate(ORIENTATIONS["axes through points"]) + step(HOLD + PULL))
+    for path in (tmp_path / "new").iterdir():
+        path.write_text(path.read_text().replace(old, new))
+    warnings = check(tmp_path / "new")["warnings"]
+    assert any(words in warning["message"] for warning in warnings), warnings
+
+
+TURNED = "*TRANSFORM, NSET=MID\n3., 0., 4., 0., 1., 0.\n"
+SLIDING = HEAD + TURNED + RIGID + step(f"{HOLD}MID, 3\n{PULL}")
+
+
+def test_nodes_of_turned_axes_are_held_along_these_as_in_calculix(tmp_path):
+    found = proposal(tmp_path, SLIDING)
+    assert (found["left"], found["check"]["warnings"]) == ([], [])
+    assert tip(tmp_path) == pytest.approx(tips_by_calculix(tmp_path, SLIDING)[0], rel=1e-5)
+    assert tip(tmp_path) < 0.5 * ROOT_HELD
+
+
+def test_nodes_by_local_coordinates_of_abaqus_are_the_same_nodes(tmp_path):
+    x, y, z = (BAR.points - [7.0, 5.0, -2.0]).T  # 1 along y, 2 along z
+    cylinder = [np.hypot(y, z), np.degrees(np.arctan2(z, y)), x]
+    start, end = HEAD.index("1, "), HEAD.index("9000,")
+    for option, columns in (("", [y, z, x]), (", SYSTEM=C", cylinder)):
+        rows = enumerate(np.transpose(columns).tolist(), 1)
+        local = "".join(f"{i}, {a:.12g}, {b:.12g}, {c:.12g}\n" for i, (a, b, c) in rows)
+        axes = "*SYSTEM\n7., 5., -2., 7., 6., -2.\n7., 6., 4.\n"
+        text = f"{axes}*NODE{option}\n{local}*SYSTEM\n*NODE\n{HEAD[end:]}"
+        (tmp_path / "a.inp").write_text(HEAD[:start].replace("*NODE, NSET=NALL\n", "") + text)
+        points = read_mesh(tmp_path / "a.inp", "mm").points
+        np.testing.assert_allclose(points, BAR.points / 1e3, atol=1e-12)
+
+
+SYSTEMS = """CORD2R,1,,7.,5.,-2.,8.,5.,-2.
++,7.,6.,-2.
+CORD2C,2,1,0.,1.,0.,0.,1.,5.
++,2.,1.,0.
+CORD2S,3,1,0.,0.,0.,0.,0.,1.
++,1.,0.,0.
+CORD1R,4,9991,9992,9993
+GRID,9991,,1.,1.,1.
+GRID,9992,,.2,1.,1.6
+GRID,9993,,1.6,1.,1.8
+SPC1,1,3,MIDDLE
+FORCE,2,9000,4,100.,.8,0.,.6
+ENDDATA"""
+
+
+def test_nastran_systems_of_nodes_supports_and_loads(tmp_path):
+    """System 1 has z along x of the bar and x along y, 2 and 3 are in it, 4 turns about y."""
+    x, y, z = (BAR.points - [7.0, 5.0, -2.0]).T
+    far = np.sqrt(x * x + y * y + z * z)
+    rectangular = np.stack([y, z, x], axis=1)
+    cylinder = np.stack([np.hypot(y, z - 1), np.degrees(np.arctan2(z - 1, y)), x], axis=1)
+    sphere = np.stack([far, np.degrees(np.arccos(x / far)), np.degrees(np.arctan2(z, y))], axis=1)
+    grids = []
+    for i, rows in enumerate(zip(rectangular, cylinder, sphere, strict=True)):
+        fields = ",".join(f"{each:.12f}" for each in rows[i % 3].tolist())
+        grids.append(f"GRID,{i + 1},{i % 3 + 1},{fields},{4 if i + 1 in MID else ''}\n")
+    text = bulk().replace("FORCE,2,9000,,100.,0.,0.,1.\n", "")
+    text = text[: text.index("GRID")] + "".join(grids) + text[text.index("GRID        9000") :]
+    middle = "\n".join(cards.card("SPC1", 1, 3, *MID))
+    found = proposal(
+        tmp_path,
+        text.replace("ENDDATA", SYSTEMS).replace("SPC1,1,3,MIDDLE", middle),
+        name="deck.bdf",
+    )
+    assert [line for line in found["left"] if "SPC set 7" not in line] == []
+    points = read_mesh(tmp_path / "new" / "deck.inp", "mm").points
+    np.testing.assert_allclose(points, BAR.points / 1e3, atol=1e-9)
+    assert read_bundle(tmp_path / "new").range.high[:3] == pytest.approx(100)
+    assert tip(tmp_path) == pytest.approx(tips_by_calculix(tmp_path, SLIDING)[0], rel=1e-5)
