@@ -185,7 +185,8 @@ def stiffness_lines(body: dict[str, Any]) -> Iterator[Table | str]:
     for name, line in body["lines"].items():
         if line is not None:
             table.add_row(name, str(line["rows"]), *(f"{line[key]:.6g}" for key in names))
-    yield table if table.row_count else "Fewer than three measured rows are between these loads."
+    few = f"Fewer than three measured rows have {body['axis']} from {low:g} to {high:g} N (N·m)."
+    yield table if table.row_count else few
     for name, play in body["play"].items():
         unit = body["unit"].rpartition("/")[2]
         yield f"Play at no load, of {name}: {play['value']:.4g} +- {play['half_width']:.2g} {unit}"

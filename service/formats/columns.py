@@ -61,7 +61,10 @@ for _spelling in ("time", "timestamp", "t", "zeit"):
 # Words after the name of a displacement: its 95 % half width, or its standard uncertainty.
 _HALF_WIDTH = ("err", "error", "unc", "uncertainty", "u95")
 _STANDARD = ("std", "sd", "sigma")
-_BRACKETED = re.compile(r"(?P<name>[^\[\](]*?)\s*(?:\[(?P<a>[^\[\]]*)\]|\((?P<b>[^()\[\]]*)\))?")
+_BRACKETED = re.compile(  # a name may hold brackets: Tensile strain (Extension) [mm/mm]
+    r"(?P<name>[^\[\](]*?(?:\([^()\[\]]*\)[^\[\](]*?)*?)"
+    r"\s*(?:\[(?P<a>[^\[\]]*)\]|\((?P<b>[^()\[\]]*)\))?"
+)
 _GAP = re.compile(r"[\s_./,-]+")
 _RATE = re.compile(r"(?i)(time|zeit)\s+\d+ - [^\[\]()]+")  # catman: Zeit  1 - Standardmessrate
 

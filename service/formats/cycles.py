@@ -17,7 +17,7 @@ from wrenchbook.service.formats.options import (
     ReadReport,
     largest_loads,
 )
-from wrenchbook.surrogate.findings.cycles import Passes, passes_of
+from wrenchbook.surrogate.findings.cycles import TURN, Passes, passes_of
 from wrenchbook.surrogate.table.rows import joined
 
 MAX_CYCLE_ROWS = 1_000_000  # all in memory: 0.4 GB of the child's 1 GB with their intermediates
@@ -77,6 +77,15 @@ def _left_rows(rows: ParsedTable, options: Options, report: ReadReport) -> Parse
         message = f"the main load {name} comes back to its first branch {count} times; give less"
         raise _CycleError("skip_cycles", message)
     kept, left_out = passes.number >= 2 * options.skip_cycles, report.left_out
+    load = rows.wrench[:, main]
+    first, margin = load[0], TURN * np.ptp(load)
+    if options.skip_cycles and load.min() + margin < first < load.max() - margin:
+        # A test to both sides begins within its range: its cycles end at the load of its first row.
+        side = np.sign(load[passes.number == 0][-1] - first)
+        kept &= (passes.number > 2 * options.skip_cycles) | (side * (load - first) >= 0)
+        if not kept.any():
+            message = f"the test has {count} cycles of the main load {name}; give less"
+            raise _CycleError("skip_cycles", message)
     left_out["skipped"] = int((~kept).sum())
     if options.branch:
         kept &= (passes.loading == (options.branch == "loading")) & passes.sure

@@ -16,7 +16,7 @@ from wrenchbook.surrogate.kernel.replies import InverseError
 Others = Literal["displacement", "load"]
 HALVINGS = 40  # of the way to the end of a curve: to 1e-12 of it
 SHORT = 1e-3  # of the load range: a shorter curve is none
-_OUTSIDE = NAMES.index("outside")
+_OUTSIDE, _COVERED = NAMES.index("outside"), NAMES.index("covered")
 _HEAD = "axis,displacement [m or rad],load [N or N*m],bar [N or N*m],loop [N or N*m],coverage\n"
 
 
@@ -83,6 +83,8 @@ class _Curve:
         self.low, self.high = table.load_range.low[axis], table.load_range.high[axis]
         if not self.low < self.high:
             raise BushingError("its load has no range")
+        loads, rounding = table.rows.wrench[:, axis], 1e-9 * (self.high - self.low)
+        self.rows = loads.min(initial=0.0) - rounding, loads.max(initial=0.0) + rounding
         self.rest = 0.0 if others == "displacement" else self._moved(0.0)
         self.at(self.rest)
 
@@ -127,7 +129,9 @@ class _Curve:
             row = self.unit / slope
         reply = packed.batch(wrench[None], without_rows=True)
         coverage, errors = int(reply.coverage[0]), reply.errors[0]
-        if not self.table.load_range.holds(wrench[None])[0] or coverage == _OUTSIDE:
+        # Beyond its rows a thin table guesses, and a linear one answers.
+        beyond = coverage != _COVERED and not self.rows[0] <= wrench[axis] <= self.rows[1]
+        if beyond or not self.table.load_range.holds(wrench[None])[0] or coverage == _OUTSIDE:
             raise BushingError("the load there is outside the load range or the rows")
         bar = float(np.abs(row) @ np.where(row == 0, 0.0, errors))
         return _Point(wrench[axis], bar, abs(row[axis]), errors[axis], coverage)

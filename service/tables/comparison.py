@@ -87,7 +87,8 @@ def comparison(
     if not len(base):
         reason = "there is no solved row"
     elif not len(some):
-        reason = "there is no measured row"
+        beside = f" beside those of import {against}" if against is not None else ""
+        reason = f"there is no measured row{beside}"
     else:
         of_rig = replace(component, linear=False)  # nothing makes a rig linear
         noise = build_table(of_rig, some, 0).observation_noise

@@ -109,6 +109,17 @@ def test_soft_preload_cycles_that_are_skipped_leave_the_rows_of_the_others(seed)
     assert report.left_out["skipped"] + len(rows) == len(clean)
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_skipped_cycles_of_a_test_to_both_sides_end_at_the_load_of_its_first_row(sign):
+    phase = np.linspace(0.02, 8 * np.pi, 160)
+    load = sign * np.sin(phase)
+    rows = Rows.of(load[:, None] * [0, 0, 500, 0, 0, 0], load[:, None] * np.ones(6) * 1e-3)
+    rows, report = left(rows, skip_cycles=2)
+    kept = phase > phase[0] + 4 * np.pi
+    assert rows.wrench[:, 2].tolist() == (500 * load[kept]).tolist()
+    assert report.left_out["skipped"] == (~kept).sum()
+
+
 def test_the_mean_of_cycles_is_numpys_with_the_half_width_of_the_scatter():
     rows = Loop(5, count=6, low=0.0, noise=0.01).rows
     found, report = left(rows, mean_cycles=True)

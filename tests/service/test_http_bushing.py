@@ -81,6 +81,18 @@ def test_rows_that_tell_no_loop_leave_its_width_empty(http):  # noqa: F811
     assert np.isnan(curves(http, "rig", others="load", points=3)["uz"][3]).all()
 
 
+def test_curves_end_where_the_rows_of_a_test_to_one_side_do(http):  # noqa: F811
+    force = np.linspace(50, 700, 30)  # the curve begins at no load
+    rows = np.zeros((30, 9))
+    rows[:, 2], rows[:, 8] = force, 1e-6 * force
+    rows[:, 8] += np.random.default_rng(0).normal(0, 2e-6, 30)
+    load(http, rows, load_cell="moving")
+    d, force, error, _ = curves(http, "rig", others="load", points=5)["uz"]
+    assert force[[0, -1]] == pytest.approx([0, 700], abs=0.06 * 700)  # `covered` ends a bit later
+    assert force == pytest.approx(1e6 * d, abs=10)
+    assert np.isfinite(error[1:]).all()
+
+
 def test_a_table_without_curves_says_what_to_do(http):  # noqa: F811
     looped(http)
     refused = http.get("/v1/components/rig/table", params={"format": "bushing"})

@@ -25,7 +25,7 @@ export function importForm(about, signal) {
   };
   const input = el("input", { type: "file", id: "file", "aria-label": "A table file", onchange: () => take(input.files[0]) });
   const drop = el("div", { class: "drop" }, el("strong", {}, "Drop a table here, or choose a file"),
-    el("span", { class: "small" }, "CSV with a header such as Fz [N], ux [mm]; Excel, Parquet, JSON, HDF5, MATLAB; each gzipped or not. The file is checked first; rows are loaded only after you confirm."), input);
+    el("span", { class: "small" }, "CSV with a header such as Fz [N], ux [mm]; Excel, Parquet, JSON, HDF5, MATLAB, LabVIEW, TDMS; each gzipped or not. The file is checked first; rows are loaded only after you confirm."), input);
   const over = (event) => { event.preventDefault(); drop.classList.add("over"); };
   drop.addEventListener("dragenter", over);
   drop.addEventListener("dragover", over);
