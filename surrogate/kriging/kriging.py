@@ -244,11 +244,6 @@ class Kriging:
         relative = self.settings.error_floor * np.abs(self.scaling.offset)
         return (varying + self.rounding) * self.scaling.spread + relative + SMALLEST
 
-    @property
-    def knows_errors(self) -> bool:
-        """Whether left-out rows show how large errors are, of all outputs."""
-        return all(calibration.known for calibration in self.calibrations)
-
     def answer_many(self, wrenches: Floats) -> tuple[Floats, Floats]:
         """Return displacements and 95 % error bars at wrenches (n, 6), each (n, 6), m and rad."""
         x, spread, offset = self.scaling.loads(wrenches), self.scaling.spread, self.scaling.offset
