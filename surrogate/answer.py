@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -35,11 +33,6 @@ def allowed_by(tolerance: Tolerance, space: Space = DEFAULT) -> tuple[float, ...
     """Return the largest error bar of each output, shape (m,), m and rad."""
     limits = {"m": tolerance.translation, "rad": tolerance.rotation}
     return tuple(limits[output.unit] for output in space.outputs)
-
-
-def six(tolerance: Tolerance | None) -> tuple[float, ...] | None:
-    """Return the largest error of each output by a tolerance, (6,), m and rad; None without."""
-    return None if tolerance is None else allowed_by(tolerance)
 
 
 def within_tolerance_many(bars: Floats, tolerance: Tolerance | None) -> list[bool | None] | None:
@@ -80,20 +73,16 @@ class Allowed:
     outputs: tuple[int, ...]
     space: Space
 
-    def of(self, tolerance: Tolerance | None) -> Sequence[float]:
+    def limits(self) -> Floats:
         """Return the largest error of each output, shape (m,), m and rad, for a covered answer."""
-        effective = tolerance or self.tolerance
-        limits = self._by_variation if effective is None else allowed_by(effective, self.space)
-        if len(self.outputs) == len(limits):
-            return limits
-        return [limit if output in self.outputs else np.inf for output, limit in enumerate(limits)]
-
-    @cached_property
-    def _by_variation(self) -> list[float]:
-        largest = self.space.largest_of_kind(self.variation)
-        varies = np.maximum(self.variation, MIN_VARIATION * largest)
-        # A kind of output that nothing moves has no variation to take a part of.
-        return np.where(varies > 0, WITHOUT_TOLERANCE * varies, np.inf).tolist()
+        if self.tolerance is not None:
+            limits = np.array(allowed_by(self.tolerance, self.space))
+        else:
+            largest = self.space.largest_of_kind(self.variation)
+            varies = np.maximum(self.variation, MIN_VARIATION * largest)
+            # A kind of output that nothing moves has no variation to take a part of.
+            limits = np.where(varies > 0, WITHOUT_TOLERANCE * varies, np.inf)
+        return np.where(np.isin(np.arange(len(limits)), self.outputs), limits, np.inf)
 
 
 def allowed_of(rows: Rows, tolerance: Tolerance | None, outputs: tuple[int, ...] = ()) -> Allowed:

@@ -16,7 +16,6 @@ row of one axis the sum is that row. Slopes are composed alike.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from itertools import product
 from typing import Any
 
@@ -27,7 +26,6 @@ from scipy.spatial import ConvexHull, QhullError
 from ..table.axes import (
     AXES,
     ZERO_LOAD,
-    AxisRows,
     LoadAxis,
     OffAxis,
     axis_rows,
@@ -86,22 +84,16 @@ def _axis_table(
         return table
     chosen = axis_rows(rows, load_range, axis, fit, off_axis)
     if off_axis == "correct" and table is not None:
-        chosen = _worth_joining(chosen, table)
+        # A full wrench's displacement without its off-axis part is as uncertain as the linear fit.
+        # Between clean rows that is far more than the error of these, and such a row would only
+        # put its nonlinear part into all three axes; beyond them it is better than nothing.
+        beyond = table.triangulation.locate(chosen.points) < 0
+        chosen = chosen.take(chosen.single_axis | beyond)
     if not len(chosen.points):
         return None
     if table is not None and chosen.single_axis.all():
         return table
     return axis_table(chosen, load_range, before)
-
-
-def _worth_joining(rows: AxisRows, table: AxisTable) -> AxisRows:
-    """Return the points of an axis without those between its clean rows.
-
-    A full wrench's displacement without its off-axis part is as uncertain as the linear fit.
-    Between clean rows that is far more than the error of these, and such a row would only
-    put its nonlinear part into all three axes; beyond them it is better than nothing.
-    """
-    return rows.take(rows.single_axis | (table.triangulation.locate(rows.points) < 0))
 
 
 def answer_at_zero(rows: Rows, load_range: LoadRange, tables: Sequence[AxisTable | None]) -> Floats:
@@ -168,8 +160,8 @@ def _cuts(
         if table is None:
             continue
         shape = table.triangulation
-        same = [cut for cut in known if cut.column == column and cut.table.triangulation is shape]
-        cuts.append(same[0].of(table) if same else PureMomentCut(table, column))
+        same = [cut for cut in known if cut.column == column and cut.shape is shape]
+        cuts.append(same[0] if same else PureMomentCut(table, column))
     return tuple(cuts)
 
 
@@ -255,8 +247,8 @@ class PureMomentCut:
 
     Attributes
     ----------
-    table : AxisTable
-        Whose answers they are.
+    shape : Triangulation
+        Of the table.
     stations : ndarray, shape (s + 1,), dimensionless
         Scaled moments at which the line passes from one simplex to the next, ascending.
     outputs : ndarray, shape (s, 2, 6), m and rad
@@ -267,7 +259,7 @@ class PureMomentCut:
 
     def __init__(self, table: AxisTable, column: int) -> None:
         """Cut a table along its input `column`, 1 or 2."""
-        self.table, self.column = table, column
+        self.shape, self.column = table.triangulation, column
         self.stations = _stations(table.triangulation, column)
         low, width = self.stations[:-1], np.diff(self.stations)
         middle = self._points(low + 0.5 * width)
@@ -278,12 +270,6 @@ class PureMomentCut:
             for along in (low, low + width)
         )
         self.outputs = np.stack((start, (end - start) / width[:, None]), axis=1)
-
-    def of(self, table: AxisTable) -> PureMomentCut:
-        """Return this cut for a table that was taken over from the cut's table."""
-        cut = copy(self)
-        cut.table = table
-        return cut
 
     def _points(self, along: Floats) -> Floats:
         points = np.zeros((len(along), 3))

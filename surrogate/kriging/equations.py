@@ -140,11 +140,6 @@ class Equations:
         return np.where(averaged, unknown, self.noise)
 
 
-def within(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS) -> Rows:
-    """Return the rows inside the load range, sorted by wrench: their order must not matter."""
-    return rows.take(indices_within(rows, load_range, settings))
-
-
 def indices_within(
     rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS
 ) -> NDArray[np.intp]:

@@ -22,12 +22,9 @@ from starlette.datastructures import UploadFile
 from starlette.responses import FileResponse, Response
 from typing_extensions import TypedDict
 
-from wrenchbook.service.formats import (
-    MAX_PREVIEW,
-    MAX_ZERO_ROWS,
-    Options,
-)
+from wrenchbook.service.formats.options import MAX_ZERO_ROWS, Options
 from wrenchbook.service.formats.options import Format as FileFormat
+from wrenchbook.service.formats.read import MAX_PREVIEW
 from wrenchbook.service.formats.rig import MAX_RIG, NAME, OPTIONS, Rig, RigError, rig_text
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import Body

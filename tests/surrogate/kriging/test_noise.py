@@ -10,8 +10,13 @@ from tests.surrogate.kriging.test_likelihood import PLACE, ROUGH, SMOOTH, WRENCH
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches
 from wrenchbook.surrogate.kriging import Kriging, noise
 from wrenchbook.surrogate.kriging.correlation import Hyperparameters, covariance, mean_terms
-from wrenchbook.surrogate.kriging.equations import Equations, Scaling, equations_of, scaling_of
-from wrenchbook.surrogate.kriging.equations import within as rows_within
+from wrenchbook.surrogate.kriging.equations import (
+    Equations,
+    Scaling,
+    equations_of,
+    indices_within,
+    scaling_of,
+)
 from wrenchbook.surrogate.kriging.settings import KrigingSettings
 from wrenchbook.surrogate.table.merging import merge
 from wrenchbook.surrogate.table.rows import Rows
@@ -27,7 +32,7 @@ TABLES = {
 
 
 def prepared(rows: Rows) -> tuple[Equations, Scaling]:
-    inside, _, readings = merge(rows_within(rows, RANGE), RANGE).usable()
+    inside, _, readings = merge(rows.take(indices_within(rows, RANGE)), RANGE).usable()
     scaling = scaling_of(inside, RANGE)
     return equations_of(inside, scaling, readings), scaling
 
