@@ -30,11 +30,7 @@ from .calibration import LEVEL
 from .findings.comparison import MAX_ROWS as MAX_COMPARED
 from .findings.comparison import beyond_noise
 from .findings.find import without_effects
-from .kriging import (
-    Kriging,
-    SingularCovarianceError,
-    TooFewRowsError,
-)
+from .kriging import Kriging, SingularCovarianceError, TooFewRowsError
 from .kriging.effects import sessions_of
 from .methods import MethodChoice, choose
 from .solver_error import SolverError, bars_are_complete
@@ -103,11 +99,7 @@ class Group:
         self.fit: ComplianceFit = fit_compliance(self.used, load_range, linear=linear)
         self._earlier_axes: Axes | None = vars(before).get("axes") if before is not None else None
         self.choice: MethodChoice = choose(
-            self.used,
-            load_range,
-            self.fit,
-            lambda: self.kriging,
-            linear=linear,
+            self.used, load_range, self.fit, lambda: self.kriging, linear=linear
         )
         self.full_wrenches = count_multi_axis(self.used, load_range) if self.has_axes else 0
         self.row_index = RowIndex(rows.wrench, load_range.scale)
@@ -320,12 +312,7 @@ def build(
     options: dict[str, Any] = {"tolerance": tolerance, "linear": linear, "off_axis": off_axis}
     groups = [
         Group(
-            part,
-            load_range,
-            before=known.get(outputs),
-            outputs=outputs,
-            locked=locked,
-            **options,
+            part, load_range, before=known.get(outputs), outputs=outputs, locked=locked, **options
         )
         for outputs, part in _by_output(of_part)
     ]

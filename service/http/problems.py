@@ -45,12 +45,7 @@ from wrenchbook.service.library.component import (
 )
 from wrenchbook.service.library.rigs import UnknownRigError
 from wrenchbook.service.ops.logs import REQUEST_ID
-from wrenchbook.service.query import (
-    BeyondRangeError,
-    NotCoveredError,
-    SolveFailedError,
-    job_link,
-)
+from wrenchbook.service.query import BeyondRangeError, NotCoveredError, SolveFailedError, job_link
 from wrenchbook.service.sandbox import SandboxBusyError, SandboxError
 from wrenchbook.service.submission import NoSetupError
 from wrenchbook.service.tables.mapped import TableBehindError

@@ -15,11 +15,7 @@ from wrenchbook.service.formats.json import json_text
 from wrenchbook.service.formats.xlsx import write_xlsx
 from wrenchbook.service.ledger import Ledger, TableAt
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.tables.rows import (
-    CONTRACT_TEXT,
-    ExportRows,
-    table_meta,
-)
+from wrenchbook.service.tables.rows import CONTRACT_TEXT, ExportRows, table_meta
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.hdf5 import write_table
 from wrenchbook.surrogate.table.rows import Rows, joined

@@ -23,14 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from ..table.axes import (
-    AXES,
-    ZERO_LOAD,
-    LoadAxis,
-    OffAxis,
-    axis_rows,
-    single_axis_rows,
-)
+from ..table.axes import AXES, ZERO_LOAD, LoadAxis, OffAxis, axis_rows, single_axis_rows
 from ..table.compliance import ComplianceFit
 from ..table.rows import Floats, LoadRange, Rows
 from ..table.space import LOADS
@@ -127,10 +120,7 @@ class Axes:
     """
 
     def __init__(
-        self,
-        tables: Sequence[AxisTable | None],
-        at_zero: Floats,
-        before: Axes | None = None,
+        self, tables: Sequence[AxisTable | None], at_zero: Floats, before: Axes | None = None
     ) -> None:
         """Compose; cuts of axes that another composition has too are taken from it."""
         self.tables = tuple(tables)

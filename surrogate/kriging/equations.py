@@ -218,11 +218,7 @@ def equations_of(
         known[:, 1 + loads :] = curved[:, None] & scaling.active[first] & scaling.active[second]
         some = rows.take(np.flatnonzero(curved))
         derivatives = second_derivatives(
-            some.wrench,
-            some.displacement,
-            some.compliance,
-            some.curvature,
-            scaling.space,
+            some.wrench, some.displacement, some.compliance, some.curvature, scaling.space
         )
         scaled = derivatives[:, :, first, second] * (scaling.half[first] * scaling.half[second])
         data[curved, 1 + loads :] = (scaled / scaling.spread[:, None]).transpose(0, 2, 1)

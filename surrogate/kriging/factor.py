@@ -255,13 +255,7 @@ def factorise(
     """
     subset = equations.take(group.rows)
     if table is None:
-        matrix = covariance(
-            subset.x,
-            subset.known,
-            subset.x,
-            subset.known,
-            hyperparameters,
-        )
+        matrix = covariance(subset.x, subset.known, subset.x, subset.known, hyperparameters)
     else:
         indices = numbers(equations.known)[group.rows][subset.known]
         matrix = table[np.ix_(indices, indices)]
@@ -327,10 +321,7 @@ def left_out(factor: KrigingFactor, labels: Indices) -> LeftOutRows:
         start = 0
         for row, size in zip(rows, sizes[rows], strict=True):
             part = slice(start, start + size)
-            out.errors[row], out.variances[row] = (
-                residuals[part][0],
-                covariance[start, start],
-            )
+            out.errors[row], out.variances[row] = (residuals[part][0], covariance[start, start])
             # what the row's errors are by the covariance that they should have
             squares = residuals[part] * np.linalg.solve(covariance[part, part], residuals[part])
             out.sizes[row] = np.sqrt(np.maximum(squares.sum(axis=0) / size / factor.variance, 0.0))

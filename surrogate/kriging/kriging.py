@@ -29,13 +29,7 @@ from .equations import (
     scaling_of,
     values_of,
 )
-from .factor import (
-    Neighbourhoods,
-    OutputGroup,
-    factorise,
-    left_out,
-    output_groups,
-)
+from .factor import Neighbourhoods, OutputGroup, factorise, left_out, output_groups
 from .inducing import CANDIDATES, evenly, induced
 from .likelihood import estimated, within_one_factor
 from .settings import DEFAULTS, KrigingSettings

@@ -52,9 +52,7 @@ def negative_log_likelihood(
 
 
 def maximise(
-    equations: Equations,
-    groups: list[OutputGroup],
-    settings: KrigingSettings = DEFAULTS,
+    equations: Equations, groups: list[OutputGroup], settings: KrigingSettings = DEFAULTS
 ) -> Hyperparameters:
     """Return the most likely hyperparameters, from two starts."""
     bounds = [settings.theta_bounds] * equations.loads + [
