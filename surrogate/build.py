@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtrit
 
-from .answer import Allowed, allowed_of
+from .answer import limits_of
 from .axes.axes import Axes, build_axes
 from .calibration import LEVEL
 from .findings.comparison import MAX_ROWS as MAX_COMPARED
@@ -165,15 +165,16 @@ class Group:
         except (TooFewRowsError, SingularCovarianceError):
             return None
 
-    @cached_property
-    def allowed(self) -> Allowed:
-        """The largest error bars of covered answers."""
-        return allowed_of(self.used, self.tolerance, self.outputs)
-
     @property
+    def allowed(self) -> Floats:
+        """The largest error of each output, shape (m,), m and rad, of covered answers."""
+        return limits_of(self.used, self.tolerance, self.outputs)
+
+    @cached_property
     def ranges(self) -> Floats:
         """What each output varies by over the rows and from zero, shape (m,), m and rad."""
-        return self.allowed.ranges
+        moved = self.used.displacement
+        return moved.max(axis=0, initial=0.0) - moved.min(axis=0, initial=0.0)
 
     @property
     def is_exact(self) -> bool:

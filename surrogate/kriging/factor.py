@@ -349,15 +349,6 @@ class LocalFactor(Factor):
     columns: Indices
     numbers: Indices
 
-    def squared_deviation(self, across: Floats, terms: Floats, mean_covariance: Floats) -> Floats:
-        """Return sigma squared (m,), over the process variance, each point by itself.
-
-        `across` (m, e) is the covariance with the equations, `terms` (m, 7) are the mean's. A
-        point's digits do not depend on the other points.
-        """
-        reduced, unexplained = self.explained(across[:, None], terms[:, None])
-        return self.variance_of(reduced[:, 0], unexplained[:, 0], mean_covariance)
-
 
 class Neighbourhoods:
     """The nearest rows of any point among those of a factor, and the small factors over them.
@@ -472,7 +463,10 @@ class Neighbourhoods:
         number = np.zeros(len(x), dtype=np.intp) if self.whole else self.number[self.nearest(x)]
         for anchor in np.unique(number).tolist():
             queries, local = np.flatnonzero(number == anchor), self.local_factors[anchor]
-            squared[queries] = local.squared_deviation(
-                across[np.ix_(queries, local.columns)], terms[queries], self.factor.mean_covariance
+            # Each point by itself: its digits do not depend on the other points.
+            near, mean = across[np.ix_(queries, local.columns)], terms[queries]
+            reduced, unexplained = (
+                part[:, 0] for part in local.explained(near[:, None], mean[:, None])
             )
+            squared[queries] = local.variance_of(reduced, unexplained, self.factor.mean_covariance)
         return np.sqrt(squared)
