@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -37,11 +35,6 @@ def allowed_by(tolerance: Tolerance, space: Space = DEFAULT) -> tuple[float, ...
     return tuple(limits[output.unit] for output in space.outputs)
 
 
-def six(tolerance: Tolerance | None) -> tuple[float, ...] | None:
-    """Return the largest error of each output by a tolerance, (6,), m and rad; None without."""
-    return None if tolerance is None else allowed_by(tolerance)
-
-
 def within_tolerance_many(bars: Floats, tolerance: Tolerance | None) -> list[bool | None] | None:
     """Return whether total error bars (n, m), m and rad, are within a tolerance, as the kernel.
 
@@ -57,55 +50,19 @@ def within_tolerance_many(bars: Floats, tolerance: Tolerance | None) -> list[boo
     return [None if blank else within for blank, within in pairs]
 
 
-@dataclass(frozen=True)
-class Allowed:
-    """The largest interpolation errors of covered answers.
+def limits_of(rows: Rows, tolerance: Tolerance | None, outputs: Sequence[int]) -> Floats:
+    """Return the largest interpolation error of each output, (m,), m and rad, of covered answers.
 
-    Attributes
-    ----------
-    tolerance : Tolerance or None, m and rad
-        Of the component.
-    variation : ndarray, shape (m,), m and rad
-        Largest less smallest value of each output over the rows.
-    ranges : ndarray, shape (m,), m and rad
-        The same with zero counted as one of the values.
-    outputs : tuple of int
-        The outputs that count; any error of the others is allowed.
-    space : Space
+    By a tolerance, or without by the variation of the output over the rows that the answers are
+    made of. Of `outputs` alone: any error of the others is allowed.
     """
-
-    tolerance: Tolerance | None
-    variation: Floats
-    ranges: Floats
-    outputs: tuple[int, ...]
-    space: Space
-
-    def of(self, tolerance: Tolerance | None) -> Sequence[float]:
-        """Return the largest error of each output, shape (m,), m and rad, for a covered answer."""
-        effective = tolerance or self.tolerance
-        limits = self._by_variation if effective is None else allowed_by(effective, self.space)
-        if len(self.outputs) == len(limits):
-            return limits
-        return [limit if output in self.outputs else np.inf for output, limit in enumerate(limits)]
-
-    @cached_property
-    def _by_variation(self) -> list[float]:
-        largest = self.space.largest_of_kind(self.variation)
-        varies = np.maximum(self.variation, MIN_VARIATION * largest)
+    space = rows.space
+    if tolerance is not None:
+        limits = np.array(allowed_by(tolerance, space))
+    else:
+        moved = rows.displacement if len(rows) else np.zeros((1, len(space.outputs)))
+        variation = np.ptp(moved, axis=0)
+        varies = np.maximum(variation, MIN_VARIATION * space.largest_of_kind(variation))
         # A kind of output that nothing moves has no variation to take a part of.
-        return np.where(varies > 0, WITHOUT_TOLERANCE * varies, np.inf).tolist()
-
-
-def allowed_of(rows: Rows, tolerance: Tolerance | None, outputs: tuple[int, ...] = ()) -> Allowed:
-    """Return what is allowed of some outputs of a table whose answers are made of these rows.
-
-    Of all outputs where none are named.
-    """
-    displacement, space = rows.displacement, rows.space
-    count = len(space.outputs)
-    outputs = outputs or tuple(range(count))
-    if not len(displacement):
-        return Allowed(tolerance, np.zeros(count), np.zeros(count), outputs, space)
-    low, high = displacement.min(axis=0), displacement.max(axis=0)
-    ranges = np.maximum(high, 0.0) - np.minimum(low, 0.0)
-    return Allowed(tolerance, high - low, ranges, outputs, space)
+        limits = np.where(varies > 0, WITHOUT_TOLERANCE * varies, np.inf)
+    return np.where(np.isin(np.arange(len(limits)), outputs), limits, np.inf)

@@ -24,17 +24,13 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtrit
 
-from .answer import Allowed, allowed_of
+from .answer import limits_of
 from .axes.axes import Axes, build_axes
 from .calibration import LEVEL
 from .findings.comparison import MAX_ROWS as MAX_COMPARED
 from .findings.comparison import beyond_noise
 from .findings.find import without_effects
-from .kriging import (
-    Kriging,
-    SingularCovarianceError,
-    TooFewRowsError,
-)
+from .kriging import Kriging, SingularCovarianceError, TooFewRowsError
 from .kriging.effects import sessions_of
 from .methods import MethodChoice, choose
 from .solver_error import SolverError, bars_are_complete
@@ -103,11 +99,7 @@ class Group:
         self.fit: ComplianceFit = fit_compliance(self.used, load_range, linear=linear)
         self._earlier_axes: Axes | None = vars(before).get("axes") if before is not None else None
         self.choice: MethodChoice = choose(
-            self.used,
-            load_range,
-            self.fit,
-            lambda: self.kriging,
-            linear=linear,
+            self.used, load_range, self.fit, lambda: self.kriging, linear=linear
         )
         self.full_wrenches = count_multi_axis(self.used, load_range) if self.has_axes else 0
         self.row_index = RowIndex(rows.wrench, load_range.scale)
@@ -173,15 +165,16 @@ class Group:
         except (TooFewRowsError, SingularCovarianceError):
             return None
 
-    @cached_property
-    def allowed(self) -> Allowed:
-        """The largest error bars of covered answers."""
-        return allowed_of(self.used, self.tolerance, self.outputs)
-
     @property
+    def allowed(self) -> Floats:
+        """The largest error of each output, shape (m,), m and rad, of covered answers."""
+        return limits_of(self.used, self.tolerance, self.outputs)
+
+    @cached_property
     def ranges(self) -> Floats:
         """What each output varies by over the rows and from zero, shape (m,), m and rad."""
-        return self.allowed.ranges
+        moved = self.used.displacement
+        return moved.max(axis=0, initial=0.0) - moved.min(axis=0, initial=0.0)
 
     @property
     def is_exact(self) -> bool:
@@ -320,12 +313,7 @@ def build(
     options: dict[str, Any] = {"tolerance": tolerance, "linear": linear, "off_axis": off_axis}
     groups = [
         Group(
-            part,
-            load_range,
-            before=known.get(outputs),
-            outputs=outputs,
-            locked=locked,
-            **options,
+            part, load_range, before=known.get(outputs), outputs=outputs, locked=locked, **options
         )
         for outputs, part in _by_output(of_part)
     ]

@@ -129,8 +129,7 @@ def binary() -> None:
     import pyarrow.parquet as parquet
     from openpyxl import Workbook
 
-    from tests.service.table_files import read_csv, write_json
-    from wrenchbook.service.formats import write_hdf5
+    from tests.service.table_files import read_csv, write_hdf5, write_json
     from wrenchbook.surrogate.table.meta import TableMeta
     from wrenchbook.surrogate.table.rows import LoadRange
 

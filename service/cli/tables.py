@@ -28,8 +28,7 @@ from wrenchbook.service.files.durable import write_whole_bytes
 
 _Unit = Annotated[str | None, typer.Option(help="unit in a CSV or XLSX file; SI by default")]
 _Point = Annotated[
-    str | None,
-    typer.Option(metavar="X,Y,Z", help="of the readings, from the interface's point, m"),
+    str | None, typer.Option(metavar="X,Y,Z", help="of the readings, from the interface's point, m")
 ]
 
 

@@ -21,15 +21,7 @@ from .recording import RecordingCalls
 from .replies import Displacement, Displacements
 from .table import DownloadCalls
 from .transport import BINARY, Connection, component_path
-from .wrenches import (
-    Load,
-    Tolerance,
-    loads_body,
-    many_wrenches,
-    one_wrench,
-    options,
-    wrench_of,
-)
+from .wrenches import Load, Tolerance, loads_body, many_wrenches, one_wrench, options, wrench_of
 
 BINARY_FROM = 1000  # wrenches from which a batch is sent as float64, if not given
 FORMATS = {".glb": "gltf", ".vtu": "vtu", ".json": "json"}

@@ -33,10 +33,7 @@ Side = Literal["parent", "child"]
 
 
 def moved(
-    wrench: ArrayLike,
-    *,
-    rotation: ArrayLike | None = None,
-    point: ArrayLike | None = None,
+    wrench: ArrayLike, *, rotation: ArrayLike | None = None, point: ArrayLike | None = None
 ) -> Vector:
     """Express a wrench in another frame and about another point.
 

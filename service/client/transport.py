@@ -310,11 +310,7 @@ class Connection:
             raise WrenchbookError("the iteration was cancelled")
 
     def _head(
-        self,
-        method: str,
-        path: str,
-        query: Mapping[str, object] | None,
-        fields: Mapping[str, str],
+        self, method: str, path: str, query: Mapping[str, object] | None, fields: Mapping[str, str]
     ) -> bytes:
         """Lay out a request's head; InvalidArgument if something in it would end a line."""
         parameters = {

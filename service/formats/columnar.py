@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,15 +16,8 @@ from wrenchbook.service.formats.header import array_header, named_columns, readi
 from wrenchbook.service.formats.options import MAX_ROWS, Array, Options, ParsedTable, ReadReport
 from wrenchbook.service.formats.text import PIECE, CellFormat, Piece, read_columns, read_pieces
 from wrenchbook.service.formats.xlsx import chosen_sheet
-from wrenchbook.surrogate.table.hdf5 import (
-    foreign_columns,
-    foreign_tables,
-    is_table,
-    matlab_object,
-    write_table,
-)
-from wrenchbook.surrogate.table.meta import TableMeta
-from wrenchbook.surrogate.table.rows import Rows, unknown_column
+from wrenchbook.surrogate.table.hdf5 import foreign_columns, foreign_tables, is_table, matlab_object
+from wrenchbook.surrogate.table.rows import unknown_column
 
 MAX_UNPACKED = 1024 * 1024 * 1024
 
@@ -234,23 +226,3 @@ def _tdms_pieces(
         piece = [channel[at : at + PIECE] for channel in channels]
         piece += [(start or 0.0) + step * np.arange(at, at + len(piece[0]))]
         yield labels, piece[: len(labels)]
-
-
-def write_hdf5(table: WritableRows, seq: Sequence[int], meta: TableMeta) -> bytes:
-    """Return the content of the file of a table; `seq` are the rows' numbers in the ledger."""
-    curvature = getattr(table, "curvature", None)
-    rows = Rows.of(
-        table.wrench,
-        table.displacement,
-        meta.load_range.space,
-        seq=np.array(seq, dtype=np.int64),
-        uncertainty=table.uncertainty,
-        compliance=table.compliance,
-        source=list(table.source),
-        fingerprint=list(getattr(table, "fingerprint", ())),
-        **({} if curvature is None else {"curvature": curvature}),
-    )
-    with tempfile.TemporaryDirectory(prefix="wrenchbook-") as folder:
-        path = Path(folder) / "table.h5"
-        write_table(path, rows, meta, notes=[str(note) for note in getattr(table, "note", ())])
-        return path.read_bytes()

@@ -236,10 +236,9 @@ def _form(key: str, names: Sequence[str], width: int, *, is_missing: bool) -> st
     if key == "compliance":
         rule = f"a row has all {len(names)} tangents or none"
         return f"is not {lines} lists of {numbers} numbers; {rule}"
-    remedy = {
-        "uncertainty": " (null where unknown)",
-        "curvature": "; a row has all or none",
-    }.get(key, f"; write [{', '.join(names)}] in SI")
+    remedy = {"uncertainty": " (null where unknown)", "curvature": "; a row has all or none"}.get(
+        key, f"; write [{', '.join(names)}] in SI"
+    )
     return ("is missing" if is_missing else f"is not a list of {numbers} numbers") + remedy
 
 

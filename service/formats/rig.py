@@ -421,11 +421,7 @@ def _applied_lag(
 
 
 def with_loads(
-    pieces: Sequence[ParsedTable],
-    time: Array,
-    wrench: Array,
-    options: Options,
-    report: ReadReport,
+    pieces: Sequence[ParsedTable], time: Array, wrench: Array, options: Options, report: ReadReport
 ) -> Iterator[ParsedTable]:
     """Yield the displacements between two loads, with the interpolated wrench."""
     longest = options.max_gap_s or GAP_FACTOR * float(np.median(np.diff(time)))

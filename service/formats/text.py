@@ -232,10 +232,7 @@ def until_broken(records: Iterator[Record], mistakes: Mistakes) -> Iterator[Reco
 
 
 def text_pieces(
-    records: Iterator[Record],
-    header: Header,
-    mistakes: Mistakes,
-    check: RecordCheck | None = None,
+    records: Iterator[Record], header: Header, mistakes: Mistakes, check: RecordCheck | None = None
 ) -> Iterator[Piece]:
     """Yield the rows below a header in pieces; without `check` short ones are filled up."""
     width = header.width

@@ -21,15 +21,7 @@ from starlette.types import Scope as HttpScope
 from wrenchbook.service.events import Listener
 from wrenchbook.service.http.body import counted
 from wrenchbook.service.http.problems import HttpProblemError
-from wrenchbook.service.keys import (
-    MAX_KEYS,
-    OWN_KEY,
-    Key,
-    Keyring,
-    Scope,
-    digest_of,
-    is_loopback,
-)
+from wrenchbook.service.keys import MAX_KEYS, OWN_KEY, Key, Keyring, Scope, digest_of, is_loopback
 
 LOOPBACK_NAMES: Final = frozenset({"localhost", "127.0.0.1", "::1"})
 PERMISSION: Final = "wrenchbook.permission"  # its key in a request's scope

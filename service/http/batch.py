@@ -212,10 +212,7 @@ def read_binary(
 
 
 def read_wrenches(
-    body: bytes,
-    count: int = MAX_BATCH,
-    largest: float = LARGEST_LOAD,
-    space: Space = DEFAULT,
+    body: bytes, count: int = MAX_BATCH, largest: float = LARGEST_LOAD, space: Space = DEFAULT
 ) -> np.ndarray:
     """Wrenches (n, inputs), SI, of little-endian float64.
 

@@ -19,8 +19,9 @@ from wrenchbook.fea.bundle.read import BundleError
 from wrenchbook.service.events import TooManyListenersError
 from wrenchbook.service.fields.deformed import NoFieldsError, TooFarError
 from wrenchbook.service.files.redact import redact_values
-from wrenchbook.service.formats import SheetFullError, UnitError
+from wrenchbook.service.formats.cells import UnitError
 from wrenchbook.service.formats.rig import RigError
+from wrenchbook.service.formats.xlsx import SheetFullError
 from wrenchbook.service.jobs.waiting import TooManyPollsError
 from wrenchbook.service.ledger import (
     AppendError,
@@ -44,12 +45,7 @@ from wrenchbook.service.library.component import (
 )
 from wrenchbook.service.library.rigs import UnknownRigError
 from wrenchbook.service.ops.logs import REQUEST_ID
-from wrenchbook.service.query import (
-    BeyondRangeError,
-    NotCoveredError,
-    SolveFailedError,
-    job_link,
-)
+from wrenchbook.service.query import BeyondRangeError, NotCoveredError, SolveFailedError, job_link
 from wrenchbook.service.sandbox import SandboxBusyError, SandboxError
 from wrenchbook.service.submission import NoSetupError
 from wrenchbook.service.tables.mapped import TableBehindError
@@ -194,12 +190,6 @@ def problem_of(error: Exception) -> HttpProblemError:
     raise error
 
 
-def crash_of(method: str, path: str) -> HttpProblemError:
-    """Return the answer of a call that an unexpected error ended."""
-    detail = f"{method} {path} failed; the server's log has the traceback."
-    return HttpProblemError(500, "internal", "Internal server error", detail)
-
-
 def install(app: FastAPI) -> None:
     """Make every error of ``app`` answer as a problem."""
 
@@ -219,7 +209,8 @@ def install(app: FastAPI) -> None:
         return response
 
     def crash(request: Request, _: Exception) -> Response:
-        return crash_of(request.method, request.url.path).response()
+        detail = f"{request.method} {request.url.path} failed; the server's log has the traceback."
+        return HttpProblemError(500, "internal", "Internal server error", detail).response()
 
     def gone(_: Request, __: Exception) -> Response:
         return Response(status_code=CLIENT_GONE)  # no caller reads it

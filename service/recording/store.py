@@ -20,12 +20,7 @@ from wrenchbook.service.ledger import BlockKeyError, packed, unpacked
 from wrenchbook.service.ledger.connection import Connection
 from wrenchbook.service.ledger.packing import content_key
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.recording.thinning import (
-    MAX_OUTSIDE,
-    Subset,
-    scaled_loads,
-    take,
-)
+from wrenchbook.service.recording.thinning import MAX_OUTSIDE, Subset, scaled_loads, take
 from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.answer import COVERED, OUTSIDE

@@ -7,22 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from wrenchbook.service.formats import (
-    UnitError,
-    chosen_units,
-    csv_text,
-    json_text,
-    layout,
-    write_parquet,
-    write_xlsx,
-)
+from wrenchbook.service.formats.cells import UnitError, chosen_units
+from wrenchbook.service.formats.columnar import write_parquet
+from wrenchbook.service.formats.columns import layout
+from wrenchbook.service.formats.csv import csv_text
+from wrenchbook.service.formats.json import json_text
+from wrenchbook.service.formats.xlsx import write_xlsx
 from wrenchbook.service.ledger import Ledger, TableAt
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.tables.rows import (
-    CONTRACT_TEXT,
-    ExportRows,
-    table_meta,
-)
+from wrenchbook.service.tables.rows import CONTRACT_TEXT, ExportRows, table_meta
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.hdf5 import write_table
 from wrenchbook.surrogate.table.rows import Rows, joined

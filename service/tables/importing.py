@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.service.formats import Options, ParsedTable, ReadResult, read_untrusted
-from wrenchbook.service.formats.read import read_block
+from wrenchbook.service.formats.options import Options, ParsedTable
+from wrenchbook.service.formats.read import ReadResult, read_block, read_untrusted
 from wrenchbook.service.formats.rig import Rig
 from wrenchbook.service.ledger import About, Ledger, NotedRows, row_keys
 from wrenchbook.service.library.component import Component

@@ -16,8 +16,6 @@ row of one axis the sum is that row. Slopes are composed alike.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
-from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
@@ -25,26 +23,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from ..table.axes import (
-    AXES,
-    ZERO_LOAD,
-    AxisRows,
-    LoadAxis,
-    OffAxis,
-    axis_rows,
-    single_axis_rows,
-)
+from ..table.axes import AXES, ZERO_LOAD, LoadAxis, OffAxis, axis_rows, single_axis_rows
 from ..table.compliance import ComplianceFit
 from ..table.rows import Floats, LoadRange, Rows
 from ..table.space import LOADS
 from .axis_table import AxisTable, axis_table
-from .triangulation import Indices, Triangulation
+from .triangulation import Triangulation
 
 SAME_STATION = 1e-12  # stations closer than this, in scaled units, are the same
 
-# What an axis' part of an answer rests on, from the best to the worst: points within their hull,
-# points off it, none at all.
-INSIDE, OFF_HULL, NO_ROWS = 0, 9, 10
+# What an axis' part of an answer rests on: points within their hull, points off it.
+INSIDE, OFF_HULL = 0, 9
 
 MAX_SPOTS = 5
 MAX_VERTICES = 200
@@ -71,7 +60,7 @@ def build_axes(
         for axis, table in zip(AXES, earlier, strict=True)
     ]
     at_zero = answer_at_zero(rows, load_range, tables)
-    return Axes(tables, at_zero, fit, load_range.scale, before)
+    return Axes(tables, at_zero, before)
 
 
 def _axis_table(
@@ -88,22 +77,16 @@ def _axis_table(
         return table
     chosen = axis_rows(rows, load_range, axis, fit, off_axis)
     if off_axis == "correct" and table is not None:
-        chosen = _worth_joining(chosen, table)
+        # A full wrench's displacement without its off-axis part is as uncertain as the linear fit.
+        # Between clean rows that is far more than the error of these, and such a row would only
+        # put its nonlinear part into all three axes; beyond them it is better than nothing.
+        beyond = table.triangulation.locate(chosen.points) < 0
+        chosen = chosen.take(chosen.single_axis | beyond)
     if not len(chosen.points):
         return None
     if table is not None and chosen.single_axis.all():
         return table
     return axis_table(chosen, load_range, before)
-
-
-def _worth_joining(rows: AxisRows, table: AxisTable) -> AxisRows:
-    """Return the points of an axis without those between its clean rows.
-
-    A full wrench's displacement without its off-axis part is as uncertain as the linear fit.
-    Between clean rows that is far more than the error of these, and such a row would only
-    put its nonlinear part into all three axes; beyond them it is better than nothing.
-    """
-    return rows.take(rows.single_axis | (table.triangulation.locate(rows.points) < 0))
 
 
 def answer_at_zero(rows: Rows, load_range: LoadRange, tables: Sequence[AxisTable | None]) -> Floats:
@@ -115,31 +98,13 @@ def answer_at_zero(rows: Rows, load_range: LoadRange, tables: Sequence[AxisTable
     unloaded = (np.abs(rows.wrench) <= ZERO_LOAD * load_range.scale).all(axis=1)
     if unloaded.any():
         return rows.displacement[unloaded].mean(axis=0)
-    results = [table.read(np.zeros((1, 3))) for table in tables if table is not None]
-    inside = [result.outputs for result in results if result.inside[0]]
+    zero = np.zeros((1, 3))
+    inside = [
+        table.read_in(simplices, zero)
+        for table in tables
+        if table is not None and (simplices := table.triangulation.locate(zero))[0] >= 0
+    ]
     return np.concatenate(inside).mean(axis=0) if inside else np.zeros(6)
-
-
-@dataclass(frozen=True)
-class Composed:
-    """What the axes answer to n wrenches.
-
-    Attributes
-    ----------
-    additive, griddata : ndarray, shape (n, 6), m and rad
-        The answers of these two methods; rotations are the same.
-    states : ndarray of int, shape (n, 3), dimensionless
-        What each axis' part rests on: `INSIDE`, `OFF_HULL` or `NO_ROWS`.
-    """
-
-    additive: Floats
-    griddata: Floats
-    states: NDArray[np.int_]
-
-    @property
-    def state(self) -> NDArray[np.int_]:
-        """The worst of the three axes, shape (n,)."""
-        return self.states.max(axis=1)
 
 
 class Axes:
@@ -155,16 +120,11 @@ class Axes:
     """
 
     def __init__(
-        self,
-        tables: Sequence[AxisTable | None],
-        at_zero: Floats,
-        fit: ComplianceFit,
-        scale: Floats,
-        before: Axes | None = None,
+        self, tables: Sequence[AxisTable | None], at_zero: Floats, before: Axes | None = None
     ) -> None:
         """Compose; cuts of axes that another composition has too are taken from it."""
         self.tables = tuple(tables)
-        self.at_zero, self.fit, self.scale = at_zero, fit, scale
+        self.at_zero = at_zero
         known = before.cuts if before is not None else ((),) * 3
         self.cuts = tuple(
             _cuts(self.tables, moment, cuts) for moment, cuts in zip((3, 4, 5), known, strict=True)
@@ -178,134 +138,6 @@ class Axes:
         """Return, per axis, hull, corners of the range outside it and worst spots, JSON-able."""
         return [_gaps(*each, load_range) for each in zip(AXES, self.tables, strict=True)]
 
-    def evaluate(self, wrenches: Floats) -> Composed:
-        """Compose the answers to wrenches, shape (n, 6), N and N·m."""
-        count = len(wrenches)
-        loaded = np.abs(wrenches) > ZERO_LOAD * self.scale
-        total = _Total(self.at_zero, count)
-        acting = [np.flatnonzero(loaded[:, moment + 3]) for moment in range(3)]
-        alone = [self._alone(m, wrenches[rows, m + 3]) for m, rows in enumerate(acting)]
-        times = -loaded[:, 3:].astype(float)  # how often each moment's answer is added
-        for index, axis in enumerate(AXES):
-            force, first, second = (loaded[:, load] for load in axis.inputs)
-            for load, single in (
-                (axis.inputs[1], first & ~second & ~force),
-                (axis.inputs[2], second & ~first & ~force),
-            ):
-                times[single, load - 3] += 1.0
-                rows = np.flatnonzero(single)
-                part = alone[load - 3].take(np.searchsorted(acting[load - 3], rows))
-                total.set_translation(rows, axis, part)
-                total.state[rows, index] = part.state
-            rows = np.flatnonzero(force | (first & second))
-            if len(rows):
-                part = self._read(axis, wrenches[rows])
-                total.set_translation(rows, axis, part)
-                total.add(rows, part, np.ones(len(rows)))
-                total.state[rows, index] = part.state
-        for moment in range(3):
-            rows = np.flatnonzero(times[:, moment])
-            part = alone[moment].take(np.searchsorted(acting[moment], rows))
-            total.add(rows, part, times[rows, moment])
-            total.mark_base(rows, moment, part.state)
-        return total.composed()
-
-    def _read(self, axis: LoadAxis, wrenches: Floats) -> _Part:
-        """Return an axis' part at wrenches (k, 6) that load it."""
-        table, inputs = self.tables[AXES.index(axis)], list(axis.inputs)
-        if table is None:
-            return self._guess(wrenches[:, inputs], inputs)
-        x = wrenches[:, inputs] / table.scale
-        result = table.read(x)
-        part = _Part(result.outputs, np.where(result.inside, INSIDE, OFF_HULL))
-        outside = np.flatnonzero(~result.inside)
-        if len(outside):
-            # The step along what the points span, from the hull's nearest point, is in the outputs
-            # already, by the slope there. Off it, where a table of fewer dimensions knows no slope,
-            # the fitted compliance gives the slope.
-            step = (x - result.at)[outside]
-            basis = table.triangulation.basis
-            off = step - step @ basis.T @ basis
-            # Of each wrench by itself: batches change nothing.
-            leaves = np.abs(off).max(axis=1) > ZERO_LOAD
-            loads = off[leaves] * table.scale
-            part.outputs[outside[leaves]] += loads @ self.fit.matrix[:, inputs].T
-        return part
-
-    def _guess(self, loads: Floats, inputs: Sequence[int]) -> _Part:
-        """Return the fitted compliance's part, for an axis or moment that has no rows."""
-        outputs = self.at_zero + loads @ self.fit.matrix[:, inputs].T
-        return _Part(outputs, np.full(len(loads), NO_ROWS))
-
-    def _alone(self, moment: int, amounts: Floats) -> _Part:
-        """Return the answers to amounts (k,), N·m, of one moment alone.
-
-        From the axis it comes first in, or from the other where the rows of the first do not
-        hold it.
-        """
-        part = self._guess(amounts[:, None], [moment + 3])
-        for cut in self.cuts[moment]:
-            if not len(cut.state):  # the axis has rows, but none with this moment alone
-                part.state = np.minimum(part.state, OFF_HULL)
-                continue
-            cut_part = cut.read(amounts)
-            better = np.flatnonzero((part.state >= OFF_HULL) & (cut_part.state < part.state))
-            part.put(better, cut_part.take(better))
-        return part
-
-
-@dataclass
-class _Part:
-    """What an axis or a moment alone answers at k wrenches: (k, 6) each, m and rad; state (k,)."""
-
-    outputs: Floats
-    state: NDArray[np.int_]
-
-    def take(self, rows: Indices) -> _Part:
-        return _Part(*(column[rows] for column in self._columns()))
-
-    def put(self, rows: Indices, other: _Part) -> None:
-        for column, new in zip(self._columns(), other._columns(), strict=True):
-            column[rows] = new
-
-    def _columns(self) -> tuple[NDArray, ...]:
-        return self.outputs, self.state
-
-
-class _Total:
-    """The sum so far; the displacement at zero load is added last, with the remaining weight."""
-
-    def __init__(self, at_zero: Floats, count: int) -> None:
-        self.at_zero, self.sum = at_zero, np.zeros((count, 6))
-        self.translations = np.tile(at_zero[:3], (count, 1))
-        self.times = np.zeros((count, 1))
-        self.state = np.zeros((count, 3), dtype=int)
-
-    def set_translation(self, rows: Indices, axis: LoadAxis, part: _Part) -> None:
-        """Take the axis' translation from its part."""
-        output = axis.outputs[0]
-        self.translations[rows, output] = part.outputs[:, output]
-
-    def add(self, rows: Indices, part: _Part, times: Floats) -> None:
-        """Add a part so many times, shape (k,)."""
-        factor = times[:, None]
-        self.sum[rows] += factor * part.outputs
-        self.times[rows] += factor
-
-    def mark_base(self, rows: Indices, moment: int, state: NDArray[np.int_]) -> None:
-        """Raise the state of the axis that a moment comes first in to that of its answer."""
-        first = next(index for index, axis in enumerate(AXES) if axis.inputs[1] == moment + 3)
-        self.state[rows, first] = np.maximum(self.state[rows, first], state)
-
-    def composed(self) -> Composed:
-        """Return the sum."""
-        additive = self.sum + (1.0 - self.times) * self.at_zero
-        return Composed(
-            additive=additive,
-            griddata=np.concatenate((self.translations, additive[:, 3:]), axis=1),
-            states=self.state,
-        )
-
 
 def _cuts(
     tables: Sequence[AxisTable | None], moment: int, known: Sequence[PureMomentCut]
@@ -318,8 +150,8 @@ def _cuts(
         if table is None:
             continue
         shape = table.triangulation
-        same = [cut for cut in known if cut.column == column and cut.table.triangulation is shape]
-        cuts.append(same[0].of(table) if same else PureMomentCut(table, column))
+        same = [cut for cut in known if cut.column == column and cut.shape is shape]
+        cuts.append(same[0] if same else PureMomentCut(table, column))
     return tuple(cuts)
 
 
@@ -405,8 +237,8 @@ class PureMomentCut:
 
     Attributes
     ----------
-    table : AxisTable
-        Whose answers they are.
+    shape : Triangulation
+        Of the table.
     stations : ndarray, shape (s + 1,), dimensionless
         Scaled moments at which the line passes from one simplex to the next, ascending.
     outputs : ndarray, shape (s, 2, 6), m and rad
@@ -417,38 +249,17 @@ class PureMomentCut:
 
     def __init__(self, table: AxisTable, column: int) -> None:
         """Cut a table along its input `column`, 1 or 2."""
-        self.table, self.column = table, column
+        self.shape, self.column = table.triangulation, column
         self.stations = _stations(table.triangulation, column)
         low, width = self.stations[:-1], np.diff(self.stations)
         middle = self._points(low + 0.5 * width)
         simplices = table.triangulation.locate(middle)
         self.state = np.where(simplices >= 0, INSIDE, OFF_HULL).astype(np.int32)
         start, end = (
-            table.read_in(np.maximum(simplices, 0), self._points(along)).outputs
+            table.read_in(np.maximum(simplices, 0), self._points(along))
             for along in (low, low + width)
         )
         self.outputs = np.stack((start, (end - start) / width[:, None]), axis=1)
-
-    def of(self, table: AxisTable) -> PureMomentCut:
-        """Return this cut for a table that was taken over from the cut's table."""
-        cut = copy(self)
-        cut.table = table
-        return cut
-
-    def read(self, moments: Floats) -> _Part:
-        """Read the cut at moments (k,), N·m; beyond its ends along its last stretch."""
-        along = moments / self.table.scale[self.column]
-        if not len(self.state):
-            return _Part(np.zeros((len(along), 6)), np.full(len(along), OFF_HULL))
-        stretches = np.searchsorted(self.stations, along, side="right") - 1
-        stretches = np.clip(stretches, 0, len(self.state) - 1)
-        y = (along - self.stations[stretches])[:, None]
-        outputs = self.outputs[stretches]
-        beyond = (along < self.stations[0] - ZERO_LOAD) | (along > self.stations[-1] + ZERO_LOAD)
-        return _Part(
-            outputs[:, 0] + y * outputs[:, 1],
-            np.where(beyond, OFF_HULL, self.state[stretches]),
-        )
 
     def _points(self, along: Floats) -> Floats:
         points = np.zeros((len(along), 3))

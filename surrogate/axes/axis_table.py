@@ -7,36 +7,12 @@ answers, and the kriging's error bars.
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..table.axes import AxisRows
 from ..table.rows import Floats, LoadRange
 from .triangulation import Indices, Triangulation, recovered_slopes
-
-
-@dataclass(frozen=True)
-class AxisResult:
-    """An axis' answers at k points: all six outputs.
-
-    Attributes
-    ----------
-    outputs : ndarray, shape (k, 6), m and rad
-    simplices : ndarray of int, shape (k,)
-        Where the points, or the nearest points of the hull, lie.
-    inside : ndarray of bool, shape (k,)
-        Whether the hull holds the point. Elsewhere the outputs are those at the hull's nearest
-        point and the step from there.
-    at : ndarray, shape (k, 3), dimensionless
-        The points, or those of the hull.
-    """
-
-    outputs: Floats
-    simplices: Indices
-    inside: NDArray[np.bool_]
-    at: Floats
 
 
 class AxisTable:
@@ -80,39 +56,11 @@ class AxisTable:
             return np.zeros(1)
         return self.triangulation.volumes / 2.0**dimension
 
-    def read(self, x: Floats) -> AxisResult:
-        """Return the axis' answers at scaled inputs, inside its hull or not.
-
-        The inputs have shape (k, 3), dimensionless.
-        """
-        simplices = self.triangulation.locate(x)
-        inside = simplices >= 0
-        if inside.all():
-            return self.read_in(simplices, x)
-        at = x.copy()
-        at[~inside], simplices[~inside] = self.triangulation.nearest_on_hull(x[~inside])
-        result = self.read_in(simplices, at)
-        # Slopes blended from the vertices are continuous along the hull; those of simplices jump.
-        weights = self.triangulation.barycentric(simplices[~inside], at[~inside])
-        corners = self.slopes[self.triangulation.simplices[simplices[~inside]]]
-        slopes = self.along_span(np.einsum("kv,kvqi->kqi", weights, corners))
-        result.outputs[~inside] += np.einsum("kqi,ki->kq", slopes, (x - at)[~inside])
-        return replace(result, inside=inside)
-
-    def along_span(self, slopes: Floats) -> Floats:
-        """Return slopes (k, 6, 3) by the scaled loads, projected on the span of the points."""
-        basis = self.triangulation.basis
-        return slopes if len(basis) == 3 else slopes @ basis.T @ basis
-
-    def read_in(self, simplices: Indices, x: Floats) -> AxisResult:
-        """Return the same at points of the simplices that they lie in.
-
-        Shapes (k, 3), dimensionless, and (k,).
-        """
+    def read_in(self, simplices: Indices, x: Floats) -> Floats:
+        """Return the outputs (k, 6), m and rad, at scaled inputs (k, 3) in simplices (k,)."""
         weights = self.triangulation.barycentric(simplices, x)
         corners = self.values[self.triangulation.simplices[simplices]]
-        outputs = np.einsum("kv,kvq->kq", weights, corners)
-        return AxisResult(outputs, simplices, np.ones(len(x), dtype=bool), x)
+        return np.einsum("kv,kvq->kq", weights, corners)
 
 
 def axis_table(rows: AxisRows, load_range: LoadRange, before: AxisTable | None) -> AxisTable:

@@ -29,8 +29,8 @@ SHEAR = np.eye(3) + 1e-3 * np.array([[0.31, 0.77, -0.53], [0.19, -0.41, 0.97], [
 CELLS = 32  # a side: three times five bits fit 16, which numpy sorts by radix
 MIN_SORTED = 64  # points below which sorting costs more than it saves
 
-# Of the nearest point of a hull, and of points beside flat simplices:
-PAIRS = 200_000  # pairs of points and facets or simplices at once: some 50 MB of numbers
+# Of points beside flat simplices:
+PAIRS = 200_000  # pairs of points and simplices at once: some 50 MB of numbers
 
 # Of slopes at the points:
 NEIGHBOURS = {1: 5, 2: 10, 3: 18}  # of a patch, by dimension: not quite two for each unknown
@@ -224,27 +224,6 @@ class Triangulation:
         off = off - off @ self.basis.T @ self.basis
         return bool((np.abs(off) <= self.slack).all())
 
-    def nearest_on_hull(self, x: Floats) -> tuple[Floats, Indices]:
-        """Return the nearest points of the hull, (k, 3), and a simplex that holds each, (k,).
-
-        Parameters
-        ----------
-        x : ndarray, shape (k, 3), dimensionless
-            Points outside the hull.
-        """
-        if self.dimension == 0:
-            return np.tile(self.points[0], (len(x), 1)), np.zeros(len(x), dtype=np.intp)
-        # What lies off the plane or line of the points is nearest to its foot there, if the hull
-        # holds that.
-        nearest = x if self.dimension == 3 else self.origin + self.flattened(x) @ self.basis
-        simplices = self.locate(nearest) if self.dimension < 3 else np.full(len(x), -1)
-        beyond = np.flatnonzero(simplices < 0)
-        if len(beyond):
-            on_facet, facet = nearest_points(self.points[self.hull], nearest[beyond])
-            nearest = nearest.copy()
-            nearest[beyond], simplices[beyond] = on_facet, self.behind_hull[facet]
-        return nearest, simplices
-
     @cached_property
     def hull(self) -> Indices:
         """The vertices of each facet of the hull: indices of points, shape (f, dimension)."""
@@ -311,62 +290,6 @@ def inverses(edges: Floats) -> Floats:
             return np.stack((d, -b, -c, a), axis=1).reshape(-1, 2, 2) * over
         a, b, c = edges[:, 0], edges[:, 1], edges[:, 2]
         return np.stack((np.cross(b, c), np.cross(c, a), np.cross(a, b)), axis=2) * over
-
-
-def nearest_points(facets: Floats, x: Floats) -> tuple[Floats, NDArray[np.intp]]:
-    """Return the nearest point of any facet to each point, (k, 3), and which facet, (k,).
-
-    Parameters
-    ----------
-    facets : ndarray, shape (f, corners, 3), dimensionless
-        With one to three corners.
-    x : ndarray, shape (k, 3), dimensionless
-    """
-    nearest = np.empty_like(x)
-    facet = np.empty(len(x), dtype=np.intp)
-    step = max(PAIRS // len(facets), 1)
-    for start in range(0, len(x), step):
-        some = slice(start, start + step)
-        on_each = _on_facets(facets, x[some])
-        distance = ((on_each - x[some, None]) ** 2).sum(axis=2)
-        best = distance.argmin(axis=1)
-        facet[some] = best
-        nearest[some] = on_each[np.arange(len(best)), best]
-    return nearest, facet
-
-
-def _on_facets(facets: Floats, x: Floats) -> Floats:
-    """Return the nearest point of each facet to each point, shape (k, f, 3)."""
-    corners = facets.shape[1]
-    if corners == 1:
-        return np.broadcast_to(facets[None, :, 0], (len(x), len(facets), 3))
-    if corners == 2:
-        return _on_stretch(facets[:, 0], facets[:, 1], x)
-    # Take the foot of the perpendicular if the triangle holds it, else the nearest of its edges.
-    # The barycentric coordinates of the foot come of the normal equations; a triangle without
-    # area has none, and its edges answer.
-    a, e, f = facets[:, 0], facets[:, 1] - facets[:, 0], facets[:, 2] - facets[:, 0]
-    ee, ef, ff = ((u * v).sum(axis=1) for u, v in ((e, e), (e, f), (f, f)))
-    area = ee * ff - ef**2
-    delta = x[:, None] - a
-    pe, pf = np.einsum("kfi,fi->kf", delta, e), np.einsum("kfi,fi->kf", delta, f)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        s, t = (ff * pe - ef * pf) / area, (ee * pf - ef * pe) / area
-        inside = (s >= 0) & (t >= 0) & (s + t <= 1)  # of no area, s and t may be of both infinities
-    foot = a + np.where(inside, s, 0.0)[..., None] * e + np.where(inside, t, 0.0)[..., None] * f
-    edges = np.stack(
-        [_on_stretch(facets[:, i], facets[:, j], x) for i, j in ((0, 1), (1, 2), (2, 0))]
-    )
-    nearest = ((edges - x[None, :, None]) ** 2).sum(axis=3).argmin(axis=0)
-    on_edge = np.take_along_axis(edges, nearest[None, ..., None], axis=0)[0]
-    return np.where(inside[..., None], foot, on_edge)
-
-
-def _on_stretch(a: Floats, b: Floats, x: Floats) -> Floats:
-    along = b - a
-    length = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
-    fraction = np.einsum("kfi,fi->kf", x[:, None] - a, along) / length
-    return a + np.clip(fraction, 0.0, 1.0)[..., None] * along
 
 
 def curve_order(x: Floats) -> NDArray[np.intp]:

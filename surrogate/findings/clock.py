@@ -198,9 +198,7 @@ def _fitted(logs: Logs, lags: tuple[float, float], step: float) -> tuple[float, 
             return None
         start = lags[1]
         result: Any = minimize_scalar(
-            fit.size,
-            bounds=(start - width, start + width),
-            options={"xatol": 0.05 * step},
+            fit.size, bounds=(start - width, start + width), options={"xatol": 0.05 * step}
         )
         if abs(result.x - start) < INSIDE * width:
             return float(result.x), fit

@@ -119,10 +119,7 @@ class _Work:
             raise ValueError(f"a wrench of {len(self.inputs)} numbers: {error}") from error
 
     def options(
-        self,
-        tolerance: Sequence[float] | None,
-        method: str | None,
-        without_rows: bool = False,
+        self, tolerance: Sequence[float] | None, method: str | None, without_rows: bool = False
     ) -> int | None:
         """Take the options of a request and return their address, None for the component's.
 

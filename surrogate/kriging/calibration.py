@@ -59,11 +59,6 @@ class Calibration:
         """Return the calibration of rows that do not show how large errors are."""
         return cls(np.full(outputs, settings.half_width), 0.0)
 
-    @property
-    def known(self) -> bool:
-        """Whether left-out rows show how large errors are."""
-        return self.max_sigma > 0
-
 
 class Errors(NamedTuple):
     """Errors of rows that were left out.

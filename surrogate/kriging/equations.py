@@ -140,11 +140,6 @@ class Equations:
         return np.where(averaged, unknown, self.noise)
 
 
-def within(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS) -> Rows:
-    """Return the rows inside the load range, sorted by wrench: their order must not matter."""
-    return rows.take(indices_within(rows, load_range, settings))
-
-
 def indices_within(
     rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS
 ) -> NDArray[np.intp]:
@@ -223,11 +218,7 @@ def equations_of(
         known[:, 1 + loads :] = curved[:, None] & scaling.active[first] & scaling.active[second]
         some = rows.take(np.flatnonzero(curved))
         derivatives = second_derivatives(
-            some.wrench,
-            some.displacement,
-            some.compliance,
-            some.curvature,
-            scaling.space,
+            some.wrench, some.displacement, some.compliance, some.curvature, scaling.space
         )
         scaled = derivatives[:, :, first, second] * (scaling.half[first] * scaling.half[second])
         data[curved, 1 + loads :] = (scaled / scaling.spread[:, None]).transpose(0, 2, 1)

@@ -255,13 +255,7 @@ def factorise(
     """
     subset = equations.take(group.rows)
     if table is None:
-        matrix = covariance(
-            subset.x,
-            subset.known,
-            subset.x,
-            subset.known,
-            hyperparameters,
-        )
+        matrix = covariance(subset.x, subset.known, subset.x, subset.known, hyperparameters)
     else:
         indices = numbers(equations.known)[group.rows][subset.known]
         matrix = table[np.ix_(indices, indices)]
@@ -327,10 +321,7 @@ def left_out(factor: KrigingFactor, labels: Indices) -> LeftOutRows:
         start = 0
         for row, size in zip(rows, sizes[rows], strict=True):
             part = slice(start, start + size)
-            out.errors[row], out.variances[row] = (
-                residuals[part][0],
-                covariance[start, start],
-            )
+            out.errors[row], out.variances[row] = (residuals[part][0], covariance[start, start])
             # what the row's errors are by the covariance that they should have
             squares = residuals[part] * np.linalg.solve(covariance[part, part], residuals[part])
             out.sizes[row] = np.sqrt(np.maximum(squares.sum(axis=0) / size / factor.variance, 0.0))
@@ -357,15 +348,6 @@ class LocalFactor(Factor):
 
     columns: Indices
     numbers: Indices
-
-    def squared_deviation(self, across: Floats, terms: Floats, mean_covariance: Floats) -> Floats:
-        """Return sigma squared (m,), over the process variance, each point by itself.
-
-        `across` (m, e) is the covariance with the equations, `terms` (m, 7) are the mean's. A
-        point's digits do not depend on the other points.
-        """
-        reduced, unexplained = self.explained(across[:, None], terms[:, None])
-        return self.variance_of(reduced[:, 0], unexplained[:, 0], mean_covariance)
 
 
 class Neighbourhoods:
@@ -481,7 +463,10 @@ class Neighbourhoods:
         number = np.zeros(len(x), dtype=np.intp) if self.whole else self.number[self.nearest(x)]
         for anchor in np.unique(number).tolist():
             queries, local = np.flatnonzero(number == anchor), self.local_factors[anchor]
-            squared[queries] = local.squared_deviation(
-                across[np.ix_(queries, local.columns)], terms[queries], self.factor.mean_covariance
+            # Each point by itself: its digits do not depend on the other points.
+            near, mean = across[np.ix_(queries, local.columns)], terms[queries]
+            reduced, unexplained = (
+                part[:, 0] for part in local.explained(near[:, None], mean[:, None])
             )
+            squared[queries] = local.variance_of(reduced, unexplained, self.factor.mean_covariance)
         return np.sqrt(squared)

@@ -29,13 +29,7 @@ from .equations import (
     scaling_of,
     values_of,
 )
-from .factor import (
-    Neighbourhoods,
-    OutputGroup,
-    factorise,
-    left_out,
-    output_groups,
-)
+from .factor import Neighbourhoods, OutputGroup, factorise, left_out, output_groups
 from .inducing import CANDIDATES, evenly, induced
 from .likelihood import estimated, within_one_factor
 from .settings import DEFAULTS, KrigingSettings
@@ -243,11 +237,6 @@ class Kriging:
         varying = np.where(self.scaling.constant, 0.0, np.sqrt(nugget))
         relative = self.settings.error_floor * np.abs(self.scaling.offset)
         return (varying + self.rounding) * self.scaling.spread + relative + SMALLEST
-
-    @property
-    def knows_errors(self) -> bool:
-        """Whether left-out rows show how large errors are, of all outputs."""
-        return all(calibration.known for calibration in self.calibrations)
 
     def answer_many(self, wrenches: Floats) -> tuple[Floats, Floats]:
         """Return displacements and 95 % error bars at wrenches (n, 6), each (n, 6), m and rad."""

@@ -21,8 +21,6 @@ from .gradient import contracted
 from .noise import REFUSED, Estimate, estimate_noise
 from .settings import DEFAULTS, KrigingSettings
 
-DECIMALS = 9  # to which two distances are a tie, resolved by the order of the rows
-
 
 def negative_log_likelihood(
     logarithms: Floats,
@@ -54,23 +52,17 @@ def negative_log_likelihood(
 
 
 def maximise(
-    equations: Equations,
-    groups: list[OutputGroup],
-    before: Hyperparameters | None = None,
-    settings: KrigingSettings = DEFAULTS,
+    equations: Equations, groups: list[OutputGroup], settings: KrigingSettings = DEFAULTS
 ) -> Hyperparameters:
-    """Return the most likely hyperparameters, from two starts or from those before."""
+    """Return the most likely hyperparameters, from two starts."""
     bounds = [settings.theta_bounds] * equations.loads + [
         settings.weight_bounds
     ] * equations.weights
-    if before is not None:
-        starts = [np.clip(before.logarithms, *np.array(bounds).T)]
-    else:
-        weights = [0.0] * (equations.weights - 1) + [settings.weight_start]
-        # With second derivatives the first start ended at the higher maximum, or both at one, for
-        # 35 of 35 tables: real solves of `plate_thin` and made-up parts.
-        thetas = settings.theta_starts[: 1 if equations.weights > 1 else None]
-        starts = [np.array([theta] * equations.loads + weights) for theta in thetas]
+    weights = [0.0] * (equations.weights - 1) + [settings.weight_start]
+    # With second derivatives the first start ended at the higher maximum, or both at one, for
+    # 35 of 35 tables: real solves of `plate_thin` and made-up parts.
+    thetas = settings.theta_starts[: 1 if equations.weights > 1 else None]
+    starts = [np.array([theta] * equations.loads + weights) for theta in thetas]
     runs = [
         minimize(
             negative_log_likelihood,

@@ -30,13 +30,7 @@ from ..calibration import CONFIDENCE
 from ..table.rows import Floats
 from .correlation import Hyperparameters, covariance, matern, mean_terms
 from .equations import Equations, Scaling
-from .factor import (
-    OutputGroup,
-    SingularCovarianceError,
-    factorise,
-    inverse_factor,
-    output_groups,
-)
+from .factor import OutputGroup, SingularCovarianceError, factorise, inverse_factor, output_groups
 from .gradient import contracted
 from .settings import KrigingSettings
 

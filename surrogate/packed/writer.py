@@ -172,7 +172,7 @@ def _group_arrays(group: Group, sources: _Sources) -> Iterator[tuple[str, Array]
     flags = [METHODS.index(group.default), exact, used, len(group.used) > 0]
     yield "flags", np.array(flags, dtype=np.int32)
     yield "outputs", np.isin(np.arange(len(group.fit.matrix)), group.outputs).astype(np.int32)
-    yield "allowed", np.array(group.allowed.of(None), dtype=float)
+    yield "allowed", group.allowed
     yield "fit/matrix", group.fit.matrix
     yield "fit/bar", group.fit.error
     if group.fit.offset.any():

@@ -264,11 +264,7 @@ class Rows:
 
     @classmethod
     def of(
-        cls,
-        wrench: ArrayLike,
-        displacement: ArrayLike,
-        space: Space = DEFAULT,
-        **columns: Any,
+        cls, wrench: ArrayLike, displacement: ArrayLike, space: Space = DEFAULT, **columns: Any
     ) -> Rows:
         """Return rows of wrenches (n, 6) and displacements (n, 6); other columns may be left out.
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from tests.benchmarks.test_live import as_csv, made_up
-from wrenchbook.service.formats import Options
+from wrenchbook.service.formats.options import Options
 from wrenchbook.service.ledger import About, Ledger
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.importing import import_files

@@ -18,9 +18,9 @@ import numpy as np
 import orjson
 import pytest
 
+from tests.service.table_files import write_hdf5
 from wrenchbook.service.client import Client
 from wrenchbook.service.files.program import child_command
-from wrenchbook.service.formats import write_hdf5
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 

@@ -15,7 +15,14 @@ import openpyxl
 import pyarrow as arrow
 from pyarrow.parquet import write_table as write_parquet
 
-from tests.service.table_files import read_csv, read_hdf5, read_json, write_csv, write_json
+from tests.service.table_files import (
+    read_csv,
+    read_hdf5,
+    read_json,
+    write_csv,
+    write_hdf5,
+    write_json,
+)
 from tests.service.test_rig_files import RUN, tdms
 from tests.service.test_table_files import DIALECTS
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
@@ -23,8 +30,7 @@ from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.mesh.io.abaqus_content import read_deck
 from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.spec.problems import MeshFileError
-from wrenchbook.service.formats import Options, ParsedTable, write_hdf5
-from wrenchbook.service.formats.options import ReadReport
+from wrenchbook.service.formats.options import Options, ParsedTable, ReadReport
 from wrenchbook.service.formats.read import read_table_file
 from wrenchbook.service.library.bundles import extract
 from wrenchbook.service.sandbox import Part

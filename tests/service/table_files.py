@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain
@@ -12,12 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.service.formats import Layout, ParsedTable, csv_text, json_text, layout
 from wrenchbook.service.formats.columnar import read_hdf5 as hdf5_file
+from wrenchbook.service.formats.columns import Layout, WritableRows, layout
+from wrenchbook.service.formats.csv import csv_text
 from wrenchbook.service.formats.csv import read_csv as csv_file
+from wrenchbook.service.formats.json import json_text
 from wrenchbook.service.formats.json import read_json as json_file
-from wrenchbook.service.formats.options import FileMistake, Options, ReadReport
+from wrenchbook.service.formats.options import FileMistake, Options, ParsedTable, ReadReport
 from wrenchbook.service.formats.read import read_table_file
+from wrenchbook.surrogate.table.hdf5 import write_table
+from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import Rows, joined
 
 
@@ -90,4 +94,24 @@ def written(write: Any, table: ReadTable, units: Mapping[str, str] | None = None
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "export"
         write(path, [table], layout_of(table, units), {"contract": "SI", "component": "rig"})
+        return path.read_bytes()
+
+
+def write_hdf5(table: WritableRows, seq: Sequence[int], meta: TableMeta) -> bytes:
+    """Return the content of the file of a table; `seq` are the rows' numbers in the ledger."""
+    curvature = getattr(table, "curvature", None)
+    rows = Rows.of(
+        table.wrench,
+        table.displacement,
+        meta.load_range.space,
+        seq=np.array(seq, dtype=np.int64),
+        uncertainty=table.uncertainty,
+        compliance=table.compliance,
+        source=list(table.source),
+        fingerprint=list(getattr(table, "fingerprint", ())),
+        **({} if curvature is None else {"curvature": curvature}),
+    )
+    with tempfile.TemporaryDirectory(prefix="wrenchbook-") as folder:
+        path = Path(folder) / "table.h5"
+        write_table(path, rows, meta, notes=[str(note) for note in getattr(table, "note", ())])
         return path.read_bytes()

@@ -15,9 +15,8 @@ from scipy.io import savemat
 
 from tests.service.table_files import ZERO, read
 from tests.service.test_table_files import DIALECTS
-from wrenchbook.service.formats import read_untrusted
 from wrenchbook.service.formats.options import ReadReport
-from wrenchbook.service.formats.read import read_logs
+from wrenchbook.service.formats.read import read_logs, read_untrusted
 from wrenchbook.service.formats.text import PIECE
 
 RNG = np.random.default_rng(5)

@@ -23,10 +23,17 @@ from pyarrow.parquet import write_table
 
 from tests.refusals import assert_told, cases
 from tests.service import table_files
-from tests.service.table_files import ZERO, read, read_json, write_csv, write_json, written
+from tests.service.table_files import (
+    ZERO,
+    read,
+    read_json,
+    write_csv,
+    write_hdf5,
+    write_json,
+    written,
+)
 from wrenchbook.service.formats import csv as csv_table
 from wrenchbook.service.formats import options as table_options
-from wrenchbook.service.formats import write_hdf5
 from wrenchbook.service.formats import xlsx as xlsx_table
 from wrenchbook.service.formats.cells import (
     FORCE,

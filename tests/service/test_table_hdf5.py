@@ -11,8 +11,7 @@ import pytest
 from scipy.io import savemat
 
 from tests.service import table_files
-from tests.service.table_files import ReadTable, read_hdf5
-from wrenchbook.service.formats import write_hdf5
+from tests.service.table_files import ReadTable, read_hdf5, write_hdf5
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 

@@ -19,10 +19,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.service import table_files
-from tests.service.table_files import ReadTable, read, write_csv, write_json, written
-from wrenchbook.service.formats import UnitError, write_hdf5
+from tests.service.table_files import ReadTable, read, write_csv, write_hdf5, write_json, written
 from wrenchbook.service.formats.cells import (
     QUANTITIES,
+    UnitError,
     guard_formula,
     in_unit,
     scaled,

@@ -10,18 +10,14 @@ import numpy as np
 import pytest
 
 from tests.service.ledger_rows import NewRow, insert
-from wrenchbook.service.formats import (
-    Options,
-    ReadResult,
-    csv_text,
-    json_text,
-    layout,
-    read_untrusted,
-    write_hdf5,
-    write_parquet,
-    write_xlsx,
-)
-from wrenchbook.service.formats.options import ParsedTable
+from tests.service.table_files import write_hdf5
+from wrenchbook.service.formats.columnar import write_parquet
+from wrenchbook.service.formats.columns import layout
+from wrenchbook.service.formats.csv import csv_text
+from wrenchbook.service.formats.json import json_text
+from wrenchbook.service.formats.options import Options, ParsedTable
+from wrenchbook.service.formats.read import ReadResult, read_untrusted
+from wrenchbook.service.formats.xlsx import write_xlsx
 from wrenchbook.service.ledger import About, Ledger, NotedRows
 from wrenchbook.service.ledger.rows import MAX_CHANGES
 from wrenchbook.service.library.component import Component

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wrenchbook.surrogate import build as product
-from wrenchbook.surrogate.answer import six
+from wrenchbook.surrogate.answer import allowed_by
 from wrenchbook.surrogate.kernel.explain import explain
 from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.solver_error import SolverError
@@ -68,7 +68,7 @@ class Law:
         method: str | None = None,
     ) -> Answer:
         """Answer one wrench of six floats, N and N·m."""
-        told = packed_of(self.table).answer(wrench, six(tolerance), method)
+        told = packed_of(self.table).answer(wrench, tolerance and allowed_by(tolerance), method)
         words = told.coverage, told.reason, told.method, told.missing
         return Answer(told.outputs, told.interpolation, *words)
 
@@ -80,7 +80,9 @@ class Law:
     ) -> Batch:
         """Answer wrenches (n, 6), N and N·m."""
         asked = np.asarray(wrenches, dtype=float).reshape(-1, 6)
-        outputs, errors, coverage = packed_of(self.table).batch(asked, six(tolerance), method)
+        outputs, errors, coverage = packed_of(self.table).batch(
+            asked, tolerance and allowed_by(tolerance), method
+        )
         table = self.table
         if table.solver_error or table.rig_error.any() or not table.bars_are_complete:
             told = [self.answer(wrench, tolerance, method).error for wrench in asked.tolist()]
@@ -102,7 +104,7 @@ class Law:
         method: str | None = None,
     ) -> list[dict[str, Any]]:
         """Return what each axis contributes: see `kernel.explain`."""
-        return explain(packed_of(self.table), wrench, six(tolerance), method)
+        return explain(packed_of(self.table), wrench, tolerance and allowed_by(tolerance), method)
 
 
 def mesh_errors(

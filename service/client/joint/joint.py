@@ -168,12 +168,7 @@ class Joint:
         )
 
     def step(
-        self,
-        R: ArrayLike,
-        p: ArrayLike,
-        velocity: ArrayLike,
-        inverse_mass: ArrayLike,
-        dt: float,
+        self, R: ArrayLike, p: ArrayLike, velocity: ArrayLike, inverse_mass: ArrayLike, dt: float
     ) -> Vector:
         """Return the wrench on the part during a step, shape (6,), N and N·m.
 

@@ -518,11 +518,7 @@ def from_table(
 
 
 def from_server(
-    client: Client,
-    component: str,
-    tolerance: Limit | None,
-    method: str | None,
-    on_thin: OnThin,
+    client: Client, component: str, tolerance: Limit | None, method: str | None, on_thin: OnThin
 ) -> tuple[Limit | None, Ask]:
     """Answer from the server's table; what it does not cover is queued, where it can be solved."""
     facts = client.component(component)
@@ -554,10 +550,7 @@ def from_solves(
         while True:
             remaining = max(deadline - time.monotonic(), 0.0)
             answer = client.solve(
-                component,
-                wrench,
-                wait_s=min(remaining, LONGEST_CALL_S),
-                beyond_range=beyond_range,
+                component, wrench, wait_s=min(remaining, LONGEST_CALL_S), beyond_range=beyond_range
             )
             if answer.covered:
                 break

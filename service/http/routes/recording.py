@@ -16,13 +16,7 @@ from starlette.responses import Response
 from wrenchbook.service import messages
 from wrenchbook.service.contract import CONTRACT_TEXT, MAX_BLOCK
 from wrenchbook.service.http.batch import BINARY_BODY, is_binary, read_wrenches
-from wrenchbook.service.http.bodies import (
-    BlockBody,
-    BlockKey,
-    Body,
-    EnvelopeStartBody,
-    StartBody,
-)
+from wrenchbook.service.http.bodies import BlockBody, BlockKey, Body, EnvelopeStartBody, StartBody
 from wrenchbook.service.http.body import (
     JsonRoute,
     both_tolerances,
@@ -40,12 +34,7 @@ from wrenchbook.service.recording.start import (
     start_recording,
     start_resolving,
 )
-from wrenchbook.service.recording.store import (
-    BlockResult,
-    RecordingStore,
-    Tally,
-    bound_of,
-)
+from wrenchbook.service.recording.store import BlockResult, RecordingStore, Tally, bound_of
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.table.rows import NEAR
 
@@ -136,10 +125,7 @@ async def widen_envelope(name: str, request: Request) -> Response:
     response_model=messages.Envelope,
 )
 def get_envelope(
-    name: str,
-    request: Request,
-    translation: Positive = None,
-    rotation: Positive = None,
+    name: str, request: Request, translation: Positive = None, rotation: Positive = None
 ) -> Response:
     workspace: Workspace = request.app.state.workspace
     component = workspace.library[name]

@@ -70,9 +70,7 @@ def cancel_report(name: str, workspace: Opened) -> Response:
     "",
     summary="The latest report; 202 while the first one is being made",
     responses=answers(
-        dict[str, Any],
-        "the latest report",
-        content={"text/markdown": TEXT, "text/html": TEXT},
+        dict[str, Any], "the latest report", content={"text/markdown": TEXT, "text/html": TEXT}
     )
     | _MAKING,
 )

@@ -17,9 +17,7 @@ from wrenchbook.service.tables.rows import iso_time
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 
 router = APIRouter(
-    prefix="/v1/components/{name}/table/{row}",
-    tags=["table"],
-    responses=refused(404, 422),
+    prefix="/v1/components/{name}/table/{row}", tags=["table"], responses=refused(404, 422)
 )
 
 # The ledger's numbers are SQLite's: 64 bits with a sign.

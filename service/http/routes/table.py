@@ -22,12 +22,9 @@ from starlette.datastructures import UploadFile
 from starlette.responses import FileResponse, Response
 from typing_extensions import TypedDict
 
-from wrenchbook.service.formats import (
-    MAX_PREVIEW,
-    MAX_ZERO_ROWS,
-    Options,
-)
+from wrenchbook.service.formats.options import MAX_ZERO_ROWS, Options
 from wrenchbook.service.formats.options import Format as FileFormat
+from wrenchbook.service.formats.read import MAX_PREVIEW
 from wrenchbook.service.formats.rig import MAX_RIG, NAME, OPTIONS, Rig, RigError, rig_text
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import Body
@@ -47,11 +44,7 @@ from wrenchbook.service.messages import (
 )
 from wrenchbook.service.sandbox import SandboxBusyError
 from wrenchbook.service.tables.bushing import BushingError, Others, bushing_csv
-from wrenchbook.service.tables.exporting import (
-    ENDINGS,
-    ExportRequest,
-    export_table,
-)
+from wrenchbook.service.tables.exporting import ENDINGS, ExportRequest, export_table
 from wrenchbook.service.tables.importing import import_files, solved_compliance
 from wrenchbook.service.tables.store import setup_of
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
@@ -131,8 +124,7 @@ class ImportQuery(Body):
     """The query of an import; what is not named is refused."""
 
     format: Annotated[
-        FileFormat | None,
-        Field(description="checked against the content; detected if left out"),
+        FileFormat | None, Field(description="checked against the content; detected if left out")
     ] = None
     dry_run: Annotated[bool, Field(description="check and count; nothing is changed")] = False
     partial: Annotated[bool, Field(description="load the good rows of a file with mistakes")] = (
@@ -142,8 +134,7 @@ class ImportQuery(Body):
         int, Field(ge=0, le=MAX_PREVIEW, description="so many first good rows come back")
     ] = 0
     decimal: Annotated[
-        Literal[".", ","] | None,
-        Field(description="mark of numbers in text; detected if left out"),
+        Literal[".", ","] | None, Field(description="mark of numbers in text; detected if left out")
     ] = None
     ignore: Annotated[
         list[_Text],
@@ -326,8 +317,7 @@ Imported = TypedDict(
         "gzip": bool,
         "import": Annotated[int | None, Field(description="its number, in imports")],
         "rig": Annotated[
-            dict[str, Any] | None,
-            Field(description="name, handedness, axes, points, load cell"),
+            dict[str, Any] | None, Field(description="name, handedness, axes, points, load cell")
         ],
         "rows": Annotated[
             dict[str, int],

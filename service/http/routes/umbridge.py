@@ -29,11 +29,7 @@ from wrenchbook.service.http.bodies import (
     Seconds,
     ToleranceBody,
 )
-from wrenchbook.service.http.body import (
-    parsed_json,
-    read_limited,
-    tolerance_of,
-)
+from wrenchbook.service.http.body import parsed_json, read_limited, tolerance_of
 from wrenchbook.service.http.openapi import answers, takes
 from wrenchbook.service.http.problems import problem_of
 from wrenchbook.service.http.routes import DirectRoute, json_reply
@@ -44,12 +40,7 @@ from wrenchbook.surrogate.table.space import Space
 
 log = logging.getLogger(__name__)
 
-SUPPORT: Final = {
-    "Evaluate": True,
-    "Gradient": True,
-    "ApplyJacobian": True,
-    "ApplyHessian": False,
-}
+SUPPORT: Final = {"Evaluate": True, "Gradient": True, "ApplyJacobian": True, "ApplyHessian": False}
 DEFAULT_WAIT_S: Final = 600.0  # a caller of this protocol waits for a simulation, however long
 Kind = Literal["ModelNotFound", "UnsupportedFeature", "InvalidInput", "InvalidOutput"]
 
@@ -89,8 +80,7 @@ class EvaluateBody(Named):
     """One wrench, and options."""
 
     input: Annotated[
-        list[InputVector],
-        Field(min_length=1, max_length=1, description="all inputs: N, N·m, ..."),
+        list[InputVector], Field(min_length=1, max_length=1, description="all inputs: N, N·m, ...")
     ]
     config: Config | None = None
 

@@ -68,8 +68,8 @@ def _known(kriging: Kriging) -> float:
 
 
 def test_fewer_than_six_rows_as_far_as_queries_show_no_errors() -> None:
-    assert not _kriging("smooth", spread(5, 8)).knows_errors
-    assert _kriging("smooth", spread(12, 8)).knows_errors
+    assert _known(_kriging("smooth", spread(5, 8))) == 0.0
+    assert _known(_kriging("smooth", spread(12, 8))) > 0.0
 
 
 def test_noise_of_a_left_out_row_is_no_error_of_its_answer() -> None:
@@ -135,8 +135,8 @@ def _shown(monkeypatch: pytest.MonkeyPatch, far: int, near: int, size: float = 1
 def test_six_rows_as_far_as_queries_show_errors_and_five_do_not(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    assert not _shown(monkeypatch, 5, 0).knows_errors
-    assert _shown(monkeypatch, 6, 0).knows_errors
+    assert _known(_shown(monkeypatch, 5, 0)) == 0.0
+    assert _known(_shown(monkeypatch, 6, 0)) > 0.0
 
 
 def test_larger_errors_of_most_rows_near_others_hold(monkeypatch: pytest.MonkeyPatch) -> None:

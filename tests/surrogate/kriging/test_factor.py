@@ -7,7 +7,12 @@ from tests.surrogate.kriging.responses import RESPONSES, noisy_rows, solved, spr
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches
 from wrenchbook.surrogate.kriging import Kriging
 from wrenchbook.surrogate.kriging.correlation import Hyperparameters, covariance, mean_terms
-from wrenchbook.surrogate.kriging.equations import Equations, equations_of, scaling_of, within
+from wrenchbook.surrogate.kriging.equations import (
+    Equations,
+    equations_of,
+    indices_within,
+    scaling_of,
+)
 from wrenchbook.surrogate.kriging.factor import (
     KrigingFactor,
     OutputGroup,
@@ -27,7 +32,7 @@ OUTPUTS = np.arange(6)
 def _equations(per_axis: int, full: int, measured: bool = False) -> Equations:
     x, response = spread_wrenches(per_axis, full, 5), RESPONSES["strongly_coupled"]
     rows = noisy_rows(response, x, 5, told=True) if measured else solved(response, x)
-    inside, _, readings = merge(within(rows, RANGE), RANGE).usable()
+    inside, _, readings = merge(rows.take(indices_within(rows, RANGE)), RANGE).usable()
     return equations_of(inside, scaling_of(inside, RANGE), readings)
 
 

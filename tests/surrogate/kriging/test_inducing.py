@@ -13,7 +13,7 @@ from tests.surrogate.responses import HIGH, RANGE, coupled
 from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.kriging import Kriging, inducing
 from wrenchbook.surrogate.kriging.correlation import Hyperparameters, covariance, mean_terms
-from wrenchbook.surrogate.kriging.equations import Equations, scaling_of, values_of, within
+from wrenchbook.surrogate.kriging.equations import Equations, indices_within, scaling_of, values_of
 from wrenchbook.surrogate.kriging.factor import KrigingFactor, OutputGroup, factorise
 from wrenchbook.surrogate.kriging.inducing import Inducing, induced, values_between
 from wrenchbook.surrogate.kriging.noise import Estimate
@@ -100,7 +100,7 @@ def test_the_noise_is_that_of_all_rows() -> None:
 def test_errors_are_within_the_posterior(noise: float) -> None:
     rows = measured(3000, noise)
     equations = equations_of(rows)
-    used = within(rows, RANGE)
+    used = rows.take(indices_within(rows, RANGE))
     scaling = scaling_of(used, RANGE)
     truth = (coupled(ASKED) - scaling.offset) / scaling.spread
     for factor in through(equations, 1e-2).factors:
