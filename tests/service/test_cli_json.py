@@ -58,6 +58,7 @@ COMMANDS = {
     "import": (["plate", "FOLDER/table.csv"], [IMPORTED]),
     "export": (["plate", "FOLDER/out.csv"], [b"fx,fy\n"]),
     "withdraw": (["plate"], [COMPONENT]),
+    "compare": (["plate"], [{"component": "plate", "compared": 0}]),
     "rig": (["list"], [{"rigs": []}]),
     "keys add": (["ann", "--data", "FOLDER"], []),
     "keys list": (["--data", "FOLDER"], []),

@@ -92,7 +92,9 @@ def test_a_table_that_was_replaced_still_gives_its_bytes_to_a_request_that_has_i
 def test_a_component_edited_on_the_disk_answers_by_its_new_range(both, tmp_path):
     _, reader = both
     file = tmp_path / "components" / "new" / "component.toml"
-    file.write_text(file.read_text().replace("10.0", "20.0"))
+    edited = file.with_suffix(".new")
+    edited.write_text(file.read_text().replace("10.0", "20.0"))
+    edited.replace(file)  # a half-written file is a broken component meanwhile
     assert reader.tables.catch_up("new", 600)
     assert reader.tables.surrogate("new").load_range.high[0] == 20.0
 

@@ -143,33 +143,6 @@ def test_the_band_of_a_response_is_split_by_cause(browser, plate):
     assert bands == 2
 
 
-def test_measured_rows_are_drawn_beside_the_solves_and_beside_another_import(browser, client):
-    client.solve("bar", [0, 0, 50.0], wait_s=120)
-    rng = np.random.default_rng(0)
-    force = rng.uniform(-95, 95, (2, 40))
-    for loads, softer in zip(force, (1.0, 1.1), strict=True):
-        wrenches = np.zeros((40, 6))
-        wrenches[:, 2] = loads
-        moved = client.displacements("bar", wrenches, on_thin="estimate").displacements
-        pairs = zip(loads.tolist(), (softer * moved[:, 2]).tolist(), strict=True)
-        rows = [{"fz [N]": one, "uz [m]": other} for one, other in pairs]
-        options = {"missing_loads": "zero", "load_cell": "moving", "wait_s": 60}
-        number = client.append("bar", f"rig {softer}", rows, **options)["import"]
-    browser.visit("#/c/bar/compare")
-    for plot in ("over-load", "over-order", "over-expected"):
-        browser.drawn(f"#{plot}")
-    assert "answer of the solves alone" in browser.named("p", "measured rows").text
-    assert "80 of 80 measured rows" in browser.named("p", "measured rows").text
-    browser.run(
-        "const choose = (id, to) => { const one = document.getElementById(id); one.value = to;"
-        " one.dispatchEvent(new Event('change')); }; choose('compared', arguments[0]);"
-        " choose('reference', arguments[1]);",
-        *(str(number), str(number - 1)),
-    )
-    browser.named("p", f"rows of import {number - 1}")
-    browser.named("td", "1.1")
-
-
 def test_the_last_cell_of_a_long_bad_line_is_seen(browser, rig):
     row = ",".join(["0.123456789012"] * 11 + ["minus 0.2"])
     header = f"{LOADS},ux [mm],uy [mm],uz [mm],rx [deg],ry [deg],rz [deg]"
@@ -448,3 +421,30 @@ def test_the_scene_plan_takes_loads_by_interface(browser):
     browser.named("form button", "Plan").click()
     browser.until(lambda: browser.all(".cards section.card"))
     assert "right.fx" in browser.one("main").text
+
+
+def test_measured_rows_are_drawn_beside_the_solves_and_beside_another_import(browser, client):
+    client.solve("bar", [0, 0, 50.0], wait_s=120)
+    rng = np.random.default_rng(0)
+    force = rng.uniform(-95, 95, (2, 40))
+    for loads, softer in zip(force, (1.0, 1.1), strict=True):
+        wrenches = np.zeros((40, 6))
+        wrenches[:, 2] = loads
+        moved = client.displacements("bar", wrenches, on_thin="estimate").displacements
+        pairs = zip(loads.tolist(), (softer * moved[:, 2]).tolist(), strict=True)
+        rows = [{"fz [N]": one, "uz [m]": other} for one, other in pairs]
+        options = {"missing_loads": "zero", "load_cell": "moving", "wait_s": 60}
+        number = client.append("bar", f"rig {softer}", rows, **options)["import"]
+    browser.visit("#/c/bar/compare")
+    for plot in ("over-load", "over-order", "over-expected"):
+        browser.drawn(f"#{plot}")
+    assert "answer of the solves alone" in browser.named("p", "measured rows").text
+    assert "80 of 80 measured rows" in browser.named("p", "measured rows").text
+    browser.run(
+        "const choose = (id, to) => { const one = document.getElementById(id); one.value = to;"
+        " one.dispatchEvent(new Event('change')); }; choose('compared', arguments[0]);"
+        " choose('reference', arguments[1]);",
+        *(str(number), str(number - 1)),
+    )
+    browser.named("p", f"rows of import {number - 1}")
+    browser.named("td", "1.1")
