@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from tests.service.test_http_library import http  # noqa: F401 (a fixture)
 from wrenchbook.service.ledger import About, Ledger, NotedRows
 from wrenchbook.surrogate.table.rows import Rows
 
+ROOT = Path(__file__).parents[2]
 CALL = "/v1/components/live/table"
 SPANS = {"force": [100] * 3, "moment": [10] * 3}
 LIVE = {"name": "live", "title": "A test that runs", "range": SPANS}
@@ -153,7 +155,7 @@ def run(path):
 def test_a_kill_between_blocks_loses_none_that_was_acknowledged(tmp_path):
     path = tmp_path / "ledger.sqlite"
     command = [sys.executable, "-m", "tests.service.test_http_append", str(path)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE)
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE)
     seen = [process.stdout.readline() for _ in range(20)]
     process.kill()
     seen += process.communicate()[0].splitlines()

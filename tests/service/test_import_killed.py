@@ -8,6 +8,7 @@ import random
 import sqlite3
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from wrenchbook.service.ledger import About, Ledger, NotedRows
 from wrenchbook.service.ledger import imports as importing
 from wrenchbook.surrogate.table.rows import Rows
 
+ROOT = Path(__file__).parents[2]
 KILLS = int(os.environ.get("WRENCHBOOK_KILLS", "10"))
 ROWS = 3000
 BLOCK = 300
@@ -46,7 +48,7 @@ def run(path: str, seed: int) -> None:
 
 def started(path, seed):
     command = [sys.executable, "-m", "tests.service.test_import_killed", str(path), str(seed)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE)
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE)
     assert process.stdout.readline() == b"started\n"
     return process
 
