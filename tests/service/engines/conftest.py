@@ -58,9 +58,9 @@ class Bench:
         until(lambda: self.pid(attempt))
         return attempt
 
-    def end(self, engine, attempt, seconds=60):
+    def end(self, engine, attempt):
         """Wait until the engine knows the attempt's end; returns its state."""
-        until(lambda: engine.poll(attempt) not in ALIVE, seconds)
+        until(lambda: engine.poll(attempt) not in ALIVE)
         return engine.poll(attempt)
 
     def outcome(self, attempt):
