@@ -443,9 +443,11 @@ class DaskEngine(attempts.Listeners):
         result = asyncio.ensure_future(future.result())
         try:
             if client.status == "running":  # without the connection the future is cancelled
-                # The task goes on without this server, and its result stays for the next one.
+                # The task goes on without this server, and its result stays for the next one. A new
+                # scheduler waits for ever for what was sent to one that has died.
                 with contextlib.suppress(OSError):
-                    await client.publish_dataset(future, name=future.key, override=True)
+                    async with asyncio.timeout(ANSWER_SECONDS):
+                        await client.publish_dataset(future, name=future.key, override=True)
             while not (await asyncio.wait({result}, timeout=ROSTER_SECONDS))[0]:
                 if workers and not self._away and not self._workers.keys() & workers:
                     # Dask would keep the task for these workers, whichever others come.

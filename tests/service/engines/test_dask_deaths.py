@@ -60,13 +60,12 @@ def test_a_scheduler_that_dies_is_found_again_with_the_attempts(own, cluster):
     assert engine.slots == 0
     assert all(engine.poll(one) in (*ALIVE, "finished") for one in (attempt, *waiting))
     cluster.mend(1)
-    until(lambda: cluster.mend(1) or not engine.trouble)
-    # Workers end with their scheduler, maybe after the new one has begun; solvers with workers.
-    until(lambda: cluster.mend(1) or own.starts(attempt) >= 2)
+    until(lambda: cluster.mend(1) or not engine.trouble)  # workers end with their scheduler
+    until(lambda: own.starts(attempt) == 2)  # solvers end with their workers
     own.go(attempt)
-    every = attempt, *waiting
-    until(lambda: cluster.mend(1) or all(engine.poll(one) not in ALIVE for one in every))
-    assert [engine.poll(one) for one in every] == ["finished"] * 4
+    for one in (attempt, *waiting):
+        assert own.end(engine, one) == "finished"
+    assert own.starts(attempt) == 2
 
 
 def test_a_connection_that_is_lost_and_comes_back_finds_the_same_task(own, cluster):
