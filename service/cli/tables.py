@@ -23,7 +23,7 @@ from wrenchbook.service.cli.connect import (
 )
 from wrenchbook.service.cli.render import Screen, comparison_shown, plain, print_json, show
 from wrenchbook.service.client.errors import mistake_line
-from wrenchbook.service.client.library import check_readable, table_format
+from wrenchbook.service.client.library import RIG_NAME, check_readable, table_format
 from wrenchbook.service.files.durable import write_whole_bytes
 
 _Unit = Annotated[str | None, typer.Option(help="unit in a CSV or XLSX file; SI by default")]
@@ -347,6 +347,8 @@ def rig(
     verb = {"list": "GET", "show": "GET", "add": "PUT", "remove": "DELETE"}[action]
     if (action == "list") == bool(name) or (action == "add") != (file is not None):
         raise typer.BadParameter("write list, show NAME, add NAME FILE.toml or remove NAME")
+    if name and not RIG_NAME.fullmatch(name):
+        raise typer.BadParameter(f"{name!r}: a name is of letters, digits and .-_, 64 at most")
     content = None if file is None else file.read_bytes()
     with connected(server, data) as client:
         reply = client.call(verb, path, content, kind="application/toml")

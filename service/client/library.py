@@ -29,7 +29,7 @@ _ENDINGS = {
 }
 # The content decides how a file is read; these endings are of other kinds of file.
 _NOT_READ = frozenset({".fmu", ".wbt", ".pdf"})
-_RIG_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")  # as the server's profiles have
+RIG_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")  # as the server's profiles have
 _IMPORT_S = 300.0  # a million rows take a minute, and another import before them as long
 
 
@@ -472,7 +472,7 @@ def _named_file(file: str | Path) -> tuple[str, bytes]:
 
 def _profile(rig: str | Path) -> str:
     """Return the text of a TOML file, or the name of a profile that the server has."""
-    if isinstance(rig, str) and _RIG_NAME.fullmatch(rig) and not Path(rig).is_file():
+    if isinstance(rig, str) and RIG_NAME.fullmatch(rig) and not Path(rig).is_file():
         return rig
     return Path(rig).read_text("utf-8-sig", "replace")
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from wrenchbook.service.formats.rig import NAME, Rig
+from wrenchbook.service.formats.rig import NAME, Rig, RigError
 from wrenchbook.service.ledger import Ledger
 
+MAX_RIGS = 1000  # stored: 8 MB; a laboratory has dozens
+MAX_NAMED = 20  # in a message
 SHIPPED = Path(__file__).parents[1] / "formats" / "rigs"
 
 
@@ -31,15 +33,21 @@ def rig_of(ledger: Ledger, rig: str) -> str:
         return rig
     known = profiles(ledger)
     if rig not in known:
-        message = f"there is no rig {rig!r}; there are {', '.join(known)}. Store it with "
+        names = ", ".join([*known][:MAX_NAMED]) + (", ..." if len(known) > MAX_NAMED else "")
+        message = f"there is no rig {rig!r}; there are {names}. Store it with "
         raise UnknownRigError(f"{message}wrenchbook rig add {rig} FILE.toml, or send its TOML")
     text = known[rig][0]
     return f'name = "{rig}"\n{text}' if Rig.read(text).name == Rig.digest(text) else text
 
 
 def store_rig(ledger: Ledger, name: str, profile: str) -> None:
-    """Store a profile, or replace it."""
+    """Store a profile, or replace it; RigError if there are MAX_RIGS."""
     with ledger.writing() as db:
+        others = db.execute("SELECT count(*) FROM rigs WHERE name != ?", (name,)).fetchone()[0]
+        if others >= MAX_RIGS:
+            raise RigError(
+                f"{others} rigs are stored, the most; remove one (wrenchbook rig remove)"
+            )
         db.execute("INSERT OR REPLACE INTO rigs VALUES (?, ?)", (name, profile))
 
 

@@ -98,6 +98,14 @@ def test_a_load_of_the_profile_that_the_file_lacks_is_not_zero(rig):
     assert error["message"].startswith("there is no column for fz (of the rig: Force or Load)")
 
 
+def test_no_more_rigs_are_stored_than_the_most_and_each_can_be_replaced(rig, monkeypatch):
+    monkeypatch.setattr("wrenchbook.service.library.rigs.MAX_RIGS", 1)
+    assert rig.put("/v1/rigs/first", content="tare = 3").status_code == 200
+    refused = rig.put("/v1/rigs/second", content="tare = 3")
+    assert (refused.status_code, "remove one" in refused.json()["detail"]) == (422, True)
+    assert rig.put("/v1/rigs/first", content="tare = 4").status_code == 200
+
+
 def test_a_stored_profile_is_in_a_backup(tmp_path):
     ledger = Ledger(tmp_path / "data" / "ledger.sqlite")
     store_rig(ledger, "hall-3", PROFILE)

@@ -506,12 +506,13 @@ async def import_table(
             {**error, "loc": f"row {error['row']}.{error['field']}", "msg": error["message"]}
             for error in errors
         ]
+        sent = "block" if query.append else "complete file"
         raise HttpProblemError(
             422,
             "bad-rows",
             "The table has mistakes",
             f"Nothing was loaded. {len(errors)} mistake(s); the first is in row {first['row']}, "
-            f"{first['field']}: {first['message']}. Correct them and send the complete file again, "
+            f"{first['field']}: {first['message']}. Correct them and send the {sent} again, "
             "or say --partial (over HTTP partial=true) to load the good rows.",
             **reply,
         )
