@@ -21,9 +21,13 @@ export async function show(root, about, signal) {
   const facts = el("div", { class: "stack", "aria-live": "polite" }), axes = el("div", { class: "line bottom" });
   const query = () => new URLSearchParams(Object.entries({ import: state.number, against: state.against }).filter(([, value]) => value));
   const again = () => state.drawings.forEach((one, k) => { one.again(); places[k].setAttribute("aria-label", label(state, k)); });
+  let latest = null;
   const load = async () => {
+    const asked = latest = String(query());
     try {
-      state.reply = await get(`${of(about.name)}/comparison?${query()}`, signal);
+      const reply = await get(`${of(about.name)}/comparison?${asked}`, signal);
+      if (asked !== latest) return; // another choice was made meanwhile
+      state.reply = reply;
       const first = ["output", "load"].map((kind) => varying(state.reply, kind));
       if (!first[0].includes(state.output)) [state.output] = first[0];
       if (!first[1].includes(state.load)) [state.load] = first[1];
@@ -35,7 +39,7 @@ export async function show(root, about, signal) {
       if (!state.drawings.length) for (const [k, place] of places.entries()) state.drawings.push(await draw(place, (shade) => picture(state, k, shade), signal, label(state, k)));
       again();
     } catch (error) {
-      if (signal.aborted) return;
+      if (signal.aborted || asked !== latest) return;
       put(facts, trouble(error));
       places.forEach((one) => { one.hidden = true; });
     }

@@ -2,6 +2,7 @@
 
 import json
 import re
+from functools import partial
 
 import numpy as np
 import pytest
@@ -425,6 +426,8 @@ def test_the_scene_plan_takes_loads_by_interface(browser):
 
 def test_measured_rows_are_drawn_beside_the_solves_and_beside_another_import(browser, client):
     client.solve("bar", [0, 0, 50.0], wait_s=120)
+    ask = partial(client.displacements, "bar", [[0, 0, 60.0, 0, 0, 0]], on_thin="estimate")
+    until(lambda: ask().coverage[0] == "covered")  # the row's table is packed
     rng = np.random.default_rng(0)
     force = rng.uniform(-95, 95, (2, 40))
     for loads, softer in zip(force, (1.0, 1.1), strict=True):
