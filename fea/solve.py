@@ -356,7 +356,7 @@ class Solver:
         except SolveFailed as failure:
             failure.history = tuple(path.history)
             factor, nodes = path.last_state()
-            failure.last = factor, nodes @ self.component.axes
+            failure.last = factor, self.body.expanded(nodes) @ self.component.axes
             raise
         work = path.work
         if weight is not None and unloaded is not None:
@@ -377,10 +377,12 @@ class Solver:
             unknowns=self.unknowns,
             seconds=0.0,
             history=history,
-            nodes=balance.state.nodes @ self.component.axes,
+            nodes=self.body.expanded(balance.state.nodes) @ self.component.axes,
             notes=self.notes,
             tangents=np.einsum(
-                "ji,njk->nik", self.component.axes, equilibrium.tangent.nodal_response
+                "ji,njk->nik",
+                self.component.axes,
+                self.body.expanded(equilibrium.tangent.nodal_response),
             ),
             curvature=self._curvature(balance, equilibrium.tangent),
             state=balance.state,

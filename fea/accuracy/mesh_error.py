@@ -30,7 +30,7 @@ from scipy.spatial import KDTree
 from wrenchbook.fea.assembly.body import gather
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.facets import EDGES, corners_of, outer_surface
-from wrenchbook.fea.mesh.mesh import NODES_PER_CELL, Mesh
+from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.reference_cell import node_coordinates, reference_element, tabulate
 from wrenchbook.fea.solve import Solver
 
@@ -157,7 +157,6 @@ def bows_of(mesh: Mesh) -> tuple[Array, float]:
 
 
 _FIRST_ORDER = {"hex": "hex8", "tet": "tet4", "wed": "wedge6"}
-_KINDS = {nodes: kind for kind, nodes in NODES_PER_CELL.items()}
 
 
 class _Piece(NamedTuple):
@@ -253,16 +252,15 @@ def _centres_and_diameters(points: Array, blocks: list[Array]) -> tuple[Array, A
 def _pieces(solver: Solver) -> Iterator[_Piece]:
     component, body = solver.component, solver.body
     unit = solver.linear.fields
-    sorts = zip(body.parts, body.cells, solver.volumes, strict=True)
-    for part, nodes, (numbers, _) in sorts:
+    sorts = zip(body.parts, body.cells, body.blocks, solver.volumes, strict=True)
+    for part, nodes, block, (numbers, _) in sorts:
         weights = part.gradients.weights
         moved = np.moveaxis(gather(unit, nodes), -1, 0)
         slopes = moved[:, :, None] @ part.gradients.slopes.swapaxes(2, 3)
         strains = 0.5 * (slopes + slopes.swapaxes(-1, -2))
         fields = np.stack([strains, part.small_stresses(moved)])
-        kind = _KINDS[nodes.shape[1]]
-        functions = _corner_functions(kind, component.analysis.integration)
-        corners = nodes[:, : functions.shape[1]]
+        functions = _corner_functions(block.kind, component.analysis.integration)
+        corners = block.nodes[:, : functions.shape[1]]
         for material in np.unique(numbers).tolist():
             chosen = numbers == material
             yield _Piece(

@@ -53,6 +53,8 @@ def filled_cells(
             modes = volume_modes(mesh.points, part, gradients.weights, integration)
         values = reference_element(part.kind, integration).values
         points = values @ mesh.points[part.nodes] @ frame + start
+        if mesh.dependents is not None and mesh.dependents.among(part.nodes).any():
+            gradients = gradients.of_outer(mesh.dependents.outer(part.nodes)[1])
         filled.append((part, _stiffness(law, gradients, cell_materials, modes, (frame, points))))
     return filled
 
@@ -64,7 +66,7 @@ def sorted_cells(
 
     Each is the block it comes from with its cells' materials, shape (cells,), which of its cells,
     shape (cells,), bool (both dimensionless), their law, and whether their volumetric strain is
-    projected.
+    projected. Cells with dependent nodes are parts of their own.
 
     Raises SolveFailed: ``locking_material``.
     """
@@ -74,10 +76,14 @@ def sorted_cells(
         require_no_locking(block, poisson[number])
         for law in np.unique(laws[number]):
             projected = projects(block, poisson[number])
+            follows = np.zeros(len(block), dtype=bool)
+            if mesh.dependents is not None:
+                follows = mesh.dependents.among(block.nodes)
             for sort in (~projected, projected):
-                chosen = sort & (laws[number] == law)
-                if chosen.any():
-                    yield block, number, chosen, LAWS[law], sort is projected
+                for following in (~follows, follows):
+                    chosen = sort & following & (laws[number] == law)
+                    if chosen.any():
+                        yield block, number, chosen, LAWS[law], sort is projected
 
 
 def _stiffness(

@@ -79,8 +79,10 @@ class ElasticBody:
 
     mesh: every point belongs to a cell.
     filled: its cells with their material, see `fea.assembly.blocks.filled_cells`.
-    free: shape (n,), bool: the nodes whose displacement is unknown.
+    free: shape (n,), bool: the nodes whose displacement is unknown; dependent ones are not.
     held: the nodes that slide, see `Movable`.
+    blocks, cells: the nodes of each part's cells, and those that move them: others where nodes
+    follow others. Displacements of dependent nodes count for nothing, and no force is on them.
     """
 
     def __init__(
@@ -91,10 +93,25 @@ class ElasticBody:
         held: tuple[Array, Array] = (np.empty(0, dtype=np.int64), np.empty((0, 3, 3))),
     ) -> None:
         self.points = mesh.points
+        self.dependents = mesh.dependents
+        if self.dependents is not None:
+            free = free.copy()
+            free[self.dependents.nodes] = False
         self.free = free
         self.movable = Movable(free, held)
-        self.cells = [block.nodes for block, _ in filled]
+        self.blocks = [block for block, _ in filled]
+        self.cells = [self._outer(block.nodes) for block in self.blocks]
         self.parts = [stiffness for _, stiffness in filled]
+
+    def _outer(self, cells: Array) -> Array:
+        """Return the nodes that move some cells, (m, s): their own unless these follow others."""
+        if self.dependents is None or not self.dependents.among(cells).any():
+            return cells
+        return self.dependents.outer(cells)[0]
+
+    def expanded(self, fields: Array) -> Array:
+        """Return fields (n, 3, ...), m, with the displacements of nodes that follow others."""
+        return fields if self.dependents is None else self.dependents.expanded(fields)
 
     @property
     def size(self) -> int:

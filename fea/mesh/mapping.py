@@ -95,8 +95,12 @@ class Gradients:
 
     slopes: Array  # shape (cells, points, 3, nodes), 1/m: dN_a/dX_J at each quadrature point
     weights: Array  # shape (cells, points), m^3: the volume that each point stands for
-    # Shape (points, nodes), dimensionless: the shape functions at the quadrature points
+    # Shape (points, nodes), or (cells, points, nodes) if they differ: the shape functions
     values: Array
+
+    def of_outer(self, weights: Array) -> Gradients:
+        """Return those by the nodes that cells follow; weights as of `Dependents.outer`."""
+        return Gradients(self.slopes @ weights[:, None], self.weights, self.values @ weights)
 
 
 def cell_gradients(points: Array, block: CellBlock, integration: str) -> Gradients:

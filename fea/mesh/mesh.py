@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from wrenchbook.fea.mesh.deck_content import DeckContent
+from wrenchbook.fea.mesh.dependents import Dependents
 
 Array = np.ndarray
 
@@ -84,6 +85,7 @@ class Mesh:
     node_groups: Mapping[str, Array] = field(default_factory=dict)
     # What else is in the input deck that the mesh is of; None of other meshes
     deck: DeckContent | None = None
+    dependents: Dependents | None = None  # nodes that follow others
 
     @property
     def unknowns(self) -> int:

@@ -164,7 +164,8 @@ def nodal_masses(component: ComponentModel, body: ElasticBody) -> Array:
     total = np.zeros(body.size)
     numbers = material_of_parts(component, body)
     for part, nodes, number in zip(body.parts, body.cells, numbers, strict=True):
-        masses = (densities[number][:, None] * part.gradients.weights) @ part.gradients.values
+        carried = densities[number][:, None] * part.gradients.weights
+        masses = (carried[:, None] @ part.gradients.values)[:, 0]
         total = total + np.bincount(nodes.ravel(), masses.ravel(), minlength=body.size)
     return total
 

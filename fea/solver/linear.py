@@ -75,6 +75,7 @@ def linear_response(system: System) -> LinearResponse:
         energies[loads] += conjugate
         energies[:, loads] += conjugate
         energies[loads, loads] += 2 * system.body.at(1.0, finite=False).forces(at_rest)[1]
+    fields = system.body.expanded(fields)
     sag, moved = fields[:, :, inputs:].sum(axis=2), displacements[:, inputs:].sum(axis=1)
     fields = fields[:, :, :inputs]
     return LinearResponse(

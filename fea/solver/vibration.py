@@ -289,6 +289,9 @@ def consistent_mass(mesh: Mesh, density: Sequence[Array]) -> csr_array:
         columns = np.tile(block.nodes, (1, block.nodes.shape[1]))
         indices = rows.ravel(), columns.ravel()
         total = total + coo_array((entries.ravel(), indices), shape=(count, count)).tocsr()
+    if mesh.dependents is not None:
+        follow = mesh.dependents.map
+        total = follow.T @ total @ follow
     return csr_array(total)
 
 

@@ -1,0 +1,89 @@
+"""Nodes whose displacement is a sum of others': ties of two surfaces, cuts of bolts, equations.
+
+The displacement in a cell with such nodes, sum_a N_a u_a with u_a = sum_j w_aj u_j, is
+sum_j M_j u_j with M_j = sum_a w_aj N_a: the cell has other shape functions, on other nodes. All
+that follows, forces, tangents, higher derivatives and energies at finite displacements, is that of
+any cell. This is the elimination of dependent unknowns, exact where penalties and multipliers
+change the condition or the definiteness of the equations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array, csr_array
+
+Array = np.ndarray
+
+_DEEPEST = 8  # dependents of dependents of ...; more are a circle, or a mesh to be ordered anew
+
+
+class CircularError(ValueError):
+    """A node depends on itself by way of others; `node` is its index."""
+
+    def __init__(self, node: int) -> None:
+        super().__init__(f"node {node} depends on itself")
+        self.node = node
+
+
+@dataclass(frozen=True, eq=False)
+class Dependents:
+    """Nodes that follow others."""
+
+    nodes: Array  # shape (d,), int64: those that are no unknowns, ascending
+    # Shape (n, n): displacements of all nodes by those of the others; the row of a node that
+    # depends on nothing is that of the identity, the column of a dependent one is empty.
+    map: csr_array
+
+    @classmethod
+    def of(cls, size: int, entries: tuple[Array, Array, Array]) -> Dependents:
+        """Return dependents of n = `size` nodes by entries: nodes, masters and weights, (e,) each.
+
+        Masters that are dependent themselves are replaced by what they depend on.
+
+        Raises
+        ------
+        CircularError
+            If a node depends on itself.
+        """
+        nodes, masters, weights = entries
+        dependent = np.unique(nodes)
+        free = np.setdiff1d(np.arange(size), dependent)
+        rows, columns = np.append(nodes, free), np.append(masters, free)
+        values = np.append(weights, np.ones(len(free)))
+        direct = csr_array(coo_array((values, (rows, columns)), (size, size)))
+        follow, left = direct, dependent
+        for _ in range(_DEEPEST):
+            left = follow.indices[np.isin(follow.indices, dependent)]
+            if not left.size:
+                return cls(dependent, follow)
+            follow = csr_array(direct @ follow)
+            follow.eliminate_zeros()
+        raise CircularError(int(left[0]))
+
+    def expanded(self, fields: Array) -> Array:
+        """Return displacement fields (n, 3, ...), m, with those of the dependent nodes set."""
+        return (self.map @ fields.reshape(len(fields), -1)).reshape(fields.shape)
+
+    def reduced(self, forces: Array) -> Array:
+        """Return forces (n, ...), N, with those on dependent nodes where they act on others."""
+        return (self.map.T @ forces.reshape(len(forces), -1)).reshape(forces.shape)
+
+    def among(self, cells: Array) -> Array:
+        """Return which cells, nodes of shape (m, a), have dependent nodes: (m,), bool."""
+        return np.isin(cells, self.nodes).any(axis=1)
+
+    def outer(self, cells: Array) -> tuple[Array, Array]:
+        """Return the nodes that move cells of nodes (m, a): (m, s), and weights, (m, a, s).
+
+        A cell of fewer outer nodes than others repeats its last, with zero weights.
+        """
+        rows = [csr_array(self.map[nodes]) for nodes in cells]
+        outer = [np.unique(row.indices) for row in rows]
+        width = max(len(nodes) for nodes in outer)
+        weights = np.zeros((*cells.shape, width))
+        for cell, row, nodes in zip(weights, rows, outer, strict=True):
+            cell[:, : len(nodes)] = row[:, nodes].toarray()
+        padded = [np.pad(nodes, (0, width - len(nodes)), "edge") for nodes in outer]
+        return np.array(padded, dtype=np.int64), weights
