@@ -22,6 +22,7 @@ from ..table.space import Space
 from ..table.spread import sample_of, weakest
 from .build import ready_library
 from .format import CHECKSUM, Packed, PackedTableError, map_file, read
+from .joint import JointSteps
 from .reasons import Reason, text_of
 from .replies import (
     AXIS,
@@ -70,6 +71,8 @@ def kernel() -> Kernel:
         "wb_derivative_many": (integer, [address, address, size, address, address, integer]),
         "wb_inverse": (integer, [address] * 6),
         "wb_joint_rate": (integer, [integer, address, address, real, real, address]),
+        "wb_joint_memory": (size, [address]),
+        "wb_joint_step": (integer, [address, address, size, *[address] * 5, integer, address]),
         "wb_axis": (integer, [address, integer, integer, address, address]),
     }
     for library in libraries:
@@ -421,6 +424,34 @@ class PackedTable:
         if wrong:
             raise mistake(wrong, method, self._packed)
         return wrench, stiffness
+
+    def joints(
+        self,
+        count: int,
+        first: int,
+        method: str | None = None,
+        axes: Floats | None = None,
+    ) -> JointSteps:
+        """Return the steps of joints of this table; `first` is the index of the tip's first load.
+
+        `axes` (3, 3) has the interface frame's axes, columns, in the tip's own axes if quaternions,
+        spins and moments have those. Many joints release the interpreter, a single one keeps it.
+        """
+        code, library = method_code(method or self.method), kernel()
+        form = library.with_gil if count == 1 else library.without_gil
+        size = form.wb_joint_memory(self.handle), self._scratch
+        return JointSteps(self, form.wb_joint_step, count, (first, code, axes), size)
+
+    @property
+    def handle(self) -> int:
+        """The address of the open table.
+
+        Raises
+        ------
+        ValueError
+            If it is closed.
+        """
+        return self._handle or _closed()
 
     weakest = staticmethod(weakest)
 

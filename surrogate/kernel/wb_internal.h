@@ -187,8 +187,8 @@ static inline int64_t wb_bucket(double value, const double *bucket, int64_t buck
     return index >= (double)(buckets - 1) ? buckets - 1 : (int64_t)index;
 }
 
-/* Each file calls those above it alone (tests/surrogate/kernel/test_layers.py); wb_many.c,
- * wb_inverse.c and wb_joint.c come last. */
+/* Each file calls those above it alone (tests/surrogate/kernel/test_layers.py); wb_joint.c comes
+ * last. */
 
 /* wb_file.c */
 void wb_unmap(wb_table *t);
@@ -266,5 +266,14 @@ void wb_reply_derivative(const wb_table *t, const wb_options *o, wb_work *work,
 void wb_answer_slopes(const wb_table *t, const wb_options *o, wb_work *work, const double *inputs,
                       double *derivative);
 int wb_check(const wb_table *t, const wb_options *o, const double *inputs);
+
+/* wb_many.c */
+/* Work on the blocks first, first + step, ... of a job; what the call returns. */
+typedef int (*wb_run)(void *job, size_t first, size_t step);
+/* Share the blocks of a job among threads; the calling one is the first of them. */
+int wb_share(wb_run run, void *job, size_t blocks, int threads);
+
+/* wb_inverse.c */
+int wb_eliminate(double *a, double *b, int count, int right);
 
 #endif

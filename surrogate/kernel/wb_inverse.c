@@ -59,7 +59,7 @@ static int slopes_at(solver *s, const double *w, double *slopes) {
 }
 
 /* Solve a x = b (count, right) in place by elimination with row pivots; 0 if a is singular. */
-static int eliminate(double *a, double *b, int count, int right) {
+int wb_eliminate(double *a, double *b, int count, int right) {
     for (int k = 0; k < count; k++) {
         int best = k;
         for (int i = k + 1; i < count; i++)
@@ -119,7 +119,7 @@ static int invert(solver *s, const double *w, double *stiffness) {
     sizes_of(s, slopes);
     scaled_matrix(s, slopes);
     for (int i = 0; i < count; i++) unit[count * i + i] = 1.0;
-    if (!eliminate(s->matrix, unit, count, count)) return WB_SINGULAR;
+    if (!wb_eliminate(s->matrix, unit, count, count)) return WB_SINGULAR;
     for (int i = 0; i < count; i++)
         for (int j = 0; j < count; j++) {
             int load = s->free[i], q = s->free[j];

@@ -40,11 +40,10 @@ typedef struct {
 typedef struct {
     const wb_table *t;
     const wb_options *o;
-    size_t n, first, step; /* blocks first, first + step, ... of those of n wrenches */
+    size_t n; /* wrenches */
     const double *inputs;
     double *outputs, *errors, *derivatives;
     unsigned char *coverage;
-    int wrong;
 } task;
 
 /* What a thread works with. */
@@ -164,12 +163,15 @@ static void answer_block(const task *job, size_t start, size_t count, bench *b) 
     }
 }
 
-static void run(task *job) {
+/* Answer the blocks first, first + step, ... */
+static int run(void *whole, size_t first, size_t step) {
+    const task *job = whole;
     const wb_table *t = job->t;
     size_t n = (size_t)t->inputs;
     bench b;
-    if ((job->wrong = open_bench(t, job->n, &b))) return;
-    for (size_t start = BLOCK * job->first; start < job->n; start += BLOCK * job->step) {
+    int wrong = open_bench(t, job->n, &b);
+    if (wrong) return wrong;
+    for (size_t start = BLOCK * first; start < job->n; start += BLOCK * step) {
         size_t count = job->n - start < BLOCK ? job->n - start : BLOCK;
         for (size_t i = start; job->derivatives && i < start + count; i++)
             wb_answer_slopes(t, job->o, &b.work, job->inputs + i * n,
@@ -183,43 +185,52 @@ static void run(task *job) {
         answer_block(job, start, count, &b);
     }
     close_bench(&b);
+    return WB_OK;
 }
 
+/* One thread's part of a job. */
+typedef struct {
+    wb_run run;
+    void *job;
+    size_t first, step;
+    int wrong;
+} share;
+
+static void work_on(share *part) { part->wrong = part->run(part->job, part->first, part->step); }
+
 #ifdef _WIN32
-static DWORD WINAPI enter(void *job) { return run(job), 0; }
-static int start_thread(wb_thread *thread, task *job) {
-    return (*thread = CreateThread(NULL, 0, enter, job, 0, NULL)) != NULL;
+static DWORD WINAPI enter(void *part) { return work_on(part), 0; }
+static int start_thread(wb_thread *thread, share *part) {
+    return (*thread = CreateThread(NULL, 0, enter, part, 0, NULL)) != NULL;
 }
 static void join_thread(wb_thread thread) {
     WaitForSingleObject(thread, INFINITE);
     CloseHandle(thread);
 }
 #else
-static void *enter(void *job) { return run(job), NULL; }
-static int start_thread(wb_thread *thread, task *job) {
-    return !pthread_create(thread, NULL, enter, job);
+static void *enter(void *part) { return work_on(part), NULL; }
+static int start_thread(wb_thread *thread, share *part) {
+    return !pthread_create(thread, NULL, enter, part);
 }
 static void join_thread(wb_thread thread) { pthread_join(thread, NULL); }
 #endif
 
-/* Share the blocks among threads; the calling one is the first of them. */
-static int run_all(const task *whole, int threads) {
-    task jobs[MAX_THREADS];
+int wb_share(wb_run run, void *job, size_t blocks, int threads) {
+    share part[MAX_THREADS];
     wb_thread thread[MAX_THREADS];
     int started[MAX_THREADS] = {0}, wrong = WB_OK;
-    size_t blocks = (whole->n + BLOCK - 1) / BLOCK;
     if (threads > MAX_THREADS) threads = MAX_THREADS;
     if (threads < 1) threads = 1;
     if ((size_t)threads > blocks) threads = (int)blocks;
     for (int i = 0; i < threads; i++) {
-        jobs[i] = *whole, jobs[i].first = (size_t)i, jobs[i].step = (size_t)threads;
-        if (i) started[i] = start_thread(&thread[i], &jobs[i]);
+        part[i] = (share){run, job, (size_t)i, (size_t)threads, WB_OK};
+        if (i) started[i] = start_thread(&thread[i], &part[i]);
     }
     for (int i = 0; i < threads; i++)
-        if (!started[i]) run(&jobs[i]); /* the first, and any that did not start */
+        if (!started[i]) work_on(&part[i]); /* the first, and any that did not start */
     for (int i = 0; i < threads; i++) {
         if (started[i]) join_thread(thread[i]);
-        if (jobs[i].wrong) wrong = jobs[i].wrong;
+        if (part[i].wrong) wrong = part[i].wrong;
     }
     return wrong;
 }
@@ -234,14 +245,14 @@ static int check_all(const task *whole) {
 
 int wb_answer_many(const wb_table *t, const wb_options *options, size_t n, const double *inputs,
                    double *outputs, double *errors, unsigned char *coverage, int threads) {
-    task whole = {t, options ? options : &DEFAULTS, n, 0, 1, inputs, outputs, errors, NULL, coverage, 0};
+    task whole = {t, options ? options : &DEFAULTS, n, inputs, outputs, errors, NULL, coverage};
     int wrong = check_all(&whole);
-    return wrong || !n ? wrong : run_all(&whole, threads);
+    return wrong || !n ? wrong : wb_share(run, &whole, (n + BLOCK - 1) / BLOCK, threads);
 }
 
 int wb_derivative_many(const wb_table *t, const wb_options *options, size_t n,
                        const double *inputs, double *du_dw, int threads) {
-    task whole = {t, options ? options : &DEFAULTS, n, 0, 1, inputs, NULL, NULL, du_dw, NULL, 0};
+    task whole = {t, options ? options : &DEFAULTS, n, inputs, NULL, NULL, du_dw, NULL};
     int wrong = check_all(&whole);
-    return wrong || !n ? wrong : run_all(&whole, threads);
+    return wrong || !n ? wrong : wb_share(run, &whole, (n + BLOCK - 1) / BLOCK, threads);
 }

@@ -37,7 +37,9 @@ enum {
     WB_NO_MEMORY = 3,
     WB_NOT_SQUARE = 4,   /* wb_inverse: a load an output is needed */
     WB_SINGULAR = 5,     /* wb_inverse: du/dw has no inverse, or is not known */
-    WB_NO_CONVERGENCE = 6 /* wb_inverse: `inputs` is the best wrench reached */
+    WB_NO_CONVERGENCE = 6, /* wb_inverse: `inputs` is the best wrench reached */
+    WB_INDEFINITE = 7,     /* wb_joint_step: some motion of the part gives energy back */
+    WB_NO_MASS = 8         /* wb_joint_step: the inverse mass is not positive definite */
 };
 
 enum { WB_COVERED = 0, WB_THIN = 1, WB_OUTSIDE = 2 };
@@ -158,6 +160,47 @@ WB_API int wb_inverse(const wb_table *table, const wb_options *options, const do
  * WB_SINGULAR if the inverse mass is not positive definite. */
 WB_API int wb_joint_rate(int n, const double *stiffness, const double *inverse_mass, double dt,
                          double damping, double *rate);
+/* A joint: the part between two rigid bodies, as a force element. Its numbers are in the axes of
+ * the undeformed interface frame, which moves with the base. */
+typedef struct {
+    wb_options answer;    /* as of wb_inverse */
+    const double *inputs; /* (n): the further inputs as they are; loads in it count for nothing */
+    const double *axes;   /* (3, 3): interface frame's axes, its columns, in a tip whose quaternion,
+                           * spin and moment have the tip's own axes; NULL: the frame's */
+    double dt, damping;   /* s; share of critical of each mode of the part between the bodies */
+    int first;            /* index of the interface's first load */
+    int errors;           /* not 0: coverage and errors too, which takes one more answer */
+} wb_joint;
+
+/* One step of a joint. NaN where unknown. */
+typedef struct {
+    double wrench[6];       /* on the part, about the interface point where it is now */
+    double displacement[6]; /* m; rotation vector, rad */
+    double still[6];        /* the wrench of the pose alone */
+    double force[6];        /* the same, its moment in the axes of the spin */
+    double rate[36];        /* C, its change with the velocity, (6, 6) */
+    double stiffness[36];   /* (6, 6), symmetric: by translation and angle about the frame's axes */
+    double spin[9];         /* (3, 3): from the axes of the spin to the frame's */
+    double frequency[6];    /* rad/s, of the modes of the freedoms that move; 0 for others */
+    double pose_error[6];   /* of the displacement under this wrench */
+    double wrench_error[6]; /* of the wrench of this pose: sum of |stiffness| times pose_error */
+    double ranges;          /* how far out the pose is, in load ranges or 20 degrees; 1 is the end */
+    int32_t coverage;       /* of the wrench at the pose, or -1: not asked for */
+    int32_t status;         /* WB_OK; WB_NOT_FINITE, WB_SINGULAR (no wrench belongs to the pose),
+                             * WB_NO_MASS, or WB_INDEFINITE, which has all the same numbers */
+} wb_joint_reply;
+
+/* The doubles of memory that a joint keeps from step to step; zeros to begin with. */
+WB_API size_t wb_joint_memory(const wb_table *table);
+/* One step of each of n joints: poses (n, 7), translation, m, and quaternion, w first, of the tip's
+ * interface frame; velocities (n, 6), m/s and rad/s, which the interface would have after the step if
+ * the part did not pull; inverse_masses (n, 6, 6), accelerations by unit loads on the tip and their
+ * reaction on the base, 1/kg to 1/(kg·m^2). The wrench w' is the solution of
+ * (I + dt C A) w' = w + C v. Without velocities it is that of the pose, without masses C is NaN.
+ * `scratch`: of one thread, or NULL. Returns WB_OK whatever the status of a joint is. */
+WB_API int wb_joint_step(const wb_table *table, const wb_joint *joint, size_t n, const double *poses,
+                         const double *velocities, const double *inverse_masses, double *memory,
+                         wb_joint_reply *replies, int threads, void *scratch);
 /* What axis 0, 1 or 2 contributes to the answer of one group of outputs. */
 WB_API int wb_axis(const wb_table *table, int group, int axis, const double *inputs,
                    wb_axis_reply *reply);

@@ -20,19 +20,17 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wrenchbook.surrogate.kernel.joint import FREEDOMS, INDEFINITE, NO_MASS, NOT_FINITE
+
 from ...contract import LOADS, OUTPUTS
 from ..errors import Document, InvalidArgument, JointError, JointRangeError, JointWarning, warn
+from ..rotation import sinc
 from ..wrenches import Vector
 
 if TYPE_CHECKING:
     from ..table import Table
 
-FREEDOMS = 6  # of an interface: three translations, then three rotations
-LARGEST_TURN = math.radians(20.0)  # of a table: the contract's limit of rotations
 MAX_RANGES = 2.0  # of the range or of LARGEST_TURN: further out the pose is not that of the part
-CLOSE = 1e-9  # of the range: changes of the boundary point below this are rounding
-SMALL_ANGLE = 1e-3  # rad: below it 1/12 is right to 1e-9, and times a^2 to rounding
-MAX_STEPS = 8  # towards the boundary point; each gains some digits
 SYMBOLS = ("F_x", "F_y", "F_z", "M_x", "M_y", "M_z")
 SHOWN = 0.05  # of the largest: messages leave out smaller loads of a direction
 
@@ -98,17 +96,19 @@ class Joint:
             raise InvalidArgument(f"damping is a share of critical, 0 or more, not {damping!r}")
         self._table, self.damping, self._method = table, float(damping), method
         self._at, self.free = moving(table, interface)
-        self._name, self.inputs = table.name, inputs or {}
+        self._name = table.name
+        try:
+            self._steps = self._table.packed.joints(1, self._at.start, method)
+        except ValueError as error:  # no such method
+            raise InvalidArgument(str(error)) from error
+        self.inputs = inputs or {}
         self._warned = self._uncovered = False
         self._remedy = "Check the masses, the step and the units of the scene, or widen the range"
         self.restart()
         # A table without stiffness is refused; where in its range no joint can invert it, it warns.
         packed, at, free, method = self._table.packed, self._at, self.free, self._method
         sample = packed.sample(self._inputs(np.zeros(FREEDOMS)), np.arange(packed.inputs)[at][free])
-        try:
-            answers = packed.batch(sample, None, method)
-        except ValueError as error:  # no such method
-            raise InvalidArgument(str(error)) from error
+        answers = packed.batch(sample, None, method)
         slopes = packed.derivatives(sample, None, method)[:, at, at][:, free][:, :, free]
         slopes[np.isnan(answers.outputs[:, at]).any(axis=1)] = np.nan  # beyond 20 degrees
         slopes[(slopes == 0.0).all(axis=(1, 2))] = np.nan  # of the nearest row: no spring
@@ -138,13 +138,12 @@ class Joint:
     @inputs.setter
     def inputs(self, values: Mapping[str, float]) -> None:
         self._further = further_inputs(self._table, values)
+        self._steps.inputs[:] = self._inputs(np.zeros(FREEDOMS))
 
     def restart(self) -> None:
         """Forget the state of the last step."""
         self.wrench, self.displacement = np.zeros(FREEDOMS), np.zeros(FREEDOMS)
-        # Where the next search begins: loads, displacement and stiffness of all interfaces.
-        self._near: Vector | None = None
-        self._loads = self._moved = np.zeros(0)
+        self._steps.memory[:] = 0.0
 
     @property
     def coverage(self) -> str:
@@ -202,28 +201,19 @@ class Joint:
                 "p, velocity and inverse_mass have shapes (3,), (6,) and (6, 6), not {}, {} and {}"
                 "".format(*shapes)
             )
-        finite = np.isfinite(p).all() and np.isfinite(velocity).all()
-        if not (math.isfinite(dt) and dt > 0 and finite):
+        if not (
+            math.isfinite(dt) and dt > 0 and np.isfinite(p).all() and np.isfinite(velocity).all()
+        ):
             raise InvalidArgument(
                 "a step is above zero, its p and velocity are finite numbers, not "
                 f"{dt} s, {p}, {velocity}"
             )
-        wrench, stiffness = self.state(p, rotation_vector(R))
-        free, mass = self.free, np.asarray(inverse_mass, dtype=float)
-        square = np.ix_(free, free)
-        slope = self._rate(stiffness[square], mass[square], dt)
-        right = wrench[free] + slope @ np.asarray(velocity, dtype=float)[free]
-        self.wrench = np.zeros(FREEDOMS)
-        self.wrench[free] = np.linalg.solve(np.eye(len(free)) + dt * slope @ mass[square], right)
+        steps = self._steps
+        steps.poses[0, :3], steps.poses[0, 3:] = p, quaternion(rotation_vector(R))
+        steps.velocities[0], steps.inverse_masses[0] = velocity, inverse_mass
+        steps.step(dt, self.damping)
+        self.wrench = self._heed(steps.replies[0])["wrench"].copy()
         return self.wrench
-
-    def _rate(self, stiffness: Vector, inverse_mass: Vector, dt: float) -> Vector:
-        """Return C, the change of the wrench with the velocity, shape (n, n), SI."""
-        slopes, mass = np.ascontiguousarray(stiffness), np.ascontiguousarray(inverse_mass)
-        try:
-            return self._table.packed.joint_rate(slopes, mass, dt, self.damping)
-        except ValueError as error:
-            raise InvalidArgument(str(error)) from None
 
     def state(self, translation: ArrayLike, rotation: ArrayLike) -> tuple[Vector, Vector]:
         """Return the wrench of a displacement, shape (6,), and its stiffness, shape (6, 6).
@@ -246,104 +236,61 @@ class Joint:
         JointRangeError
             See `step`.
         """
-        moved = np.concatenate([translation, rotation])
-        wrench, stiffness, ranges = self._search(moved)
-        square, packed = stiffness[np.ix_(self.free, self.free)], self._table.packed
-        try:
-            np.linalg.cholesky(square + square.T)
-        except np.linalg.LinAlgError:
-            scale = packed.arrays["space/scale"][self._at][self.free]
-            compliance = np.asarray(np.linalg.inv(square), dtype=float)
-            least, loads = packed.weakest(compliance[None], scale)
-            if least[0] < 0.0:
-                raise JointError(self._indefinite(wrench, loads[0])) from None
+        steps = self._steps
+        steps.poses[0, :3], steps.poses[0, 3:] = translation, quaternion(rotation)
+        steps.state()
+        reply = self._heed(steps.replies[0])
+        return reply["wrench"].copy(), reply["stiffness"].copy()
+
+    def _heed(self, reply: np.void) -> np.void:
+        """Raise and warn as the kernel's reply says, and return it."""
+        status, ranges = int(reply["status"]), float(reply["ranges"])
+        if status == INDEFINITE:
+            self._require_definite(reply)
+        elif status == NO_MASS:
+            raise InvalidArgument(
+                "the inverse effective mass of the joint is not positive definite: a freedom "
+                "between base and tip moves no mass"
+            )
+        elif status == NOT_FINITE:
+            raise InvalidArgument("pose, velocity and inverse mass must be finite numbers")
+        elif status:
+            raise JointError(
+                f"{self._name}: the compliance has no inverse at this pose, so that no wrench "
+                f"belongs to it: {self._more_rows()}, or lock the freedom that does not move"
+            )
         if ranges > MAX_RANGES:
             raise JointRangeError(
                 f"{self._name}: the pose needs {ranges:.3g} times the load range, or turns by as "
                 f"many times 20 degrees. {self._remedy}"
             )
-        if ranges > 1.0:
-            if not self._warned:
-                self._warned = True
-                warn(
-                    f"{self._name}: the pose is beyond the load range or 20 degrees; the wrench "
-                    f"goes on linearly from there, up to {MAX_RANGES:g} times the range",
-                    JointWarning,
-                )
-        elif not self._uncovered:
-            answer = packed.answer(self._loads.tolist(), None, self._method)
-            self._uncovered = answer.coverage != "covered"
-            if self._uncovered:
-                warn(
-                    f"{self._name}: the wrench of a step is {answer.coverage} by the method "
-                    f"{packed.answers_by(self._method)!r}, and displacement and wrench are "
-                    f"estimates ({answer.reason}); {self._more_rows()}. This is said once",
-                    JointWarning,
-                )
-        self.displacement = moved
-        turned = stiffness.copy()
-        turned[:, 3:] = stiffness[:, 3:] @ vector_per_spin(moved[3:])
-        return wrench, 0.5 * (turned + turned.T)
+        if ranges > 1.0 and not self._warned:
+            self._warned = True
+            warn(
+                f"{self._name}: the pose is beyond the load range or 20 degrees; the wrench "
+                f"goes on linearly from there, up to {MAX_RANGES:g} times the range",
+                JointWarning,
+            )
+        if ranges <= 1.0 and not self._uncovered and reply["coverage"]:
+            self._uncovered, packed = True, self._table.packed
+            answer = packed.answer(self._inputs(reply["still"]).tolist(), None, self._method)
+            warn(
+                f"{self._name}: the wrench of a step is {answer.coverage} by the method "
+                f"{packed.answers_by(self._method)!r}, and displacement and wrench are "
+                f"estimates ({answer.reason}); {self._more_rows()}. This is said once",
+                JointWarning,
+            )
+        self.displacement = reply["displacement"].copy()
+        return reply
 
-    def _search(self, moved: Vector) -> tuple[Vector, Vector, float]:
-        """Return wrench, stiffness by the rotation vector, and how far out the pose is, in ranges.
-
-        Beyond the load range the wrench goes on linearly from the boundary of the range, from the
-        wrench in the same ratio.
-        """
-        packed, at = self._table.packed, self._at
-        target = np.zeros(packed.outputs)
-        target[at] = moved
-        turn = math.sqrt(float(moved[3:] @ moved[3:])) / LARGEST_TURN
-        try:
-            start = self._inputs(np.zeros(FREEDOMS))
-            if self._near is not None:
-                wrench = self._loads + self._near @ (target - self._moved)
-                start[: packed.outputs] = wrench[: packed.outputs]
-            loads, slopes = packed.inverse(target, start, self._method, self._near)
-        except (ValueError, ArithmeticError):  # no such wrench: far beyond the range
-            return self._beyond(self._inputs(self.wrench), target, turn)
-        ranges = max(self._ranges(loads), turn)
-        if ranges > 1.0:
-            return self._beyond(loads, target, turn)
-        self._loads, self._moved, self._near = loads, target, slopes
-        return loads[at], slopes[at, at], ranges
-
-    def _beyond(self, loads: Vector, target: Vector, turn: float) -> tuple[Vector, Vector, float]:
-        """Return the same of a pose beyond the range, from the last wrench."""
-        packed, at = self._table.packed, self._at
-        free, stiffness = np.ix_(self.free, self.free), np.zeros((FREEDOMS, FREEDOMS))
-        low, high = packed.arrays["space/ends"]
-        edge = np.clip(self._shorter(loads, turn), low, high)
-        for _ in range(MAX_STEPS):
-            answer = np.array(packed.answer(edge.tolist(), None, self._method).outputs, dtype=float)
-            slope: Vector = packed.derivative(edge.tolist(), None, self._method)[at, at]
-            try:
-                stiffness[free] = np.linalg.inv(slope[free])
-            except np.linalg.LinAlgError:
-                raise JointError(
-                    f"{self._name}: the compliance has no inverse at this pose, so that no wrench "
-                    f"belongs to it: {self._more_rows()}, or lock the freedom that does not move"
-                ) from None
-            loads = edge + self._inputs(stiffness @ (target - answer)[at])
-            before, edge = edge, np.clip(self._shorter(loads, turn), low, high)
-            if (np.abs(edge - before) <= CLOSE * packed.arrays["space/scale"]).all():
-                break
-        self._near = None
-        return loads[at], stiffness, max(self._ranges(loads), turn)
-
-    def _ranges(self, loads: Vector) -> float:
-        """Return how far out loads are, in half widths of the range; 1 at its boundary.
-
-        As of every answer, the range is stretched to hold no load, and by rounding.
-        """
-        arrays = self._table.packed.arrays
-        (low, high), scale = arrays["space/ends"], arrays["space/scale"]
-        return 1.0 + float((np.maximum(loads - high, low - loads) / scale).max())
-
-    def _shorter(self, loads: Vector, turn: float) -> Vector:
-        """Return inputs, shape (n,), SI, whose loads turn the part by 20 degrees at most."""
-        return self._inputs(loads[self._at] / max(turn, 1.0))
+    def _require_definite(self, reply: np.void) -> None:
+        """Raise JointError if some motion of the part gives energy back."""
+        packed, free = self._table.packed, self.free
+        compliance = np.asarray(np.linalg.inv(reply["stiffness"][np.ix_(free, free)]), dtype=float)
+        scale = packed.arrays["space/scale"][self._at][free]
+        least, loads = packed.weakest(compliance[None], scale)
+        if least[0] < 0.0:
+            raise JointError(self._indefinite(reply["still"], loads[0]))
 
     def _inputs(self, wrench: Vector) -> Vector:
         """Return the table's inputs with a wrench at the tip, shape (n,), SI."""
@@ -495,24 +442,11 @@ def rotation_vector(R: ArrayLike) -> Vector:
     return sine * (angle / size if size > 0.0 else 1.0)
 
 
-def vector_per_spin(rotation: Vector) -> Vector:
-    """Return the change of a rotation vector r, rad, with the angle about fixed axes, shape (3, 3).
-
-    T^-1 = I - [r]/2 + (1/a^2 - (1 + cos a)/(2 a sin a)) [r]^2 with a = |r| (Iserles et al. 2000);
-    the last factor is 1/12 for small angles.
-    """
-    x, y, z = rotation.tolist()
-    angle = math.sqrt(x * x + y * y + z * z)
-    factor = 1.0 / 12.0
-    if angle > SMALL_ANGLE:
-        factor = 1.0 / angle**2 - (1.0 + math.cos(angle)) / (2.0 * angle * math.sin(angle))
-    return np.array(
-        (
-            (1 - factor * (y * y + z * z), 0.5 * z + factor * x * y, -0.5 * y + factor * x * z),
-            (-0.5 * z + factor * x * y, 1 - factor * (x * x + z * z), 0.5 * x + factor * y * z),
-            (0.5 * y + factor * x * z, -0.5 * x + factor * y * z, 1 - factor * (x * x + y * y)),
-        )
-    )
+def quaternion(rotation: ArrayLike) -> Vector:
+    """Return the quaternion (4,), w first, of a rotation vector (3,), rad."""
+    vector = np.asarray(rotation, dtype=float)
+    half = 0.5 * math.sqrt(float(vector @ vector))
+    return np.array([math.cos(half), *(0.5 * sinc(half) * vector)])
 
 
 def further_inputs(table: Table, by_name: Mapping[str, float]) -> tuple[float, ...]:

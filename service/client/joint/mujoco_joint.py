@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import JointError, JointWarning, required, warn
-from ..rotation import rotation_matrix
-from ..wrenches import Vector
-from .joint import FREEDOMS, Joint
+from .joint import FREEDOMS, Joint, quaternion
 
 if TYPE_CHECKING:
     from ..table import Table
@@ -158,54 +156,57 @@ class MujocoJoint(Joint):
         count = len(self.free)
         self._dofs = slice(start, start + count)
         self._units = np.eye(model.nv)[self._dofs]
+        self._solved, self._square = np.empty_like(self._units), np.ix_(self.free, self.free)
         self._places = _places(model, np.arange(start, start + count))
         self._diagonal = len(self._places[0]) == count > 1
-        self._turns = len(turns) == 3
-        self._unturned = np.zeros((FREEDOMS, count))
-        self._unturned[self.free, np.arange(count)] = 1.0
+        self._turns, self._moves = len(turns) == 3, self.free[self.free < 3]
+        self._hinge = np.zeros(3)
+        self._hinge[turns[:1] - 3] = 1.0
+        axes = np.ascontiguousarray(self._axes) if self._turns else None
+        self._steps = self._table.packed.joints(1, self._at.start, self._method, axes)
+        self.inputs = self.inputs
 
     def _push(self) -> None:
         """Apply the wrench of this step, as far as the motion before it determines it.
 
         The rest depends on the velocity after the step, and enters the mass matrix.
         """
-        model, data, dofs = self._model, self._data, self._dofs
+        model, data, dofs, steps = self._model, self._data, self._dofs, self._steps
         dt = float(model.opt.timestep)
         self._watch_base()
-        moved, turned = self._displacement()
-        wrench, stiffness = self.state(moved, turned)
-        # From the joints' velocities to those of the contract, shape (6, free): a ball's is that of
-        # the tip in its own axes; the contract's about fixed ones.
-        self._map = self._unturned.copy()
+        position, pose = data.qpos, steps.poses[0]
+        pose[self._moves] = position[self._slides]
         if self._turns:
-            self._map[3:, -3:] = rotation_matrix(turned) @ self._axes.T
-        solved = np.empty_like(self._units)
-        engine.mj_solveM(model, data, solved, self._units)
-        inverse_mass = solved[:, dofs]  # accelerations of the freedoms by unit loads on them
-        slope = self._rate(self._map.T @ stiffness @ self._map, inverse_mass, dt)
-        self._law = wrench @ self._map, slope
-        data.qfrc_applied[dofs] = 0.0
+            pose[3:] = position[self._turn : self._turn + 4]
+        elif self._turn >= 0:
+            pose[3:] = quaternion(self._hinge * position[self._turn])
+        engine.mj_solveM(model, data, self._solved, self._units)
+        # Accelerations of the freedoms by unit loads on them.
+        steps.inverse_masses[0][self._square] = self._solved[:, dofs]
+        steps.law(dt, self.damping)
+        self._heed(reply := steps.replies[0])
+        force, slope = reply["force"][self.free], reply["rate"][self._square]
+        applied = data.qfrc_applied
         if self._diagonal:  # nothing can be added to it: the last step's constraint forces stand
+            applied[dofs] = 0.0
             engine.mj_fwdActuation(model, data)
             engine.mj_fwdAcceleration(model, data)
             pushed = np.empty((1, model.nv))
             engine.mj_solveM(model, data, pushed, data.qfrc_constraint[None])
             velocity = (data.qvel + dt * (data.qacc_smooth + pushed[0]))[dofs]
-            implicit = np.eye(len(slope)) + dt * slope @ inverse_mass
-            force = np.linalg.solve(implicit, self._law[0] + slope @ velocity)
-            self._law = force, np.zeros_like(slope)
-        data.qfrc_applied[dofs] = -(self._law[0] + self._law[1] @ data.qvel[dofs])
+            implicit = np.eye(len(slope)) + dt * slope @ self._solved[:, dofs]
+            force = np.linalg.solve(implicit, force + slope @ velocity)
+            slope = np.zeros_like(slope)
+        self._law = force, slope
+        applied[dofs] = -(force + slope @ data.qvel[dofs])
 
-    def _displacement(self) -> tuple[Vector, Vector]:
-        """Return translation, m, and rotation vector, rad, in the undeformed interface frame."""
-        position, moved, turned = self._data.qpos, np.zeros(3), np.zeros(3)
-        moved[self.free[self.free < 3]] = position[self._slides]
-        if self._turns:
-            engine.mju_quat2Vel(turned, position[self._turn : self._turn + 4], 1.0)
-            turned = turned @ self._axes
-        elif self._turn >= 0:
-            turned[self.free[-1] - 3] = position[self._turn]
-        return moved, turned
+    def _pull(self) -> None:
+        """Take the wrench of the step from the velocity after it."""
+        (force, slope), reply = self._law, self._steps.replies[0]
+        pulled = np.zeros(FREEDOMS)
+        pulled[self.free] = force + slope @ self._data.qvel[self._dofs]
+        pulled[3:] = reply["spin"] @ pulled[3:]
+        self.wrench = self._steps.history["last"][0] = pulled
 
     def _watch_base(self) -> None:
         """Warn once that the base has been put elsewhere by a body without velocity."""
@@ -272,8 +273,7 @@ def step_joints(*joints: MujocoJoint) -> None:
         engine.mj_projectConstraint(model, data)
     engine.mj_step2(model, data)
     for joint in joints:
-        force, slope = joint._law
-        joint.wrench = joint._map @ (force + slope @ data.qvel[joint._dofs])
+        joint._pull()
 
 
 def _places(model: Model, dofs: NDArray[np.intp]) -> list[NDArray[np.intp]]:

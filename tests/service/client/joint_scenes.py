@@ -6,6 +6,7 @@ from typing import Any
 
 import mujoco as _mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tests.service.client.answers import bar_compliance
 from wrenchbook.service.client import Table
@@ -63,6 +64,12 @@ def scene(
   {extra}
 </mujoco>""")
     return model, mujoco.MjData(model)
+
+
+def displacement_in(data: Any) -> np.ndarray:
+    """The displacement, m and rad, of the last three slides and ball of a scene."""
+    turned = Rotation.from_quat(data.qpos[-4:], scalar_first=True).as_rotvec()
+    return np.concatenate([data.qpos[-7:-4], turned])
 
 
 def sphere(mass: float, at: str = "0 0 0", geom: str = SILENT) -> str:

@@ -15,6 +15,7 @@ from tests.service.client.joint_scenes import (
     HIGH,
     SILENT,
     SLIDES,
+    displacement_in,
     linear_table,
     mujoco,
     packed_table,
@@ -23,7 +24,7 @@ from tests.service.client.joint_scenes import (
 )
 from wrenchbook.service.client.errors import InvalidArgument
 from wrenchbook.service.client.joint import Joint, JointError, JointRangeError, JointWarning
-from wrenchbook.service.client.joint.joint import rotation_vector, vector_per_spin
+from wrenchbook.service.client.joint.joint import rotation_vector
 from wrenchbook.service.client.joint.mujoco_joint import MujocoJoint, step_joints
 from wrenchbook.service.client.rotation import rotation_matrix
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
@@ -229,7 +230,7 @@ def test_energy_never_grows_without_input():
     energies = []
     for _ in range(4000):
         joint.step()
-        moved = np.concatenate(joint._displacement())
+        moved = displacement_in(data)
         mujoco.mj_energyVel(model, data)
         energies.append(data.energy[1] + 0.5 * moved @ K @ moved)
     blocks = np.array(energies).reshape(8, -1).max(axis=1)
@@ -377,8 +378,15 @@ def test_a_rotation_vector_is_the_inverse_of_its_matrix():
 
 
 @pytest.mark.parametrize("size", [1e-6, 9e-4, 1.1e-3, 0.3])
-def test_a_rotation_vector_changes_with_the_spin_as_differences_have_it(size):
+def test_the_stiffness_is_the_change_of_the_moment_with_the_angle_about_fixed_axes(size):
     vector, spin, step = size * np.array([0.6, -0.5, 0.62]), np.array([0.2, 0.7, -0.4]), 1e-6
-    there = rotation_vector(rotation_matrix(step * spin) @ rotation_matrix(vector))
-    back = rotation_vector(rotation_matrix(-step * spin) @ rotation_matrix(vector))
-    np.testing.assert_allclose(vector_per_spin(vector) @ spin, (there - back) / 2e-6, atol=1e-9)
+    joint = Joint(linear_table(high=1e4 * HIGH))
+    moments = [
+        joint.state(
+            np.zeros(3), rotation_vector(rotation_matrix(turn * spin) @ rotation_matrix(vector))
+        )
+        for turn in (step, -step)
+    ]
+    change = (moments[0][0] - moments[1][0])[3:] / (2 * step)
+    stiffness = joint.state(np.zeros(3), vector)[1][3:, 3:]
+    assert spin @ stiffness @ spin == pytest.approx(spin @ change, rel=1e-7)

@@ -4,7 +4,7 @@ import re
 
 from wrenchbook.surrogate.kernel.build import FOLDER
 
-LAST = "wb_many.c", "wb_inverse.c", "wb_joint.c"  # they call others and none calls them
+LAST = ("wb_joint.c",)  # it calls others and none calls it
 FUNCTION = re.compile(r"^(?!static)\w[^\n;={}]*?\b(wb_\w+)\([^;{]*\)\s*\{", re.MULTILINE)
 
 
