@@ -28,10 +28,9 @@ REPLY = np.dtype(
 
 HISTORY = np.dtype(
     [
-        ("last", float, 6),
         *((name, float) for name in ("steps", "covered")),
         *((f"{kind}_{of}", float, 6) for kind in ("pose", "wrench") for of in ("error", "step")),
-        *((name, float) for name in ("stored", "work")),
+        ("stored", float),
         *((name, float, 6) for name in ("still", "displacement")),
     ]
 )

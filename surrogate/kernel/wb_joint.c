@@ -130,14 +130,12 @@ static const double SMALL_ANGLE = 1e-3;
 enum { TOWARDS_BOUNDARY = 8 }; /* steps to the boundary point; each gains some digits */
 
 /* What a joint keeps behind the end of its last search: whether there was one, its loads (n),
- * displacement (m) and stiffness (n, m). The energies are sums over the steps: what the wrenches at
- * the poses stored (trapezoids), and the work of the wrenches of the steps. */
+ * displacement (m) and stiffness (n, m). */
 typedef struct {
-    double last[FREEDOMS]; /* the wrench of the last step */
     double steps, covered; /* their numbers */
     double pose_error[FREEDOMS], pose_step[FREEDOMS]; /* the largest, and in which step it was */
     double wrench_error[FREEDOMS], wrench_step[FREEDOMS];
-    double stored, work; /* J */
+    double stored; /* J: the work of the wrenches at the poses, by trapezoids */
     double still[FREEDOMS], displacement[FREEDOMS]; /* of the last pose */
 } history;
 
@@ -236,7 +234,7 @@ static int find(search *s, const double *moved, double *loads, double *stiffness
         memcpy(slopes, s->near, size);
     }
     wrong = wb_inverse(t, &s->answer, target, loads, slopes, s->scratch);
-    if (wrong) loads_of(s, s->past->last, loads); /* no such wrench: far beyond the range */
+    if (wrong) loads_of(s, s->past->still, loads); /* no such wrench: far beyond the range */
     *ranges = fmax(ranges_of(t, loads), turn);
     if (wrong || *ranges > 1.0) {
         wrong = beyond(s, loads, moved, turn, stiffness);
@@ -391,24 +389,21 @@ static void keep_largest(const double *error, double step, double *largest, doub
         if (error[i] > largest[i] || (step == 0 && !isnan(error[i]))) largest[i] = error[i], steps[i] = step;
 }
 
-/* Go on with the history: errors, and energies since the last pose. */
+/* Go on with the history: errors, and the energy stored since the last pose. */
 static void remember(history *h, const wb_joint_reply *reply) {
     double change[FREEDOMS], middle[3], turn[9];
     for (int i = 0; i < FREEDOMS; i++) change[i] = reply->displacement[i] - h->displacement[i];
     for (int i = 0; i < 3; i++) middle[i] = 0.5 * (reply->displacement[3 + i] + h->displacement[3 + i]);
     vector_per_spin(middle, turn);
     if (h->steps > 0 && wb_eliminate(turn, change + 3, 3, 1))
-        for (int i = 0; i < FREEDOMS; i++) {
+        for (int i = 0; i < FREEDOMS; i++)
             h->stored += 0.5 * (h->still[i] + reply->still[i]) * change[i];
-            h->work += h->last[i] * change[i];
-        }
     keep_largest(reply->pose_error, h->steps, h->pose_error, h->pose_step);
     keep_largest(reply->wrench_error, h->steps, h->wrench_error, h->wrench_step);
     h->covered += reply->coverage == WB_COVERED;
     h->steps++;
     memcpy(h->still, reply->still, sizeof h->still);
     memcpy(h->displacement, reply->displacement, sizeof h->displacement);
-    memcpy(h->last, reply->wrench, sizeof h->last);
 }
 
 static void step(search *s, const double *pose, const double *velocity, const double *inverse_mass,

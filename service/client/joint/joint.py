@@ -59,11 +59,6 @@ class Joint:
 
     Attributes
     ----------
-    wrench : numpy.ndarray
-        The wrench on the part in the last step, shape (6,), N and N·m, in the undeformed interface
-        frame, its moment about the interface point where it is now.
-    displacement : numpy.ndarray
-        Shape (6,), m and rad, at the beginning of that step.
     free : numpy.ndarray of int
         The freedoms that the part does not lock; others have no wrench.
     inputs : dict of float
@@ -97,14 +92,10 @@ class Joint:
         self._table, self.damping, self._method = table, float(damping), method
         self._at, self.free = moving(table, interface)
         self._name = table.name
-        try:
-            self._steps = self._table.packed.joints(1, self._at.start, method)
-        except ValueError as error:  # no such method
-            raise InvalidArgument(str(error)) from error
-        self.inputs = inputs or {}
+        self._further = further_inputs(table, inputs or {})
         self._warned = self._uncovered = False
         self._remedy = "Check the masses, the step and the units of the scene, or widen the range"
-        self.restart()
+        self._begin(None)
         # A table without stiffness is refused; where in its range no joint can invert it, it warns.
         packed, at, free, method = self._table.packed, self._at, self.free, self._method
         sample = packed.sample(self._inputs(np.zeros(FREEDOMS)), np.arange(packed.inputs)[at][free])
@@ -142,8 +133,36 @@ class Joint:
 
     def restart(self) -> None:
         """Forget the state of the last step."""
-        self.wrench, self.displacement = np.zeros(FREEDOMS), np.zeros(FREEDOMS)
         self._steps.memory[:] = 0.0
+        for name in ("wrench", "displacement"):
+            self._steps.replies[name] = 0.0
+
+    @property
+    def wrench(self) -> Vector:
+        """The wrench on the part in the last step, shape (6,), N and N·m.
+
+        In the undeformed interface frame, its moment about the interface point where it is now.
+        """
+        return np.array(self._steps.replies["wrench"][0])
+
+    @property
+    def displacement(self) -> Vector:
+        """Shape (6,), m and rad, at the beginning of the last step."""
+        return np.array(self._steps.replies["displacement"][0])
+
+    def _begin(self, axes: Vector | None) -> None:
+        """Make the kernel's arrays, for spins in `axes` (3, 3) of the tip or in the frame's."""
+        try:
+            self._steps = self._table.packed.joints(1, self._at.start, self._method, axes)
+        except ValueError as error:  # no such method
+            raise InvalidArgument(str(error)) from error
+        self._steps.inputs[:] = self._inputs(np.zeros(FREEDOMS))
+        replies = self._steps.replies
+        self._status, self._ranges, self._coverage = (
+            replies[name] for name in ("status", "ranges", "coverage")
+        )
+        self._still, self._stiffness = replies["still"][0], replies["stiffness"][0]
+        self.restart()
 
     @property
     def coverage(self) -> str:
@@ -212,7 +231,7 @@ class Joint:
         steps.poses[0, :3], steps.poses[0, 3:] = p, quaternion(rotation_vector(R))
         steps.velocities[0], steps.inverse_masses[0] = velocity, inverse_mass
         steps.step(dt, self.damping)
-        self.wrench = self._heed(steps.replies[0])["wrench"].copy()
+        self._heed()
         return self.wrench
 
     def state(self, translation: ArrayLike, rotation: ArrayLike) -> tuple[Vector, Vector]:
@@ -239,14 +258,28 @@ class Joint:
         steps = self._steps
         steps.poses[0, :3], steps.poses[0, 3:] = translation, quaternion(rotation)
         steps.state()
-        reply = self._heed(steps.replies[0])
-        return reply["wrench"].copy(), reply["stiffness"].copy()
+        self._heed()
+        return self._still.copy(), self._stiffness.copy()
 
-    def _heed(self, reply: np.void) -> np.void:
-        """Raise and warn as the kernel's reply says, and return it."""
-        status, ranges = int(reply["status"]), float(reply["ranges"])
+    def _heed(self) -> None:
+        """Raise and warn as the kernel's reply says."""
+        ranges = self._ranges[0]
+        if self._status[0] or ranges > 1.0:
+            self._refuse(int(self._status[0]), float(ranges))
+        elif self._coverage[0] > 0 and not self._uncovered:
+            self._uncovered, packed = True, self._table.packed
+            answer = packed.answer(self._inputs(self._still).tolist(), None, self._method)
+            warn(
+                f"{self._name}: the wrench of a step is {answer.coverage} by the method "
+                f"{packed.answers_by(self._method)!r}, and displacement and wrench are "
+                f"estimates ({answer.reason}); {self._more_rows()}. This is said once",
+                JointWarning,
+            )
+
+    def _refuse(self, status: int, ranges: float) -> None:
+        """Raise what a status and a pose so many ranges out are, or warn."""
         if status == INDEFINITE:
-            self._require_definite(reply)
+            self._require_definite()
         elif status == NO_MASS:
             raise InvalidArgument(
                 "the inverse effective mass of the joint is not positive definite: a freedom "
@@ -271,26 +304,15 @@ class Joint:
                 f"goes on linearly from there, up to {MAX_RANGES:g} times the range",
                 JointWarning,
             )
-        if ranges <= 1.0 and not self._uncovered and reply["coverage"]:
-            self._uncovered, packed = True, self._table.packed
-            answer = packed.answer(self._inputs(reply["still"]).tolist(), None, self._method)
-            warn(
-                f"{self._name}: the wrench of a step is {answer.coverage} by the method "
-                f"{packed.answers_by(self._method)!r}, and displacement and wrench are "
-                f"estimates ({answer.reason}); {self._more_rows()}. This is said once",
-                JointWarning,
-            )
-        self.displacement = reply["displacement"].copy()
-        return reply
 
-    def _require_definite(self, reply: np.void) -> None:
+    def _require_definite(self) -> None:
         """Raise JointError if some motion of the part gives energy back."""
         packed, free = self._table.packed, self.free
-        compliance = np.asarray(np.linalg.inv(reply["stiffness"][np.ix_(free, free)]), dtype=float)
+        compliance = np.asarray(np.linalg.inv(self._stiffness[np.ix_(free, free)]), dtype=float)
         scale = packed.arrays["space/scale"][self._at][free]
         least, loads = packed.weakest(compliance[None], scale)
         if least[0] < 0.0:
-            raise JointError(self._indefinite(reply["still"], loads[0]))
+            raise JointError(self._indefinite(self._still, loads[0]))
 
     def _inputs(self, wrench: Vector) -> Vector:
         """Return the table's inputs with a wrench at the tip, shape (n,), SI."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import JointError, JointWarning, required, warn
+from ..wrenches import Vector
 from .joint import FREEDOMS, Joint, quaternion
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ Model: TypeAlias = Any  # mujoco.MjModel, mujoco.MjData: compiled, without types
 Data: TypeAlias = Any
 
 engine: Any = required("mujoco", "MujocoJoint", "'wrenchbook[mujoco]'")
-_JOINT, _OBJECT = engine.mjtJoint, engine.mjtObj
+_JOINT, _OBJECT, _PGS = engine.mjtJoint, engine.mjtObj, int(engine.mjtSolver.mjSOL_PGS)
 _SQUARE = 1e-5  # the axes of the slides are unit and orthogonal to the six digits of MuJoCo's XML
 # The joints of each MjData by the first freedom of their tips: a step is of all of them.
 _JOINTS: WeakKeyDictionary[Data, WeakValueDictionary[int, MujocoJoint]] = WeakKeyDictionary()
@@ -88,8 +89,9 @@ class MujocoJoint(Joint):
         # The last body towards the base that no freedom moves: a mocap body, or the world.
         while model.body_dofnum[top := int(model.body_weldid[parent])]:
             parent = int(model.body_parentid[top])
-        self._still = parent
-        _JOINTS.setdefault(data, WeakValueDictionary())[self._dofs.start] = self
+        self._unmoved = parent
+        self._of_scene = _JOINTS.setdefault(data, WeakValueDictionary())
+        self._of_scene[self._dofs.start] = self
 
     def step(self) -> None:  # type: ignore[override]
         """Advance the scene by one time step; call it in the place of ``mj_step``.
@@ -157,67 +159,97 @@ class MujocoJoint(Joint):
         self._dofs = slice(start, start + count)
         self._units = np.eye(model.nv)[self._dofs]
         self._solved, self._square = np.empty_like(self._units), np.ix_(self.free, self.free)
-        self._places = _places(model, np.arange(start, start + count))
-        self._diagonal = len(self._places[0]) == count > 1
+        rows, columns, self._at_pairs = _places(model, np.arange(start, start + count))
+        self._pairs, self._diagonal = count * rows + columns, len(rows) == count > 1
         self._turns, self._moves = len(turns) == 3, self.free[self.free < 3]
         self._hinge = np.zeros(3)
         self._hinge[turns[:1] - 3] = 1.0
-        axes = np.ascontiguousarray(self._axes) if self._turns else None
-        self._steps = self._table.packed.joints(1, self._at.start, self._method, axes)
-        self.inputs = self.inputs
+        self._begin(np.ascontiguousarray(self._axes) if self._turns else None)
+        # Views that stay: a scene's arrays are where they were made, and so are the kernel's.
+        data, replies, steps = self._data, self._steps.replies, self._steps
+        self._pose_of_tip, self._inverse_mass = steps.poses[0], steps.inverse_masses[0]
+        self._force, self._slope, self._spin = (
+            replies[name][0] for name in ("force", "rate", "spin")
+        )
+        at = self._turn
+        self._turned = data.qpos[at : at + (4 if self._turns else 1)] if turning else np.empty(0)
+        self._slid = data.qpos[self._slides[0] : self._slides[0] + 3] if len(moves) == 3 else None
+        self._velocity, self._applied = data.qvel[self._dofs], data.qfrc_applied[self._dofs]
+        self._mass, self._scene = data.M, model.opt
 
     def _push(self) -> None:
         """Apply the wrench of this step, as far as the motion before it determines it.
 
         The rest depends on the velocity after the step, and enters the mass matrix.
         """
-        model, data, dofs, steps = self._model, self._data, self._dofs, self._steps
-        dt = float(model.opt.timestep)
-        self._watch_base()
-        position, pose = data.qpos, steps.poses[0]
-        pose[self._moves] = position[self._slides]
+        model, data, dt = self._model, self._data, self._scene.timestep
+        if self._unmoved:
+            self._watch_base()
+        pose = self._pose_of_tip
         if self._turns:
-            pose[3:] = position[self._turn : self._turn + 4]
-        elif self._turn >= 0:
-            pose[3:] = quaternion(self._hinge * position[self._turn])
+            pose[3:] = self._turned
+        elif self._turned.size:
+            pose[3:] = quaternion(self._hinge * self._turned)
+        if len(self._moves) == 3:
+            pose[:3] = self._slid
+        else:
+            pose[self._moves] = data.qpos[self._slides]
         engine.mj_solveM(model, data, self._solved, self._units)
         # Accelerations of the freedoms by unit loads on them.
-        steps.inverse_masses[0][self._square] = self._solved[:, dofs]
-        steps.law(dt, self.damping)
-        self._heed(reply := steps.replies[0])
-        force, slope = reply["force"][self.free], reply["rate"][self._square]
-        applied = data.qfrc_applied
+        if len(self.free) == FREEDOMS:
+            self._inverse_mass[:] = self._solved[:, self._dofs]
+        else:
+            self._inverse_mass[self._square] = self._solved[:, self._dofs]
+        self._steps.law(dt, self.damping)
+        self._heed()
+        force, slope = self._force, self._slope
+        if len(self.free) < FREEDOMS:
+            force, slope = force[self.free], slope[self._square]
         if self._diagonal:  # nothing can be added to it: the last step's constraint forces stand
-            applied[dofs] = 0.0
-            engine.mj_fwdActuation(model, data)
-            engine.mj_fwdAcceleration(model, data)
-            pushed = np.empty((1, model.nv))
-            engine.mj_solveM(model, data, pushed, data.qfrc_constraint[None])
-            velocity = (data.qvel + dt * (data.qacc_smooth + pushed[0]))[dofs]
-            implicit = np.eye(len(slope)) + dt * slope @ self._solved[:, dofs]
-            force = np.linalg.solve(implicit, force + slope @ velocity)
-            slope = np.zeros_like(slope)
-        self._law = force, slope
-        applied[dofs] = -(force + slope @ data.qvel[dofs])
+            force, slope = self._with_last_contacts(force, slope, dt)
+        self._law = force.copy(), slope.copy(), self._velocity
+        np.subtract(-force, slope @ self._velocity, out=self._applied)
+        # What the velocity after the step changes.
+        self._mass[self._at_pairs] += dt * slope.take(self._pairs)
 
-    def _pull(self) -> None:
-        """Take the wrench of the step from the velocity after it."""
-        (force, slope), reply = self._law, self._steps.replies[0]
+    def _with_last_contacts(self, force: Vector, slope: Vector, dt: float) -> tuple[Vector, Vector]:
+        """Return the wrench by the constraint forces of the step before, and no slope."""
+        model, data, dofs = self._model, self._data, self._dofs
+        self._applied[:] = 0.0
+        engine.mj_fwdActuation(model, data)
+        engine.mj_fwdAcceleration(model, data)
+        pushed = np.empty((1, model.nv))
+        engine.mj_solveM(model, data, pushed, data.qfrc_constraint[None])
+        velocity = (data.qvel + dt * (data.qacc_smooth + pushed[0]))[dofs]
+        implicit = np.eye(len(slope)) + dt * slope @ self._solved[:, dofs]
+        return np.linalg.solve(implicit, force + slope @ velocity), np.zeros_like(slope)
+
+    def restart(self) -> None:
+        """Forget the state of the last step."""
+        self._law = (
+            np.zeros(len(self.free)),
+            np.zeros((len(self.free),) * 2),
+            np.zeros(len(self.free)),
+        )
+        super().restart()
+
+    @property
+    def wrench(self) -> Vector:
+        """The wrench on the part in the last step, shape (6,), N and N·m; see `Joint`."""
+        force, slope, velocity = self._law
         pulled = np.zeros(FREEDOMS)
-        pulled[self.free] = force + slope @ self._data.qvel[self._dofs]
-        pulled[3:] = reply["spin"] @ pulled[3:]
-        self.wrench = self._steps.history["last"][0] = pulled
+        pulled[self.free] = force + slope @ velocity
+        pulled[3:] = self._spin @ pulled[3:]
+        return pulled
 
     def _watch_base(self) -> None:
         """Warn once that the base has been put elsewhere by a body without velocity."""
-        data, body = self._data, self._still
-        if body == 0:  # the world
-            return
+        data, body = self._data, self._unmoved
         pose = np.concatenate([[data.time], data.xpos[body], data.xquat[body]])
         before, self._pose = self._pose, pose
         if before is None or pose[0] <= before[0] or (pose[1:] == before[1:]).all():
             return
-        self._still = 0
+        self._unmoved = 0
         name = engine.mj_id2name(self._model, _OBJECT.mjOBJ_BODY, body) or f"#{body}"
         warn(
             f"{self._name}: base {self._base!r} moves by body {name!r}, which is moved between "
@@ -245,35 +277,35 @@ def step_joints(*joints: MujocoJoint) -> None:
     """
     if not joints or any(joint._data is not joints[0]._data for joint in joints):
         raise JointError("step_joints takes the joints of one scene: one or more of the same data")
-    data, stepped = joints[0]._data, {joint._dofs.start for joint in joints}
-    if len(stepped) < len(joints):
+    model, data, scene = joints[0]._model, joints[0]._data, joints[0]._scene
+    if len({joint._dofs.start for joint in joints}) < len(joints):
         raise JointError("two joints have one tip, which would feel one of them: leave one out")
-    every = [joint for joint in _JOINTS.get(data, {}).values() if joint._data is data]
-    missing = [repr(joint._tip) for joint in every if joint._dofs.start not in stepped]
-    if missing:
-        tips = ", ".join(repr(joint._tip) for joint in joints)
-        raise JointError(
-            f"the scene has joints at the tips {tips} and {', '.join(missing)}: a step of one "
-            "advances all of the scene, and the others would not pull. Call step_joints(a, b) of "
-            "wrenchbook once with all of them, in the place of a.step(); b.step()"
-        )
-    model = joints[0]._model
-    step = float(model.opt.timestep)
-    if not step > 0:
-        raise JointError(f"the scene's time step is {step} s: set it above 0")
+    if len(joints[0]._of_scene) > len(joints):
+        _require_all(joints)
+    if not scene.timestep > 0:
+        raise JointError(f"the scene's time step is {scene.timestep} s: set it above 0")
     engine.mj_step1(model, data)
     for joint in joints:
         joint._push()
-    for joint in joints:
-        # What the velocity after the step changes.
-        rows, columns, at = joint._places
-        data.M[at] += step * joint._law[1][rows, columns]
     engine.mj_factorM(model, data)
-    if model.opt.solver == engine.mjtSolver.mjSOL_PGS or model.opt.noslip_iterations:
+    if scene.solver == _PGS or scene.noslip_iterations:
         engine.mj_projectConstraint(model, data)
     engine.mj_step2(model, data)
     for joint in joints:
-        joint._pull()
+        joint._law = *joint._law[:2], joint._velocity.copy()
+
+
+def _require_all(joints: tuple[MujocoJoint, ...]) -> None:
+    """Raise JointError if joints of a scene are not among those that step."""
+    stepped = {joint._dofs.start for joint in joints}
+    others = [joint for at, joint in joints[0]._of_scene.items() if at not in stepped]
+    if others:
+        tips, missing = (", ".join(repr(joint._tip) for joint in some) for some in (joints, others))
+        raise JointError(
+            f"the scene has joints at the tips {tips} and {missing}: a step of one "
+            "advances all of the scene, and the others would not pull. Call step_joints(a, b) of "
+            "wrenchbook once with all of them, in the place of a.step(); b.step()"
+        )
 
 
 def _places(model: Model, dofs: NDArray[np.intp]) -> list[NDArray[np.intp]]:

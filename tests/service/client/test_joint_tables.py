@@ -18,8 +18,10 @@ from tests.service.client.joint_scenes import (
     scene,
     sphere,
 )
+from tests.service.client.test_joint_scenes import turning_table
 from wrenchbook.service.client.errors import InvalidArgument
 from wrenchbook.service.client.joint import Joint, JointError, JointWarning, LinearPart
+from wrenchbook.service.client.joint.joint import quaternion
 from wrenchbook.service.client.joint.mujoco_joint import MujocoJoint, step_joints
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 from wrenchbook.surrogate.table.space import Input, space_of
@@ -267,3 +269,22 @@ def test_a_joint_without_its_inputs_is_refused(inputs, words):
 def test_an_argument_of_another_kind_is_refused(make, text: str):
     with pytest.raises(InvalidArgument, match=text):
         make()
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_many_joints_in_one_call_have_the_bits_of_each_alone(threads):
+    table, rng = turning_table(), np.random.default_rng(5)
+    many = table.packed.joints(40, 0)
+    single = [table.packed.joints(1, 0) for _ in range(40)]
+    for _ in range(3):
+        moved = rng.uniform(-0.8, 0.8, (40, 6)) * [0.02, 0.02, 0.02, 0.2, 0.2, 0.2]
+        many.poses[:, :3], many.poses[:, 3:] = moved[:, :3], [quaternion(r) for r in moved[:, 3:]]
+        many.velocities[:] = rng.normal(size=(40, 6))
+        many.inverse_masses[:] = np.diag([1, 1, 1, 9, 9, 9])
+        many.step(1e-3, 0.05, threads)
+        for k, one in enumerate(single):
+            one.poses[0], one.velocities[0] = many.poses[k], many.velocities[k]
+            one.inverse_masses[0] = many.inverse_masses[k]
+            one.step(1e-3, 0.05)
+            assert one.replies.tobytes() == many.replies[k : k + 1].tobytes()
+    assert (many.replies["status"] == 0).all()
