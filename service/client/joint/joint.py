@@ -143,6 +143,10 @@ class Joint:
 
         In the undeformed interface frame, its moment about the interface point where it is now.
         """
+        return self._of_step()
+
+    def _of_step(self) -> Vector:
+        """Return the wrench of the last step."""
         return np.array(self._steps.replies["wrench"][0])
 
     @property

@@ -233,9 +233,8 @@ class MujocoJoint(Joint):
         )
         super().restart()
 
-    @property
-    def wrench(self) -> Vector:
-        """The wrench on the part in the last step, shape (6,), N and N·m; see `Joint`."""
+    def _of_step(self) -> Vector:
+        """Return the wrench of the last step, by the velocity after it."""
         force, slope, velocity = self._law
         pulled = np.zeros(FREEDOMS)
         pulled[self.free] = force + slope @ velocity
