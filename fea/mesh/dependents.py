@@ -62,6 +62,12 @@ class Dependents:
             follow.eliminate_zeros()
         raise CircularError(int(left[0]))
 
+    @property
+    def entries(self) -> tuple[Array, Array, Array]:
+        """Return nodes, masters and weights, (e,) each."""
+        rows = self.map[self.nodes].tocoo()
+        return self.nodes[rows.row], rows.col, rows.data
+
     def expanded(self, fields: Array) -> Array:
         """Return displacement fields (n, 3, ...), m, with those of the dependent nodes set."""
         return (self.map @ fields.reshape(len(fields), -1)).reshape(fields.shape)

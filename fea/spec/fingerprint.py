@@ -70,6 +70,8 @@ def fingerprint(parts: Mapping[str, Any]) -> str:
         "analysis": {"nonlinear": analysis.nonlinear, "integration": analysis.integration},
         "deck": _deck(parts["deck"]),
     }
+    if ties := parts.get("ties"):
+        content["ties"] = [(tie.secondary, tie.main, tie.distance or 0.0) for tie in ties]
     if parts["others"]:
         content["interface"] = [
             {"name": interface.name, "is": _interface(interface)}
