@@ -183,7 +183,10 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
         sliding = _free_sliding(mesh, sliding, hold, problems)
     _check_disjoint(mesh, fixed, [*interfaces, *springs], problems)
     attached = {hold.where: hold.section.node_ids for hold in (*interfaces, *springs)}
-    mesh, ties = joined(mesh, bundle.ties, fixed, attached, problems)
+    spans[fixed], spans[sliding[0]] = np.eye(3), sliding[1]
+    mesh, ties = joined(mesh, bundle.ties, spans, attached, problems)
+    alone = ~np.isin(sliding[0], np.concatenate([sliding[0][:0], *(tie.nodes for tie in ties)]))
+    sliding = sliding[0][alone], sliding[1][alone]
     problems = cell_problems(mesh) + problems
     if problems:
         raise BundleError(problems)

@@ -231,7 +231,7 @@ def stacked_singly(mesh: Mesh) -> Array:
 
 
 def coincident_nodes(mesh: Mesh) -> Array:
-    """Return pairs of coincident surface nodes, which share no unknowns.
+    """Return pairs of coincident surface nodes, which share no unknowns and do not follow others.
 
     Shape (k, 2), int64: indices of nodes.
     """
@@ -239,7 +239,8 @@ def coincident_nodes(mesh: Mesh) -> Array:
     shortest = min(float(edge_lengths(mesh.points, b).min()) for b in mesh.blocks if len(b))
     tree = KDTree(mesh.points[surface])
     pairs = tree.query_pairs(_COINCIDENT * shortest, output_type="ndarray")
-    return np.sort(surface[pairs], axis=1) if len(pairs) else np.empty((0, 2), dtype=np.int64)
+    pairs = np.sort(surface[pairs], axis=1) if len(pairs) else np.empty((0, 2), dtype=np.int64)
+    return pairs if mesh.dependents is None else pairs[~mesh.dependents.among(pairs)]
 
 
 def gap(mesh: Mesh, nodes: Array, others: Array) -> float:
@@ -255,6 +256,9 @@ _USUAL_YOUNGS_MODULUS = (1e6, 1e12)
 _LONGEST_LEVER = 3.0
 
 
+_CLOSED = 0.1  # of the distance: a hundredth of an edge, as much as meshes of round surfaces differ
+
+
 def warnings_of(component: ComponentModel) -> list[BundleProblem]:
     """Return all that `fea.check` would warn of, in its order, and stacks of single cells."""
     mesh = component.mesh
@@ -267,6 +271,7 @@ def warnings_of(component: ComponentModel) -> list[BundleProblem]:
 def set_up_warnings(component: ComponentModel) -> list[BundleProblem]:
     """Return warnings on what the bundle attaches to the mesh: sections, supports and units."""
     problems = section_warnings(component) + support_warnings(component) + unit_warnings(component)
+    problems += tie_warnings(component)
     for number, material in enumerate(component.bundle.materials if component.bundle else ()):
         if material.thermal_expansion is not None and component.temperature is None:
             message = "counts for nothing without [inputs.temperature]"
@@ -362,6 +367,24 @@ def support_warnings(component: ComponentModel) -> list[BundleProblem]:
     )
     only_fixed = len(nodes) == len(component.fixed_nodes)
     return [BundleProblem("supports.fixed" if only_fixed else "supports", message)]
+
+
+def tie_warnings(component: ComponentModel) -> list[BundleProblem]:
+    """Return warnings on nodes that a tie leaves loose, and on gaps that it closes."""
+    problems = []
+    for i, tie in enumerate(component.ties):
+        texts = [
+            f"{tie.untied} of the {tie.untied + len(tie.nodes)} secondary nodes are not tied: they "
+            "are held, face no main facet within the distance, or at an edge of less than half a "
+            "facet"
+        ] * (tie.untied > 0)
+        if tie.gap > _CLOSED * tie.distance:
+            texts.append(
+                f"a gap of up to {tie.gap:.3g} m is closed: the secondary nodes are moved onto the "
+                "main surface"
+            )
+        problems += [BundleProblem(f"tie[{i}]", text) for text in texts]
+    return problems
 
 
 def unit_warnings(component: ComponentModel) -> list[BundleProblem]:

@@ -37,6 +37,7 @@ _FACING = 0.5  # cosine between the facets' normals: 60 degrees, beyond which th
 _PAIRS = 10_000  # triangles that are cut at a time: about 50 MB
 _STEPS = 20  # of Newton's method for a point in a facet, which takes three to five
 _EXACT = 1e-12  # relative to the size of a facet
+_SAME = 1e-9  # of a projector: axes are written to about so many digits
 _RULE = get_quadrature(RefTri, 6)  # two serendipity functions have together this degree
 
 
@@ -50,6 +51,14 @@ class TiedNodes:
     untied: int  # number of the secondary surface's other nodes
     gap: float  # the largest distance between the surfaces where they are tied, m
     distance: float  # within which they are, m
+
+    def of(self, chosen: Array) -> TiedNodes:
+        """Return those of its nodes that are chosen, (t,), bool."""
+        nodes = self.nodes[chosen]
+        among = np.isin(self.entries[0], nodes)
+        rows, masters, weights = (part[among] for part in self.entries)
+        untied = self.untied + len(self.nodes) - len(nodes)
+        return replace(self, entries=(rows, masters, weights), nodes=nodes, untied=untied)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,20 +108,20 @@ def mean_edge(points: Array, group: FacetGroup) -> float:
 def joined(
     mesh: Mesh,
     ties: Sequence[Tie],
-    fixed: Array,
+    held: Array,
     sections: Mapping[str, Array],
     problems: list[BundleProblem],
 ) -> tuple[Mesh, tuple[TiedNodes, ...]]:
     """Return a mesh whose tied nodes follow others, and lie where these put them, and the ties.
 
-    So a gap is closed by moving secondary nodes, and no rotation strains the tie.
+    So a gap is closed by moving secondary nodes, and no rotation strains the tie. Fixed nodes stay
+    fixed. Sliding ones follow main nodes that are held in the same directions, as on a plane of
+    symmetry, which was ten times as exact there as to leave them out; else they stay held.
 
-    fixed: nodes that stay as they are, (k,), int64.
+    held: projectors on the directions in which nodes are held, (n, 3, 3).
     sections: nodes that follow a frame, by the key of the bundle.
     """
-    free, done = np.ones(len(mesh.points), dtype=bool), []
-    free[fixed] = False
-    entries = []
+    entries, done, free = [], [], np.trace(held, axis1=1, axis2=2) < 3 - _SAME
     if mesh.dependents is not None:
         entries.append(mesh.dependents.entries)
         free[mesh.dependents.nodes] = False
@@ -131,6 +140,10 @@ def joined(
         may = free.copy()
         may[main.node_ids] = False  # a common node holds the two together as it is
         tied = tied_nodes(mesh.points, secondary, main, pair.distance, may)
+        rows, masters, _ = tied.entries
+        apart = np.abs(held[rows] @ (np.eye(3) - held[masters])).max(axis=(1, 2), initial=0.0)
+        alike = (apart < _SAME) & np.isin(masters, main.node_ids)
+        tied = tied.of(np.isin(tied.nodes, rows[alike]))
         if not tied.nodes.size:
             tree = KDTree(mesh.points[main.node_ids])
             gap = tree.query(mesh.points[secondary.node_ids])[0].min()
