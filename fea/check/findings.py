@@ -373,6 +373,12 @@ def contradictions(component: ComponentModel) -> list[BundleProblem]:
     messages += [
         text for section in deck.sections for text in _other_material(component, deck, section)
     ]
+    written = {(tie.secondary, tie.main) for tie in component.bundle.ties}
+    messages += [
+        f'{tie.where} ties "{tie.secondary}" to "{tie.main}"; these are loose here: write [[tie]]'
+        for tie in deck.ties
+        if (tie.secondary, tie.main) not in written
+    ]
     cases = [
         [text for support in case.supports for text in _freed(component, support)]
         + [text for coupled in case.couplings for text in _uncoupled(component, coupled)]

@@ -22,6 +22,7 @@ from wrenchbook.fea.mesh.deck_content import (
     DeckContent,
     LoadCase,
     SolidSection,
+    TiedSurfaces,
     in_si,
 )
 from wrenchbook.fea.mesh.element_order import SECOND, second_order
@@ -100,6 +101,7 @@ class _Proposal:
             *self.materials(),
             *self.supports(),
             *self.interfaces(),
+            *(line for tie in self.deck.ties for line in self.tie(tie)),
             "",
             "[analysis]",
             *self.integration(bool(first)),
@@ -199,6 +201,11 @@ class _Proposal:
             lines += ["", "[[interface]]", f"name = {_text(_name(coupled.group))}"]
             lines += [*self.interface(coupled), "[interface.range]", *self.range(coupled)]
         return lines
+
+    def tie(self, tie: TiedSurfaces) -> list[str]:
+        near = [f"distance = {tie.distance * UNITS[self.unit]:.9g}"] * (tie.distance > 0)
+        sides = f"secondary = {_text(tie.secondary)}", f"main = {_text(tie.main)}"
+        return ["", "[[tie]]", *sides, *near]
 
     def interface(self, group: CoupledGroup) -> list[str]:
         at = ", ".join(f"{x * UNITS[self.unit]:.9g}" for x in group.point)

@@ -84,6 +84,16 @@ class CoupledGroup:
 
 
 @dataclass
+class TiedSurfaces:
+    """Two facet groups that a deck ties."""
+
+    where: str
+    secondary: str
+    main: str
+    distance: float  # in the deck's length unit; 0 for the solver's default
+
+
+@dataclass
 class LoadCase:
     """Supports and loads of a step, load case or subcase of a deck; groups are the mesh's.
 
@@ -135,6 +145,8 @@ class DeckContent:
         Lines of each keyword that is read or compared, and that is neither.
     missing
         By line and keyword, what counts and cannot be taken over, and what to do.
+    ties
+        In the order of the deck.
     """
 
     materials: dict[str, dict[str, Constant]] = field(default_factory=dict)
@@ -144,3 +156,4 @@ class DeckContent:
     taken: dict[str, list[int]] = field(default_factory=dict)
     ignored: dict[str, list[int]] = field(default_factory=dict)
     missing: dict[str, str] = field(default_factory=dict)
+    ties: list[TiedSurfaces] = field(default_factory=list)

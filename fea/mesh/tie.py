@@ -38,6 +38,7 @@ _PAIRS = 10_000  # triangles that are cut at a time: about 50 MB
 _STEPS = 20  # of Newton's method for a point in a facet, which takes three to five
 _EXACT = 1e-12  # relative to the size of a facet
 _SAME = 1e-9  # of a projector: axes are written to about so many digits
+_PARALLEL = 1e-9  # rad between sides: roundoff would put their crossing anywhere along both
 _RULE = get_quadrature(RefTri, 6)  # two serendipity functions have together this degree
 
 
@@ -61,50 +62,6 @@ class TiedNodes:
         return replace(self, entries=(rows, masters, weights), nodes=nodes, untied=untied)
 
 
-@dataclass(frozen=True, eq=False)
-class _Surface:
-    """Facets of one kind, split into triangles."""
-
-    kind: str
-    nodes: Array  # shape (f, k)
-    at: Array  # their points, shape (f, k, 3), m
-    facet: Array  # of each triangle, shape (t,)
-    corners: Array  # of the triangles, shape (t, 3, 3), m
-
-    @classmethod
-    def of(cls, points: Array, block: FacetBlock) -> _Surface:
-        """Return the facets of a block, split through midside nodes where edges are curved."""
-        at, count = points[block.nodes], corners_of(block.kind)
-        middles = at[:, count : 2 * count]
-        straight = 0.5 * (at[:, :count] + np.roll(at[:, :count], -1, axis=1))[:, : len(middles[0])]
-        extent = float(np.ptp(at.reshape(-1, 3), axis=0).max())
-        curved = np.abs(middles - straight).max(initial=0.0) > 1e-9 * extent
-        split = np.array(TRIANGLES[block.kind if curved else {3: "tri3", 4: "quad4"}[count]])
-        facet = np.repeat(np.arange(len(at)), len(split))
-        return cls(block.kind, block.nodes, at, facet, at[:, split].reshape(-1, 3, 3))
-
-    @property
-    def planes(self) -> Array:
-        """Axes of each facet's mean plane and its normal, rows of shape (f, 3, 3)."""
-        a, b, c = self.corners.swapaxes(0, 1)
-        normal = np.zeros((len(self.at), 3))
-        np.add.at(normal, self.facet, np.cross(b - a, c - a))
-        normal /= np.linalg.norm(normal, axis=1)[:, None]
-        first = self.at[:, 1] - self.at[:, 0]
-        first -= (first * normal).sum(axis=1)[:, None] * normal
-        first /= np.linalg.norm(first, axis=1)[:, None]
-        return np.stack([first, np.cross(normal, first), normal], axis=1)
-
-
-def mean_edge(points: Array, group: FacetGroup) -> float:
-    """Return the mean length between the corners of facets, m."""
-    lengths = [
-        np.linalg.norm(at - np.roll(at, -1, axis=1), axis=2).ravel()
-        for at in (points[nodes[:, : corners_of(kind)]] for kind, nodes in group.blocks)
-    ]
-    return float(np.concatenate(lengths).mean())
-
-
 def joined(
     mesh: Mesh,
     ties: Sequence[Tie],
@@ -125,6 +82,12 @@ def joined(
     if mesh.dependents is not None:
         entries.append(mesh.dependents.entries)
         free[mesh.dependents.nodes] = False
+        others = {"[supports]": np.flatnonzero(held.any(axis=(1, 2))), **sections}
+        problems += [
+            BundleProblem("mesh", f"{count} nodes of {where} follow others by *EQUATION or *MPC")
+            for where, nodes in others.items()
+            if (count := np.isin(nodes, mesh.dependents.nodes).sum())
+        ]
     for i, pair in enumerate(ties):
         key, names = f"tie[{i}]", list(mesh.facet_groups)
         sides = {"secondary": pair.secondary, "main": pair.main}
@@ -185,113 +148,107 @@ def tied_nodes(
     """Tie two surfaces.
 
     points: shape (n, 3), m.
-    distance: facets farther from each other are not tied, m; None: a tenth of the longer mean edge.
+    distance: facets farther from each other are not tied, m; None for `DISTANCE`.
     free: shape (n,), bool: nodes that may follow others.
     """
     if distance is None:
-        distance = DISTANCE * max(mean_edge(points, group) for group in (secondary, main))
+        corners = [points[n[:, : corners_of(k)]] for k, n in (*secondary.blocks, *main.blocks)]
+        edges = [np.linalg.norm(at - np.roll(at, 1, axis=1), axis=2).ravel() for at in corners]
+        distance = DISTANCE * float(np.concatenate(edges).mean())
     # Integrals of the transformed functions where the surfaces meet, and over the whole facets.
-    covered, complete = np.zeros(len(points)), np.zeros(len(points))
-    rows, masters, values, gap = [], [], [], 0.0
-    ends: list[Array] = [np.empty((0, 3), dtype=np.int64)]
-    for block in secondary.blocks:
-        surface = _Surface.of(points, block)
-        transform, pairs = _transform(surface.kind)
-        ends += [surface.nodes[:, pairs].reshape(-1, 3)]
-        element, planes = reference_element(surface.kind), surface.planes
-        flat = surface.at @ planes[:, :2].swapaxes(1, 2)
-        areas = np.linalg.det(np.einsum("fki,qkj->fqij", flat, element.slopes)) * element.weights
-        whole = areas @ (element.values @ transform)
-        np.add.at(complete, surface.nodes, whole)
-        size = surface.nodes.shape[1]
-        mass, mixed = np.zeros((len(flat), size, size)), []
+    covered, complete = np.zeros((2, len(points)))
+    entries, halves, gap = [], [np.empty((0, 3), dtype=np.int64)], 0.0
+    for kind, nodes in secondary.blocks:
+        # Nodal values by transformed unknowns, and edges: the node and both ends.
+        size, count = nodes.shape[1], corners_of(kind)
+        first = np.arange(count if size > count else 0)
+        ends = np.stack([count + first, first, (first + 1) % count], axis=1)
+        transform = np.eye(size)
+        transform[ends[:, 0], ends[:, 0]] = 1 - 2 * _ALPHA
+        transform[ends[:, :1], ends[:, 1:]] = _ALPHA
+        halves.append(nodes[:, ends].reshape(-1, 3))
+        at, element = points[nodes], reference_element(kind)
+        arms = at[:, :count] - at[:, :count].mean(axis=1)[:, None]
+        normal = np.cross(arms, np.roll(arms, -1, axis=1)).sum(axis=1)
+        plane = np.linalg.qr(np.stack([normal, arms[:, 0], arms[:, 1]], axis=2)).Q[:, :, 1:]
+        areas = np.einsum("fki,qkj->fqij", at @ plane, element.slopes)
+        areas = np.abs(np.linalg.det(areas)) * element.weights
+        np.add.at(complete, nodes, areas @ element.values @ transform)
+        mass, mixed = np.zeros((len(nodes), size, size)), []
         for other in main.blocks:
-            across = _Surface.of(points, other)
-            for of, to, weights, values_of, values_to, far in _overlaps(surface, across, distance):
-                functions = weights[..., None] * (values_of @ transform)
-                np.add.at(mass, of, functions.swapaxes(1, 2) @ (values_of @ transform))
-                mixed.append((of, across.nodes[to], functions.swapaxes(1, 2) @ values_to, far))
+            overlaps = _overlaps(points, FacetBlock(kind, nodes), other, plane, distance)
+            for of, to, weights, here, there, far in overlaps:
+                functions = here @ transform
+                weighted = (weights[..., None] * functions).swapaxes(1, 2)
+                np.add.at(mass, of, weighted @ functions)
+                mixed.append((of, other.nodes[to], weighted @ there, far))
         integrals = mass.sum(axis=2)  # the transformed functions sum to one
         taken = integrals.sum(axis=1) > _COVER * areas.sum(axis=1)
         mass[~taken], integrals[~taken] = np.eye(size), 0.0
-        np.add.at(covered, surface.nodes, integrals)
+        np.add.at(covered, nodes, integrals)
         dual = integrals[:, :, None] * np.linalg.inv(mass)
         for of, to, products, far in mixed:
             gap = max(gap, float(far[taken[of]].max(initial=0.0)))
             weights = dual[of] @ products
-            chosen = np.broadcast_to(taken[of][:, None, None], weights.shape)
-            rows.append(np.broadcast_to(surface.nodes[of][:, :, None], weights.shape)[chosen])
-            masters.append(np.broadcast_to(to[:, None, :], weights.shape)[chosen])
-            values.append(weights[chosen])
+            both = np.broadcast_arrays(nodes[of][:, :, None], to[:, None], weights)
+            entries.append([part[taken[of]].ravel() for part in both])
     tied = free & (covered > _COVER * complete)
-    none = np.empty(0, dtype=np.int64)
-    rows, masters, values = (np.concatenate([none, *parts]) for parts in (rows, masters, values))
-    chosen = tied[rows]
-    rows, masters, values = rows[chosen], masters[chosen], values[chosen] / covered[rows[chosen]]
+    none = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0)
+    rows, masters, weights = (np.concatenate(each) for each in zip(none, *entries, strict=True))
+    rows, masters, weights = rows[tied[rows]], masters[tied[rows]], weights[tied[rows]]
     # From the transformed unknown of an edge to its node's displacement.
-    edges = np.unique(np.concatenate(ends), axis=0)
-    edges = edges[tied[edges[:, 0]]]
-    scale = np.ones(len(points))
-    scale[edges[:, 0]] = 1 - 2 * _ALPHA
+    edges = np.unique(np.concatenate(halves), axis=0)
     edges = edges[np.unique(edges[:, 0], return_index=True)[1]]
-    entries = (
-        np.concatenate([rows, np.repeat(edges[:, 0], 2)]),
-        np.concatenate([masters, edges[:, 1:].ravel()]),
-        np.concatenate([values * scale[rows], np.full(2 * len(edges), _ALPHA)]),
+    edges = edges[tied[edges[:, 0]]]
+    weights = weights / covered[rows] * np.where(np.isin(rows, edges[:, 0]), 1 - 2 * _ALPHA, 1.0)
+    follow = (
+        np.append(rows, np.repeat(edges[:, 0], 2)),
+        np.append(masters, edges[:, 1:]),
+        np.append(weights, np.full(2 * len(edges), _ALPHA)),
     )
-    nodes = np.flatnonzero(tied)
-    return TiedNodes(entries, nodes, len(secondary.node_ids) - len(nodes), gap, distance)
+    loose = len(secondary.node_ids) - int(tied.sum())
+    return TiedNodes(follow, np.flatnonzero(tied), loose, gap, distance)
 
 
-def _transform(kind: str) -> tuple[Array, Array]:
-    """Return nodal values by transformed unknowns, (k, k), and edges: node and ends, (e, 3)."""
-    size, count = len(node_coordinates(kind)), corners_of(kind)
-    number = np.arange(count if size > count else 0)
-    pairs = np.stack([count + number, number, (number + 1) % count], axis=1)
-    transform = np.eye(size)
-    transform[pairs[:, 0], pairs[:, 0]] = 1 - 2 * _ALPHA
-    transform[pairs[:, :1], pairs[:, 1:]] = _ALPHA
-    return transform, pairs
-
-
-def _overlaps(surface: _Surface, other: _Surface, distance: float) -> Iterator[tuple[Array, ...]]:
-    """Yield overlaps of facets of two surfaces, s triangles at a time.
+def _overlaps(
+    points: Array, first: FacetBlock, second: FacetBlock, plane: Array, distance: float
+) -> Iterator[tuple[Array, ...]]:
+    """Yield overlaps of facets on the planes of the first, (f, 3, 2), s triangles at a time.
 
     Each: the facets (s,), (s,), weights at q points (s, q), m^2, the shape functions of the first
     (s, q, k) and the second (s, q, l) there, and the distance between both, (s, q), m.
     """
-    centres = [side.corners.mean(axis=1) for side in (surface, other)]
-    radii = [
-        np.linalg.norm(side.corners - centre[:, None], axis=2).max(axis=1)
-        for side, centre in zip((surface, other), centres, strict=True)
-    ]
-    planes, normals = surface.planes, other.planes[:, 2]
-    reach = radii[0] + radii[1].max() + distance
-    near = KDTree(centres[1]).query_ball_point(centres[0], reach)
-    first = np.repeat(np.arange(len(near)), [len(each) for each in near])
-    second = np.concatenate([np.empty(0, dtype=np.int64), *map(np.array, near)]).astype(np.int64)
-    apart = np.linalg.norm(centres[0][first] - centres[1][second], axis=1)
-    facing = np.abs((planes[surface.facet[first], 2] * normals[other.facet[second]]).sum(axis=1))
-    chosen = (apart <= radii[0][first] + radii[1][second] + distance) & (facing > _FACING)
-    first, second = first[chosen], second[chosen]
-    for start in range(0, len(first), _PAIRS):
-        of, to = first[start : start + _PAIRS], second[start : start + _PAIRS]
-        plane = planes[surface.facet[of], :2].swapaxes(1, 2)
-        pair, cuts = _intersections(surface.corners[of] @ plane, other.corners[to] @ plane)
-        of, to, plane = surface.facet[of[pair]], other.facet[to[pair]], plane[pair]
-        corners = np.array([1 - _RULE[0].sum(axis=0), *_RULE[0]])
-        at = np.einsum("cq,sci->sqi", corners, cuts)
-        sides = cuts[:, 1:] - cuts[:, :1]
-        weights = np.abs(np.linalg.det(sides))[:, None] * _RULE[1]
-        values, there, ends = [], np.ones(len(of), dtype=bool), []
-        for side, facet in ((surface, of), (other, to)):
-            functions, found = _located(side.kind, side.at[facet] @ plane, at)
-            values.append(functions)
-            ends.append(functions @ side.at[facet])
-            there &= found
-        far = np.linalg.norm(ends[0] - ends[1], axis=2)
-        there &= far.max(axis=1) <= distance
-        yield of[there], to[there], weights[there], values[0][there], values[1][there], far[there]
+    triangles = []
+    for kind, nodes in (first, second):
+        split = np.array(TRIANGLES["tri3" if corners_of(kind) == 3 else "quad4"])
+        corners = points[nodes[:, split]].reshape(-1, 3, 3)
+        centre = corners.mean(axis=1)
+        normal = np.cross(*(corners[:, 1:] - corners[:, :1]).swapaxes(0, 1))
+        normal /= np.linalg.norm(normal, axis=1)[:, None]
+        radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
+        triangles.append((corners, centre, normal, radius, np.arange(len(corners)) // len(split)))
+    (corners, centre, normal, radius, facet), others = triangles
+    reach = radius + others[3].max() + distance
+    near = KDTree(others[1]).query_ball_point(centre, reach)
+    all_of = np.repeat(np.arange(len(near)), [len(each) for each in near])
+    all_to = np.array([i for each in near for i in each], dtype=np.int64)
+    apart = np.linalg.norm(centre[all_of] - others[1][all_to], axis=1)
+    facing = np.abs((normal[all_of] * others[2][all_to]).sum(axis=1)) > _FACING
+    chosen = np.flatnonzero(facing & (apart <= radius[all_of] + others[3][all_to] + distance))
+    for start in range(0, len(chosen), _PAIRS):
+        pairs = chosen[start : start + _PAIRS]
+        of, to = all_of[pairs], all_to[pairs]
+        flat = plane[facet[of]]
+        pair, cuts = _intersections(corners[of] @ flat, others[0][to] @ flat)
+        of, to, flat = facet[of[pair]], others[4][to[pair]], flat[pair]
+        at = np.einsum("cq,sci->sqi", np.array([1 - _RULE[0].sum(axis=0), *_RULE[0]]), cuts)
+        weights = np.abs(np.linalg.det(cuts[:, 1:] - cuts[:, :1]))[:, None] * _RULE[1]
+        there = points[first.nodes[of]], points[second.nodes[to]]
+        here, found = _located(first.kind, there[0] @ flat, at)
+        opposite, found_too = _located(second.kind, there[1] @ flat, at)
+        far = np.linalg.norm(here @ there[0] - opposite @ there[1], axis=2)
+        met = found & found_too & (far.max(axis=1) <= distance)
+        yield of[met], to[met], weights[met], here[met], opposite[met], far[met]
 
 
 def _located(kind: str, nodes: Array, at: Array) -> tuple[Array, Array]:
@@ -301,7 +258,7 @@ def _located(kind: str, nodes: Array, at: Array) -> tuple[Array, Array]:
     """
     local = np.broadcast_to(node_coordinates(kind).mean(axis=0), at.shape).copy()
     size = np.ptp(nodes, axis=1).max(axis=1)[:, None]
-    values, found = np.empty(0), np.empty(0)
+    values, found = np.empty(0), np.zeros((1, 1), dtype=bool)
     for _ in range(_STEPS):
         values, slopes = tabulate(kind, local.reshape(-1, 2))
         values = values.reshape(*at.shape[:2], -1)
@@ -309,57 +266,50 @@ def _located(kind: str, nodes: Array, at: Array) -> tuple[Array, Array]:
         found = np.linalg.norm(off, axis=2) <= _EXACT * size
         if found.all():
             break
-        jacobian = np.einsum("ski,sqkj->sqij", nodes, slopes.reshape(*values.shape, 2))
-        (a, b), (c, d) = np.moveaxis(jacobian, (2, 3), (0, 1))
-        x, y = np.moveaxis(off, 2, 0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            step = np.stack([d * x - b * y, a * y - c * x], axis=-1) / (a * d - b * c)[..., None]
-        local += np.clip(np.nan_to_num(step), -1.0, 1.0)
+        columns = np.einsum("ski,sqkj->jsqi", nodes, slopes.reshape(*values.shape, 2))
+        area = _cross(*columns)
+        step = np.stack([_cross(off, columns[1]), _cross(columns[0], off)], axis=-1)
+        local += np.clip(step / np.where(area == 0, 1.0, area)[..., None], -1.0, 1.0)
     return values, np.asarray(found.all(axis=1))
 
 
-def _intersections(first: Array, second: Array) -> tuple[Array, Array]:
-    """Return the intersections of pairs of triangles (p, 3, 2), cut into triangles.
+def _intersections(*pairs: Array) -> tuple[Array, Array]:
+    """Return the intersections of pairs of triangles, twice (p, 3, 2), cut into triangles.
 
     Result: the pair of each, (s,), and its corners, (s, 3, 2).
     """
-    first, second = (_anticlockwise(corners) for corners in (first, second))
-    points, inside = [], []
-    for corners, others in ((first, second), (second, first)):
-        sides = np.roll(others, -1, axis=1) - others
-        off = _cross(sides[:, None], corners[:, :, None] - others[:, None])
-        area = _cross(sides[:, 0], sides[:, 1])
-        points.append(corners)
-        inside.append((off >= -_EXACT * area[:, None, None]).all(axis=2))
-    sides = [(np.roll(corners, -1, axis=1) - corners) for corners in (first, second)]
-    one, two = sides[0][:, :, None], sides[1][:, None]
-    between = second[:, None] - first[:, :, None]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        along = [_cross(between, side) / _cross(one, two) for side in (two, one)]
-        points.append((first[:, :, None] + along[0][..., None] * one).reshape(-1, 9, 2))
-    inside.append(np.all([(a >= 0) & (a <= 1) for a in along], axis=0).reshape(-1, 9))
-    points, inside = np.concatenate(points, axis=1), np.concatenate(inside, axis=1)
+    corners = np.stack(pairs)
+    clockwise = _cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0]) < 0
+    corners[clockwise] = corners[clockwise][:, ::-1]
+    sides = np.roll(corners, -1, axis=2) - corners
+    least = _EXACT * _cross(sides[:, :, 0], sides[:, :, 1])
+    # Corners inside the other triangle, and crossings of the sides.
+    off = _cross(sides[::-1, :, None], corners[:, :, :, None] - corners[::-1, :, None])
+    inside = np.asarray((off >= -least[::-1, :, None, None]).all(axis=3))
+    one, two, between = sides[0][:, :, None], sides[1][:, None], corners[1][:, None]
+    between = between - corners[0][:, :, None]
+    area = _cross(one, two)
+    lengths = np.linalg.norm(one, axis=-1) * np.linalg.norm(two, axis=-1)
+    area[np.abs(area) < _PARALLEL * lengths] = np.inf
+    along, across = _cross(between, two) / area, _cross(between, one) / area
+    met = (np.minimum(along, across) >= 0) & (np.maximum(along, across) <= 1) & np.isfinite(area)
+    inside = np.concatenate([*inside, met.reshape(-1, 9)], axis=1)
+    crossings = corners[0][:, :, None] + along[..., None] * one
+    points = np.concatenate([*corners, crossings.reshape(-1, 9, 2)], axis=1)
     pair = np.flatnonzero(inside.sum(axis=1) > 2)
     points, inside = points[pair], inside[pair]
-    points[~inside] = 0.0
-    centre = points.sum(axis=1) / inside.sum(axis=1)[:, None]
-    x, y = np.moveaxis(points - centre[:, None], 2, 0)
+    # Around their middle, those outside last and in the place of the first.
+    middle = (points * inside[..., None]).sum(axis=1) / inside.sum(axis=1)[:, None]
+    x, y = np.moveaxis(points - middle[:, None], 2, 0)
     order = np.argsort(np.where(inside, np.arctan2(y, x), np.inf), axis=1)
     points = np.take_along_axis(points, order[..., None], axis=1)
-    inside = np.take_along_axis(inside, order, axis=1)
-    points = np.where(inside[..., None], points, points[:, :1])
-    triangles = np.stack(
-        [np.broadcast_to(centre[:, None], points.shape), points, np.roll(points, -1, axis=1)], 2
-    )
-    area = _cross(triangles[:, :, 1] - centre[:, None], triangles[:, :, 2] - centre[:, None])
-    all_of = _cross(*np.moveaxis(first[pair][:, 1:] - first[pair][:, :1], 1, 0))
-    row, number = np.nonzero(area > _EXACT * all_of[:, None])
-    return pair[row], triangles[row, number]
-
-
-def _anticlockwise(corners: Array) -> Array:
-    turned = _cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) < 0
-    return np.where(turned[:, None, None], corners[:, ::-1], corners)
+    last = np.take_along_axis(inside, order, axis=1)[..., None]
+    points = np.where(last, points, points[:, :1])
+    middles = np.broadcast_to(middle[:, None], points.shape)
+    cuts = np.stack([middles, points, np.roll(points, -1, axis=1)], axis=2)
+    area = _cross(cuts[:, :, 1] - cuts[:, :, 0], cuts[:, :, 2] - cuts[:, :, 0])
+    row, number = np.nonzero(area > least[0, pair, None])
+    return pair[row], cuts[row, number]
 
 
 def _cross(a: Array, b: Array) -> Array:
