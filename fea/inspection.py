@@ -371,20 +371,15 @@ def support_warnings(component: ComponentModel) -> list[BundleProblem]:
 
 def tie_warnings(component: ComponentModel) -> list[BundleProblem]:
     """Return warnings on nodes that a tie leaves loose, and on gaps that it closes."""
-    problems = []
+    texts = []
     for i, tie in enumerate(component.ties):
-        texts = [
-            f"{tie.untied} of the {tie.untied + len(tie.nodes)} secondary nodes are not tied: they "
-            "are held, face no main facet within the distance, or at an edge of less than half a "
-            "facet"
-        ] * (tie.untied > 0)
+        loose, gap = tie.untied, f"{tie.gap:.3g} m"
+        apart = "no main facet is within the distance, or at an edge of less than half a facet"
+        if loose:
+            texts.append((i, f"{loose} secondary nodes are loose: they are held, {apart}"))
         if tie.gap > _CLOSED * tie.distance:
-            texts.append(
-                f"a gap of up to {tie.gap:.3g} m is closed: the secondary nodes are moved onto the "
-                "main surface"
-            )
-        problems += [BundleProblem(f"tie[{i}]", text) for text in texts]
-    return problems
+            texts.append((i, f"a gap of up to {gap} is closed: secondary nodes move to the main"))
+    return [BundleProblem(f"tie[{i}]", text) for i, text in texts]
 
 
 def unit_warnings(component: ComponentModel) -> list[BundleProblem]:

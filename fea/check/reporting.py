@@ -40,11 +40,10 @@ from wrenchbook.fea.mesh.cad.meshing import list_shape
 from wrenchbook.fea.mesh.facets import Face
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.surface import Surface
-from wrenchbook.fea.mesh.tie import TiedNodes
 from wrenchbook.fea.solver.vibration import Riding
 from wrenchbook.fea.spec.keys import keys_of, kind_of, validated
 from wrenchbook.fea.spec.problems import BundleProblem
-from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS, GEOMETRY_ENDINGS, Tie
+from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS, GEOMETRY_ENDINGS
 
 _MAX_SECONDS = 5.0
 """Of a linear solve, to estimate the solver's error too: that takes up to three more."""
@@ -222,7 +221,11 @@ def _inspect_component(
 ) -> None:
     numbers = component.material_of_cells
     attached = [_section(interface) for interface in component.interfaces]
-    ties = list(map(_tie, component.bundle.ties, component.ties))
+    ties = [
+        {"secondary": names.secondary, "main": names.main}
+        | {"nodes": len(tie.nodes), "untied": tie.untied, "gap": tie.gap}
+        for names, tie in zip(component.bundle.ties, component.ties, strict=True)
+    ]
     # The ranges of the inputs behind the loads, where there are any.
     inputs: dict[str, Any] = {}
     if warm := component.temperature:
@@ -248,11 +251,6 @@ def _inspect_component(
     if problems:
         raise BundleError(problems)
     summary["estimate"] = estimate(component)
-
-
-def _tie(names: Tie, tie: TiedNodes) -> dict[str, Any]:
-    groups = {"secondary": names.secondary, "main": names.main}
-    return groups | {"nodes": len(tie.nodes), "untied": tie.untied, "gap": tie.gap}
 
 
 def _section(interface: AttachedInterface) -> dict[str, Any]:

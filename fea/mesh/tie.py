@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -33,10 +34,10 @@ with straight edges, eight round a circle, are 0.097 of an edge off it."""
 
 _ALPHA = 0.2  # any in (0, 1/3) makes the integrals positive; Popp's choice
 _COVER = 0.5  # of a facet, and of a node's integral: less is an extrapolation from a strip
-_FACING = 0.5  # cosine between the facets' normals: 60 degrees, beyond which they do not face
 _PAIRS = 10_000  # triangles that are cut at a time: about 50 MB
 _STEPS = 20  # of Newton's method for a point in a facet, which takes three to five
 _EXACT = 1e-12  # relative to the size of a facet
+_NEAR = 8  # main nodes beside a sliding node, some on its plane of symmetry if the surface is
 _SAME = 1e-9  # of a projector: axes are written to about so many digits
 _PARALLEL = 1e-9  # rad between sides: roundoff would put their crossing anywhere along both
 _RULE = get_quadrature(RefTri, 6)  # two serendipity functions have together this degree
@@ -46,20 +47,11 @@ _RULE = get_quadrature(RefTri, 6)  # two serendipity functions have together thi
 class TiedNodes:
     """Secondary nodes that follow a main surface."""
 
-    # Nodes, masters and weights as of `fea.mesh.dependents.Dependents.of`
-    entries: tuple[Array, Array, Array]
+    entries: tuple[Array, Array, Array]  # as of `fea.mesh.dependents.Dependents.of`
     nodes: Array  # shape (t,), int64, ascending
     untied: int  # number of the secondary surface's other nodes
     gap: float  # the largest distance between the surfaces where they are tied, m
     distance: float  # within which they are, m
-
-    def of(self, chosen: Array) -> TiedNodes:
-        """Return those of its nodes that are chosen, (t,), bool."""
-        nodes = self.nodes[chosen]
-        among = np.isin(self.entries[0], nodes)
-        rows, masters, weights = (part[among] for part in self.entries)
-        untied = self.untied + len(self.nodes) - len(nodes)
-        return replace(self, entries=(rows, masters, weights), nodes=nodes, untied=untied)
 
 
 def joined(
@@ -82,42 +74,37 @@ def joined(
     if mesh.dependents is not None:
         entries.append(mesh.dependents.entries)
         free[mesh.dependents.nodes] = False
+        do = "take them out of the deck's constraint, or name fewer nodes"
         others = {"[supports]": np.flatnonzero(held.any(axis=(1, 2))), **sections}
         problems += [
-            BundleProblem("mesh", f"{count} nodes of {where} follow others by *EQUATION or *MPC")
+            BundleProblem("mesh", f"{count} nodes of {where} follow others by *EQUATION; {do}")
             for where, nodes in others.items()
             if (count := np.isin(nodes, mesh.dependents.nodes).sum())
         ]
     for i, pair in enumerate(ties):
         key, names = f"tie[{i}]", list(mesh.facet_groups)
         sides = {"secondary": pair.secondary, "main": pair.main}
-        lost = [
-            missing(f"{key}.{side}", name, "facet group", names)
-            for side, name in sides.items()
-            if name not in names
-        ]
-        if lost:
-            problems += lost
+        if lost := [side for side, name in sides.items() if name not in names]:
+            groups = ((f"{key}.{side}", sides[side]) for side in lost)
+            problems += [missing(at, name, "facet group", names) for at, name in groups]
             continue
         secondary, main = (mesh.facet_groups[name] for name in sides.values())
-        may = free.copy()
-        may[main.node_ids] = False  # a common node holds the two together as it is
+        nodes, others, may = secondary.node_ids, main.node_ids, free.copy()
+        tree: Any = KDTree(mesh.points[others])
+        gaps, number = tree.query(mesh.points[nodes], range(1, 1 + min(_NEAR, others.size)))
+        loose = held[nodes][:, None] @ (np.eye(3) - held[others[number]])
+        may[nodes[(np.abs(loose).max(axis=(2, 3)) > _SAME).all(axis=1)]] = False
+        may[others] = False  # a common node holds the two together as it is
         tied = tied_nodes(mesh.points, secondary, main, pair.distance, may)
-        rows, masters, _ = tied.entries
-        apart = np.abs(held[rows] @ (np.eye(3) - held[masters])).max(axis=(1, 2), initial=0.0)
-        alike = (apart < _SAME) & np.isin(masters, main.node_ids)
-        tied = tied.of(np.isin(tied.nodes, rows[alike]))
         if not tied.nodes.size:
-            tree = KDTree(mesh.points[main.node_ids])
-            gap = tree.query(mesh.points[secondary.node_ids])[0].min()
             message = (
                 f'no facet of "{pair.secondary}" with free nodes faces "{pair.main}" within '
-                f"{tied.distance:.3g} m; their nearest nodes are {gap:.3g} m apart. Correct the "
-                "groups, or write a larger distance"
+                f"{tied.distance:.3g} m; their nearest nodes are {gaps.min():.3g} m apart. Correct "
+                "the groups, or write a larger distance"
             )
             problems.append(BundleProblem(key, message))
-        for where, nodes in sections.items():
-            if (shared := np.intersect1d(tied.nodes, nodes)).size:
+        for where, attached in sections.items():
+            if (shared := np.intersect1d(tied.nodes, attached)).size:
                 message = (
                     f"{len(shared)} secondary nodes, such as the one at "
                     f"{point_text(mesh.points[shared[0]])} m, are of {where}: a node can follow "
@@ -223,32 +210,28 @@ def _overlaps(
         split = np.array(TRIANGLES["tri3" if corners_of(kind) == 3 else "quad4"])
         corners = points[nodes[:, split]].reshape(-1, 3, 3)
         centre = corners.mean(axis=1)
-        normal = np.cross(*(corners[:, 1:] - corners[:, :1]).swapaxes(0, 1))
-        normal /= np.linalg.norm(normal, axis=1)[:, None]
         radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
-        triangles.append((corners, centre, normal, radius, np.arange(len(corners)) // len(split)))
-    (corners, centre, normal, radius, facet), others = triangles
-    reach = radius + others[3].max() + distance
-    near = KDTree(others[1]).query_ball_point(centre, reach)
+        triangles.append((corners, centre, radius, np.arange(len(corners)) // len(split)))
+    (corners, centre, radius, facet), (opposite, middle, size, facet_to) = triangles
+    near = KDTree(middle).query_ball_point(centre, radius + size.max() + distance)
     all_of = np.repeat(np.arange(len(near)), [len(each) for each in near])
     all_to = np.array([i for each in near for i in each], dtype=np.int64)
-    apart = np.linalg.norm(centre[all_of] - others[1][all_to], axis=1)
-    facing = np.abs((normal[all_of] * others[2][all_to]).sum(axis=1)) > _FACING
-    chosen = np.flatnonzero(facing & (apart <= radius[all_of] + others[3][all_to] + distance))
+    apart = np.linalg.norm(centre[all_of] - middle[all_to], axis=1)
+    chosen = np.flatnonzero(apart <= radius[all_of] + size[all_to] + distance)
     for start in range(0, len(chosen), _PAIRS):
         pairs = chosen[start : start + _PAIRS]
         of, to = all_of[pairs], all_to[pairs]
         flat = plane[facet[of]]
-        pair, cuts = _intersections(corners[of] @ flat, others[0][to] @ flat)
-        of, to, flat = facet[of[pair]], others[4][to[pair]], flat[pair]
+        pair, cuts = _intersections(corners[of] @ flat, opposite[to] @ flat)
+        of, to, flat = facet[of[pair]], facet_to[to[pair]], flat[pair]
         at = np.einsum("cq,sci->sqi", np.array([1 - _RULE[0].sum(axis=0), *_RULE[0]]), cuts)
         weights = np.abs(np.linalg.det(cuts[:, 1:] - cuts[:, :1]))[:, None] * _RULE[1]
         there = points[first.nodes[of]], points[second.nodes[to]]
         here, found = _located(first.kind, there[0] @ flat, at)
-        opposite, found_too = _located(second.kind, there[1] @ flat, at)
-        far = np.linalg.norm(here @ there[0] - opposite @ there[1], axis=2)
+        across, found_too = _located(second.kind, there[1] @ flat, at)
+        far = np.linalg.norm(here @ there[0] - across @ there[1], axis=2)
         met = found & found_too & (far.max(axis=1) <= distance)
-        yield of[met], to[met], weights[met], here[met], opposite[met], far[met]
+        yield of[met], to[met], weights[met], here[met], across[met], far[met]
 
 
 def _located(kind: str, nodes: Array, at: Array) -> tuple[Array, Array]:

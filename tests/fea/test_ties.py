@@ -9,12 +9,13 @@ from tests.fea.boxes import box
 from tests.fea.calculix import FACES, require_ccx
 from tests.fea.components import body_of
 from tests.fea.pairs import LARGE, TIE, merged, moved, pair, tied, together
-from tests.refusals import assert_told, cases
 from wrenchbook.fea.assembly.body import gather
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
 from wrenchbook.fea.check import as_text, report
 from wrenchbook.fea.check.proposal import propose
+from wrenchbook.fea.component import build
 from wrenchbook.fea.export.calculix import PLACEHOLDERS, deck_of
+from wrenchbook.fea.inspection import coincident_nodes
 from wrenchbook.fea.solve import Solver, solve
 from wrenchbook.fea.spec.schema import Deck
 from wrenchbook.fea.tensors import rotation
@@ -143,14 +144,26 @@ def test_secondary_nodes_on_a_plane_of_symmetry_follow_what_is_held_there_too():
     assert tied(mesh, TIE, **cut("b_x0")).ties[0].untied > 0  # the main surface is free there
 
 
-@cases(__file__, "ties")
-def test_a_tie_that_cannot_be_is_refused(case):
-    with pytest.raises(BundleError) as caught:
-        tied(pair(), *case["ties"], **case.get("tables", {}))
-    assert_told(case, str(caught.value).splitlines())
+BUSHING = {"group": "b_x0", "coupling": "rigid", "stiffness": [1, 1, 1, 1, 1, 1]}
 
 
-def test_equations_with_which_a_node_follows_itself_are_refused():
+@pytest.mark.parametrize(
+    ("changes", "tables", "words"),
+    [
+        ({"main": "a_z0"}, {}, "nearest nodes are 2 m apart. Correct the groups, or write"),
+        ({"main": "a_z2"}, {}, r'tie\[0\].main: the mesh has no facet group "a_z2"'),
+        ({"distance": -1}, {}, r"tie\[0\].distance: must be above 0"),
+        ({}, {"interface": {"section": "b_x0", "coupling": "rigid"}}, "are of interface.section: "),
+        ({}, {"supports": {"bushing": [BUSHING]}}, r"are of supports.bushing\[0\].group: a node"),
+        ({}, {"supports": {"fixed": ["b_z0"]}}, 'no facet of "b_z0" with free nodes'),
+    ],
+)
+def test_a_tie_that_cannot_be_is_refused(changes, tables, words):
+    with pytest.raises(BundleError, match=words):
+        tied(pair(), TIE | changes, **tables)
+
+
+def test_ties_by_which_a_node_follows_itself_are_refused():
     with pytest.raises(BundleError, match="follows itself by several ties; swap"):
         tied(pair(sizes=(LARGE, LARGE)), TIE, {"secondary": "a_z1", "main": "b_z0"})
 
@@ -217,3 +230,12 @@ def test_the_equations_of_a_deck_tie_the_nodes_of_its_mesh(tmp_path):
     assert found["ok"]
     assert not found["warnings"]
     same(solve(read_bundle(folder), WRENCH).displacement, solve(part, WRENCH).displacement, 1e-9)
+
+
+def test_pairs_of_nodes_of_a_deck_that_move_alike_tie_its_mesh(tmp_path):
+    mesh = pair(**MATCHING)
+    pairs = coincident_nodes(mesh) + 1
+    lines = ["*MPC", *(f"PIN, {second}, {first}" for first, second in pairs), "*STEP"]
+    found, folder = proposed(deck_of(tied(mesh)).replace("*STEP", "\n".join(lines)), tmp_path)
+    assert found["ok"]
+    same(compliance(build(read_bundle(folder))), compliance(tied(merged(mesh))), 1e-11)

@@ -380,6 +380,7 @@ def _node(deck: Deck, keyword: Keyword, option: str) -> int | None:
 
 
 def _take_tie(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+    """Take a tie of surfaces of faces."""
     if "CYCLIC SYMMETRY" in keyword.options:
         raise ValueError("a part of a circle")
     distance = float(keyword.options.get("POSITION TOLERANCE", 0.0))
@@ -390,16 +391,16 @@ def _take_tie(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
 
 def _take_equations(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
     """Take equations: the number of terms, then node, freedom and factor of each."""
-    if "REMOVE" in keyword.options:
-        raise ValueError("equations are removed")
     fields = [each for row in keyword.rows for each in row if each]
-    while fields:
-        end = 3 * int(fields[0]) + 1
-        nodes = [named(deck, deck.node_sets, name, keyword.frame) for name in fields[1:end:3]]
+    while fields and "REMOVE" not in keyword.options:
+        count = int(fields[0])
+        terms, fields = fields[1 : 3 * count + 1], fields[3 * count + 1 :]
+        nodes = [named(deck, deck.node_sets, name, keyword.frame) for name in terms[::3]]
         labels = [label for each in nodes for label in each]
-        factors = map(float, fields[3:end:3])
-        _equate(reader, keyword, list(zip(labels, fields[2:end:3], factors, strict=True)))
-        fields = fields[end:]
+        if not len(labels) == count == len(terms) / 3:
+            raise ValueError("an equation of sets, or without all of its terms")
+        factors = map(float, terms[2::3])
+        _equate(reader, keyword, list(zip(labels, terms[1::3], factors, strict=True)))
 
 
 def _take_constraints(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
@@ -415,9 +416,12 @@ def _equate(reader: _Reader, keyword: Keyword, terms: list[tuple[int, str, float
     (node, freedom, factor), *others = terms
     weights: dict[int, float] = defaultdict(float)
     for label, _, other in others:
-        weights[label] -= other / factor
-    known = {other for _, other, _ in terms} == {freedom}
-    reader.equations.setdefault(node, {})[int(freedom) - 1 if known else -1] = keyword, weights
+        weights[label] -= other / factor if factor else math.nan
+    if not all(map(math.isfinite, weights.values())):
+        raise ValueError("factors that are no numbers, or zero")
+    rows, axis = reader.equations.setdefault(node, {}), int(freedom) - 1
+    alone = {other for _, other, _ in terms} == {freedom} and axis not in rows
+    rows[axis if alone else -1] = keyword, weights
 
 
 def _following(reader: _Reader, deck: Deck) -> list[tuple[int, int, float]]:
@@ -426,15 +430,13 @@ def _following(reader: _Reader, deck: Deck) -> list[tuple[int, int, float]]:
     All are of second-order cells, and have the same weights and axes in all three directions.
     """
     row, entries = {label: i for i, label in enumerate(deck.nodes)}, []
-    pairs = [
-        pair for pair in zip(deck.kinds, deck.cells, strict=True) if pair[0] in SECOND.values()
-    ]
-    solid = {label for _, cells in pairs for cell in cells for label in cell}
+    cells = [c for k, c in zip(deck.kinds, deck.cells, strict=True) if k in SECOND.values()]
+    solid = {label for block in cells for cell in block for label in cell}
     for node, rows in reader.equations.items():
         keyword, weights = next(iter(rows.values()))
         nodes = {node, *weights}
+        alike = weights and all(other == weights for _, other in rows.values())
         axes = {reader.turned.get(label) for label in nodes}
-        alike = all(other == weights for _, other in rows.values())
         if {*rows} == {0, 1, 2} and alike and len(axes) == 1 and nodes <= solid:
             entries += [(row[node], row[label], weight) for label, weight in weights.items()]
         else:
