@@ -256,6 +256,7 @@ _USUAL_YOUNGS_MODULUS = (1e6, 1e12)
 _LONGEST_LEVER = 3.0
 
 
+_FINER = 60  # main nodes of a secondary node: 30 of cells of one size, 64 to 80 of half the size
 _CLOSED = 0.1  # of the distance: a hundredth of an edge, as much as meshes of round surfaces differ
 
 
@@ -370,15 +371,17 @@ def support_warnings(component: ComponentModel) -> list[BundleProblem]:
 
 
 def tie_warnings(component: ComponentModel) -> list[BundleProblem]:
-    """Return warnings on nodes that a tie leaves loose, and on gaps that it closes."""
-    texts = []
-    for i, tie in enumerate(component.ties):
-        loose, gap = tie.untied, f"{tie.gap:.3g} m"
-        apart = "no main facet is within the distance, or at an edge of less than half a facet"
-        if loose:
-            texts.append((i, f"{loose} secondary nodes are loose: they are held, {apart}"))
+    """Return warnings on nodes that a tie leaves loose, gaps that it closes, and a coarse side."""
+    texts, follow = [], component.mesh.dependents
+    for i, tie in enumerate(component.ties if follow else ()):
+        count, loose = len(tie.nodes), f"{tie.untied} secondary nodes are loose: they are held, or "
+        if tie.untied:
+            texts.append((i, f"{loose}the main surface covers too little of their facets"))
         if tie.gap > _CLOSED * tie.distance:
-            texts.append((i, f"a gap of up to {gap} is closed: secondary nodes move to the main"))
+            texts.append((i, f"a gap of up to {tie.gap:.3g} m is closed by moving secondary nodes"))
+        if follow and follow.map[tie.nodes].nnz > _FINER * count:
+            swap = "swap the two groups, which is faster and more exact"
+            texts.append((i, f"the secondary surface is coarser than the main surface: {swap}"))
     return [BundleProblem(f"tie[{i}]", text) for i, text in texts]
 
 

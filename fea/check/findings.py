@@ -375,8 +375,8 @@ def contradictions(component: ComponentModel) -> list[BundleProblem]:
     ]
     written = {(tie.secondary, tie.main) for tie in component.bundle.ties}
     messages += [
-        f'{tie.where} ties "{tie.secondary}" to "{tie.main}"; these are loose here: write [[tie]]'
-        for tie in deck.ties
+        f'{where} ties "{tie.secondary}" to "{tie.main}"; these are loose here: write [[tie]]'
+        for where, tie in deck.ties
         if (tie.secondary, tie.main) not in written
     ]
     cases = [

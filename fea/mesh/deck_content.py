@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 
-from wrenchbook.fea.spec.schema import UNITS
+from wrenchbook.fea.spec.schema import UNITS, Tie
 
 _FORCES = {"in": 4.4482216152605, "ft": 4.4482216152605, "um": 1e-6}
 """N: inches and feet go with pounds, micrometres with micronewtons, all others with newtons."""
@@ -84,16 +84,6 @@ class CoupledGroup:
 
 
 @dataclass
-class TiedSurfaces:
-    """Two facet groups that a deck ties."""
-
-    where: str
-    secondary: str
-    main: str
-    distance: float  # in the deck's length unit; 0 for the solver's default
-
-
-@dataclass
 class LoadCase:
     """Supports and loads of a step, load case or subcase of a deck; groups are the mesh's.
 
@@ -146,7 +136,7 @@ class DeckContent:
     missing
         By line and keyword, what counts and cannot be taken over, and what to do.
     ties
-        In the order of the deck.
+        Each with its line and keyword, lengths in the deck's unit.
     """
 
     materials: dict[str, dict[str, Constant]] = field(default_factory=dict)
@@ -156,4 +146,4 @@ class DeckContent:
     taken: dict[str, list[int]] = field(default_factory=dict)
     ignored: dict[str, list[int]] = field(default_factory=dict)
     missing: dict[str, str] = field(default_factory=dict)
-    ties: list[TiedSurfaces] = field(default_factory=list)
+    ties: list[tuple[str, Tie]] = field(default_factory=list)

@@ -28,10 +28,7 @@ from wrenchbook.fea.spec.schema import Tie
 
 Array = np.ndarray
 
-DISTANCE = 0.1
-"""Of the facets' mean edge, the distance within which surfaces are tied unless it is given: cells
-with straight edges, eight round a circle, are 0.097 of an edge off it."""
-
+_DISTANCE = 0.1  # of the mean edge: straight edges, eight round a circle, are 0.097 off it
 _ALPHA = 0.2  # any in (0, 1/3) makes the integrals positive; Popp's choice
 _COVER = 0.5  # of a facet, and of a node's integral: less is an extrapolation from a strip
 _PAIRS = 10_000  # triangles that are cut at a time: about 50 MB
@@ -47,7 +44,6 @@ _RULE = get_quadrature(RefTri, 6)  # two serendipity functions have together thi
 class TiedNodes:
     """Secondary nodes that follow a main surface."""
 
-    entries: tuple[Array, Array, Array]  # as of `fea.mesh.dependents.Dependents.of`
     nodes: Array  # shape (t,), int64, ascending
     untied: int  # number of the secondary surface's other nodes
     gap: float  # the largest distance between the surfaces where they are tied, m
@@ -85,8 +81,8 @@ def joined(
         key, names = f"tie[{i}]", list(mesh.facet_groups)
         sides = {"secondary": pair.secondary, "main": pair.main}
         if lost := [side for side, name in sides.items() if name not in names]:
-            groups = ((f"{key}.{side}", sides[side]) for side in lost)
-            problems += [missing(at, name, "facet group", names) for at, name in groups]
+            at = ((f"{key}.{side}", sides[side], "facet group", names) for side in lost)
+            problems += [missing(*each) for each in at]
             continue
         secondary, main = (mesh.facet_groups[name] for name in sides.values())
         nodes, others, may = secondary.node_ids, main.node_ids, free.copy()
@@ -95,7 +91,7 @@ def joined(
         loose = held[nodes][:, None] @ (np.eye(3) - held[others[number]])
         may[nodes[(np.abs(loose).max(axis=(2, 3)) > _SAME).all(axis=1)]] = False
         may[others] = False  # a common node holds the two together as it is
-        tied = tied_nodes(mesh.points, secondary, main, pair.distance, may)
+        tied, follow = tied_nodes(mesh.points, secondary, main, pair.distance, may)
         if not tied.nodes.size:
             message = (
                 f'no facet of "{pair.secondary}" with free nodes faces "{pair.main}" within '
@@ -112,7 +108,7 @@ def joined(
                 )
                 problems.append(BundleProblem(key, message))
         free[tied.nodes] = False
-        entries.append(tied.entries)
+        entries.append(follow)
         done.append(tied)
     if not done:
         return mesh, ()
@@ -131,29 +127,29 @@ def joined(
 
 def tied_nodes(
     points: Array, secondary: FacetGroup, main: FacetGroup, distance: float | None, free: Array
-) -> TiedNodes:
-    """Tie two surfaces.
+) -> tuple[TiedNodes, tuple[Array, Array, Array]]:
+    """Tie two surfaces; also return nodes, masters and weights as of `Dependents.of`.
 
     points: shape (n, 3), m.
-    distance: facets farther from each other are not tied, m; None for `DISTANCE`.
+    distance: facets farther from each other are not tied, m; None for a tenth of the mean edge.
     free: shape (n,), bool: nodes that may follow others.
     """
-    if distance is None:
-        corners = [points[n[:, : corners_of(k)]] for k, n in (*secondary.blocks, *main.blocks)]
-        edges = [np.linalg.norm(at - np.roll(at, 1, axis=1), axis=2).ravel() for at in corners]
-        distance = DISTANCE * float(np.concatenate(edges).mean())
+    corners = [points[n[:, : corners_of(k)]] for k, n in (*secondary.blocks, *main.blocks)]
+    edges = [np.linalg.norm(at - np.roll(at, 1, axis=1), axis=2).ravel() for at in corners]
+    edge = float(np.concatenate(edges).mean())
+    distance = min(distance or _DISTANCE * edge, edge)  # to close more would fold cells over
     # Integrals of the transformed functions where the surfaces meet, and over the whole facets.
     covered, complete = np.zeros((2, len(points)))
-    entries, halves, gap = [], [np.empty((0, 3), dtype=np.int64)], 0.0
+    ends, entries, gap = np.full((len(points), 2), -1), [], 0.0
     for kind, nodes in secondary.blocks:
-        # Nodal values by transformed unknowns, and edges: the node and both ends.
+        # Nodal values by transformed unknowns, and both ends of each edge's node.
         size, count = nodes.shape[1], corners_of(kind)
-        first = np.arange(count if size > count else 0)
-        ends = np.stack([count + first, first, (first + 1) % count], axis=1)
+        corner = np.arange(count if size > count else 0)
+        pairs = np.stack([corner, (corner + 1) % count], axis=1)
         transform = np.eye(size)
-        transform[ends[:, 0], ends[:, 0]] = 1 - 2 * _ALPHA
-        transform[ends[:, :1], ends[:, 1:]] = _ALPHA
-        halves.append(nodes[:, ends].reshape(-1, 3))
+        transform[count + corner, count + corner] = 1 - 2 * _ALPHA
+        transform[count + corner[:, None], pairs] = _ALPHA
+        ends[nodes[:, count + corner]] = nodes[:, pairs]
         at, element = points[nodes], reference_element(kind)
         arms = at[:, :count] - at[:, :count].mean(axis=1)[:, None]
         normal = np.cross(arms, np.roll(arms, -1, axis=1)).sum(axis=1)
@@ -184,17 +180,16 @@ def tied_nodes(
     rows, masters, weights = (np.concatenate(each) for each in zip(none, *entries, strict=True))
     rows, masters, weights = rows[tied[rows]], masters[tied[rows]], weights[tied[rows]]
     # From the transformed unknown of an edge to its node's displacement.
-    edges = np.unique(np.concatenate(halves), axis=0)
-    edges = edges[np.unique(edges[:, 0], return_index=True)[1]]
-    edges = edges[tied[edges[:, 0]]]
-    weights = weights / covered[rows] * np.where(np.isin(rows, edges[:, 0]), 1 - 2 * _ALPHA, 1.0)
+    halved = ends[:, 0] >= 0
+    weights = weights / covered[rows] * np.where(halved[rows], 1 - 2 * _ALPHA, 1.0)
+    edges = np.flatnonzero(tied & halved)
     follow = (
-        np.append(rows, np.repeat(edges[:, 0], 2)),
-        np.append(masters, edges[:, 1:]),
+        np.append(rows, np.repeat(edges, 2)),
+        np.append(masters, ends[edges]),
         np.append(weights, np.full(2 * len(edges), _ALPHA)),
     )
     loose = len(secondary.node_ids) - int(tied.sum())
-    return TiedNodes(follow, np.flatnonzero(tied), loose, gap, distance)
+    return TiedNodes(np.flatnonzero(tied), loose, gap, distance), follow
 
 
 def _overlaps(

@@ -475,7 +475,7 @@ class Tie:
     distance: Positive | None = key(
         "m", "2e-5", default=None, absent="a tenth of the facets' mean edge"
     )
-    """facets farther from each other stay loose"""
+    """facets farther from each other stay loose; more than their mean edge counts as that"""
 
 
 @array_table

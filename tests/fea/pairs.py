@@ -31,9 +31,8 @@ def together(*meshes):
 
 def merged(mesh):
     """Return a mesh whose coincident nodes are one each."""
-    _, first, number = np.unique(
-        mesh.points.round(9), axis=0, return_index=True, return_inverse=True
-    )
+    points = mesh.points.round(9)
+    _, first, number = np.unique(points, axis=0, return_index=True, return_inverse=True)
     number = number.ravel()
     groups = {
         name: FacetGroup(tuple(FacetBlock(kind, number[nodes]) for kind, nodes in group.blocks))
@@ -53,12 +52,12 @@ def pair(kinds=("hex20", "hex20"), gap=0.0, counts=((2, 3, 3), (3, 2, 3)), sizes
     return together(low, moved(high, [*(np.subtract(*sizes)[:2] / 2), sizes[0][2] + gap]))
 
 
-def tied(mesh, *ties, **tables):
-    """Return a component, of `TABLE` but for some tables, that is fixed at a_z0."""
+def tied(mesh, *ties, fixed="a_z0", section="b_z1", **tables):
+    """Return a component, of `TABLE` but for some tables, with a rigid interface."""
     table = TABLE | {
         "material": [STEEL],
-        "supports": {"fixed": ["a_z0"]},
-        "interface": {"section": "b_z1", "coupling": "rigid"},
+        "supports": {"fixed": [fixed]},
+        "interface": {"section": section, "coupling": "rigid"},
         "range": {"force": [2e5, 3e5, 2e6], "moment": [2e5, 3e5, 2e5]},
     }
     return build(bundle_of(table | ({"tie": [*ties]} if ties else {}) | tables, "."), mesh)

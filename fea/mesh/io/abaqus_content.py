@@ -17,7 +17,6 @@ from wrenchbook.fea.mesh.deck_content import (
     HeldGroup,
     LoadCase,
     SolidSection,
-    TiedSurfaces,
 )
 from wrenchbook.fea.mesh.element_order import SECOND
 from wrenchbook.fea.mesh.facets import FACES
@@ -38,6 +37,7 @@ from wrenchbook.fea.mesh.io.abaqus import (
 )
 from wrenchbook.fea.mesh.io.raw import RawMesh
 from wrenchbook.fea.spec.problems import MeshFileError
+from wrenchbook.fea.spec.schema import Tie
 
 _GLOBAL: tuple[float, ...] = ()  # axes
 _BOUNDARY_TYPES = {
@@ -143,7 +143,8 @@ class _Reader:
     orientations: dict[str, tuple[float, ...]] = field(default_factory=dict)
     turned: dict[int, tuple[float, ...]] = field(default_factory=dict)
     couplings: list[_Coupling] = field(default_factory=list)
-    ties: list[TiedSurfaces] = field(default_factory=list)
+    # Where, keys of both surfaces, and distance
+    ties: list[tuple[str, str, str, float | None]] = field(default_factory=list)
     # By node and freedom from 0, what the node follows by an equation: weights by label
     equations: dict[int, dict[int, tuple[Keyword, dict[int, float]]]] = field(default_factory=dict)
     steps: list[_Step] = field(default_factory=lambda: [_Step()])
@@ -234,9 +235,7 @@ def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
             if len(coupled.held) == len(coupled.loads):
                 case.couplings.remove(coupled)
                 case.supports.append(HeldGroup(coupled.where, coupled.group, "xyz"))
-    content.ties = [
-        replace(t, secondary=faces[t.secondary], main=faces[t.main]) for t in reader.ties
-    ]
+    content.ties = [(at, Tie(faces[a], faces[b], near)) for at, a, b, near in reader.ties]
     return replace(raw_mesh(deck), follow=_following(reader, deck)), content
 
 
@@ -383,10 +382,10 @@ def _take_tie(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
     """Take a tie of surfaces of faces."""
     if "CYCLIC SYMMETRY" in keyword.options:
         raise ValueError("a part of a circle")
-    distance = float(keyword.options.get("POSITION TOLERANCE", 0.0))
+    distance = float(keyword.options.get("POSITION TOLERANCE", 0.0)) or None
     for row in keyword.rows:
         first, second = (set_key(deck, deck.surfaces, name, keyword.frame) for name in row[:2])
-        reader.ties.append(TiedSurfaces(_where(keyword), first, second, distance))
+        reader.ties.append((_where(keyword), first, second, distance))
 
 
 def _take_equations(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
