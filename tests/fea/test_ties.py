@@ -1,6 +1,7 @@
 """Surfaces that are tied: exact where the mathematics are, and CalculiX's answers."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -123,7 +124,7 @@ def test_secondary_nodes_on_a_plane_of_symmetry_follow_what_is_held_there_too():
     mesh = pair(counts=((3, 4, 3), (5, 3, 3)), sizes=(LARGE, LARGE))
     half = {"section": "b_z1", "coupling": "rigid", "locked": ["ux", "ry", "rz"]}
 
-    def cut(*groups):
+    def cut(*groups) -> dict[str, Any]:
         sliding = [{"group": group, "directions": ["x"]} for group in groups]
         return {"interface": half, "supports": {"fixed": ["a_z0"], "sliding": sliding}}
 
