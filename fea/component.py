@@ -17,6 +17,7 @@ from wrenchbook.fea.mesh.io.temperature_field import shape_on
 from wrenchbook.fea.mesh.mapping import cell_problems
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.surface import Surface
+from wrenchbook.fea.mesh.tie import TiedNodes, joined
 from wrenchbook.fea.spec.material import AnyMaterial
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem, point_text
 from wrenchbook.fea.spec.schema import (
@@ -78,6 +79,7 @@ class ComponentModel:
     # Each with its stiffness, shape (6, 6); no node is in two, in a section, or fixed
     bushings: tuple[tuple[AttachedInterface, Array], ...] = ()
     further: tuple[ScalarInput, ...] = ()  # the inputs behind the loads
+    ties: tuple[TiedNodes, ...] = ()  # in the order of the bundle's; the mesh has their nodes
     # Shape (n,): the part of the temperature's rise at each node; None for 1 everywhere
     temperature_rise: Array | None = None
 
@@ -138,7 +140,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
             message = "missing; the [deck] is solved by its command, and nothing is meshed here"
         raise BundleError([BundleProblem("mesh", message)])
     mesh = mesh_of(bundle.mesh) if mesh is None else mesh
-    problems = cell_problems(mesh) + first_order_problems(mesh)
+    problems = first_order_problems(mesh)
     # Each cell's material; "all" fills what no other material names.
     material_of_cells = tuple(np.full(len(block), -1) for block in mesh.blocks)
     named = [(i, m) for i, m in enumerate(bundle.materials) if m.region != "all"]
@@ -180,6 +182,12 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     for hold in (*interfaces, *springs):
         sliding = _free_sliding(mesh, sliding, hold, problems)
     _check_disjoint(mesh, fixed, [*interfaces, *springs], problems)
+    attached = {hold.where: hold.section.node_ids for hold in (*interfaces, *springs)}
+    spans[fixed], spans[sliding[0]] = np.eye(3), sliding[1]
+    mesh, ties = joined(mesh, bundle.ties, spans, attached, problems)
+    alone = ~np.isin(sliding[0], np.concatenate([sliding[0][:0], *(tie.nodes for tie in ties)]))
+    sliding = sliding[0][alone], sliding[1][alone]
+    problems = cell_problems(mesh) + problems
     if problems:
         raise BundleError(problems)
     heated = any(scalar.name == TEMPERATURE for scalar in bundle.further)
@@ -201,6 +209,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
             zip(springs, (attached.stiffness for attached in supports.bushings), strict=True)
         ),
         further=bundle.further,
+        ties=ties,
         temperature_rise=next(shapes, None),
     )
 

@@ -231,7 +231,7 @@ def stacked_singly(mesh: Mesh) -> Array:
 
 
 def coincident_nodes(mesh: Mesh) -> Array:
-    """Return pairs of coincident surface nodes, which share no unknowns.
+    """Return pairs of coincident surface nodes, which share no unknowns and do not follow others.
 
     Shape (k, 2), int64: indices of nodes.
     """
@@ -239,7 +239,8 @@ def coincident_nodes(mesh: Mesh) -> Array:
     shortest = min(float(edge_lengths(mesh.points, b).min()) for b in mesh.blocks if len(b))
     tree = KDTree(mesh.points[surface])
     pairs = tree.query_pairs(_COINCIDENT * shortest, output_type="ndarray")
-    return np.sort(surface[pairs], axis=1) if len(pairs) else np.empty((0, 2), dtype=np.int64)
+    pairs = np.sort(surface[pairs], axis=1) if len(pairs) else np.empty((0, 2), dtype=np.int64)
+    return pairs if mesh.dependents is None else pairs[~mesh.dependents.among(pairs)]
 
 
 def gap(mesh: Mesh, nodes: Array, others: Array) -> float:
@@ -255,6 +256,10 @@ _USUAL_YOUNGS_MODULUS = (1e6, 1e12)
 _LONGEST_LEVER = 3.0
 
 
+_FINER = 60  # main nodes of a secondary node: 30 of cells of one size, 64 to 80 of half the size
+_CLOSED = 0.1  # of the distance: a hundredth of an edge, as much as meshes of round surfaces differ
+
+
 def warnings_of(component: ComponentModel) -> list[BundleProblem]:
     """Return all that `fea.check` would warn of, in its order, and stacks of single cells."""
     mesh = component.mesh
@@ -267,6 +272,7 @@ def warnings_of(component: ComponentModel) -> list[BundleProblem]:
 def set_up_warnings(component: ComponentModel) -> list[BundleProblem]:
     """Return warnings on what the bundle attaches to the mesh: sections, supports and units."""
     problems = section_warnings(component) + support_warnings(component) + unit_warnings(component)
+    problems += tie_warnings(component)
     for number, material in enumerate(component.bundle.materials if component.bundle else ()):
         if material.thermal_expansion is not None and component.temperature is None:
             message = "counts for nothing without [inputs.temperature]"
@@ -362,6 +368,21 @@ def support_warnings(component: ComponentModel) -> list[BundleProblem]:
     )
     only_fixed = len(nodes) == len(component.fixed_nodes)
     return [BundleProblem("supports.fixed" if only_fixed else "supports", message)]
+
+
+def tie_warnings(component: ComponentModel) -> list[BundleProblem]:
+    """Return warnings on nodes that a tie leaves loose, gaps that it closes, and a coarse side."""
+    texts, follow = [], component.mesh.dependents
+    for i, tie in enumerate(component.ties if follow else ()):
+        count, loose = len(tie.nodes), f"{tie.untied} secondary nodes are loose: they are held, or "
+        if tie.untied:
+            texts.append((i, f"{loose}the main surface covers too little of their facets"))
+        if tie.gap > _CLOSED * tie.distance:
+            texts.append((i, f"a gap of up to {tie.gap:.3g} m is closed by moving secondary nodes"))
+        if follow and follow.map[tie.nodes].nnz > _FINER * count:
+            swap = "swap the two groups, which is faster and more exact"
+            texts.append((i, f"the secondary surface is coarser than the main surface: {swap}"))
+    return [BundleProblem(f"tie[{i}]", text) for i, text in texts]
 
 
 def unit_warnings(component: ComponentModel) -> list[BundleProblem]:

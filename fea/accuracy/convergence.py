@@ -67,7 +67,10 @@ def finer(solver: Solver, max_unknowns: int | None = None, factor: float = 2.0) 
     bundle, limit = component.bundle, float("inf") if max_unknowns is None else max_unknowns
     if bundle is None or bundle.mesh is None:
         return None
-    again = refined(bundle, factor)
+    again, dependents = refined(bundle, factor), component.mesh.dependents
+    tied = sum(len(tie.nodes) for tie in component.ties)
+    if dependents is not None and len(dependents.nodes) > tied:
+        return None  # a deck's equations, which name no nodes of a finer mesh
     # In a plane alone, as thin parts have it, unknowns grow by the square.
     if (factor if again else 2.0) ** 2 * component.mesh.unknowns > limit:
         return None

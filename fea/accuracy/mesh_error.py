@@ -143,6 +143,8 @@ def bows_of(mesh: Mesh) -> tuple[Array, float]:
         height = np.linalg.norm(
             mesh.points[middles[:, side]] - points[:, ends].mean(axis=1), axis=1
         )
+        if mesh.dependents is not None:  # tied nodes lie, and move, where others put them
+            height[np.isin(middles[:, side], mesh.dependents.nodes)] = 0.0
         if (height > STRAIGHT * length[:, 0]).any():
             return np.zeros_like(bows), 0.0
         size = np.linalg.norm(bow, axis=1)
@@ -153,7 +155,7 @@ def bows_of(mesh: Mesh) -> tuple[Array, float]:
         curved = curved[size[curved] > np.linalg.norm(bows[nodes], axis=1)]
         bows[middles[curved, side]] = bow[curved]
         largest = max(largest, float(facet_angle[curved].max(initial=0.0)))
-    return bows, largest
+    return bows if mesh.dependents is None else mesh.dependents.expanded(bows), largest
 
 
 _FIRST_ORDER = {"hex": "hex8", "tet": "tet4", "wed": "wedge6"}

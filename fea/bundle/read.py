@@ -40,6 +40,7 @@ from wrenchbook.fea.spec.schema import (
     MeshSource,
     NamedInterface,
     ScalarInput,
+    Tie,
 )
 
 __all__ = [
@@ -161,6 +162,7 @@ class _Reader:
         mesh = self.mesh()
         materials = self.read_each("material", MaterialTable)
         supports = self.read("supports")
+        ties = self.read_each("tie", Tie)
         several = isinstance(self.table.get("interface"), list)
         interfaces = self.interfaces() if several else [self.read("interface", Interface)]
         interfaces = interfaces if "interface" in self.table else []
@@ -187,6 +189,7 @@ class _Reader:
             "mesh": mesh,
             "materials": tuple(materials),
             "supports": supports,
+            "ties": tuple(ties),
             "interface": interfaces[0] if interfaces else None,
             "others": tuple(interfaces[1:]),
             "analysis": analysis,
@@ -329,6 +332,9 @@ class _Reader:
 
     def check_tables(self) -> None:
         """Note tables that need each other; an interface that is held stands in for supports."""
+        if "tie" in self.table and ("deck" in self.table or "mesh" not in self.table):
+            message = "is of a [mesh] that is solved here; a [deck] has its own *TIE, a table none"
+            self.wrong("tie", message)
         if "deck" in self.table:
             return
         interfaces = self.table.get("interface")

@@ -24,6 +24,7 @@ from wrenchbook.fea.spec.schema import (
     NamedInterface,
     Range,
     Supports,
+    Tie,
 )
 
 
@@ -67,6 +68,10 @@ class ComponentFile:
     """one `[[material]]` a region; with a mesh a must"""
     supports: Supports | None = key("", '{fixed = ["rim"]}', default=None)
     """the table `[supports]`; with a mesh a must, unless an interface is `held`"""
+    ties: Annotated[tuple[Tie, ...], Field(min_length=1)] = key(
+        "", '[{secondary = "pin", main = "hole"}]', default=(), absent="none", name="tie"
+    )
+    """surfaces that hold together, each pair `[[tie]]`"""
     interface: Interface | tuple[NamedInterface, ...] | tuple[MeasuredInterface, ...] | None = key(
         "", '{section = "tip", coupling = "rigid"}', default=None
     )

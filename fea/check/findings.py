@@ -224,6 +224,14 @@ class _Equations:
     def join_bodies(self) -> None:
         if self.bodies.count == 1:
             return
+        if (dependents := self.component.mesh.dependents) is not None:
+            # How the motions of all bodies move dependent nodes less what these follow.
+            moves = np.zeros((len(self.owner), 3, 6 * self.bodies.count))
+            for number, nodes in enumerate(self.bodies.nodes):
+                mine = nodes[self.owner[nodes] == number]
+                moves[mine, :, 6 * number : 6 * number + 6] = self._moves(mine).reshape(-1, 3, 6)
+            apart = (moves - dependents.expanded(moves))[dependents.nodes]
+            self._add({0: _condensed(apart.reshape(-1, moves.shape[2]))})
         for number, nodes in enumerate(self.bodies.nodes):
             shared = nodes[self.owner[nodes] != number]
             for other in np.unique(self.owner[shared]).tolist():
@@ -283,7 +291,7 @@ class _Equations:
         count = self.bodies.count + len(self.component.interfaces) + len(self.component.bushings)
         rows = np.zeros((len(next(iter(parts.values()))), 6 * count))
         for number, part in parts.items():
-            rows[:, 6 * number : 6 * number + 6] = part
+            rows[:, 6 * number : 6 * number + part.shape[1]] = part
         self.rows.append(rows)
 
 
@@ -364,6 +372,12 @@ def contradictions(component: ComponentModel) -> list[BundleProblem]:
     ]
     messages += [
         text for section in deck.sections for text in _other_material(component, deck, section)
+    ]
+    written = {(tie.secondary, tie.main) for tie in component.bundle.ties}
+    messages += [
+        f'{where} ties "{tie.secondary}" to "{tie.main}"; these are loose here: write [[tie]]'
+        for where, tie in deck.ties
+        if (tie.secondary, tie.main) not in written
     ]
     cases = [
         [text for support in case.supports for text in _freed(component, support)]

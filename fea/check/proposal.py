@@ -32,7 +32,7 @@ from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.spec.deck_text import DeckText, deck_text
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem, MeshFileError
-from wrenchbook.fea.spec.schema import FREEDOMS, UNITS
+from wrenchbook.fea.spec.schema import FREEDOMS, UNITS, Tie
 
 _TRANSLATORS: dict[str, Callable[[DeckText], Translated]] = {
     ".cdb": read_ansys,
@@ -100,6 +100,7 @@ class _Proposal:
             *self.materials(),
             *self.supports(),
             *self.interfaces(),
+            *(line for _, tie in self.deck.ties for line in self.tie(tie)),
             "",
             "[analysis]",
             *self.integration(bool(first)),
@@ -199,6 +200,11 @@ class _Proposal:
             lines += ["", "[[interface]]", f"name = {_text(_name(coupled.group))}"]
             lines += [*self.interface(coupled), "[interface.range]", *self.range(coupled)]
         return lines
+
+    def tie(self, tie: Tie) -> list[str]:
+        near = f"distance = {(tie.distance or 0.0) * UNITS[self.unit]:.9g}"
+        sides = f"secondary = {_text(tie.secondary)}", f"main = {_text(tie.main)}"
+        return ["", "[[tie]]", *sides, *([near] if tie.distance else [])]
 
     def interface(self, group: CoupledGroup) -> list[str]:
         at = ", ".join(f"{x * UNITS[self.unit]:.9g}" for x in group.point)

@@ -81,7 +81,8 @@ def report(
         ``nodes``, ``cells``, ``groups``, ``quality`` (see `fea.inspection`), ``parts``,
         ``coincident_nodes``; of an input deck ``mesh_file`` (see `fea.check.findings`);
         ``materials``, ``section`` (of several interfaces ``sections``, with
-        their names), ``supports``, ``temperature`` and ``acceleration`` where they are inputs, and
+        their names), ``supports``, ``ties`` where there are any, ``temperature`` and
+        ``acceleration`` where they are inputs, and
         ``estimate`` (see `fea.check.cost`), ``trial`` (see `fea.check.trial`), and where a density
         or a mass is given ``vibration`` (see `fea.check.trial`), and where a yield strength is
         given ``strength`` (see `fea.check.trial`), and where it takes no longer than a check may
@@ -176,13 +177,16 @@ def _inspect_mesh(
     warnings: list[BundleProblem] = summary["warnings"]
     warnings += [BundleProblem("mesh", text) for text in quality_warnings(summary["quality"])]
     bodies = bodies_of(mesh)
-    pairs = coincident_nodes(mesh)
     summary["parts"] = parts(mesh, bodies)
-    summary["coincident_nodes"] = len(pairs)
-    warnings += coincidence_warnings(mesh, bodies, pairs)
     if mesh.deck is not None:
         summary["mesh_file"] = listing(mesh.deck)
-    component = build(bundle, mesh)
+    try:
+        component = build(bundle, mesh)
+        mesh = component.mesh
+    finally:  # warn of unmerged nodes, those that no tie joins, whether or not the build succeeds
+        pairs = coincident_nodes(mesh)
+        summary["coincident_nodes"] = len(pairs)
+        warnings += coincidence_warnings(mesh, bodies, pairs)
     warnings += contradictions(component)
     _inspect_component(component, bodies, pairs, summary)
     # Find what every solve would refuse, then how the part moves and swings.
@@ -217,6 +221,11 @@ def _inspect_component(
 ) -> None:
     numbers = component.material_of_cells
     attached = [_section(interface) for interface in component.interfaces]
+    ties = [
+        {"secondary": names.secondary, "main": names.main}
+        | {"nodes": len(tie.nodes), "untied": tie.untied, "gap": tie.gap}
+        for names, tie in zip(component.bundle.ties, component.ties, strict=True)
+    ]
     # The ranges of the inputs behind the loads, where there are any.
     inputs: dict[str, Any] = {}
     if warm := component.temperature:
@@ -232,6 +241,7 @@ def _inspect_component(
         ],
         "supports": {"nodes": len(component.fixed_nodes)}
         | {name: count for name, count in counts.items() if count},
+        **({"ties": ties} if ties else {}),
         **inputs,
         **({"sections": attached} if attached[1:] else {"section": attached[0]}),
         "nonlinear": component.analysis.nonlinear,
@@ -363,6 +373,11 @@ def _set_up(report: Mapping[str, Any]) -> Iterator[str]:
     sliding = f", {supports['sliding_nodes']} sliding" if "sliding_nodes" in supports else ""
     bushings = f"; bushings: {supports['bushings']}" if "bushings" in supports else ""
     yield f"supports: {supports['nodes']} nodes fixed{sliding}{bushings}"
+    for tie in report.get("ties", ()):
+        yield (
+            f"tie: {tie['nodes']} nodes of {tie['secondary']} follow {tie['main']}, "
+            f"{tie['untied']} are not tied; largest gap {1e3 * tie['gap']:.3g} mm"
+        )
     if warm := report.get("temperature"):
         yield f"temperature: {warm['low']:g} to {warm['high']:g}, reference {warm['reference']:g}"
     if largest := report.get("acceleration"):

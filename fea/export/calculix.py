@@ -111,6 +111,7 @@ def _body(component: ComponentModel) -> Iterator[str]:
         yield "*NSET, NSET=FIXED"
         yield from _rows(component.fixed_nodes + 1)
     yield from _sliding(component)
+    yield from _following(component)
     # Each bushing as a rigid body, and a spring for each eigenvector of its stiffness: on a node of
     # its own, whose displacement is that combination of the six freedoms.
     node = len(component.mesh.points) + 2 * len(component.interfaces) + 1
@@ -200,6 +201,19 @@ def _sliding(component: ComponentModel) -> Iterator[str]:
             terms = [f"{node}, {i + 1}, {_numbers([row[i]])}" for i in (axis, *others)]
             equation = f"*EQUATION\n{len(terms)}\n" + ", ".join(terms)
             yield equation if others else f"*BOUNDARY\n{node}, {axis + 1}"
+
+
+def _following(component: ComponentModel) -> Iterator[str]:
+    """Yield the equations of nodes that follow others, one for each of their three components."""
+    if (dependents := component.mesh.dependents) is None:
+        return
+    for node in dependents.nodes.tolist():
+        row = dependents.map[[node]]
+        weights = [(node + 1, -1.0), *zip((row.indices + 1).tolist(), row.data, strict=True)]
+        for axis in (1, 2, 3):
+            terms = [f"{follows}, {axis}, {_numbers([weight])}" for follows, weight in weights]
+            yield f"*EQUATION\n{len(terms)}"
+            yield from (", ".join(terms[k : k + 4]) for k in range(0, len(terms), 4))
 
 
 def _orientation(number: int, orthotropic: Orthotropic, axes: Array) -> Iterator[str]:

@@ -220,9 +220,9 @@ class _Builder:
         self.cutter = cutter
         self.sizes = np.array([len(nodes) for nodes in cells], dtype=np.int64)
         self.free = free
-        self.uses = np.zeros(free.size, dtype=np.int64)
-        for nodes in cells:
-            self.uses[nodes] += 1
+        # A cell may have a node several times, which counts as often in `_add`.
+        every = np.concatenate([np.empty(0, dtype=np.int64), *cells])
+        self.uses = np.bincount(every, minlength=free.size)
         self.parts: list[Substructure] = []
         self.eliminated: list[Array] = []
         self.boundaries: list[Array] = []

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 
-from wrenchbook.fea.spec.schema import UNITS
+from wrenchbook.fea.spec.schema import UNITS, Tie
 
 _FORCES = {"in": 4.4482216152605, "ft": 4.4482216152605, "um": 1e-6}
 """N: inches and feet go with pounds, micrometres with micronewtons, all others with newtons."""
@@ -135,6 +135,8 @@ class DeckContent:
         Lines of each keyword that is read or compared, and that is neither.
     missing
         By line and keyword, what counts and cannot be taken over, and what to do.
+    ties
+        Each with its line and keyword, lengths in the deck's unit.
     """
 
     materials: dict[str, dict[str, Constant]] = field(default_factory=dict)
@@ -144,3 +146,4 @@ class DeckContent:
     taken: dict[str, list[int]] = field(default_factory=dict)
     ignored: dict[str, list[int]] = field(default_factory=dict)
     missing: dict[str, str] = field(default_factory=dict)
+    ties: list[tuple[str, Tie]] = field(default_factory=list)

@@ -62,6 +62,12 @@ class Dependents:
             follow.eliminate_zeros()
         raise CircularError(int(left[0]))
 
+    @property
+    def entries(self) -> tuple[Array, Array, Array]:
+        """Return nodes, masters and weights, (e,) each."""
+        rows = self.map[self.nodes].tocoo()
+        return self.nodes[rows.row], rows.col, rows.data
+
     def expanded(self, fields: Array) -> Array:
         """Return displacement fields (n, 3, ...), m, with those of the dependent nodes set."""
         return (self.map @ fields.reshape(len(fields), -1)).reshape(fields.shape)
@@ -72,7 +78,7 @@ class Dependents:
 
     def among(self, cells: Array) -> Array:
         """Return which cells, nodes of shape (m, a), have dependent nodes: (m,), bool."""
-        return np.isin(cells, self.nodes).any(axis=1)
+        return np.asarray(np.isin(cells, self.nodes).any(axis=1))
 
     def outer(self, cells: Array) -> tuple[Array, Array]:
         """Return the nodes that move cells of nodes (m, a): (m, s), and weights, (m, a, s).
@@ -83,7 +89,7 @@ class Dependents:
         outer = [np.unique(row.indices) for row in rows]
         width = max(len(nodes) for nodes in outer)
         weights = np.zeros((*cells.shape, width))
-        for cell, row, nodes in zip(weights, rows, outer, strict=True):
-            cell[:, : len(nodes)] = row[:, nodes].toarray()
+        for i, (row, nodes) in enumerate(zip(rows, outer, strict=True)):
+            weights[i, :, : len(nodes)] = row[:, nodes].toarray()
         padded = [np.pad(nodes, (0, width - len(nodes)), "edge") for nodes in outer]
         return np.array(padded, dtype=np.int64), weights

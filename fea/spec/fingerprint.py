@@ -44,6 +44,9 @@ CASE = "nodes of the last case"
 Before these words they were the nodes of all cases together.
 """
 
+_FOLLOWING = re.compile(r"^[ \t]*\*[ \t]*(EQUATION|MPC)\b", re.I | re.M)
+"""Keywords by which nodes of a mesh follow others; before, they moved freely."""
+
 _RESTRICTING = ("box", "normal", "angle", "inside")
 _GROUP = re.compile(r'"nodes_(?:held_in|with_forces)')  # of `fea.mesh.io.abaqus_content`
 _KEYWORD = re.compile(rb"^[^\w*\n]*\*[ \t]*(BOUNDARY|CLOAD|STEP|LOAD CASE)\b([^*]*)", re.I | re.M)
@@ -70,6 +73,8 @@ def fingerprint(parts: Mapping[str, Any]) -> str:
         "analysis": {"nonlinear": analysis.nonlinear, "integration": analysis.integration},
         "deck": _deck(parts["deck"]),
     }
+    if ties := parts.get("ties"):
+        content["ties"] = [(tie.secondary, tie.main, tie.distance or 0.0) for tie in ties]
     if parts["others"]:
         content["interface"] = [
             {"name": interface.name, "is": _interface(interface)}
@@ -101,8 +106,11 @@ def _mesh(source: MeshSource | None) -> object:
     if source.file is not None:
         # The ending chooses the reader; the rest of the name changes nothing.
         content: dict[str, object] = {"file": _bytes(source.file), "ending": source.file.suffix}
-        if included := deck_text(source.file).included:
+        text = deck_text(source.file)
+        if included := text.included:
             content["included"] = [_bytes(file) for file in included]
+        if source.file.suffix.lower() == ".inp" and _FOLLOWING.search(text):
+            content["follow"] = True
         if source.geometry is not None:
             meshing = source.geometry
             keys = {"size": meshing.size, "curvature": meshing.curvature or 0}

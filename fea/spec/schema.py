@@ -465,6 +465,20 @@ class Supports:
 
 
 @array_table
+class Tie:
+    """Two surfaces that hold together although their meshes do not match."""
+
+    secondary: Text = key("", '"pin"')
+    """a facet group, better the finer or the smaller: its nodes follow the main surface (slave)"""
+    main: Text = key("", '"hole"')
+    """the facet group that they follow (master)"""
+    distance: Positive | None = key(
+        "m", "2e-5", default=None, absent="a tenth of the facets' mean edge"
+    )
+    """facets farther from each other stay loose; more than their mean edge counts as that"""
+
+
+@array_table
 class Interface(Attached):
     """A section where a rigid side is attached."""
 
@@ -669,6 +683,7 @@ class Bundle:
     deck: Deck | None
     fingerprint: str  # 16 hexadecimal digits over everything that can change an answer
     others: tuple[Interface, ...] = ()
+    ties: tuple[Tie, ...] = ()
     further: tuple[ScalarInput, ...] = ()  # the inputs behind the loads
 
     @property

@@ -18,6 +18,7 @@ from wrenchbook.fea.mesh.deck_content import (
     LoadCase,
     SolidSection,
 )
+from wrenchbook.fea.mesh.element_order import SECOND
 from wrenchbook.fea.mesh.facets import FACES
 from wrenchbook.fea.mesh.io.abaqus import (
     SOLID_FACES,
@@ -36,6 +37,7 @@ from wrenchbook.fea.mesh.io.abaqus import (
 )
 from wrenchbook.fea.mesh.io.raw import RawMesh
 from wrenchbook.fea.spec.problems import MeshFileError
+from wrenchbook.fea.spec.schema import Tie
 
 _GLOBAL: tuple[float, ...] = ()  # axes
 _BOUNDARY_TYPES = {
@@ -50,9 +52,6 @@ _BOUNDARY_TYPES = {
 }
 
 _MISSING = {
-    "EQUATION": "ties nodes by equations: they move freely here; bond them in the mesh",
-    "MPC": "ties nodes to each other: they move freely here; bond them in the mesh",
-    "TIE": "ties surfaces: the parts are loose here; mesh them as one",
     "SPRING": "is not solved; write [[supports.bushing]] for a spring to the ground",
     "CONNECTOR SECTION": "is not solved; write [[supports.bushing]] for a spring to the ground",
     "CONTACT": "is not solved: surfaces do not meet; compare bonded and free as bounds",
@@ -76,6 +75,12 @@ _MISSING = {
     "DSLOAD": "is not taken over: only wrenches at interfaces act",
     "TEMPERATURE": "is not taken over; write [inputs.temperature]",
 }
+
+_LOOSE = (
+    "ties nodes in a way that is not taken over: they move freely here. Nodes of second-order "
+    "solid cells may follow others with the same weights in all three directions; else bond them "
+    "in the mesh, or write [[tie]]"
+)
 
 _QUIET = {"", "HEADING", "PREPRINT", "ASSEMBLY", "END ASSEMBLY", "PART", "END PART", "END STEP"}
 _QUIET |= {"END LOAD CASE"}
@@ -138,6 +143,10 @@ class _Reader:
     orientations: dict[str, tuple[float, ...]] = field(default_factory=dict)
     turned: dict[int, tuple[float, ...]] = field(default_factory=dict)
     couplings: list[_Coupling] = field(default_factory=list)
+    # Where, keys of both surfaces, and distance
+    ties: list[tuple[str, str, str, float | None]] = field(default_factory=list)
+    # By node and freedom from 0, what the node follows by an equation: weights by label
+    equations: dict[int, dict[int, tuple[Keyword, dict[int, float]]]] = field(default_factory=dict)
     steps: list[_Step] = field(default_factory=lambda: [_Step()])
     sets: dict[frozenset[int], str] = field(default_factory=dict)
     points: dict[int, tuple[int, int]] = field(default_factory=dict)
@@ -226,7 +235,8 @@ def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
             if len(coupled.held) == len(coupled.loads):
                 case.couplings.remove(coupled)
                 case.supports.append(HeldGroup(coupled.where, coupled.group, "xyz"))
-    return raw_mesh(deck), reader.content
+    content.ties = [(at, Tie(faces[a], faces[b], near)) for at, a, b, near in reader.ties]
+    return replace(raw_mesh(deck), follow=_following(reader, deck)), content
 
 
 def _where(keyword: Keyword) -> str:
@@ -368,6 +378,71 @@ def _node(deck: Deck, keyword: Keyword, option: str) -> int | None:
     return named(deck, deck.node_sets, keyword.options[option], keyword.frame)[0]
 
 
+def _take_tie(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+    """Take a tie of surfaces of faces."""
+    if "CYCLIC SYMMETRY" in keyword.options:
+        raise ValueError("a part of a circle")
+    distance = float(keyword.options.get("POSITION TOLERANCE", 0.0)) or None
+    for row in keyword.rows:
+        first, second = (set_key(deck, deck.surfaces, name, keyword.frame) for name in row[:2])
+        reader.ties.append((_where(keyword), first, second, distance))
+
+
+def _take_equations(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+    """Take equations: the number of terms, then node, freedom and factor of each."""
+    fields = [each for row in keyword.rows for each in row if each]
+    while fields and "REMOVE" not in keyword.options:
+        count = int(fields[0])
+        terms, fields = fields[1 : 3 * count + 1], fields[3 * count + 1 :]
+        nodes = [named(deck, deck.node_sets, name, keyword.frame) for name in terms[::3]]
+        labels = [label for each in nodes for label in each]
+        if not len(labels) == count == len(terms) / 3:
+            raise ValueError("an equation of sets, or without all of its terms")
+        factors = map(float, terms[2::3])
+        _equate(reader, keyword, list(zip(labels, terms[1::3], factors, strict=True)))
+
+
+def _take_constraints(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+    """Take pairs of nodes that move alike."""
+    for kind, *names in keyword.rows:
+        labels = [named(deck, deck.node_sets, name, keyword.frame) for name in names]
+        alike = kind.upper() in ("TIE", "PIN") and [len(each) for each in labels] == [1, 1]
+        for axis in "123" if alike else "0":
+            _equate(reader, keyword, [(labels[0][0], axis, -1.0), (labels[-1][0], axis, 1.0)])
+
+
+def _equate(reader: _Reader, keyword: Keyword, terms: list[tuple[int, str, float]]) -> None:
+    (node, freedom, factor), *others = terms
+    weights: dict[int, float] = defaultdict(float)
+    for label, _, other in others:
+        weights[label] -= other / factor if factor else math.nan
+    if not all(map(math.isfinite, weights.values())):
+        raise ValueError("factors that are no numbers, or zero")
+    rows, axis = reader.equations.setdefault(node, {}), int(freedom) - 1
+    alone = {other for _, other, _ in terms} == {freedom} and axis not in rows
+    rows[axis if alone else -1] = keyword, weights
+
+
+def _following(reader: _Reader, deck: Deck) -> list[tuple[int, int, float]]:
+    """Return nodes that follow others, these, and weights, by the rows of nodes.
+
+    All are of second-order cells, and have the same weights and axes in all three directions.
+    """
+    row, entries = {label: i for i, label in enumerate(deck.nodes)}, []
+    cells = [c for k, c in zip(deck.kinds, deck.cells, strict=True) if k in SECOND.values()]
+    solid = {label for block in cells for cell in block for label in cell}
+    for node, rows in reader.equations.items():
+        keyword, weights = next(iter(rows.values()))
+        nodes = {node, *weights}
+        alike = weights and all(other == weights for _, other in rows.values())
+        axes = {reader.turned.get(label) for label in nodes}
+        if {*rows} == {0, 1, 2} and alike and len(axes) == 1 and nodes <= solid:
+            entries += [(row[node], row[label], weight) for label, weight in weights.items()]
+        else:
+            reader.lack(keyword, _LOOSE)
+    return entries
+
+
 def _take_force(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
     step = reader.steps[-1]
     step.begin(keyword)
@@ -428,6 +503,9 @@ _TAKERS: dict[str, Callable[[_Reader, Deck, Keyword], None]] = {
     "KINEMATIC": _take_coupling_kind,
     "DISTRIBUTING": _take_coupling_kind,
     "RIGID BODY": _take_rigid,
+    "TIE": _take_tie,
+    "EQUATION": _take_equations,
+    "MPC": _take_constraints,
     "CLOAD": _take_force,
     **dict.fromkeys(("STEP", "LOAD CASE"), _take_step),
 }

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from wrenchbook.fea.mesh.dependents import CircularError, Dependents
 from wrenchbook.fea.mesh.facets import FaceFinder
 from wrenchbook.fea.mesh.mapping import right_way_round
 from wrenchbook.fea.mesh.mesh import (
@@ -18,7 +19,7 @@ from wrenchbook.fea.mesh.mesh import (
     FacetGroup,
     Mesh,
 )
-from wrenchbook.fea.spec.problems import MeshFileError
+from wrenchbook.fea.spec.problems import MeshFileError, point_text
 
 Array = np.ndarray
 
@@ -42,6 +43,8 @@ class RawMesh:
     node_sets: Mapping[str, Array] = field(default_factory=dict)
     # Facet groups that the file defines as faces of cells
     facet_sets: Mapping[str, list[Block]] = field(default_factory=dict)
+    # Nodes of cells that follow others of cells, these, and weights
+    follow: list[tuple[int, int, float]] = field(default_factory=list)
 
 
 def to_mesh(raw: RawMesh, metres: float) -> Mesh:
@@ -97,7 +100,18 @@ def to_mesh(raw: RawMesh, metres: float) -> Mesh:
         if any(len(cells) for cells in region):
             regions[name] = region
     groups = _facet_groups(raw, number, blocks)
-    return Mesh(points, blocks, regions, groups, _node_groups(raw, number))
+    dependents = _dependents(raw, number, points) if raw.follow else None
+    node_groups = _node_groups(raw, number)
+    return Mesh(points, blocks, regions, groups, node_groups, dependents=dependents)
+
+
+def _dependents(raw: RawMesh, number: Array, points: Array) -> Dependents:
+    nodes, masters, weights = map(np.array, zip(*raw.follow, strict=True))
+    try:
+        return Dependents.of(len(points), (number[nodes], number[masters], weights))
+    except CircularError as error:
+        at = point_text(points[error.node])
+        raise MeshFileError(f"has equations by which the node at {at} m follows itself") from None
 
 
 def _without_twins(nodes: Array) -> tuple[Array, Array]:

@@ -9,6 +9,7 @@ import pytest
 
 from tests.fea.boxes import box
 from tests.fea.components import component
+from tests.fea.pairs import TIE, pair, tied
 from tests.fea.supports import TABLE
 from tests.fea.third_derivatives import asymmetry, error, range_of, state_of, strain_part, unpacked
 from tests.fea.two_interfaces import column
@@ -101,6 +102,7 @@ OTHERS = {
         locked=GUIDED,
         point=[0.0, 0.03, 0.4],
     ),
+    "tie": lambda: tied(pair(("hex20", "tet10"), 0.01), TIE, analysis={"nonlinear": True}),
     "acceleration": lambda: post(inputs=PULL),
     "acceleration, temperature": lambda: post(
         SOFT | {"thermal_expansion": 2e-4}, inputs=PULL | HEAT, coupling="distributed"

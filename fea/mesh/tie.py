@@ -1,0 +1,294 @@
+"""Ties of two surfaces whose meshes do not match: the mortar method with dual multipliers.
+
+The displacement of the secondary surface satisfies int lambda (u - u_main) = 0 for each multiplier
+lambda. The multipliers are biorthogonal to transformed shape functions with positive integrals: of
+a corner N + alpha (those of its two edges), of an edge (1 - 2 alpha) N (Popp, Wohlmuth, Gitterle
+and Wall 2012). So each secondary node follows nearby main nodes alone, and a linear displacement
+passes exactly. The integrals are over the overlaps of both surfaces' facets, projected on the mean
+plane of the secondary facet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial import KDTree
+from skfem.quadrature import get_quadrature
+from skfem.refdom import RefTri
+
+from wrenchbook.fea.mesh.dependents import CircularError, Dependents
+from wrenchbook.fea.mesh.facets import TRIANGLES, corners_of, missing
+from wrenchbook.fea.mesh.mesh import FacetBlock, FacetGroup, Mesh
+from wrenchbook.fea.mesh.reference_cell import node_coordinates, reference_element, tabulate
+from wrenchbook.fea.spec.problems import BundleProblem, point_text
+from wrenchbook.fea.spec.schema import Tie
+
+Array = np.ndarray
+
+_DISTANCE = 0.1  # of the mean edge: straight edges, eight round a circle, are 0.097 off it
+_ALPHA = 0.2  # any in (0, 1/3) makes the integrals positive; Popp's choice
+_COVER = 0.5  # of a facet, and of a node's integral: less is an extrapolation from a strip
+_PAIRS = 10_000  # triangles that are cut at a time: about 50 MB
+_STEPS = 20  # of Newton's method for a point in a facet, which takes three to five
+_EXACT = 1e-12  # relative to the size of a facet
+_NEAR = 8  # main nodes beside a sliding node, some on its plane of symmetry if the surface is
+_SAME = 1e-9  # of a projector: axes are written to about so many digits
+_PARALLEL = 1e-9  # rad between sides: roundoff would put their crossing anywhere along both
+_RULE = get_quadrature(RefTri, 6)  # two serendipity functions have together this degree
+
+
+@dataclass(frozen=True, eq=False)
+class TiedNodes:
+    """Secondary nodes that follow a main surface."""
+
+    nodes: Array  # shape (t,), int64, ascending
+    untied: int  # number of the secondary surface's other nodes
+    gap: float  # the largest distance between the surfaces where they are tied, m
+    distance: float  # within which they are, m
+
+
+def joined(
+    mesh: Mesh,
+    ties: Sequence[Tie],
+    held: Array,
+    sections: Mapping[str, Array],
+    problems: list[BundleProblem],
+) -> tuple[Mesh, tuple[TiedNodes, ...]]:
+    """Return a mesh whose tied nodes follow others, and lie where these put them, and the ties.
+
+    So a gap is closed by moving secondary nodes, and no rotation strains the tie. Fixed nodes stay
+    fixed. Sliding ones follow main nodes that are held in the same directions, as on a plane of
+    symmetry, which was ten times as exact there as to leave them out; else they stay held.
+
+    held: projectors on the directions in which nodes are held, (n, 3, 3).
+    sections: nodes that follow a frame, by the key of the bundle.
+    """
+    entries, done, free = [], [], np.trace(held, axis1=1, axis2=2) < 3 - _SAME
+    if mesh.dependents is not None:
+        entries.append(mesh.dependents.entries)
+        free[mesh.dependents.nodes] = False
+        do = "take them out of the deck's constraint, or name fewer nodes"
+        others = {"[supports]": np.flatnonzero(held.any(axis=(1, 2))), **sections}
+        problems += [
+            BundleProblem("mesh", f"{count} nodes of {where} follow others by *EQUATION; {do}")
+            for where, nodes in others.items()
+            if (count := np.isin(nodes, mesh.dependents.nodes).sum())
+        ]
+    for i, pair in enumerate(ties):
+        key, names = f"tie[{i}]", list(mesh.facet_groups)
+        sides = {"secondary": pair.secondary, "main": pair.main}
+        if lost := [side for side, name in sides.items() if name not in names]:
+            at = ((f"{key}.{side}", sides[side], "facet group", names) for side in lost)
+            problems += [missing(*each) for each in at]
+            continue
+        secondary, main = (mesh.facet_groups[name] for name in sides.values())
+        nodes, others, may = secondary.node_ids, main.node_ids, free.copy()
+        tree: Any = KDTree(mesh.points[others])
+        gaps, number = tree.query(mesh.points[nodes], range(1, 1 + min(_NEAR, others.size)))
+        loose = held[nodes][:, None] @ (np.eye(3) - held[others[number]])
+        may[nodes[(np.abs(loose).max(axis=(2, 3)) > _SAME).all(axis=1)]] = False
+        may[others] = False  # a common node holds the two together as it is
+        tied, follow = tied_nodes(mesh.points, secondary, main, pair.distance, may)
+        if not tied.nodes.size:
+            message = (
+                f'no facet of "{pair.secondary}" with free nodes faces "{pair.main}" within '
+                f"{tied.distance:.3g} m; their nearest nodes are {gaps.min():.3g} m apart. Correct "
+                "the groups, or write a larger distance"
+            )
+            problems.append(BundleProblem(key, message))
+        for where, attached in sections.items():
+            if (shared := np.intersect1d(tied.nodes, attached)).size:
+                message = (
+                    f"{len(shared)} secondary nodes, such as the one at "
+                    f"{point_text(mesh.points[shared[0]])} m, are of {where}: a node can follow "
+                    "one only. Swap secondary and main, or leave cells between the two"
+                )
+                problems.append(BundleProblem(key, message))
+        free[tied.nodes] = False
+        entries.append(follow)
+        done.append(tied)
+    if not done:
+        return mesh, ()
+    try:
+        rows, masters, weights = (np.concatenate(parts) for parts in zip(*entries, strict=True))
+        dependents = Dependents.of(len(mesh.points), (rows, masters, weights))
+    except CircularError as error:
+        at = point_text(mesh.points[error.node])
+        message = f"the node at {at} m follows itself by several ties; swap the groups of one"
+        problems.append(BundleProblem("tie", message))
+        return mesh, ()
+    points, nodes = mesh.points.copy(), np.concatenate([tied.nodes for tied in done])
+    points[nodes] = dependents.expanded(points)[nodes]
+    return replace(mesh, points=points, dependents=dependents), tuple(done)
+
+
+def tied_nodes(
+    points: Array, secondary: FacetGroup, main: FacetGroup, distance: float | None, free: Array
+) -> tuple[TiedNodes, tuple[Array, Array, Array]]:
+    """Tie two surfaces; also return nodes, masters and weights as of `Dependents.of`.
+
+    points: shape (n, 3), m.
+    distance: facets farther from each other are not tied, m; None for a tenth of the mean edge.
+    free: shape (n,), bool: nodes that may follow others.
+    """
+    corners = [points[n[:, : corners_of(k)]] for k, n in (*secondary.blocks, *main.blocks)]
+    edges = [np.linalg.norm(at - np.roll(at, 1, axis=1), axis=2).ravel() for at in corners]
+    edge = float(np.concatenate(edges).mean())
+    distance = min(distance or _DISTANCE * edge, edge)  # to close more would fold cells over
+    # Integrals of the transformed functions where the surfaces meet, and over the whole facets.
+    covered, complete = np.zeros((2, len(points)))
+    ends, entries, gap = np.full((len(points), 2), -1), [], 0.0
+    for kind, nodes in secondary.blocks:
+        # Nodal values by transformed unknowns, and both ends of each edge's node.
+        size, count = nodes.shape[1], corners_of(kind)
+        corner = np.arange(count if size > count else 0)
+        pairs = np.stack([corner, (corner + 1) % count], axis=1)
+        transform = np.eye(size)
+        transform[count + corner, count + corner] = 1 - 2 * _ALPHA
+        transform[count + corner[:, None], pairs] = _ALPHA
+        ends[nodes[:, count + corner]] = nodes[:, pairs]
+        at, element = points[nodes], reference_element(kind)
+        arms = at[:, :count] - at[:, :count].mean(axis=1)[:, None]
+        normal = np.cross(arms, np.roll(arms, -1, axis=1)).sum(axis=1)
+        plane = np.linalg.qr(np.stack([normal, arms[:, 0], arms[:, 1]], axis=2)).Q[:, :, 1:]
+        areas = np.einsum("fki,qkj->fqij", at @ plane, element.slopes)
+        areas = np.abs(np.linalg.det(areas)) * element.weights
+        np.add.at(complete, nodes, areas @ element.values @ transform)
+        mass, mixed = np.zeros((len(nodes), size, size)), []
+        for other in main.blocks:
+            overlaps = _overlaps(points, FacetBlock(kind, nodes), other, plane, distance)
+            for of, to, weights, here, there, far in overlaps:
+                functions = here @ transform
+                weighted = (weights[..., None] * functions).swapaxes(1, 2)
+                np.add.at(mass, of, weighted @ functions)
+                mixed.append((of, other.nodes[to], weighted @ there, far))
+        integrals = mass.sum(axis=2)  # the transformed functions sum to one
+        taken = integrals.sum(axis=1) > _COVER * areas.sum(axis=1)
+        mass[~taken], integrals[~taken] = np.eye(size), 0.0
+        np.add.at(covered, nodes, integrals)
+        dual = integrals[:, :, None] * np.linalg.inv(mass)
+        for of, to, products, far in mixed:
+            gap = max(gap, float(far[taken[of]].max(initial=0.0)))
+            weights = dual[of] @ products
+            both = np.broadcast_arrays(nodes[of][:, :, None], to[:, None], weights)
+            entries.append([part[taken[of]].ravel() for part in both])
+    tied = free & (covered > _COVER * complete)
+    none = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0)
+    rows, masters, weights = (np.concatenate(each) for each in zip(none, *entries, strict=True))
+    rows, masters, weights = rows[tied[rows]], masters[tied[rows]], weights[tied[rows]]
+    # From the transformed unknown of an edge to its node's displacement.
+    halved = ends[:, 0] >= 0
+    weights = weights / covered[rows] * np.where(halved[rows], 1 - 2 * _ALPHA, 1.0)
+    edges = np.flatnonzero(tied & halved)
+    follow = (
+        np.append(rows, np.repeat(edges, 2)),
+        np.append(masters, ends[edges]),
+        np.append(weights, np.full(2 * len(edges), _ALPHA)),
+    )
+    loose = len(secondary.node_ids) - int(tied.sum())
+    return TiedNodes(np.flatnonzero(tied), loose, gap, distance), follow
+
+
+def _overlaps(
+    points: Array, first: FacetBlock, second: FacetBlock, plane: Array, distance: float
+) -> Iterator[tuple[Array, ...]]:
+    """Yield overlaps of facets on the planes of the first, (f, 3, 2), s triangles at a time.
+
+    Each: the facets (s,), (s,), weights at q points (s, q), m^2, the shape functions of the first
+    (s, q, k) and the second (s, q, l) there, and the distance between both, (s, q), m.
+    """
+    triangles = []
+    for kind, nodes in (first, second):
+        split = np.array(TRIANGLES["tri3" if corners_of(kind) == 3 else "quad4"])
+        corners = points[nodes[:, split]].reshape(-1, 3, 3)
+        centre = corners.mean(axis=1)
+        radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
+        triangles.append((corners, centre, radius, np.arange(len(corners)) // len(split)))
+    (corners, centre, radius, facet), (opposite, middle, size, facet_to) = triangles
+    near = KDTree(middle).query_ball_point(centre, radius + size.max() + distance)
+    all_of = np.repeat(np.arange(len(near)), [len(each) for each in near])
+    all_to = np.array([i for each in near for i in each], dtype=np.int64)
+    apart = np.linalg.norm(centre[all_of] - middle[all_to], axis=1)
+    chosen = np.flatnonzero(apart <= radius[all_of] + size[all_to] + distance)
+    for start in range(0, len(chosen), _PAIRS):
+        pairs = chosen[start : start + _PAIRS]
+        of, to = all_of[pairs], all_to[pairs]
+        flat = plane[facet[of]]
+        pair, cuts = _intersections(corners[of] @ flat, opposite[to] @ flat)
+        of, to, flat = facet[of[pair]], facet_to[to[pair]], flat[pair]
+        at = np.einsum("cq,sci->sqi", np.array([1 - _RULE[0].sum(axis=0), *_RULE[0]]), cuts)
+        weights = np.abs(np.linalg.det(cuts[:, 1:] - cuts[:, :1]))[:, None] * _RULE[1]
+        there = points[first.nodes[of]], points[second.nodes[to]]
+        here, found = _located(first.kind, there[0] @ flat, at)
+        across, found_too = _located(second.kind, there[1] @ flat, at)
+        far = np.linalg.norm(here @ there[0] - across @ there[1], axis=2)
+        met = found & found_too & (far.max(axis=1) <= distance)
+        yield of[met], to[met], weights[met], here[met], across[met], far[met]
+
+
+def _located(kind: str, nodes: Array, at: Array) -> tuple[Array, Array]:
+    """Return the shape functions (s, q, k) of flat facets (s, k, 2) at points (s, q, 2).
+
+    By Newton's method; also whether each facet has its points, (s,), bool.
+    """
+    local = np.broadcast_to(node_coordinates(kind).mean(axis=0), at.shape).copy()
+    size = np.ptp(nodes, axis=1).max(axis=1)[:, None]
+    values, found = np.empty(0), np.zeros((1, 1), dtype=bool)
+    for _ in range(_STEPS):
+        values, slopes = tabulate(kind, local.reshape(-1, 2))
+        values = values.reshape(*at.shape[:2], -1)
+        off = at - values @ nodes
+        found = np.linalg.norm(off, axis=2) <= _EXACT * size
+        if found.all():
+            break
+        columns = np.einsum("ski,sqkj->jsqi", nodes, slopes.reshape(*values.shape, 2))
+        area = _cross(*columns)
+        step = np.stack([_cross(off, columns[1]), _cross(columns[0], off)], axis=-1)
+        local += np.clip(step / np.where(area == 0, 1.0, area)[..., None], -1.0, 1.0)
+    return values, np.asarray(found.all(axis=1))
+
+
+def _intersections(*pairs: Array) -> tuple[Array, Array]:
+    """Return the intersections of pairs of triangles, twice (p, 3, 2), cut into triangles.
+
+    Result: the pair of each, (s,), and its corners, (s, 3, 2).
+    """
+    corners = np.stack(pairs)
+    clockwise = _cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0]) < 0
+    corners[clockwise] = corners[clockwise][:, ::-1]
+    sides = np.roll(corners, -1, axis=2) - corners
+    least = _EXACT * _cross(sides[:, :, 0], sides[:, :, 1])
+    # Corners inside the other triangle, and crossings of the sides.
+    off = _cross(sides[::-1, :, None], corners[:, :, :, None] - corners[::-1, :, None])
+    inside = np.asarray((off >= -least[::-1, :, None, None]).all(axis=3))
+    one, two, between = sides[0][:, :, None], sides[1][:, None], corners[1][:, None]
+    between = between - corners[0][:, :, None]
+    area = _cross(one, two)
+    lengths = np.linalg.norm(one, axis=-1) * np.linalg.norm(two, axis=-1)
+    area[np.abs(area) < _PARALLEL * lengths] = np.inf
+    along, across = _cross(between, two) / area, _cross(between, one) / area
+    met = (np.minimum(along, across) >= 0) & (np.maximum(along, across) <= 1) & np.isfinite(area)
+    inside = np.concatenate([*inside, met.reshape(-1, 9)], axis=1)
+    crossings = corners[0][:, :, None] + along[..., None] * one
+    points = np.concatenate([*corners, crossings.reshape(-1, 9, 2)], axis=1)
+    pair = np.flatnonzero(inside.sum(axis=1) > 2)
+    points, inside = points[pair], inside[pair]
+    # Around their middle, those outside last and in the place of the first.
+    middle = (points * inside[..., None]).sum(axis=1) / inside.sum(axis=1)[:, None]
+    x, y = np.moveaxis(points - middle[:, None], 2, 0)
+    order = np.argsort(np.where(inside, np.arctan2(y, x), np.inf), axis=1)
+    points = np.take_along_axis(points, order[..., None], axis=1)
+    last = np.take_along_axis(inside, order, axis=1)[..., None]
+    points = np.where(last, points, points[:, :1])
+    middles = np.broadcast_to(middle[:, None], points.shape)
+    cuts = np.stack([middles, points, np.roll(points, -1, axis=1)], axis=2)
+    area = _cross(cuts[:, :, 1] - cuts[:, :, 0], cuts[:, :, 2] - cuts[:, :, 0])
+    row, number = np.nonzero(area > least[0, pair, None])
+    return pair[row], cuts[row, number]
+
+
+def _cross(a: Array, b: Array) -> Array:
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

@@ -1,0 +1,228 @@
+"""Surfaces that are tied: exact where the mathematics are, and CalculiX's answers."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.fea.boxes import box
+from tests.fea.calculix import FACES, require_ccx
+from tests.fea.components import body_of
+from tests.fea.pairs import LARGE, TIE, merged, moved, pair, tied, together
+from wrenchbook.fea.assembly.body import gather
+from wrenchbook.fea.bundle.read import BundleError, read_bundle
+from wrenchbook.fea.check import as_text, report
+from wrenchbook.fea.check.proposal import propose
+from wrenchbook.fea.component import build
+from wrenchbook.fea.export.calculix import PLACEHOLDERS, deck_of
+from wrenchbook.fea.inspection import coincident_nodes
+from wrenchbook.fea.solve import Solver, solve
+from wrenchbook.fea.spec.schema import Deck
+from wrenchbook.fea.tensors import rotation
+
+TURN = rotation(np.array([0.3, 0.5, -0.8]))
+WRENCH = np.array([1e4, 2e4, 1e5, 1e4, 2e4, 1e4])
+MATCHING = {"counts": ((3, 2, 2), (3, 2, 3)), "sizes": (LARGE, LARGE)}
+
+
+def compliance(part):
+    return Solver(part).compliance
+
+
+def same(found, expected, tolerance):
+    assert np.abs(found - expected).max() <= tolerance * np.abs(expected).max()
+
+
+def rigid_energy(part):
+    """The largest strain energy of a rigid motion of 1 m or rad, over the stiffness times 1 m²."""
+    points = part.mesh.points
+    turns = [np.cross(axis, points) for axis in np.eye(3)]
+    shifts = [np.tile(axis, (len(points), 1)) for axis in np.eye(3)]
+    fields = np.stack(shifts + turns, axis=-1)
+    return np.abs(Solver(part).body.strain_energy_products(fields)).max() / 1e9
+
+
+@pytest.mark.parametrize("turn", [np.eye(3), TURN], ids=["straight", "turned"])
+@pytest.mark.parametrize(
+    "kinds", [("hex20", "hex20"), ("hex20", "tet10"), ("tet10", "hex27"), ("wedge15", "tet10")]
+)
+def test_a_uniform_stress_passes_a_tie_of_meshes_that_do_not_match(kinds, turn):
+    mesh = pair(kinds, counts=((3, 4, 2), (5, 3, 2)), sizes=(LARGE, LARGE))
+    height = mesh.points[:, 2]
+    field = mesh.points @ np.diag([-0.3, -0.3, 1.0]) @ turn.T * 1e-3
+    mesh = tied(replace(mesh, points=mesh.points @ turn.T), TIE).mesh
+    free = (height > 1e-9) & (height < 4 - 1e-9)
+    body = body_of(mesh, free, integration="full")
+    tangent, ends = body.tangent(None), np.where(free[:, None], 0.0, field)
+    residual = tangent.times(ends[:, :, None], np.arange(len(height)))
+    found = body.expanded(ends - tangent.solve(residual)[:, :, 0])
+    same(found, field, 1e-12)
+    for part, nodes in zip(body.parts, body.cells, strict=True):
+        stress = part.small_stresses(np.moveaxis(gather(found[:, :, None], nodes), -1, 0))
+        turned = turn.T @ stress @ turn
+        same(turned, np.broadcast_to(np.diag([0.0, 0.0, 1e6]), turned.shape), 1e-10)
+
+
+def test_meshes_that_match_are_as_one_mesh():
+    mesh = pair(**MATCHING)
+    one, two = Solver(tied(merged(mesh))), Solver(tied(mesh, TIE))
+    same(two.compliance, one.compliance, 1e-11)
+    beams = [solver.craig_bampton(3) for solver in (two, one)]
+    same(beams[0].stiffness, beams[1].stiffness, 1e-8)
+    same(beams[0].mass, beams[1].mass, 1e-8)
+
+
+@pytest.mark.parametrize(("fixed", "section"), [("a_z1", "b_z1"), ("b_z1", "a_z1")])
+def test_main_nodes_may_be_fixed_or_follow_a_rigid_interface(fixed, section):
+    mesh, groups = pair(**MATCHING), {"fixed": fixed, "section": section}
+    same(compliance(tied(mesh, TIE, **groups)), compliance(tied(merged(mesh), **groups)), 1e-11)
+
+
+def test_main_nodes_may_be_the_secondary_nodes_of_another_tie():
+    blocks = [box("hex20", (2, 2, 2)) for _ in range(3)]
+    mesh = together(blocks[0], moved(blocks[1], [0, 0, 1]), moved(blocks[2], [1, 0, 1]))
+    chain = tied(mesh, TIE, {"secondary": "c_x0", "main": "b_x1"}, section="c_x1")
+    same(compliance(chain), compliance(tied(merged(mesh), section="c_x1")), 1e-11)
+
+
+def test_a_gap_is_closed_so_that_no_rigid_motion_strains_the_tie_in_any_frame():
+    mesh = pair(("hex20", "tet10"), gap=0.02)
+    part = tied(mesh, TIE)
+    assert part.ties[0].gap == pytest.approx(0.02)
+    assert rigid_energy(part) < 1e-15
+    frame = {"interface": {"section": "b_z1", "coupling": "rigid", "axes": TURN.T.tolist()}}
+    turned = tied(replace(mesh, points=mesh.points @ TURN.T), TIE, **frame)
+    same(compliance(turned), compliance(part), 1e-10)
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+@pytest.mark.parametrize("straight", [False, True])
+def test_round_surfaces_are_tied_without_strain_by_rigid_motions(straight, swapped):
+    def tube(count, inner, outer):
+        def bent(points):
+            radius, angle = inner + (outer - inner) * points[:, 0], np.pi * points[:, 1]
+            return np.stack([radius * np.cos(angle), radius * np.sin(angle), points[:, 2]], axis=1)
+
+        return box("hex20", count, warp=bent, corners_only=straight)
+
+    first, second = ("a_x1", "b_x0") if swapped else ("b_x0", "a_x1")
+    mesh = together(tube((2, 8, 3), 0.5, 1.0), tube((2, 6, 2), 1.0, 1.5))
+    part = tied(mesh, {"secondary": first, "main": second}, fixed="a_x0", section="b_x1")
+    assert part.ties[0].untied == 0
+    assert rigid_energy(part) < 1e-15
+
+
+def test_secondary_nodes_beyond_the_main_surface_stay_loose():
+    part = tied(pair(counts=((8, 8, 2), (4, 4, 2))), {"secondary": "a_z1", "main": "b_z0"})
+    off = np.abs(part.mesh.points[part.ties[0].nodes, :2] - 0.5)
+    assert (off <= [0.3 + 1 / 16, 0.4 + 1 / 16]).all()
+    assert part.ties[0].untied > 0
+
+
+def test_secondary_nodes_on_a_plane_of_symmetry_follow_what_is_held_there_too():
+    mesh = pair(counts=((3, 4, 3), (5, 3, 3)), sizes=(LARGE, LARGE))
+    half = {"section": "b_z1", "coupling": "rigid", "locked": ["ux", "ry", "rz"]}
+
+    def cut(*groups) -> dict[str, Any]:
+        sliding = [{"group": group, "directions": ["x"]} for group in groups]
+        return {"interface": half, "supports": {"fixed": ["a_z0"], "sliding": sliding}}
+
+    part = tied(mesh, TIE, **cut("a_x0", "b_x0"))
+    fine = pair(counts=((6, 6, 6), (6, 6, 6)), sizes=(LARGE, LARGE))
+    whole = np.diag(compliance(tied(merged(fine), **cut("a_x0", "b_x0"))))[1:4]
+    same(np.diag(compliance(part))[1:4], whole, 5e-3)
+    assert part.ties[0].untied == 0
+    assert tied(mesh, TIE, **cut("b_x0")).ties[0].untied > 0  # the main surface is free there
+
+
+BUSHING = {"group": "b_x0", "coupling": "rigid", "stiffness": [1, 1, 1, 1, 1, 1]}
+
+
+@pytest.mark.parametrize(
+    ("changes", "tables", "words"),
+    [
+        ({"main": "a_z0"}, {}, "nearest nodes are 2 m apart. Correct the groups, or write"),
+        ({"main": "a_z2"}, {}, r'tie\[0\].main: the mesh has no facet group "a_z2"'),
+        ({"distance": -1}, {}, r"tie\[0\].distance: must be above 0"),
+        ({}, {"section": "b_x0"}, "are of interface.section: a node can follow one only. Swap"),
+        ({}, {"supports": {"bushing": [BUSHING]}}, r"are of supports.bushing\[0\].group: a node"),
+        ({}, {"fixed": "b_z0"}, 'no facet of "b_z0" with free nodes'),
+    ],
+)
+def test_a_tie_that_cannot_be_is_refused(changes, tables, words):
+    with pytest.raises(BundleError, match=words):
+        tied(pair(), TIE | changes, **tables)
+
+
+def by_ccx(part, text, wrench, folder):
+    """The interface's displacement by CalculiX."""
+    require_ccx()
+    (folder / "written.inp").write_text(text)
+    output = {"reader": "calculix-dat", "point": "REF", "rotation": "ROT"}
+    deck = Deck(folder / "written.inp", ("ccx", "{job}"), output, moment="conjugate")
+    return solve(replace(part.bundle, deck=deck), wrench).displacement
+
+
+@pytest.mark.parametrize("kind", ["hex20", "tet10"])
+@pytest.mark.parametrize(("nonlinear", "tolerance"), [(False, 1e-5), (True, 1e-4)])
+def test_ccx_answers_the_same_by_the_equations_of_the_deck(kind, nonlinear, tolerance, tmp_path):
+    part = tied(pair(("hex20", kind), 0.01), TIE, analysis={"nonlinear": nonlinear})
+    wrench = WRENCH * (20 if nonlinear else 1)  # turns by 4 degrees
+    same(by_ccx(part, deck_of(part), wrench, tmp_path), solve(part, wrench).displacement, tolerance)
+
+
+def proposed(text, folder):
+    """The report of the component that is proposed of a deck under `WRENCH`, and its folder."""
+    for name, load in zip(PLACEHOLDERS, WRENCH, strict=True):
+        text = text.replace(name, str(load))
+    (folder / "pair.inp").write_text(text)
+    return propose(folder / "pair.inp", folder / "new", "m")["check"], folder / "new"
+
+
+def test_a_deck_with_a_tie_is_proposed_with_it_and_answers_nearly_as_in_ccx(tmp_path):
+    mesh = pair(gap=0.01)
+    loose = tied(mesh)
+    lines, cells = [], np.concatenate([block.nodes for block in mesh.blocks])
+    for name in ("a_z1", "b_z0"):
+        on = np.isin(cells, mesh.facet_groups[name].node_ids)
+        sides = [np.flatnonzero(on[:, list(face)].all(axis=1)) + 1 for face in FACES]
+        lines.append(f"*SURFACE, NAME={name}")
+        lines += [f"{cell}, S{side}" for side, of in enumerate(sides, 1) for cell in of]
+    lines += ["*TIE, NAME=T, POSITION TOLERANCE=0.05", "b_z0, a_z1", "*STEP"]
+    text = deck_of(loose).replace("*STEP", "\n".join(lines))
+    found, folder = proposed(text, tmp_path)
+    assert found["ok"]
+    line = "tie: 29 nodes of b_z0 follow a_z1, 0 are not tied; largest gap 10 mm"
+    assert line in as_text(found).splitlines()
+    assert "a gap of up to 0.01 m is closed" in found["warnings"][0]["message"]
+    assert found["solver_error"]["mesh"] is not None  # of a finer mesh, tied anew
+    # CalculiX ties nodes to surfaces.
+    here = solve(read_bundle(folder), WRENCH).displacement
+    same(here, by_ccx(loose, text, WRENCH, tmp_path), 2e-3)
+    written = (folder / "component.toml").read_text()
+    table = written[written.index("[[tie]]") : written.index("[analysis]")]
+    (folder / "component.toml").write_text(written.replace(table, ""))
+    untied = report(folder)
+    assert "part 2 of 2" in untied["problems"][0]["message"]
+    assert any("write [[tie]]" in warning["message"] for warning in untied["warnings"])
+    assert untied["fingerprint"] != found["fingerprint"]
+
+
+def test_equations_and_pairs_of_nodes_of_a_deck_tie_its_mesh(tmp_path):
+    part = tied(pair(), TIE)
+    found, folder = proposed(deck_of(part), tmp_path)
+    assert found["ok"]
+    assert not found["warnings"]
+    same(compliance(build(read_bundle(folder))), compliance(part), 1e-11)
+    mesh = pair(**MATCHING)
+    lines = [f"PIN, {second}, {first}" for first, second in coincident_nodes(mesh) + 1]
+    text = deck_of(tied(mesh)).replace("*STEP", "\n".join(["*MPC", *lines, "*STEP"]))
+    (tmp_path / "pairs").mkdir()
+    found, folder = proposed(text, tmp_path / "pairs")
+    same(compliance(build(read_bundle(folder))), compliance(tied(merged(mesh))), 1e-11)
+
+
+def test_ties_by_which_a_node_follows_itself_are_refused():
+    with pytest.raises(BundleError, match="follows itself by several ties; swap"):
+        tied(pair(sizes=(LARGE, LARGE)), TIE, {"secondary": "a_z1", "main": "b_z0"})
