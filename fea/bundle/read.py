@@ -161,6 +161,7 @@ class _Reader:
         mesh = self.mesh()
         materials = self.read_each("material", MaterialTable)
         supports = self.read("supports")
+        bolts, joints = self.read("bolt") or (), self.read("spring") or ()
         several = isinstance(self.table.get("interface"), list)
         interfaces = self.interfaces() if several else [self.read("interface", Interface)]
         interfaces = interfaces if "interface" in self.table else []
@@ -174,6 +175,8 @@ class _Reader:
             self.check_deck(analysis, interfaces)
         if analysis is not None and analysis.gravity is not None:
             self.check_densities(materials, "[analysis] gravity")
+        if analysis is not None and analysis.zero != "preloaded" and "bolt" not in self.table:
+            self.wrong("analysis.zero", "is of no use without a [[bolt]]; leave it out")
         self.check_inputs(further, materials, interfaces)
         # A range whose corners are too many to look at each.
         if loads is not None:
@@ -187,6 +190,8 @@ class _Reader:
             "mesh": mesh,
             "materials": tuple(materials),
             "supports": supports,
+            "bolts": bolts,
+            "joints": joints,
             "interface": interfaces[0] if interfaces else None,
             "others": tuple(interfaces[1:]),
             "analysis": analysis,
@@ -331,6 +336,8 @@ class _Reader:
         """Note tables that need each other; an interface that is held stands in for supports."""
         if "deck" in self.table:
             return
+        for name in {"bolt", "spring"} & set(self.table) if "mesh" not in self.table else ():
+            self.wrong(name, "needs a [mesh] as well; without it a component is a table only")
         interfaces = self.table.get("interface")
         several = isinstance(interfaces, list)
         held = several and any(isinstance(i, dict) and i.get("held") for i in interfaces)

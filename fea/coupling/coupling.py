@@ -9,9 +9,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from wrenchbook.fea.coupling import relative
 from wrenchbook.fea.element.cell_state import symmetrised
 from wrenchbook.fea.spec.schema import FREEDOMS
-from wrenchbook.fea.tensors import rotation_derivatives
+from wrenchbook.fea.tensors import (
+    rotation,
+    rotation_derivatives,
+    rotation_vector,
+    spin_per_vector,
+)
 
 Array = np.ndarray
 
@@ -27,6 +33,28 @@ def each_interface(vector: Array) -> Array:
 def largest_rotation(displacement: Array) -> float:
     """Return the largest rotation, rad, among displacements of shape (6 i,), m and rad."""
     return float(max(np.linalg.norm(interface[3:]) for interface in each_interface(displacement)))
+
+
+def from_origin(interface: Array, origin: Array) -> tuple[Array, Array]:
+    """Return displacements (6 i,), m and rad, relative to those at `origin`, and their rates.
+
+    The rotation is R R0^T. The rates are the changes, shape (i, 3, 3), of the relative rotation
+    vectors with the rotation vectors.
+    """
+    moved, rates = each_interface(interface - origin).copy(), []
+    pairs = zip(each_interface(interface), each_interface(origin), strict=True)
+    for motion, (now, zero) in zip(moved, pairs, strict=True):
+        motion[3:] = rotation_vector(rotation(now[3:]) @ rotation(zero[3:]).T)
+        rates.append(np.linalg.solve(spin_per_vector(motion[3:]), spin_per_vector(now[3:])))
+    return moved.ravel(), np.array(rates)
+
+
+def displacement_from(interface: Array, compliance: Array, origin: Array) -> tuple[Array, Array]:
+    """Return displacements (6 i,) and their compliance (6 i, k) relative to those at `origin`."""
+    moved, rates = from_origin(interface, origin)
+    halves = compliance.reshape(-1, 2, 3, compliance.shape[1]).copy()
+    halves[:, 1] = rates @ halves[:, 1]
+    return moved, halves.reshape(compliance.shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,6 +186,8 @@ class Coupling:
     active: shape (k,), int64: indices of the interfaces' freedoms that are not locked, ascending.
     anchors: shape (a,), int64: nodes that are in no rigid section.
     springs: the last sections are bushings: their stiffnesses, (6, 6), N/m, N/rad and N·m/rad.
+    between: two sections' numbers, bushings of no stiffness to the ground at one point and of the
+    same axes, and the stiffness of the spring between them: see `fea.coupling.relative`.
     freedoms, motions, border: numbers: 6 i of i interfaces; unknowns of the border that move
     something; all of them, the multipliers last.
     """
@@ -169,6 +199,7 @@ class Coupling:
         active: Array,
         anchors: Array,
         springs: Sequence[Array] = (),
+        between: Sequence[tuple[int, int, Array]] = (),
     ) -> None:
         self.active = active
         self._sprung = PER_INTERFACE * len(springs)
@@ -196,6 +227,14 @@ class Coupling:
             forced.append(first + more)
             self.border += len(more)
         self._forced = np.concatenate(forced)
+        # Of each spring between two: where its twelve motions are among all, and in the border.
+        six = np.arange(PER_INTERFACE)
+        self._between: list[tuple[Array, Array, Array]] = []
+        for first, second, stiffness in between:
+            ends = [self._attachments[first], self._attachments[second]]
+            at = np.concatenate([attached.freedoms.start + six for attached in ends])
+            border = np.concatenate([attached.border[six] for attached in ends])
+            self._between.append((at, border, stiffness))
 
     @property
     def constrained(self) -> Array:
@@ -214,8 +253,10 @@ class Coupling:
         return CoupledState(np.zeros((self._size, 3)), np.zeros(self.freedoms), further)
 
     def spring_energy(self, state: CoupledState) -> float:
-        """Return the energy of the bushings' springs, J."""
+        """Return the energy of all springs, J."""
         parts = [(attached.spring, local.interface) for attached, local in self._parts(state)]
+        motions, _ = self._unknowns(state)
+        parts += [(spring, relative.relative(motions[at])) for at, _, spring in self._between]
         return float(sum(0.5 * q @ spring @ q for spring, q in parts if spring is not None))
 
     def spring_energies(self, border: Array) -> Array:
@@ -225,6 +266,9 @@ class Coupling:
             if attached.spring is not None:
                 motions = border[attached.border[:PER_INTERFACE]]
                 total += motions.T @ attached.spring @ motions
+        for _, where, spring in self._between:
+            first, second = border[where].reshape(2, PER_INTERFACE, -1)
+            total += (second - first).T @ spring @ (second - first)
         return total
 
     def moved(self, state: CoupledState, nodes: Array, border: Array) -> CoupledState:
@@ -266,6 +310,9 @@ class Coupling:
             if attached.spring is not None:
                 unbalanced[:PER_INTERFACE] += attached.spring @ local.interface
             border[attached.border] = unbalanced[attached.chosen]
+        motions, _ = self._unknowns(state)
+        for at, where, spring in self._between:
+            border[where] += relative.gradient(motions[at], spring)
         border[self._anchored] = nodal[self._anchors].ravel()
         return nodal, border
 
@@ -292,6 +339,9 @@ class Coupling:
             block[np.ix_(attached.border, attached.border)] = joined.block[
                 np.ix_(attached.chosen, attached.chosen)
             ]
+        motions, _ = self._unknowns(state)
+        for at, where, spring in self._between:
+            block[np.ix_(where, where)] += relative.tangent(motions[at], spring)
         pushed = columns[self._anchors].reshape(len(self._anchored), self.border)
         block[self._anchored] += pushed
         block[:, self._anchored] += pushed.T
@@ -312,26 +362,45 @@ class Coupling:
         return columns
 
     def third(
-        self, state: CoupledState, forces: tuple[Array, Array], fields: Array, border: Array
+        self,
+        state: CoupledState,
+        forces: tuple[Array, Array],
+        fields: Array,
+        border: Array,
+        origin: Array,
     ) -> Array:
         """Return the third derivatives of the couplings' energies along the inputs.
 
-        Those of the springs, which are quadratic, are zero.
+        Those of the bushings, which are quadratic, are zero.
 
         state: the configuration.
         forces: Shapes (n, 3), N, and (n, 3, k): internal nodal forces less dead ones, and their
         change with the inputs at the nodes that are `constrained`.
         fields, border: Shapes (n, 3, k), m per unit of each input, and (border, k): change with the
         inputs.
+        origin: shape (6 i,), m and rad: the interfaces' displacement that counts as none. The
+        energy depends on R = R' R0 alone, so that R' : N R0^T is differentiated in place of R : N.
         Result: shape (k, k, k), J over the units of three inputs.
         """
         total = np.zeros((border.shape[1],) * 3)
+        motions, _ = self._unknowns(state)
+        for at, where, spring in self._between:
+            moved = border[where]
+            tensor = relative.third(motions[at], spring)
+            total += np.einsum("ijk,ia,jb,kc->abc", tensor, moved, moved, moved, optimize=True)
         for attached, local in self._parts(state):
             moved = np.zeros((PER_INTERFACE + attached.section.multipliers, border.shape[1]))
             moved[attached.chosen] = border[attached.border]
             acting = attached.inwards(forces[0]), attached.inwards(forces[1])
             moments = attached.section.arm_moments(local, acting, attached.inwards(fields), moved)
-            total += _third_of_rotation(local.interface[3:], moved[3:6], *moments)
+            vector, turned = local.interface[3:], moved[3:6]
+            if attached.spring is None and origin[attached.freedoms].any():
+                zero = origin[attached.freedoms]
+                (*_, x, y, z), (rate,) = from_origin(local.interface, zero)
+                vector, turned = np.array([x, y, z]), rate @ turned
+                back = rotation(zero[3:])
+                moments = [np.einsum("xy...,zy->xz...", each, back) for each in moments]
+            total += _third_of_rotation(vector, turned, *moments)
         return total
 
     def displacement_rows(self, border: Array) -> Array:

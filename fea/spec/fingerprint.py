@@ -13,6 +13,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from wrenchbook.fea.spec.deck_text import deck_text
 from wrenchbook.fea.spec.material import AnyMaterial, Orthotropic
 from wrenchbook.fea.spec.schema import (
@@ -88,6 +90,13 @@ def fingerprint(parts: Mapping[str, Any]) -> str:
             content["inputs"]["field"] = _bytes(field)
     if ACCELERATIONS[0] in further:
         content["acceleration"] = densities
+    if parts.get("bolts"):
+        bolts = sorted(json.dumps(vars(bolt), default=np.ndarray.tolist) for bolt in parts["bolts"])
+        content["bolts"] = {"zero": analysis.zero, "are": bolts}
+    if parts.get("joints"):
+        content["joints"] = sorted(
+            json.dumps(vars(joint), default=np.ndarray.tolist) for joint in parts["joints"]
+        )
     if _names_nodes_of_cases(parts["mesh"], [content["supports"], content["interface"]]):
         content["case"] = CASE
     # json writes floats by repr, so equal numbers give equal text and different ones do not.

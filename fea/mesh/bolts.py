@@ -1,0 +1,149 @@
+"""Cuts of bolts: the nodes of a section of the shank are doubled for the cells on its upper side.
+
+Each copy follows its original plus the slip, the displacement of a point that belongs to no cell:
+u_copy = u_original + u_slip. Since both sides shift along the axis alone, the section may be
+jagged. The force F of the bolt pulls the slip against the axis, so that the shank has the tension F.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from wrenchbook.fea.mesh.dependents import Dependents
+from wrenchbook.fea.mesh.facets import TRIANGLES, facets_within, faces_of, missing
+from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
+from wrenchbook.fea.spec.problems import BundleProblem
+from wrenchbook.fea.spec.schema import Bolt
+
+Array = np.ndarray
+
+_LEVEL = 1e-9  # of the shank's length: a cell whose middle is in the plane is above it
+
+
+@dataclass(frozen=True, eq=False)
+class BoltCut:
+    """A bolt with its cut."""
+
+    key: str  # where the bundle has it: ``bolt[0]``
+    bolt: Bolt
+    nodes: Array  # shape (k,), int64: those of the cut, on its lower side
+    slip: int  # the point whose displacement is the shift of the upper side against the lower
+    cells: tuple[Array, ...]  # for each block the numbers of the upper cells at the cut
+    area: float  # of the cut, projected on the plane across the axis, m^2
+
+    @property
+    def axis(self) -> Array:
+        """Unit vector from the lower to the upper side, shape (3,), in the mesh's axes."""
+        return np.array(self.bolt.axis)
+
+    @property
+    def guide(self) -> Array:
+        """Projector across the axis, in which the slip is zero, shape (3, 3)."""
+        return np.eye(3) - np.outer(self.axis, self.axis)
+
+
+def cut_bolts(
+    mesh: Mesh, bolts: tuple[Bolt, ...], problems: list[BundleProblem]
+) -> tuple[Mesh, tuple[BoltCut, ...]]:
+    """Return the mesh with its bolts cut, its new points behind the others, and the cuts.
+
+    Groups keep their nodes and facets: those of a cut are the lower side's.
+    """
+    cuts, entries = [], []
+    for number, bolt in enumerate(bolts):
+        key = f"bolt[{number}]"
+        sides = _sides(mesh, bolt, key, problems)
+        if sides is None:
+            continue
+        upper, nodes = sides
+        size, copies = len(mesh.points), len(mesh.points) + np.arange(len(nodes))
+        slip, renumbered = size + len(nodes), np.arange(size)
+        renumbered[nodes] = copies
+        above = [
+            CellBlock(block.kind, block.nodes[chosen])
+            for block, chosen in zip(mesh.blocks, upper, strict=True)
+        ]
+        faces = FacetGroup(tuple(FacetBlock(*each) for each in faces_of(tuple(above)).items()))
+        vectors = [np.zeros((1, 3))]  # area vectors; a face between two upper cells is there twice
+        for kind, facets in facets_within(faces, nodes).blocks:
+            x = mesh.points[facets[:, TRIANGLES[kind]]]
+            vectors.append(0.5 * np.cross(x[..., 1, :] - x[..., 0, :], x[..., 2, :] - x[..., 0, :]))
+        area = float(abs(sum((v.reshape(-1, 3).sum(axis=0) for v in vectors), np.zeros(3)) @ bolt.axis))
+        at_cut = tuple(
+            np.flatnonzero(chosen & np.isin(block.nodes, nodes).any(axis=1))
+            for block, chosen in zip(mesh.blocks, upper, strict=True)
+        )
+        cuts.append(BoltCut(key, bolt, nodes, slip, at_cut, area))
+        entries += [(copies, nodes), (copies, np.full(len(nodes), slip))]
+        blocks = []
+        for block, cells in zip(mesh.blocks, at_cut, strict=True):
+            own = block.nodes.copy()
+            own[cells] = renumbered[own[cells]]
+            blocks.append(CellBlock(block.kind, own))
+        middle = mesh.points[nodes].mean(axis=0)
+        points = np.vstack([mesh.points, mesh.points[nodes], middle])
+        mesh = replace(mesh, points=points, blocks=tuple(blocks))
+    if entries:
+        followers, masters = map(np.concatenate, zip(*entries, strict=True))
+        entry = followers, masters, np.ones(len(followers))
+        mesh = replace(mesh, dependents=Dependents.of(len(mesh.points), entry))
+    return mesh, tuple(cuts)
+
+
+def _sides(
+    mesh: Mesh, bolt: Bolt, key: str, problems: list[BundleProblem]
+) -> tuple[list[Array], Array] | None:
+    """Return which cells are above a cut, (m,) bool of each block, and its nodes, (k,), sorted."""
+    heights = mesh.points @ bolt.axis
+    if bolt.region is not None:
+        if bolt.region not in mesh.regions:
+            problems.append(missing(f"{key}.region", bolt.region, "cell group", [*mesh.regions]))
+            return None
+        chosen = [np.zeros(len(block), dtype=bool) for block in mesh.blocks]
+        for inside, cells in zip(chosen, mesh.regions[bolt.region], strict=True):
+            inside[cells] = True
+        span = heights[_nodes_of(mesh, chosen)]
+        level = 0.5 * (span.min() + span.max()) if bolt.point is None else bolt.point @ bolt.axis
+        level -= _LEVEL * np.ptp(span)
+        levels = [np.full(len(block), level) for block in mesh.blocks]
+    else:
+        if bolt.group not in mesh.facet_groups:
+            known = [*mesh.facet_groups]
+            problems.append(missing(f"{key}.group", str(bolt.group), "facet group", known))
+            return None
+        group = mesh.facet_groups[bolt.group].node_ids
+        touched = [np.isin(block.nodes, group) for block in mesh.blocks]
+        chosen = [touch.any(axis=1) for touch in touched]
+        # Each cell against those of its own nodes that are in the group, which may be curved.
+        levels = [
+            (touch * heights[block.nodes]).sum(axis=1) / np.maximum(touch.sum(axis=1), 1)
+            for touch, block in zip(touched, mesh.blocks, strict=True)
+        ]
+    above = [
+        inside & (heights[block.nodes].mean(axis=1) > level)
+        for inside, block, level in zip(chosen, mesh.blocks, levels, strict=True)
+    ]
+    below = [inside & ~upper for inside, upper in zip(chosen, above, strict=True)]
+    nodes = np.intersect1d(_nodes_of(mesh, above), _nodes_of(mesh, below))
+    others = _nodes_of(mesh, [~inside for inside in chosen])
+    message = ""
+    if not nodes.size:
+        message = "has no cells on both sides that hang together: correct its point or axis"
+    elif bolt.group is not None and not np.array_equal(nodes, group):
+        message = f'"{bolt.group}" does not cut through: name all facets across the shank'
+    elif (count := np.intersect1d(nodes, others).size) and bolt.region is not None:
+        message = (
+            f"shares {count} nodes of its cut with cells outside the region, which hold the shank "
+            "there: move the point to where the shank is free"
+        )
+    if message:
+        problems.append(BundleProblem(f"{key}.{'group' if bolt.region is None else 'region'}", message))
+        return None
+    return above, nodes
+
+
+def _nodes_of(mesh: Mesh, chosen: list[Array]) -> Array:
+    parts = [block.nodes[cells].ravel() for block, cells in zip(mesh.blocks, chosen, strict=True)]
+    return np.unique(np.concatenate(parts))
