@@ -8,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from wrenchbook.fea.coupling.coupling import PER_INTERFACE
 from wrenchbook.fea.coupling.section import InterfaceSection, section_of_facets, section_of_nodes
+from wrenchbook.fea.mesh.bolts import BoltCut, cut_bolts
 from wrenchbook.fea.mesh.cad.meshing import mesh_geometry, surface_of_geometry
 from wrenchbook.fea.mesh.element_order import first_order_problems, second_order
 from wrenchbook.fea.mesh.facets import facets_within, group_nodes, missing, outer_surface
@@ -28,6 +30,7 @@ from wrenchbook.fea.spec.schema import (
     Generator,
     GeometryFile,
     Interface,
+    Joint,
     MeshFile,
     MeshSource,
     ScalarInput,
@@ -56,7 +59,17 @@ class AttachedInterface:
     @property
     def where(self) -> str:
         """The key of its nodes."""
-        return f"{self.key}.{'group' if self.key.startswith('supports') else 'section'}"
+        names = {"supports": "group", "spring": "groups"}
+        return f"{self.key}.{names.get(self.key.partition('[')[0].partition('.')[0], 'section')}"
+
+
+@dataclass(frozen=True, eq=False)
+class AttachedJoint:
+    """Two groups with a spring between them, or one rigid body of both."""
+
+    names: tuple[str, str]  # of the groups
+    ends: tuple[AttachedInterface, ...]  # of the spring, at one point; one of a rigid joint
+    stiffness: Array | None  # shape (6, 6); None of a rigid joint
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +77,7 @@ class ComponentModel:
     """A deformable part, ready to be solved; all in metres and pascals."""
 
     bundle: Bundle  # what it was built from
-    mesh: Mesh  # every point belongs to a cell
+    mesh: Mesh  # with bolts cut; every other point belongs to a cell
     # materials, material_of_cells: the materials, and for each block of the mesh an array of shape
     # (m,) with the number of each cell's material.
     materials: tuple[AnyMaterial, ...]
@@ -80,6 +93,29 @@ class ComponentModel:
     further: tuple[ScalarInput, ...] = ()  # the inputs behind the loads
     # Shape (n,): the part of the temperature's rise at each node; None for 1 everywhere
     temperature_rise: Array | None = None
+    joints: tuple[AttachedJoint, ...] = ()
+    bolts: tuple[BoltCut, ...] = ()
+    uncut: Mesh | None = None  # the mesh before bolts are cut; None without
+
+    @property
+    def whole(self) -> Mesh:
+        """The mesh without cuts of bolts."""
+        return self.uncut or self.mesh
+
+    @property
+    def frames(self) -> list[tuple[AttachedInterface, Array]]:
+        """Frames that are no interfaces: bushings, then ends of joints; stiffness to the ground."""
+        ends = [end for joint in self.joints for end in joint.ends]
+        return [*self.bushings, *((end, np.zeros((PER_INTERFACE,) * 2)) for end in ends)]
+
+    @property
+    def guided(self) -> tuple[Array, Array]:
+        """Nodes that slide, as `sliding`, and the slips of bolts, which do so along their axes."""
+        slips, guides = [bolt.slip for bolt in self.bolts], [bolt.guide for bolt in self.bolts]
+        nodes, held = self.sliding
+        return np.append(nodes, slips).astype(np.int64), np.array([*held, *guides]).reshape(
+            -1, 3, 3
+        )
 
     @property
     def temperature(self) -> ScalarInput | None:
@@ -124,6 +160,8 @@ class ComponentModel:
 def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     """Build the mesh of `bundle`, unless it is given, and resolve the groups it names.
 
+    A mesh that is given has no bolts cut.
+
     Raises
     ------
     BundleError
@@ -139,6 +177,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
         raise BundleError([BundleProblem("mesh", message)])
     mesh = mesh_of(bundle.mesh) if mesh is None else mesh
     problems = cell_problems(mesh) + first_order_problems(mesh)
+    uncut, (mesh, bolts) = mesh, cut_bolts(mesh, bundle.bolts, problems)
     # Each cell's material; "all" fills what no other material names.
     material_of_cells = tuple(np.full(len(block), -1) for block in mesh.blocks)
     named = [(i, m) for i, m in enumerate(bundle.materials) if m.region != "all"]
@@ -177,9 +216,22 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     springs = [
         _attach(mesh, f"supports.bushing[{i}].group", source, problems) for i, source in holds
     ]
-    for hold in (*interfaces, *springs):
+    joints = [
+        _join(mesh, f"spring[{i}].groups", joint, problems) for i, joint in enumerate(bundle.joints)
+    ]
+    holds = [*interfaces, *springs, *(end for joint in joints for end in joint.ends)]
+    for hold in holds:
         sliding = _free_sliding(mesh, sliding, hold, problems)
-    _check_disjoint(mesh, fixed, [*interfaces, *springs], problems)
+    _check_disjoint(mesh, fixed, holds, problems)
+    _check_bolts(mesh, bolts, (fixed, sliding), holds, problems)
+    turning = bundle.analysis.nonlinear and bundle.analysis.zero == "preloaded"
+    for interface in interfaces if bolts and turning else ():
+        if sum(name.startswith("r") for name in interface.locked) == 1:
+            message = (
+                "a single locked rotation is not one of the motion relative to the tightened part; "
+                'lock two or none, or write zero = "untightened" under [analysis]'
+            )
+            problems.append(BundleProblem(f"{interface.key}.locked", message))
     if problems:
         raise BundleError(problems)
     heated = any(scalar.name == TEMPERATURE for scalar in bundle.further)
@@ -202,6 +254,9 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
         ),
         further=bundle.further,
         temperature_rise=next(shapes, None),
+        joints=tuple(joints),
+        bolts=bolts,
+        uncut=uncut if bolts else None,
     )
 
 
@@ -281,6 +336,42 @@ def _attach(
     return AttachedInterface(
         table, interface.name, section, point, interface.axes, interface.coupling, interface.locked
     )
+
+
+def _join(mesh: Mesh, key: str, joint: Joint, problems: list[BundleProblem]) -> AttachedJoint:
+    """Return a joint with its groups found; its point is midway between them unless it is given."""
+    ends = [_attach(mesh, key, joint.end(group), problems) for group in joint.groups]
+    if joint.point is None:
+        middle = 0.5 * (ends[0].point + ends[1].point)
+        ends = [replace(end, point=middle) for end in ends]
+    if joint.rigid:
+        nodes = np.concatenate([end.section.node_ids for end in ends])
+        both = section_of_nodes(mesh.points, nodes) if nodes.size else ends[0].section
+        ends = [replace(ends[0], section=both)]
+    return AttachedJoint(joint.groups, tuple(ends), joint.stiffness)
+
+
+def _check_bolts(
+    mesh: Mesh,
+    bolts: tuple[BoltCut, ...],
+    held: tuple[Array, tuple[Array, Array]],
+    holds: list[AttachedInterface],
+    problems: list[BundleProblem],
+) -> None:
+    """Note cuts with nodes that are fixed or follow a frame, or that slide across their axis."""
+    fixed, (sliding, projectors) = held
+    for bolt in bolts:
+        across = np.abs(projectors @ bolt.axis).max(axis=1, initial=0.0) > _ZERO
+        taken = [fixed, sliding[across], *(hold.section.node_ids for hold in holds)]
+        taken += [other.nodes for other in bolts if other is not bolt]
+        shared = np.intersect1d(bolt.nodes, np.concatenate(taken))
+        if shared.size:
+            message = (
+                f"{shared.size} nodes of its cut are fixed, slide along its axis by [supports], or "
+                "belong to an interface, a spring or another bolt, such as that at "
+                f"{point_text(mesh.points[shared[0]])} m: cut the shank elsewhere (point)"
+            )
+            problems.append(BundleProblem(bolt.key, message))
 
 
 def _free_sliding(

@@ -334,10 +334,11 @@ class _Reader:
 
     def check_tables(self) -> None:
         """Note tables that need each other; an interface that is held stands in for supports."""
+        for name in ("bolt", "spring"):
+            if name in self.table and ("mesh" not in self.table or "deck" in self.table):
+                self.wrong(name, "is the embedded solver's: it needs a [mesh], and no [deck]")
         if "deck" in self.table:
             return
-        for name in {"bolt", "spring"} & set(self.table) if "mesh" not in self.table else ():
-            self.wrong(name, "needs a [mesh] as well; without it a component is a table only")
         interfaces = self.table.get("interface")
         several = isinstance(interfaces, list)
         held = several and any(isinstance(i, dict) and i.get("held") for i in interfaces)

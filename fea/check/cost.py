@@ -41,7 +41,7 @@ def estimate(component: ComponentModel) -> dict[str, Any]:
     Result: ``unknowns`` (without fixed nodes), ``linear_seconds``, ``nonlinear_seconds``,
     ``memory_bytes`` and ``basis``, a sentence.
     """
-    mesh = component.mesh
+    mesh = component.whole
     free = np.ones(len(mesh.points), dtype=bool)
     free[component.fixed_nodes] = False
     unknowns = 3 * int(free.sum())

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wrenchbook.fea.mesh.dependents import Dependents
-from wrenchbook.fea.mesh.facets import TRIANGLES, facets_within, faces_of, missing
+from wrenchbook.fea.mesh.facets import TRIANGLES, faces_of, facets_within, missing
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import Bolt
@@ -32,6 +32,11 @@ class BoltCut:
     slip: int  # the point whose displacement is the shift of the upper side against the lower
     cells: tuple[Array, ...]  # for each block the numbers of the upper cells at the cut
     area: float  # of the cut, projected on the plane across the axis, m^2
+
+    @property
+    def copies(self) -> Array:
+        """The nodes of the upper side, shape (k,), in the order of `nodes`."""
+        return self.slip - len(self.nodes) + np.arange(len(self.nodes))
 
     @property
     def axis(self) -> Array:
@@ -70,7 +75,9 @@ def cut_bolts(
         for kind, facets in facets_within(faces, nodes).blocks:
             x = mesh.points[facets[:, TRIANGLES[kind]]]
             vectors.append(0.5 * np.cross(x[..., 1, :] - x[..., 0, :], x[..., 2, :] - x[..., 0, :]))
-        area = float(abs(sum((v.reshape(-1, 3).sum(axis=0) for v in vectors), np.zeros(3)) @ bolt.axis))
+        area = float(
+            abs(sum((v.reshape(-1, 3).sum(axis=0) for v in vectors), np.zeros(3)) @ bolt.axis)
+        )
         at_cut = tuple(
             np.flatnonzero(chosen & np.isin(block.nodes, nodes).any(axis=1))
             for block, chosen in zip(mesh.blocks, upper, strict=True)
@@ -139,7 +146,9 @@ def _sides(
             "there: move the point to where the shank is free"
         )
     if message:
-        problems.append(BundleProblem(f"{key}.{'group' if bolt.region is None else 'region'}", message))
+        problems.append(
+            BundleProblem(f"{key}.{'group' if bolt.region is None else 'region'}", message)
+        )
         return None
     return above, nodes
 

@@ -83,7 +83,11 @@ def third_derivatives(
     tensor = np.zeros((len(inputs),) * 3)
     if not active.size:
         return tensor
-    origin, counted, compliance = np.zeros(coupling.freedoms) if origin is None else origin, balance, tangent.compliance
+    origin, counted, compliance = (
+        np.zeros(coupling.freedoms) if origin is None else origin,
+        balance,
+        tangent.compliance,
+    )
     if origin.any():
         moved, compliance = displacement_from(state.interface, compliance, origin)
         counted = replace(balance, state=replace(state, interface=moved))
