@@ -376,6 +376,9 @@ class Solver:
             mutual = np.vdot(self._system.preload, after)
             energy += 0.5 * tight.energies[-1, -1] + mutual
             work += tight.energies[-1, -1] + mutual
+            if warming := self._system.temperature(acting):
+                rates, _ = self.body.thermal_rates(np.zeros_like(after))
+                energy += warming * np.vdot(rates, tight.sag)
         displacement, nodes = displacement + self.at_rest[0], nodes + self.at_rest[1]
         _require_small_rotation(displacement)
         return Solution(

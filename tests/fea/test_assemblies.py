@@ -39,8 +39,9 @@ def assembly(mesh, *, nonlinear=False, zero="preloaded", **tables):
     material = {"region": "all", "youngs_modulus": YOUNG, "poisson_ratio": 0.0, "density": 1e3}
     whole = TABLE | {"supports": {"fixed": ["z0"]}, "material": [material]} | tables
     whole["interface"] = {"section": "z1", "coupling": "rigid"} | tables.get("interface", {})
-    whole["analysis"] = {"nonlinear": nonlinear} | ({"zero": zero} if "bolt" in tables else {})
-    return build(bundle_of(whole | tables.get("more", {}), "."), mesh)
+    whole["analysis"] = {"nonlinear": nonlinear} | tables.get("analysis", {})
+    whole["analysis"] |= {"zero": zero} if "bolt" in tables else {}
+    return build(bundle_of(whole, "."), mesh)
 
 
 def bolt(**changes):
@@ -67,7 +68,9 @@ def frame():
     shank = np.flatnonzero((x[kept] < 0.1) & (np.abs(z[kept] - 0.3) < 0.2))
     cells = CellBlock("hex20", nodes.reshape(-1, 20))
     groups = {
-        name: FacetGroup((FacetBlock("quad8", np.searchsorted(used, whole.facet_groups[name].blocks[0].nodes)),))
+        name: FacetGroup(
+            (FacetBlock("quad8", np.searchsorted(used, whole.facet_groups[name].blocks[0].nodes)),)
+        )
         for name in ("z0", "z1")
     }
     return Mesh(whole.points[used], (cells,), {"shank": (shank,)}, groups)
@@ -80,7 +83,9 @@ def blocks(gap=0.0, offset=0.0):
     size = len(first.points)
     cells = CellBlock("hex20", np.concatenate([first.blocks[0].nodes + n for n in (0, size)]))
     groups = {
-        f"{body}{end}": FacetGroup((FacetBlock("quad8", first.facet_groups[f"z{end}"].blocks[0].nodes + n),))
+        f"{body}{end}": FacetGroup(
+            (FacetBlock("quad8", first.facet_groups[f"z{end}"].blocks[0].nodes + n),)
+        )
         for body, n in (("a", 0), ("b", size))
         for end in (0, 1)
     }
@@ -98,7 +103,9 @@ def joined(joint, mesh=None, **options):
 def test_a_bolt_gives_the_shank_its_tension_and_the_energy_is_the_work(nonlinear):
     solver = Solver(clamped_bar(nonlinear=nonlinear))
     tight = solver.solve(np.zeros(6))
-    np.testing.assert_allclose(solver.stresses(tight)[:, 2] * AREA, 2e4, rtol=3e-3 if nonlinear else 1e-9)
+    np.testing.assert_allclose(
+        solver.stresses(tight)[:, 2] * AREA, 2e4, rtol=3e-3 if nonlinear else 1e-9
+    )
     factor = 1.0 if nonlinear else 2.0  # linear: that of all loads at their full size
     for found in (tight, solver.solve(WRENCH)):
         assert found.work == pytest.approx(factor * found.strain_energy, rel=1e-6)
@@ -112,7 +119,9 @@ def test_a_bolt_that_keeps_its_length_shares_a_load_and_one_that_keeps_its_force
         assert solver.solve(WRENCH).displacement[2] == pytest.approx(
             -900 / (YOUNG * AREA * stiffness), rel=1e-9
         )
-        tensions = np.unique(np.round(solver.stresses(solver.solve([0, 0, -900.0, 0, 0, 0]))[:, 2] * AREA, 6))
+        tensions = np.unique(
+            np.round(solver.stresses(solver.solve([0, 0, -900.0, 0, 0, 0]))[:, 2] * AREA, 6)
+        )
         share = 6 / 5 / stiffness if keeps == "length" else 0.0
         np.testing.assert_allclose(tensions, [2e4 - 900 * share, 2e4 + 900 * (1 - share)])
 
@@ -135,7 +144,9 @@ def test_the_zero_of_displacement_changes_displacements_alone():
     tight, loose = (Solver(clamped_bar(zero=zero)) for zero in ("preloaded", "untightened"))
     found, other = tight.solve(WRENCH), loose.solve(WRENCH)
     shift = -2e4 / 6 / (YOUNG * AREA)  # the upper sixth is longer by F L / EA
-    np.testing.assert_allclose(other.displacement - found.displacement, [0, 0, shift, 0, 0, 0], atol=1e-15)
+    np.testing.assert_allclose(
+        other.displacement - found.displacement, [0, 0, shift, 0, 0, 0], atol=1e-15
+    )
     np.testing.assert_array_equal(found.nodes, other.nodes)
 
 
@@ -144,21 +155,35 @@ def test_the_zero_of_displacement_changes_displacements_alone():
 def test_answers_relative_to_the_tightened_part_have_their_derivatives(interface, keeps):
     """A shank beside its sleeve bends the part as it is tightened, so that the zero is turned."""
     own = bolt(region="shank", force=4e4, keeps=keeps)
-    solver = Solver(assembly(frame(), nonlinear=True, bolt=[own], interface={"coupling": interface}))
+    solver = Solver(
+        assembly(frame(), nonlinear=True, bolt=[own], interface={"coupling": interface})
+    )
     assert np.linalg.norm(solver._origin[3:]) > 0.02
     assert not solver.solve(np.zeros(6)).displacement.any()
     wrench = 4 * WRENCH
     found, active = solver.solve(wrench), np.arange(6)
     steps = np.repeat([40.0, 4.0], 3)
-    ends = [[solver.solve(wrench + s * steps * unit, start=found.state) for s in (1, -1)] for unit in np.eye(6)]
-    slopes = np.stack([(a.displacement - b.displacement) / (2 * h) for (a, b), h in zip(ends, steps)], axis=1)
-    print(largest(slopes-found.compliance, found.compliance), np.linalg.norm(solver._origin[3:]), found.displacement); assert largest(slopes - found.compliance, found.compliance) < 1e-6
+    ends = [
+        [solver.solve(wrench + s * steps * unit, start=found.state) for s in (1, -1)]
+        for unit in np.eye(6)
+    ]
+    slopes = np.stack(
+        [(a.displacement - b.displacement) / (2 * h) for (a, b), h in zip(ends, steps)], axis=1
+    )
+    print(
+        largest(slopes - found.compliance, found.compliance),
+        np.linalg.norm(solver._origin[3:]),
+        found.displacement,
+    )
+    assert largest(slopes - found.compliance, found.compliance) < 1e-6
 
     def per_load(answer, at):
         """Compliance by the loads (F, mu) of the relative rotation; mu = J(r)^T M."""
         vector, rates = answer.displacement[3:], np.eye(6)
         step = 1e-5 * np.eye(3)
-        slope = [(spin_per_vector(vector + h).T - spin_per_vector(vector - h).T) @ at[3:] for h in step]
+        slope = [
+            (spin_per_vector(vector + h).T - spin_per_vector(vector - h).T) @ at[3:] for h in step
+        ]
         rates[3:, 3:] = spin_per_vector(vector).T
         rates[3:] += np.stack(slope, axis=1) / 2e-5 @ answer.compliance[3:]
         return answer.compliance @ np.linalg.inv(rates), rates
@@ -174,8 +199,20 @@ def test_answers_relative_to_the_tightened_part_have_their_derivatives(interface
         axis=2,
     ) @ np.linalg.inv(rates)
     tensor = unpacked(found.curvature)
-    print(np.abs((own - own.T) / np.outer(size, size)).max(), largest((tensor - changes) / np.einsum("a,b,c->abc", size, size, size), tensor / np.einsum("a,b,c->abc", size, size, size)))
-    assert largest((tensor - changes) / np.einsum("a,b,c->abc", size, size, size), tensor / np.einsum("a,b,c->abc", size, size, size)) < 1e-4
+    print(
+        np.abs((own - own.T) / np.outer(size, size)).max(),
+        largest(
+            (tensor - changes) / np.einsum("a,b,c->abc", size, size, size),
+            tensor / np.einsum("a,b,c->abc", size, size, size),
+        ),
+    )
+    assert (
+        largest(
+            (tensor - changes) / np.einsum("a,b,c->abc", size, size, size),
+            tensor / np.einsum("a,b,c->abc", size, size, size),
+        )
+        < 1e-4
+    )
 
 
 def test_a_group_of_facets_cuts_as_a_region_does_and_a_jagged_cut_too():
