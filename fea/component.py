@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from wrenchbook.fea.coupling.coupling import PER_INTERFACE
 from wrenchbook.fea.coupling.section import InterfaceSection, section_of_facets, section_of_nodes
 from wrenchbook.fea.mesh.bolts import BoltCut, cut_bolts
 from wrenchbook.fea.mesh.cad.meshing import mesh_geometry, surface_of_geometry
@@ -103,10 +102,22 @@ class ComponentModel:
         return self.uncut or self.mesh
 
     @property
-    def frames(self) -> list[tuple[AttachedInterface, Array]]:
-        """Frames that are no interfaces: bushings, then ends of joints; stiffness to the ground."""
+    def frames(self) -> list[AttachedInterface]:
+        """Frames that are no interfaces: those of bushings, then of the ends of joints."""
         ends = [end for joint in self.joints for end in joint.ends]
-        return [*self.bushings, *((end, np.zeros((PER_INTERFACE,) * 2)) for end in ends)]
+        return [*(bushing for bushing, _ in self.bushings), *ends]
+
+    @property
+    def springs(self) -> list[tuple[tuple[int, ...], Array]]:
+        """Each spring's stiffness, and the number of its frame, or of its two."""
+        springs: list[tuple[tuple[int, ...], Array]]
+        springs = [((i,), stiffness) for i, (_, stiffness) in enumerate(self.bushings)]
+        first = len(springs)
+        for joint in self.joints:
+            if joint.stiffness is not None:
+                springs.append(((first, first + 1), joint.stiffness))
+            first += len(joint.ends)
+        return springs
 
     @property
     def guided(self) -> tuple[Array, Array]:

@@ -19,7 +19,7 @@ from wrenchbook.fea.component import ComponentModel, build
 from wrenchbook.fea.coupling import CoupledState, Coupling, Distributed, Rigid
 from wrenchbook.fea.coupling.coupling import (
     SectionCoupling,
-    displacement_from,
+    from_origin,
     largest_rotation,
 )
 from wrenchbook.fea.deck.solving import solve_deck
@@ -432,7 +432,8 @@ class Solver:
         balance = equilibrium.balance
         displacement, compliance = balance.state.interface, equilibrium.tangent.compliance
         if self._origin is not None:
-            displacement, compliance = displacement_from(displacement, compliance, self._origin)
+            displacement, rates = from_origin(displacement, self._origin)
+            compliance = rates @ compliance
         return Solution(
             wrench=wrench,
             displacement=displacement,
@@ -488,20 +489,16 @@ def system_of(component: ComponentModel, active: Array) -> System:
     mesh = replace(mesh, points=(mesh.points - component.interfaces[0].point) @ component.axes.T)
     # Each interface's coupling, its nodes, and its axes in the body's if they differ.
     sections: list[tuple[SectionCoupling, Array, Array | None]] = []
-    for attached in (*component.interfaces, *(frame for frame, _ in component.frames)):
+    for attached in (*component.interfaces, *component.frames):
         nodes = attached.section.node_ids
         points = ((component.mesh.points - attached.point) @ attached.axes.T)[nodes]
         rigid = attached.coupling == "rigid"
         holds = Rigid(points) if rigid else Distributed(points, attached.section.weights)
         same = np.array_equal(attached.axes, component.axes)
         sections.append((holds, nodes, None if same else attached.axes @ component.axes.T))
-    springs, between = [stiffness for _, stiffness in component.frames], []
-    first = len(component.interfaces) + len(component.bushings)
-    for joint in component.joints:
-        if joint.stiffness is not None:
-            between.append((first, first + 1, joint.stiffness))
-        first += len(joint.ends)
-    coupling = Coupling(len(mesh.points), sections, active, _anchors(component), springs, between)
+    first, frames = len(component.interfaces), len(component.frames)
+    springs = [(tuple(first + n for n in ends), k) for ends, k in component.springs]
+    coupling = Coupling(len(mesh.points), sections, active, _anchors(component), frames, springs)
     free = np.ones(len(mesh.points), dtype=bool)
     free[component.fixed_nodes] = False
     free[coupling.constrained] = False
@@ -513,16 +510,17 @@ def system_of(component: ComponentModel, active: Array) -> System:
         rise = component.temperature_rise
         filled = [(block, _warmed(block, part, rise, integration)) for block, part in filled]
     nodes, held = component.guided
-    preload = np.zeros_like(mesh.points) if component.bolts else None
+    pulled = np.zeros_like(mesh.points)
     for bolt in component.bolts:
         free[bolt.slip] = bolt.bolt.keeps == "force"
-        preload[bolt.slip] = -bolt.bolt.force * (component.axes @ bolt.axis)
+        pulled[bolt.slip] = -bolt.bolt.force * (component.axes @ bolt.axis)
     body = ElasticBody(mesh, filled, free, (nodes, component.axes @ held @ component.axes.T))
     gravity, weight, body_force = component.analysis.gravity, None, None
     if gravity is not None or component.accelerated:
         body_force = body_force_of(component, body)
         weight = None if gravity is None else body_force @ np.array(gravity)
     body_force = body_force if component.accelerated else None
+    preload = pulled if component.bolts else None
     return System(body, coupling, component.mesh.points, weight, body_force, preload)
 
 
@@ -539,7 +537,7 @@ def _anchors(component: ComponentModel) -> Array:
     anchors = [np.empty(0, dtype=np.int64)]
     held = [interface for interface in component.interfaces if interface.locked == FREEDOMS]
     held = [] if component.fixed_nodes.size else held
-    for attached in (*held, *(frame for frame, _ in component.frames)):
+    for attached in (*held, *component.frames):
         if attached.coupling == "distributed":
             nodes = np.setdiff1d(attached.section.node_ids, component.sliding[0])
             arms = component.mesh.points[nodes] - component.mesh.points[nodes].mean(axis=0)

@@ -160,18 +160,11 @@ def free_motions(component: ComponentModel, bodies: Bodies) -> list[Array]:
     equations.join_bodies()
     for number, interface in enumerate(component.interfaces, start=bodies.count):
         equations.tie_interface(interface, number)
-    number = bodies.count + len(component.interfaces)
-    for bushing, stiffness in component.bushings:
-        equations.tie_interface(bushing, number)
-        equations.hold_spring(bushing, stiffness, {number: 1.0})
-        number += 1
-    for joint in component.joints:
-        for end in joint.ends:
-            equations.tie_interface(end, number)
-            number += 1
-        if joint.stiffness is not None:
-            ends = {number - 2: -1.0, number - 1: 1.0}
-            equations.hold_spring(joint.ends[0], joint.stiffness, ends)
+    first = bodies.count + len(component.interfaces)
+    for number, frame in enumerate(component.frames, start=first):
+        equations.tie_interface(frame, number)
+    for ends, stiffness in component.springs:
+        equations.hold_spring(component.frames[ends[0]], stiffness, [first + n for n in ends])
     equations.join_cuts()
     free = equations.null_space()
     motions = []
@@ -282,14 +275,13 @@ class _Equations:
                 rows = _condensed(moves.reshape(-1, 6))
                 self._add({low: -rows, high: rows})
 
-    def hold_spring(
-        self, attached: AttachedInterface, stiffness: Array, ends: dict[int, float]
-    ) -> None:
-        """Hold a sum of motions of frames, those of the given factors, where a spring resists."""
+    def hold_spring(self, frame: AttachedInterface, stiffness: Array, ends: list[int]) -> None:
+        """Hold the motion of a frame, or the difference of two motions, where a spring resists."""
         lengths = np.repeat([1.0, self.extent], 3)
         sizes, motions = np.linalg.eigh(stiffness / lengths / lengths[:, None])
         resisted = motions[:, sizes > _ROUNDOFF * sizes[-1]].T
-        self._add({n: sign * resisted @ self._freedoms(attached) for n, sign in ends.items()})
+        rows = resisted @ self._freedoms(frame)
+        self._add({ends[-1]: rows} | ({ends[0]: -rows} if ends[1:] else {}))
 
     def _freedoms(self, attached: AttachedInterface) -> Array:
         """Return ux to rz of a point by a motion, (6, 6), the rotations times the mesh's size."""
@@ -483,7 +475,7 @@ def _freed(component: ComponentModel, group: HeldGroup) -> Iterator[str]:
 
 def _uncoupled(component: ComponentModel, group: CoupledGroup) -> Iterator[str]:
     nodes = _nodes(component.mesh, group.group)
-    attached = [*component.interfaces, *(frame for frame, _ in component.frames)]
+    attached = [*component.interfaces, *component.frames]
     same = [
         interface for interface in attached if np.array_equal(interface.section.node_ids, nodes)
     ]

@@ -78,7 +78,7 @@ def deck_of(component: ComponentModel, comments: Iterable[str] = ()) -> str:
         if not np.array_equal(interface.axes, component.axes):
             message = "a deck has one frame; give every interface the axes of the first"
             problems.append(BundleProblem(f"{interface.key}.axes", message))
-    for bushing, _ in component.frames:
+    for bushing in component.frames:
         if bushing.coupling != "rigid":
             message = 'a deck has no spring on a mean motion; write it with coupling = "rigid"'
             problems.append(BundleProblem(f"{bushing.key}.coupling", message))
@@ -111,42 +111,30 @@ def _body(component: ComponentModel) -> Iterator[str]:
         yield "*NSET, NSET=FIXED"
         yield from _rows(component.fixed_nodes + 1)
     yield from _sliding(component)
-    followers = component.mesh.dependents
-    for node in [] if followers is None else followers.nodes.tolist():
-        row = followers.map[[node]].tocoo()
-        terms = list(zip(row.col.tolist(), row.data.tolist(), strict=True))
-        for axis in (1, 2, 3):
-            yield from _equation([(node + 1, axis, -1.0), *((n + 1, axis, w) for n, w in terms)])
+    yield from _dependents(component)
     # Each bushing and each end of a joint as a rigid body, and a spring for each eigenvector of its
     # stiffness: on a node of its own, whose displacement is that combination of the six freedoms,
     # or of their differences between the two ends of a joint, whose axes stay where they are.
     node = len(component.mesh.points) + 2 * len(component.interfaces) + 1
     element = sum(len(block) for block in component.mesh.blocks) + 1
-    sprung = [
-        (bushing, stiffness, {2 * i: 1.0})
-        for i, (bushing, stiffness) in enumerate(component.bushings)
-    ]
-    body, first = len(sprung), node
-    for joint in component.joints:
-        if joint.stiffness is not None:
-            sprung.append((joint.ends[0], joint.stiffness, {2 * body: -1.0, 2 * body + 2: 1.0}))
-        body += len(joint.ends)
-    for i, (bushing, _) in enumerate(component.frames):
-        ref, at = node, _numbers(component.axes @ bushing.point)
-        yield f"*NODE\n{ref}, {at}\n{ref + 1}, {at}\n*NSET, NSET=BUSHING{i}"
-        yield from _rows(bushing.section.node_ids + 1)
-        yield f"*RIGID BODY, NSET=BUSHING{i}, REF NODE={ref}, ROT NODE={ref + 1}"
+    first = node
+    for i, frame in enumerate(component.frames):
+        at = _numbers(component.axes @ frame.point)
+        yield f"*NODE\n{node}, {at}\n{node + 1}, {at}\n*NSET, NSET=BUSHING{i}"
+        yield from _rows(frame.section.node_ids + 1)
+        yield f"*RIGID BODY, NSET=BUSHING{i}, REF NODE={node}, ROT NODE={node + 1}"
         node += 2
-    for bushing, stiffness, signs in sprung:
-        at = _numbers(component.axes @ bushing.point)
-        rotation = np.kron(np.eye(2), bushing.axes @ component.axes.T)
+    for ends, stiffness in component.springs:
+        frame = component.frames[ends[0]]
+        at, signs = _numbers(component.axes @ frame.point), (-1.0, 1.0)[-len(ends) :]
+        rotation = np.kron(np.eye(2), frame.axes @ component.axes.T)
         sizes, motions = np.linalg.eigh(stiffness)
         for size, motion in zip(sizes, motions.T, strict=True):
             if size <= 0:
                 continue
             terms = [
-                (first + ref + j // 3, j % 3 + 1, sign * x)
-                for ref, sign in signs.items()
+                (first + 2 * end + j // 3, j % 3 + 1, sign * x)
+                for end, sign in zip(ends, signs, strict=True)
                 for j, x in enumerate(motion @ rotation)
             ]
             terms = [term for term in terms if abs(term[2]) > _ROUNDOFF]
@@ -168,6 +156,17 @@ def _body(component: ComponentModel) -> Iterator[str]:
         yield "FIXED, 1, 3"
     for interface in component.interfaces:
         yield from (f"{_freedom_set(name, interface)}, {_axis(name)}" for name in interface.locked)
+
+
+def _dependents(component: ComponentModel) -> Iterator[str]:
+    """Yield the equations of nodes that follow others."""
+    if (dependents := component.mesh.dependents) is None:
+        return
+    for node in dependents.nodes.tolist():
+        row = dependents.map[[node]].tocoo()
+        terms = list(zip(row.col.tolist(), row.data.tolist(), strict=True))
+        for axis in (1, 2, 3):
+            yield from _equation([(node + 1, axis, -1.0), *((n + 1, axis, w) for n, w in terms)])
 
 
 def _equation(terms: list[tuple[int, int, float]]) -> Iterator[str]:

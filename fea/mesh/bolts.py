@@ -1,12 +1,13 @@
 """Cuts of bolts: the nodes of a section of the shank are doubled for the cells on its upper side.
 
 Each copy follows its original plus the slip, the displacement of a point that belongs to no cell:
-u_copy = u_original + u_slip. Since both sides shift along the axis alone, the section may be
-jagged. The force F of the bolt pulls the slip against the axis, so that the shank has the tension F.
+u_copy = u_original + u_slip. Both sides shift along the axis alone, so that the section may be
+jagged. The bolt's force pulls the slip against the axis: it is the tension of the shank.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -103,27 +104,26 @@ def _sides(
     mesh: Mesh, bolt: Bolt, key: str, problems: list[BundleProblem]
 ) -> tuple[list[Array], Array] | None:
     """Return which cells are above a cut, (m,) bool of each block, and its nodes, (k,), sorted."""
+    by_region, name = bolt.region is not None, bolt.region or bolt.group or ""
+    key, message = f"{key}.{'region' if by_region else 'group'}", ""
+    kind, groups = ("cell", mesh.regions) if by_region else ("facet", mesh.facet_groups)
+    if name not in groups:
+        problems.append(missing(key, name, f"{kind} group", [*groups]))
+        return None
     heights = mesh.points @ bolt.axis
-    if bolt.region is not None:
-        if bolt.region not in mesh.regions:
-            problems.append(missing(f"{key}.region", bolt.region, "cell group", [*mesh.regions]))
-            return None
-        chosen = [np.zeros(len(block), dtype=bool) for block in mesh.blocks]
-        for inside, cells in zip(chosen, mesh.regions[bolt.region], strict=True):
-            inside[cells] = True
+    if by_region:
+        chosen = [
+            np.isin(np.arange(len(block)), cells)
+            for block, cells in zip(mesh.blocks, mesh.regions[name], strict=True)
+        ]
         span = heights[_nodes_of(mesh, chosen)]
         level = 0.5 * (span.min() + span.max()) if bolt.point is None else bolt.point @ bolt.axis
-        level -= _LEVEL * np.ptp(span)
-        levels = [np.full(len(block), level) for block in mesh.blocks]
+        levels = [np.full(len(block), level - _LEVEL * np.ptp(span)) for block in mesh.blocks]
     else:
-        if bolt.group not in mesh.facet_groups:
-            known = [*mesh.facet_groups]
-            problems.append(missing(f"{key}.group", str(bolt.group), "facet group", known))
-            return None
-        group = mesh.facet_groups[bolt.group].node_ids
+        # Each cell against those of its own nodes that are in the group, which may be curved.
+        group = mesh.facet_groups[name].node_ids
         touched = [np.isin(block.nodes, group) for block in mesh.blocks]
         chosen = [touch.any(axis=1) for touch in touched]
-        # Each cell against those of its own nodes that are in the group, which may be curved.
         levels = [
             (touch * heights[block.nodes]).sum(axis=1) / np.maximum(touch.sum(axis=1), 1)
             for touch, block in zip(touched, mesh.blocks, strict=True)
@@ -134,25 +134,22 @@ def _sides(
     ]
     below = [inside & ~upper for inside, upper in zip(chosen, above, strict=True)]
     nodes = np.intersect1d(_nodes_of(mesh, above), _nodes_of(mesh, below))
-    others = _nodes_of(mesh, [~inside for inside in chosen])
-    message = ""
+    outside = np.intersect1d(nodes, _nodes_of(mesh, [~inside for inside in chosen]))
     if not nodes.size:
         message = "has no cells on both sides that hang together: correct its point or axis"
-    elif bolt.group is not None and not np.array_equal(nodes, group):
-        message = f'"{bolt.group}" does not cut through: name all facets across the shank'
-    elif (count := np.intersect1d(nodes, others).size) and bolt.region is not None:
+    elif not by_region and not np.array_equal(nodes, mesh.facet_groups[name].node_ids):
+        message = f'"{name}" does not cut through: name all facets across the shank'
+    elif outside.size:
         message = (
-            f"shares {count} nodes of its cut with cells outside the region, which hold the shank "
-            "there: move the point to where the shank is free"
+            f"shares {outside.size} nodes of its cut with cells outside the region, which hold the "
+            "shank there: move the point to where the shank is free"
         )
     if message:
-        problems.append(
-            BundleProblem(f"{key}.{'group' if bolt.region is None else 'region'}", message)
-        )
+        problems.append(BundleProblem(key, message))
         return None
     return above, nodes
 
 
-def _nodes_of(mesh: Mesh, chosen: list[Array]) -> Array:
+def _nodes_of(mesh: Mesh, chosen: Sequence[Array]) -> Array:
     parts = [block.nodes[cells].ravel() for block, cells in zip(mesh.blocks, chosen, strict=True)]
     return np.unique(np.concatenate(parts))

@@ -14,7 +14,7 @@ import numpy as np
 from wrenchbook.fea.assembly.linearisation import Balance, Linearisation, contract
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.coupling import Coupling
-from wrenchbook.fea.coupling.coupling import PER_INTERFACE, displacement_from
+from wrenchbook.fea.coupling.coupling import PER_INTERFACE, from_origin
 from wrenchbook.fea.element.cell_state import CellState, symmetrised
 from wrenchbook.fea.tensors import spin_per_vector, spin_slope
 
@@ -83,15 +83,10 @@ def third_derivatives(
     tensor = np.zeros((len(inputs),) * 3)
     if not active.size:
         return tensor
-    origin, counted, compliance = (
-        np.zeros(coupling.freedoms) if origin is None else origin,
-        balance,
-        tangent.compliance,
-    )
-    if origin.any():
-        moved, compliance = displacement_from(state.interface, compliance, origin)
-        counted = replace(balance, state=replace(state, interface=moved))
-    rates = load_rates(coupling, counted, compliance)[np.ix_(active, active)]
+    origin = np.zeros(coupling.freedoms) if origin is None else origin
+    moved, turns = from_origin(state.interface, origin)
+    counted = replace(balance, state=replace(state, interface=moved))
+    rates = load_rates(coupling, counted, turns @ tangent.compliance)[np.ix_(active, active)]
     per_load = np.linalg.inv(rates)
     fields = tangent.nodal_response[:, :, active] @ per_load
     border = tangent.border_response[:, active] @ per_load
