@@ -235,14 +235,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
         sliding = _free_sliding(mesh, sliding, hold, problems)
     _check_disjoint(mesh, fixed, holds, problems)
     _check_bolts(mesh, bolts, (fixed, sliding), holds, problems)
-    turning = bundle.analysis.nonlinear and bundle.analysis.zero == "preloaded"
-    for interface in interfaces if bolts and turning else ():
-        if sum(name.startswith("r") for name in interface.locked) == 1:
-            message = (
-                "a single locked rotation is not one of the motion relative to the tightened part; "
-                'lock two or none, or write zero = "untightened" under [analysis]'
-            )
-            problems.append(BundleProblem(f"{interface.key}.locked", message))
+    _check_zero(bundle, interfaces, problems)
     if problems:
         raise BundleError(problems)
     heated = any(scalar.name == TEMPERATURE for scalar in bundle.further)
@@ -369,20 +362,34 @@ def _check_bolts(
     holds: list[AttachedInterface],
     problems: list[BundleProblem],
 ) -> None:
-    """Note cuts with nodes that are fixed or follow a frame, or that slide across their axis."""
+    """Note cuts with nodes that are fixed, follow a frame, or slide across their axis."""
     fixed, (sliding, projectors) = held
     for bolt in bolts:
-        across = np.abs(projectors @ bolt.axis).max(axis=1, initial=0.0) > _ZERO
-        taken = [fixed, sliding[across], *(hold.section.node_ids for hold in holds)]
+        along = np.abs(projectors @ bolt.axis).max(axis=1, initial=0.0) > _ZERO
+        taken = [fixed, sliding[along], *(hold.section.node_ids for hold in holds)]
         taken += [other.nodes for other in bolts if other is not bolt]
         shared = np.intersect1d(bolt.nodes, np.concatenate(taken))
         if shared.size:
             message = (
-                f"{shared.size} nodes of its cut are fixed, slide along its axis by [supports], or "
-                "belong to an interface, a spring or another bolt, such as that at "
+                f"{shared.size} nodes of its cut are held along its axis by [supports], or belong "
+                "to an interface, a spring or another bolt, such as the one at "
                 f"{point_text(mesh.points[shared[0]])} m: cut the shank elsewhere (point)"
             )
             problems.append(BundleProblem(bolt.key, message))
+
+
+def _check_zero(
+    bundle: Bundle, interfaces: list[AttachedInterface], problems: list[BundleProblem]
+) -> None:
+    """Note single locked rotations, which are none of the motion relative to another state."""
+    turned = bundle.bolts and bundle.analysis.nonlinear and bundle.analysis.zero == "preloaded"
+    for interface in interfaces if turned else ():
+        if sum(name.startswith("r") for name in interface.locked) == 1:
+            message = (
+                "a single locked rotation is none of the motion from the tightened part; lock two "
+                'or none, or write zero = "untightened" under [analysis]'
+            )
+            problems.append(BundleProblem(f"{interface.key}.locked", message))
 
 
 def _free_sliding(

@@ -272,8 +272,8 @@ def set_up_warnings(component: ComponentModel) -> list[BundleProblem]:
         strength = strength_at(component, bolt)
         if strength is not None and bolt.bolt.force > strength * bolt.area:
             message = (
-                f"is a mean stress of {bolt.bolt.force / bolt.area:.4g} Pa in the shank, beyond its "
-                f"yield strength of {strength:.4g} Pa: materials here do not yield"
+                f"is a mean stress of {bolt.bolt.force / bolt.area:.4g} Pa in the shank, more than "
+                f"its yield strength, {strength:.4g} Pa: materials here do not yield"
             )
             problems.append(BundleProblem(f"{bolt.key}.force", message))
     for number, material in enumerate(component.bundle.materials if component.bundle else ()):

@@ -269,7 +269,7 @@ class _Equations:
             for low, high in np.unique(pairs, axis=1).T.tolist():
                 if high in (-1, low):  # of the mesh without cuts; or joined elsewhere
                     continue
-                nodes = bolt.nodes[((low, high) == pairs.T).all(axis=1)]
+                nodes = bolt.nodes[(pairs[0] == low) & (pairs[1] == high)]
                 moves = self._moves(nodes).reshape(-1, 3, 6)
                 moves -= bolt.axis[:, None] * (bolt.axis @ moves).mean(axis=0)
                 rows = _condensed(moves.reshape(-1, 6))

@@ -398,19 +398,7 @@ def _set_up(report: Mapping[str, Any]) -> Iterator[str]:
     sliding = f", {supports['sliding_nodes']} sliding" if "sliding_nodes" in supports else ""
     bushings = f"; bushings: {supports['bushings']}" if "bushings" in supports else ""
     yield f"supports: {supports['nodes']} nodes fixed{sliding}{bushings}"
-    for bolt in report.get("bolts", []):
-        used = bolt["yield_strength"] and bolt["stress"] / bolt["yield_strength"]
-        of_yield = "" if used is None else f" ({100 * used:.3g} % of its yield strength)"
-        yield (
-            f"bolt {bolt['shank']}: {bolt['force']:g} N, keeps its {bolt['keeps']}, cut below "
-            f"{bolt['cells']} cells near {_vector(bolt['at'])} m, {1e6 * bolt['area']:.5g} mm^2, "
-            f"mean stress {bolt['stress'] / 1e6:.4g} MPa{of_yield}"
-        )
-    for spring in report.get("springs", []):
-        kind = "rigid joint" if spring["rigid"] else f"spring, {spring['coupling']}"
-        nodes = " and ".join(map(str, spring["nodes"]))
-        groups, at = " and ".join(spring["groups"]), _vector(spring["point"])
-        yield f"{kind} between {groups}: {nodes} nodes, point at {at} m"
+    yield from _joints(report)
     if warm := report.get("temperature"):
         yield f"temperature: {warm['low']:g} to {warm['high']:g}, reference {warm['reference']:g}"
     if largest := report.get("acceleration"):
@@ -424,6 +412,22 @@ def _set_up(report: Mapping[str, Any]) -> Iterator[str]:
             f"interface{name}: {section['nodes']} nodes, {area}, {section['coupling']}{locked}, "
             f"point at {_vector(section['point'])} m"
         )
+
+
+def _joints(report: Mapping[str, Any]) -> Iterator[str]:
+    for bolt in report.get("bolts", []):
+        used = bolt["yield_strength"] and bolt["stress"] / bolt["yield_strength"]
+        of_yield = "" if used is None else f" ({100 * used:.3g} % of its yield strength)"
+        yield (
+            f"bolt {bolt['shank']}: {bolt['force']:g} N, keeps its {bolt['keeps']}, cut below "
+            f"{bolt['cells']} cells near {_vector(bolt['at'])} m, {1e6 * bolt['area']:.5g} mm^2, "
+            f"mean stress {bolt['stress'] / 1e6:.4g} MPa{of_yield}"
+        )
+    for spring in report.get("springs", []):
+        kind = "rigid joint" if spring["rigid"] else f"spring, {spring['coupling']}"
+        nodes = " and ".join(map(str, spring["nodes"]))
+        groups, at = " and ".join(spring["groups"]), _vector(spring["point"])
+        yield f"{kind} between {groups}: {nodes} nodes, point at {at} m"
 
 
 _AT_REST = {

@@ -40,8 +40,8 @@ def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Bu
     cost: as `fea.check.cost.estimate` has it: what takes too long is not tried.
     Returns result: ``size`` (three numbers, m), ``volume`` (m^3), ``mass`` (kg; None where a
     material tells no density), ``sag``: the interfaces' displacement at no wrench, where
-    self-weight or bolts move them; ``deflection``: the largest of each output over the load range by the
-    linear compliance, six numbers an interface, m and rad; None where it was not tried or
+    self-weight or bolts move them; ``deflection``: the largest of each output over the load range
+    by the linear compliance, six numbers an interface, m and rad; None where it was not tried or
     ``failed`` (then true). ``by_temperature`` and ``by_acceleration``: the same of these alone,
     where they are inputs. problems: ``mechanism`` and ``ill_conditioned``, in the words of the
     failure.

@@ -112,9 +112,30 @@ def _body(component: ComponentModel) -> Iterator[str]:
         yield from _rows(component.fixed_nodes + 1)
     yield from _sliding(component)
     yield from _dependents(component)
-    # Each bushing and each end of a joint as a rigid body, and a spring for each eigenvector of its
-    # stiffness: on a node of its own, whose displacement is that combination of the six freedoms,
-    # or of their differences between the two ends of a joint, whose axes stay where they are.
+    yield from _springs(component)
+    for i, attached in enumerate(component.interfaces):
+        ref = len(points) + 2 * i + 1
+        yield f"*NSET, NSET={_set('SECTION', attached)}"
+        yield from _rows(attached.section.node_ids + 1)
+        yield f"*RIGID BODY, NSET={_set('SECTION', attached)}, REF NODE={ref}, ROT NODE={ref + 1}"
+    if component.temperature is not None:
+        reference = _numbers([component.temperature.reference])
+        yield f"*INITIAL CONDITIONS, TYPE=TEMPERATURE\nALL, {reference}"
+    yield "*BOUNDARY"
+    if component.fixed_nodes.size:
+        yield "FIXED, 1, 3"
+    for interface in component.interfaces:
+        yield from (f"{_freedom_set(name, interface)}, {_axis(name)}" for name in interface.locked)
+
+
+def _springs(component: ComponentModel) -> Iterator[str]:
+    """Yield each frame as a rigid body, and a spring for each eigenvector of a stiffness.
+
+    It is on a node of its own, whose displacement is that combination of a frame's six freedoms, or
+    of their differences between two frames.
+    """
+    if component.joints and component.analysis.nonlinear:
+        yield "** The axes of springs between two groups do not turn here."
     node = len(component.mesh.points) + 2 * len(component.interfaces) + 1
     element = sum(len(block) for block in component.mesh.blocks) + 1
     first = node
@@ -143,19 +164,6 @@ def _body(component: ComponentModel) -> Iterator[str]:
             yield f"*ELEMENT, TYPE=SPRING1, ELSET=K{element}\n{element}, {node}"
             yield f"*SPRING, ELSET=K{element}\n1\n{_numbers([size])}"
             node, element = node + 1, element + 1
-    for i, attached in enumerate(component.interfaces):
-        ref = len(points) + 2 * i + 1
-        yield f"*NSET, NSET={_set('SECTION', attached)}"
-        yield from _rows(attached.section.node_ids + 1)
-        yield f"*RIGID BODY, NSET={_set('SECTION', attached)}, REF NODE={ref}, ROT NODE={ref + 1}"
-    if component.temperature is not None:
-        reference = _numbers([component.temperature.reference])
-        yield f"*INITIAL CONDITIONS, TYPE=TEMPERATURE\nALL, {reference}"
-    yield "*BOUNDARY"
-    if component.fixed_nodes.size:
-        yield "FIXED, 1, 3"
-    for interface in component.interfaces:
-        yield from (f"{_freedom_set(name, interface)}, {_axis(name)}" for name in interface.locked)
 
 
 def _dependents(component: ComponentModel) -> Iterator[str]:

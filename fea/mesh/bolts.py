@@ -110,7 +110,7 @@ def _sides(
     if name not in groups:
         problems.append(missing(key, name, f"{kind} group", [*groups]))
         return None
-    heights = mesh.points @ bolt.axis
+    heights, chosen = mesh.points @ bolt.axis, list[Array]()
     if by_region:
         chosen = [
             np.isin(np.arange(len(block)), cells)

@@ -27,8 +27,8 @@ HANGING = (
 UNLOADED = "relative to the part without loads"
 TIGHTENED = "relative to the part as its bolts are tightened, without other loads and its weight"
 UNTIGHTENED = (
-    "relative to the part before its bolts are tightened, the geometry of its mesh: at zero load it "
-    "is the displacement by their preload, and the sag under gravity if there is any"
+    "relative to the part before its bolts are tightened, the geometry of its mesh: at zero load "
+    "it is the displacement by their preload, and the sag under gravity if there is any"
 )
 
 FileStamp = tuple[tuple[int, int] | None, ...]
