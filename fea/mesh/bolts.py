@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from wrenchbook.fea.mesh.dependents import Dependents
 from wrenchbook.fea.mesh.facets import TRIANGLES, faces_of, facets_within, missing
@@ -123,7 +125,7 @@ def _sides(
         # Each cell against those of its own nodes that are in the group, which may be curved.
         group = mesh.facet_groups[name].node_ids
         touched = [np.isin(block.nodes, group) for block in mesh.blocks]
-        chosen = [touch.any(axis=1) for touch in touched]
+        chosen = [touch.sum(axis=1) > 0 for touch in touched]
         levels = [
             (touch * heights[block.nodes]).sum(axis=1) / np.maximum(touch.sum(axis=1), 1)
             for touch, block in zip(touched, mesh.blocks, strict=True)
@@ -144,10 +146,26 @@ def _sides(
             f"shares {outside.size} nodes of its cut with cells outside the region, which hold the "
             "shank there: move the point to where the shank is free"
         )
+    elif (count := _pieces(mesh, above, nodes)) > 1:
+        message = f"has {count} separate shanks at its cut: write a [[bolt]] for each"
     if message:
         problems.append(BundleProblem(key, message))
         return None
     return above, nodes
+
+
+def _pieces(mesh: Mesh, chosen: Sequence[Array], nodes: Array) -> int:
+    """Return into how many pieces nodes fall that hang together by some cells."""
+    rows, columns, first = [], [], len(nodes)
+    for block, cells in zip(mesh.blocks, chosen, strict=True):
+        cell, corner = np.nonzero(np.isin(block.nodes, nodes) & cells[:, None])
+        rows.append(first + cell)
+        columns.append(np.searchsorted(nodes, block.nodes[cell, corner]))
+        first += len(block)
+    used, rows = np.unique(np.concatenate(rows), return_inverse=True)
+    size = len(nodes) + len(used)
+    pairs = len(nodes) + rows, np.concatenate(columns)
+    return connected_components(coo_array((np.ones(len(rows)), pairs), (size, size)), False)[0]
 
 
 def _nodes_of(mesh: Mesh, chosen: Sequence[Array]) -> Array:

@@ -14,11 +14,9 @@ from wrenchbook.fea.bundle.read import bundle_of
 from wrenchbook.fea.check.findings import motion_problems
 from wrenchbook.fea.component import build
 from wrenchbook.fea.coupling import relative
-from wrenchbook.fea.export.calculix import deck_of
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.inspection import bodies_of, coincident_nodes, warnings_of
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
-from wrenchbook.fea.mesh.refine import halved
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.vibration import Riding
 from wrenchbook.fea.spec.problems import BundleError
@@ -48,7 +46,7 @@ def bolt(**changes):
     return {"region": "all", "axis": [0, 0, 1], "force": 2e4} | changes
 
 
-def clamped_bar(tmp=None, **options):
+def clamped_bar(**options):
     """A bar of 1 m, clamped at both ends, with its interface at 5/6 and a bolt's cut at 0.3."""
     bar = box("hex20", (2, 2, 6), (0.1, 0.06, 1.0))
     bar = replace(bar, node_groups={"at": np.flatnonzero(np.abs(bar.points[:, 2] - 5 / 6) < 1e-9)})
@@ -58,38 +56,38 @@ def clamped_bar(tmp=None, **options):
     return assembly(options.pop("mesh", bar), **tables, **options)
 
 
+def part_of(group, renumber):
+    return FacetGroup((FacetBlock("quad8", renumber(group.blocks[0].nodes)),))
+
+
 def frame():
-    """A ring of cells: a shank between two plates, and a sleeve beside it that they clamp."""
+    """Two plates with a shank, and a sleeve beside it that it clamps, between them."""
     whole = box("hex20", (6, 2, 6), (0.3, 0.1, 0.6))
-    (block,) = whole.blocks
-    x, _, z = whole.points[block.nodes].mean(axis=1).T
-    kept = (np.abs(x - 0.15) > 0.05) | (np.abs(z - 0.3) > 0.2)
-    used, nodes = np.unique(block.nodes[kept], return_inverse=True)
-    shank = np.flatnonzero((x[kept] < 0.1) & (np.abs(z[kept] - 0.3) < 0.2))
-    cells = CellBlock("hex20", nodes.reshape(-1, 20))
+    x, _, z = whole.points[whole.blocks[0].nodes].mean(axis=1).T
+    between = np.abs(z - 0.3) < 0.2
+    kept = (np.abs(x - 0.15) > 0.05) | ~between
+    used, nodes = np.unique(whole.blocks[0].nodes[kept], return_inverse=True)
+    legs = [np.flatnonzero(where[kept]) for where in (between & (x < 0.1), between)]
     groups = {
-        name: FacetGroup(
-            (FacetBlock("quad8", np.searchsorted(used, whole.facet_groups[name].blocks[0].nodes)),)
-        )
+        name: part_of(whole.facet_groups[name], lambda nodes: np.searchsorted(used, nodes))
         for name in ("z0", "z1")
     }
-    return Mesh(whole.points[used], (cells,), {"shank": (shank,)}, groups)
+    regions = {"shank": (legs[0],), "legs": (legs[1],)}
+    cells = CellBlock("hex20", nodes.reshape(-1, 20))
+    return Mesh(whole.points[used], (cells,), regions, groups)
 
 
-def blocks(gap=0.0, offset=0.0):
-    """Two bars of 0.5 m in a line, a0 to a1 and b0 to b1."""
-    first = box("hex20", (2, 2, 3), (0.1, 0.06, 0.5))
-    second = first.points + [offset, 0, 0.5 + gap]
+def blocks(gap=0.0):
+    """Two bars of 0.5 m in a line, from a0 to a1 and from b0 to b1."""
+    first, groups = box("hex20", (2, 2, 3), (0.1, 0.06, 0.5)), {}
     size = len(first.points)
+    points = np.vstack([first.points, first.points + np.array([0, 0, 0.5 + gap])])
     cells = CellBlock("hex20", np.concatenate([first.blocks[0].nodes + n for n in (0, size)]))
-    groups = {
-        f"{body}{end}": FacetGroup(
-            (FacetBlock("quad8", first.facet_groups[f"z{end}"].blocks[0].nodes + n),)
-        )
-        for body, n in (("a", 0), ("b", size))
-        for end in (0, 1)
-    }
-    return Mesh(np.vstack([first.points, second]), (cells,), {"all": (np.arange(24),)}, groups)
+    for body, start in (("a", 0), ("b", size)):
+        for end in (0, 1):
+            own = part_of(first.facet_groups[f"z{end}"], lambda nodes, n=start: nodes + n)
+            groups[f"{body}{end}"] = own
+    return Mesh(points, (cells,), {"all": (np.arange(24),), "a": (np.arange(12),)}, groups)
 
 
 def joined(joint, mesh=None, **options):
@@ -150,69 +148,126 @@ def test_the_zero_of_displacement_changes_displacements_alone():
     np.testing.assert_array_equal(found.nodes, other.nodes)
 
 
+def per_load(found, wrench):
+    """Return d(u, r)/d(F, mu), (6, 6), where mu = J(r)^T M, and the change of (F, mu)."""
+    vector, rates, step = found.displacement[3:], np.eye(6), 1e-5
+    rates[3:, 3:] = spin_per_vector(vector).T
+    ends = (
+        [spin_per_vector(vector + s * unit).T @ wrench[3:] for s in (step, -step)]
+        for unit in np.eye(3)
+    )
+    slopes = [(ahead - behind) / (2 * step) for ahead, behind in ends]
+    rates[3:] += np.stack(slopes, axis=1) @ found.compliance[3:]
+    return found.compliance @ np.linalg.inv(rates), rates
+
+
+def gaps_to_differences(solver, wrench, steps):
+    """Return how far compliance and curvature are from differences of solves, relative."""
+    found = solver.solve(wrench)
+    slopes, bends = [], []
+    for change in np.diag(steps):
+        ends = [solver.solve(wrench + s * change, start=found.state) for s in (1, -1)]
+        both = [per_load(end, wrench + s * change)[0] for end, s in zip(ends, (1, -1), strict=True)]
+        slopes.append((ends[0].displacement - ends[1].displacement) / (2 * change.sum()))
+        bends.append((both[0] - both[1]) / (2 * change.sum()))
+    own, rates = per_load(found, wrench)
+    sizes = 1 / np.sqrt(np.diagonal(own))
+    sizes = sizes[:, None, None] * sizes[:, None] * sizes
+    tensor, bend = unpacked(found.curvature), np.stack(bends, axis=2) @ np.linalg.inv(rates)
+    return (
+        largest(np.stack(slopes, axis=1) - found.compliance, found.compliance),
+        largest((tensor - bend) * sizes, tensor * sizes),
+    )
+
+
 @pytest.mark.parametrize("interface", ["rigid", "distributed"])
 @pytest.mark.parametrize("keeps", ["length", "force"])
 def test_answers_relative_to_the_tightened_part_have_their_derivatives(interface, keeps):
-    """A shank beside its sleeve bends the part as it is tightened, so that the zero is turned."""
+    """The sleeve beside the shank bends as it is tightened, so that the zero is turned."""
     own = bolt(region="shank", force=4e4, keeps=keeps)
-    solver = Solver(
-        assembly(frame(), nonlinear=True, bolt=[own], interface={"coupling": interface})
-    )
-    assert np.linalg.norm(solver._origin[3:]) > 0.02
+    one = assembly(frame(), nonlinear=True, bolt=[own], interface={"coupling": interface})
+    solver = Solver(one)
+    assert np.linalg.norm(solver._origin[3:]) > 0.07
     assert not solver.solve(np.zeros(6)).displacement.any()
-    wrench = 4 * WRENCH
-    found, active = solver.solve(wrench), np.arange(6)
-    steps = np.repeat([40.0, 4.0], 3)
-    ends = [
-        [solver.solve(wrench + s * steps * unit, start=found.state) for s in (1, -1)]
-        for unit in np.eye(6)
-    ]
-    slopes = np.stack(
-        [(a.displacement - b.displacement) / (2 * h) for (a, b), h in zip(ends, steps)], axis=1
-    )
-    print(
-        largest(slopes - found.compliance, found.compliance),
-        np.linalg.norm(solver._origin[3:]),
-        found.displacement,
-    )
-    assert largest(slopes - found.compliance, found.compliance) < 1e-6
+    slope, bend = gaps_to_differences(solver, 4 * WRENCH, np.repeat([40.0, 4.0], 3))
+    assert slope < 1e-8
+    assert bend < 1e-7
 
-    def per_load(answer, at):
-        """Compliance by the loads (F, mu) of the relative rotation; mu = J(r)^T M."""
-        vector, rates = answer.displacement[3:], np.eye(6)
-        step = 1e-5 * np.eye(3)
-        slope = [
-            (spin_per_vector(vector + h).T - spin_per_vector(vector - h).T) @ at[3:] for h in step
-        ]
-        rates[3:, 3:] = spin_per_vector(vector).T
-        rates[3:] += np.stack(slope, axis=1) / 2e-5 @ answer.compliance[3:]
-        return answer.compliance @ np.linalg.inv(rates), rates
 
-    own, rates = per_load(found, wrench)
-    size = np.sqrt(np.diagonal(own))
-    assert np.abs((own - own.T) / np.outer(size, size)).max() < 1e-7
-    changes = np.stack(
-        [
-            (per_load(a, wrench + h * unit)[0] - per_load(b, wrench - h * unit)[0]) / (2 * h)
-            for (a, b), h, unit in zip(ends, steps, np.eye(6))
-        ],
-        axis=2,
-    ) @ np.linalg.inv(rates)
-    tensor = unpacked(found.curvature)
-    print(
-        np.abs((own - own.T) / np.outer(size, size)).max(),
-        largest(
-            (tensor - changes) / np.einsum("a,b,c->abc", size, size, size),
-            tensor / np.einsum("a,b,c->abc", size, size, size),
-        ),
+@pytest.mark.parametrize("coupling", ["rigid", "distributed"])
+def test_a_spring_between_groups_has_its_derivatives_at_finite_rotations(coupling):
+    joint = {"stiffness": FULL, "coupling": coupling, "axes": TURN.tolist()}
+    solver = Solver(joined(joint, nonlinear=True))
+    found = solver.solve(2 * WRENCH)
+    assert np.degrees(np.linalg.norm(found.displacement[3:])) > 7
+    assert found.work == pytest.approx(found.strain_energy, rel=1e-3)
+    slope, bend = gaps_to_differences(solver, 2 * WRENCH, np.repeat([1.0, 0.1], 3))
+    assert slope < 1e-8
+    assert bend < 1e-6
+
+
+def test_a_rigid_motion_of_both_ends_of_a_spring_has_no_energy():
+    assert np.abs(relative.relative(np.tile(RNG.standard_normal(6), 2))).max() < 1e-15
+
+
+@pytest.mark.parametrize("coupling", ["rigid", "distributed"])
+def test_blocks_joined_by_a_spring_have_the_compliance_of_all_in_series(coupling):
+    solver = Solver(joined({"stiffness": SPRING, "coupling": coupling}))
+    assert solver.compliance[2, 2] == pytest.approx(1 / (YOUNG * AREA) + 1 / SPRING[2], rel=1e-10)
+    assert solver.linear.energy_gap < 1e-12
+
+
+def test_blocks_joined_rigidly_where_they_meet_are_one_bar_with_a_rigid_section():
+    own = Solver(joined({"rigid": True}, blocks()))
+    stretch = 1 / (YOUNG * AREA)
+    assert own.compliance[2, 2] == pytest.approx(stretch, rel=1e-10)
+    assert not motion_problems(own.component, bodies_of(own.component.mesh), np.empty((0, 2), int))
+
+
+@pytest.mark.parametrize("nonlinear", [False, True])
+@pytest.mark.parametrize("keeps", ["length", "force"])
+def test_calculix_finds_the_same_with_a_bolt(nonlinear, keeps):
+    require_ccx()
+    own = clamped_bar(
+        nonlinear=nonlinear,
+        zero="untightened",
+        of_bolt={"keeps": keeps, "axis": [0.1, 0, 1]},
+        interface={"axes": TURN.tolist()},
+        analysis={"gravity": [300.0, 0, -500.0]},
     )
-    assert (
-        largest(
-            (tensor - changes) / np.einsum("a,b,c->abc", size, size, size),
-            tensor / np.einsum("a,b,c->abc", size, size, size),
-        )
-        < 1e-4
-    )
+    found = Solver(own).solve(WRENCH).displacement
+    reply = calculix.solve_rigid(own, WRENCH, found[3:] if nonlinear else None)
+    limit = 1e-4 if nonlinear else 1e-5
+    assert second_opinion.difference(found, reply.displacement) < limit
+
+
+@pytest.mark.parametrize("nonlinear", [False, True])
+@pytest.mark.parametrize("joint", [{"stiffness": SPRING}, {"stiffness": FULL}, {"rigid": True}])
+def test_calculix_finds_the_same_with_a_spring_between_blocks(nonlinear, joint):
+    """The first block is hardly turned, as the deck's spring does not turn with it."""
+    require_ccx()
+    stiff = {"region": "a", "youngs_modulus": 1e5 * YOUNG, "poisson_ratio": 0.0}
+    soft = {"region": "all", "youngs_modulus": YOUNG, "poisson_ratio": 0.0}
+    joint = joint | {"axes": TURN.tolist()}
+    own = joined(joint, nonlinear=nonlinear, material=[stiff, soft])
+    found = Solver(own).solve(WRENCH).displacement
+    assert np.degrees(np.linalg.norm(found[3:])) > 0.5
+    reply = calculix.solve_rigid(own, WRENCH, found[3:] if nonlinear else None)
+    limit = 1e-4 if nonlinear else 1e-5
+    assert second_opinion.difference(found, reply.displacement) < limit
+
+
+def test_a_motion_that_only_bolts_or_no_spring_hold_is_named_and_refused():
+    bar = box("hex20", (2, 2, 6), (0.1, 0.06, 1.0))
+    for own, text in (
+        (assembly(bar, bolt=[bolt()]), "while they are tightened: it can slide along (0, 0, 1)"),
+        (joined({"stiffness": [1e6, 1e6, 0, 1e3, 1e3, 1e3]}), "it can slide along (0, 0, 1)"),
+    ):
+        whole = own.whole
+        (problem,) = motion_problems(own, bodies_of(whole), coincident_nodes(whole))
+        assert text in problem.message
+        with pytest.raises(SolveFailed, match=r"mechanism|without any resistance"):
+            Solver(own).solve(WRENCH)
 
 
 def test_a_group_of_facets_cuts_as_a_region_does_and_a_jagged_cut_too():
@@ -225,3 +280,28 @@ def test_a_group_of_facets_cuts_as_a_region_does_and_a_jagged_cut_too():
     by_group = clamped_bar(mesh=named, of_bolt={"region": None, "group": "across", "point": None})
     np.testing.assert_array_equal(by_group.bolts[0].nodes, cut.bolts[0].nodes)
     assert by_group.bolts[0].area == pytest.approx(AREA)
+    jagged = box("tet10", (2, 2, 6), (0.1, 0.06, 1.0))
+    at = np.flatnonzero(np.abs(jagged.points[:, 2] - 5 / 6) < 1e-9)
+    cut = clamped_bar(mesh=replace(jagged, node_groups={"at": at}), of_bolt={"point": [0, 0, 0.42]})
+    assert np.ptp(cut.mesh.points[cut.bolts[0].nodes, 2]) > 0.1
+    assert cut.bolts[0].area == pytest.approx(AREA)
+    solver = Solver(cut)
+    tensions = solver.stresses(solver.solve(np.zeros(6)))[:, 2] * AREA
+    np.testing.assert_allclose(tensions, 2e4, rtol=1e-9)
+
+
+def test_a_cut_or_a_joint_that_will_not_do_is_refused_by_name():
+    bar = box("hex20", (2, 2, 6), (0.1, 0.06, 1.0))
+    half = np.flatnonzero(bar.points[bar.blocks[0].nodes, 0].mean(axis=1) < 0.05)
+    bar = replace(bar, regions=bar.regions | {"half": (half,)})
+    joint = {"groups": ["z1", "x0"], "coupling": "rigid", "rigid": True}
+    for mesh, tables, text in (
+        (bar, {"bolt": [bolt()], "supports": {"fixed": ["x0"]}}, "are held along its axis"),
+        (bar, {"bolt": [bolt(point=[0, 0, 9.0])]}, "no cells on both sides"),
+        (bar, {"bolt": [bolt(region="half")]}, "with cells outside the region"),
+        (bar, {"bolt": [bolt(region=None, group="x0")]}, "does not cut through"),
+        (frame(), {"bolt": [bolt(region="legs")]}, "2 separate shanks"),
+        (bar, {"spring": [joint]}, "shares 21 nodes"),
+    ):
+        with pytest.raises(BundleError, match=text):
+            assembly(mesh, **tables)
