@@ -122,11 +122,10 @@ class ComponentModel:
     @property
     def guided(self) -> tuple[Array, Array]:
         """Nodes that slide, as `sliding`, and the slips of bolts, which do so along their axes."""
-        slips, guides = [bolt.slip for bolt in self.bolts], [bolt.guide for bolt in self.bolts]
         nodes, held = self.sliding
-        return np.append(nodes, slips).astype(np.int64), np.array([*held, *guides]).reshape(
-            -1, 3, 3
-        )
+        guides = [np.eye(3) - np.outer(bolt.axis, bolt.axis) for bolt in self.bolts]
+        held = np.array([*held, *guides]).reshape(-1, 3, 3)
+        return np.append(nodes, np.array([bolt.slip for bolt in self.bolts], dtype=int)), held
 
     @property
     def temperature(self) -> ScalarInput | None:
@@ -234,8 +233,18 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     for hold in holds:
         sliding = _free_sliding(mesh, sliding, hold, problems)
     _check_disjoint(mesh, fixed, holds, problems)
-    _check_bolts(mesh, bolts, (fixed, sliding), holds, problems)
-    _check_zero(bundle, interfaces, problems)
+    taken = [fixed, *(hold.section.node_ids for hold in holds)]
+    _check_bolts(mesh, bolts, np.concatenate(taken), sliding, problems)
+    turned = bundle.bolts and bundle.analysis.nonlinear and bundle.analysis.zero == "preloaded"
+    problems += [
+        BundleProblem(
+            f"{interface.key}.locked",
+            "a single locked rotation is none of the motion from the tightened part; lock two or "
+            'none, or write zero = "untightened" under [analysis]',
+        )
+        for interface in interfaces
+        if turned and sum(name.startswith("r") for name in interface.locked) == 1
+    ]
     if problems:
         raise BundleError(problems)
     heated = any(scalar.name == TEMPERATURE for scalar in bundle.further)
@@ -358,38 +367,21 @@ def _join(mesh: Mesh, key: str, joint: Joint, problems: list[BundleProblem]) -> 
 def _check_bolts(
     mesh: Mesh,
     bolts: tuple[BoltCut, ...],
-    held: tuple[Array, tuple[Array, Array]],
-    holds: list[AttachedInterface],
+    taken: Array,
+    sliding: tuple[Array, Array],
     problems: list[BundleProblem],
 ) -> None:
-    """Note cuts with nodes that are fixed, follow a frame, or slide across their axis."""
-    fixed, (sliding, projectors) = held
+    """Note cuts with nodes that are taken by something else, or do not slide along their axis."""
     for bolt in bolts:
-        along = np.abs(projectors @ bolt.axis).max(axis=1, initial=0.0) > _ZERO
-        taken = [fixed, sliding[along], *(hold.section.node_ids for hold in holds)]
-        taken += [other.nodes for other in bolts if other is not bolt]
-        shared = np.intersect1d(bolt.nodes, np.concatenate(taken))
+        along = np.abs(sliding[1] @ bolt.axis).max(axis=1, initial=0.0) > _ZERO
+        shared = np.intersect1d(bolt.nodes, np.append(taken, sliding[0][along]))
         if shared.size:
             message = (
                 f"{shared.size} nodes of its cut are held along its axis by [supports], or belong "
-                "to an interface, a spring or another bolt, such as the one at "
+                "to an interface or a spring, such as the one at "
                 f"{point_text(mesh.points[shared[0]])} m: cut the shank elsewhere (point)"
             )
             problems.append(BundleProblem(bolt.key, message))
-
-
-def _check_zero(
-    bundle: Bundle, interfaces: list[AttachedInterface], problems: list[BundleProblem]
-) -> None:
-    """Note single locked rotations, which are none of the motion relative to another state."""
-    turned = bundle.bolts and bundle.analysis.nonlinear and bundle.analysis.zero == "preloaded"
-    for interface in interfaces if turned else ():
-        if sum(name.startswith("r") for name in interface.locked) == 1:
-            message = (
-                "a single locked rotation is none of the motion from the tightened part; lock two "
-                'or none, or write zero = "untightened" under [analysis]'
-            )
-            problems.append(BundleProblem(f"{interface.key}.locked", message))
 
 
 def _free_sliding(

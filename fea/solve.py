@@ -17,11 +17,7 @@ from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
 from wrenchbook.fea.assembly.system import ROUNDOFF, System
 from wrenchbook.fea.component import ComponentModel, build
 from wrenchbook.fea.coupling import CoupledState, Coupling, Distributed, Rigid
-from wrenchbook.fea.coupling.coupling import (
-    SectionCoupling,
-    from_origin,
-    largest_rotation,
-)
+from wrenchbook.fea.coupling.coupling import SectionCoupling, from_origin, largest_rotation
 from wrenchbook.fea.deck.solving import solve_deck
 from wrenchbook.fea.element.cell_stiffness import CellStiffness
 from wrenchbook.fea.element.pressure_projection import pressure_notes
@@ -121,6 +117,7 @@ class Solver:
         self.component = bundle if isinstance(bundle, ComponentModel) else build(bundle)
         self._active = self.component.active
         self._system = system_of(self.component, self._active)
+        self._hangs = bool(self.component.analysis.gravity or self.component.bolts)
 
     def inputs(self, wrench: Loads) -> Array:
         """Return the inputs of `solve` as a new array, shape (k,).
@@ -163,9 +160,8 @@ class Solver:
     @property
     def _tightening(self) -> System:
         """The equations while bolts are tightened, their preload as the weight: slips are free."""
-        system, slips = self._system, [bolt.slip for bolt in self.component.bolts]
-        body = system.body.freed(np.array(slips))
-        return System(body, system.coupling, self.component.mesh.points, system.preload)
+        system, points = self._system, self.component.mesh.points
+        return System(system.body.with_slips(), system.coupling, points, system.preload)
 
     @cached_property
     def tightened(self) -> LinearResponse | None:
@@ -180,16 +176,13 @@ class Solver:
 
     @cached_property
     def at_rest(self) -> tuple[Array, Array]:
-        """Linear: displacements (6 i,), m and rad, and nodes' (n, 3), m, at no wrench.
-
-        The nodes' are those of the mesh, whichever the zero of displacement is.
-        """
+        """Linear: displacements (6 i,), m and rad, and nodes' from the mesh, (n, 3), m, at no load."""
         linear, tight = self.linear, self.tightened
-        displacement, nodes = linear.sag_displacement, linear.sag
         if tight is None:
-            return displacement, nodes
+            return linear.sag_displacement, linear.sag
         counts = self.component.analysis.zero == "untightened"
-        return displacement + counts * tight.sag_displacement, nodes + tight.sag
+        moved = linear.sag_displacement + counts * tight.sag_displacement
+        return moved, linear.sag + tight.sag
 
     @cached_property
     def _tight(self) -> CoupledState | None:
@@ -205,10 +198,6 @@ class Solver:
         if self._system.weight is None and self._tight is not None:
             return at_rest(self._system, self._tight)
         return hang(self._system, _turns_little, start=self._tight)
-
-    @property
-    def _hangs(self) -> bool:
-        return self._system.weight is not None or self._system.preload is not None
 
     @property
     def compliance(self) -> Array:

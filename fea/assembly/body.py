@@ -110,11 +110,10 @@ class ElasticBody:
             return cells
         return self.dependents.outer(cells)[0]
 
-    def freed(self, nodes: Array) -> ElasticBody:
-        """Return the same body with more free nodes, shape (k,), indices."""
+    def with_slips(self) -> ElasticBody:
+        """Return the same body with the slips of bolts free."""
         other = copy(self)
-        other.free = self.free.copy()
-        other.free[nodes] = True
+        other.free = self.free | self.slips
         other.movable = Movable(other.free, self.held)
         for of_free in ("dissection", "scatter", "_leaf_cells"):
             other.__dict__.pop(of_free, None)

@@ -46,11 +46,6 @@ class BoltCut:
         """Unit vector from the lower to the upper side, shape (3,), in the mesh's axes."""
         return np.array(self.bolt.axis)
 
-    @property
-    def guide(self) -> Array:
-        """Projector across the axis, in which the slip is zero, shape (3, 3)."""
-        return np.eye(3) - np.outer(self.axis, self.axis)
-
 
 def cut_bolts(
     mesh: Mesh, bolts: tuple[Bolt, ...], problems: list[BundleProblem]
@@ -61,39 +56,22 @@ def cut_bolts(
     """
     cuts, entries = [], []
     for number, bolt in enumerate(bolts):
-        key = f"bolt[{number}]"
-        sides = _sides(mesh, bolt, key, problems)
+        sides = _sides(mesh, bolt, f"bolt[{number}]", problems)
         if sides is None:
             continue
-        upper, nodes = sides
-        size, copies = len(mesh.points), len(mesh.points) + np.arange(len(nodes))
-        slip, renumbered = size + len(nodes), np.arange(size)
-        renumbered[nodes] = copies
-        above = [
-            CellBlock(block.kind, block.nodes[chosen])
-            for block, chosen in zip(mesh.blocks, upper, strict=True)
-        ]
-        faces = FacetGroup(tuple(FacetBlock(*each) for each in faces_of(tuple(above)).items()))
-        vectors = [np.zeros((1, 3))]  # area vectors; a face between two upper cells is there twice
-        for kind, facets in facets_within(faces, nodes).blocks:
-            x = mesh.points[facets[:, TRIANGLES[kind]]]
-            vectors.append(0.5 * np.cross(x[..., 1, :] - x[..., 0, :], x[..., 2, :] - x[..., 0, :]))
-        area = float(
-            abs(sum((v.reshape(-1, 3).sum(axis=0) for v in vectors), np.zeros(3)) @ bolt.axis)
+        upper, nodes, area = sides
+        slip = len(mesh.points) + len(nodes)
+        cut = BoltCut(f"bolt[{number}]", bolt, nodes, slip, tuple(map(np.flatnonzero, upper)), area)
+        cuts.append(cut)
+        entries += [(cut.copies, nodes), (cut.copies, np.full(len(nodes), slip))]
+        renumbered = np.arange(len(mesh.points))
+        renumbered[nodes] = cut.copies
+        pairs = zip(mesh.blocks, upper, strict=True)
+        blocks = (
+            CellBlock(block.kind, np.where(above[:, None], renumbered[block.nodes], block.nodes))
+            for block, above in pairs
         )
-        at_cut = tuple(
-            np.flatnonzero(chosen & np.isin(block.nodes, nodes).any(axis=1))
-            for block, chosen in zip(mesh.blocks, upper, strict=True)
-        )
-        cuts.append(BoltCut(key, bolt, nodes, slip, at_cut, area))
-        entries += [(copies, nodes), (copies, np.full(len(nodes), slip))]
-        blocks = []
-        for block, cells in zip(mesh.blocks, at_cut, strict=True):
-            own = block.nodes.copy()
-            own[cells] = renumbered[own[cells]]
-            blocks.append(CellBlock(block.kind, own))
-        middle = mesh.points[nodes].mean(axis=0)
-        points = np.vstack([mesh.points, mesh.points[nodes], middle])
+        points = np.vstack([mesh.points, mesh.points[nodes], mesh.points[nodes].mean(axis=0)])
         mesh = replace(mesh, points=points, blocks=tuple(blocks))
     if entries:
         followers, masters = map(np.concatenate, zip(*entries, strict=True))
@@ -104,8 +82,11 @@ def cut_bolts(
 
 def _sides(
     mesh: Mesh, bolt: Bolt, key: str, problems: list[BundleProblem]
-) -> tuple[list[Array], Array] | None:
-    """Return which cells are above a cut, (m,) bool of each block, and its nodes, (k,), sorted."""
+) -> tuple[list[Array], Array, float] | None:
+    """Return which cells are above a cut at it, (m,) bool of each block, its nodes, and its area.
+
+    The nodes, (k,), are sorted. The area, m^2, is projected on the plane across the axis.
+    """
     by_region, name = bolt.region is not None, bolt.region or bolt.group or ""
     key, message = f"{key}.{'region' if by_region else 'group'}", ""
     kind, groups = ("cell", mesh.regions) if by_region else ("facet", mesh.facet_groups)
@@ -136,8 +117,18 @@ def _sides(
     ]
     below = [inside & ~upper for inside, upper in zip(chosen, above, strict=True)]
     nodes = np.intersect1d(_nodes_of(mesh, above), _nodes_of(mesh, below))
+    above = [
+        upper & np.isin(block.nodes, nodes).any(axis=1)
+        for block, upper in zip(mesh.blocks, above, strict=True)
+    ]
+    cells = (CellBlock(b.kind, b.nodes[upper]) for b, upper in zip(mesh.blocks, above, strict=True))
+    faces = FacetGroup(tuple(FacetBlock(*each) for each in faces_of(tuple(cells)).items()))
+    triangles = [
+        facets[:, TRIANGLES[kind]].reshape(-1, 3)
+        for kind, facets in facets_within(faces, nodes).blocks
+    ]
     outside = np.intersect1d(nodes, _nodes_of(mesh, [~inside for inside in chosen]))
-    if not nodes.size:
+    if not triangles:
         message = "has no cells on both sides that hang together: correct its point or axis"
     elif not by_region and not np.array_equal(nodes, mesh.facet_groups[name].node_ids):
         message = f'"{name}" does not cut through: name all facets across the shank'
@@ -151,21 +142,23 @@ def _sides(
     if message:
         problems.append(BundleProblem(key, message))
         return None
-    return above, nodes
+    # The vectors of a face that is between two upper cells cancel.
+    x = mesh.points[np.concatenate(triangles)]
+    vector = 0.5 * np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]).sum(axis=0)
+    return above, nodes, float(abs(vector @ bolt.axis))
 
 
 def _pieces(mesh: Mesh, chosen: Sequence[Array], nodes: Array) -> int:
-    """Return into how many pieces nodes fall that hang together by some cells."""
-    rows, columns, first = [], [], len(nodes)
+    """Return into how many pieces some cells fall that hang together by some nodes."""
+    pairs, first = [], len(mesh.points)
     for block, cells in zip(mesh.blocks, chosen, strict=True):
         cell, corner = np.nonzero(np.isin(block.nodes, nodes) & cells[:, None])
-        rows.append(first + cell)
-        columns.append(np.searchsorted(nodes, block.nodes[cell, corner]))
+        pairs.append(np.stack([first + cell, block.nodes[cell, corner]]))
         first += len(block)
-    used, rows = np.unique(np.concatenate(rows), return_inverse=True)
-    size = len(nodes) + len(used)
-    pairs = len(nodes) + rows, np.concatenate(columns)
-    return connected_components(coo_array((np.ones(len(rows)), pairs), (size, size)), False)[0]
+    _, ends = np.unique(np.concatenate(pairs, axis=1), return_inverse=True)
+    rows, columns = ends.reshape(2, -1)
+    size = int(ends.max()) + 1
+    return connected_components(coo_array((np.ones(len(rows)), (rows, columns)), (size, size)))[0]
 
 
 def _nodes_of(mesh: Mesh, chosen: Sequence[Array]) -> Array:
