@@ -176,7 +176,7 @@ class Solver:
 
     @cached_property
     def at_rest(self) -> tuple[Array, Array]:
-        """Linear: displacements (6 i,), m and rad, and nodes' from the mesh, (n, 3), m, at no load."""
+        """Linear, at no load: displacements (6 i,), m and rad, and nodes' from the mesh, (n, 3)."""
         linear, tight = self.linear, self.tightened
         if tight is None:
             return linear.sag_displacement, linear.sag

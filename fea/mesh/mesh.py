@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from wrenchbook.fea.mesh.deck_content import DeckContent
-from wrenchbook.fea.mesh.dependents import Dependents
+
+if TYPE_CHECKING:  # a bundle is read without SciPy
+    from wrenchbook.fea.mesh.dependents import Dependents
 
 Array = np.ndarray
 
