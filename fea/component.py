@@ -66,7 +66,6 @@ class AttachedInterface:
 class AttachedJoint:
     """Two groups with a spring between them, or one rigid body of both."""
 
-    names: tuple[str, str]  # of the groups
     ends: tuple[AttachedInterface, ...]  # of the spring, at one point; one of a rigid joint
     stiffness: Array | None  # shape (6, 6); None of a rigid joint
 
@@ -361,7 +360,7 @@ def _join(mesh: Mesh, key: str, joint: Joint, problems: list[BundleProblem]) -> 
         nodes = np.concatenate([end.section.node_ids for end in ends])
         both = section_of_nodes(mesh.points, nodes) if nodes.size else ends[0].section
         ends = [replace(ends[0], section=both)]
-    return AttachedJoint(joint.groups, tuple(ends), joint.stiffness)
+    return AttachedJoint(tuple(ends), joint.stiffness)
 
 
 def _check_bolts(

@@ -24,14 +24,7 @@ from wrenchbook.fea.check.trial import (
     trial,
     weight_warnings,
 )
-from wrenchbook.fea.component import (
-    AttachedInterface,
-    AttachedJoint,
-    ComponentModel,
-    build,
-    mesh_of,
-    surface_of,
-)
+from wrenchbook.fea.component import AttachedInterface, ComponentModel, build, mesh_of, surface_of
 from wrenchbook.fea.deck.running import deck_report
 from wrenchbook.fea.inspection import (
     Bodies,
@@ -237,7 +230,17 @@ def _inspect_component(
         joined["bolts"] = [_bolt(component, bolt) for bolt in component.bolts]
         joined["zero"] = component.analysis.zero
     if component.joints:
-        joined["springs"] = list(map(_joint, component.joints))
+        pairs = zip(component.bundle.joints, component.joints, strict=True)
+        joined["springs"] = [
+            {
+                "groups": list(source.groups),
+                "nodes": [len(end.section.node_ids) for end in joint.ends],
+                "point": joint.ends[0].point.tolist(),
+                "coupling": source.coupling,
+                "rigid": source.rigid,
+            }
+            for source, joint in pairs
+        ]
     counts = {"sliding_nodes": len(component.sliding[0]), "bushings": len(component.bushings)}
     summary |= {
         "materials": [
@@ -270,12 +273,6 @@ def _bolt(component: ComponentModel, cut: BoltCut) -> dict[str, Any]:
         "stress": cut.bolt.force / cut.area,
         "yield_strength": strength_at(component, cut),
     }
-
-
-def _joint(joint: AttachedJoint) -> dict[str, Any]:
-    ends = {"point": joint.ends[0].point.tolist(), "coupling": joint.ends[0].coupling}
-    nodes = [len(end.section.node_ids) for end in joint.ends]
-    return {"groups": list(joint.names), "nodes": nodes, **ends, "rigid": joint.stiffness is None}
 
 
 def _section(interface: AttachedInterface) -> dict[str, Any]:

@@ -244,14 +244,14 @@ class Coupling:
     def spring_energy(self, state: CoupledState) -> float:
         """Return the energy of the springs, J."""
         motions, _ = self._unknowns(state)
-        parts = [(relative.relative(motions[at]), spring) for at, _, spring in self._springs]
+        parts = [(relative.relative(motions[at])[0], spring) for at, _, spring in self._springs]
         return float(sum(0.5 * q @ spring @ q for q, spring in parts))
 
     def spring_energies(self, border: Array) -> Array:
         """Return twice the springs' mutual energies, shape (k, k), J, of borders (border, k)."""
         total = np.zeros((border.shape[1],) * 2)
         for at, where, spring in self._springs:
-            motions = relative.change(np.zeros(len(at))) @ border[where]
+            motions = relative.relative(np.zeros(len(at)))[1] @ border[where]
             total += motions.T @ spring @ motions
         return total
 
@@ -294,8 +294,8 @@ class Coupling:
             border[attached.border] = unbalanced[attached.chosen]
         motions, _ = self._unknowns(state)
         for at, where, spring in self._springs:
-            q = relative.relative(motions[at])
-            border[where] += relative.change(motions[at]).T @ (spring @ q)
+            q, change = relative.relative(motions[at])
+            border[where] += change.T @ (spring @ q)
         border[self._anchored] = nodal[self._anchors].ravel()
         return nodal, border
 

@@ -20,19 +20,15 @@ _STEP = 1e-3  # rad
 _SLOPE = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}  # weights of a first derivative
 
 
-def relative(motions: Array) -> Array:
-    """Return q, shape (6,), m and rad, of the motion of one frame, (6,), or of two, (12,)."""
-    return _with_change(motions, _turned(motions))[0]
-
-
-def change(motions: Array) -> Array:
-    """Return B, the derivatives of q by the motions, shape (6, k)."""
-    return _with_change(motions, _turned(motions))[1]
+def relative(motions: Array) -> tuple[Array, Array]:
+    """Return q, (6,), m and rad, of one frame's motion, (6,), or two, (12,), and B, (6, k)."""
+    return _with_change(motions, _turned(motions))
 
 
 def tangent(motions: Array, stiffness: Array) -> Array:
     """Return the second derivatives of the energy by the motions, shape (k, k)."""
-    turned, rate, columns = _turned(motions), change(motions)[3:], []
+    (q, change), columns = relative(motions), []
+    turned, rate = q[3:], change[3:]
     for unit in 1j * _COMPLEX_STEP * np.eye(len(motions)):
         q, ahead = _with_change(motions + unit, turned + rate @ unit)
         columns.append(np.imag(ahead.T @ stiffness @ q) / _COMPLEX_STEP)

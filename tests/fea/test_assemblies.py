@@ -197,7 +197,7 @@ def test_a_spring_between_groups_has_its_derivatives_at_finite_rotations(couplin
     assert slope < 1e-7
     assert bend < 1e-6
     motion = found.state.multipliers[-6:]
-    assert np.abs(relative.relative(np.tile(motion, 2))).max() < 1e-15  # a rigid motion of both
+    assert np.abs(relative.relative(np.tile(motion, 2))[0]).max() < 1e-15  # a rigid motion of both
 
 
 @pytest.mark.parametrize("coupling", ["rigid", "distributed"])
