@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from wrenchbook.fea.coupling.section import InterfaceSection, section_of_facets, section_of_nodes
+from wrenchbook.fea.mesh.bolts import BoltCut, cut_bolts
 from wrenchbook.fea.mesh.cad.meshing import mesh_geometry, surface_of_geometry
 from wrenchbook.fea.mesh.element_order import first_order_problems, second_order
 from wrenchbook.fea.mesh.facets import facets_within, group_nodes, missing, outer_surface
@@ -29,6 +30,7 @@ from wrenchbook.fea.spec.schema import (
     Generator,
     GeometryFile,
     Interface,
+    Joint,
     MeshFile,
     MeshSource,
     ScalarInput,
@@ -57,7 +59,16 @@ class AttachedInterface:
     @property
     def where(self) -> str:
         """The key of its nodes."""
-        return f"{self.key}.{'group' if self.key.startswith('supports') else 'section'}"
+        names = {"supports": "group", "spring": "groups"}
+        return f"{self.key}.{names.get(self.key.partition('[')[0].partition('.')[0], 'section')}"
+
+
+@dataclass(frozen=True, eq=False)
+class AttachedJoint:
+    """Two groups with a spring between them, or one rigid body of both."""
+
+    ends: tuple[AttachedInterface, ...]  # of the spring, at one point; one of a rigid joint
+    stiffness: Array | None  # shape (6, 6); None of a rigid joint
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +76,7 @@ class ComponentModel:
     """A deformable part, ready to be solved; all in metres and pascals."""
 
     bundle: Bundle  # what it was built from
-    mesh: Mesh  # every point belongs to a cell
+    mesh: Mesh  # with bolts cut; every other point belongs to a cell
     # materials, material_of_cells: the materials, and for each block of the mesh an array of shape
     # (m,) with the number of each cell's material.
     materials: tuple[AnyMaterial, ...]
@@ -82,6 +93,40 @@ class ComponentModel:
     ties: tuple[TiedNodes, ...] = ()  # in the order of the bundle's; the mesh has their nodes
     # Shape (n,): the part of the temperature's rise at each node; None for 1 everywhere
     temperature_rise: Array | None = None
+    joints: tuple[AttachedJoint, ...] = ()
+    bolts: tuple[BoltCut, ...] = ()
+    uncut: Mesh | None = None  # the mesh without the cuts of bolts; None without bolts
+
+    @property
+    def whole(self) -> Mesh:
+        """The mesh without cuts of bolts."""
+        return self.uncut or self.mesh
+
+    @property
+    def frames(self) -> list[AttachedInterface]:
+        """Frames that are no interfaces: those of bushings, then of the ends of joints."""
+        ends = [end for joint in self.joints for end in joint.ends]
+        return [*(bushing for bushing, _ in self.bushings), *ends]
+
+    @property
+    def springs(self) -> list[tuple[tuple[int, ...], Array]]:
+        """Each spring's stiffness, and the number of its frame, or of its two."""
+        springs: list[tuple[tuple[int, ...], Array]]
+        springs = [((i,), stiffness) for i, (_, stiffness) in enumerate(self.bushings)]
+        first = len(springs)
+        for joint in self.joints:
+            if joint.stiffness is not None:
+                springs.append(((first, first + 1), joint.stiffness))
+            first += len(joint.ends)
+        return springs
+
+    @property
+    def guided(self) -> tuple[Array, Array]:
+        """Nodes that slide, as `sliding`, and the slips of bolts, which do so along their axes."""
+        nodes, held = self.sliding
+        guides = [np.eye(3) - np.outer(bolt.axis, bolt.axis) for bolt in self.bolts]
+        held = np.array([*held, *guides]).reshape(-1, 3, 3)
+        return np.append(nodes, np.array([bolt.slip for bolt in self.bolts], dtype=int)), held
 
     @property
     def temperature(self) -> ScalarInput | None:
@@ -126,6 +171,8 @@ class ComponentModel:
 def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     """Build the mesh of `bundle`, unless it is given, and resolve the groups it names.
 
+    A mesh that is given has no bolts cut.
+
     Raises
     ------
     BundleError
@@ -141,25 +188,8 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
         raise BundleError([BundleProblem("mesh", message)])
     mesh = mesh_of(bundle.mesh) if mesh is None else mesh
     problems = first_order_problems(mesh)
-    # Each cell's material; "all" fills what no other material names.
-    material_of_cells = tuple(np.full(len(block), -1) for block in mesh.blocks)
-    named = [(i, m) for i, m in enumerate(bundle.materials) if m.region != "all"]
-    for i, material in named:
-        key = f"material[{i}].region"
-        if material.region not in mesh.regions:
-            groups = ["all", *mesh.regions]
-            problems.append(missing(key, material.region, "cell group", groups))
-            continue
-        cells = mesh.regions[material.region]
-        if any(
-            (block[chosen] >= 0).any()
-            for block, chosen in zip(material_of_cells, cells, strict=True)
-        ):
-            message = f'"{material.region}" shares cells with another material\'s region'
-            problems.append(BundleProblem(key, message))
-        for block, chosen in zip(material_of_cells, cells, strict=True):
-            block[chosen] = i
-    _fill_unnamed(material_of_cells, bundle.materials, problems)
+    uncut, (mesh, bolts) = mesh, cut_bolts(mesh, bundle.bolts, problems)
+    material_of_cells = _material_numbers(mesh, bundle.materials, problems)
     supports = bundle.supports or Supports()
     fixed = _fixed_nodes(mesh, supports, problems)
     # The nodes that slide and the projectors on what holds each; fixed ones are none.
@@ -179,15 +209,22 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     springs = [
         _attach(mesh, f"supports.bushing[{i}].group", source, problems) for i, source in holds
     ]
-    for hold in (*interfaces, *springs):
+    joints = [
+        _join(mesh, f"spring[{i}].groups", joint, problems) for i, joint in enumerate(bundle.joints)
+    ]
+    holds = [*interfaces, *springs, *(end for joint in joints for end in joint.ends)]
+    for hold in holds:
         sliding = _free_sliding(mesh, sliding, hold, problems)
-    _check_disjoint(mesh, fixed, [*interfaces, *springs], problems)
-    attached = {hold.where: hold.section.node_ids for hold in (*interfaces, *springs)}
+    attached = {hold.where: hold.section.node_ids for hold in holds}
     spans[fixed], spans[sliding[0]] = np.eye(3), sliding[1]
     mesh, ties = joined(mesh, bundle.ties, spans, attached, problems)
     alone = ~np.isin(sliding[0], np.concatenate([sliding[0][:0], *(tie.nodes for tie in ties)]))
     sliding = sliding[0][alone], sliding[1][alone]
     problems = cell_problems(mesh) + problems
+    _check_disjoint(mesh, fixed, holds, problems)
+    taken = [fixed, *(hold.section.node_ids for hold in holds)]
+    _check_bolts(mesh, bolts, np.concatenate(taken), sliding, problems)
+    _check_locked(bundle, interfaces, problems)
     if problems:
         raise BundleError(problems)
     heated = any(scalar.name == TEMPERATURE for scalar in bundle.further)
@@ -211,7 +248,17 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
         further=bundle.further,
         ties=ties,
         temperature_rise=next(shapes, None),
+        joints=tuple(joints),
+        bolts=bolts,
+        uncut=_without_cuts(mesh, uncut) if bolts else None,
     )
+
+
+def _without_cuts(mesh: Mesh, uncut: Mesh) -> Mesh:
+    """Return the mesh before bolts were cut with what ties moved and let follow since."""
+    size = len(uncut.points)
+    dependents = mesh.dependents and mesh.dependents.of_first(size)
+    return replace(uncut, points=mesh.points[:size], dependents=dependents)
 
 
 def mesh_of(source: MeshSource) -> Mesh:
@@ -241,9 +288,24 @@ def surface_of(source: MeshSource) -> Surface:
     return Surface(mesh_of(replace(source, groups={}) if isinstance(source, MeshFile) else source))
 
 
-def _fill_unnamed(
-    numbers: tuple[Array, ...], materials: tuple[AnyMaterial, ...], problems: list[BundleProblem]
-) -> None:
+def _material_numbers(
+    mesh: Mesh, materials: tuple[AnyMaterial, ...], problems: list[BundleProblem]
+) -> tuple[Array, ...]:
+    """Return the number of each cell's material; "all" fills what no other material names."""
+    numbers = tuple(np.full(len(block), -1) for block in mesh.blocks)
+    named = [(i, m) for i, m in enumerate(materials) if m.region != "all"]
+    for i, material in named:
+        key = f"material[{i}].region"
+        if material.region not in mesh.regions:
+            groups = ["all", *mesh.regions]
+            problems.append(missing(key, material.region, "cell group", groups))
+            continue
+        cells = mesh.regions[material.region]
+        if any((block[chosen] >= 0).any() for block, chosen in zip(numbers, cells, strict=True)):
+            message = f'"{material.region}" shares cells with another material\'s region'
+            problems.append(BundleProblem(key, message))
+        for block, chosen in zip(numbers, cells, strict=True):
+            block[chosen] = i
     general = [i for i, material in enumerate(materials) if material.region == "all"]
     if len(general) > 1:
         problems.append(BundleProblem(f"material[{general[1]}].region", '"all" is there twice'))
@@ -253,6 +315,7 @@ def _fill_unnamed(
         problems.append(BundleProblem("material", message))
     for block in numbers:
         block[block < 0] = general[0] if general else 0
+    return numbers
 
 
 def _fixed_nodes(mesh: Mesh, supports: Supports, problems: list[BundleProblem]) -> Array:
@@ -290,6 +353,39 @@ def _attach(
     return AttachedInterface(
         table, interface.name, section, point, interface.axes, interface.coupling, interface.locked
     )
+
+
+def _join(mesh: Mesh, key: str, joint: Joint, problems: list[BundleProblem]) -> AttachedJoint:
+    """Return a joint with its groups found; its point is midway between them unless it is given."""
+    ends = [_attach(mesh, key, joint.end(group), problems) for group in joint.groups]
+    if joint.point is None:
+        middle = 0.5 * (ends[0].point + ends[1].point)
+        ends = [replace(end, point=middle) for end in ends]
+    if joint.rigid:
+        nodes = np.concatenate([end.section.node_ids for end in ends])
+        both = section_of_nodes(mesh.points, nodes) if nodes.size else ends[0].section
+        ends = [replace(ends[0], section=both)]
+    return AttachedJoint(tuple(ends), joint.stiffness)
+
+
+def _check_bolts(
+    mesh: Mesh,
+    bolts: tuple[BoltCut, ...],
+    taken: Array,
+    sliding: tuple[Array, Array],
+    problems: list[BundleProblem],
+) -> None:
+    """Note cuts with nodes that are taken by something else, or do not slide along their axis."""
+    for bolt in bolts:
+        along = np.abs(sliding[1] @ bolt.axis).max(axis=1, initial=0.0) > _ZERO
+        shared = np.intersect1d(bolt.nodes, np.append(taken, sliding[0][along]))
+        if shared.size:
+            message = (
+                f"{shared.size} nodes of its cut are held along its axis by [supports], or belong "
+                "to an interface or a spring, such as the one at "
+                f"{point_text(mesh.points[shared[0]])} m: cut the shank elsewhere (point)"
+            )
+            problems.append(BundleProblem(bolt.key, message))
 
 
 def _free_sliding(
@@ -346,6 +442,21 @@ def _check_disjoint(
                 f"{point_text(mesh.points[nodes[0]])} m; a node can follow one interface only"
             )
             problems.append(BundleProblem(second.where, message))
+
+
+def _check_locked(
+    bundle: Bundle, interfaces: list[AttachedInterface], problems: list[BundleProblem]
+) -> None:
+    turned = bundle.bolts and bundle.analysis.nonlinear and bundle.analysis.zero == "preloaded"
+    problems += [
+        BundleProblem(
+            f"{interface.key}.locked",
+            "a single locked rotation is none of the motion from the tightened part; lock two or "
+            'none, or write zero = "untightened" under [analysis]',
+        )
+        for interface in interfaces
+        if turned and sum(name.startswith("r") for name in interface.locked) == 1
+    ]
 
 
 def _spans_a_plane(points: Array) -> bool:

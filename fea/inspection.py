@@ -32,6 +32,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from wrenchbook.fea.component import ComponentModel
+from wrenchbook.fea.mesh.bolts import BoltCut
 from wrenchbook.fea.mesh.facets import EDGES, FACES, corners_of, facets_within, outer_surface
 from wrenchbook.fea.mesh.mapping import extreme_determinants
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
@@ -262,7 +263,7 @@ _CLOSED = 0.1  # of the distance: a hundredth of an edge, as much as meshes of r
 
 def warnings_of(component: ComponentModel) -> list[BundleProblem]:
     """Return all that `fea.check` would warn of, in its order, and stacks of single cells."""
-    mesh = component.mesh
+    mesh = component.whole
     bodies, pairs = bodies_of(mesh), coincident_nodes(mesh)
     shape = [BundleProblem("mesh", message) for message in quality_warnings(quality(mesh))]
     problems = shape + coincidence_warnings(mesh, bodies, pairs) + set_up_warnings(component)
@@ -273,11 +274,27 @@ def set_up_warnings(component: ComponentModel) -> list[BundleProblem]:
     """Return warnings on what the bundle attaches to the mesh: sections, supports and units."""
     problems = section_warnings(component) + support_warnings(component) + unit_warnings(component)
     problems += tie_warnings(component)
+    for bolt in component.bolts:
+        strength = strength_at(component, bolt)
+        if strength is not None and bolt.bolt.force > strength * bolt.area:
+            message = (
+                f"is a mean stress of {bolt.bolt.force / bolt.area:.4g} Pa in the shank, more than "
+                f"its yield strength, {strength:.4g} Pa: materials here do not yield"
+            )
+            problems.append(BundleProblem(f"{bolt.key}.force", message))
     for number, material in enumerate(component.bundle.materials if component.bundle else ()):
         if material.thermal_expansion is not None and component.temperature is None:
             message = "counts for nothing without [inputs.temperature]"
             problems.append(BundleProblem(f"material[{number}].thermal_expansion", message))
     return problems
+
+
+def strength_at(component: ComponentModel, bolt: BoltCut) -> float | None:
+    """Return the least yield strength of the cells at a bolt's cut, Pa; None if none is known."""
+    pairs = zip(component.material_of_cells, bolt.cells, strict=True)
+    numbers = np.unique(np.concatenate([block[cells] for block, cells in pairs])).tolist()
+    strengths = [component.materials[number].yield_strength for number in numbers]
+    return min((strength for strength in strengths if strength is not None), default=None)
 
 
 def stack_problems(component: ComponentModel) -> list[BundleProblem]:
@@ -288,7 +305,7 @@ def stack_problems(component: ComponentModel) -> list[BundleProblem]:
     """
     if component.analysis.integration != "reduced":
         return []
-    middles = stacked_singly(component.mesh)
+    middles = stacked_singly(component.whole)
     if not len(middles):
         return []
     message = (

@@ -32,7 +32,9 @@ class Solution:
 
     # Shape (k,): the inputs, 6 i loads, N and N·m, and further ones in the bundle's units
     wrench: Array
-    displacement: Array  # shape (6 i,), m and rad: translation and rotation vector of each
+    # Shape (6 i,), m and rad: translation and rotation vector of each; with bolts relative to the
+    # tightened part, if that is the bundle's zero
+    displacement: Array
     # Shape (6 i, k): d displacement / d wrench at this wrench; rows and columns of locked freedoms
     # are zero. NaN where it is unknown: a nonlinear deck.
     compliance: Array
@@ -48,7 +50,8 @@ class Solution:
     seconds: float
     # The iterations, in order; empty for a linear solve and a zero wrench
     history: tuple[Iteration, ...]
-    # Shape (n, 3), m: displacement of each mesh point, in the mesh's axes; none for a deck
+    # Shape (n, 3), m: displacement of each mesh point, in the mesh's axes; none for a deck. It
+    # counts from the mesh, before bolts are tightened; at the slip of a bolt it is the slip.
     nodes: Array
     notes: tuple[str, ...] = ()  # what an engineer should know about how the answer was found
     # Shape (n, 3, k), m per unit of each input: change of `nodes` with them; None for a deck

@@ -17,7 +17,7 @@ from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
 from wrenchbook.fea.assembly.system import ROUNDOFF, System
 from wrenchbook.fea.component import ComponentModel, build
 from wrenchbook.fea.coupling import CoupledState, Coupling, Distributed, Rigid
-from wrenchbook.fea.coupling.coupling import SectionCoupling, largest_rotation
+from wrenchbook.fea.coupling.coupling import SectionCoupling, from_origin, largest_rotation
 from wrenchbook.fea.deck.solving import solve_deck
 from wrenchbook.fea.element.cell_stiffness import CellStiffness
 from wrenchbook.fea.element.pressure_projection import pressure_notes
@@ -37,7 +37,7 @@ from wrenchbook.fea.recovery.stress import (
 )
 from wrenchbook.fea.solution import Iteration, Loads, Progress, Solution, checked_wrench
 from wrenchbook.fea.solver.linear import LinearResponse, linear_response
-from wrenchbook.fea.solver.load_steps import LoadPath, hang
+from wrenchbook.fea.solver.load_steps import LoadPath, at_rest, hang
 from wrenchbook.fea.solver.newton import Equilibrium
 from wrenchbook.fea.solver.third_derivatives import MAX_CURVATURE_INPUTS, packed, third_derivatives
 from wrenchbook.fea.solver.vibration import (
@@ -117,6 +117,7 @@ class Solver:
         self.component = bundle if isinstance(bundle, ComponentModel) else build(bundle)
         self._active = self.component.active
         self._system = system_of(self.component, self._active)
+        self._hangs = bool(self.component.analysis.gravity or self.component.bolts)
 
     def inputs(self, wrench: Loads) -> Array:
         """Return the inputs of `solve` as a new array, shape (k,).
@@ -156,11 +157,47 @@ class Solver:
         """
         return linear_response(self._system)
 
+    @property
+    def _tightening(self) -> System:
+        """The equations while bolts are tightened, their preload as the weight: slips are free."""
+        system, points = self._system, self.component.mesh.points
+        return System(system.body.with_slips(), system.coupling, points, system.preload)
+
+    @cached_property
+    def tightened(self) -> LinearResponse | None:
+        """The linear response while bolts are tightened, `sag` to their preload; None without."""
+        if self._system.preload is None:
+            return None
+        try:
+            return linear_response(self._tightening)
+        except SolveFailed as failure:
+            message = f"While bolts are tightened: {failure.message}"
+            raise SolveFailed(failure.kind, message, failure.remedy) from None
+
+    @cached_property
+    def at_rest(self) -> tuple[Array, Array]:
+        """Linear, at no load: displacements (6 i,), m and rad, and nodes' from the mesh, (n, 3)."""
+        linear, tight = self.linear, self.tightened
+        if tight is None:
+            return linear.sag_displacement, linear.sag
+        counts = self.component.analysis.zero == "untightened"
+        moved = linear.sag_displacement + counts * tight.sag_displacement
+        return moved, linear.sag + tight.sag
+
+    @cached_property
+    def _tight(self) -> CoupledState | None:
+        """The state as bolts are tightened, nonlinear; None without."""
+        if self._system.preload is None:
+            return None
+        return hang(self._tightening, _turns_little, "the preload of bolts alone").balance.state
+
     @cached_property
     def unloaded(self) -> Equilibrium:
-        """The nonlinear equilibrium under self-weight alone; raises SolveFailed as `solve` does."""
+        """The nonlinear equilibrium under self-weight and bolts; raises SolveFailed as `solve`."""
         self._system.undeformed.release()  # for `notes`, while no other factor is in memory
-        return hang(self._system, lambda balance: _require_small_rotation(balance.state.interface))
+        if self._system.weight is None and self._tight is not None:
+            return at_rest(self._system, self._tight)
+        return hang(self._system, _turns_little, start=self._tight)
 
     @property
     def compliance(self) -> Array:
@@ -291,12 +328,12 @@ class Solver:
         acting = np.zeros_like(inputs)
         acting[self._active], acting[further:] = inputs[self._active], above[further:]
         analysis = self.component.analysis
-        if not analysis.nonlinear or not (acting.any() or analysis.gravity):
+        if not analysis.nonlinear or not (acting.any() or self._hangs):
             solution = self._solve_linear(inputs, acting)
         else:
             solution = self._solve_nonlinear(inputs, acting, progress, start)
         # Where the loads alone exclude that anything yields, no stresses of the answer are needed.
-        by_loads = not (analysis.nonlinear or self._system.weight is not None or self.body.expands)
+        by_loads = not (analysis.nonlinear or self._hangs or self.body.expands)
         if not (by_loads and np.abs(acting) @ self._most_used <= 1.0):
             exceeded = yielding(self.component, self.body, solution)
             if exceeded and analysis.on_yield == "fail":
@@ -315,13 +352,23 @@ class Solver:
     def _solve_linear(self, wrench: Array, acting: Array) -> Solution:
         linear = self.linear
         displacement, nodes = linear.compliance @ acting, linear.fields @ acting
-        inputs = acting
+        tight, inputs = self.tightened, acting
         if self._system.weight is not None:
-            displacement, nodes = displacement + linear.sag_displacement, nodes + linear.sag
             inputs = np.append(acting, 1.0)
+        after = nodes + linear.sag
         energy = 0.5 * inputs @ linear.energies @ inputs
-        work = acting[: len(displacement)] @ displacement
-        work += np.vdot(self._system.dead_forces(acting), nodes)
+        work = acting[: len(displacement)] @ (displacement + linear.sag_displacement)
+        work += np.vdot(self._system.dead_forces(acting), after)
+        if tight is not None:
+            # The mutual energy with the tightened state is the preload's work on what follows.
+            assert self._system.preload is not None
+            mutual = np.vdot(self._system.preload, after)
+            energy += 0.5 * tight.energies[-1, -1] + mutual
+            work += tight.energies[-1, -1] + mutual
+            if warming := self._system.temperature(acting):
+                rates, _ = self.body.thermal_rates(np.zeros_like(after))
+                energy += warming * np.vdot(rates, tight.sag)
+        displacement, nodes = displacement + self.at_rest[0], nodes + self.at_rest[1]
         _require_small_rotation(displacement)
         return Solution(
             wrench=wrench,
@@ -341,8 +388,11 @@ class Solver:
     def _solve_nonlinear(
         self, wrench: Array, acting: Array, progress: Progress | None, start: CoupledState | None
     ) -> Solution:
-        weight = self._system.weight
-        unloaded = None if weight is None else self.unloaded
+        unloaded, tight = self.unloaded if self._hangs else None, self._tight
+        if start is not None and tight is not None:  # of another solver, with its own roundoff
+            nodes, kept = start.nodes.copy(), self.body.slips & ~self.body.free
+            nodes[kept] = tight.nodes[kept]
+            start = replace(start, nodes=nodes)
         if unloaded is not None and not acting.any():
             return self._solution(wrench, unloaded, unloaded.balance.energy, ())
         path, largest = LoadPath(self._system, acting, progress, unloaded), np.abs(acting).argmax()
@@ -359,19 +409,24 @@ class Solver:
             failure.last = factor, self.body.expanded(nodes) @ self.component.axes
             raise
         work = path.work
-        if weight is not None and unloaded is not None:
+        if unloaded is not None:
             sunk = equilibrium.balance.state.nodes - unloaded.balance.state.nodes
-            work += unloaded.balance.energy + float(np.vdot(weight, sunk))
+            constant = self._system.dead_forces(np.zeros_like(acting))
+            work += unloaded.balance.energy + float(np.vdot(constant, sunk))
         return self._solution(wrench, equilibrium, work, tuple(path.history))
 
     def _solution(
         self, wrench: Array, equilibrium: Equilibrium, work: float, history: tuple[Iteration, ...]
     ) -> Solution:
         balance = equilibrium.balance
+        displacement, compliance = balance.state.interface, equilibrium.tangent.compliance
+        if self._origin is not None:
+            displacement, rates = from_origin(displacement, self._origin)
+            compliance = rates @ compliance
         return Solution(
             wrench=wrench,
-            displacement=balance.state.interface,
-            compliance=equilibrium.tangent.compliance,
+            displacement=displacement,
+            compliance=compliance,
             strain_energy=balance.energy,
             work=work + self._system.thermal_energy(balance),
             unknowns=self.unknowns,
@@ -391,11 +446,21 @@ class Solver:
     def _curvature(self, balance: Balance, tangent: Linearisation) -> Array | None:
         if not self.component.analysis.nonlinear or self._system.inputs > MAX_CURVATURE_INPUTS:
             return None
-        return packed(third_derivatives(self._system, balance, tangent))
+        return packed(third_derivatives(self._system, balance, tangent, self._origin))
+
+    @property
+    def _origin(self) -> Array | None:
+        """The interfaces' displacement (6 i,), m and rad, that counts as none, nonlinear."""
+        preloaded = self.component.analysis.zero == "preloaded"
+        return self._tight.interface if preloaded and self._tight is not None else None
 
     @cached_property
     def _linear_tangents(self) -> Array:
         return np.einsum("ji,njk->nik", self.component.axes, self.linear.fields)
+
+
+def _turns_little(balance: Balance) -> None:
+    _require_small_rotation(balance.state.interface)
 
 
 def _require_small_rotation(displacement: Array, load_factor: float = 1.0) -> None:
@@ -413,15 +478,16 @@ def system_of(component: ComponentModel, active: Array) -> System:
     mesh = replace(mesh, points=(mesh.points - component.interfaces[0].point) @ component.axes.T)
     # Each interface's coupling, its nodes, and its axes in the body's if they differ.
     sections: list[tuple[SectionCoupling, Array, Array | None]] = []
-    for attached in (*component.interfaces, *(bushing for bushing, _ in component.bushings)):
+    for attached in (*component.interfaces, *component.frames):
         nodes = attached.section.node_ids
         points = ((component.mesh.points - attached.point) @ attached.axes.T)[nodes]
         rigid = attached.coupling == "rigid"
         holds = Rigid(points) if rigid else Distributed(points, attached.section.weights)
         same = np.array_equal(attached.axes, component.axes)
         sections.append((holds, nodes, None if same else attached.axes @ component.axes.T))
-    springs = [stiffness for _, stiffness in component.bushings]
-    coupling = Coupling(len(mesh.points), sections, active, _anchors(component), springs)
+    first, frames = len(component.interfaces), len(component.frames)
+    springs = [(tuple(first + n for n in ends), k) for ends, k in component.springs]
+    coupling = Coupling(len(mesh.points), sections, active, _anchors(component), frames, springs)
     free = np.ones(len(mesh.points), dtype=bool)
     free[component.fixed_nodes] = False
     free[coupling.constrained] = False
@@ -432,14 +498,19 @@ def system_of(component: ComponentModel, active: Array) -> System:
     if component.temperature_rise is not None:
         rise = component.temperature_rise
         filled = [(block, _warmed(block, part, rise, integration)) for block, part in filled]
-    nodes, held = component.sliding
+    nodes, held = component.guided
+    pulled = np.zeros_like(mesh.points)
+    for bolt in component.bolts:
+        free[bolt.slip] = bolt.bolt.keeps == "force"
+        pulled[bolt.slip] = -bolt.bolt.force * (component.axes @ bolt.axis)
     body = ElasticBody(mesh, filled, free, (nodes, component.axes @ held @ component.axes.T))
     gravity, weight, body_force = component.analysis.gravity, None, None
     if gravity is not None or component.accelerated:
         body_force = body_force_of(component, body)
         weight = None if gravity is None else body_force @ np.array(gravity)
     body_force = body_force if component.accelerated else None
-    return System(body, coupling, component.mesh.points, weight, body_force)
+    preload = pulled if component.bolts else None
+    return System(body, coupling, component.mesh.points, weight, body_force, preload)
 
 
 def _warmed(block: CellBlock, cells: CellStiffness, rise: Array, integration: str) -> CellStiffness:
@@ -455,7 +526,7 @@ def _anchors(component: ComponentModel) -> Array:
     anchors = [np.empty(0, dtype=np.int64)]
     held = [interface for interface in component.interfaces if interface.locked == FREEDOMS]
     held = [] if component.fixed_nodes.size else held
-    for attached in (*held, *(bushing for bushing, _ in component.bushings)):
+    for attached in (*held, *component.frames):
         if attached.coupling == "distributed":
             nodes = np.setdiff1d(attached.section.node_ids, component.sliding[0])
             arms = component.mesh.points[nodes] - component.mesh.points[nodes].mean(axis=0)

@@ -111,7 +111,7 @@ class _Corner:
                 if failure.load_factor is not None:
                     self.factors.append(part * failure.load_factor)
                 continue
-            expected = linear.compliance @ (part * wrench) + linear.sag_displacement
+            expected = linear.compliance @ (part * wrench) + solver.at_rest[0]
             missed = np.abs(solution.displacement - expected) / part**2
             self.deviation = np.repeat(missed.reshape(-1, 3).max(axis=1), 3)
             return
@@ -238,8 +238,8 @@ def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[Array], str]:
     scale = np.sqrt((ratio if fine else 1) / (ratio - 1))
     change = (compliance - second.linear.compliance) * np.outer(scale[: len(lacks)], scale)
     basis = (
-        f"a {'finer' if fine else 'coarser'} mesh of {len(second.component.mesh.points)} nodes "
-        f"beside this mesh of {len(solver.component.mesh.points)}, cells in the ratio "
+        f"a {'finer' if fine else 'coarser'} mesh of {len(second.component.whole.points)} nodes "
+        f"beside this mesh of {len(solver.component.whole.points)}, cells in the ratio "
         f"{np.median(ratio):.2g} where the error is"
     )
     if fine:

@@ -98,6 +98,7 @@ class ElasticBody:
             free = free.copy()
             free[self.dependents.nodes] = False
         self.free = free
+        self.held = held
         self.movable = Movable(free, held)
         self.blocks = [block for block, _ in filled]
         self.cells = [self._outer(block.nodes) for block in self.blocks]
@@ -108,6 +109,23 @@ class ElasticBody:
         if self.dependents is None or not self.dependents.among(cells).any():
             return cells
         return self.dependents.outer(cells)[0]
+
+    def with_slips(self) -> ElasticBody:
+        """Return the same body with the slips of bolts free."""
+        other = copy(self)
+        other.free = self.free | self.slips
+        other.movable = Movable(other.free, self.held)
+        for of_free in ("dissection", "scatter", "_leaf_cells"):
+            other.__dict__.pop(of_free, None)
+        return other
+
+    @property
+    def slips(self) -> Array:
+        """Which points belong to no cell, shape (n,), bool: the slips of bolts."""
+        slips = np.ones(self.size, dtype=bool)
+        for block in self.blocks:
+            slips[block.nodes] = False
+        return slips
 
     def expanded(self, fields: Array) -> Array:
         """Return fields (n, 3, ...), m, with the displacements of nodes that follow others."""

@@ -28,9 +28,9 @@ class System:
     coupling: the interfaces and bushings.
     points: shape (n, 3), m: the nodes' coordinates in the mesh's axes, for messages.
     weight: shape (n, 3), N: the nodal forces of self-weight; None for none.
+    preload: shape (n, 3), N: those of bolts on their slips; None for none.
     body_force: shape (n, 3, p), N: nodal forces per unit of each input acceleration; None for
-    none. Those and the weight keep their direction: `Balance.forces` are the internal forces less
-    these.
+    none. All these keep their direction: `Balance.forces` are the internal forces less these.
     """
 
     def __init__(
@@ -40,11 +40,12 @@ class System:
         points: Array | None = None,
         weight: Array | None = None,
         body_force: Array | None = None,
+        preload: Array | None = None,
     ) -> None:
         self._points = body.points if points is None else points
         self.body = body
         self.coupling = coupling
-        self.weight = weight
+        self.weight, self.preload = weight, preload
         self.body_force = np.zeros((body.size, 3, 0)) if body_force is None else body_force
 
     @property
@@ -74,9 +75,11 @@ class System:
         return forces - self.dead_forces(wrench), energy, least
 
     def dead_forces(self, inputs: Array) -> Array:
-        """Return the nodal forces of weight and acceleration, (n, 3), N, of inputs (k,)."""
+        """Return the nodal forces of weight, bolts and acceleration, (n, 3), N, of inputs (k,)."""
         pulled = self.body_force @ inputs[self.coupling.freedoms + self.body.expands :]
-        return pulled if self.weight is None else pulled + self.weight
+        for constant in (self.weight, self.preload):
+            pulled = pulled if constant is None else pulled + constant
+        return pulled
 
     def reload(self, balance: Balance, wrench: Array) -> Balance:
         """Return the balance of the same state under other inputs, shape (k,)."""

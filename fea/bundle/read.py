@@ -40,7 +40,6 @@ from wrenchbook.fea.spec.schema import (
     MeshSource,
     NamedInterface,
     ScalarInput,
-    Tie,
 )
 
 __all__ = [
@@ -162,7 +161,7 @@ class _Reader:
         mesh = self.mesh()
         materials = self.read_each("material", MaterialTable)
         supports = self.read("supports")
-        ties = self.read_each("tie", Tie)
+        ties, bolts, joints = (self.read(name) or () for name in ("tie", "bolt", "spring"))
         several = isinstance(self.table.get("interface"), list)
         interfaces = self.interfaces() if several else [self.read("interface", Interface)]
         interfaces = interfaces if "interface" in self.table else []
@@ -176,6 +175,8 @@ class _Reader:
             self.check_deck(analysis, interfaces)
         if analysis is not None and analysis.gravity is not None:
             self.check_densities(materials, "[analysis] gravity")
+        if analysis is not None and analysis.zero != "preloaded" and "bolt" not in self.table:
+            self.wrong("analysis.zero", "is of no use without a [[bolt]]; leave it out")
         self.check_inputs(further, materials, interfaces)
         # A range whose corners are too many to look at each.
         if loads is not None:
@@ -189,7 +190,9 @@ class _Reader:
             "mesh": mesh,
             "materials": tuple(materials),
             "supports": supports,
-            "ties": tuple(ties),
+            "ties": ties,
+            "bolts": bolts,
+            "joints": joints,
             "interface": interfaces[0] if interfaces else None,
             "others": tuple(interfaces[1:]),
             "analysis": analysis,
@@ -332,9 +335,9 @@ class _Reader:
 
     def check_tables(self) -> None:
         """Note tables that need each other; an interface that is held stands in for supports."""
-        if "tie" in self.table and ("deck" in self.table or "mesh" not in self.table):
-            message = "is of a [mesh] that is solved here; a [deck] has its own *TIE, a table none"
-            self.wrong("tie", message)
+        for name in ("tie", "bolt", "spring"):
+            if name in self.table and ("mesh" not in self.table or "deck" in self.table):
+                self.wrong(name, "is the embedded solver's: it needs a [mesh], and no [deck]")
         if "deck" in self.table:
             return
         interfaces = self.table.get("interface")

@@ -14,11 +14,13 @@ from wrenchbook.fea.spec.material import AnyMaterial, Material, Orthotropic
 from wrenchbook.fea.spec.schema import (
     GEOMETRY_ENDINGS,
     Analysis,
+    Bolt,
     Deck,
     DeclaredTolerance,
     GeometryFile,
     Inputs,
     Interface,
+    Joint,
     MeasuredInterface,
     MeshFile,
     NamedInterface,
@@ -77,6 +79,17 @@ class ComponentFile:
     )
     """the table `[interface]`, or `[[interface]]` of each of several; with a mesh a must; several
     of a measured part have `name` and `range` alone"""
+    bolts: Annotated[tuple[Bolt, ...], Field(min_length=1)] = key(
+        "", '[{region = "shank", axis = [0, 0, 1], force = 12e3}]', default=(), name="bolt"
+    )
+    """preloaded bolts, each `[[bolt]]`"""
+    joints: Annotated[tuple[Joint, ...], Field(min_length=1)] = key(
+        "",
+        '[{groups = ["hub", "rim"], coupling = "rigid", rigid = true}]',
+        default=(),
+        name="spring",
+    )
+    """springs between two groups, and rigid joints, each `[[spring]]`"""
     inputs: Inputs | None = key(
         "", "{temperature = {range = [-20, 60], reference = 20}}", default=None
     )

@@ -10,8 +10,9 @@ moves a node at x by
 Supports say N q = 0, nodes that two bodies share say N q_1 = N q_2, a rigid coupling says the same
 of section and interface, a distributed coupling that the interface moves as the section does in the
 mean (least squares), and locked freedoms hold the interface; each of several likewise. A bushing is
-coupled to its group as an interface is, and held where its spring resists. What satisfies all of
-this is the null space of a small dense matrix.
+coupled to its group as an interface is, and held where its spring resists; so are the ends of a
+joint to each other. What satisfies all of this is the null space of a small dense matrix. While
+bolts are tightened the two sides of a cut shift along its axis.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.fea.component import AttachedInterface, ComponentModel
-from wrenchbook.fea.inspection import Bodies, gap
+from wrenchbook.fea.inspection import Bodies, bodies_of, gap
 from wrenchbook.fea.mesh.deck_content import (
     CoupledGroup,
     DeckContent,
@@ -71,6 +72,16 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
         )
         return [BundleProblem("mesh", message)]
     motions = free_motions(component, bodies)
+    if component.bolts and not any(map(len, motions)):
+        parts = bodies_of(component.mesh)
+        slipping = next((m for m in free_motions(component, parts) if len(m)), None)
+        if slipping is not None:
+            message = (
+                "nothing but bolts holds the part together while they are tightened: "
+                f"{_motions_text(component, slipping)}; the parts that they clamp must be joined "
+                "beside the shanks, or each be held"
+            )
+            return [BundleProblem("bolt", message)]
     loose = [number for number, motion in enumerate(motions) if len(motion)]
     if not loose:
         return []
@@ -150,9 +161,11 @@ def free_motions(component: ComponentModel, bodies: Bodies) -> list[Array]:
     for number, interface in enumerate(component.interfaces, start=bodies.count):
         equations.tie_interface(interface, number)
     first = bodies.count + len(component.interfaces)
-    for number, (bushing, stiffness) in enumerate(component.bushings, start=first):
-        equations.tie_interface(bushing, number)
-        equations.hold_bushing(bushing, stiffness, number)
+    for number, frame in enumerate(component.frames, start=first):
+        equations.tie_interface(frame, number)
+    for ends, stiffness in component.springs:
+        equations.hold_spring(component.frames[ends[0]], stiffness, [first + n for n in ends])
+    equations.join_cuts()
     free = equations.null_space()
     motions = []
     for number in range(bodies.count):
@@ -224,7 +237,7 @@ class _Equations:
     def join_bodies(self) -> None:
         if self.bodies.count == 1:
             return
-        if (dependents := self.component.mesh.dependents) is not None:
+        if (dependents := self.component.whole.dependents) is not None:
             # How the motions of all bodies move dependent nodes less what these follow.
             moves = np.zeros((len(self.owner), 3, 6 * self.bodies.count))
             for number, nodes in enumerate(self.bodies.nodes):
@@ -257,11 +270,26 @@ class _Equations:
         for name in attached.locked:
             self._add({interface: self._freedoms(attached)[FREEDOMS.index(name)][None]})
 
-    def hold_bushing(self, attached: AttachedInterface, stiffness: Array, number: int) -> None:
+    def join_cuts(self) -> None:
+        """Let the sides of bolts' cuts, if they are two bodies', shift along the axis alone."""
+        for bolt in self.component.bolts:
+            pairs = self.owner[np.stack([bolt.nodes, bolt.copies])]
+            for low, high in np.unique(pairs, axis=1).T.tolist():
+                if high in (-1, low):  # of the mesh without cuts; or joined elsewhere
+                    continue
+                nodes = bolt.nodes[(pairs[0] == low) & (pairs[1] == high)]
+                moves = self._moves(nodes).reshape(-1, 3, 6)
+                moves -= bolt.axis[:, None] * (bolt.axis @ moves).mean(axis=0)
+                rows = _condensed(moves.reshape(-1, 6))
+                self._add({low: -rows, high: rows})
+
+    def hold_spring(self, frame: AttachedInterface, stiffness: Array, ends: list[int]) -> None:
+        """Hold the motion of a frame, or the difference of two motions, where a spring resists."""
         lengths = np.repeat([1.0, self.extent], 3)
         sizes, motions = np.linalg.eigh(stiffness / lengths / lengths[:, None])
         resisted = motions[:, sizes > _ROUNDOFF * sizes[-1]].T
-        self._add({number: resisted @ self._freedoms(attached)})
+        rows = resisted @ self._freedoms(frame)
+        self._add({ends[-1]: rows} | ({ends[0]: -rows} if ends[1:] else {}))
 
     def _freedoms(self, attached: AttachedInterface) -> Array:
         """Return ux to rz of a point by a motion, (6, 6), the rotations times the mesh's size."""
@@ -288,7 +316,7 @@ class _Equations:
         return moves.reshape(-1, 6)
 
     def _add(self, parts: dict[int, Array]) -> None:
-        count = self.bodies.count + len(self.component.interfaces) + len(self.component.bushings)
+        count = self.bodies.count + len(self.component.interfaces) + len(self.component.frames)
         rows = np.zeros((len(next(iter(parts.values()))), 6 * count))
         for number, part in parts.items():
             rows[:, 6 * number : 6 * number + part.shape[1]] = part
@@ -461,7 +489,7 @@ def _freed(component: ComponentModel, group: HeldGroup) -> Iterator[str]:
 
 def _uncoupled(component: ComponentModel, group: CoupledGroup) -> Iterator[str]:
     nodes = _nodes(component.mesh, group.group)
-    attached = [*component.interfaces, *(bushing for bushing, _ in component.bushings)]
+    attached = [*component.interfaces, *component.frames]
     same = [
         interface for interface in attached if np.array_equal(interface.section.node_ids, nodes)
     ]

@@ -35,7 +35,9 @@ from wrenchbook.fea.inspection import (
     quality_warnings,
     set_up_warnings,
     stack_problems,
+    strength_at,
 )
+from wrenchbook.fea.mesh.bolts import BoltCut
 from wrenchbook.fea.mesh.cad.meshing import list_shape
 from wrenchbook.fea.mesh.facets import Face
 from wrenchbook.fea.mesh.mesh import Mesh
@@ -182,7 +184,7 @@ def _inspect_mesh(
         summary["mesh_file"] = listing(mesh.deck)
     try:
         component = build(bundle, mesh)
-        mesh = component.mesh
+        mesh = component.whole
     finally:  # warn of unmerged nodes, those that no tie joins, whether or not the build succeeds
         pairs = coincident_nodes(mesh)
         summary["coincident_nodes"] = len(pairs)
@@ -221,17 +223,34 @@ def _inspect_component(
 ) -> None:
     numbers = component.material_of_cells
     attached = [_section(interface) for interface in component.interfaces]
-    ties = [
-        {"secondary": names.secondary, "main": names.main}
-        | {"nodes": len(tie.nodes), "untied": tie.untied, "gap": tie.gap}
-        for names, tie in zip(component.bundle.ties, component.ties, strict=True)
-    ]
+    joined: dict[str, Any] = {}
+    if component.ties:
+        joined["ties"] = [
+            {"secondary": names.secondary, "main": names.main}
+            | {"nodes": len(tie.nodes), "untied": tie.untied, "gap": tie.gap}
+            for names, tie in zip(component.bundle.ties, component.ties, strict=True)
+        ]
     # The ranges of the inputs behind the loads, where there are any.
     inputs: dict[str, Any] = {}
     if warm := component.temperature:
         inputs["temperature"] = {"low": warm.low, "high": warm.high, "reference": warm.reference}
     if component.accelerated:
         inputs["acceleration"] = [scalar.high for scalar in component.further[-3:]]
+    if component.bolts:
+        joined["bolts"] = [_bolt(component, bolt) for bolt in component.bolts]
+        joined["zero"] = component.analysis.zero
+    if component.joints:
+        sources = zip(component.bundle.joints, component.joints, strict=True)
+        joined["springs"] = [
+            {
+                "groups": list(source.groups),
+                "nodes": [len(end.section.node_ids) for end in joint.ends],
+                "point": joint.ends[0].point.tolist(),
+                "coupling": source.coupling,
+                "rigid": source.rigid,
+            }
+            for source, joint in sources
+        ]
     counts = {"sliding_nodes": len(component.sliding[0]), "bushings": len(component.bushings)}
     summary |= {
         "materials": [
@@ -241,8 +260,8 @@ def _inspect_component(
         ],
         "supports": {"nodes": len(component.fixed_nodes)}
         | {name: count for name, count in counts.items() if count},
-        **({"ties": ties} if ties else {}),
         **inputs,
+        **joined,
         **({"sections": attached} if attached[1:] else {"section": attached[0]}),
         "nonlinear": component.analysis.nonlinear,
     }
@@ -251,6 +270,19 @@ def _inspect_component(
     if problems:
         raise BundleError(problems)
     summary["estimate"] = estimate(component)
+
+
+def _bolt(component: ComponentModel, cut: BoltCut) -> dict[str, Any]:
+    return {
+        "shank": cut.bolt.region or cut.bolt.group,
+        "cells": sum(len(cells) for cells in cut.cells),
+        "at": component.mesh.points[cut.slip].tolist(),
+        "area": cut.area,
+        "force": cut.bolt.force,
+        "keeps": cut.bolt.keeps,
+        "stress": cut.bolt.force / cut.area,
+        "yield_strength": strength_at(component, cut),
+    }
 
 
 def _section(interface: AttachedInterface) -> dict[str, Any]:
@@ -378,6 +410,7 @@ def _set_up(report: Mapping[str, Any]) -> Iterator[str]:
             f"tie: {tie['nodes']} nodes of {tie['secondary']} follow {tie['main']}, "
             f"{tie['untied']} are not tied; largest gap {1e3 * tie['gap']:.3g} mm"
         )
+    yield from _joints(report)
     if warm := report.get("temperature"):
         yield f"temperature: {warm['low']:g} to {warm['high']:g}, reference {warm['reference']:g}"
     if largest := report.get("acceleration"):
@@ -393,6 +426,30 @@ def _set_up(report: Mapping[str, Any]) -> Iterator[str]:
         )
 
 
+def _joints(report: Mapping[str, Any]) -> Iterator[str]:
+    for bolt in report.get("bolts", []):
+        used = bolt["yield_strength"] and bolt["stress"] / bolt["yield_strength"]
+        of_yield = "" if used is None else f" ({100 * used:.3g} % of its yield strength)"
+        yield (
+            f"bolt {bolt['shank']}: {bolt['force']:g} N, keeps its {bolt['keeps']}, cut below "
+            f"{bolt['cells']} cells near {_vector(bolt['at'])} m, {1e6 * bolt['area']:.5g} mm^2, "
+            f"mean stress {bolt['stress'] / 1e6:.4g} MPa{of_yield}"
+        )
+    for spring in report.get("springs", []):
+        kind = "rigid joint" if spring["rigid"] else f"spring, {spring['coupling']}"
+        nodes = " and ".join(map(str, spring["nodes"]))
+        groups, at = " and ".join(spring["groups"]), _vector(spring["point"])
+        yield f"{kind} between {groups}: {nodes} nodes, point at {at} m"
+
+
+_AT_REST = {
+    None: ("self-weight moves", "of the mesh without its weight"),
+    "preloaded": ("self-weight moves", "as its bolts are tightened, without its weight"),
+    "untightened": ("preload, and self-weight if any, move", "before its bolts are tightened"),
+}
+"""By the zero of displacement: the cause of the one at no load, and that zero."""
+
+
 def _trial(report: Mapping[str, Any]) -> Iterator[str]:
     if (trial := report.get("trial")) is None:
         return
@@ -404,12 +461,13 @@ def _trial(report: Mapping[str, Any]) -> Iterator[str]:
     if trial["deflection"] is None:
         yield "at full range: not tried, a solve takes too long for a check"
         return
+    cause, zero = _AT_REST[report.get("zero")]
     for name, sag in _by_interface(report, trial["sag"]) if "sag" in trial else ():
         moved, turned = _vectors(sag, ".3g")
         yield (
-            f"self-weight moves {name or 'it'} by {moved} m and turns it by {turned} rad, "
+            f"{cause} {name or 'it'} by {moved} m and turns it by {turned} rad, "
             "linearly, in the interface frame: the answer at zero load. Displacements "
-            "are relative to the part of the mesh without its weight"
+            f"are relative to the part {zero}"
         )
     for key, when in (
         ("deflection", "at full range, linearly,"),

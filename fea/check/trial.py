@@ -39,9 +39,9 @@ def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Bu
     solver: the component's.
     cost: as `fea.check.cost.estimate` has it: what takes too long is not tried.
     Returns result: ``size`` (three numbers, m), ``volume`` (m^3), ``mass`` (kg; None where a
-    material tells no density), ``sag``: the interfaces' displacement under self-weight, where
-    ``gravity`` is given; ``deflection``: the largest of each output over the load range by the
-    linear compliance, six numbers an interface, m and rad; None where it was not tried or
+    material tells no density), ``sag``: the interfaces' displacement at no wrench, where
+    self-weight or bolts move them; ``deflection``: the largest of each output over the load range
+    by the linear compliance, six numbers an interface, m and rad; None where it was not tried or
     ``failed`` (then true). ``by_temperature`` and ``by_acceleration``: the same of these alone,
     where they are inputs. problems: ``mechanism`` and ``ill_conditioned``, in the words of the
     failure.
@@ -59,13 +59,14 @@ def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Bu
         return result, []
     try:
         compliance = solver.linear.compliance
+        at_rest = solver.at_rest[0]
     except SolveFailed as failure:
         result["failed"] = True
         return result, [_problem(failure)]
     low, high = bundle.acting.low, bundle.acting.high
     result["deflection"] = largest(compliance, low, high).tolist()
-    if solver.component.analysis.gravity is not None:
-        result["sag"] = solver.linear.sag_displacement.tolist()
+    if component.analysis.gravity is not None or component.analysis.zero == "untightened":
+        result["sag"] = at_rest.tolist()
     first = len(bundle.range.low)
     groups = {"by_temperature": slice(first, first + 1), "by_acceleration": slice(-3, None)}
     present = solver.component.temperature is not None, solver.component.accelerated
@@ -220,8 +221,8 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], lis
             raise ValueError("the range of more than two interfaces has too many corners")
         unit = solver.unit_stresses()
         loads = corners
-        if component.analysis.gravity:  # a further load, which is always there
-            sag = small_stress(solver.body, solver.linear.sag[:, :, None])
+        if component.analysis.gravity or component.bolts:  # a load that is always there
+            sag = small_stress(solver.body, solver.at_rest[1][:, :, None])
             unit = np.concatenate((unit, sag), axis=2)
             loads = np.column_stack((corners, np.ones(len(corners))))
         coordinates, numbers = integration_points(component, component.mesh.points)

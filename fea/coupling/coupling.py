@@ -9,9 +9,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from wrenchbook.fea.coupling import relative
 from wrenchbook.fea.element.cell_state import symmetrised
 from wrenchbook.fea.spec.schema import FREEDOMS
-from wrenchbook.fea.tensors import rotation_derivatives
+from wrenchbook.fea.tensors import (
+    rotation,
+    rotation_derivatives,
+    rotation_vector,
+    spin_per_vector,
+)
 
 Array = np.ndarray
 
@@ -27,6 +33,22 @@ def each_interface(vector: Array) -> Array:
 def largest_rotation(displacement: Array) -> float:
     """Return the largest rotation, rad, among displacements of shape (6 i,), m and rad."""
     return float(max(np.linalg.norm(interface[3:]) for interface in each_interface(displacement)))
+
+
+def from_origin(interface: Array, origin: Array) -> tuple[Array, Array]:
+    """Return displacements (6 i,) relative to those at `origin`, and their derivatives by them.
+
+    The relative rotation is R R0^T. Derivatives: shape (6 i, 6 i).
+    """
+    moved, rates = interface - origin, np.eye(len(interface))
+    for first in range(PER_INTERFACE // 2, len(interface), PER_INTERFACE):
+        turn = slice(first, first + PER_INTERFACE // 2)
+        now, zero = interface[turn], origin[turn]
+        if zero.any():
+            moved[turn] = rotation_vector(rotation(now) @ rotation(zero).T)
+            spins = spin_per_vector(moved[turn]), spin_per_vector(now)
+            rates[turn, turn] = np.linalg.solve(*spins)
+    return moved, rates
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +140,7 @@ class _Attachment(NamedTuple):
 
     `rotation` times a vector of the body is the interface's, None if equal; `freedoms` are those of
     this interface among all; `chosen` are the unknowns among the section's border, and `border`
-    where these are in the body's. `spring` is a bushing's stiffness, (6, 6), without a wrench.
+    where these are in the body's.
     """
 
     section: SectionCoupling
@@ -127,7 +149,6 @@ class _Attachment(NamedTuple):
     freedoms: slice
     chosen: Array
     border: Array
-    spring: Array | None
 
     def inwards(self, field: Array) -> Array:
         """Take a nodal field (n, 3, ...) of the body to the section: (s, 3, ...), in its axes."""
@@ -144,11 +165,13 @@ class _Attachment(NamedTuple):
 
 
 class Coupling:
-    """Interfaces and bushings: one border of their freedoms, of anchors, and of multipliers.
+    """Interfaces and frames: one border of their freedoms, of anchors, and of multipliers.
 
     Nodes and forces are in the body's frame, displacements and wrenches in the interfaces'.
-    A bushing moves by q, translation and rotation vector, and stores q^T K q / 2: its force, and
-    the moment that works on the rotation vector, are K q, and K is its tangent at any rotation.
+    Frames have no wrench; springs hold them to the ground or to each other. A bushing moves by q,
+    translation and rotation vector, and stores q^T K q / 2: its force, and the moment that works on
+    the rotation vector, are K q, and K is its tangent at any rotation. Two frames with a spring
+    between them have one point and the same axes: see `fea.coupling.relative`.
     A body that only multipliers hold has no definite stiffness. Three anchors, nodes of which the
     border moves all components, leave a stiffness that is.
 
@@ -157,7 +180,8 @@ class Coupling:
     those of the body, shape (3, 3), a row each; None where they are the same. No two share a node.
     active: shape (k,), int64: indices of the interfaces' freedoms that are not locked, ascending.
     anchors: shape (a,), int64: nodes that are in no rigid section.
-    springs: the last sections are bushings: their stiffnesses, (6, 6), N/m, N/rad and N·m/rad.
+    frames: how many of the sections, the last, are of frames.
+    springs: the numbers of one or two sections, and the stiffness, (6, 6), N/m, N/rad and N·m/rad.
     freedoms, motions, border: numbers: 6 i of i interfaces; unknowns of the border that move
     something; all of them, the multipliers last.
     """
@@ -168,10 +192,11 @@ class Coupling:
         sections: Sequence[tuple[SectionCoupling, Array, Array | None]],
         active: Array,
         anchors: Array,
-        springs: Sequence[Array] = (),
+        frames: int = 0,
+        springs: Sequence[tuple[tuple[int, ...], Array]] = (),
     ) -> None:
         self.active = active
-        self._sprung = PER_INTERFACE * len(springs)
+        self._sprung = PER_INTERFACE * frames
         self.freedoms = PER_INTERFACE * len(sections) - self._sprung
         self._moving = active = np.append(active, self.freedoms + np.arange(self._sprung))
         self.motions = len(active) + 3 * len(anchors)
@@ -181,21 +206,24 @@ class Coupling:
         self._attachments: list[_Attachment] = []
         forced = [np.empty(0, dtype=int)]
         self.border = self.motions
-        spring_of = [*[None] * (len(sections) - len(springs)), *springs]
-        for number, (section, nodes, rotation) in enumerate(sections):
+        for number, (section, nodes, axes) in enumerate(sections):
             first = PER_INTERFACE * number
             chosen_freedoms = np.flatnonzero((active >= first) & (active < first + PER_INTERFACE))
             more = np.arange(section.multipliers)
             chosen = np.concatenate([active[chosen_freedoms] - first, PER_INTERFACE + more])
             border = np.concatenate([chosen_freedoms, self.border + more])
             freedoms = slice(first, first + PER_INTERFACE)
-            spring = spring_of[number]
-            self._attachments.append(
-                _Attachment(section, nodes, rotation, freedoms, chosen, border, spring)
-            )
+            self._attachments.append(_Attachment(section, nodes, axes, freedoms, chosen, border))
             forced.append(first + more)
             self.border += len(more)
         self._forced = np.concatenate(forced)
+        # Of each spring: where its motions are among all, and in the border.
+        self._springs: list[tuple[Array, Array, Array]] = []
+        for numbers, stiffness in springs:
+            ends = [self._attachments[number] for number in numbers]
+            at = np.concatenate([np.r_[end.freedoms] for end in ends])
+            border = np.concatenate([end.border[:PER_INTERFACE] for end in ends])
+            self._springs.append((at, border, stiffness))
 
     @property
     def constrained(self) -> Array:
@@ -214,17 +242,17 @@ class Coupling:
         return CoupledState(np.zeros((self._size, 3)), np.zeros(self.freedoms), further)
 
     def spring_energy(self, state: CoupledState) -> float:
-        """Return the energy of the bushings' springs, J."""
-        parts = [(attached.spring, local.interface) for attached, local in self._parts(state)]
-        return float(sum(0.5 * q @ spring @ q for spring, q in parts if spring is not None))
+        """Return the energy of the springs, J."""
+        motions, _ = self._unknowns(state)
+        parts = [(relative.relative(motions[at])[0], spring) for at, _, spring in self._springs]
+        return float(sum(0.5 * q @ spring @ q for q, spring in parts))
 
     def spring_energies(self, border: Array) -> Array:
         """Return twice the springs' mutual energies, shape (k, k), J, of borders (border, k)."""
         total = np.zeros((border.shape[1],) * 2)
-        for attached in self._attachments:
-            if attached.spring is not None:
-                motions = border[attached.border[:PER_INTERFACE]]
-                total += motions.T @ attached.spring @ motions
+        for at, where, spring in self._springs:
+            motions = relative.relative(np.zeros(len(at)))[1] @ border[where]
+            total += motions.T @ spring @ motions
         return total
 
     def moved(self, state: CoupledState, nodes: Array, border: Array) -> CoupledState:
@@ -263,9 +291,11 @@ class Coupling:
                 local, attached.inwards(forces), loads[attached.freedoms]
             )
             nodal[attached.nodes] += attached.outwards(added)
-            if attached.spring is not None:
-                unbalanced[:PER_INTERFACE] += attached.spring @ local.interface
             border[attached.border] = unbalanced[attached.chosen]
+        motions, _ = self._unknowns(state)
+        for at, where, spring in self._springs:
+            q, change = relative.relative(motions[at])
+            border[where] += change.T @ (spring @ q)
         border[self._anchored] = nodal[self._anchors].ravel()
         return nodal, border
 
@@ -284,14 +314,15 @@ class Coupling:
             joined = attached.section.bordered(
                 local, attached.inwards(forces), loads[attached.freedoms]
             )
-            if attached.spring is not None:
-                joined.block[:PER_INTERFACE, :PER_INTERFACE] += attached.spring
             at = np.ix_(attached.nodes, np.arange(3), attached.border)
             constraint[at] = attached.outwards(joined.constraint[:, :, attached.chosen])
             columns[at] = attached.outwards(joined.columns[:, :, attached.chosen])
             block[np.ix_(attached.border, attached.border)] = joined.block[
                 np.ix_(attached.chosen, attached.chosen)
             ]
+        motions, _ = self._unknowns(state)
+        for at, where, spring in self._springs:
+            block[np.ix_(where, where)] += relative.tangent(motions[at], spring)
         pushed = columns[self._anchors].reshape(len(self._anchored), self.border)
         block[self._anchored] += pushed
         block[:, self._anchored] += pushed.T
@@ -305,18 +336,24 @@ class Coupling:
         """
         columns = np.zeros((self.border, self.freedoms))
         for attached, local in self._parts(state):
-            if attached.spring is None:
+            if attached.freedoms.start < self.freedoms:
                 columns[attached.border, attached.freedoms] = attached.section.wrench_columns(
                     local
                 )[attached.chosen]
         return columns
 
     def third(
-        self, state: CoupledState, forces: tuple[Array, Array], fields: Array, border: Array
+        self,
+        state: CoupledState,
+        forces: tuple[Array, Array],
+        fields: Array,
+        border: Array,
+        origin: Array,
     ) -> Array:
         """Return the third derivatives of the couplings' energies along the inputs.
 
-        Those of the springs, which are quadratic, are zero.
+        Displacements are relative to those at an origin, shape (6 i,): the energy depends on
+        R = R' R0 alone, so R' : N R0^T is differentiated in place of R : N.
 
         state: the configuration.
         forces: Shapes (n, 3), N, and (n, 3, k): internal nodal forces less dead ones, and their
@@ -325,13 +362,21 @@ class Coupling:
         inputs.
         Result: shape (k, k, k), J over the units of three inputs.
         """
-        total = np.zeros((border.shape[1],) * 3)
+        total, (motions, _) = np.zeros((border.shape[1],) * 3), self._unknowns(state)
+        for at, where, spring in self._springs:
+            tensor, moved = relative.third(motions[at], spring), border[where]
+            total += np.einsum("ijk,ia,jb,kc->abc", tensor, moved, moved, moved, optimize=True)
+        origins = np.append(origin, np.zeros(self._sprung))
         for attached, local in self._parts(state):
             moved = np.zeros((PER_INTERFACE + attached.section.multipliers, border.shape[1]))
             moved[attached.chosen] = border[attached.border]
             acting = attached.inwards(forces[0]), attached.inwards(forces[1])
             moments = attached.section.arm_moments(local, acting, attached.inwards(fields), moved)
-            total += _third_of_rotation(local.interface[3:], moved[3:6], *moments)
+            zero = origins[attached.freedoms]
+            vector, rates = from_origin(local.interface, zero)
+            back = rotation(zero[3:])
+            moments = [np.einsum("xy...,zy->xz...", each, back) for each in moments]
+            total += _third_of_rotation(vector[3:], rates[3:, 3:] @ moved[3:6], *moments)
         return total
 
     def displacement_rows(self, border: Array) -> Array:

@@ -5,7 +5,7 @@
 The deck is complete: mesh, materials, supports, rigid interfaces and one step that takes the
 wrench from $FX $FY $FZ $MX $MY $MZ, of an interface with a name from $NAME.FX and so on, and the
 temperature, where it is an input, from $TEMPERATURE. It is the start of a ``[deck]`` that an expert
-then goes on with (contact, plasticity, bolts), and the example that ``data/components/plate_ccx``
+then goes on with (contact, plasticity), and the example that ``data/components/plate_ccx``
 ships.
 """
 
@@ -78,7 +78,7 @@ def deck_of(component: ComponentModel, comments: Iterable[str] = ()) -> str:
         if not np.array_equal(interface.axes, component.axes):
             message = "a deck has one frame; give every interface the axes of the first"
             problems.append(BundleProblem(f"{interface.key}.axes", message))
-    for bushing, _ in component.bushings:
+    for bushing in component.frames:
         if bushing.coupling != "rigid":
             message = 'a deck has no spring on a mean motion; write it with coupling = "rigid"'
             problems.append(BundleProblem(f"{bushing.key}.coupling", message))
@@ -111,30 +111,8 @@ def _body(component: ComponentModel) -> Iterator[str]:
         yield "*NSET, NSET=FIXED"
         yield from _rows(component.fixed_nodes + 1)
     yield from _sliding(component)
-    yield from _following(component)
-    # Each bushing as a rigid body, and a spring for each eigenvector of its stiffness: on a node of
-    # its own, whose displacement is that combination of the six freedoms.
-    node = len(component.mesh.points) + 2 * len(component.interfaces) + 1
-    element = sum(len(block) for block in component.mesh.blocks) + 1
-    for i, (bushing, stiffness) in enumerate(component.bushings):
-        ref, at = node, _numbers(component.axes @ bushing.point)
-        yield f"*NODE\n{ref}, {at}\n{ref + 1}, {at}\n*NSET, NSET=BUSHING{i}"
-        yield from _rows(bushing.section.node_ids + 1)
-        yield f"*RIGID BODY, NSET=BUSHING{i}, REF NODE={ref}, ROT NODE={ref + 1}"
-        node += 2
-        rotation = np.kron(np.eye(2), bushing.axes @ component.axes.T)
-        sizes, motions = np.linalg.eigh(stiffness)
-        for size, motion in zip(sizes, motions.T, strict=True):
-            if size <= 0:
-                continue
-            terms = [(ref + j // 3, j % 3 + 1, x) for j, x in enumerate(motion @ rotation)]
-            terms = [term for term in terms if abs(term[2]) > _ROUNDOFF]
-            rows = [f"{at}, {axis}, {_numbers([x])}" for at, axis, x in [(node, 1, -1.0), *terms]]
-            yield f"*NODE\n{node}, {at}\n*BOUNDARY\n{node}, 2, 3\n*EQUATION\n{len(rows)}"
-            yield from (", ".join(rows[j : j + 4]) for j in range(0, len(rows), 4))
-            yield f"*ELEMENT, TYPE=SPRING1, ELSET=K{element}\n{element}, {node}"
-            yield f"*SPRING, ELSET=K{element}\n1\n{_numbers([size])}"
-            node, element = node + 1, element + 1
+    yield from _dependents(component)
+    yield from _springs(component)
     for i, attached in enumerate(component.interfaces):
         ref = len(points) + 2 * i + 1
         yield f"*NSET, NSET={_set('SECTION', attached)}"
@@ -148,6 +126,62 @@ def _body(component: ComponentModel) -> Iterator[str]:
         yield "FIXED, 1, 3"
     for interface in component.interfaces:
         yield from (f"{_freedom_set(name, interface)}, {_axis(name)}" for name in interface.locked)
+
+
+def _springs(component: ComponentModel) -> Iterator[str]:
+    """Yield each frame as a rigid body, and a spring for each eigenvector of a stiffness.
+
+    It is on a node of its own, whose displacement is that combination of a frame's six freedoms, or
+    of their differences between two frames.
+    """
+    if component.joints and component.analysis.nonlinear:
+        yield "** The axes of springs between two groups do not turn here."
+    node = len(component.mesh.points) + 2 * len(component.interfaces) + 1
+    element = sum(len(block) for block in component.mesh.blocks) + 1
+    first = node
+    for i, frame in enumerate(component.frames):
+        at = _numbers(component.axes @ frame.point)
+        yield f"*NODE\n{node}, {at}\n{node + 1}, {at}\n*NSET, NSET=BUSHING{i}"
+        yield from _rows(frame.section.node_ids + 1)
+        yield f"*RIGID BODY, NSET=BUSHING{i}, REF NODE={node}, ROT NODE={node + 1}"
+        node += 2
+    for ends, stiffness in component.springs:
+        frame = component.frames[ends[0]]
+        at, signs = _numbers(component.axes @ frame.point), (-1.0, 1.0)[-len(ends) :]
+        rotation = np.kron(np.eye(2), frame.axes @ component.axes.T)
+        sizes, motions = np.linalg.eigh(stiffness)
+        for size, motion in zip(sizes, motions.T, strict=True):
+            if size <= 0:
+                continue
+            terms = [
+                (first + 2 * end + j // 3, j % 3 + 1, sign * x)
+                for end, sign in zip(ends, signs, strict=True)
+                for j, x in enumerate(motion @ rotation)
+            ]
+            terms = [term for term in terms if abs(term[2]) > _ROUNDOFF]
+            yield f"*NODE\n{node}, {at}\n*BOUNDARY\n{node}, 2, 3"
+            yield from _equation([(node, 1, -1.0), *terms])
+            yield f"*ELEMENT, TYPE=SPRING1, ELSET=K{element}\n{element}, {node}"
+            yield f"*SPRING, ELSET=K{element}\n1\n{_numbers([size])}"
+            node, element = node + 1, element + 1
+
+
+def _dependents(component: ComponentModel) -> Iterator[str]:
+    """Yield the equations of nodes that follow others."""
+    if (dependents := component.mesh.dependents) is None:
+        return
+    for node in dependents.nodes.tolist():
+        row = dependents.map[[node]].tocoo()
+        terms = list(zip(row.col.tolist(), row.data.tolist(), strict=True))
+        for axis in (1, 2, 3):
+            yield from _equation([(node + 1, axis, -1.0), *((n + 1, axis, w) for n, w in terms)])
+
+
+def _equation(terms: list[tuple[int, int, float]]) -> Iterator[str]:
+    """Yield an equation of nodes, axes and factors, the dependent one first."""
+    rows = [f"{at}, {axis}, {_numbers([x])}" for at, axis, x in terms]
+    yield f"*EQUATION\n{len(rows)}"
+    yield from (", ".join(rows[j : j + 4]) for j in range(0, len(rows), 4))
 
 
 def _materials(component: ComponentModel) -> Iterator[str]:
@@ -190,7 +224,7 @@ def _set(kind: str, interface: AttachedInterface) -> str:
 
 def _sliding(component: ComponentModel) -> Iterator[str]:
     """Yield what holds sliding nodes: a boundary condition along an axis, or an equation."""
-    nodes, held = component.sliding
+    nodes, held = component.guided
     for node, projector in zip(nodes + 1, component.axes @ held @ component.axes.T, strict=True):
         first = np.argsort(-np.diagonal(projector))[
             : round(np.trace(projector))
@@ -201,19 +235,6 @@ def _sliding(component: ComponentModel) -> Iterator[str]:
             terms = [f"{node}, {i + 1}, {_numbers([row[i]])}" for i in (axis, *others)]
             equation = f"*EQUATION\n{len(terms)}\n" + ", ".join(terms)
             yield equation if others else f"*BOUNDARY\n{node}, {axis + 1}"
-
-
-def _following(component: ComponentModel) -> Iterator[str]:
-    """Yield the equations of nodes that follow others, one for each of their three components."""
-    if (dependents := component.mesh.dependents) is None:
-        return
-    for node in dependents.nodes.tolist():
-        row = dependents.map[[node]]
-        weights = [(node + 1, -1.0), *zip((row.indices + 1).tolist(), row.data, strict=True)]
-        for axis in (1, 2, 3):
-            terms = [f"{follows}, {axis}, {_numbers([weight])}" for follows, weight in weights]
-            yield f"*EQUATION\n{len(terms)}"
-            yield from (", ".join(terms[k : k + 4]) for k in range(0, len(terms), 4))
 
 
 def _orientation(number: int, orthotropic: Orthotropic, axes: Array) -> Iterator[str]:
@@ -247,7 +268,22 @@ def _elements(component: ComponentModel) -> Iterator[str]:
 
 
 def _step(component: ComponentModel) -> Iterator[str]:
-    yield from _NONLINEAR if component.analysis.nonlinear else _LINEAR
+    start = _NONLINEAR if component.analysis.nonlinear else _LINEAR
+    if component.bolts:
+        yield "** Bolts are tightened in a first step. Displacements count from before it."
+        slips = [
+            (bolt, int(np.abs(component.axes @ bolt.axis).argmax())) for bolt in component.bolts
+        ]
+        yield from (*start, "*CLOAD")
+        for bolt, axis in slips:  # across its axis the slip is held, or an equation has it
+            load = -bolt.bolt.force / (component.axes @ bolt.axis)[axis]
+            yield f"{bolt.slip + 1}, {axis + 1}, {_numbers([load])}"
+        yield "*END STEP"
+        yield from start
+        kept = [f"{b.slip + 1}, {a + 1}, {a + 1}" for b, a in slips if b.bolt.keeps == "length"]
+        yield from ("*BOUNDARY, FIXED", *kept) if kept else ()
+    else:
+        yield from start
     yield from _pulls(component)
     yield "*CLOAD"
     for interface in component.interfaces:

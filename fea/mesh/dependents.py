@@ -68,6 +68,13 @@ class Dependents:
         rows = self.map[self.nodes].tocoo()
         return self.nodes[rows.row], rows.col, rows.data
 
+    def of_first(self, size: int) -> Dependents | None:
+        """Return the dependents among the first nodes that follow such nodes alone, if any."""
+        nodes, masters, weights = self.entries
+        kept = ~np.isin(nodes, nodes[masters >= size]) & (nodes < size)
+        entries = nodes[kept], masters[kept], weights[kept]
+        return Dependents.of(size, entries) if kept.any() else None
+
     def expanded(self, fields: Array) -> Array:
         """Return displacement fields (n, 3, ...), m, with those of the dependent nodes set."""
         return (self.map @ fields.reshape(len(fields), -1)).reshape(fields.shape)

@@ -92,9 +92,8 @@ class Mesh:
     @property
     def unknowns(self) -> int:
         """Degrees of freedom before supports and couplings take theirs: three a used node."""
-        return 3 * int(
-            np.unique(np.concatenate([block.nodes.ravel() for block in self.blocks])).size
-        )
+        used = np.unique(np.concatenate([block.nodes.ravel() for block in self.blocks])).size
+        return 3 * int(used - (0 if self.dependents is None else len(self.dependents.nodes)))
 
     @property
     def cell_counts(self) -> dict[str, int]:

@@ -53,7 +53,7 @@ class SolveFields:
     largest: float
     largest_at: tuple[float, float, float]
     largest_region: str
-    weight: bool = False  # whether self-weight acts
+    weight: bool = False  # whether self-weight or preload of bolts acts
 
 
 def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) -> SolveFields:
@@ -63,7 +63,7 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
     solution: with its `tangents`.
     """
     linear, axes = not component.analysis.nonlinear, component.axes
-    hangs = component.analysis.gravity is not None
+    hangs = component.analysis.gravity is not None or bool(component.bolts)
     nodes = solution.nodes @ axes.T
     assert solution.tangents is not None
     slopes = np.einsum("ij,njk->nik", axes, solution.tangents)
@@ -100,7 +100,7 @@ def _stresses(
     loads = len(solution.displacement)
     if not component.analysis.nonlinear:
         changes = small_stress(body, slopes, loads)
-        if component.analysis.gravity is not None:
+        if component.analysis.gravity is not None or component.bolts:
             return stress_of(component, body, solution), changes
         return changes @ (solution.wrench - component.at_rest), changes
     # Changes that nobody keeps are not made: they take six times the stresses.

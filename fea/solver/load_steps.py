@@ -257,21 +257,36 @@ class LoadPath:
         return report
 
 
-def hang(system: System, check: Callable[[Balance], None]) -> Equilibrium:
+def hang(
+    system: System,
+    check: Callable[[Balance], None],
+    cause: str = "self-weight alone",
+    start: CoupledState | None = None,
+) -> Equilibrium:
     """Return the equilibrium under self-weight and no wrench.
 
     system: with its weight.
     check: as of `LoadPath.follow`.
+    cause: the weight's name in messages.
+    start: the equilibrium without the weight, of bolts that are tightened; None without.
     Raises SolveFailed as `LoadPath.follow` does, the weight in place of the wrench.
     """
     assert system.weight is not None
-    growing = System(system.body, system.coupling, body_force=system.weight[:, :, None])
+    further = system.weight[:, :, None]
+    growing = System(system.body, system.coupling, body_force=further, preload=system.preload)
     try:
-        equilibrium = LoadPath(growing, np.eye(growing.inputs)[-1]).follow(check)
+        unloaded = None if start is None else at_rest(growing, start)
+        equilibrium = LoadPath(growing, np.eye(growing.inputs)[-1], None, unloaded).follow(check)
     except SolveFailed as failure:
-        message = f"Under self-weight alone, which grows in place of a wrench: {failure.message}"
+        message = f"Under {cause}, which grows in place of a wrench: {failure.message}"
         raise SolveFailed(failure.kind, message, failure.remedy) from None
     balance = system.balance(equilibrium.balance.state, np.zeros(system.inputs))
     stiffness = equilibrium.tangent.tangent
     tangent = Linearisation(system.body, system.coupling, balance, stiffness, system.body_force)
     return Equilibrium(balance, tangent, equilibrium.iterations)
+
+
+def at_rest(system: System, state: CoupledState) -> Equilibrium:
+    """Return the equilibrium of no inputs from its state."""
+    balance = system.balance(state, np.zeros(system.inputs))
+    return Equilibrium(balance, system.linearise(balance), 0)

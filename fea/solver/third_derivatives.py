@@ -6,6 +6,7 @@ theorem). fea/README.md derives the formula.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from wrenchbook.fea.assembly.linearisation import Balance, Linearisation, contract
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.coupling import Coupling
-from wrenchbook.fea.coupling.coupling import PER_INTERFACE
+from wrenchbook.fea.coupling.coupling import PER_INTERFACE, from_origin
 from wrenchbook.fea.element.cell_state import CellState, symmetrised
 from wrenchbook.fea.tensors import spin_per_vector, spin_slope
 
@@ -65,11 +66,15 @@ def load_rates(coupling: Coupling, balance: Balance, compliance: Array) -> Array
     return rates
 
 
-def third_derivatives(system: System, balance: Balance, tangent: Linearisation) -> Array:
+def third_derivatives(
+    system: System, balance: Balance, tangent: Linearisation, origin: Array | None = None
+) -> Array:
     """Return the third derivatives of the complementary energy by the loads (F, mu).
 
     system: the equations.
     balance, tangent: a state in balance, and the tangent there.
+    origin: shape (6 i,), m and rad: the displacement that counts as none; zero if None. mu works on
+    rotation vectors relative to it.
     Result: shape (k, k, k): m and rad over the units of two inputs where an index is a load's; zero
     where an index is that of a locked freedom.
     """
@@ -78,7 +83,10 @@ def third_derivatives(system: System, balance: Balance, tangent: Linearisation) 
     tensor = np.zeros((len(inputs),) * 3)
     if not active.size:
         return tensor
-    rates = load_rates(coupling, balance, tangent.compliance)[np.ix_(active, active)]
+    origin = np.zeros(coupling.freedoms) if origin is None else origin
+    moved, turns = from_origin(state.interface, origin)
+    counted = replace(balance, state=replace(state, interface=moved))
+    rates = load_rates(coupling, counted, turns @ tangent.compliance)[np.ix_(active, active)]
     per_load = np.linalg.inv(rates)
     fields = tangent.nodal_response[:, :, active] @ per_load
     border = tangent.border_response[:, active] @ per_load
@@ -86,7 +94,7 @@ def third_derivatives(system: System, balance: Balance, tangent: Linearisation) 
     changes = tangent.tangent.times(fields, coupling.constrained)
     changes[:, :, coupling.active.size :] -= tangent.further
     body_part = body.derivatives(CellState.third, state.nodes, fields)
-    body_part += coupling.third(state, (balance.forces, changes), fields, border)
+    body_part += coupling.third(state, (balance.forces, changes), fields, border, origin)
     if body.expands:
         # The strain energy's derivatives by the temperature, the input behind the loads.
         nodes, temperature = balance.state.nodes, system.temperature(balance.wrench)

@@ -132,7 +132,8 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     elif riding.matrix.any():
         raise ValueError("a mass on one of several interfaces is not there yet; leave it out")
     inertia = Inertia(system, mass, interface_mass)
-    mass_of_part = float(mass.sum())
+    cells = 1.0 - system.body.slips
+    mass_of_part = float(cells @ (mass @ cells))
     if mass.nnz:
         # The motion of the lowest frequency, by Lanczos' method.
         masses, inverse = (
@@ -353,7 +354,8 @@ def craig_bampton(
     ]
     moved = np.concatenate(motions_of)
     static = _nodal(inertia, shapes)
-    base = np.einsum("ij,njk->nik", body, _rigid(points - origin, axes)) - static @ moved
+    rigid = _rigid(points - origin, axes) * ~system.body.slips[:, None, None]
+    base = np.einsum("ij,njk->nik", body, rigid) - static @ moved
     fields = np.concatenate([base, static, _nodal(inertia, motions)], axis=2)
     total = sum(fields[:, axis].T @ (mass @ fields[:, axis]) for axis in range(3))
     energies = 0.5 * np.asarray(total + np.transpose(total))  # twice the kinetic ones of pairs

@@ -13,6 +13,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from wrenchbook.fea.spec.deck_text import deck_text
 from wrenchbook.fea.spec.material import AnyMaterial, Orthotropic
 from wrenchbook.fea.spec.schema import (
@@ -73,8 +75,6 @@ def fingerprint(parts: Mapping[str, Any]) -> str:
         "analysis": {"nonlinear": analysis.nonlinear, "integration": analysis.integration},
         "deck": _deck(parts["deck"]),
     }
-    if ties := parts.get("ties"):
-        content["ties"] = [(tie.secondary, tie.main, tie.distance or 0.0) for tie in ties]
     if parts["others"]:
         content["interface"] = [
             {"name": interface.name, "is": _interface(interface)}
@@ -93,6 +93,11 @@ def fingerprint(parts: Mapping[str, Any]) -> str:
             content["inputs"]["field"] = _bytes(field)
     if ACCELERATIONS[0] in further:
         content["acceleration"] = densities
+    for name in filter(parts.get, ("ties", "bolts", "joints")):
+        texts = [json.dumps(vars(each), default=np.ndarray.tolist) for each in parts[name]]
+        content[name] = texts if name == "ties" else sorted(texts)  # the first tie takes a node
+    if "bolts" in content:
+        content["zero"] = analysis.zero
     if _names_nodes_of_cases(parts["mesh"], [content["supports"], content["interface"]]):
         content["case"] = CASE
     # json writes floats by repr, so equal numbers give equal text and different ones do not.

@@ -444,6 +444,57 @@ class Bushing(Attached):
         return Interface(self.group, coupling=self.coupling, point=self.point, axes=self.axes)
 
 
+@array_table
+class Bolt:
+    """A shank that is cut across its axis and tightened."""
+
+    region: Text | None = key("", '"shank"', default=None)
+    """the shank's cell group, cut between cells near the plane square to the axis"""
+    group: Text | None = key("", '"cut"', default=None)
+    """in place of `region`: facets inside the body, all across the shank"""
+    axis: Direction = key("", "[0, 0, 1]", kw_only=True)
+    """the shank's direction, in the mesh's axes"""
+    force: Positive = key("N", "12e3", kw_only=True)
+    """the preload: the shank's tension when it is tightened and nothing else acts"""
+    point: Point | None = key("m", "[0, 0, 0.02]", default=None, absent="the region's middle")
+    """with `region`: a point of the plane of the cut"""
+    keeps: Literal["length", "force"] = key("", '"force"', default="length")
+    """under the loads after it is tightened: its `length`, as bolts do, or its `force`, as soft
+    disc springs do"""
+
+    def __post_init__(self) -> None:
+        if (self.region is None) == (self.group is None):
+            raise MistakesError(("region", "write a region, or a group in its place"))
+        if self.group is not None and self.point is not None:
+            raise MistakesError(("point", "is of a region; a group has its place: leave it out"))
+
+
+@array_table
+class Joint(Attached):
+    """Two groups with a spring between them, or joined rigidly."""
+
+    groups: Annotated[tuple[Text, Text], counted(2), AfterValidator(different)] = key(
+        "", '["hub", "rim"]', write="two names of facet or node groups"
+    )
+    """two facet or node groups; the spring's axes turn with the first"""
+    stiffness: Stiffness | None = key(
+        "N/m, N/rad and N·m/rad", "[1e6, 1e6, 1e6, 50, 50, 50]", default=None
+    )
+    """as of a bushing, of the second group's motion relative to the first"""
+    rigid: Flag = key("", "true", default=False)
+    """in place of `stiffness`: both move as one rigid body; with `coupling = "rigid"`"""
+
+    def __post_init__(self) -> None:
+        if self.rigid == (self.stiffness is not None):
+            raise MistakesError(("stiffness", "write it, or rigid = true in its place"))
+        if self.rigid and self.coupling != "rigid":
+            raise MistakesError(("coupling", 'must be "rigid" of a rigid joint'))
+
+    def end(self, group: str) -> Interface:
+        """Return one of the groups as a section, with the point and the axes of the spring."""
+        return Interface(group, coupling=self.coupling, point=self.point, axes=self.axes)
+
+
 @table
 class Supports:
     """The groups whose nodes do not move, those that slide, and those on springs."""
@@ -590,6 +641,9 @@ class Analysis:
         "m/s^2", "[0, 0, -9.81]", default=None
     )
     """self-weight as a constant load, in the mesh's axes; each material needs `density`"""
+    zero: Literal["preloaded", "untightened"] = key("", '"untightened"', default="preloaded")
+    """with bolts, the zero of displacement: the part as they are tightened and nothing else acts,
+    or before that"""
     on_yield: Literal["warn", "fail"] = key("", '"fail"', default="warn")
     """where a `yield_strength` is exceeded: a note with the fraction of the volume beyond it, or a
     failed solve and no row"""
@@ -685,6 +739,8 @@ class Bundle:
     others: tuple[Interface, ...] = ()
     ties: tuple[Tie, ...] = ()
     further: tuple[ScalarInput, ...] = ()  # the inputs behind the loads
+    bolts: tuple[Bolt, ...] = ()
+    joints: tuple[Joint, ...] = ()
 
     @property
     def acting(self) -> DeclaredRange:

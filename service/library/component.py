@@ -25,6 +25,11 @@ HANGING = (
     "is the sag under gravity"
 )
 UNLOADED = "relative to the part without loads"
+TIGHTENED = "relative to the part as its bolts are tightened, without other loads and its weight"
+UNTIGHTENED = (
+    "relative to the part before its bolts are tightened, the geometry of its mesh: at zero load "
+    "it is the displacement by their preload, and the sag under gravity if there is any"
+)
 
 FileStamp = tuple[tuple[int, int] | None, ...]
 
@@ -252,6 +257,9 @@ def _interfaces(folder: Path, _fingerprint: str) -> dict[str, dict[str, Any]]:
     common: dict[str, Any] = {}
     if gravity:
         common = {"gravity": list(gravity), "displacement": HANGING}
+    if bundle.bolts:
+        preloaded = bundle.analysis.zero == "preloaded"
+        common["displacement"] = TIGHTENED if preloaded else UNTIGHTENED
     zeros = [f"{entry.name} {entry.reference:g} {entry.unit}" for entry in bundle.further]
     if zeros:
         common["displacement"] = f"{common.get('displacement', UNLOADED)}, at {', '.join(zeros)}"

@@ -127,7 +127,7 @@ def _with_loads(part: ComponentModel, loads: Array) -> str:
     """Return the deck with nodal loads, shape (k, 3), N, in place of the rigid body."""
     linear = replace(part.analysis, nonlinear=False)
     deck = deck_of(attached(replace(part, analysis=linear), coupling="rigid"))
-    above = deck[: deck.index("*CLOAD")].splitlines()
+    above = deck[: deck.rindex("*CLOAD")].splitlines()
     lines = [line for line in above if not line.startswith("*RIGID BODY, NSET=SECTION")]
     lines.append("*CLOAD")
     for node, load in zip(part.interfaces[0].section.node_ids + 1, loads, strict=True):

@@ -16,7 +16,7 @@ import math
 import subprocess
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -75,9 +75,14 @@ class Opinion:
 
 def comparable(part: ComponentModel) -> tuple[ComponentModel, tuple[str, ...]]:
     """Return the component that both can solve, and how it differs from the user's."""
+    if part.bolts:  # a deck's displacements count from before they are tightened
+        part = replace(part, analysis=replace(part.analysis, zero="untightened"))
+    turning = any(joint.stiffness is not None for joint in part.joints)
+    notes = ("axes of springs between groups turn with the first group, but not in CalculiX",)
+    notes = notes if turning and part.analysis.nonlinear else ()
     if part.interfaces[0].coupling == "rigid" or not part.analysis.nonlinear:
-        return part, ()
-    notes = (
+        return part, notes
+    notes += (
         "CalculiX does not report the motion of a distributing coupling: both solve the component "
         'with coupling = "rigid" in its place, so the answers are not those of the component',
     )

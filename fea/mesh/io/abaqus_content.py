@@ -52,12 +52,12 @@ _BOUNDARY_TYPES = {
 }
 
 _MISSING = {
-    "SPRING": "is not solved; write [[supports.bushing]] for a spring to the ground",
-    "CONNECTOR SECTION": "is not solved; write [[supports.bushing]] for a spring to the ground",
+    "SPRING": "is not solved; write [[supports.bushing]] or [[spring]]",
+    "CONNECTOR SECTION": "is not solved; write [[supports.bushing]] or [[spring]]",
     "CONTACT": "is not solved: surfaces do not meet; compare bonded and free as bounds",
     "CONTACT PAIR": "is not solved: surfaces do not meet; compare bonded and free as bounds",
     "EMBEDDED ELEMENT": "is not solved: the elements inside are left out",
-    "PRE-TENSION SECTION": "is not solved: bolts are without preload",
+    "PRE-TENSION SECTION": "is not taken over; write a [[bolt]]",
     "SHELL TO SOLID COUPLING": "is not solved: only solid cells are",
     "SHELL SECTION": "is not solved: shells are groups of faces only",
     "MEMBRANE SECTION": "is not solved: membranes are groups of faces only",

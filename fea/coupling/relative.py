@@ -1,0 +1,67 @@
+"""Springs, q^T K q / 2 of a frame's motion q, or of a second frame's relative to the first.
+
+A frame's motion is its translation t and rotation vector r. Of two frames that are one at rest q
+is R1^T (t2 - t1) and the rotation vector of R1^T R2, in axes that turn with the first: a rigid
+motion of both costs no energy at any rotation. The gradient B^T K q has B = dq/d(t1, r1, t2, r2)
+in closed form, the tangent is its derivative by complex steps, exact to roundoff, and the third
+derivatives are those of the tangent by differences, which leave out 1e-12.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wrenchbook.fea.tensors import rotation, rotation_vector, skew, spin_per_vector
+
+Array = np.ndarray
+
+_COMPLEX_STEP = 2.0**-100
+_STEP = 1e-3  # rad
+_SLOPE = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}  # weights of a first derivative
+
+
+def relative(motions: Array) -> tuple[Array, Array]:
+    """Return q, (6,), m and rad, of one frame's motion, (6,), or two, (12,), and B, (6, k)."""
+    return _with_change(motions, _turned(motions))
+
+
+def tangent(motions: Array, stiffness: Array) -> Array:
+    """Return the second derivatives of the energy by the motions, shape (k, k)."""
+    (q, change), columns = relative(motions), []
+    turned, rate = q[3:], change[3:]
+    for unit in 1j * _COMPLEX_STEP * np.eye(len(motions)):
+        q, ahead = _with_change(motions + unit, turned + rate @ unit)
+        columns.append(np.imag(ahead.T @ stiffness @ q) / _COMPLEX_STEP)
+    return np.stack(columns, axis=1)
+
+
+def third(motions: Array, stiffness: Array) -> Array:
+    """Return the third derivatives of the energy by the motions, shape (k, k, k).
+
+    Those by translations alone are zero: at fixed rotations the energy is quadratic.
+    """
+    tensor = np.zeros((len(motions),) * 3)
+    for turn in (3, 4, 5, 9, 10, 11) if len(motions) == 12 else ():
+        unit = _STEP * np.eye(12)[turn]
+        slope = sum(w * tangent(motions + n * unit, stiffness) for n, w in _SLOPE.items()) / _STEP
+        tensor[turn], tensor[:, turn], tensor[:, :, turn] = slope, slope, slope
+    return tensor
+
+
+def _turned(motions: Array) -> Array:
+    """Return the rotation vector of q, shape (3,), rad."""
+    *_, first, _, last = np.append(np.zeros(12 - len(motions)), motions).reshape(4, 3)
+    return rotation_vector(rotation(first).T @ rotation(last))
+
+
+def _with_change(motions: Array, turned: Array) -> tuple[Array, Array]:
+    """Return q and B, (6,) and (6, k), of motions (k,) by the rotation vector of q."""
+    if len(motions) == 6:
+        return motions, np.eye(6)
+    place, first, other, second = motions.reshape(4, 3)
+    back, spin = rotation(first).T, spin_per_vector(first)
+    rate = np.linalg.inv(spin_per_vector(turned)) @ back
+    zero = np.zeros((3, 3))
+    shifts = [-back, back @ skew(other - place) @ spin, back, zero]
+    turns = [zero, -rate @ spin, zero, rate @ spin_per_vector(second)]
+    return np.append(back @ (other - place), turned), np.block([shifts, turns])

@@ -1,0 +1,168 @@
+"""Cuts of bolts: the nodes of a section of the shank are doubled for the cells on its upper side.
+
+Each copy follows its original plus the slip, the displacement of a point that belongs to no cell:
+u_copy = u_original + u_slip. Both sides shift along the axis alone, so that the section may be
+jagged. The bolt's force pulls the slip against the axis: it is the tension of the shank.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from wrenchbook.fea.mesh.dependents import Dependents
+from wrenchbook.fea.mesh.facets import TRIANGLES, faces_of, facets_within, missing
+from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
+from wrenchbook.fea.spec.problems import BundleProblem
+from wrenchbook.fea.spec.schema import Bolt
+
+Array = np.ndarray
+
+_LEVEL = 1e-9  # of the shank's length: a cell whose middle is in the plane is above it
+
+
+@dataclass(frozen=True, eq=False)
+class BoltCut:
+    """A bolt with its cut."""
+
+    key: str  # where the bundle has it: ``bolt[0]``
+    bolt: Bolt
+    nodes: Array  # shape (k,), int64: those of the cut, on its lower side
+    slip: int  # the point whose displacement is the shift of the upper side against the lower
+    cells: tuple[Array, ...]  # for each block the numbers of the upper cells at the cut
+    area: float  # of the cut, projected on the plane across the axis, m^2
+
+    @property
+    def copies(self) -> Array:
+        """The nodes of the upper side, shape (k,), in the order of `nodes`."""
+        return self.slip - len(self.nodes) + np.arange(len(self.nodes))
+
+    @property
+    def axis(self) -> Array:
+        """Unit vector from the lower to the upper side, shape (3,), in the mesh's axes."""
+        return np.array(self.bolt.axis)
+
+
+def cut_bolts(
+    mesh: Mesh, bolts: tuple[Bolt, ...], problems: list[BundleProblem]
+) -> tuple[Mesh, tuple[BoltCut, ...]]:
+    """Return the mesh with its bolts cut, its new points behind the others, and the cuts.
+
+    Groups keep their nodes and facets: those of a cut are the lower side's.
+    """
+    cuts: list[BoltCut] = []
+    entries = [mesh.dependents.entries] if mesh.dependents is not None else []
+    for number, bolt in enumerate(bolts):
+        sides = _sides(mesh, bolt, f"bolt[{number}]", problems)
+        if sides is None:
+            continue
+        upper, nodes, area = sides
+        slip = len(mesh.points) + len(nodes)
+        cut = BoltCut(f"bolt[{number}]", bolt, nodes, slip, tuple(map(np.flatnonzero, upper)), area)
+        cuts.append(cut)
+        ones = np.ones(len(nodes))
+        entries += [(cut.copies, nodes, ones), (cut.copies, np.full(len(nodes), slip), ones)]
+        renumbered = np.arange(len(mesh.points))
+        renumbered[nodes] = cut.copies
+        pairs = zip(mesh.blocks, upper, strict=True)
+        blocks = (
+            CellBlock(block.kind, np.where(above[:, None], renumbered[block.nodes], block.nodes))
+            for block, above in pairs
+        )
+        points = np.vstack([mesh.points, mesh.points[nodes], mesh.points[nodes].mean(axis=0)])
+        mesh = replace(mesh, points=points, blocks=tuple(blocks))
+    if cuts:
+        followers, masters, weights = map(np.concatenate, zip(*entries, strict=True))
+        dependents = Dependents.of(len(mesh.points), (followers, masters, weights))
+        mesh = replace(mesh, dependents=dependents)
+    return mesh, tuple(cuts)
+
+
+def _sides(
+    mesh: Mesh, bolt: Bolt, key: str, problems: list[BundleProblem]
+) -> tuple[list[Array], Array, float] | None:
+    """Return which cells are above a cut at it, (m,) bool of each block, its nodes, and its area.
+
+    The nodes, (k,), are sorted. The area, m^2, is projected on the plane across the axis.
+    """
+    by_region, name = bolt.region is not None, bolt.region or bolt.group or ""
+    key, message = f"{key}.{'region' if by_region else 'group'}", ""
+    kind, groups = ("cell", mesh.regions) if by_region else ("facet", mesh.facet_groups)
+    if name not in groups:
+        problems.append(missing(key, name, f"{kind} group", [*groups]))
+        return None
+    heights, chosen = mesh.points @ bolt.axis, list[Array]()
+    if by_region:
+        chosen = [
+            np.isin(np.arange(len(block)), cells)
+            for block, cells in zip(mesh.blocks, mesh.regions[name], strict=True)
+        ]
+        span = heights[_nodes_of(mesh, chosen)]
+        level = 0.5 * (span.min() + span.max()) if bolt.point is None else bolt.point @ bolt.axis
+        levels = [np.full(len(block), level - _LEVEL * np.ptp(span)) for block in mesh.blocks]
+    else:
+        # Each cell against those of its own nodes that are in the group, which may be curved.
+        group = mesh.facet_groups[name].node_ids
+        touched = [np.isin(block.nodes, group) for block in mesh.blocks]
+        chosen = [touch.sum(axis=1) > 0 for touch in touched]
+        levels = [
+            (touch * heights[block.nodes]).sum(axis=1) / np.maximum(touch.sum(axis=1), 1)
+            for touch, block in zip(touched, mesh.blocks, strict=True)
+        ]
+    above = [
+        inside & (heights[block.nodes].mean(axis=1) > level)
+        for inside, block, level in zip(chosen, mesh.blocks, levels, strict=True)
+    ]
+    below = [inside & ~upper for inside, upper in zip(chosen, above, strict=True)]
+    nodes = np.intersect1d(_nodes_of(mesh, above), _nodes_of(mesh, below))
+    above = [
+        upper & np.isin(block.nodes, nodes).any(axis=1)
+        for block, upper in zip(mesh.blocks, above, strict=True)
+    ]
+    cells = (CellBlock(b.kind, b.nodes[upper]) for b, upper in zip(mesh.blocks, above, strict=True))
+    faces = FacetGroup(tuple(FacetBlock(*each) for each in faces_of(tuple(cells)).items()))
+    triangles = [
+        facets[:, TRIANGLES[kind]].reshape(-1, 3)
+        for kind, facets in facets_within(faces, nodes).blocks
+    ]
+    outside = np.intersect1d(nodes, _nodes_of(mesh, [~inside for inside in chosen]))
+    if not triangles:
+        message = "has no cells on both sides that hang together: correct its point or axis"
+    elif not by_region and not np.array_equal(nodes, mesh.facet_groups[name].node_ids):
+        message = f'"{name}" does not cut through: name all facets across the shank'
+    elif outside.size:
+        message = (
+            f"shares {outside.size} nodes of its cut with cells outside the region, which hold the "
+            "shank there: move the point to where the shank is free"
+        )
+    elif (count := _pieces(mesh, above, nodes)) > 1:
+        message = f"has {count} separate shanks at its cut: write a [[bolt]] for each"
+    if message:
+        problems.append(BundleProblem(key, message))
+        return None
+    # The vectors of a face that is between two upper cells cancel.
+    x = mesh.points[np.concatenate(triangles)]
+    vector = 0.5 * np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]).sum(axis=0)
+    return above, nodes, float(abs(vector @ bolt.axis))
+
+
+def _pieces(mesh: Mesh, chosen: Sequence[Array], nodes: Array) -> int:
+    """Return into how many pieces some cells fall that hang together by some nodes."""
+    pairs, first = [], len(mesh.points)
+    for block, cells in zip(mesh.blocks, chosen, strict=True):
+        cell, corner = np.nonzero(np.isin(block.nodes, nodes) & cells[:, None])
+        pairs.append(np.stack([first + cell, block.nodes[cell, corner]]))
+        first += len(block)
+    _, ends = np.unique(np.concatenate(pairs, axis=1), return_inverse=True)
+    rows, columns = ends.reshape(2, -1)
+    size = int(ends.max()) + 1
+    return connected_components(coo_array((np.ones(len(rows)), (rows, columns)), (size, size)))[0]
+
+
+def _nodes_of(mesh: Mesh, chosen: Sequence[Array]) -> Array:
+    parts = [block.nodes[cells].ravel() for block, cells in zip(mesh.blocks, chosen, strict=True)]
+    return np.unique(np.concatenate(parts))
