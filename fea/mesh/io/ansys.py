@@ -153,8 +153,11 @@ def _take_cell(archive: Translated, kind: str, region: str, number: str, nodes: 
     if name in _HEX and nodes[2] == nodes[3]:
         indices = _TETRAHEDRON if nodes[4] == nodes[5] else _WEDGE
         nodes = [nodes[i] for i in indices if i < len(nodes)]
-    if "0" in nodes:
-        raise ValueError(f"element {number} lacks midside nodes; give it all, or none")
+    corners = {10: 4, 15: 6, 20: 8}.get(len(nodes), len(nodes))
+    if "0" in nodes[:corners]:
+        raise ValueError(f"element {number} lacks corners")
+    if set(nodes[corners:]) == {"0"}:
+        nodes = nodes[:corners]
     integration = "R" if len(nodes) == 20 and not full else ""
     archive.elements[f"C3D{len(nodes)}{integration}", region].append([number, *nodes])
 

@@ -21,12 +21,9 @@ from wrenchbook.fea.spec.problems import MeshFileError
 Array = np.ndarray
 
 _SOLIDS = {
-    ("CHEXA", 8): "C3D8",
-    ("CHEXA", 20): "C3D20R",
-    ("CPENTA", 6): "C3D6",
-    ("CPENTA", 15): "C3D15",
-    ("CTETRA", 4): "C3D4",
-    ("CTETRA", 10): "C3D10",
+    "CHEXA": {8: "C3D8", 20: "C3D20R"},
+    "CPENTA": {6: "C3D6", 15: "C3D15"},
+    "CTETRA": {4: "C3D4", 10: "C3D10"},
 }
 # Nastran has the midside nodes of upright edges before those of the upper face.
 _ORDER = {
@@ -259,10 +256,13 @@ def _hold(data: _Bulk, key: tuple[str, str], node: str, freedoms: str, value: st
 
 
 def _solid(data: _Bulk, name: str, fields: list[str]) -> None:
-    nodes = [each for each in fields[2:] if each]
-    kind = _SOLIDS.get((name, len(nodes)))
-    if kind is None:
-        raise ValueError(f"it has {len(nodes)} nodes; write all midside nodes, or none")
+    corners, most = _SOLIDS[name]
+    count = max((i for i, each in enumerate(fields[2:], 1) if each), default=0)
+    nodes = [
+        each or "0" for each in fields[2:][: corners if count <= corners else max(most, count)]
+    ]
+    if (kind := _SOLIDS[name].get(len(nodes))) is None or "0" in nodes[:corners]:
+        raise ValueError(f"write its {corners} corners, and {most} nodes at most")
     nodes = [nodes[i] for i in _ORDER.get(kind, range(len(nodes)))]
     data.elements[kind, f"PSOLID_{fields[1] or fields[0]}"].append([fields[0], *nodes])
 
@@ -348,7 +348,7 @@ def _load(data: _Bulk, name: str, fields: list[str]) -> None:
 
 _TAKERS: dict[str, Callable[[_Bulk, str, list[str]], None]] = {
     "GRID": _grid,
-    **dict.fromkeys(("CHEXA", "CPENTA", "CTETRA"), _solid),
+    **dict.fromkeys(_SOLIDS, _solid),
     "MAT1": _material,
     "PSOLID": _section,
     **dict.fromkeys(("SPC", "SPC1"), _constraint),

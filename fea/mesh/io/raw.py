@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wrenchbook.fea.mesh.facets import FaceFinder
+from wrenchbook.fea.mesh.facets import EDGES, FaceFinder
 from wrenchbook.fea.mesh.mapping import right_way_round
 from wrenchbook.fea.mesh.mesh import (
     NODES_PER_CELL,
@@ -175,7 +175,7 @@ class Translated:
     nodes
         Rows of ``*NODE``.
     elements
-        By type and region, numbers of element and nodes.
+        By type and region, numbers of element and nodes; a midside node may be "0".
     constants
         By material, rows by keyword.
     sections
@@ -208,8 +208,58 @@ class Translated:
     decide: list[str] = field(default_factory=list)
     nonlinear: bool = False
 
+    def _set_middles(self) -> None:
+        """Give each midside node "0" that of another cell, else one in the middle of its edge.
+
+        A new node is held, grouped and turned as both ends of its edge are.
+        """
+        if not any("0" in row for rows in self.elements.values() for row in rows):
+            return
+        middles, blank = dict[frozenset[str], str](), []
+        kinds = {count: kind for kind, count in NODES_PER_CELL.items()}
+        for row in (row for rows in self.elements.values() for row in rows):
+            edges = EDGES[kinds[len(row) - 1]]
+            first = int(np.max(edges)) + 2
+            for i, edge in enumerate(edges[: len(row) - first], first):
+                ends = frozenset(row[1 + end] for end in edge)
+                if row[i] == "0":
+                    blank.append((row, i, ends))
+                else:
+                    middles[ends] = row[i]
+        points = dict(row.split(", ", 1) for row in self.nodes)
+        new, number = dict[str, frozenset[str]](), max(map(int, points))
+        for row, i, ends in blank:
+            if ends not in middles:
+                number += 1
+                new[str(number)], middles[ends] = ends, str(number)
+                x, y, z = np.mean([[*map(float, points[end].split(","))] for end in ends], axis=0)
+                self.nodes.append(f"{number}, {x:.12g}, {y:.12g}, {z:.12g}")
+            row[i] = middles[ends]
+        for nodes in (*self.groups.values(), *self.transforms.values()):
+            members = {*nodes}
+            nodes += [node for node, ends in new.items() if ends <= members]
+        turned = {node: row for row, nodes in self.transforms.items() for node in nodes}
+        loose = 0
+        for case in self.cases:
+            ways = defaultdict[str, set[str]](set)
+            for row in case.held:
+                ways[row.partition(", ")[0]].add(row.partition(", ")[2])
+            for node, (one, other) in new.items() if ways else ():
+                both = ways[one] & ways[other]
+                if turned.get(one) == turned.get(other) or {*"123"} <= both:
+                    case.held = [*case.held, *(f"{node}, {way}" for way in sorted(both))]
+                else:
+                    loose += bool(both)
+        self.decide.append(
+            f"{len(blank)} midside nodes that cells lack are on straight edges: {len(new)} new, in "
+            "their middle"
+            + f"; {loose} of them are free between ends with axes of their own"
+            * bool(loose)
+        )
+
     def lines(self) -> list[str]:
         """Return the deck."""
+        self._set_middles()
         lines = ["*NODE", *self.nodes]
         for (kind, region), rows in self.elements.items():
             lines.append(f"*ELEMENT, TYPE={kind}, ELSET={region}")

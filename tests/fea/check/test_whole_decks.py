@@ -204,3 +204,19 @@ def test_nastran_systems_of_nodes_supports_and_loads(tmp_path):
     np.testing.assert_allclose(points, BAR.points / 1e3, atol=1e-9)
     assert read_bundle(tmp_path / "new").range.high[:3] == pytest.approx(100)
     assert tip(tmp_path) == pytest.approx(tips_by_calculix(tmp_path, SLIDING)[0], rel=1e-5)
+
+
+def test_midside_nodes_that_cells_lack_are_another_cells_or_in_the_middle_held_as_both_ends(
+    tmp_path,
+):
+    """All cells lack the first nodes, the first cell those of the second: the bar is the same."""
+    corners = np.unique(BAR.blocks[0].nodes[:, :8]) + 1
+    middles = np.setdiff1d(np.arange(len(BAR.points)) + 1, corners)
+    lacking, shared = middles[::3], middles[1::3]
+    text = bulk(lambda cell, node: node in (shared if cell == 1 else () if cell else lacking))
+    found = proposal(tmp_path, text, name="deck.bdf")
+    (note,) = [line for line in found["decide"] if "midside nodes that cells lack" in line]
+    assert f"{len(lacking)} new, in their middle" in note
+    mesh = read_mesh(tmp_path / "new" / "deck.inp", "mm")
+    assert (len(mesh.points), mesh.cell_counts) == (len(BAR.points), BAR.cell_counts)
+    assert tip(tmp_path) == pytest.approx(ROOT_HELD, rel=1e-6)
