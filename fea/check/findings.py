@@ -458,6 +458,8 @@ def _uncoupled(component: ComponentModel, group: CoupledGroup) -> Iterator[str]:
         return
     if same[0].coupling != group.kind:
         yield f'{start} as a "{group.kind}" coupling; {same[0].key} says "{same[0].coupling}"'
+    elif group.weighted and same[0].weights != "deck":
+        yield f'{start} by weights of its own; {same[0].key} says weights = "{same[0].weights}"'
     unit = component.bundle.mesh.unit if component.bundle.mesh else "m"
     point = np.array(group.point) * in_si("length", unit)
     size = np.ptp(component.mesh.points, axis=0).max()

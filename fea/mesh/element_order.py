@@ -99,6 +99,7 @@ def second_order(mesh: Mesh) -> Mesh:
             for name, ids in mesh.node_groups.items()
         },
         mesh.deck,
+        mesh.node_weights,
     )
 
 

@@ -84,6 +84,9 @@ class Mesh:
     node_groups: Mapping[str, Array] = field(default_factory=dict)
     # What else is in the input deck that the mesh is of; None of other meshes
     deck: DeckContent | None = None
+    # Weights that a deck gives to nodes, by the group they are of: nodes, shape (k,), int64, -1 of
+    # those in no cell, and weights, shape (k,), of any scale. Other nodes of the group have none.
+    node_weights: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
 
     @property
     def unknowns(self) -> int:

@@ -153,7 +153,11 @@ def halved(mesh: Mesh) -> Mesh:
         for name, ids in mesh.node_groups.items()
     }  # fmt: skip
     every = np.concatenate([point.reshape(-1, 3) for point in points])
-    return Mesh(every[first], blocks, regions, facets, sets, mesh.deck)
+    same = np.full(len(mesh.points) + 1, -1)  # the last for nodes in no cell
+    for number, (nodes, pattern) in zip(numbers, parents, strict=True):
+        same[nodes] = number[:, pattern.values.argmax(axis=0)]  # where a shape function is 1
+    weights = {name: (same[nodes], sizes) for name, (nodes, sizes) in mesh.node_weights.items()}
+    return Mesh(every[first], blocks, regions, facets, sets, mesh.deck, weights)
 
 
 def _keys(names: Array, nodes: Array, pattern: _Pattern) -> Array:

@@ -9,7 +9,7 @@ a part come once for each. Materials, supports and loads are read in `fea.mesh.i
 from __future__ import annotations
 
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -218,6 +218,8 @@ class Deck:
     node_lines: list[tuple[int, str]] = field(default_factory=list)
     element_lines: list[str] = field(default_factory=list)
     systems: dict[int, tuple[Array, Array]] = field(default_factory=dict)  # axes in rows, origin
+    # Of couplings, by node set and label; those that come twice add up
+    weights: dict[str, Counter[int]] = field(default_factory=lambda: defaultdict(Counter))
     entries: int = 0
 
 
@@ -418,13 +420,7 @@ def _take_surface(deck: Deck, keyword: Keyword) -> None:
     surface = keyword.options["NAME"]
     for name, *fields in keyword.rows:
         if by_node:
-            _add(
-                deck,
-                deck.node_sets,
-                keyword.frame,
-                surface,
-                named(deck, deck.node_sets, name, keyword.frame),
-            )
+            add_weighted(deck, keyword.frame, surface, name, *fields[:1])
             continue
         face = fields[0].upper() if fields else ""
         if not re.fullmatch(r"S\d", face):
@@ -433,6 +429,14 @@ def _take_surface(deck: Deck, keyword: Keyword) -> None:
         deck.entries += len(entries)
         _few(range(deck.entries))
         deck.surfaces.setdefault(_key(deck, keyword.frame, surface), []).extend(entries)
+
+
+def add_weighted(deck: Deck, frame: Frame, name: str, target: str, weight: str = "") -> None:
+    """Add a node or the nodes of a set to another set, with the weight of each if it has one."""
+    labels = named(deck, deck.node_sets, target, frame)
+    _add(deck, deck.node_sets, frame, name, list(labels))
+    if weight:
+        deck.weights[frame.key(name)].update(dict.fromkeys(labels, float(weight)))
 
 
 def _take_instance(deck: Deck, keyword: Keyword) -> None:
@@ -510,6 +514,13 @@ def raw_mesh(deck: Deck) -> RawMesh:
             for key, ids in deck.node_sets.items()
         },
         {faces[key]: _faces(deck, row, sides) for key, sides in deck.surfaces.items()},
+        {
+            groups[key]: (
+                np.array([row[node] for node in weights if node in row], dtype=np.int64),
+                np.array([weight for node, weight in weights.items() if node in row]),
+            )
+            for key, weights in deck.weights.items()
+        },
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -25,6 +25,7 @@ from wrenchbook.fea.mesh.io.abaqus import (
     Deck,
     Frame,
     Keyword,
+    add_weighted,
     axes_through,
     kind_of,
     named,
@@ -64,7 +65,6 @@ _MISSING = {
     "MEMBRANE SECTION": "is not solved: membranes are groups of faces only",
     "BEAM SECTION": "is not solved: beams and trusses are groups of nodes only",
     "HYPERELASTIC": 'is not compared; write law = "neo-hookean" with small-strain constants',
-    "DISTRIBUTING COUPLING": "is not compared; write [interface] with the section's group",
     "KINEMATIC COUPLING": "is not compared; write [interface] with the section's group",
     "HYPERFOAM": "is not solved: materials are elastic, or neo-Hookean",
     "USER MATERIAL": "is not solved: materials are elastic, or neo-Hookean",
@@ -142,6 +142,8 @@ class _Reader:
     sets: dict[frozenset[int], str] = field(default_factory=dict)
     points: dict[int, tuple[int, int]] = field(default_factory=dict)
     material: str = ""
+    # Nodes of elements of one node by type and element set
+    single: dict[tuple[str, str], list[int]] = field(default_factory=dict)
 
     def take(self, deck: Deck, keyword: Keyword) -> None:
         """Take one keyword, after the deck has taken what is of the mesh."""
@@ -235,7 +237,12 @@ def _where(keyword: Keyword) -> str:
 
 def _take_elements(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
     kind = keyword.options["TYPE"].upper()
-    if kind_of(kind) is None:
+    if kind == "DCOUP3D":
+        labels = [keyword.frame.label(row[1]) for row in keyword.rows]
+        reader.single.setdefault((kind, keyword.frame.key(keyword.options["ELSET"])), []).extend(
+            labels
+        )
+    elif kind_of(kind) is None:
         reader.lack(keyword, f"of type {kind} is not solved: only solid cells are")
     elif keyword.at in deck.element_lines[-1:]:
         counts = reader.content.elements
@@ -347,7 +354,21 @@ def _take_coupling_kind(reader: _Reader, _: Deck, keyword: Keyword) -> None:
     freedoms = {n for row in rows for n in range(row[0], row[-1] + 1)}
     if rows and not freedoms >= {1, 2, 3}:
         reader.lack(keyword, "couples some directions only; here all three are")
+    elif rows and keyword.word == "DISTRIBUTING" and not freedoms >= {4, 5, 6}:
+        reader.lack(keyword, "couples no rotation; here its point turns with the mean")
+    if (method := keyword.options.get("WEIGHTING METHOD", "UNIFORM").upper()) != "UNIFORM":
+        reader.lack(keyword, f"has weights of the method {method}; here distance changes none")
     reader.couplings[-1].kind = "rigid" if keyword.word == "KINEMATIC" else "distributed"
+
+
+def _take_weighted(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+    """Take the mean of nodes with weights that the point of a DCOUP3D follows."""
+    elements = keyword.options["ELSET"]
+    (ref,) = reader.single["DCOUP3D", keyword.frame.key(elements)]
+    for target, weight in keyword.rows:
+        add_weighted(deck, keyword.frame, f"{elements}_nodes", target, weight)
+    key = keyword.frame.key(f"{elements}_nodes")
+    reader.couplings.append(_Coupling(keyword, key, ref, kind="distributed"))
 
 
 def _take_rigid(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
@@ -427,6 +448,7 @@ _TAKERS: dict[str, Callable[[_Reader, Deck, Keyword], None]] = {
     "COUPLING": _take_coupling,
     "KINEMATIC": _take_coupling_kind,
     "DISTRIBUTING": _take_coupling_kind,
+    "DISTRIBUTING COUPLING": _take_weighted,
     "RIGID BODY": _take_rigid,
     "CLOAD": _take_force,
     **dict.fromkeys(("STEP", "LOAD CASE"), _take_step),
@@ -501,10 +523,16 @@ def _couplings(reader: _Reader, deck: Deck) -> list[CoupledGroup]:
                     coupled.keyword, f"reaches no node within its radius, {coupled.radius:g}"
                 )
                 continue
+            weights = deck.weights.get(key, {})
             key = _set_of(reader, deck, near, f"{deck.names[key]}_within_{coupled.radius:g}")
+            if weights:
+                deck.weights[key] = Counter({n: weights[n] for n in near if n in weights})
         numbers = ((coupled.ref, 0), (coupled.rot, 3))
         reader.points |= {n: (len(couplings), i) for n, i in numbers if n is not None}
-        couplings.append(CoupledGroup(_where(coupled.keyword), key, coupled.kind, point))
+        weighted = coupled.kind == "distributed" and key in deck.weights
+        couplings.append(
+            CoupledGroup(_where(coupled.keyword), key, coupled.kind, point, weighted=weighted)
+        )
     return couplings
 
 

@@ -323,19 +323,21 @@ def _rigid(data: _Bulk, name: str, fields: list[str]) -> None:
 
 
 def _mean(data: _Bulk, name: str, fields: list[str]) -> None:
-    """Take an element of one weight; with UM the list ends, and the element is another."""
-    weights = [i for i, each in enumerate(fields) if i > 3 and "." in each]
-    ways = [fields[i + 1] for i in weights]
-    if len({fields[i] for i in weights}) > 1 or "UM" in fields:
-        data.skipped[f"{name} with several weights or UM"] += 1
+    """Take weights of nodes; with UM the list ends, and the element is another."""
+    if "ALPHA" in fields:
+        data.skipped[f"expansion of {name}"] += 1
+        fields = fields[: fields.index("ALPHA")]
+    starts = [i for i, each in enumerate(fields) if i > 3 and "." in each]
+    if "UM" in fields or not all(set("123") <= set(fields[i + 1]) for i in starts):
+        data.skipped[f"{name} {'with UM' if 'UM' in fields else 'of some freedoms only'}"] += 1
         return
-    if not all(set("123") <= set(each) for each in ways):
-        data.skipped[f"{name} of some freedoms only"] += 1
-        return
-    nodes = [
-        e for i, e in enumerate(fields[6:], 6) if e and "." not in e and "." not in fields[i - 1]
-    ]
-    data.tie(f"{name}_{fields[0]}", nodes, fields[2], "DISTRIBUTING")
+    if not set("123456") <= set(fields[3]):
+        data.skipped[f"{name} of whose point {fields[3]} alone follow: here all freedoms do"] += 1
+    weights = defaultdict[str, float](float)
+    for i, end in zip(starts, [*starts[1:], len(fields)], strict=True):
+        for node in _listed(fields[i + 2 : end]):
+            weights[node] += _real(fields[i])
+    data.tie(f"{name}_{fields[0]}", [*weights], fields[2], "DISTRIBUTING", weights.values())
 
 
 def _load(data: _Bulk, name: str, fields: list[str]) -> None:

@@ -42,6 +42,8 @@ class RawMesh:
     node_sets: Mapping[str, Array] = field(default_factory=dict)
     # Facet groups that the file defines as faces of cells
     facet_sets: Mapping[str, list[Block]] = field(default_factory=dict)
+    # Weights of nodes by the name of their set, as `fea.mesh.mesh.Mesh` has them
+    node_weights: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
 
 
 def to_mesh(raw: RawMesh, metres: float) -> Mesh:
@@ -97,7 +99,8 @@ def to_mesh(raw: RawMesh, metres: float) -> Mesh:
         if any(len(cells) for cells in region):
             regions[name] = region
     groups = _facet_groups(raw, number, blocks)
-    return Mesh(points, blocks, regions, groups, _node_groups(raw, number))
+    weights = {name: (number[nodes], sizes) for name, (nodes, sizes) in raw.node_weights.items()}
+    return Mesh(points, blocks, regions, groups, _node_groups(raw, number), node_weights=weights)
 
 
 def _without_twins(nodes: Array) -> tuple[Array, Array]:
@@ -235,27 +238,31 @@ class Translated:
                 x, y, z = np.mean([[*map(float, points[end].split(","))] for end in ends], axis=0)
                 self.nodes.append(f"{number}, {x:.12g}, {y:.12g}, {z:.12g}")
             row[i] = middles[ends]
+        loose = self._hold_between(new)
+        free = f", of which {loose} are free: their ends have other axes" * bool(loose)
+        self.decide.append(
+            f"{len(blank)} midside nodes that cells lack are on straight edges: {len(new)} new, in "
+            f"their middle{free}"
+        )
+
+    def _hold_between(self, new: dict[str, frozenset[str]]) -> int:
+        """Group, turn and hold new nodes as both ends are; return how many are of two axes."""
         for nodes in (*self.groups.values(), *self.transforms.values()):
             members = {*nodes}
             nodes += [node for node, ends in new.items() if ends <= members]
         turned = {node: row for row, nodes in self.transforms.items() for node in nodes}
-        loose = 0
+        loose = set[str]()
         for case in self.cases:
             ways = defaultdict[str, set[str]](set)
-            for row in case.held:
-                ways[row.partition(", ")[0]].add(row.partition(", ")[2])
-            for node, (one, other) in new.items() if ways else ():
-                both = ways[one] & ways[other]
-                if turned.get(one) == turned.get(other) or {*"123"} <= both:
-                    case.held = [*case.held, *(f"{node}, {way}" for way in sorted(both))]
-                else:
-                    loose += bool(both)
-        self.decide.append(
-            f"{len(blank)} midside nodes that cells lack are on straight edges: {len(new)} new, in "
-            "their middle"
-            + f"; {loose} of them are free between ends with axes of their own"
-            * bool(loose)
-        )
+            for node, _, way in (row.partition(", ") for row in case.held):
+                ways[node].add(way)
+            both = {node: ways[one] & ways[other] for node, (one, other) in new.items()}
+            alike = {node for node, ends in new.items() if len({*map(turned.get, ends)}) == 1}
+            alike |= {node for node in new if {*"123"} <= both[node]}
+            rows = [f"{node}, {way}" for node in new if node in alike for way in sorted(both[node])]
+            case.held = [*case.held, *rows]
+            loose |= {node for node in new if both[node] and node not in alike}
+        return len(loose)
 
     def lines(self) -> list[str]:
         """Return the deck."""
@@ -287,10 +294,14 @@ class Translated:
             before = case
         return [*lines, ""]
 
-    def tie(self, name: str, nodes: list[str], reference: str, kind: str) -> None:
+    def tie(
+        self, name: str, nodes: list[str], reference: str, kind: str, weights: Iterable[float] = ()
+    ) -> None:
         """Let nodes follow a reference node ("KINEMATIC"), or it their mean ("DISTRIBUTING")."""
         self.groups[name] = nodes
-        self.couplings += [f"*SURFACE, TYPE=NODE, NAME={name}", name]
+        self.couplings += [f"*SURFACE, TYPE=NODE, NAME={name}", *([] if weights else [name])]
+        pairs = zip(nodes, weights, strict=False)
+        self.couplings += [f"{node}, {weight:.12g}" for node, weight in pairs]
         self.couplings += [
             f"*COUPLING, CONSTRAINT NAME={name}, SURFACE={name}, REF NODE={reference}"
         ]

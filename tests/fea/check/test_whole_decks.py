@@ -5,6 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
+from tests.fea import calculix
 from tests.fea.cae import cards
 from tests.fea.check.test_load_cases import (
     BAR,
@@ -14,6 +15,7 @@ from tests.fea.check.test_load_cases import (
     PULL,
     RIGID,
     ROOT_HELD,
+    TIP,
     bulk,
     proposal,
     step,
@@ -23,7 +25,9 @@ from tests.fea.check.test_load_cases import (
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
 from wrenchbook.fea.check import report as check
 from wrenchbook.fea.check.proposal import propose
+from wrenchbook.fea.mesh.element_order import second_order
 from wrenchbook.fea.mesh.io.read import read_mesh
+from wrenchbook.fea.mesh.refine import halved
 from wrenchbook.fea.solve import Solver
 
 
@@ -206,7 +210,7 @@ def test_nastran_systems_of_nodes_supports_and_loads(tmp_path):
     assert tip(tmp_path) == pytest.approx(tips_by_calculix(tmp_path, SLIDING)[0], rel=1e-5)
 
 
-def test_midside_nodes_that_cells_lack_are_another_cells_or_in_the_middle_held_as_both_ends(
+def test_midside_nodes_that_cells_lack_are_another_cells_or_new_and_held_as_both_ends(
     tmp_path,
 ):
     """All cells lack the first nodes, the first cell those of the second: the bar is the same."""
@@ -220,3 +224,82 @@ def test_midside_nodes_that_cells_lack_are_another_cells_or_in_the_middle_held_a
     mesh = read_mesh(tmp_path / "new" / "deck.inp", "mm")
     assert (len(mesh.points), mesh.cell_counts) == (len(BAR.points), BAR.cell_counts)
     assert tip(tmp_path) == pytest.approx(ROOT_HELD, rel=1e-6)
+
+
+WEIGHTS = np.random.default_rng(1).uniform(0.5, 2, len(TIP)).round(3)
+
+
+def test_a_mean_of_weighted_nodes_moves_as_in_calculix(tmp_path):
+    x, y, z = WEIGHTS @ BAR.points[np.array(TIP) - 1] / WEIGHTS.sum()
+    head = HEAD.replace("9000, 100., 5., 5.", f"9000, {x:.12g}, {y:.12g}, {z:.12g}")
+    mean = "*ELEMENT, TYPE=DCOUP3D, ELSET=Mean\n8000, 9000\n*DISTRIBUTING COUPLING, ELSET=MEAN\n"
+    rows = "".join(f"{node}, {weight}\n" for node, weight in zip(TIP, WEIGHTS, strict=True))
+    text = head + mean + rows + step(HOLD + PULL)
+    found = proposal(tmp_path, text)
+    assert (found["left"], found["check"]["warnings"]) == ([], [])
+    assert tip(tmp_path) == pytest.approx(tips_by_calculix(tmp_path, text)[0], rel=1e-5)
+
+
+def weighted(weights):
+    """Return the bar with an RBE3 of such weights at its tip, one after the other."""
+    text = bulk()
+    fields = (each for pair in zip(weights, TIP, strict=True) for each in (pair[0], 123, pair[1]))
+    mean = "\n".join(cards.card("RBE3", 80, "", 9000, 123456, *fields))
+    return text[: text.index("RBE2")] + mean + "\n" + text[text.index("SPC1") :]
+
+
+@pytest.mark.parametrize("weights", [WEIGHTS, np.ones(len(TIP))], ids=["several", "equal"])
+def test_an_rbe3_spreads_a_wrench_by_its_weights_as_these_forces_do_in_calculix(tmp_path, weights):
+    """Its law: F w_i + w_i A^-1 M x b_i with A = sum w (b.b I - b b^T), of weights of sum 1."""
+    calculix.require_ccx()
+    found = proposal(tmp_path, weighted(weights), name="deck.bdf")
+    assert [line for line in found["left"] if "SPC set 7" not in line] == []
+    bundle = read_bundle(tmp_path / "new")
+    assert (bundle.interface.section, bundle.interface.weights) == ("RBE3_80", "deck")
+    w, points, wrench = weights / weights.sum(), BAR.points[np.array(TIP) - 1], np.arange(1.0, 7)
+    arms = points - w @ points
+    inertia = np.einsum("i,ij,ij", w, arms, arms) * np.eye(3) - (arms.T * w) @ arms
+    moment = wrench[3:] * 1e3 + np.cross([100.0, 5.0, 5.0] - w @ points, wrench[:3])
+    forces = w[:, None] * (wrench[:3] + np.cross(np.linalg.solve(inertia, moment), arms))
+    loads = "".join(
+        f"{node}, {i}, {force:.12e}\n"
+        for node, row in zip(TIP, forces.tolist(), strict=True)
+        for i, force in enumerate(row, 1)
+    )
+    text = HEAD + step(f"{HOLD}*CLOAD\n{loads}")
+    moved = {row[0]: [*map(float, row[1:])] for row in calculix.printed([text], tmp_path)}
+    u = np.array([moved[str(node)] for node in TIP])
+    turned = np.linalg.solve(inertia, w @ np.cross(arms, u))
+    mean = w @ u + np.cross(turned, [100.0, 5.0, 5.0] - w @ points)
+    expected = np.append(mean / 1e3, turned)
+    np.testing.assert_allclose(compliance(tmp_path / "new") @ wrench, expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('"deck"', '"equal"', 'by weights of its own; interface says weights = "equal"'),
+        ('"distributed"', '"rigid"', "interface.weights: a rigid coupling has no mean"),
+        ('"RBE3_80"\n', '"nodes_held_in_xyz"\n', "interface.weights: the deck gives"),
+        (f"{TIP[3]}, 1\n", f"{TIP[3]}, -99.\n", "interface.weights: they have no sum above 0"),
+        ('"deck"', '"mass"', '"mass" is none of area, equal, deck'),
+    ],
+)
+def test_weights_that_are_not_the_decks_or_make_no_mean_are_named(tmp_path, old, new, words):
+    proposal(tmp_path, weighted(np.ones(len(TIP))), name="deck.bdf")
+    for path in (tmp_path / "new").iterdir():
+        path.write_text(path.read_text().replace(old, new))
+    found = check(tmp_path / "new")
+    lines = [
+        f"{each['where']}: {each['message']}" for each in found["warnings"] + found["problems"]
+    ]
+    assert any(words in line for line in lines), lines
+
+
+def test_a_finer_mesh_and_one_of_midside_nodes_keep_the_weights_of_the_nodes(tmp_path):
+    proposal(tmp_path, weighted(WEIGHTS), name="deck.bdf")
+    mesh = read_mesh(tmp_path / "new" / "deck.inp", "mm")
+    for other in (halved(mesh), second_order(mesh)):
+        nodes, weights = other.node_weights["RBE3_80"]
+        np.testing.assert_allclose(other.points[nodes], mesh.points[np.array(TIP) - 1], atol=1e-15)
+        np.testing.assert_array_equal(weights, WEIGHTS)
