@@ -156,7 +156,7 @@ def bows_of(mesh: Mesh) -> tuple[Array, float]:
     return bows, largest
 
 
-_FIRST_ORDER = {"hex": "hex8", "tet": "tet4", "wed": "wedge6"}
+_FIRST_ORDER = {"hex": "hex8", "tet": "tet4", "wed": "wedge6", "pyr": "pyramid5"}
 _KINDS = {nodes: kind for kind, nodes in NODES_PER_CELL.items()}
 
 

@@ -52,9 +52,11 @@ _NAMES = {
     "tet4": "tetra",
     "tet10": "tetra10",
     "wedge6": "wedge",
+    "pyramid5": "pyramid",
+    "pyramid13": "pyramid",  # nor these
     "wedge15": "wedge",  # meshio 5.3 cannot hold wedges of 15 nodes: their corners only
 }
-_CORNERS = {"wedge15": 6}
+_CORNERS = {"wedge15": 6, "pyramid13": 5}
 
 
 def write_state(path: Path, component: ComponentModel, displacements: Array) -> None:

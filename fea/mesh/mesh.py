@@ -25,6 +25,8 @@ NODES_PER_CELL: dict[str, int] = {
     "tet10": 10,
     "wedge6": 6,
     "wedge15": 15,
+    "pyramid5": 5,
+    "pyramid13": 13,
 }
 """Nodes of each kind of cell."""
 

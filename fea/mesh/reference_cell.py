@@ -13,14 +13,18 @@ from functools import cache
 
 import numpy as np
 import skfem
+from scipy.special import roots_jacobi
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTet, RefTri
+
+from wrenchbook.fea.mesh.facets import EDGES
 
 Array = np.ndarray
 
 _HEX_CORNERS = "000 100 110 010 001 101 111 011"
 _HEX_EDGES = "500 150 510 050 501 151 511 051 005 105 115 015"
 _WEDGE_CORNERS = "000 100 010 001 101 011"
+_PYRAMID_CORNERS = "000 100 110 010 001"  # any other apex is an affine map away
 _QUAD_CORNERS = "00 10 11 01"
 _QUAD_EDGES = "50 15 51 05"
 _TRI_EDGES = "50 55 05"
@@ -34,6 +38,8 @@ _COORDINATES = {
     "tet10": "000 100 010 001 500 550 050 005 505 055",
     "wedge6": _WEDGE_CORNERS,
     "wedge15": f"{_WEDGE_CORNERS} 500 550 050 501 551 051 005 105 015",
+    "pyramid5": _PYRAMID_CORNERS,
+    "pyramid13": f"{_PYRAMID_CORNERS} 500 150 510 050 005 505 555 055",
     "quad4": _QUAD_CORNERS,
     "quad8": f"{_QUAD_CORNERS} {_QUAD_EDGES}",
     "quad9": f"{_QUAD_CORNERS} {_QUAD_EDGES} 55",
@@ -97,6 +103,12 @@ def reference_element(kind: str, integration: str = "full") -> ReferenceElement:
         if kind in _SIMPLEX_DEGREES:
             degrees = _MASS_SIMPLEX_DEGREES if mass else _SIMPLEX_DEGREES
             points, weights = _simplex(node_coordinates(kind).shape[1], degrees[kind])
+        elif kind.startswith("pyramid"):
+            # A cube of 3x3x3 points whose upper face is one point; (1 - z)^2 is in the weights.
+            (across, weight), (up, weight_up) = _gauss(3), roots_jacobi(3, 2, 0)
+            a, b, z = np.meshgrid(across, across, (1 + up) / 2, indexing="ij")
+            points = np.stack([a * (1 - z), b * (1 - z), z], axis=-1).reshape(-1, 3)
+            weights = np.einsum("i,j,k", weight, weight, weight_up / 8).ravel()
         else:
             points, weights = _wedge(*(_MASS_WEDGE_RULES if mass else _WEDGE_RULES)[kind])
     values, slopes = tabulate(kind, points)
@@ -138,6 +150,8 @@ def tabulate(kind: str, points: Array) -> tuple[Array, Array]:
         ]
         values, slopes = zip(*both, strict=True)
         return np.stack(values, axis=1), np.stack(slopes, axis=1)
+    if kind.startswith("pyramid"):
+        return _pyramid(points, kind)
     element = getattr(skfem, _SKFEM_NAMES[kind])()
     # Find for each node in VTK order the number scikit-fem gives it.
     coordinates = node_coordinates(kind)
@@ -147,6 +161,42 @@ def tabulate(kind: str, points: Array) -> tuple[Array, Array]:
         raise AssertionError("scikit-fem moved the nodes of a reference element")
     values, slopes = zip(*(element.lbasis(points.T, int(i)) for i in order), strict=True)
     return np.stack(values, axis=1), np.moveaxis(np.stack(slopes), (0, 1, 2), (1, 2, 0)).copy()
+
+
+_PYRAMID = ("qv", "pv", "pu", "qu", "pqvc", "puvc", "pquc", "quvc", "zqv", "zpv", "zpu", "zqu")
+
+
+def _pyramid(points: Array, kind: str) -> tuple[Array, Array]:
+    """Rational functions of a pyramid, after Bedrosian 1992: its faces are as of hex20 and tet10.
+
+    With c = 1 - z, p = x/c, q = 1 - p, u = y/c and v = 1 - u they are c times products of these and
+    z; at the apex, where all p and u meet, slopes are those on the axis.
+    """
+    x, y, z = points.T
+    c = 1 - z
+    p, u = (np.divide(each, c, out=np.full_like(c, 0.5), where=c > 1e-12) for each in (x, y))
+    factors = {"p": p, "q": 1 - p, "u": u, "v": 1 - u, "z": z, "c": c}
+    ways = {"p": (0, 1), "q": (0, -1), "u": (1, 1), "v": (1, -1), "z": (2, 1), "c": (2, -1)}
+    values, slopes = [], []
+    for word in _PYRAMID:
+        by = np.zeros((3, len(points)))
+        for i, letter in enumerate(word):
+            way, sign = ways[letter]
+            by[way] += sign * np.prod([factors[each] for each in word[:i] + word[i + 1 :]], axis=0)
+        product = np.prod([factors[each] for each in word], axis=0)
+        values.append(c * product)
+        slopes.append([by[0], by[1], p * by[0] + u * by[1] + c * by[2] - product])
+    apex = np.stack([np.zeros_like(z), np.zeros_like(z), np.ones_like(z)])
+    corners, corner_slopes = np.array([*values[:4], z]), np.array([*slopes[:4], apex])
+    if kind == "pyramid5":
+        return corners.T, corner_slopes.transpose(2, 0, 1)
+    middles, middle_slopes = 4 * np.array(values[4:]), 4 * np.array(slopes[4:])
+    for edge, value, slope in zip(EDGES[kind], middles, middle_slopes, strict=True):
+        corners[[*edge]] -= value / 2
+        corner_slopes[[*edge]] -= slope / 2
+    return np.vstack([corners, middles]).T, np.vstack([corner_slopes, middle_slopes]).transpose(
+        2, 0, 1
+    )
 
 
 def _gauss(count: int) -> tuple[Array, Array]:

@@ -16,6 +16,7 @@ import numpy as np
 from wrenchbook.fea.mesh.facets import FaceFinder
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.mesh.reference_cell import node_coordinates, tabulate
+from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import Bundle, Generator, GeometryFile
 
 Array = np.ndarray
@@ -119,7 +120,12 @@ def halved(mesh: Mesh) -> Mesh:
 
     A node group gets the new nodes that lie between nodes of it alone: those of a facet or an edge
     all of whose nodes it has.
+
+    Raises BundleError if there are pyramids, which no eight cells of one kind make.
     """
+    if any(block.kind.startswith("pyramid") for block in mesh.blocks):
+        message = "pyramids are not halved; give finer meshes: wrenchbook converge --finer FILE"
+        raise BundleError([BundleProblem("mesh", message)])
     # A sum of random 64-bit numbers of the corners names a point, whichever cell it is seen from:
     # of a million points two share a number with a probability of 3e-8.
     names = np.random.default_rng(0).integers(2**64, size=len(mesh.points), dtype=np.uint64)

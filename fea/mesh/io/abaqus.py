@@ -171,6 +171,7 @@ def _frame(keyword: Keyword, number: int) -> Frame:
 
 
 _SOLIDS = {"4": "tet4", "6": "wedge6", "8": "hex8", "10": "tet10", "15": "wedge15", "20": "hex20"}
+_SOLIDS |= {"5": "pyramid5", "13": "pyramid13"}
 _SOLID = re.compile(r"C3D(\d+)[A-Z]*")
 _SURFACES = {
     "tri3": re.compile(r"(S|CPS|CPE|CAX|M3D|SFM3D|STRI|R3D)3R?S?"),
@@ -188,6 +189,7 @@ _HEX_FACES = ("1234", "5876", "1562", "2673", "3784", "4851")
 _TET_FACES = ("123", "142", "243", "341")
 _WEDGE_FACES = ("123", "465", "1452", "2563", "3641")
 SOLID_FACES = {"hex": _HEX_FACES, "tet": _TET_FACES, "wedge": _WEDGE_FACES}
+SOLID_FACES["pyramid"] = ("1234", "152", "253", "354", "451")
 
 _REFUSED = {
     "NGEN": "write the nodes out",

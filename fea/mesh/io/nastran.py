@@ -24,6 +24,7 @@ _SOLIDS = {
     "CHEXA": {8: "C3D8", 20: "C3D20R"},
     "CPENTA": {6: "C3D6", 15: "C3D15"},
     "CTETRA": {4: "C3D4", 10: "C3D10"},
+    "CPYRAM": {5: "C3D5", 13: "C3D13"},
 }
 # Nastran has the midside nodes of upright edges before those of the upper face.
 _ORDER = {

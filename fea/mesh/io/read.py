@@ -28,6 +28,8 @@ _KINDS = {
     "tetra10": "tet10",
     "wedge": "wedge6",
     "wedge15": "wedge15",
+    "pyramid": "pyramid5",
+    "pyramid13": "pyramid13",
     "quad": "quad4",
     "quad8": "quad8",
     "quad9": "quad9",
@@ -102,8 +104,8 @@ def _read_meshio(path: Path) -> RawMesh:
 
 def _quietly(path: Path) -> meshio.Mesh:
     """Let meshio read, which prints what it dislikes and may end the interpreter."""
-    # It knows this kind in every table but that of dimensions, and fails on its files.
-    _mesh.topological_dimension.setdefault("wedge15", 3)
+    # It knows these kinds in every table but that of dimensions, and fails on their files.
+    _mesh.topological_dimension.update({"wedge15": 3, "pyramid13": 3})
     output = io.StringIO()
     try:
         with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
