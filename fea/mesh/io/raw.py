@@ -182,7 +182,9 @@ class Translated:
     constants
         By material, rows by keyword.
     sections
-        Material by region.
+        Material, with further options, by region.
+    orientations
+        Lines of ``*ORIENTATION``.
     groups
         Nodes by name.
     transforms
@@ -203,6 +205,7 @@ class Translated:
     )
     constants: dict[str, dict[str, str]] = field(default_factory=lambda: defaultdict(dict))
     sections: dict[str, str] = field(default_factory=dict)
+    orientations: list[str] = field(default_factory=list)
     groups: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
     transforms: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
     couplings: list[str] = field(default_factory=list)
@@ -278,6 +281,7 @@ class Translated:
             lines += [f"*{word}\n{row}" for word, row in constants.items()]
         known = {region for _, region in self.elements}
         pairs = ((region, name) for region, name in self.sections.items() if region in known)
+        lines += self.orientations
         lines += [f"*SOLID SECTION, ELSET={region}, MATERIAL={name}" for region, name in pairs]
         for number, (row, nodes) in enumerate(self.transforms.items(), 1):
             lines += [f"*NSET, NSET=TURNED_{number}", *_rows(nodes)]
