@@ -131,27 +131,8 @@ def tabulate(kind: str, points: Array) -> tuple[Array, Array]:
 
     The points are reference coordinates, shape (points, dimension); all are dimensionless.
     """
-    if kind == "wedge15":
-        # Serendipity wedge (not in scikit-fem), after Zienkiewicz and Taylor, volume 1, section
-        # 4.10. With barycentric L_c and z = 2 zeta - 1 in -1..1: corner
-        # L (2L - 1) (1 +- z)/2 - L (1 - z^2)/2, midside of a triangle edge 2 L_c L_d (1 +- z),
-        # midside of an upright edge L (1 - z^2).
-        x, y, z = points[:, 0], points[:, 1], 2 * points[:, 2] - 1
-        L = np.stack([1 - x - y, x, y])
-        dL = np.array([[-1.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])[:, None, :]
-        both = [
-            *(_wedge_corner(L[c], dL[c], z, side) for side in (-1, 1) for c in range(3)),
-            *(
-                _wedge_edge(L[c], dL[c], L[d], dL[d], z, side)
-                for side in (-1, 1)
-                for c, d in ((0, 1), (1, 2), (2, 0))
-            ),
-            *(_wedge_upright(L[c], dL[c], z) for c in range(3)),
-        ]
-        values, slopes = zip(*both, strict=True)
-        return np.stack(values, axis=1), np.stack(slopes, axis=1)
-    if kind.startswith("pyramid"):
-        return _pyramid(points, kind)
+    if kind in _PRODUCTS:
+        return _products(kind, points)
     element = getattr(skfem, _SKFEM_NAMES[kind])()
     # Find for each node in VTK order the number scikit-fem gives it.
     coordinates = node_coordinates(kind)
@@ -163,40 +144,48 @@ def tabulate(kind: str, points: Array) -> tuple[Array, Array]:
     return np.stack(values, axis=1), np.moveaxis(np.stack(slopes), (0, 1, 2), (1, 2, 0)).copy()
 
 
-_PYRAMID = ("qv", "pv", "pu", "qu", "pqvc", "puvc", "pquc", "quvc", "zqv", "zpv", "zpu", "zqu")
+# Shape functions that scikit-fem has not, each a product of factors: those of the first order, then
+# a fourth of those of edges' middles.
+_PYRAMID = "dqs dps dpr dqr h"
+_PRODUCTS = {
+    "wedge15": "ad bd cd ah bh ch abd bcd cad abh bch cah adh bdh cdh",
+    "pyramid5": _PYRAMID,
+    "pyramid13": f"{_PYRAMID} ddpqs ddprs ddpqr ddqrs dhqs dhps dhpr dhqr",
+}
 
 
-def _pyramid(points: Array, kind: str) -> tuple[Array, Array]:
-    """Rational functions of a pyramid, after Bedrosian 1992: its faces are as of hex20 and tet10.
+def _products(kind: str, points: Array) -> tuple[Array, Array]:
+    """Serendipity wedge (Zienkiewicz and Taylor, volume 1) and rational pyramid (Bedrosian 1992).
 
-    With c = 1 - z, p = x/c, q = 1 - p, u = y/c and v = 1 - u they are c times products of these and
-    z; at the apex, where all p and u meet, slopes are those on the axis.
+    h is the height and d = 1 - h; a, b and c are barycentric in a triangle. Of a pyramid p = x/d,
+    q = 1 - p, r = y/d and s = 1 - r, whose faces are those of hexahedra and tetrahedra; at its apex
+    slopes are those on the line p = r = 1/2.
     """
-    x, y, z = points.T
-    c = 1 - z
-    p, u = (np.divide(each, c, out=np.full_like(c, 0.5), where=c > 1e-12) for each in (x, y))
-    factors = {"p": p, "q": 1 - p, "u": u, "v": 1 - u, "z": z, "c": c}
-    ways = {"p": (0, 1), "q": (0, -1), "u": (1, 1), "v": (1, -1), "z": (2, 1), "c": (2, -1)}
-    values, slopes = [], []
-    for word in _PYRAMID:
-        by = np.zeros((3, len(points)))
+    x, y, h = points.T
+    factors, one = {"d": 1 - h, "h": h}, np.ones_like(h)
+    slopes = {"d": (0, 0, -one), "h": (0, 0, one)}
+    if kind == "wedge15":
+        factors |= {"a": 1 - x - y, "b": x, "c": y}
+        slopes |= {"a": (-one, -one, 0), "b": (one, 0, 0), "c": (0, one, 0)}
+    else:
+        d = factors["d"] = np.maximum(1 - h, 1e-30)
+        p, r = (np.where(h < 1, each / d, 0.5) for each in (x, y))
+        factors |= {"p": p, "q": 1 - p, "r": r, "s": 1 - r}
+        slopes |= {"p": (1 / d, 0, p / d), "q": (-1 / d, 0, -p / d)}
+        slopes |= {"r": (0, 1 / d, r / d), "s": (0, -1 / d, -r / d)}
+    words = _PRODUCTS[kind].split()
+    N, dN = np.zeros((len(words), len(h))), np.zeros((len(words), len(h), 3))
+    for word, value, slope in zip(words, N, dN, strict=True):
+        value[:] = np.prod([factors[letter] for letter in word], axis=0)
         for i, letter in enumerate(word):
-            way, sign = ways[letter]
-            by[way] += sign * np.prod([factors[each] for each in word[:i] + word[i + 1 :]], axis=0)
-        product = np.prod([factors[each] for each in word], axis=0)
-        values.append(c * product)
-        slopes.append([by[0], by[1], p * by[0] + u * by[1] + c * by[2] - product])
-    apex = np.stack([np.zeros_like(z), np.zeros_like(z), np.ones_like(z)])
-    corners, corner_slopes = np.array([*values[:4], z]), np.array([*slopes[:4], apex])
-    if kind == "pyramid5":
-        return corners.T, corner_slopes.transpose(2, 0, 1)
-    middles, middle_slopes = 4 * np.array(values[4:]), 4 * np.array(slopes[4:])
-    for edge, value, slope in zip(EDGES[kind], middles, middle_slopes, strict=True):
-        corners[[*edge]] -= value / 2
-        corner_slopes[[*edge]] -= slope / 2
-    return np.vstack([corners, middles]).T, np.vstack([corner_slopes, middle_slopes]).transpose(
-        2, 0, 1
-    )
+            others = np.prod([one, *(factors[each] for each in word[:i] + word[i + 1 :])], axis=0)
+            slope += others[:, None] * np.stack(np.broadcast_arrays(*slopes[letter]), axis=1)
+    corners = len(words) if len(words) < 10 else int(np.max(EDGES[kind])) + 1
+    for table in (N, dN):
+        table[corners:] *= 4
+        for edge, middle in zip(EDGES[kind], table[corners:], strict=False):
+            table[[*edge]] -= middle / 2
+    return N.T, dN.swapaxes(0, 1)
 
 
 def _gauss(count: int) -> tuple[Array, Array]:
@@ -215,24 +204,3 @@ def _wedge(degree: int, count: int) -> tuple[Array, Array]:
     positions, weight = _gauss(count)
     points = [[*point, height] for height in positions for point in flat]
     return np.array(points), (weight[:, None] * flat_weights[None, :]).ravel()
-
-
-_UP = np.array([0.0, 0.0, 2.0])  # dz/dzeta
-
-
-def _wedge_corner(L: Array, dL: Array, z: Array, side: int) -> tuple[Array, Array]:
-    value = L * (2 * L - 1) * (1 + side * z) / 2 - L * (1 - z**2) / 2
-    flat = ((4 * L - 1) * (1 + side * z) - (1 - z**2)) / 2
-    return value, flat[:, None] * dL + (L * (2 * L - 1) * side / 2 + L * z)[:, None] * _UP
-
-
-def _wedge_edge(
-    L: Array, dL: Array, M: Array, dM: Array, z: Array, side: int
-) -> tuple[Array, Array]:
-    slope = L[:, None] * dM + M[:, None] * dL
-    height = (1 + side * z)[:, None]
-    return 2 * L * M * (1 + side * z), 2 * slope * height + (2 * side * L * M)[:, None] * _UP
-
-
-def _wedge_upright(L: Array, dL: Array, z: Array) -> tuple[Array, Array]:
-    return L * (1 - z**2), (1 - z**2)[:, None] * dL - (2 * z * L)[:, None] * _UP
