@@ -281,15 +281,9 @@ def _attach(
     table = key.rpartition(".")[0]
     if interface.weights != "area" and len(nodes):
         section = replace(section, weights=_weights(mesh, table, interface, nodes, problems))
+    of = interface
     return AttachedInterface(
-        table,
-        interface.name,
-        section,
-        point,
-        interface.axes,
-        interface.coupling,
-        interface.locked,
-        interface.weights,
+        table, of.name, section, point, of.axes, of.coupling, of.locked, of.weights
     )
 
 

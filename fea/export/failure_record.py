@@ -12,6 +12,7 @@ import numpy as np
 
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.mesh.io.read import MESHIO_KINDS
 
 HISTORY, LAST_STATE = "history.json", "last_state.vtu"
 
@@ -45,17 +46,9 @@ _COLUMNS = ("load_factor", "iteration", "residual_norm")
 
 Array = np.ndarray
 
-_NAMES = {
-    "hex8": "hexahedron",
-    "hex20": "hexahedron20",
-    "hex27": "hexahedron27",
-    "tet4": "tetra",
-    "tet10": "tetra10",
-    "wedge6": "wedge",
-    "pyramid5": "pyramid",
-    "pyramid13": "pyramid",  # nor these
-    "wedge15": "wedge",  # meshio 5.3 cannot hold wedges of 15 nodes: their corners only
-}
+# meshio 5.3 cannot hold wedges of 15 nodes and pyramids of 13: their corners only
+_NAMES = {kind: name for name, kind in MESHIO_KINDS.items()}
+_NAMES |= {"wedge15": "wedge", "pyramid13": "pyramid"}
 _CORNERS = {"wedge15": 6, "pyramid13": 5}
 
 

@@ -445,13 +445,7 @@ class Bushing(Attached):
     @property
     def hold(self) -> Interface:
         """The group as a section, with the point and the axes of the spring."""
-        return Interface(
-            self.group,
-            coupling=self.coupling,
-            point=self.point,
-            axes=self.axes,
-            weights=self.weights,
-        )
+        return Interface(self.group, **{name: getattr(self, name) for name in keys_of(Attached)})
 
 
 @table

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -219,53 +220,50 @@ class Translated:
 
         A new node is held, grouped and turned as both ends of its edge are.
         """
-        if not any("0" in row for rows in self.elements.values() for row in rows):
+        rows = [row for rows in self.elements.values() for row in rows]
+        if not any("0" in row for row in rows):
             return
-        middles, blank = dict[frozenset[str], str](), []
         kinds = {count: kind for kind, count in NODES_PER_CELL.items()}
-        for row in (row for rows in self.elements.values() for row in rows):
+        middles, blank = dict[frozenset[str], str](), []
+        for row in rows:
             edges = EDGES[kinds[len(row) - 1]]
             first = int(np.max(edges)) + 2
             for i, edge in enumerate(edges[: len(row) - first], first):
                 ends = frozenset(row[1 + end] for end in edge)
-                if row[i] == "0":
-                    blank.append((row, i, ends))
-                else:
+                if row[i] != "0":
                     middles[ends] = row[i]
+                else:
+                    blank.append((row, i, ends))
         points = dict(row.split(", ", 1) for row in self.nodes)
-        new, number = dict[str, frozenset[str]](), max(map(int, points))
+        numbers = itertools.count(max(map(int, points)) + 1)
+        lacking = dict.fromkeys(ends for _, _, ends in blank if ends not in middles)
+        new = {str(next(numbers)): ends for ends in lacking}
+        middles |= {ends: node for node, ends in new.items()}
         for row, i, ends in blank:
-            if ends not in middles:
-                number += 1
-                new[str(number)], middles[ends] = ends, str(number)
-                x, y, z = np.mean([[*map(float, points[end].split(","))] for end in ends], axis=0)
-                self.nodes.append(f"{number}, {x:.12g}, {y:.12g}, {z:.12g}")
             row[i] = middles[ends]
-        loose = self._hold_between(new)
-        free = f", of which {loose} are free: their ends have other axes" * bool(loose)
-        self.decide.append(
-            f"{len(blank)} midside nodes that cells lack are on straight edges: {len(new)} new, in "
-            f"their middle{free}"
-        )
-
-    def _hold_between(self, new: dict[str, frozenset[str]]) -> int:
-        """Group, turn and hold new nodes as both ends are; return how many are of two axes."""
+        for node, ends in new.items():
+            at = np.mean([[float(x) for x in points[end].split(",")] for end in ends], axis=0)
+            self.nodes.append(f"{node}, {', '.join(f'{x:.12g}' for x in at.tolist())}")
         for nodes in (*self.groups.values(), *self.transforms.values()):
             members = {*nodes}
             nodes += [node for node, ends in new.items() if ends <= members]
         turned = {node: row for row, nodes in self.transforms.items() for node in nodes}
-        loose = set[str]()
+        alike = {node: ends for node, ends in new.items() if len({*map(turned.get, ends)}) == 1}
         for case in self.cases:
-            ways = defaultdict[str, set[str]](set)
-            for node, _, way in (row.partition(", ") for row in case.held):
-                ways[node].add(way)
-            both = {node: ways[one] & ways[other] for node, (one, other) in new.items()}
-            alike = {node for node, ends in new.items() if len({*map(turned.get, ends)}) == 1}
-            alike |= {node for node in new if {*"123"} <= both[node]}
-            rows = [f"{node}, {way}" for node in new if node in alike for way in sorted(both[node])]
-            case.held = [*case.held, *rows]
-            loose |= {node for node in new if both[node] and node not in alike}
-        return len(loose)
+            held = {*case.held}
+            case.held = [
+                *case.held,
+                *(
+                    f"{node}, {way}"
+                    for node, ends in alike.items()
+                    for way in "123456"
+                    if held.issuperset(f"{end}, {way}" for end in ends)
+                ),
+            ]
+        self.decide.append(
+            f"{len(blank)} midside nodes that cells lack are on straight edges: {len(new)} new, in "
+            "their middle, held as both ends are if these have the same axes"
+        )
 
     def lines(self) -> list[str]:
         """Return the deck."""

@@ -20,7 +20,7 @@ from wrenchbook.fea.spec.schema import UNITS
 
 Array = np.ndarray
 
-_KINDS = {
+MESHIO_KINDS = {
     "hexahedron": "hex8",
     "hexahedron20": "hex20",
     "hexahedron27": "hex27",
@@ -71,7 +71,7 @@ def _read_meshio(path: Path) -> RawMesh:
         _refuse_outside(path)
     read = _quietly(path)
     blocks: list[Block] = [
-        (_KINDS.get(str(block.type), str(block.type)), np.asarray(block.data, dtype=np.int64))
+        (MESHIO_KINDS.get(str(block.type), str(block.type)), np.asarray(block.data, dtype=np.int64))
         for block in read.cells
     ]
     # Gmsh's physical groups; the 2.2 format has them only as numbers of cells.
