@@ -367,11 +367,7 @@ def contradictions(component: ComponentModel) -> list[BundleProblem]:
     ]
     cases = [
         [text for support in case.supports for text in _freed(component, support)]
-        + [
-            text
-            for coupled in (*case.couplings, *case.bushings)
-            for text in _uncoupled(component, coupled)
-        ]
+        + [text for coupled in case.couplings for text in _uncoupled(component, coupled)]
         for case in deck.cases
     ]
     messages += min(cases, key=len)  # a component is of one case of its deck
@@ -465,10 +461,6 @@ def _uncoupled(component: ComponentModel, group: CoupledGroup) -> Iterator[str]:
     elif group.weighted and same[0].weights != "deck":
         yield f'{start} by weights of its own; {same[0].key} says weights = "{same[0].weights}"'
     unit = component.bundle.mesh.unit if component.bundle.mesh else "m"
-    springs = group.stiffness(unit)
-    for there in (np.diag(k) for bushing, k in component.bushings if bushing is same[0]):
-        if any(springs) and np.abs(there - springs).max() > _SAME * np.abs(there).max():
-            yield f"{start} on springs of {_listed(springs)}; {same[0].key} has {_listed(there)}"
     point = np.array(group.point) * in_si("length", unit)
     size = np.ptp(component.mesh.points, axis=0).max()
     if group.point and np.abs(point - same[0].point).max() > _NEAR * size:

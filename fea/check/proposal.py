@@ -156,8 +156,7 @@ class _Proposal:
         held = [support for support in self.case.supports if support.group in self.groups]
         fixed = [slide.group for slide in held if slide.directions == "xyz"]
         sliding = [slide for slide in held if slide.directions != "xyz"]
-        bushings = [bushing for bushing in self.case.bushings if bushing.group in self.groups]
-        if not held and not bushings:
+        if not held:
             self.decide.append("supports: the deck holds nothing; name fixed groups")
             fixed = [_CHOOSE]
         names = ", ".join(map(_text, dict.fromkeys(fixed)))
@@ -170,10 +169,6 @@ class _Proposal:
                 f"directions = [{ways}]",
             ]
             lines += _axes(support.axes)
-        for bushing in bushings:
-            lines += ["[[supports.bushing]]", *self.attached("group", bushing)]
-            values = bushing.stiffness(self.unit)
-            lines.append(f"stiffness = {_numbers(values)}")
         return lines
 
     def interfaces(self) -> list[str]:
@@ -206,17 +201,14 @@ class _Proposal:
         return lines
 
     def interface(self, group: CoupledGroup) -> list[str]:
-        locked = ", ".join(_text(FREEDOMS[i]) for i in sorted(group.held))
-        return [*self.attached("section", group), *([f"locked = [{locked}]"] if locked else [])]
-
-    def attached(self, key: str, group: CoupledGroup) -> list[str]:
-        """Return a coupled group's keys, its name by `key`."""
         at = ", ".join(f"{x * UNITS[self.unit]:.9g}" for x in group.point)
+        locked = ", ".join(_text(FREEDOMS[i]) for i in sorted(group.held))
         return [
-            f"{key} = {_text(group.group)}",
+            f"section = {_text(group.group)}",
             *([f"point = [{at}]"] if at else []),
             f"coupling = {_text(group.kind)}",
             *(['weights = "deck"'] if group.weighted else []),
+            *([f"locked = [{locked}]"] if locked else []),
         ]
 
     def range(self, group: CoupledGroup) -> list[str]:

@@ -82,13 +82,6 @@ class CoupledGroup:
     # Force and moment on the point in the deck's units
     loads: list[float] = field(default_factory=lambda: [0.0] * 6)
     weighted: bool = False  # whether its mean is by weights of the deck
-    # Stiffnesses of springs from its point to the ground, in the deck's units
-    springs: list[float] = field(default_factory=lambda: [0.0] * 6)
-
-    def stiffness(self, unit: str) -> tuple[float, ...]:
-        """Return its springs in N/m and N·m/rad, the deck's length unit given."""
-        per = in_si("force", unit) / in_si("length", unit), in_si("moment", unit)
-        return tuple(size * per[i // 3] for i, size in enumerate(self.springs))
 
 
 @dataclass
@@ -101,7 +94,6 @@ class LoadCase:
     name: str
     supports: list[HeldGroup] = field(default_factory=list)
     couplings: list[CoupledGroup] = field(default_factory=list)
-    bushings: list[CoupledGroup] = field(default_factory=list)
     loads: dict[str, list[float]] = field(default_factory=dict)
     nonlinear: bool = False
 
@@ -113,7 +105,6 @@ class LoadCase:
             for coupled in self.couplings
             if coupled.held
         ]
-        held += [f"{bushing.group} (on springs)" for bushing in self.bushings]
         acting = [
             *((coupling.group, coupling.loads) for coupling in self.couplings),
             *self.loads.items(),

@@ -55,6 +55,7 @@ _MISSING = {
     "EQUATION": "ties nodes by equations: they move freely here; bond them in the mesh",
     "MPC": "ties nodes to each other: they move freely here; bond them in the mesh",
     "TIE": "ties surfaces: the parts are loose here; mesh them as one",
+    "SPRING": "is not solved; write [[supports.bushing]] for a spring to the ground",
     "CONNECTOR SECTION": "is not solved; write [[supports.bushing]] for a spring to the ground",
     "CONTACT": "is not solved: surfaces do not meet; compare bonded and free as bounds",
     "CONTACT PAIR": "is not solved: surfaces do not meet; compare bonded and free as bounds",
@@ -146,7 +147,6 @@ class _Reader:
     material: str = ""
     # Nodes of elements of one node by type and element set
     single: dict[tuple[str, str], list[int]] = field(default_factory=dict)
-    springs: list[Keyword] = field(default_factory=list)
 
     def take(self, deck: Deck, keyword: Keyword) -> None:
         """Take one keyword, after the deck has taken what is of the mesh."""
@@ -194,7 +194,6 @@ def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
     content = reader.content
     reader.sets = {frozenset(labels): key for key, labels in reversed(deck.node_sets.items())}
     couplings = _couplings(reader, deck)
-    _springs(reader, couplings)
     steps = [step for step in reader.steps if step.name] or reader.steps
     held: dict[int, tuple[list[HeldGroup], list[set[int]]]] = {}  # steps share their motions
     for step in reversed(steps):  # from the last: its groups get the plain names
@@ -233,27 +232,12 @@ def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
     for case in content.cases:
         case.supports = [replace(support, group=groups[support.group]) for support in case.supports]
         case.loads = {groups[key]: loads for key, loads in case.loads.items()}
-        for coupled in case.couplings:
+        for coupled in list(case.couplings):
             coupled.group = faces.get(coupled.group) or groups[coupled.group]
-        _hold_points(content, case)
-    return raw_mesh(deck), reader.content
-
-
-def _hold_points(content: DeckContent, case: LoadCase) -> None:
-    """Make supports of the couplings whose points are held or on springs."""
-    for coupled in list(case.couplings):
-        held = len(coupled.held) == len(coupled.loads)
-        if any(coupled.springs) and not held and (coupled.held or any(coupled.loads)):
-            content.missing[coupled.where] = (
-                "has springs on a point that is loaded or held too: here they are left out; a "
-                "bushing takes no loads"
-            )
-        elif held or any(coupled.springs):
-            case.couplings.remove(coupled)
-            if held:
+            if len(coupled.held) == len(coupled.loads):
+                case.couplings.remove(coupled)
                 case.supports.append(HeldGroup(coupled.where, coupled.group, "xyz"))
-            else:
-                case.bushings.append(coupled)
+    return raw_mesh(deck), reader.content
 
 
 def _where(keyword: Keyword) -> str:
@@ -262,7 +246,7 @@ def _where(keyword: Keyword) -> str:
 
 def _take_elements(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
     kind = keyword.options["TYPE"].upper()
-    if kind in ("DCOUP3D", "SPRING1"):
+    if kind == "DCOUP3D":
         labels = [keyword.frame.label(row[1]) for row in keyword.rows]
         reader.single.setdefault((kind, keyword.frame.key(keyword.options["ELSET"])), []).extend(
             labels
@@ -414,25 +398,6 @@ def _take_weighted(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
     reader.couplings.append(_Coupling(keyword, key, ref, kind="distributed"))
 
 
-def _take_spring(reader: _Reader, _: Deck, keyword: Keyword) -> None:
-    reader.springs.append(keyword)
-
-
-def _springs(reader: _Reader, couplings: list[CoupledGroup]) -> None:
-    """Give springs to the ground to the couplings whose points they are on."""
-    for keyword in reader.springs:
-        key = "SPRING1", keyword.frame.key(keyword.options.get("ELSET", ""))
-        labels = reader.single.get(key, [-1])
-        plain = len(keyword.rows) == 2 and not keyword.options.keys() - {"ELSET"}
-        if not plain or any(n in reader.turned or n not in reader.points for n in labels):
-            why = "only linear ones from a coupling's point to the ground, along the global axes"
-            reader.lack(keyword, f"is not solved: {why}; write [[supports.bushing]]")
-            continue
-        for number, first in (reader.points[label] for label in labels):
-            freedom = (int(keyword.rows[0][0]) - 1 + first) % 6
-            couplings[number].springs[freedom] += float(keyword.rows[1][0])
-
-
 def _take_rigid(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
     name = next(
         (keyword.options[k] for k in ("NSET", "TIE NSET", "PIN NSET") if k in keyword.options), ""
@@ -512,7 +477,6 @@ _TAKERS: dict[str, Callable[[_Reader, Deck, Keyword], None]] = {
     "DISTRIBUTING": _take_coupling_kind,
     "DISTRIBUTING COUPLING": _take_weighted,
     "RIGID BODY": _take_rigid,
-    "SPRING": _take_spring,
     "CLOAD": _take_force,
     **dict.fromkeys(("STEP", "LOAD CASE"), _take_step),
 }

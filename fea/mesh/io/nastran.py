@@ -57,9 +57,6 @@ class _Bulk(Translated):
     cards: dict[str, tuple[str, list[str]]] = field(default_factory=dict)
     grids: dict[str, list[str]] = field(default_factory=dict)
     systems: dict[str, tuple[str, Array, Array]] = field(default_factory=dict)
-    # Cards of springs, and stiffnesses by property
-    springs: list[tuple[str, list[str]]] = field(default_factory=list)
-    stiffness: dict[str, list[float]] = field(default_factory=dict)
 
     def system(self, number: str) -> tuple[str, Array, Array]:
         """Return kind (R, C, S), axes in rows and origin of a coordinate system, in basic axes."""
@@ -130,7 +127,6 @@ def read_nastran(text: DeckText) -> Translated:
             raise MeshFileError(
                 f"line {text.place(number)}: {name} cannot be read ({error})"
             ) from None
-    _ground(data)
     _take_cases(data, control)
     return data
 
@@ -378,34 +374,6 @@ def _mean(data: _Bulk, name: str, fields: list[str]) -> None:
     data.tie(f"{name}_{fields[0]}", [*weights], fields[2], "DISTRIBUTING", weights.values())
 
 
-def _spring(data: _Bulk, name: str, fields: list[str]) -> None:
-    """Keep a spring, or the stiffness of one direction or of six."""
-    if name in ("CELAS1", "CELAS2", "CBUSH"):
-        data.springs.append((name, fields))
-    elif name == "PELAS":
-        data.stiffness |= {fields[i]: [_real(fields[i + 1])] for i in (0, 4) if fields[i]}
-    elif fields[1] == "K":
-        data.stiffness[fields[0]] = [_real(each) for each in fields[2:8]]
-
-
-def _ground(data: _Bulk) -> None:
-    """Take the springs from a node to the ground along the basic axes."""
-    for name, fields in data.springs:
-        sizes = [_real(fields[1])] if name == "CELAS2" else data.stiffness.get(fields[1], [])
-        ends = [fields[2:4], fields[4:6]]
-        turned = data.grids.get(fields[2] or fields[4], [""] * 6)[5] not in ("", "0")
-        if name == "CBUSH":
-            ends, turned = [[fields[2], "1"], [fields[3], "1"]], fields[7] != "0"
-        (node, way), *others = [end for end in ends if end[0].strip("0")] or [("", "")]
-        if others or turned or not sizes or not node:
-            data.skipped[f"{name} not from one node to the ground along the basic axes"] += 1
-            continue
-        for i, size in enumerate(sizes, int(way)):
-            springs = f"{name}_{fields[0]}_{i}"
-            data.couplings += [f"*ELEMENT, TYPE=SPRING1, ELSET={springs}", f"{fields[0]}, {node}"]
-            data.couplings += [f"*SPRING, ELSET={springs}", f"{i}", f"{size:.9g}"]
-
-
 def _load(data: _Bulk, name: str, fields: list[str]) -> None:
     first, size = (1 if name == "FORCE" else 4), _real(fields[3])
     load = np.array([size * _real(each) for each in fields[4:7]])
@@ -424,6 +392,5 @@ _TAKERS: dict[str, Callable[[_Bulk, str, list[str]], None]] = {
     **dict.fromkeys(("SPCADD", "LOAD"), _sum),
     "RBE2": _rigid,
     "RBE3": _mean,
-    **dict.fromkeys(("CELAS1", "CELAS2", "CBUSH", "PELAS", "PBUSH"), _spring),
     **dict.fromkeys(("FORCE", "MOMENT"), _load),
 }

@@ -14,7 +14,6 @@ from tests.fea.check.test_load_cases import (
     MID,
     PULL,
     RIGID,
-    ROOT,
     ROOT_HELD,
     TIP,
     bulk,
@@ -353,58 +352,3 @@ def test_a_finer_mesh_and_one_of_midside_nodes_keep_the_weights_of_the_nodes(tmp
         nodes, weights = other.node_weights["RBE3_80"]
         np.testing.assert_allclose(other.points[nodes], mesh.points[np.array(TIP) - 1], atol=1e-15)
         np.testing.assert_array_equal(weights, WEIGHTS)
-
-
-SPRINGS = {1: 3e3, 2: 2e3, 3: 5e3, 4: 2e5, 5: 3e5, 6: 1e5}
-ON_POINT = "*NODE\n9100, 0., 5., 5.\n9101, 0., 5., 5.\n"
-ON_POINT += "*RIGID BODY, NSET=ROOT, REF NODE=9100, ROT NODE=9101\n"
-ON_POINT += "".join(
-    f"*ELEMENT, TYPE=SPRING1, ELSET=K{i}\n{9200 + i}, {9100 + i // 4}\n"
-    f"*SPRING, ELSET=K{i}\n{(i - 1) % 3 + 1}\n{size}\n"
-    for i, size in SPRINGS.items()
-)
-
-
-def test_springs_of_a_couplings_point_are_a_bushing_as_in_calculix(tmp_path):
-    text = HEAD + RIGID + ON_POINT + step(PULL)
-    found = proposal(tmp_path, text)
-    assert (found["left"], found["check"]["warnings"]) == ([], [])
-    assert tip(tmp_path) == pytest.approx(tips_by_calculix(tmp_path, text)[0], rel=1e-5)
-
-
-@pytest.mark.parametrize("kind", ["CBUSH", "CELAS1", "CELAS2"])
-def test_springs_of_nastran_to_the_ground_are_those_of_abaqus(tmp_path, kind):
-    lines = ["GRID,9100,,0.,5.,5.", *cards.card("RBE2", 81, 9100, 123456, *ROOT)]
-    if kind == "CBUSH":
-        sizes = ",".join(str(size) for size in SPRINGS.values())
-        lines += ["CBUSH,90,91,9100,,,,,0", f"PBUSH,91,K,{sizes}"]
-    for i, size in SPRINGS.items() if kind != "CBUSH" else ():
-        lines += [f"{kind},{90 + i},{size if kind == 'CELAS2' else 190 + i},,0,9100,{i}"]
-        lines += [f"PELAS,{190 + i},{size}"] if kind == "CELAS1" else []
-    text = bulk().replace("SPC = 1", "SPC = 2").replace("ENDDATA", "\n".join([*lines, "ENDDATA"]))
-    first = text.index("SPC1")
-    text = text[:first] + text[text.index("SPC1", first + 1) :]
-    proposal(tmp_path, text, name="deck.bdf")
-    (tmp_path / "b").mkdir()
-    proposal(tmp_path / "b", HEAD + RIGID + ON_POINT + step(PULL))
-    assert tip(tmp_path) == pytest.approx(tip(tmp_path / "b"), rel=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        (
-            "9203, 9100",
-            "9203, 1",
-            "*SPRING is not solved: only linear ones from a coupling's point",
-        ),
-        (PULL, f"{PULL}9100, 1, 5.\n", "has springs on a point that is loaded or held too"),
-        ("5000.0", "4000.0", '*RIGID BODY makes "ROOT" follow a point on springs of 3e+06, 2e+06'),
-    ],
-)
-def test_springs_that_are_no_bushing_or_another_are_named(tmp_path, old, new, words):
-    text = HEAD + RIGID + ON_POINT + step(PULL)
-    proposal(tmp_path, text)
-    (tmp_path / "new" / "deck.inp").write_text(text.replace(old, new))
-    warnings = [warning["message"] for warning in check(tmp_path / "new")["warnings"]]
-    assert any(words in warning for warning in warnings), warnings
