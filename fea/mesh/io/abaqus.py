@@ -173,13 +173,11 @@ def _frame(keyword: Keyword, number: int) -> Frame:
 _SOLIDS = {"4": "tet4", "6": "wedge6", "8": "hex8", "10": "tet10", "15": "wedge15", "20": "hex20"}
 _SOLIDS |= {"5": "pyramid5", "13": "pyramid13"}
 _SOLID = re.compile(r"C3D(\d+)[A-Z]*")
-_SURFACES = {
+_FLAT = {
     "tri3": re.compile(r"(S|CPS|CPE|CAX|M3D|SFM3D|STRI|R3D)3R?S?"),
     "quad4": re.compile(r"(S|CPS|CPE|CAX|M3D|SFM3D|R3D)4(R?S?W?5?)"),
     "tri6": re.compile(r"(S|CPS|CPE|CAX|M3D|SFM3D)6M?|STRI65"),
     "quad8": re.compile(r"(S|CPS|CPE|CAX|M3D|SFM3D)8R?5?"),
-}
-_LINES = {
     "line2": re.compile(r"(T[23]D2|B[23][13])R?H?"),
     "line3": re.compile(r"(T[23]D3|B[23]2)R?H?"),
 }
@@ -355,10 +353,7 @@ def kind_of(name: str) -> str | None:
         if nodes not in _SOLIDS:
             raise MeshFileError(f"of type {name} is not read; it may be C3D{', C3D'.join(_SOLIDS)}")
         return _SOLIDS[nodes]
-    for kind, pattern in {**_SURFACES, **_LINES}.items():
-        if pattern.fullmatch(name):
-            return kind
-    return None
+    return next((kind for kind, pattern in _FLAT.items() if pattern.fullmatch(name)), None)
 
 
 def _take_node_set(deck: Deck, keyword: Keyword) -> None:

@@ -128,24 +128,21 @@ def _facet_groups(
         if parts:
             chosen.setdefault(name, []).extend(parts)
     finder = FaceFinder(blocks)
-    return {name: _on_cells(name, parts, number, finder) for name, parts in chosen.items()}
-
-
-def _on_cells(name: str, parts: list[Block], number: Array, finder: FaceFinder) -> FacetGroup:
-    """Return the faces of cells that a group's facets lie on."""
-    blocks: dict[str, list[Array]] = {}
-    lost = 0
-    for kind, nodes in parts:
-        faces, missing = finder.find(kind, number[nodes])
-        lost += missing
-        for face_kind, face_nodes in faces:
-            blocks.setdefault(face_kind, []).append(face_nodes)
-    if lost:
-        raise MeshFileError(
-            f'has a group "{name}" with {lost} facets that are not faces of a solid cell; '
-            "mesh the surface and the solid together, or leave the group out"
+    groups = {}
+    for name, facets in chosen.items():
+        found = [finder.find(kind, number[nodes]) for kind, nodes in facets]
+        if lost := sum(missing for _, missing in found):
+            raise MeshFileError(
+                f'has a group "{name}" with {lost} facets that are not faces of a solid cell; '
+                "mesh the surface and the solid together, or leave the group out"
+            )
+        by_kind: dict[str, list[Array]] = {}
+        for kind, nodes in (face for faces, _ in found for face in faces):
+            by_kind.setdefault(kind, []).append(nodes)
+        groups[name] = FacetGroup(
+            tuple(FacetBlock(kind, np.concatenate(nodes)) for kind, nodes in by_kind.items())
         )
-    return FacetGroup(tuple(FacetBlock(kind, np.concatenate(n)) for kind, n in blocks.items()))
+    return groups
 
 
 def _node_groups(raw: RawMesh, number: Array) -> dict[str, Array]:

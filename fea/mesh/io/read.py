@@ -162,14 +162,10 @@ def _refuse_outside(path: Path) -> None:
         kind, text = item.get("Format"), (item.text or "").strip()
         if kind == "Binary":
             raise MeshFileError('holds numbers in another file as bytes; write Format="HDF"')
-        if kind == "HDF" and not _in_same_folder(path, text.partition(":")[0]):
+        folder, name = path.parent.resolve(), text.partition(":")[0]
+        beside = Path(name).name == name and (folder / name).resolve().parent == folder  # no link
+        if kind == "HDF" and not beside:
             raise MeshFileError(
                 f'holds numbers in "{text[:100]}", which is outside the bundle; put that file '
                 "beside it and name it without a folder"
             )
-
-
-def _in_same_folder(path: Path, name: str) -> bool:
-    """Return whether a name is that of a file in the same folder, and no link out of it."""
-    folder = path.parent.resolve()
-    return Path(name).name == name and (folder / name).resolve().parent == folder
