@@ -46,10 +46,7 @@ _COLUMNS = ("load_factor", "iteration", "residual_norm")
 
 Array = np.ndarray
 
-# meshio 5.3 cannot hold wedges of 15 nodes and pyramids of 13: their corners only
 _NAMES = {kind: name for name, kind in MESHIO_KINDS.items()}
-_NAMES |= {"wedge15": "wedge", "pyramid13": "pyramid"}
-_CORNERS = {"wedge15": 6, "pyramid13": 5}
 
 
 def write_state(path: Path, component: ComponentModel, displacements: Array) -> None:
@@ -70,7 +67,7 @@ def write_state(path: Path, component: ComponentModel, displacements: Array) -> 
         point_data[name][nodes] = 1
     meshio.Mesh(
         mesh.points,
-        [(_NAMES[block.kind], block.nodes[:, : _CORNERS.get(block.kind)]) for block in mesh.blocks],
+        [(_NAMES[block.kind], block.nodes) for block in mesh.blocks],
         point_data=point_data,
         cell_data={"material": list(component.material_of_cells)},
     ).write(path, file_format="vtu")

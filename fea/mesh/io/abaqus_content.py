@@ -145,8 +145,6 @@ class _Reader:
     sets: dict[frozenset[int], str] = field(default_factory=dict)
     points: dict[int, tuple[int, int]] = field(default_factory=dict)
     material: str = ""
-    # Nodes of elements of one node by type and element set
-    single: dict[tuple[str, str], list[int]] = field(default_factory=dict)
 
     def take(self, deck: Deck, keyword: Keyword) -> None:
         """Take one keyword, after the deck has taken what is of the mesh."""
@@ -246,11 +244,9 @@ def _where(keyword: Keyword) -> str:
 
 def _take_elements(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
     kind = keyword.options["TYPE"].upper()
-    if kind == "DCOUP3D":
-        labels = [keyword.frame.label(row[1]) for row in keyword.rows]
-        reader.single.setdefault((kind, keyword.frame.key(keyword.options["ELSET"])), []).extend(
-            labels
-        )
+    if kind == "DCOUP3D":  # its node as a set, by which *DISTRIBUTING COUPLING names it
+        ((_, node, *_),) = keyword.rows
+        add_weighted(deck, keyword.frame, keyword.options["ELSET"], node)
     elif kind_of(kind) is None:
         reader.lack(keyword, f"of type {kind} is not solved: only solid cells are")
     elif keyword.at in deck.element_lines[-1:]:
@@ -390,12 +386,11 @@ def _take_coupling_kind(reader: _Reader, _: Deck, keyword: Keyword) -> None:
 
 def _take_weighted(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
     """Take the mean of nodes with weights that the point of a DCOUP3D follows."""
-    elements = keyword.options["ELSET"]
-    (ref,) = reader.single["DCOUP3D", keyword.frame.key(elements)]
+    name = f"{keyword.options['ELSET']}_nodes"
     for target, weight in keyword.rows:
-        add_weighted(deck, keyword.frame, f"{elements}_nodes", target, weight)
-    key = keyword.frame.key(f"{elements}_nodes")
-    reader.couplings.append(_Coupling(keyword, key, ref, kind="distributed"))
+        add_weighted(deck, keyword.frame, name, target, weight)
+    ref = _node(deck, keyword, "ELSET")
+    reader.couplings.append(_Coupling(keyword, keyword.frame.key(name), ref, kind="distributed"))
 
 
 def _take_rigid(reader: _Reader, deck: Deck, keyword: Keyword) -> None:

@@ -258,9 +258,8 @@ def _hold(data: _Bulk, key: tuple[str, str], node: str, freedoms: str, value: st
 def _solid(data: _Bulk, name: str, fields: list[str]) -> None:
     corners, most = _SOLIDS[name]
     count = max((i for i, each in enumerate(fields[2:], 1) if each), default=0)
-    nodes = [
-        each or "0" for each in fields[2:][: corners if count <= corners else max(most, count)]
-    ]
+    count = count if count <= corners else max(count, most)
+    nodes = [each or "0" for each in (*fields[2:], *[""] * most)[:count]]
     if (kind := _SOLIDS[name].get(len(nodes))) is None or "0" in nodes[:corners]:
         raise ValueError(f"write its {corners} corners, and {most} nodes at most")
     nodes = [nodes[i] for i in _ORDER.get(kind, range(len(nodes)))]

@@ -268,9 +268,9 @@ class Translated:
         lines = ["*NODE", *self.nodes]
         for (kind, region), rows in self.elements.items():
             lines.append(f"*ELEMENT, TYPE={kind}, ELSET={region}")
-            lines += [",\n".join(_rows(row)) for row in rows]
+            lines += [",\n".join(rows_of(row)) for row in rows]
         for name, nodes in self.groups.items():
-            lines += [f"*NSET, NSET={name}", *_rows(nodes)]
+            lines += [f"*NSET, NSET={name}", *rows_of(nodes)]
         for name, constants in self.constants.items():
             lines.append(f"*MATERIAL, NAME={name}")
             lines += [f"*{word}\n{row}" for word, row in constants.items()]
@@ -279,7 +279,7 @@ class Translated:
         lines += self.orientations
         lines += [f"*SOLID SECTION, ELSET={region}, MATERIAL={name}" for region, name in pairs]
         for number, (row, nodes) in enumerate(self.transforms.items(), 1):
-            lines += [f"*NSET, NSET=TURNED_{number}", *_rows(nodes)]
+            lines += [f"*NSET, NSET=TURNED_{number}", *rows_of(nodes)]
             lines += [f"*TRANSFORM, NSET=TURNED_{number}", row]
         lines += self.couplings
         before = Case()
@@ -307,6 +307,7 @@ class Translated:
         self.couplings.append(f"*{kind}")
 
 
-def _rows(texts: Iterable[str]) -> list[str]:
+def rows_of(texts: Iterable[str]) -> list[str]:
+    """Return texts, ten a line."""
     texts = list(texts)
     return [", ".join(texts[i : i + 10]) for i in range(0, len(texts), 10)]

@@ -40,6 +40,9 @@ MESHIO_KINDS = {
     "line3": "line3",
 }
 
+# meshio has these kinds in every table but that of dimensions, without which it fails on them.
+_mesh.topological_dimension.update({"wedge15": 3, "pyramid13": 3})
+
 # An integer array with more values than this numbers things instead of grouping them.
 _MAX_GROUPS = 1000
 
@@ -104,8 +107,6 @@ def _read_meshio(path: Path) -> RawMesh:
 
 def _quietly(path: Path) -> meshio.Mesh:
     """Let meshio read, which prints what it dislikes and may end the interpreter."""
-    # It knows these kinds in every table but that of dimensions, and fails on their files.
-    _mesh.topological_dimension.update({"wedge15": 3, "pyramid13": 3})
     output = io.StringIO()
     try:
         with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
