@@ -234,12 +234,6 @@ def axes_through(origin: Array, first: Array, second: Array) -> Array:
     return np.array([x, np.cross(z, x), z])
 
 
-def radial_axes(axis: Array, out: Array) -> Array:
-    """Return the radial, circumferential and axial directions at a point off an axis, in rows."""
-    around = np.cross(axis, out)
-    return axes_through(np.zeros(3), np.cross(around, axis), around)
-
-
 def cartesian(kind: str, point: Array) -> Array:
     """Return a point by its coordinates in a system R, C or S, angles in degrees, shape (3,)."""
     radius, (a, b) = point[0], np.radians(point[1:])

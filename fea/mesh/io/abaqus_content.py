@@ -31,7 +31,6 @@ from wrenchbook.fea.mesh.io.abaqus import (
     named,
     numbers,
     parsed,
-    radial_axes,
     raw_mesh,
     set_key,
     set_names,
@@ -131,15 +130,13 @@ class _Reader:
 
     `steps` begins with what precedes the first; `sets` are keys of node sets by their labels, and
     `points` the number of a coupling and the first freedom of each reference node. `turned` are the
-    axes of nodes, nine numbers, that are not the global ones, and `axial` those that do for what
-    is held along or across a cylinder's axis, the same of all its nodes.
+    axes of nodes, nine numbers, that are not the global ones.
     """
 
     content: DeckContent = field(default_factory=DeckContent)
     sections: list[tuple[str, str, str, str]] = field(default_factory=list)
     orientations: dict[str, tuple[float, ...]] = field(default_factory=dict)
     turned: dict[int, tuple[float, ...]] = field(default_factory=dict)
-    axial: dict[int, tuple[float, ...]] = field(default_factory=dict)
     couplings: list[_Coupling] = field(default_factory=list)
     steps: list[_Step] = field(default_factory=lambda: [_Step()])
     sets: dict[frozenset[int], str] = field(default_factory=dict)
@@ -163,12 +160,6 @@ class _Reader:
             known = keyword.word in TAKERS or (taker is not None and keyword.word not in _PROPOSED)
             lines = self.content.taken if known else self.content.ignored
             lines.setdefault(keyword.word, []).append(keyword.line)
-
-    def axes(self, label: int, freedoms: set[int]) -> tuple[float, ...]:
-        """Return the axes along which a node is held, nine numbers, empty for the global ones."""
-        ways = _directions(freedoms)
-        alike = self.axial if ways in ("z", "xy") else {}
-        return _GLOBAL if ways == "xyz" else alike.get(label, self.turned.get(label, _GLOBAL))
 
     def lack(self, keyword: Keyword, message: str) -> None:
         """Note what counts and is not taken over."""
@@ -259,20 +250,11 @@ def _take_material(reader: _Reader, _: Deck, keyword: Keyword) -> None:
 
 
 def _take_constants(reader: _Reader, _: Deck, keyword: Keyword) -> None:
-    kind = keyword.options.get("TYPE", "ISO").upper().replace(" ", "")
-    if (keyword.word, kind) == ("EXPANSION", "ORTHO") and len(keyword.rows) == 1:
-        x, y, z = (float(each) for each in keyword.rows[0][:3])
-        reader.constants["thermal_expansion"] = x, y, z
-        return
-    if keyword.word == "ELASTIC" and kind in ("ENGINEERINGCONSTANTS", "ORTHO"):
+    kind = keyword.options.get("TYPE", "ISO").upper()
+    if keyword.word == "ELASTIC" and kind.replace(" ", "") == "ENGINEERINGCONSTANTS":
         values = [float(each) for row in keyword.rows for each in row if each][:9]
         if len(values) < 9:
-            raise ValueError(f"{len(values)} constants where nine should be")
-        if kind == "ORTHO":  # stresses by strains: 11, 12, 22, 13, 23, 33; then shears
-            a, b, c, d, e, f, *shears = values
-            flexible = np.linalg.inv([[a, b, d], [b, c, e], [d, e, f]])
-            ratios = -(flexible / np.diag(flexible)[:, None])[[0, 0, 1], [1, 2, 2]]
-            values = [*(1 / np.diag(flexible)).tolist(), *ratios.tolist(), *shears]
+            raise ValueError(f"{len(values)} engineering constants where nine should be")
         names = ("youngs_modulus", "poisson_ratio", "shear_modulus")
         reader.constants.update({k: tuple(values[3 * i : 3 * i + 3]) for i, k in enumerate(names)})
         return
@@ -321,20 +303,11 @@ def _take_orientation(reader: _Reader, _: Deck, keyword: Keyword) -> None:
 
 
 def _take_transform(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
-    kind = keyword.options.get("TYPE", "R").upper()
-    first, second = numbers(keyword, 0, 6).reshape(2, 3)
-    if kind == "C":
-        first, second = (np.array(keyword.frame.transformed(p.tolist())) for p in (first, second))
-    if kind not in ("R", "C"):
+    if (kind := keyword.options.get("TYPE", "R").upper()) != "R":
         reader.lack(keyword, f"of type {kind} turns nodes; they are taken in the global axes")
         return
+    axes = axes_through(np.zeros(3), *numbers(keyword, 0, 6).reshape(2, 3))
     for label in named(deck, deck.node_sets, keyword.options["NSET"], keyword.frame):
-        if kind == "R":
-            axes = axes_through(np.zeros(3), first, second)
-        else:
-            axes = radial_axes(second - first, deck.nodes[label] - first)
-            alike = radial_axes(second - first, np.eye(3)[np.abs(second - first).argmin()])
-            reader.axial[label] = tuple(alike.ravel().tolist())
         reader.turned[label] = tuple(axes.ravel().tolist())
 
 
@@ -491,14 +464,16 @@ def _supports(
         if partly and any(label in reader.points and label in reader.turned for label in labels):
             reader.content.missing[where] = "holds a coupled node along turned axes"
         plain = [label for label in labels if label not in reader.points]
-        turned = list({reader.axes(label, freedoms) for label in plain})
+        turned = list({reader.turned.get(label, _GLOBAL) for label in plain})
         if key and len(turned) == 1:
             by_set.setdefault((key, turned[0]), (where, set()))[1].update(freedoms)
         for label in plain if not key or turned[1:] else ():
             by_node.setdefault(label, (where, set()))[1].update(freedoms)
     together: dict[tuple[str, tuple[float, ...]], list[int]] = defaultdict(list)
     for label, (_, freedoms) in by_node.items():
-        together[_directions(freedoms), reader.axes(label, freedoms)].append(label)
+        ways = _directions(freedoms)
+        axes = _GLOBAL if ways == "xyz" else reader.turned.get(label, _GLOBAL)
+        together[ways, axes].append(label)
     held = [
         HeldGroup(where, key, _directions(freedoms_held), axes)
         for (key, axes), (where, freedoms_held) in by_set.items()

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wrenchbook.fea.mesh.io.abaqus import axes_through, cartesian, radial_axes
+from wrenchbook.fea.mesh.io.abaqus import axes_through, cartesian
 from wrenchbook.fea.mesh.io.raw import Case, Translated
 from wrenchbook.fea.spec.deck_text import DeckText
 from wrenchbook.fea.spec.problems import MeshFileError
@@ -92,9 +92,10 @@ class _Bulk(Translated):
         if kind == "R":
             return axes
         out = self.point(self.grids[node]) - origin
+        around = np.cross(axes[2], out)
         if kind == "C":
-            return radial_axes(axes[2], out)
-        return axes_through(np.zeros(3), out, np.cross(np.cross(axes[2], out), out))
+            return axes_through(np.zeros(3), np.cross(around, axes[2]), around)
+        return axes_through(np.zeros(3), out, np.cross(around, out))
 
 
 def read_nastran(text: DeckText) -> Translated:
@@ -266,54 +267,20 @@ def _solid(data: _Bulk, name: str, fields: list[str]) -> None:
     data.elements[kind, f"PSOLID_{fields[1] or fields[0]}"].append([fields[0], *nodes])
 
 
-def _anisotropic(data: _Bulk, name: str, fields: list[str]) -> None:
-    """Take MAT11, or MAT9 if it is orthotropic; its shears are xy, yz, zx."""
-    values = [_real(each) for each in (*fields, *[""] * 32)[:32]]
-    constants = data.constants[f"MAT_{fields[0]}"]
-    if name == "MAT11":
-        numbers, kind, (density, *expansion) = values[1:10], "ENGINEERING CONSTANTS", values[10:14]
-    else:
-        stiffness, (density, *expansion) = np.zeros((6, 6)), values[22:26]
-        stiffness[np.triu_indices(6)] = values[1:22]
-        if any(values[26:29]) or np.triu(stiffness, 1)[:, 3:].any():
-            raise ValueError("it is not orthotropic; no material here is")
-        three, kind = stiffness[:3, :3], "ORTHO"
-        shears = stiffness[[3, 5, 4], [3, 5, 4]]
-        numbers = [*three.T[np.tril_indices(3)].tolist(), *shears.tolist()]
-    rows = (numbers[:8], numbers[8:])
-    constants[f"ELASTIC, TYPE={kind}"] = "\n".join(", ".join(f"{x:.12g}" for x in r) for r in rows)
-    if density:
-        constants["DENSITY"] = f"{density * data.mass_factor:.9g}"
-    if any(expansion):
-        constants["EXPANSION, TYPE=ORTHO"] = ", ".join(f"{each:.9g}" for each in expansion)
-
-
 def _material(data: _Bulk, name: str, fields: list[str]) -> None:
     young, shear, ratio = (_real(each) for each in fields[1:4])
     if not fields[1]:
         young = 2 * shear * (1 + ratio)
     elif not fields[3] and shear:
         ratio = young / (2 * shear) - 1
-    constants = data.constants[f"MAT_{fields[0]}"]
+    constants = data.constants[f"{name}_{fields[0]}"]
     constants["ELASTIC"] = f"{young:.9g}, {ratio:.9g}"
     further = {"DENSITY": _real(fields[4]) * data.mass_factor, "EXPANSION": _real(fields[5])}
     constants |= {word: f"{value:.9g}" for word, value in further.items() if value}
 
 
 def _section(data: _Bulk, name: str, fields: list[str]) -> None:
-    region = f"{name}_{fields[0]}"
-    data.sections[region] = f"MAT_{fields[1]}"
-    if fields[2] in ("", "0"):
-        return
-    kind, axes, origin = ("-", *[np.eye(3)] * 2) if fields[2] == "-1" else data.system(fields[2])
-    if kind in "RC":
-        rows = axes[:2] if kind == "R" else np.array([origin, origin + axes[2]])
-        system = "RECTANGULAR" if kind == "R" else "CYLINDRICAL"
-        row = ", ".join(f"{each:.15g}" for each in rows.ravel().tolist())
-        data.orientations += [f"*ORIENTATION, NAME=O_{region}, SYSTEM={system}", row]
-        data.sections[region] += f", ORIENTATION=O_{region}"
-    else:
-        data.skipped[f"directions of {region}, of the element or of a sphere"] += 1
+    data.sections[f"{name}_{fields[0]}"] = f"MAT1_{fields[1]}"
 
 
 def _listed(fields: list[str]) -> list[str]:
@@ -385,7 +352,6 @@ _TAKERS: dict[str, Callable[[_Bulk, str, list[str]], None]] = {
     "GRID": _grid,
     **dict.fromkeys(_SOLIDS, _solid),
     "MAT1": _material,
-    **dict.fromkeys(("MAT9", "MAT11"), _anisotropic),
     "PSOLID": _section,
     **dict.fromkeys(("SPC", "SPC1"), _constraint),
     **dict.fromkeys(("SPCADD", "LOAD"), _sum),

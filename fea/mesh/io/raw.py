@@ -180,9 +180,7 @@ class Translated:
     constants
         By material, rows by keyword.
     sections
-        Material, with further options, by region.
-    orientations
-        Lines of ``*ORIENTATION``.
+        Material by region.
     groups
         Nodes by name.
     transforms
@@ -203,7 +201,6 @@ class Translated:
     )
     constants: dict[str, dict[str, str]] = field(default_factory=lambda: defaultdict(dict))
     sections: dict[str, str] = field(default_factory=dict)
-    orientations: list[str] = field(default_factory=list)
     groups: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
     transforms: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
     couplings: list[str] = field(default_factory=list)
@@ -276,7 +273,6 @@ class Translated:
             lines += [f"*{word}\n{row}" for word, row in constants.items()]
         known = {region for _, region in self.elements}
         pairs = ((region, name) for region, name in self.sections.items() if region in known)
-        lines += self.orientations
         lines += [f"*SOLID SECTION, ELSET={region}, MATERIAL={name}" for region, name in pairs]
         for number, (row, nodes) in enumerate(self.transforms.items(), 1):
             lines += [f"*NSET, NSET=TURNED_{number}", *rows_of(nodes)]
