@@ -294,15 +294,14 @@ def _weights(
     weights, message = np.ones(len(nodes)), ""
     if interface.coupling == "rigid":
         message = "a rigid coupling has no mean, so no weights; leave it out"
+    elif interface.weights == "deck" and interface.section not in mesh.node_weights:
+        message = f'the deck gives "{interface.section}" none; write "area" or "equal"'
     elif interface.weights == "deck":
-        none = np.empty(0, dtype=np.int64), np.empty(0)
-        ids, sizes = mesh.node_weights.get(interface.section, none)
+        ids, sizes = mesh.node_weights[interface.section]
         inside = np.isin(ids, nodes)
         weights = np.zeros(len(nodes))
         weights[np.searchsorted(nodes, ids[inside])] = sizes[inside]
-        if not len(ids):
-            message = f'the deck gives "{interface.section}" none; write "area" or "equal"'
-        elif sizes[~inside].any():
+        if sizes[~inside].any():
             message = f"{(~inside).sum()} of {len(ids)} nodes that have some are in no solid cell"
         elif not (weights.sum() > 0 and _spans_a_plane(mesh.points[nodes[weights != 0]])):
             message = "they have no sum above 0, or are of nodes on one line alone; correct them"

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from wrenchbook.fea.mesh.element_order import SECOND
 from wrenchbook.fea.mesh.facets import FaceFinder
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.mesh.reference_cell import node_coordinates, tabulate
@@ -53,14 +54,9 @@ def refined(bundle: Bundle, factor: float) -> Bundle | None:
     return replace(bundle, mesh=replace(mesh, **counts))
 
 
-# The cell, or facet, of first order with the same corners.
-_CORNERS = {
-    **dict.fromkeys(("hex8", "hex20", "hex27"), "hex8"),
-    **dict.fromkeys(("tet4", "tet10"), "tet4"),
-    **dict.fromkeys(("wedge6", "wedge15"), "wedge6"),
-    **dict.fromkeys(("quad4", "quad8", "quad9"), "quad4"),
-    **dict.fromkeys(("tri3", "tri6"), "tri3"),
-}
+# The cell, or facet, of first order with the same corners as one of second order.
+_CORNERS = {second: first for first, second in SECOND.items()}
+_CORNERS |= {"hex27": "hex8", "quad8": "quad4", "quad9": "quad4", "tri6": "tri3"}
 
 # Children of a triangle and a tetrahedron by corners: two equal digits for a corner, two others for
 # the middle between them. The octahedron within a tetrahedron is cut along 02-13 (Bey 1995).
@@ -86,7 +82,7 @@ class _Pattern(NamedTuple):
 
 @cache
 def _pattern(kind: str) -> _Pattern:
-    linear = _CORNERS[kind]
+    linear = _CORNERS.get(kind, kind)
     inside = tabulate(linear, node_coordinates(kind))[0]
     every = np.array([inside @ corners for corners in _children(linear)])
     points, numbers = np.unique(every.reshape(-1, every.shape[2]), axis=0, return_inverse=True)

@@ -350,18 +350,14 @@ def kind_of(name: str) -> str | None:
     return next((kind for kind, pattern in _FLAT.items() if pattern.fullmatch(name)), None)
 
 
-def _take_node_set(deck: Deck, keyword: Keyword) -> None:
-    entries = _members(deck, deck.node_sets, keyword)
-    if "ELSET" in keyword.options:
+def _take_set(deck: Deck, keyword: Keyword) -> None:
+    sets = deck.node_sets if keyword.word == "NSET" else deck.element_sets
+    entries = _members(deck, sets, keyword)
+    if keyword.word == "NSET" and "ELSET" in keyword.options:
         for element in named(deck, deck.element_sets, keyword.options["ELSET"], keyword.frame):
             block, row = deck.where[element]
             entries += deck.cells[block][row]
-    _add(deck, deck.node_sets, keyword.frame, keyword.options["NSET"], entries)
-
-
-def _take_element_set(deck: Deck, keyword: Keyword) -> None:
-    entries = _members(deck, deck.element_sets, keyword)
-    _add(deck, deck.element_sets, keyword.frame, keyword.options["ELSET"], entries)
+    _add(deck, sets, keyword.frame, keyword.options[keyword.word], entries)
 
 
 def _members(deck: Deck, sets: dict[str, list[int]], keyword: Keyword) -> list[int]:
@@ -432,7 +428,7 @@ def add_weighted(deck: Deck, frame: Frame, name: str, target: str, weight: str =
     """Add a node or the nodes of a set to another set, with the weight of each if it has one."""
     labels = named(deck, deck.node_sets, target, frame)
     _add(deck, deck.node_sets, frame, name, list(labels))
-    if weight:
+    if weight and labels:
         deck.weights[frame.key(name)].update(dict.fromkeys(labels, float(weight)))
 
 
@@ -446,8 +442,8 @@ TAKERS: dict[str, Callable[[Deck, Keyword], None]] = {
     "SYSTEM": _take_system,
     "NODE": _take_nodes,
     "ELEMENT": _take_elements,
-    "NSET": _take_node_set,
-    "ELSET": _take_element_set,
+    "NSET": _take_set,
+    "ELSET": _take_set,
     "SURFACE": _take_surface,
     "INSTANCE": _take_instance,
 }
@@ -512,11 +508,8 @@ def raw_mesh(deck: Deck) -> RawMesh:
         },
         {faces[key]: _faces(deck, row, sides) for key, sides in deck.surfaces.items()},
         {
-            groups[key]: (
-                np.array([row[node] for node in weights if node in row], dtype=np.int64),
-                np.array([weight for node, weight in weights.items() if node in row]),
-            )
-            for key, weights in deck.weights.items()
+            groups[key]: (np.array([row.get(node, -1) for node in of]), np.array([*of.values()]))
+            for key, of in deck.weights.items()
         },
     )
 

@@ -250,11 +250,17 @@ def _take_material(reader: _Reader, _: Deck, keyword: Keyword) -> None:
 
 
 def _take_constants(reader: _Reader, _: Deck, keyword: Keyword) -> None:
-    kind = keyword.options.get("TYPE", "ISO").upper()
-    if keyword.word == "ELASTIC" and kind.replace(" ", "") == "ENGINEERINGCONSTANTS":
+    kind = keyword.options.get("TYPE", "ISO").upper().replace(" ", "")
+    if keyword.word == "ELASTIC" and kind in ("ENGINEERINGCONSTANTS", "ORTHO"):
         values = [float(each) for row in keyword.rows for each in row if each][:9]
         if len(values) < 9:
-            raise ValueError(f"{len(values)} engineering constants where nine should be")
+            raise ValueError(f"{len(values)} constants where nine should be")
+        if kind == "ORTHO":  # stresses by strains: 11, 12, 22, 13, 23, 33; then shears
+            a, b, c, d, e, f, *shears = values
+            flexible = np.linalg.inv([[a, b, d], [b, c, e], [d, e, f]])
+            moduli = 1 / np.diag(flexible)
+            ratios = -(flexible * moduli[:, None])[[0, 0, 1], [1, 2, 2]]
+            values = [*moduli.tolist(), *ratios.tolist(), *shears]
         names = ("youngs_modulus", "poisson_ratio", "shear_modulus")
         reader.constants.update({k: tuple(values[3 * i : 3 * i + 3]) for i, k in enumerate(names)})
         return

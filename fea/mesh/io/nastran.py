@@ -273,14 +273,30 @@ def _material(data: _Bulk, name: str, fields: list[str]) -> None:
         young = 2 * shear * (1 + ratio)
     elif not fields[3] and shear:
         ratio = young / (2 * shear) - 1
-    constants = data.constants[f"{name}_{fields[0]}"]
+    constants = data.constants[f"MAT_{fields[0]}"]
     constants["ELASTIC"] = f"{young:.9g}, {ratio:.9g}"
     further = {"DENSITY": _real(fields[4]) * data.mass_factor, "EXPANSION": _real(fields[5])}
     constants |= {word: f"{value:.9g}" for word, value in further.items() if value}
 
 
+def _orthotropic(data: _Bulk, name: str, fields: list[str]) -> None:
+    """Take a MAT9 of nine constants; its shears are xy, yz, zx."""
+    values, stiffness = [_real(each) for each in (*fields, *[""] * 29)[:29]], np.zeros((6, 6))
+    stiffness[np.triu_indices(6)] = values[1:22]
+    if np.triu(stiffness, 1)[:, 3:].any():
+        data.skipped[f"{name} that is not orthotropic"] += 1
+        return
+    rows = [*stiffness.T[:3, :3][np.tril_indices(3)], *np.diag(stiffness)[[3, 5, 4]]]
+    row = ", ".join(f"{each:.12g}" for each in rows)
+    data.constants[f"MAT_{fields[0]}"]["ELASTIC, TYPE=ORTHO"] = row
+    if values[22]:
+        data.constants[f"MAT_{fields[0]}"]["DENSITY"] = f"{values[22] * data.mass_factor:.9g}"
+    data.skipped[f"expansion of {name}"] += any(values[23:])
+
+
 def _section(data: _Bulk, name: str, fields: list[str]) -> None:
-    data.sections[f"{name}_{fields[0]}"] = f"MAT1_{fields[1]}"
+    data.sections[f"{name}_{fields[0]}"] = f"MAT_{fields[1]}"
+    data.skipped["CORDM of PSOLID, which counts for MAT9"] += fields[2] not in ("", "0")
 
 
 def _listed(fields: list[str]) -> list[str]:
@@ -328,8 +344,10 @@ def _mean(data: _Bulk, name: str, fields: list[str]) -> None:
         data.skipped[f"expansion of {name}"] += 1
         fields = fields[: fields.index("ALPHA")]
     starts = [i for i, each in enumerate(fields) if i > 3 and "." in each]
-    if "UM" in fields or not all(set("123") <= set(fields[i + 1]) for i in starts):
-        data.skipped[f"{name} {'with UM' if 'UM' in fields else 'of some freedoms only'}"] += 1
+    some = not all(set("123") <= set(fields[i + 1]) for i in starts)
+    if "UM" in fields or some or not starts:
+        why = "of some freedoms only" if some else "with UM, or without real weights"
+        data.skipped[f"{name} {why}"] += 1
         return
     if not set("123456") <= set(fields[3]):
         data.skipped[f"{name} of whose point {fields[3]} alone follow: here all freedoms do"] += 1
@@ -352,6 +370,7 @@ _TAKERS: dict[str, Callable[[_Bulk, str, list[str]], None]] = {
     "GRID": _grid,
     **dict.fromkeys(_SOLIDS, _solid),
     "MAT1": _material,
+    "MAT9": _orthotropic,
     "PSOLID": _section,
     **dict.fromkeys(("SPC", "SPC1"), _constraint),
     **dict.fromkeys(("SPCADD", "LOAD"), _sum),

@@ -100,6 +100,7 @@ def to_mesh(raw: RawMesh, metres: float) -> Mesh:
         if any(len(cells) for cells in region):
             regions[name] = region
     groups = _facet_groups(raw, number, blocks)
+    number = np.append(number, -1)  # of points that there are not
     weights = {name: (number[nodes], sizes) for name, (nodes, sizes) in raw.node_weights.items()}
     return Mesh(points, blocks, regions, groups, _node_groups(raw, number), node_weights=weights)
 
@@ -245,15 +246,9 @@ class Translated:
         alike = {node: ends for node, ends in new.items() if len({*map(turned.get, ends)}) == 1}
         for case in self.cases:
             held = {*case.held}
-            case.held = [
-                *case.held,
-                *(
-                    f"{node}, {way}"
-                    for node, ends in alike.items()
-                    for way in "123456"
-                    if held.issuperset(f"{end}, {way}" for end in ends)
-                ),
-            ]
+            ways = ((node, ends, way) for node, ends in alike.items() for way in "123456")
+            both = (at for at in ways if held.issuperset(f"{end}, {at[2]}" for end in at[1]))
+            case.held = [*case.held, *(f"{node}, {way}" for node, _, way in both)]
         self.decide.append(
             f"{len(blank)} midside nodes that cells lack are on straight edges: {len(new)} new, in "
             "their middle, held as both ends are if these have the same axes"

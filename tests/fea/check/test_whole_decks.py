@@ -29,6 +29,7 @@ from wrenchbook.fea.mesh.element_order import second_order
 from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.mesh.refine import halved
 from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.spec.material import Orthotropic
 
 
 def compliance(folder):
@@ -142,6 +143,40 @@ def test_a_component_of_other_directions_than_its_deck_is_warned_of(tmp_path, ol
         path.write_text(path.read_text().replace(old, new))
     warnings = check(tmp_path / "new")["warnings"]
     assert any(words in warning["message"] for warning in warnings), warnings
+
+
+STIFF = Orthotropic("all", (135e3, 10e3, 9e3), (0.3, 0.25, 0.4), (5e3, 4e3, 3.5e3)).elasticity
+
+
+def test_stiffnesses_of_an_orthotropic_material_are_taken_as_in_calculix(tmp_path):
+    nine = [*STIFF[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]], *np.diag(STIFF)[3:]]
+    row = ", ".join(f"{each:.10g}" for each in nine[:8]) + f"\n{nine[8]:.10g}"
+    text = laminate(ORIENTATIONS["axes through points"]) + step(HOLD + PULL)
+    text = text.replace(PLY, f"*ELASTIC, TYPE=ORTHO\n{row}\n")
+    found = proposal(tmp_path, text)
+    assert (found["left"], found["check"]["warnings"]) == ([], [])
+    assert tip(tmp_path) == pytest.approx(tips_by_calculix(tmp_path, text)[0], rel=1e-5)
+
+
+@pytest.mark.parametrize(("across", "left"), [(0.0, "CORDM of PSOLID"), (1.0, "not orthotropic")])
+def test_an_orthotropic_mat9_is_that_of_abaqus_and_another_is_named(tmp_path, across, left):
+    nine = np.zeros((6, 6))
+    nine[:3, :3], nine[[3, 4, 5], [3, 4, 5]] = STIFF[:3, :3], np.diag(STIFF)[[3, 5, 4]]
+    nine[1, 4] = across
+    fields = [f"{each:.10g}" for each in [*nine[np.triu_indices(6)], 1.6e-9]]
+    lines = [f"MAT9,1,{','.join(fields[:7])}"]
+    lines += [f"+,{','.join(fields[i : i + 8])}" for i in range(7, len(fields), 8)]
+    text = (
+        bulk().replace("MAT1,1,70000.,,.3", "\n".join(lines)).replace("PSOLID,1,1", "PSOLID,1,1,5")
+    )
+    assert any(left in line for line in proposal(tmp_path, text, name="deck.bdf")["left"])
+    if across:
+        return
+    (material,) = read_bundle(tmp_path / "new").materials
+    assert material.density == pytest.approx(1600)
+    (tmp_path / "b").mkdir()
+    proposal(tmp_path / "b", laminate("\n1., 0., 0., 0., 1., 0.") + step(HOLD + PULL))
+    assert tip(tmp_path) == pytest.approx(tip(tmp_path / "b"), rel=1e-7)
 
 
 TURNED = "*TRANSFORM, NSET=MID\n3., 0., 4., 0., 1., 0.\n"
