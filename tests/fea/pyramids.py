@@ -4,7 +4,7 @@ import numpy as np
 
 from tests.fea.boxes import box
 from wrenchbook.fea.mesh.element_order import second_order
-from wrenchbook.fea.mesh.facets import FACES
+from wrenchbook.fea.mesh.facets import FACES, facets_within, outer_surface
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
 
 
@@ -21,12 +21,12 @@ def mixed(divisions=(3, 3, 3), lengths=(1.0, 1.0, 1.0), warp=None, order=2):
         points.append(mesh.points[cell].mean(axis=0))
         for face, alone in zip(FACES["hex8"], sides, strict=True):
             a, b, c, d = cell[[*face[::-1]]]
-            if alone:
-                tets += [[a, b, c, len(points) - 1], [a, c, d, len(points) - 1]]
-            else:
-                pyramids.append([a, b, c, d, len(points) - 1])
+            apex = len(points) - 1
+            tets += [[a, b, c, apex], [a, c, d, apex]] if alone else []
+            pyramids += [] if alone else [[a, b, c, d, apex]]
     kinds = {"hex8": cells[~split], "pyramid5": np.array(pyramids), "tet4": np.array(tets)}
-    blocks = tuple(CellBlock(kind, nodes) for kind, nodes in kinds.items() if len(nodes))
+    blocks = tuple(CellBlock(kind, nodes) for kind, nodes in kinds.items())
     ends = {f"x{i}": np.flatnonzero(mesh.points[:, 0] == i * lengths[0]) for i in (0, 1)}
-    both = Mesh(np.array(points), blocks, {}, {}, ends)
+    groups = {name: facets_within(outer_surface(blocks), ids) for name, ids in ends.items()}
+    both = Mesh(np.array(points), blocks, facet_groups=groups)
     return second_order(both) if order == 2 else both

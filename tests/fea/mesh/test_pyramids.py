@@ -6,77 +6,54 @@ import pytest
 
 from tests.fea.boxes import box
 from tests.fea.cae import cards
+from tests.fea.components import component
 from tests.fea.pyramids import mixed
 from tests.fea.written_deck import deck_lines
-from wrenchbook.fea.accuracy.convergence import studied
-from wrenchbook.fea.bundle.read import BundleError, bundle_of
+from wrenchbook.fea.bundle.read import BundleError
 from wrenchbook.fea.check.proposal import propose
-from wrenchbook.fea.component import build
 from wrenchbook.fea.export.calculix import deck_of
 from wrenchbook.fea.inspection import scaled_jacobian
 from wrenchbook.fea.mesh.element_order import second_order
-from wrenchbook.fea.mesh.io.read import read_mesh
+from wrenchbook.fea.mesh.io.read import MESHIO_KINDS, read_mesh
 from wrenchbook.fea.mesh.mapping import cell_problems, volumes
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
 from wrenchbook.fea.mesh.reference_cell import node_coordinates
+from wrenchbook.fea.mesh.refine import halved
 from wrenchbook.fea.solve import Solver
 
-LENGTHS, DIVISIONS = (0.12, 0.02, 0.02), (12, 2, 2)
-NAMES = {"hex20": "hexahedron20", "pyramid13": "pyramid13", "tet10": "tetra10"}
-NAMES |= {"hex8": "hexahedron", "pyramid5": "pyramid", "tet4": "tetra"}
+DIVISIONS, LENGTHS = (12, 2, 2), (0.12, 0.02, 0.02)
+NAMES = {kind: name for name, kind in MESHIO_KINDS.items()}
 
 
 def volume(mesh):
     return sum(volumes(mesh.points, block).sum() for block in mesh.blocks)
 
 
-def bundle(folder, mesh):
-    """Write a bar of a mesh as a deck, held at x0 and loaded at x1; return its bundle."""
-    (folder / "bar.inp").write_text("\n".join(deck_lines(mesh, 1e-3)))
-    table = {
-        "name": "bar",
-        "title": "Bar",
-        "mesh": {"file": "bar.inp", "unit": "mm", "order": 2},
-        "material": [{"region": "all", "youngs_modulus": 70e9, "poisson_ratio": 0.3}],
-        "supports": {"fixed": ["x0"]},
-        "interface": {"section": "x1", "coupling": "rigid", "point": [0.12, 0.01, 0.01]},
-        "analysis": {"nonlinear": False},
-        "range": {"force": [50, 50, 50], "moment": [1, 1, 1]},
-    }
-    return bundle_of(table, folder)
-
-
 @pytest.mark.parametrize("name", ["a.vtu", "a.msh", "a.inp"])
 @pytest.mark.parametrize("order", [1, 2])
-def test_a_file_with_pyramids_is_read_and_those_of_first_order_get_midside_nodes(
-    tmp_path, name, order
-):
+def test_files_with_pyramids_are_read_and_first_order_gets_midside_nodes(tmp_path, name, order):
     mesh = mixed(DIVISIONS, LENGTHS, order=order)
-    if name == "a.inp":
-        (tmp_path / name).write_text("\n".join(deck_lines(mesh, 1e-3)))
-    else:
-        meshio._mesh.topological_dimension["pyramid13"] = 3
-        cells = [(NAMES[block.kind], block.nodes) for block in mesh.blocks]
-        kind = "gmsh22" if name == "a.msh" else None
-        meshio.Mesh(mesh.points * 1e3, cells).write(tmp_path / name, file_format=kind)
+    cells = [(NAMES[block.kind], block.nodes) for block in mesh.blocks]
+    (tmp_path / "a.inp").write_text("\n".join(deck_lines(mesh, 1e-3)))
+    for file, kind in (("a.vtu", "vtu"), ("a.msh", "gmsh22")):
+        meshio.Mesh(mesh.points * 1e3, cells).write(tmp_path / file, file_format=kind)
     found = second_order(read_mesh(tmp_path / name, "mm"))
-    assert found.cell_counts == second_order(mesh).cell_counts
-    assert cell_problems(found) == []
+    assert (found.cell_counts, cell_problems(found)) == (second_order(mesh).cell_counts, [])
     assert volume(found) == pytest.approx(np.prod(LENGTHS), rel=1e-12)
 
 
-def test_a_bar_with_pyramids_bends_and_twists_as_one_of_hexahedra(tmp_path):
-    (tmp_path / "hex").mkdir()
-    expected = Solver(build(bundle(tmp_path / "hex", box("hex20", DIVISIONS, LENGTHS))))
-    found = Solver(build(bundle(tmp_path, mixed(DIVISIONS, LENGTHS))))
-    ratios = np.diag(found.linear.compliance) / np.diag(expected.linear.compliance)
-    np.testing.assert_allclose(ratios, 1.0, rtol=1e-2)
+@pytest.mark.parametrize("coupling", ["rigid", "distributed"])
+def test_a_bar_with_pyramids_bends_and_twists_as_one_of_hexahedra(coupling):
+    bars = mixed(DIVISIONS, LENGTHS), box("hex20", DIVISIONS, LENGTHS)
+    parts = (component(bar, fixed="x0", section="x1", coupling=coupling) for bar in bars)
+    found, expected = (np.diag(Solver(part).linear.compliance) for part in parts)
+    np.testing.assert_allclose(found, expected, rtol=1e-2)
 
 
-def single(mirror=False):
-    """Return one pyramid, straight above its base of 20 x 20 mm, 60 mm high, and its nodes."""
+def single(height=60.0):
+    """Return one pyramid, straight above its base of 20 x 20 mm."""
     points = node_coordinates("pyramid13")
-    points = (points + 0.5 * points[:, 2:] * [1, 1, 0]) * [20.0, 20.0, 60.0 - 120.0 * mirror]
+    points = (points + 0.5 * points[:, 2:] * [1, 1, 0]) * [20.0, 20.0, height]
     return Mesh(points, (CellBlock("pyramid13", np.arange(13)[None]),))
 
 
@@ -98,15 +75,14 @@ def test_pyramids_of_nastran_and_collapsed_hexahedra_of_ansys_keep_their_nodes(t
 
 
 def test_pyramids_numbered_as_in_a_mirror_are_turned(tmp_path):
-    mesh = single(mirror=True)
-    (tmp_path / "a.inp").write_text("\n".join(deck_lines(mesh, 1.0)))
+    (tmp_path / "a.inp").write_text("\n".join(deck_lines(single(-60.0), 1.0)))
     found = read_mesh(tmp_path / "a.inp", "mm")
     assert (volume(found), cell_problems(found)) == (pytest.approx(8e-6, rel=1e-12), [])
 
 
-def test_what_cannot_be_done_with_pyramids_is_refused_by_name(tmp_path):
-    own = bundle(tmp_path, mixed(DIVISIONS, LENGTHS))
+def test_an_export_and_a_finer_mesh_refuse_pyramids_by_name():
+    mesh = mixed()
     with pytest.raises(BundleError, match="CalculiX has no element for pyramid13"):
-        deck_of(build(own))
+        deck_of(component(mesh, fixed="x0", section="x1"))
     with pytest.raises(BundleError, match="pyramids are not halved; give finer meshes"):
-        studied(own)
+        halved(mesh)
