@@ -24,8 +24,8 @@ def mixed(divisions=(3, 3, 3), lengths=(1.0, 1.0, 1.0), warp=None, order=2):
             apex = len(points) - 1
             tets += [[a, b, c, apex], [a, c, d, apex]] if alone else []
             pyramids += [] if alone else [[a, b, c, d, apex]]
-    kinds = {"hex8": cells[~split], "pyramid5": np.array(pyramids), "tet4": np.array(tets)}
-    blocks = tuple(CellBlock(kind, nodes) for kind, nodes in kinds.items())
+    kinds = ("hex8", cells[~split]), ("pyramid5", np.array(pyramids)), ("tet4", np.array(tets))
+    blocks = tuple(CellBlock(*each) for each in kinds)
     ends = {f"x{i}": np.flatnonzero(mesh.points[:, 0] == i * lengths[0]) for i in (0, 1)}
     groups = {name: facets_within(outer_surface(blocks), ids) for name, ids in ends.items()}
     both = Mesh(np.array(points), blocks, facet_groups=groups)

@@ -158,10 +158,9 @@ def bulk(lacks=lambda cell, node: False):
     order = [*range(12), *range(16, 20), *range(12, 16)]
     lines = ["SOL 101", "CEND", "SPC = 1\nLOAD = 2", "BEGIN BULK"]
     for i, (x, y, z) in enumerate([*BAR.points.tolist(), (100.0, 5.0, 5.0)], 1):
+        number = i if i <= len(BAR.points) else 9000
         if not lacks(0, i):
-            lines += cards.card(
-                "GRID", i if i <= len(BAR.points) else 9000, "", *(f"{c:.4f}" for c in (x, y, z))
-            )
+            lines += cards.card("GRID", number, "", *(f"{c:.4f}" for c in (x, y, z)))
     for i, cell in enumerate((BAR.blocks[0].nodes + 1).tolist(), 1):
         nodes = ("" if lacks(0, cell[j]) or lacks(i, cell[j]) else cell[j] for j in order)
         lines += cards.card("CHEXA", i, 1, *nodes)

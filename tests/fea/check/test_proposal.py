@@ -51,12 +51,10 @@ def reference(folder, mesh, **options):
     return Solver(bundle_of(table(**options), folder)).linear.compliance
 
 
+MEAN = {"coupling": "distributed", "weights": "equal"}
 CASES = {
     "abaqus_part.inp": (cards.HEX, {"point": [0.01, 0.01, 0.08]}),
-    "orphan_mesh.inp": (
-        cards.TET,
-        {"point": [0.01, 0.01, 0.08], "coupling": "distributed", "weights": "equal"},
-    ),
+    "orphan_mesh.inp": (cards.TET, {"point": [0.01, 0.01, 0.08]} | MEAN),
     "calculix.inp": (cards.HEX, {"point": [0.01, 0.01, 0.08], "integration": "full"}),
     "patran.bdf": (cards.HEX, {"point": [0.01, 0.01, 0.08]}),
     "archive.cdb": (cards.HEX, {"coupling": "distributed"}),
