@@ -163,7 +163,9 @@ class _Reader:
 
     def lack(self, keyword: Keyword, message: str) -> None:
         """Note what counts and is not taken over."""
-        self.content.missing[_where(keyword)] = message
+        before = self.content.missing.get(_where(keyword), message)
+        together = before if message in before else f"{before}; it {message}"
+        self.content.missing[_where(keyword)] = together
 
     @property
     def constants(self) -> dict[str, Constant]:
