@@ -55,6 +55,7 @@ class AttachedInterface:
     axes: Array  # shape (3, 3), row i is the direction of its frame's axis i
     coupling: str
     locked: tuple[str, ...]
+    weights: str = "area"  # those of its nodes: "area", "equal" or "deck"
 
     @property
     def where(self) -> str:
@@ -350,8 +351,11 @@ def _attach(
                 section = section_of_nodes(mesh.points, nodes)
     point = section.centre if interface.point is None else interface.point
     table = key.rpartition(".")[0]
+    if interface.weights != "area" and len(nodes):
+        section = replace(section, weights=_weights(mesh, table, interface, nodes, problems))
+    of = interface
     return AttachedInterface(
-        table, interface.name, section, point, interface.axes, interface.coupling, interface.locked
+        table, of.name, section, point, of.axes, of.coupling, of.locked, of.weights
     )
 
 
@@ -386,6 +390,28 @@ def _check_bolts(
                 f"{point_text(mesh.points[shared[0]])} m: cut the shank elsewhere (point)"
             )
             problems.append(BundleProblem(bolt.key, message))
+
+
+def _weights(
+    mesh: Mesh, key: str, interface: Interface, nodes: Array, problems: list[BundleProblem]
+) -> Array:
+    """Return equal weights, or the deck's of these nodes, shape (s,)."""
+    weights, message = np.ones(len(nodes)), ""
+    if interface.coupling == "rigid":
+        message = "a rigid coupling has no mean, so no weights; leave it out"
+    elif interface.weights == "deck" and interface.section not in mesh.node_weights:
+        message = f'the deck gives "{interface.section}" none; write "area" or "equal"'
+    elif interface.weights == "deck":
+        ids, sizes = mesh.node_weights[interface.section]
+        inside = np.isin(ids, nodes)
+        weights = np.zeros(len(nodes))
+        weights[np.searchsorted(nodes, ids[inside])] = sizes[inside]
+        if sizes[~inside].any():
+            message = f"{(~inside).sum()} of {len(ids)} nodes that have some are in no solid cell"
+        elif not (weights.sum() > 0 and _spans_a_plane(mesh.points[nodes[weights != 0]])):
+            message = "they have no sum above 0, or are of nodes on one line alone; correct them"
+    problems += [BundleProblem(f"{key}.weights", message)] if message else []
+    return weights
 
 
 def _free_sliding(

@@ -62,10 +62,10 @@ def scaled_jacobian(points: Array, block: CellBlock) -> Array:
     pairs = EDGES[block.kind]
     triples = []
     for corner in range(int(np.max(pairs)) + 1):
-        ends = [b if a == corner else a for a, b in pairs if corner in (a, b)]
+        ends = [b if a == corner else a for a, b in pairs if corner in (a, b)][:3]
         edges = coordinates[ends] - coordinates[corner]
         triples.append([corner, *(ends if np.linalg.det(edges) > 0 else ends[::-1])])
-    ideal = {"tet": 0.5**0.5, "wed": 0.75**0.5, "hex": 1.0}[block.kind[:3]]
+    ideal = {"tet": 0.5**0.5, "pyr": 0.5**0.5, "wed": 0.75**0.5, "hex": 1.0}[block.kind[:3]]
     at = points[block.nodes]
     triples = np.array(triples)
     edges = at[:, triples[:, 1:]] - at[:, triples[:, :1]]

@@ -158,7 +158,7 @@ def bows_of(mesh: Mesh) -> tuple[Array, float]:
     return bows if mesh.dependents is None else mesh.dependents.expanded(bows), largest
 
 
-_FIRST_ORDER = {"hex": "hex8", "tet": "tet4", "wed": "wedge6"}
+_FIRST_ORDER = {"hex": "hex8", "tet": "tet4", "wed": "wedge6", "pyr": "pyramid5"}
 
 
 class _Piece(NamedTuple):

@@ -91,23 +91,19 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
             return [BundleProblem("supports", f"{mechanism}; hold these as well")]
         message = f"{mechanism}; fix at least three points that are not on one line"
         return [BundleProblem("supports.fixed", message)]
-    problems = [_free_part(component, bodies, n, motions[n], pairs) for n in loose[:_MAX_REPORTED]]
+    problems = []
+    for n in loose[:_MAX_REPORTED]:
+        nodes = component.mesh.points[bodies.nodes[n]]
+        size = " x ".join(f"{1e3 * x:.4g}" for x in np.ptp(nodes, axis=0))
+        message = (
+            f"part {n + 1} of {bodies.count} ({bodies.cells[n]} cells, {size} mm, middle at "
+            f"{point_text(middle(nodes))} m) is free: {_motions_text(component, motions[n])}. "
+            f"{_neighbour(component.mesh, bodies, n, pairs)}"
+        )
+        problems.append(BundleProblem("mesh", message))
     if len(loose) > _MAX_REPORTED:
         problems.append(BundleProblem("mesh", f"{len(loose) - _MAX_REPORTED} more parts are free"))
     return problems
-
-
-def _free_part(
-    component: ComponentModel, bodies: Bodies, number: int, motions: Array, pairs: Array
-) -> BundleProblem:
-    mesh, nodes = component.mesh, bodies.nodes[number]
-    size = " x ".join(f"{1e3 * x:.4g}" for x in np.ptp(mesh.points[nodes], axis=0))
-    message = (
-        f"part {number + 1} of {bodies.count} ({bodies.cells[number]} cells, {size} mm, middle at "
-        f"{point_text(middle(mesh.points[nodes]))} m) is free: "
-        f"{_motions_text(component, motions)}. {_neighbour(mesh, bodies, number, pairs)}"
-    )
-    return BundleProblem("mesh", message)
 
 
 def _motions_text(component: ComponentModel, motions: Array) -> str:
@@ -500,6 +496,8 @@ def _uncoupled(component: ComponentModel, group: CoupledGroup) -> Iterator[str]:
         return
     if same[0].coupling != group.kind:
         yield f'{start} as a "{group.kind}" coupling; {same[0].key} says "{same[0].coupling}"'
+    elif group.weighted and same[0].weights != "deck":
+        yield f'{start} by weights of its own; {same[0].key} says weights = "{same[0].weights}"'
     unit = component.bundle.mesh.unit if component.bundle.mesh else "m"
     point = np.array(group.point) * in_si("length", unit)
     size = np.ptp(component.mesh.points, axis=0).max()

@@ -213,6 +213,7 @@ class _Proposal:
             f"section = {_text(group.group)}",
             *([f"point = [{at}]"] if at else []),
             f"coupling = {_text(group.kind)}",
+            *(['weights = "deck"'] if group.weighted else []),
             *([f"locked = [{locked}]"] if locked else []),
         ]
 

@@ -84,13 +84,14 @@ class Rigid(SectionCoupling):
 
 @dataclass(frozen=True, eq=False)
 class InterfaceSection:
-    """The interface's nodes with area weights."""
+    """The interface's nodes with their weights in a mean."""
 
     node_ids: Array  # sorted, shape (s,), int64
     # Shape (s,), m^2: the integral of each node's shape function over the section. Those of the
-    # corners of quad8 facets are negative, as they must be for a constant traction.
+    # corners of quad8 facets are negative, as they must be for a constant traction. Of any scale
+    # where the bundle has `weights` of another kind.
     weights: Array
-    area: float  # the sum of the weights, m^2
+    area: float  # of its facets, m^2
     centre: Array  # the area centre, shape (3,), m
     # False where a bare node group left nothing to integrate over: then every node has the same
     # weight, their sum is 1, and `area` says nothing.
@@ -139,7 +140,7 @@ class Distributed(SectionCoupling):
     The interface displacement and the multipliers are the border.
 
     points: shape (s, 3), m: the section's nodes, from the interface point.
-    weights: shape (s,): area weights, of any scale.
+    weights: shape (s,): of any scale; their sum is above 0.
     """
 
     multipliers = PER_INTERFACE

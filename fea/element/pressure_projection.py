@@ -39,6 +39,8 @@ LARGEST_RATIO = {
     "hex8": 0.4,
     "tet4": 0.4,
     "wedge6": 0.4,
+    "pyramid5": 0.4,
+    "pyramid13": 0.45,
     "tet10": 0.45,
     "wedge15": 0.45,
     "hex20": 0.49,

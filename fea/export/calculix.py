@@ -21,6 +21,7 @@ import numpy as np
 
 from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
 from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
+from wrenchbook.fea.mesh.io.raw import rows_of
 from wrenchbook.fea.spec.material import Orthotropic
 from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS, TEMPERATURE
@@ -33,7 +34,6 @@ PLACEHOLDERS = ("$FX", "$FY", "$FZ", "$MX", "$MY", "$MZ")
 # Their nodes are in the same order as those of `fea.mesh.mesh`.
 _ELEMENTS = {"hex20": "C3D20R", "tet10": "C3D10", "wedge15": "C3D15"}
 _ROUNDOFF = 1e-12  # of a direction's component
-_PER_LINE = 10  # CalculiX reads at most 16 numbers a line
 
 # The increments are halved by CalculiX where they are too large. Its default tolerance leaves up to
 # 5e-3 in small rotations.
@@ -109,14 +109,14 @@ def _body(component: ComponentModel) -> Iterator[str]:
     yield from _materials(component)
     if component.fixed_nodes.size:
         yield "*NSET, NSET=FIXED"
-        yield from _rows(component.fixed_nodes + 1)
+        yield from rows_of(map(str, component.fixed_nodes + 1))
     yield from _sliding(component)
     yield from _dependents(component)
     yield from _springs(component)
     for i, attached in enumerate(component.interfaces):
         ref = len(points) + 2 * i + 1
         yield f"*NSET, NSET={_set('SECTION', attached)}"
-        yield from _rows(attached.section.node_ids + 1)
+        yield from rows_of(map(str, attached.section.node_ids + 1))
         yield f"*RIGID BODY, NSET={_set('SECTION', attached)}, REF NODE={ref}, ROT NODE={ref + 1}"
     if component.temperature is not None:
         reference = _numbers([component.temperature.reference])
@@ -142,7 +142,7 @@ def _springs(component: ComponentModel) -> Iterator[str]:
     for i, frame in enumerate(component.frames):
         at = _numbers(component.axes @ frame.point)
         yield f"*NODE\n{node}, {at}\n{node + 1}, {at}\n*NSET, NSET=BUSHING{i}"
-        yield from _rows(frame.section.node_ids + 1)
+        yield from rows_of(map(str, frame.section.node_ids + 1))
         yield f"*RIGID BODY, NSET=BUSHING{i}, REF NODE={node}, ROT NODE={node + 1}"
         node += 2
     for ends, stiffness in component.springs:
@@ -263,7 +263,7 @@ def _elements(component: ComponentModel) -> Iterator[str]:
                 element = "C3D20" if full else _ELEMENTS[block.kind]
                 yield f"*ELEMENT, TYPE={element}, ELSET=E{i}"
             for cell in chosen + 1:
-                yield from _rows([number, *cell], more=True)
+                yield ",\n".join(rows_of(map(str, [number, *cell])))
                 number += 1
 
 
@@ -338,14 +338,6 @@ def _axis(freedom: str) -> int:
 def _numbers(values: Iterable[float]) -> str:
     """Return numbers with all the digits that CalculiX reads, which is 20 characters each."""
     return ", ".join(f"{value:.12e}" for value in values)
-
-
-def _rows(numbers: Iterable[int], more: bool = False) -> Iterator[str]:
-    """Yield integers, some a line; with `more` a comma says that a line goes on."""
-    texts = [str(number) for number in numbers]
-    lines = [", ".join(texts[i : i + _PER_LINE]) for i in range(0, len(texts), _PER_LINE)]
-    for i, line in enumerate(lines):
-        yield line + ("," if more and i + 1 < len(lines) else "")
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -12,6 +12,7 @@ import numpy as np
 
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.mesh.io.read import MESHIO_KINDS
 
 HISTORY, LAST_STATE = "history.json", "last_state.vtu"
 
@@ -45,16 +46,7 @@ _COLUMNS = ("load_factor", "iteration", "residual_norm")
 
 Array = np.ndarray
 
-_NAMES = {
-    "hex8": "hexahedron",
-    "hex20": "hexahedron20",
-    "hex27": "hexahedron27",
-    "tet4": "tetra",
-    "tet10": "tetra10",
-    "wedge6": "wedge",
-    "wedge15": "wedge",  # meshio 5.3 cannot hold wedges of 15 nodes: their corners only
-}
-_CORNERS = {"wedge15": 6}
+_NAMES = {kind: name for name, kind in MESHIO_KINDS.items()}
 
 
 def write_state(path: Path, component: ComponentModel, displacements: Array) -> None:
@@ -78,7 +70,7 @@ def write_state(path: Path, component: ComponentModel, displacements: Array) -> 
         point_data[name][nodes] = 1
     meshio.Mesh(
         mesh.points,
-        [(_NAMES[block.kind], block.nodes[:, : _CORNERS.get(block.kind)]) for block in mesh.blocks],
+        [(_NAMES[block.kind], block.nodes) for block in mesh.blocks],
         point_data=point_data,
         cell_data={"material": list(component.material_of_cells)},
     ).write(path, file_format="vtu")

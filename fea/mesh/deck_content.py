@@ -81,6 +81,7 @@ class CoupledGroup:
     held: set[int] = field(default_factory=set)
     # Force and moment on the point in the deck's units
     loads: list[float] = field(default_factory=lambda: [0.0] * 6)
+    weighted: bool = False  # whether its mean is by weights of the deck
 
 
 @dataclass

@@ -31,7 +31,7 @@ from wrenchbook.fea.spec.problems import BundleProblem
 
 Array = np.ndarray
 
-SECOND = {"hex8": "hex20", "tet4": "tet10", "wedge6": "wedge15"}
+SECOND = {"hex8": "hex20", "tet4": "tet10", "wedge6": "wedge15", "pyramid5": "pyramid13"}
 """Each kind of first-order cell, and what it is with midside nodes."""
 
 
@@ -99,6 +99,7 @@ def second_order(mesh: Mesh) -> Mesh:
             for name, ids in mesh.node_groups.items()
         },
         mesh.deck,
+        node_weights=mesh.node_weights,
     )
 
 

@@ -23,6 +23,9 @@ _TET_EDGES = ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3))
 _WEDGE_FACES = ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5))
 _WEDGE_EDGES = ((0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5))
 
+_PYRAMID_FACES = ((0, 3, 2, 1), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4))
+_PYRAMID_EDGES = ((0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 4), (2, 4), (3, 4))
+
 _KIND_OF_FACET = {3: "tri3", 4: "quad4", 6: "tri6", 8: "quad8", 9: "quad9"}
 
 
@@ -44,6 +47,7 @@ EDGES: dict[str, tuple[tuple[int, int], ...]] = {
     **dict.fromkeys(("hex8", "hex20", "hex27"), _HEX_EDGES),
     **dict.fromkeys(("tet4", "tet10"), _TET_EDGES),
     **dict.fromkeys(("wedge6", "wedge15"), _WEDGE_EDGES),
+    **dict.fromkeys(("pyramid5", "pyramid13"), _PYRAMID_EDGES),
 }
 """Local corners of each edge; midside nodes follow the corners in this order."""
 
@@ -57,6 +61,8 @@ FACES: dict[str, tuple[tuple[int, ...], ...]] = {
     "tet10": _with_midsides(_TET_FACES, _TET_EDGES, 4),
     "wedge6": _WEDGE_FACES,
     "wedge15": _with_midsides(_WEDGE_FACES, _WEDGE_EDGES, 6),
+    "pyramid5": _PYRAMID_FACES,
+    "pyramid13": _with_midsides(_PYRAMID_FACES, _PYRAMID_EDGES, 5),
 }
 """Local nodes of each face of each kind of cell, in VTK facet order, seen from outside."""
 

@@ -65,9 +65,9 @@ def right_way_round(points: Array, block: CellBlock) -> CellBlock:
     if not len(block) or not (determinants(points, block) < 0.0).all():
         return block
     reference = node_coordinates(block.kind)
-    mirrored = reference[:, [1, 0, 2]] if block.kind.startswith("tet") else reference * [1, 1, -1]
-    if not block.kind.startswith("tet"):
-        mirrored[:, 2] += 1.0
+    mirrored = reference[:, [1, 0, 2]]
+    if block.kind.startswith(("hex", "wedge")):
+        mirrored = reference * [1, 1, -1] + [0, 0, 1]
     distance = np.abs(mirrored[:, None, :] - reference[None, :, :]).max(axis=2)
     return CellBlock(block.kind, block.nodes[:, distance.argmin(axis=1)])
 

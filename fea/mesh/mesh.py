@@ -28,6 +28,8 @@ NODES_PER_CELL: dict[str, int] = {
     "tet10": 10,
     "wedge6": 6,
     "wedge15": 15,
+    "pyramid5": 5,
+    "pyramid13": 13,
 }
 """Nodes of each kind of cell."""
 
@@ -88,6 +90,9 @@ class Mesh:
     # What else is in the input deck that the mesh is of; None of other meshes
     deck: DeckContent | None = None
     dependents: Dependents | None = None  # nodes that follow others
+    # Weights that a deck gives to nodes, by the group they are of: nodes, shape (k,), int64, -1 of
+    # those in no cell, and weights, shape (k,), of any scale. Other nodes of the group have none.
+    node_weights: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
 
     @property
     def unknowns(self) -> int:

@@ -13,14 +13,18 @@ from functools import cache
 
 import numpy as np
 import skfem
+from scipy.special import roots_jacobi
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTet, RefTri
+
+from wrenchbook.fea.mesh.facets import EDGES
 
 Array = np.ndarray
 
 _HEX_CORNERS = "000 100 110 010 001 101 111 011"
 _HEX_EDGES = "500 150 510 050 501 151 511 051 005 105 115 015"
 _WEDGE_CORNERS = "000 100 010 001 101 011"
+_PYRAMID_CORNERS = "000 100 110 010 001"  # any other apex is an affine map away
 _QUAD_CORNERS = "00 10 11 01"
 _QUAD_EDGES = "50 15 51 05"
 _TRI_EDGES = "50 55 05"
@@ -34,6 +38,8 @@ _COORDINATES = {
     "tet10": "000 100 010 001 500 550 050 005 505 055",
     "wedge6": _WEDGE_CORNERS,
     "wedge15": f"{_WEDGE_CORNERS} 500 550 050 501 551 051 005 105 015",
+    "pyramid5": _PYRAMID_CORNERS,
+    "pyramid13": f"{_PYRAMID_CORNERS} 500 150 510 050 005 505 555 055",
     "quad4": _QUAD_CORNERS,
     "quad8": f"{_QUAD_CORNERS} {_QUAD_EDGES}",
     "quad9": f"{_QUAD_CORNERS} {_QUAD_EDGES} 55",
@@ -97,6 +103,12 @@ def reference_element(kind: str, integration: str = "full") -> ReferenceElement:
         if kind in _SIMPLEX_DEGREES:
             degrees = _MASS_SIMPLEX_DEGREES if mass else _SIMPLEX_DEGREES
             points, weights = _simplex(node_coordinates(kind).shape[1], degrees[kind])
+        elif kind.startswith("pyramid"):
+            # A cube of 3x3x3 points whose upper face is one point; (1 - z)^2 is in the weights.
+            (across, weight), (up, weight_up) = _gauss(3), roots_jacobi(3, 2, 0)
+            a, b, z = np.meshgrid(across, across, (1 + up) / 2, indexing="ij")
+            points = np.stack([a * (1 - z), b * (1 - z), z], axis=-1).reshape(-1, 3)
+            weights = np.einsum("i,j,k", weight, weight, weight_up / 8).ravel()
         else:
             points, weights = _wedge(*(_MASS_WEDGE_RULES if mass else _WEDGE_RULES)[kind])
     values, slopes = tabulate(kind, points)
@@ -119,25 +131,8 @@ def tabulate(kind: str, points: Array) -> tuple[Array, Array]:
 
     The points are reference coordinates, shape (points, dimension); all are dimensionless.
     """
-    if kind == "wedge15":
-        # Serendipity wedge (not in scikit-fem), after Zienkiewicz and Taylor, volume 1, section
-        # 4.10. With barycentric L_c and z = 2 zeta - 1 in -1..1: corner
-        # L (2L - 1) (1 +- z)/2 - L (1 - z^2)/2, midside of a triangle edge 2 L_c L_d (1 +- z),
-        # midside of an upright edge L (1 - z^2).
-        x, y, z = points[:, 0], points[:, 1], 2 * points[:, 2] - 1
-        L = np.stack([1 - x - y, x, y])
-        dL = np.array([[-1.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])[:, None, :]
-        both = [
-            *(_wedge_corner(L[c], dL[c], z, side) for side in (-1, 1) for c in range(3)),
-            *(
-                _wedge_edge(L[c], dL[c], L[d], dL[d], z, side)
-                for side in (-1, 1)
-                for c, d in ((0, 1), (1, 2), (2, 0))
-            ),
-            *(_wedge_upright(L[c], dL[c], z) for c in range(3)),
-        ]
-        values, slopes = zip(*both, strict=True)
-        return np.stack(values, axis=1), np.stack(slopes, axis=1)
+    if kind in _PRODUCTS:
+        return _products(kind, points)
     element = getattr(skfem, _SKFEM_NAMES[kind])()
     # Find for each node in VTK order the number scikit-fem gives it.
     coordinates = node_coordinates(kind)
@@ -147,6 +142,50 @@ def tabulate(kind: str, points: Array) -> tuple[Array, Array]:
         raise AssertionError("scikit-fem moved the nodes of a reference element")
     values, slopes = zip(*(element.lbasis(points.T, int(i)) for i in order), strict=True)
     return np.stack(values, axis=1), np.moveaxis(np.stack(slopes), (0, 1, 2), (1, 2, 0)).copy()
+
+
+# Shape functions that scikit-fem has not, each a product of factors: those of the first order, then
+# a fourth of those of edges' middles.
+_PYRAMID = "dqs dps dpr dqr h"
+_PRODUCTS = {
+    "wedge15": "ad bd cd ah bh ch abd bcd cad abh bch cah adh bdh cdh",
+    "pyramid5": _PYRAMID,
+    "pyramid13": f"{_PYRAMID} ddpqs ddprs ddpqr ddqrs dhqs dhps dhpr dhqr",
+}
+
+
+def _products(kind: str, points: Array) -> tuple[Array, Array]:
+    """Serendipity wedge (Zienkiewicz and Taylor, volume 1) and rational pyramid (Bedrosian 1992).
+
+    h is the height and d = 1 - h; a, b and c are barycentric in a triangle. Of a pyramid p = x/d,
+    q = 1 - p, r = y/d and s = 1 - r, whose faces are those of hexahedra and tetrahedra; at its apex
+    slopes are those on the line p = r = 1/2.
+    """
+    x, y, h = points.T
+    factors, one = {"d": 1 - h, "h": h}, np.ones_like(h)
+    slopes = {"d": (0, 0, -one), "h": (0, 0, one)}
+    if kind == "wedge15":
+        factors |= {"a": 1 - x - y, "b": x, "c": y}
+        slopes |= {"a": (-one, -one, 0), "b": (one, 0, 0), "c": (0, one, 0)}
+    else:
+        d = factors["d"] = np.maximum(1 - h, 1e-30)
+        p, r = (np.where(h < 1, each / d, 0.5) for each in (x, y))
+        factors |= {"p": p, "q": 1 - p, "r": r, "s": 1 - r}
+        slopes |= {"p": (1 / d, 0, p / d), "q": (-1 / d, 0, -p / d)}
+        slopes |= {"r": (0, 1 / d, r / d), "s": (0, -1 / d, -r / d)}
+    words = _PRODUCTS[kind].split()
+    N, dN = np.zeros((len(words), len(h))), np.zeros((len(words), len(h), 3))
+    for word, value, slope in zip(words, N, dN, strict=True):
+        value[:] = np.prod([factors[letter] for letter in word], axis=0)
+        for i, letter in enumerate(word):
+            others = np.prod([one, *(factors[each] for each in word[:i] + word[i + 1 :])], axis=0)
+            slope += others[:, None] * np.stack(np.broadcast_arrays(*slopes[letter]), axis=1)
+    corners = len(words) if len(words) < 10 else int(np.max(EDGES[kind])) + 1
+    for table in (N, dN):
+        table[corners:] *= 4
+        for edge, middle in zip(EDGES[kind], table[corners:], strict=False):
+            table[[*edge]] -= middle / 2
+    return N.T, dN.swapaxes(0, 1)
 
 
 def _gauss(count: int) -> tuple[Array, Array]:
@@ -165,24 +204,3 @@ def _wedge(degree: int, count: int) -> tuple[Array, Array]:
     positions, weight = _gauss(count)
     points = [[*point, height] for height in positions for point in flat]
     return np.array(points), (weight[:, None] * flat_weights[None, :]).ravel()
-
-
-_UP = np.array([0.0, 0.0, 2.0])  # dz/dzeta
-
-
-def _wedge_corner(L: Array, dL: Array, z: Array, side: int) -> tuple[Array, Array]:
-    value = L * (2 * L - 1) * (1 + side * z) / 2 - L * (1 - z**2) / 2
-    flat = ((4 * L - 1) * (1 + side * z) - (1 - z**2)) / 2
-    return value, flat[:, None] * dL + (L * (2 * L - 1) * side / 2 + L * z)[:, None] * _UP
-
-
-def _wedge_edge(
-    L: Array, dL: Array, M: Array, dM: Array, z: Array, side: int
-) -> tuple[Array, Array]:
-    slope = L[:, None] * dM + M[:, None] * dL
-    height = (1 + side * z)[:, None]
-    return 2 * L * M * (1 + side * z), 2 * slope * height + (2 * side * L * M)[:, None] * _UP
-
-
-def _wedge_upright(L: Array, dL: Array, z: Array) -> tuple[Array, Array]:
-    return L * (1 - z**2), (1 - z**2)[:, None] * dL - (2 * z * L)[:, None] * _UP

@@ -13,9 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from wrenchbook.fea.mesh.element_order import SECOND
 from wrenchbook.fea.mesh.facets import FaceFinder
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.mesh.reference_cell import node_coordinates, tabulate
+from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import Bundle, Generator, GeometryFile
 
 Array = np.ndarray
@@ -52,14 +54,9 @@ def refined(bundle: Bundle, factor: float) -> Bundle | None:
     return replace(bundle, mesh=replace(mesh, **counts))
 
 
-# The cell, or facet, of first order with the same corners.
-_CORNERS = {
-    **dict.fromkeys(("hex8", "hex20", "hex27"), "hex8"),
-    **dict.fromkeys(("tet4", "tet10"), "tet4"),
-    **dict.fromkeys(("wedge6", "wedge15"), "wedge6"),
-    **dict.fromkeys(("quad4", "quad8", "quad9"), "quad4"),
-    **dict.fromkeys(("tri3", "tri6"), "tri3"),
-}
+# The cell, or facet, of first order with the same corners as one of second order.
+_CORNERS = {second: first for first, second in SECOND.items()}
+_CORNERS |= {"hex27": "hex8", "quad8": "quad4", "quad9": "quad4", "tri6": "tri3"}
 
 # Children of a triangle and a tetrahedron by corners: two equal digits for a corner, two others for
 # the middle between them. The octahedron within a tetrahedron is cut along 02-13 (Bey 1995).
@@ -85,7 +82,7 @@ class _Pattern(NamedTuple):
 
 @cache
 def _pattern(kind: str) -> _Pattern:
-    linear = _CORNERS[kind]
+    linear = _CORNERS.get(kind, kind)
     inside = tabulate(linear, node_coordinates(kind))[0]
     every = np.array([inside @ corners for corners in _children(linear)])
     points, numbers = np.unique(every.reshape(-1, every.shape[2]), axis=0, return_inverse=True)
@@ -119,7 +116,12 @@ def halved(mesh: Mesh) -> Mesh:
 
     A node group gets the new nodes that lie between nodes of it alone: those of a facet or an edge
     all of whose nodes it has.
+
+    Raises BundleError if there are pyramids, which no eight cells of one kind make.
     """
+    if any(block.kind.startswith("pyramid") for block in mesh.blocks):
+        message = "pyramids are not halved; give finer meshes: wrenchbook converge --finer FILE"
+        raise BundleError([BundleProblem("mesh", message)])
     # A sum of random 64-bit numbers of the corners names a point, whichever cell it is seen from:
     # of a million points two share a number with a probability of 3e-8.
     names = np.random.default_rng(0).integers(2**64, size=len(mesh.points), dtype=np.uint64)
@@ -153,7 +155,11 @@ def halved(mesh: Mesh) -> Mesh:
         for name, ids in mesh.node_groups.items()
     }  # fmt: skip
     every = np.concatenate([point.reshape(-1, 3) for point in points])
-    return Mesh(every[first], blocks, regions, facets, sets, mesh.deck)
+    same = np.full(len(mesh.points) + 1, -1)  # the last for nodes in no cell
+    for number, (nodes, pattern) in zip(numbers, parents, strict=True):
+        same[nodes] = number[:, pattern.values.argmax(axis=0)]  # where a shape function is 1
+    weights = {name: (same[nodes], sizes) for name, (nodes, sizes) in mesh.node_weights.items()}
+    return Mesh(every[first], blocks, regions, facets, sets, mesh.deck, node_weights=weights)
 
 
 def _keys(names: Array, nodes: Array, pattern: _Pattern) -> Array:

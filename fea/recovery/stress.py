@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from wrenchbook.fea.assembly.blocks import sorted_cells
@@ -25,10 +23,11 @@ def integration_points(component: ComponentModel, points: Array) -> tuple[Array,
     of each point's material.
     """
     coordinates, materials = [], []
-    for kind, nodes, numbers in _parts(component):
-        element = reference_element(kind, component.analysis.integration)
-        coordinates.append((element.values @ points[nodes]).reshape(-1, 3))
-        materials.append(np.repeat(numbers, len(element.values)))
+    of_cells = component.materials, component.material_of_cells
+    for block, numbers, chosen, _, _ in sorted_cells(component.mesh, *of_cells):
+        element = reference_element(block.kind, component.analysis.integration)
+        coordinates.append((element.values @ points[block.nodes[chosen]]).reshape(-1, 3))
+        materials.append(np.repeat(numbers[chosen], len(element.values)))
     return np.concatenate(coordinates), np.concatenate(materials).astype(np.int32)
 
 
@@ -97,13 +96,6 @@ def _six(stress: Array) -> Array:
     six = stress[..., ROWS, COLUMNS]
     *before, cells, points, _ = six.shape
     return six.reshape(*before, cells * points, 6)
-
-
-def _parts(component: ComponentModel) -> Iterator[tuple[str, Array, Array]]:
-    """Yield kind, nodes and materials of the cells as `fea.assembly.blocks` sorts them."""
-    mesh, materials = component.mesh, component.materials
-    for block, numbers, chosen, _, _ in sorted_cells(mesh, materials, component.material_of_cells):
-        yield block.kind, block.nodes[chosen], numbers[chosen]
 
 
 def most_used(component: ComponentModel, body: ElasticBody, fields: Array) -> Array:

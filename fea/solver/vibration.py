@@ -166,7 +166,9 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     square = stiffness / float(x @ inertia.times(x))
     bare = Inertia(system, mass, np.zeros((count, count)))
     frequency = float(np.sqrt(square) / (2 * np.pi))
-    return Vibration(mass_of_part, frequency, _directed(interface), condensed_mass(bare))
+    if length := float(np.linalg.norm(interface)):  # 1, its largest part positive
+        interface = interface / (length * np.sign(interface[np.abs(interface).argmax()]))
+    return Vibration(mass_of_part, frequency, interface, condensed_mass(bare))
 
 
 def condensed_mass(inertia: Inertia) -> Array:
@@ -257,14 +259,6 @@ class Applied(LinearOperator):
 
     def _matvec(self, x: Array) -> Array:
         return self._apply(x)
-
-
-def _directed(interface: Array) -> Array:
-    """Return a motion of length one whose largest part is positive."""
-    length = float(np.linalg.norm(interface))
-    if length == 0.0:
-        return interface
-    return interface / (length * np.sign(interface[np.abs(interface).argmax()]))
 
 
 def consistent_mass(mesh: Mesh, density: Sequence[Array]) -> csr_array:

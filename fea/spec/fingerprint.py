@@ -193,7 +193,8 @@ def _interface(interface: Interface | None) -> object:
     if interface is None:
         return None
     point = None if interface.point is None else interface.point.tolist()
-    return {
+    weights = {} if interface.weights == "area" else {"weights": interface.weights}
+    return weights | {
         "section": interface.section,
         "point": point,
         "axes": interface.axes.tolist(),

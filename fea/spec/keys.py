@@ -296,18 +296,12 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
     return TypeAdapter(kind)
 
 
-def _inherited(field: tuple[str, FieldInfo]) -> bool:
-    return bool(field[1].kw_only) and field[0] != "generator"  # which the parameters follow
-
-
 def keys_of(cls: type) -> dict[str, FieldInfo]:
     """Map the keys of a class under `table`, as in the file, to its fields: its own first."""
     known: dict[str, FieldInfo] = vars(cls)["__pydantic_fields__"]
-    return {
-        info.alias or name: info
-        for name, info in sorted(known.items(), key=_inherited)
-        if info.init is not False
-    }
+    inherited = {name: info.kw_only and name != "generator" for name, info in known.items()}
+    ordered = sorted(known, key=lambda name: bool(inherited[name]))
+    return {known[n].alias or n: known[n] for n in ordered if known[n].init is not False}
 
 
 def tables_in(kind: Any) -> Iterator[type]:

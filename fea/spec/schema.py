@@ -65,6 +65,7 @@ UNITS: Mapping[str, float] = {
 
 LengthUnit = Literal["m", "dm", "cm", "mm", "um", "in", "ft"]
 Coupling = Literal["rigid", "distributed"]
+Weights = Literal["area", "equal", "deck"]
 
 GEOMETRY_ENDINGS = (".step", ".stp")
 """Endings of files that hold geometry to be meshed, not a mesh."""
@@ -416,6 +417,9 @@ class Attached:
     )
     """where an interface's wrench acts and its displacement is measured, or a spring is, in the
     mesh's axes"""
+    weights: Weights = key("", '"deck"', default="area", kw_only=True)
+    """of nodes in the mean of `distributed`: `area`; `equal`; `deck`: of `RBE3`, or the second
+    column of a node `*SURFACE`"""
     # Shape (3, 3): row i is the direction of the frame's axis i, orthonormal and right-handed
     axes: Axes = key(
         "",
@@ -441,7 +445,7 @@ class Bushing(Attached):
     @property
     def hold(self) -> Interface:
         """The group as a section, with the point and the axes of the spring."""
-        return Interface(self.group, coupling=self.coupling, point=self.point, axes=self.axes)
+        return Interface(self.group, **{name: getattr(self, name) for name in keys_of(Attached)})
 
 
 @array_table
@@ -592,6 +596,7 @@ class MeasuredInterface(Interface):
     refused: ClassVar = {}
     section: SkipJsonSchema[str] = field(default="", init=False)
     coupling: SkipJsonSchema[Any] = field(default="", init=False)
+    weights: SkipJsonSchema[Any] = field(default="area", init=False)
     point: SkipJsonSchema[Array | None] = field(default=None, init=False)
     axes: SkipJsonSchema[Array] = field(default_factory=mesh_axes, init=False)
     locked: SkipJsonSchema[Any] = field(default=(), init=False)

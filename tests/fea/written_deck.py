@@ -16,6 +16,8 @@ _TYPES = {
     "tet10": "C3D10",
     "wedge6": "C3D6",
     "wedge15": "C3D15",
+    "pyramid5": "C3D5",
+    "pyramid13": "C3D13",
     "tri3": "S3",
     "quad4": "S4",
     "tri6": "STRI65",

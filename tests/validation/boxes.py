@@ -7,6 +7,9 @@ import numpy as np
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.mesh.reference_cell import node_coordinates, tabulate
 
+# Nodes of a pyramid as in a mirror that swaps its first two axes.
+_MIRRORED = [0, 3, 2, 1, 4, 8, 7, 6, 5, 9, 12, 11, 10]
+
 # Corner cells as doubled reference places: a cube cut into six tetrahedra or two wedges.
 _KUHN = [(0, 1, 2), (1, 2, 0), (2, 0, 1), (1, 0, 2), (0, 2, 1), (2, 1, 0)]
 
@@ -37,7 +40,7 @@ def box(kind="hex20", divisions=(2, 2, 2), lengths=(1.0, 1.0, 1.0), warp=None, c
 
 
 def _straighten(points, block):
-    corner_kind = {"hex": "hex8", "tet": "tet4", "wed": "wedge6"}[block.kind[:3]]
+    corner_kind = {"hex": "hex8", "tet": "tet4", "wed": "wedge6", "pyr": "pyramid5"}[block.kind[:3]]
     values, _ = tabulate(corner_kind, node_coordinates(block.kind))
     corners = points[block.nodes[:, : values.shape[1]]]
     points = points.copy()
@@ -49,7 +52,13 @@ def _cells(kind, divisions, shape):
     corners = np.stack(np.meshgrid(*[2 * np.arange(n) for n in divisions], indexing="ij"), -1)
     corners = corners.reshape(-1, 3)
     places = np.concatenate(_local(kind)).reshape(-1, len(node_coordinates(kind)), 3)
-    nodes = (corners[:, None, None, :] + places[None]).reshape(-1, places.shape[1], 3)
+    places = np.broadcast_to(places, (len(corners), *places.shape))
+    if kind.startswith("pyramid"):  # every second cube as in a mirror, so that neighbours meet
+        odd = corners // 2 % 2 == 1
+        places = np.where(odd[:, None, None], 2 - places, places)
+        turned = odd.sum(axis=1) % 2 == 1
+        places[turned] = places[turned][:, :, _MIRRORED[: places.shape[2]]]
+    nodes = (corners[:, None, None] + places).reshape(-1, places.shape[2], 3)
     ids = np.ravel_multi_index(tuple(np.moveaxis(nodes, -1, 0)), shape)
     return ids, lambda grid, renumber: _facets(kind, divisions, shape, grid, renumber, ids)
 
@@ -60,6 +69,10 @@ def _local(kind):
     if kind.startswith("hex"):
         return [places.astype(int)]
     cut = []
+    if kind.startswith("pyramid"):  # their apex in one corner, their bases on the other sides
+        base = np.array([[2, 0, 0], [0, 0, 2], [0, 2, 0], [-2, 0, 0]])
+        local = base[0] + places @ base[1:] / 2
+        return [np.roll(local, i, axis=1).astype(int) for i in range(3)]
     if kind.startswith("wedge"):
         for a, b in (((1, 0), (1, 1)), ((1, 1), (0, 1))):
             triangle = np.array([[*a, 0], [*b, 0], [0, 0, 1]])
@@ -95,7 +108,7 @@ def _facets(kind, divisions, shape, grid, renumber, ids):
 def _facet_kind(kind, count):
     if kind.startswith("tet"):
         return ("tri3", 3) if kind == "tet4" else ("tri6", 6)
-    if kind.startswith("wedge"):
+    if kind.startswith(("wedge", "pyramid")):
         names = {3: "tri3", 4: "quad4", 6: "tri6", 8: "quad8"}
         return names[int(count)], int(count)
     return {"hex8": ("quad4", 4), "hex20": ("quad8", 8), "hex27": ("quad9", 9)}[kind]

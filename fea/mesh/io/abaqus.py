@@ -9,7 +9,7 @@ a part come once for each. Materials, supports and loads are read in `fea.mesh.i
 from __future__ import annotations
 
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -171,14 +171,13 @@ def _frame(keyword: Keyword, number: int) -> Frame:
 
 
 _SOLIDS = {"4": "tet4", "6": "wedge6", "8": "hex8", "10": "tet10", "15": "wedge15", "20": "hex20"}
+_SOLIDS |= {"5": "pyramid5", "13": "pyramid13"}
 _SOLID = re.compile(r"C3D(\d+)[A-Z]*")
-_SURFACES = {
+_FLAT = {
     "tri3": re.compile(r"(S|CPS|CPE|CAX|M3D|SFM3D|STRI|R3D)3R?S?"),
     "quad4": re.compile(r"(S|CPS|CPE|CAX|M3D|SFM3D|R3D)4(R?S?W?5?)"),
     "tri6": re.compile(r"(S|CPS|CPE|CAX|M3D|SFM3D)6M?|STRI65"),
     "quad8": re.compile(r"(S|CPS|CPE|CAX|M3D|SFM3D)8R?5?"),
-}
-_LINES = {
     "line2": re.compile(r"(T[23]D2|B[23][13])R?H?"),
     "line3": re.compile(r"(T[23]D3|B[23]2)R?H?"),
 }
@@ -188,6 +187,7 @@ _HEX_FACES = ("1234", "5876", "1562", "2673", "3784", "4851")
 _TET_FACES = ("123", "142", "243", "341")
 _WEDGE_FACES = ("123", "465", "1452", "2563", "3641")
 SOLID_FACES = {"hex": _HEX_FACES, "tet": _TET_FACES, "wedge": _WEDGE_FACES}
+SOLID_FACES["pyramid"] = ("1234", "152", "253", "354", "451")
 
 _REFUSED = {
     "NGEN": "write the nodes out",
@@ -218,6 +218,8 @@ class Deck:
     node_lines: list[tuple[int, str]] = field(default_factory=list)
     element_lines: list[str] = field(default_factory=list)
     systems: dict[int, tuple[Array, Array]] = field(default_factory=dict)  # axes in rows, origin
+    # Of couplings, by node set and label; those that come twice add up
+    weights: dict[str, Counter[int]] = field(default_factory=lambda: defaultdict(Counter))
     entries: int = 0
 
 
@@ -345,24 +347,17 @@ def kind_of(name: str) -> str | None:
         if nodes not in _SOLIDS:
             raise MeshFileError(f"of type {name} is not read; it may be C3D{', C3D'.join(_SOLIDS)}")
         return _SOLIDS[nodes]
-    for kind, pattern in {**_SURFACES, **_LINES}.items():
-        if pattern.fullmatch(name):
-            return kind
-    return None
+    return next((kind for kind, pattern in _FLAT.items() if pattern.fullmatch(name)), None)
 
 
-def _take_node_set(deck: Deck, keyword: Keyword) -> None:
-    entries = _members(deck, deck.node_sets, keyword)
-    if "ELSET" in keyword.options:
+def _take_set(deck: Deck, keyword: Keyword) -> None:
+    sets = deck.node_sets if keyword.word == "NSET" else deck.element_sets
+    entries = _members(deck, sets, keyword)
+    if keyword.word == "NSET" and "ELSET" in keyword.options:
         for element in named(deck, deck.element_sets, keyword.options["ELSET"], keyword.frame):
             block, row = deck.where[element]
             entries += deck.cells[block][row]
-    _add(deck, deck.node_sets, keyword.frame, keyword.options["NSET"], entries)
-
-
-def _take_element_set(deck: Deck, keyword: Keyword) -> None:
-    entries = _members(deck, deck.element_sets, keyword)
-    _add(deck, deck.element_sets, keyword.frame, keyword.options["ELSET"], entries)
+    _add(deck, sets, keyword.frame, keyword.options[keyword.word], entries)
 
 
 def _members(deck: Deck, sets: dict[str, list[int]], keyword: Keyword) -> list[int]:
@@ -418,13 +413,7 @@ def _take_surface(deck: Deck, keyword: Keyword) -> None:
     surface = keyword.options["NAME"]
     for name, *fields in keyword.rows:
         if by_node:
-            _add(
-                deck,
-                deck.node_sets,
-                keyword.frame,
-                surface,
-                named(deck, deck.node_sets, name, keyword.frame),
-            )
+            add_weighted(deck, keyword.frame, surface, name, *fields[:1])
             continue
         face = fields[0].upper() if fields else ""
         if not re.fullmatch(r"S\d", face):
@@ -433,6 +422,14 @@ def _take_surface(deck: Deck, keyword: Keyword) -> None:
         deck.entries += len(entries)
         _few(range(deck.entries))
         deck.surfaces.setdefault(_key(deck, keyword.frame, surface), []).extend(entries)
+
+
+def add_weighted(deck: Deck, frame: Frame, name: str, target: str, weight: str = "") -> None:
+    """Add a node or the nodes of a set to another set, with the weight of each if it has one."""
+    labels = named(deck, deck.node_sets, target, frame)
+    _add(deck, deck.node_sets, frame, name, list(labels))
+    if weight and labels:
+        deck.weights[frame.key(name)].update(dict.fromkeys(labels, float(weight)))
 
 
 def _take_instance(deck: Deck, keyword: Keyword) -> None:
@@ -445,8 +442,8 @@ TAKERS: dict[str, Callable[[Deck, Keyword], None]] = {
     "SYSTEM": _take_system,
     "NODE": _take_nodes,
     "ELEMENT": _take_elements,
-    "NSET": _take_node_set,
-    "ELSET": _take_element_set,
+    "NSET": _take_set,
+    "ELSET": _take_set,
     "SURFACE": _take_surface,
     "INSTANCE": _take_instance,
 }
@@ -510,6 +507,10 @@ def raw_mesh(deck: Deck) -> RawMesh:
             for key, ids in deck.node_sets.items()
         },
         {faces[key]: _faces(deck, row, sides) for key, sides in deck.surfaces.items()},
+        node_weights={
+            groups[key]: (np.array([row.get(node, -1) for node in of]), np.array([*of.values()]))
+            for key, of in deck.weights.items()
+        },
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -26,6 +26,7 @@ from wrenchbook.fea.mesh.io.abaqus import (
     Deck,
     Frame,
     Keyword,
+    add_weighted,
     axes_through,
     kind_of,
     named,
@@ -63,7 +64,6 @@ _MISSING = {
     "MEMBRANE SECTION": "is not solved: membranes are groups of faces only",
     "BEAM SECTION": "is not solved: beams and trusses are groups of nodes only",
     "HYPERELASTIC": 'is not compared; write law = "neo-hookean" with small-strain constants',
-    "DISTRIBUTING COUPLING": "is not compared; write [interface] with the section's group",
     "KINEMATIC COUPLING": "is not compared; write [interface] with the section's group",
     "HYPERFOAM": "is not solved: materials are elastic, or neo-Hookean",
     "USER MATERIAL": "is not solved: materials are elastic, or neo-Hookean",
@@ -172,7 +172,9 @@ class _Reader:
 
     def lack(self, keyword: Keyword, message: str) -> None:
         """Note what counts and is not taken over."""
-        self.content.missing[_where(keyword)] = message
+        before = self.content.missing.get(_where(keyword), message)
+        together = before if message in before else f"{before}; it {message}"
+        self.content.missing[_where(keyword)] = together
 
     @property
     def constants(self) -> dict[str, Constant]:
@@ -245,7 +247,10 @@ def _where(keyword: Keyword) -> str:
 
 def _take_elements(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
     kind = keyword.options["TYPE"].upper()
-    if kind_of(kind) is None:
+    if kind == "DCOUP3D":  # its node as a set, by which *DISTRIBUTING COUPLING names it
+        ((_, node, *_),) = keyword.rows
+        add_weighted(deck, keyword.frame, keyword.options["ELSET"], node)
+    elif kind_of(kind) is None:
         reader.lack(keyword, f"of type {kind} is not solved: only solid cells are")
     elif keyword.at in deck.element_lines[-1:]:
         counts = reader.content.elements
@@ -257,11 +262,17 @@ def _take_material(reader: _Reader, _: Deck, keyword: Keyword) -> None:
 
 
 def _take_constants(reader: _Reader, _: Deck, keyword: Keyword) -> None:
-    kind = keyword.options.get("TYPE", "ISO").upper()
-    if keyword.word == "ELASTIC" and kind.replace(" ", "") == "ENGINEERINGCONSTANTS":
+    kind = keyword.options.get("TYPE", "ISO").upper().replace(" ", "")
+    if keyword.word == "ELASTIC" and kind in ("ENGINEERINGCONSTANTS", "ORTHO"):
         values = [float(each) for row in keyword.rows for each in row if each][:9]
         if len(values) < 9:
-            raise ValueError(f"{len(values)} engineering constants where nine should be")
+            raise ValueError(f"{len(values)} constants where nine should be")
+        if kind == "ORTHO":  # stresses by strains: 11, 12, 22, 13, 23, 33; then shears
+            a, b, c, d, e, f, *shears = values
+            flexible = np.linalg.inv([[a, b, d], [b, c, e], [d, e, f]])
+            moduli = 1 / np.diag(flexible)
+            ratios = -(flexible * moduli[:, None])[[0, 0, 1], [1, 2, 2]]
+            values = [*moduli.tolist(), *ratios.tolist(), *shears]
         names = ("youngs_modulus", "poisson_ratio", "shear_modulus")
         reader.constants.update({k: tuple(values[3 * i : 3 * i + 3]) for i, k in enumerate(names)})
         return
@@ -357,7 +368,20 @@ def _take_coupling_kind(reader: _Reader, _: Deck, keyword: Keyword) -> None:
     freedoms = {n for row in rows for n in range(row[0], row[-1] + 1)}
     if rows and not freedoms >= {1, 2, 3}:
         reader.lack(keyword, "couples some directions only; here all three are")
+    elif rows and keyword.word == "DISTRIBUTING" and not freedoms >= {4, 5, 6}:
+        reader.lack(keyword, "couples no rotation; here its point turns with the mean")
+    if (method := keyword.options.get("WEIGHTING METHOD", "UNIFORM").upper()) != "UNIFORM":
+        reader.lack(keyword, f"has weights of the method {method}; here distance changes none")
     reader.couplings[-1].kind = "rigid" if keyword.word == "KINEMATIC" else "distributed"
+
+
+def _take_weighted(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+    """Take the mean of nodes with weights that the point of a DCOUP3D follows."""
+    name = f"{keyword.options['ELSET']}_nodes"
+    for target, weight in keyword.rows:
+        add_weighted(deck, keyword.frame, name, target, weight)
+    ref = _node(deck, keyword, "ELSET")
+    reader.couplings.append(_Coupling(keyword, keyword.frame.key(name), ref, kind="distributed"))
 
 
 def _take_rigid(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
@@ -502,6 +526,7 @@ _TAKERS: dict[str, Callable[[_Reader, Deck, Keyword], None]] = {
     "COUPLING": _take_coupling,
     "KINEMATIC": _take_coupling_kind,
     "DISTRIBUTING": _take_coupling_kind,
+    "DISTRIBUTING COUPLING": _take_weighted,
     "RIGID BODY": _take_rigid,
     "TIE": _take_tie,
     "EQUATION": _take_equations,
@@ -579,10 +604,16 @@ def _couplings(reader: _Reader, deck: Deck) -> list[CoupledGroup]:
                     coupled.keyword, f"reaches no node within its radius, {coupled.radius:g}"
                 )
                 continue
+            weights = deck.weights.get(key, {})
             key = _set_of(reader, deck, near, f"{deck.names[key]}_within_{coupled.radius:g}")
+            if weights:
+                deck.weights[key] = Counter({n: weights[n] for n in near if n in weights})
         numbers = ((coupled.ref, 0), (coupled.rot, 3))
         reader.points |= {n: (len(couplings), i) for n, i in numbers if n is not None}
-        couplings.append(CoupledGroup(_where(coupled.keyword), key, coupled.kind, point))
+        weighted = coupled.kind == "distributed" and key in deck.weights
+        couplings.append(
+            CoupledGroup(_where(coupled.keyword), key, coupled.kind, point, weighted=weighted)
+        )
     return couplings
 
 

@@ -21,6 +21,7 @@ _FREEDOMS |= {"ALL": "123456", "FX": "1", "FY": "2", "FZ": "3", "MX": "4", "MY":
 
 # Indices of a collapsed hexahedron's nodes, by which of its corners are one node.
 _WEDGE = [0, 1, 2, 4, 5, 6, 8, 9, 11, 12, 13, 15, 16, 17, 18]
+_PYRAMID = [*range(5), *range(8, 12), *range(16, 20)]
 _TETRAHEDRON = [0, 1, 2, 4, 8, 9, 11, 16, 17, 18]
 
 
@@ -51,7 +52,7 @@ def read_ansys(text: str) -> Translated:
 
     Each LSWRITE and SOLVE ends a load case; without any, the archive is of one.
 
-    Raises MeshFileError if a block cannot be read, or cells are collapsed to pyramids.
+    Raises MeshFileError if a block cannot be read.
     """
     archive = _Archive(nonlinear=bool(re.search(r"^\s*NLGEOM\s*,\s*(ON|1)", text, re.I | re.M)))
     lines = enumerate(text.splitlines(), start=1)
@@ -146,15 +147,15 @@ def _take_cell(archive: Translated, kind: str, region: str, number: str, nodes: 
         archive.skipped[f"elements of type {name}"] += 1
         return
     archive.sections[region] = region
-    if name in _HEX and nodes[4] == nodes[5] and nodes[2] != nodes[3]:
-        raise ValueError(
-            f"element {number} is a pyramid; mesh with hexahedra, wedges or tetrahedra"
-        )
-    if name in _HEX and nodes[2] == nodes[3]:
-        indices = _TETRAHEDRON if nodes[4] == nodes[5] else _WEDGE
+    collapsed = (nodes[2] == nodes[3], nodes[4] == nodes[5]) if name in _HEX else (False, False)
+    if any(collapsed):
+        indices = {(True, True): _TETRAHEDRON, (True, False): _WEDGE}.get(collapsed, _PYRAMID)
         nodes = [nodes[i] for i in indices if i < len(nodes)]
-    if "0" in nodes:
-        raise ValueError(f"element {number} lacks midside nodes; give it all, or none")
+    corners = {10: 4, 13: 5, 15: 6, 20: 8}.get(len(nodes), len(nodes))
+    if "0" in nodes[:corners]:
+        raise ValueError(f"element {number} lacks corners")
+    if set(nodes[corners:]) == {"0"}:
+        nodes = nodes[:corners]
     integration = "R" if len(nodes) == 20 and not full else ""
     archive.elements[f"C3D{len(nodes)}{integration}", region].append([number, *nodes])
 

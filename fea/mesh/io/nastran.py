@@ -21,12 +21,10 @@ from wrenchbook.fea.spec.problems import MeshFileError
 Array = np.ndarray
 
 _SOLIDS = {
-    ("CHEXA", 8): "C3D8",
-    ("CHEXA", 20): "C3D20R",
-    ("CPENTA", 6): "C3D6",
-    ("CPENTA", 15): "C3D15",
-    ("CTETRA", 4): "C3D4",
-    ("CTETRA", 10): "C3D10",
+    "CHEXA": {8: "C3D8", 20: "C3D20R"},
+    "CPENTA": {6: "C3D6", 15: "C3D15"},
+    "CTETRA": {4: "C3D4", 10: "C3D10"},
+    "CPYRAM": {5: "C3D5", 13: "C3D13"},
 }
 # Nastran has the midside nodes of upright edges before those of the upper face.
 _ORDER = {
@@ -259,10 +257,12 @@ def _hold(data: _Bulk, key: tuple[str, str], node: str, freedoms: str, value: st
 
 
 def _solid(data: _Bulk, name: str, fields: list[str]) -> None:
-    nodes = [each for each in fields[2:] if each]
-    kind = _SOLIDS.get((name, len(nodes)))
-    if kind is None:
-        raise ValueError(f"it has {len(nodes)} nodes; write all midside nodes, or none")
+    corners, most = _SOLIDS[name]
+    count = max((i for i, each in enumerate(fields[2:], 1) if each), default=0)
+    count = count if count <= corners else max(count, most)
+    nodes = [each or "0" for each in (*fields[2:], *[""] * most)[:count]]
+    if (kind := _SOLIDS[name].get(len(nodes))) is None or "0" in nodes[:corners]:
+        raise ValueError(f"write its {corners} corners, and {most} nodes at most")
     nodes = [nodes[i] for i in _ORDER.get(kind, range(len(nodes)))]
     data.elements[kind, f"PSOLID_{fields[1] or fields[0]}"].append([fields[0], *nodes])
 
@@ -273,14 +273,30 @@ def _material(data: _Bulk, name: str, fields: list[str]) -> None:
         young = 2 * shear * (1 + ratio)
     elif not fields[3] and shear:
         ratio = young / (2 * shear) - 1
-    constants = data.constants[f"{name}_{fields[0]}"]
+    constants = data.constants[f"MAT_{fields[0]}"]
     constants["ELASTIC"] = f"{young:.9g}, {ratio:.9g}"
     further = {"DENSITY": _real(fields[4]) * data.mass_factor, "EXPANSION": _real(fields[5])}
     constants |= {word: f"{value:.9g}" for word, value in further.items() if value}
 
 
+def _orthotropic(data: _Bulk, name: str, fields: list[str]) -> None:
+    """Take a MAT9 of nine constants; its shears are xy, yz, zx."""
+    values, stiffness = [_real(each) for each in (*fields, *[""] * 29)[:29]], np.zeros((6, 6))
+    stiffness[np.triu_indices(6)] = values[1:22]
+    if np.triu(stiffness, 1)[:, 3:].any():
+        data.skipped[f"{name} that is not orthotropic"] += 1
+        return
+    rows = [*stiffness.T[:3, :3][np.tril_indices(3)], *np.diag(stiffness)[[3, 5, 4]]]
+    row = ", ".join(f"{each:.12g}" for each in rows)
+    data.constants[f"MAT_{fields[0]}"]["ELASTIC, TYPE=ORTHO"] = row
+    if values[22]:
+        data.constants[f"MAT_{fields[0]}"]["DENSITY"] = f"{values[22] * data.mass_factor:.9g}"
+    data.skipped[f"expansion of {name}"] += any(values[23:])
+
+
 def _section(data: _Bulk, name: str, fields: list[str]) -> None:
-    data.sections[f"{name}_{fields[0]}"] = f"MAT1_{fields[1]}"
+    data.sections[f"{name}_{fields[0]}"] = f"MAT_{fields[1]}"
+    data.skipped["CORDM of PSOLID, which counts for MAT9"] += fields[2] not in ("", "0")
 
 
 def _listed(fields: list[str]) -> list[str]:
@@ -323,19 +339,23 @@ def _rigid(data: _Bulk, name: str, fields: list[str]) -> None:
 
 
 def _mean(data: _Bulk, name: str, fields: list[str]) -> None:
-    """Take an element of one weight; with UM the list ends, and the element is another."""
-    weights = [i for i, each in enumerate(fields) if i > 3 and "." in each]
-    ways = [fields[i + 1] for i in weights]
-    if len({fields[i] for i in weights}) > 1 or "UM" in fields:
-        data.skipped[f"{name} with several weights or UM"] += 1
+    """Take weights of nodes; with UM the list ends, and the element is another."""
+    if "ALPHA" in fields:
+        data.skipped[f"expansion of {name}"] += 1
+        fields = fields[: fields.index("ALPHA")]
+    starts = [i for i, each in enumerate(fields) if i > 3 and "." in each]
+    some = not all(set("123") <= set(fields[i + 1]) for i in starts)
+    if "UM" in fields or some or not starts:
+        why = "of some freedoms only" if some else "with UM, or without real weights"
+        data.skipped[f"{name} {why}"] += 1
         return
-    if not all(set("123") <= set(each) for each in ways):
-        data.skipped[f"{name} of some freedoms only"] += 1
-        return
-    nodes = [
-        e for i, e in enumerate(fields[6:], 6) if e and "." not in e and "." not in fields[i - 1]
-    ]
-    data.tie(f"{name}_{fields[0]}", nodes, fields[2], "DISTRIBUTING")
+    if not set("123456") <= set(fields[3]):
+        data.skipped[f"{name} of whose point {fields[3]} alone follow: here all freedoms do"] += 1
+    weights = defaultdict[str, float](float)
+    for i, end in zip(starts, [*starts[1:], len(fields)], strict=True):
+        for node in _listed(fields[i + 2 : end]):
+            weights[node] += _real(fields[i])
+    data.tie(f"{name}_{fields[0]}", [*weights], fields[2], "DISTRIBUTING", weights.values())
 
 
 def _load(data: _Bulk, name: str, fields: list[str]) -> None:
@@ -348,8 +368,9 @@ def _load(data: _Bulk, name: str, fields: list[str]) -> None:
 
 _TAKERS: dict[str, Callable[[_Bulk, str, list[str]], None]] = {
     "GRID": _grid,
-    **dict.fromkeys(("CHEXA", "CPENTA", "CTETRA"), _solid),
+    **dict.fromkeys(_SOLIDS, _solid),
     "MAT1": _material,
+    "MAT9": _orthotropic,
     "PSOLID": _section,
     **dict.fromkeys(("SPC", "SPC1"), _constraint),
     **dict.fromkeys(("SPCADD", "LOAD"), _sum),

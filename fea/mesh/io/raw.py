@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -9,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from wrenchbook.fea.mesh.dependents import CircularError, Dependents
-from wrenchbook.fea.mesh.facets import FaceFinder
+from wrenchbook.fea.mesh.facets import EDGES, FaceFinder
 from wrenchbook.fea.mesh.mapping import right_way_round
 from wrenchbook.fea.mesh.mesh import (
     NODES_PER_CELL,
@@ -45,6 +46,8 @@ class RawMesh:
     facet_sets: Mapping[str, list[Block]] = field(default_factory=dict)
     # Nodes of cells that follow others of cells, these, and weights
     follow: list[tuple[int, int, float]] = field(default_factory=list)
+    # Weights of nodes by the name of their set, as `fea.mesh.mesh.Mesh` has them
+    node_weights: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
 
 
 def to_mesh(raw: RawMesh, metres: float) -> Mesh:
@@ -101,8 +104,17 @@ def to_mesh(raw: RawMesh, metres: float) -> Mesh:
             regions[name] = region
     groups = _facet_groups(raw, number, blocks)
     dependents = _dependents(raw, number, points) if raw.follow else None
-    node_groups = _node_groups(raw, number)
-    return Mesh(points, blocks, regions, groups, node_groups, dependents=dependents)
+    node_groups, number = _node_groups(raw, number), np.append(number, -1)  # of none
+    weights = {name: (number[nodes], sizes) for name, (nodes, sizes) in raw.node_weights.items()}
+    return Mesh(
+        points,
+        blocks,
+        regions,
+        groups,
+        node_groups,
+        dependents=dependents,
+        node_weights=weights,
+    )
 
 
 def _dependents(raw: RawMesh, number: Array, points: Array) -> Dependents:
@@ -138,24 +150,21 @@ def _facet_groups(
         if parts:
             chosen.setdefault(name, []).extend(parts)
     finder = FaceFinder(blocks)
-    return {name: _on_cells(name, parts, number, finder) for name, parts in chosen.items()}
-
-
-def _on_cells(name: str, parts: list[Block], number: Array, finder: FaceFinder) -> FacetGroup:
-    """Return the faces of cells that a group's facets lie on."""
-    blocks: dict[str, list[Array]] = {}
-    lost = 0
-    for kind, nodes in parts:
-        faces, missing = finder.find(kind, number[nodes])
-        lost += missing
-        for face_kind, face_nodes in faces:
-            blocks.setdefault(face_kind, []).append(face_nodes)
-    if lost:
-        raise MeshFileError(
-            f'has a group "{name}" with {lost} facets that are not faces of a solid cell; '
-            "mesh the surface and the solid together, or leave the group out"
+    groups = {}
+    for name, facets in chosen.items():
+        found = [finder.find(kind, number[nodes]) for kind, nodes in facets]
+        if lost := sum(missing for _, missing in found):
+            raise MeshFileError(
+                f'has a group "{name}" with {lost} facets that are not faces of a solid cell; '
+                "mesh the surface and the solid together, or leave the group out"
+            )
+        by_kind: dict[str, list[Array]] = {}
+        for kind, nodes in (face for faces, _ in found for face in faces):
+            by_kind.setdefault(kind, []).append(nodes)
+        groups[name] = FacetGroup(
+            tuple(FacetBlock(kind, np.concatenate(nodes)) for kind, nodes in by_kind.items())
         )
-    return FacetGroup(tuple(FacetBlock(kind, np.concatenate(n)) for kind, n in blocks.items()))
+    return groups
 
 
 def _node_groups(raw: RawMesh, number: Array) -> dict[str, Array]:
@@ -189,7 +198,7 @@ class Translated:
     nodes
         Rows of ``*NODE``.
     elements
-        By type and region, numbers of element and nodes.
+        By type and region, numbers of element and nodes; a midside node may be "0".
     constants
         By material, rows by keyword.
     sections
@@ -222,14 +231,59 @@ class Translated:
     decide: list[str] = field(default_factory=list)
     nonlinear: bool = False
 
+    def _set_middles(self) -> None:
+        """Give each midside node "0" that of another cell, else one in the middle of its edge.
+
+        A new node is held, grouped and turned as both ends of its edge are.
+        """
+        rows = [row for rows in self.elements.values() for row in rows]
+        if not any("0" in row for row in rows):
+            return
+        kinds = {count: kind for kind, count in NODES_PER_CELL.items()}
+        middles, blank = dict[frozenset[str], str](), []
+        for row in rows:
+            edges = EDGES[kinds[len(row) - 1]]
+            first = int(np.max(edges)) + 2
+            for i, edge in enumerate(edges[: len(row) - first], first):
+                ends = frozenset(row[1 + end] for end in edge)
+                if row[i] != "0":
+                    middles[ends] = row[i]
+                else:
+                    blank.append((row, i, ends))
+        points = dict(row.split(", ", 1) for row in self.nodes)
+        numbers = itertools.count(max(map(int, points)) + 1)
+        lacking = dict.fromkeys(ends for _, _, ends in blank if ends not in middles)
+        new = {str(next(numbers)): ends for ends in lacking}
+        middles |= {ends: node for node, ends in new.items()}
+        for row, i, ends in blank:
+            row[i] = middles[ends]
+        for node, ends in new.items():
+            at = np.mean([[float(x) for x in points[end].split(",")] for end in ends], axis=0)
+            self.nodes.append(f"{node}, {', '.join(f'{x:.12g}' for x in at.tolist())}")
+        for nodes in (*self.groups.values(), *self.transforms.values()):
+            members = {*nodes}
+            nodes += [node for node, ends in new.items() if ends <= members]
+        turned = {node: row for row, nodes in self.transforms.items() for node in nodes}
+        alike = {node: ends for node, ends in new.items() if len({*map(turned.get, ends)}) == 1}
+        for case in self.cases:
+            held = {*case.held}
+            ways = ((node, ends, way) for node, ends in alike.items() for way in "123456")
+            both = (at for at in ways if held.issuperset(f"{end}, {at[2]}" for end in at[1]))
+            case.held = [*case.held, *(f"{node}, {way}" for node, _, way in both)]
+        self.decide.append(
+            f"{len(blank)} midside nodes that cells lack are on straight edges: {len(new)} new, in "
+            "their middle, held as both ends are if these have the same axes"
+        )
+
     def lines(self) -> list[str]:
         """Return the deck."""
+        self._set_middles()
         lines = ["*NODE", *self.nodes]
         for (kind, region), rows in self.elements.items():
             lines.append(f"*ELEMENT, TYPE={kind}, ELSET={region}")
-            lines += [",\n".join(_rows(row)) for row in rows]
+            lines += [",\n".join(rows_of(row)) for row in rows]
         for name, nodes in self.groups.items():
-            lines += [f"*NSET, NSET={name}", *_rows(nodes)]
+            lines += [f"*NSET, NSET={name}", *rows_of(nodes)]
         for name, constants in self.constants.items():
             lines.append(f"*MATERIAL, NAME={name}")
             lines += [f"*{word}\n{row}" for word, row in constants.items()]
@@ -237,7 +291,7 @@ class Translated:
         pairs = ((region, name) for region, name in self.sections.items() if region in known)
         lines += [f"*SOLID SECTION, ELSET={region}, MATERIAL={name}" for region, name in pairs]
         for number, (row, nodes) in enumerate(self.transforms.items(), 1):
-            lines += [f"*NSET, NSET=TURNED_{number}", *_rows(nodes)]
+            lines += [f"*NSET, NSET=TURNED_{number}", *rows_of(nodes)]
             lines += [f"*TRANSFORM, NSET=TURNED_{number}", row]
         lines += self.couplings
         before = Case()
@@ -251,16 +305,21 @@ class Translated:
             before = case
         return [*lines, ""]
 
-    def tie(self, name: str, nodes: list[str], reference: str, kind: str) -> None:
+    def tie(
+        self, name: str, nodes: list[str], reference: str, kind: str, weights: Iterable[float] = ()
+    ) -> None:
         """Let nodes follow a reference node ("KINEMATIC"), or it their mean ("DISTRIBUTING")."""
         self.groups[name] = nodes
-        self.couplings += [f"*SURFACE, TYPE=NODE, NAME={name}", name]
+        self.couplings += [f"*SURFACE, TYPE=NODE, NAME={name}", *([] if weights else [name])]
+        pairs = zip(nodes, weights, strict=False)
+        self.couplings += [f"{node}, {weight:.12g}" for node, weight in pairs]
         self.couplings += [
             f"*COUPLING, CONSTRAINT NAME={name}, SURFACE={name}, REF NODE={reference}"
         ]
         self.couplings.append(f"*{kind}")
 
 
-def _rows(texts: Iterable[str]) -> list[str]:
+def rows_of(texts: Iterable[str]) -> list[str]:
+    """Return texts, ten a line."""
     texts = list(texts)
     return [", ".join(texts[i : i + 10]) for i in range(0, len(texts), 10)]

@@ -20,7 +20,7 @@ from wrenchbook.fea.spec.schema import UNITS
 
 Array = np.ndarray
 
-_KINDS = {
+MESHIO_KINDS = {
     "hexahedron": "hex8",
     "hexahedron20": "hex20",
     "hexahedron27": "hex27",
@@ -28,6 +28,8 @@ _KINDS = {
     "tetra10": "tet10",
     "wedge": "wedge6",
     "wedge15": "wedge15",
+    "pyramid": "pyramid5",
+    "pyramid13": "pyramid13",
     "quad": "quad4",
     "quad8": "quad8",
     "quad9": "quad9",
@@ -37,6 +39,9 @@ _KINDS = {
     "line": "line2",
     "line3": "line3",
 }
+
+# meshio has these kinds in every table but that of dimensions, without which it fails on them.
+_mesh.topological_dimension.update({"wedge15": 3, "pyramid13": 3})
 
 # An integer array with more values than this numbers things instead of grouping them.
 _MAX_GROUPS = 1000
@@ -69,7 +74,7 @@ def _read_meshio(path: Path) -> RawMesh:
         _refuse_outside(path)
     read = _quietly(path)
     blocks: list[Block] = [
-        (_KINDS.get(str(block.type), str(block.type)), np.asarray(block.data, dtype=np.int64))
+        (MESHIO_KINDS.get(str(block.type), str(block.type)), np.asarray(block.data, dtype=np.int64))
         for block in read.cells
     ]
     # Gmsh's physical groups; the 2.2 format has them only as numbers of cells.
@@ -102,8 +107,6 @@ def _read_meshio(path: Path) -> RawMesh:
 
 def _quietly(path: Path) -> meshio.Mesh:
     """Let meshio read, which prints what it dislikes and may end the interpreter."""
-    # It knows this kind in every table but that of dimensions, and fails on its files.
-    _mesh.topological_dimension.setdefault("wedge15", 3)
     output = io.StringIO()
     try:
         with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
@@ -160,14 +163,10 @@ def _refuse_outside(path: Path) -> None:
         kind, text = item.get("Format"), (item.text or "").strip()
         if kind == "Binary":
             raise MeshFileError('holds numbers in another file as bytes; write Format="HDF"')
-        if kind == "HDF" and not _in_same_folder(path, text.partition(":")[0]):
+        folder, name = path.parent.resolve(), text.partition(":")[0]
+        beside = Path(name).name == name and (folder / name).resolve().parent == folder  # no link
+        if kind == "HDF" and not beside:
             raise MeshFileError(
                 f'holds numbers in "{text[:100]}", which is outside the bundle; put that file '
                 "beside it and name it without a folder"
             )
-
-
-def _in_same_folder(path: Path, name: str) -> bool:
-    """Return whether a name is that of a file in the same folder, and no link out of it."""
-    folder = path.parent.resolve()
-    return Path(name).name == name and (folder / name).resolve().parent == folder

@@ -153,18 +153,20 @@ def _on_tip(cell, face):
     return set(BAR.blocks[0].nodes[cell - 1][list(face)] + 1) <= set(TIP)
 
 
-def bulk():
-    """Return the bar as Nastran bulk data with the middle in SPC set 7."""
+def bulk(lacks=lambda cell, node: False):
+    """Return the bar as Nastran bulk data with the middle in SPC set 7; `lacks` of cell 0: all."""
     order = [*range(12), *range(16, 20), *range(12, 16)]
     lines = ["SOL 101", "CEND", "SPC = 1\nLOAD = 2", "BEGIN BULK"]
     for i, (x, y, z) in enumerate([*BAR.points.tolist(), (100.0, 5.0, 5.0)], 1):
-        lines += cards.card(
-            "GRID", i if i <= len(BAR.points) else 9000, "", *(f"{c:.4f}" for c in (x, y, z))
-        )
+        number = i if i <= len(BAR.points) else 9000
+        if not lacks(0, i):
+            lines += cards.card("GRID", number, "", *(f"{c:.4f}" for c in (x, y, z)))
     for i, cell in enumerate((BAR.blocks[0].nodes + 1).tolist(), 1):
-        lines += cards.card("CHEXA", i, 1, *(cell[j] for j in order))
-    lines += ["PSOLID,1,1", "MAT1,1,70000.,,.3", *cards.card("RBE2", 80, 9000, 123456, *TIP)]
-    lines += cards.card("SPC1", 1, 123, *ROOT) + cards.card("SPC1", 7, 123, *MID)
+        nodes = ("" if lacks(0, cell[j]) or lacks(i, cell[j]) else cell[j] for j in order)
+        lines += cards.card("CHEXA", i, 1, *nodes)
+    root, mid, tip = ([n for n in nodes if not lacks(0, n)] for nodes in (ROOT, MID, TIP))
+    lines += ["PSOLID,1,1", "MAT1,1,70000.,,.3", *cards.card("RBE2", 80, 9000, 123456, *tip)]
+    lines += cards.card("SPC1", 1, 123, *root) + cards.card("SPC1", 7, 123, *mid)
     return "\n".join([*lines, "FORCE,2,9000,,100.,0.,0.,1.", "ENDDATA", ""])
 
 

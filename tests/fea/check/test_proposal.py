@@ -51,9 +51,10 @@ def reference(folder, mesh, **options):
     return Solver(bundle_of(table(**options), folder)).linear.compliance
 
 
+MEAN = {"coupling": "distributed", "weights": "equal"}
 CASES = {
     "abaqus_part.inp": (cards.HEX, {"point": [0.01, 0.01, 0.08]}),
-    "orphan_mesh.inp": (cards.TET, {"point": [0.01, 0.01, 0.08], "coupling": "distributed"}),
+    "orphan_mesh.inp": (cards.TET, {"point": [0.01, 0.01, 0.08]} | MEAN),
     "calculix.inp": (cards.HEX, {"point": [0.01, 0.01, 0.08], "integration": "full"}),
     "patran.bdf": (cards.HEX, {"point": [0.01, 0.01, 0.08]}),
     "archive.cdb": (cards.HEX, {"coupling": "distributed"}),
@@ -203,21 +204,6 @@ def test_a_wedge_of_nastran_keeps_its_midside_nodes(tmp_path):
     assert mesh.cell_counts == source.cell_counts
     assert volumes(mesh.points, mesh.blocks[0]).sum() == pytest.approx(24e-6, rel=1e-9)
     assert not folded_cells(mesh.points, mesh.blocks[0]).size
-
-
-def test_a_mean_of_several_nastran_weights_is_named_and_one_of_equal_weights_taken(tmp_path):
-    text = DECKS["patran.bdf"]
-    start, end = text.index("RBE2"), text.index("SPC1")
-    head = cards.at(cards.HEX, 60.0)
-    taken = cards.card("RBE3", 900, "", len(cards.HEX.points) + 1, 123456, "1.", 123, *head)
-    (tmp_path / "a.bdf").write_text(text[:start] + "\n".join(taken) + "\n" + text[end:])
-    assert propose(tmp_path / "a.bdf", tmp_path / "new", "mm")["left"] == []
-    (interface,) = read_bundle(tmp_path / "new").interfaces
-    assert (interface.section, interface.coupling) == ("RBE3_900", "distributed")
-    mixed = cards.card("RBE3", 900, "", 1, 123456, "1.", 123, *head[:5], "2.", 123, *head[5:])
-    (tmp_path / "b.bdf").write_text(text[:start] + "\n".join(mixed) + "\n" + text[end:])
-    (left,) = propose(tmp_path / "b.bdf", tmp_path / "other", "mm")["left"]
-    assert "several weights" in left
 
 
 TWO_PARTS = """*Part, name=Bolt

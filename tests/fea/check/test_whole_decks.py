@@ -5,6 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
+from tests.fea import calculix
 from tests.fea.cae import cards
 from tests.fea.check.test_load_cases import (
     BAR,
@@ -14,6 +15,7 @@ from tests.fea.check.test_load_cases import (
     PULL,
     RIGID,
     ROOT_HELD,
+    TIP,
     bulk,
     proposal,
     step,
@@ -21,10 +23,14 @@ from tests.fea.check.test_load_cases import (
     tips_by_calculix,
 )
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
+from wrenchbook.fea.check import as_text
 from wrenchbook.fea.check import report as check
 from wrenchbook.fea.check.proposal import propose
+from wrenchbook.fea.mesh.element_order import second_order
 from wrenchbook.fea.mesh.io.read import read_mesh
+from wrenchbook.fea.mesh.refine import halved
 from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.spec.material import Orthotropic
 
 
 def compliance(folder):
@@ -106,16 +112,23 @@ ORIENTATIONS = {
 }
 
 
-def laminate(rows):
+STIFF = Orthotropic("all", (135e3, 10e3, 9e3), (0.3, 0.25, 0.4), (5e3, 4e3, 3.5e3)).elasticity
+NINE = [f"{x:.10g}" for x in (*STIFF[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]], *np.diag(STIFF)[3:])]
+ORTHO = f"*ELASTIC, TYPE=ORTHO\n{', '.join(NINE[:8])}\n{NINE[8]}\n"
+
+
+def laminate(rows, constants=PLY):
     """Return the bar of an orthotropic material with an orientation of such rows."""
-    text = HEAD.replace("*ELASTIC\n70000., 0.3\n", PLY)
+    text = HEAD.replace("*ELASTIC\n70000., 0.3\n", constants)
     text = text.replace("*MATERIAL", f"*ORIENTATION, NAME=Ply{rows}\n*MATERIAL")
     return text.replace("MATERIAL=ALU\n", "MATERIAL=ALU, ORIENTATION=PLY\n") + RIGID
 
 
-@pytest.mark.parametrize("name", ORIENTATIONS)
-def test_an_orientation_turns_engineering_constants_as_in_calculix(tmp_path, name):
-    text = laminate(ORIENTATIONS[name]) + step(HOLD + PULL)
+@pytest.mark.parametrize(
+    ("name", "constants"), [*((name, PLY) for name in ORIENTATIONS), ("a cylinder", ORTHO)]
+)
+def test_an_orientation_turns_nine_constants_as_in_calculix(tmp_path, name, constants):
+    text = laminate(ORIENTATIONS[name], constants) + step(HOLD + PULL)
     found = proposal(tmp_path, text)
     assert (found["left"], found["check"]["warnings"]) == ([], [])
     assert tip(tmp_path) == pytest.approx(tips_by_calculix(tmp_path, text)[0], rel=1e-5)
@@ -138,6 +151,24 @@ def test_a_component_of_other_directions_than_its_deck_is_warned_of(tmp_path, ol
         path.write_text(path.read_text().replace(old, new))
     warnings = check(tmp_path / "new")["warnings"]
     assert any(words in warning["message"] for warning in warnings), warnings
+
+
+@pytest.mark.parametrize(("across", "left"), [(0.0, "CORDM of PSOLID"), (1.0, "not orthotropic")])
+def test_an_orthotropic_mat9_is_that_of_abaqus_and_another_is_named(tmp_path, across, left):
+    stiff = STIFF[:, [0, 1, 2, 3, 5, 4]][[0, 1, 2, 3, 5, 4]]
+    stiff[1, 4] = across
+    fields = [f"{each:.10g}" for each in [1, *stiff[np.triu_indices(6)], 1.6e-9]]
+    lines = [",".join(["+", *fields[i : i + 8]]) for i in range(0, len(fields), 8)]
+    text = bulk().replace("MAT1,1,70000.,,.3", "MAT9" + "\n".join(lines)[1:])
+    text = text.replace("PSOLID,1,1", "PSOLID,1,1,5")
+    assert any(left in line for line in proposal(tmp_path, text, name="deck.bdf")["left"])
+    if across:
+        return
+    (material,) = read_bundle(tmp_path / "new").materials
+    assert material.density == pytest.approx(1600)
+    (tmp_path / "b").mkdir()
+    proposal(tmp_path / "b", laminate("\n1., 0., 0., 0., 1., 0.") + step(HOLD + PULL))
+    assert tip(tmp_path) == pytest.approx(tip(tmp_path / "b"), rel=1e-7)
 
 
 TURNED = "*TRANSFORM, NSET=MID\n3., 0., 4., 0., 1., 0.\n"
@@ -204,3 +235,88 @@ def test_nastran_systems_of_nodes_supports_and_loads(tmp_path):
     np.testing.assert_allclose(points, BAR.points / 1e3, atol=1e-9)
     assert read_bundle(tmp_path / "new").range.high[:3] == pytest.approx(100)
     assert tip(tmp_path) == pytest.approx(tips_by_calculix(tmp_path, SLIDING)[0], rel=1e-5)
+
+
+def test_midside_nodes_that_cells_lack_are_another_cells_or_new_and_held_as_ends(tmp_path):
+    """All cells lack the first nodes, the first cell those of the second: the bar is the same."""
+    corners = np.unique(BAR.blocks[0].nodes[:, :8]) + 1
+    middles = np.setdiff1d(np.arange(len(BAR.points)) + 1, corners)
+    lacking, shared = middles[::3], middles[1::3]
+    text = bulk(lambda cell, node: node in (shared if cell == 1 else () if cell else lacking))
+    found = proposal(tmp_path, text, name="deck.bdf")
+    (note,) = [line for line in found["decide"] if "midside nodes that cells lack" in line]
+    assert f"{len(lacking)} new, in their middle" in note
+    mesh = read_mesh(tmp_path / "new" / "deck.inp", "mm")
+    assert (len(mesh.points), mesh.cell_counts) == (len(BAR.points), BAR.cell_counts)
+    assert tip(tmp_path) == pytest.approx(ROOT_HELD, rel=1e-6)
+
+
+WEIGHTS = np.random.default_rng(1).uniform(0.5, 2, len(TIP)).round(3)
+
+
+def test_a_mean_of_weighted_nodes_moves_as_in_calculix(tmp_path):
+    x, y, z = WEIGHTS @ BAR.points[np.array(TIP) - 1] / WEIGHTS.sum()
+    head = HEAD.replace("9000, 100., 5., 5.", f"9000, {x:.12g}, {y:.12g}, {z:.12g}")
+    mean = "*ELEMENT, TYPE=DCOUP3D, ELSET=Mean\n8000, 9000\n*DISTRIBUTING COUPLING, ELSET=MEAN\n"
+    rows = "".join(f"{node}, {weight}\n" for node, weight in zip(TIP, WEIGHTS, strict=True))
+    text = head + mean + rows + step(HOLD + PULL)
+    found = proposal(tmp_path, text)
+    assert (found["left"], found["check"]["warnings"]) == ([], [])
+    assert tip(tmp_path) == pytest.approx(tips_by_calculix(tmp_path, text)[0], rel=1e-5)
+
+
+def weighted(weights):
+    """Return the bar with an RBE3 of such weights at its tip, one after the other."""
+    text = bulk()
+    fields = (each for pair in zip(weights, TIP, strict=True) for each in (pair[0], 123, pair[1]))
+    mean = "\n".join(cards.card("RBE3", 80, "", 9000, 123456, *fields))
+    return text[: text.index("RBE2")] + mean + "\n" + text[text.index("SPC1") :]
+
+
+@pytest.mark.parametrize("weights", [WEIGHTS, np.ones(len(TIP))], ids=["several", "equal"])
+def test_an_rbe3_spreads_a_wrench_by_its_weights_as_these_forces_do_in_calculix(tmp_path, weights):
+    """Its law: F w_i + w_i A^-1 M x b_i with A = sum w (b.b I - b b^T), of weights of sum 1."""
+    calculix.require_ccx()
+    found = proposal(tmp_path, weighted(weights), name="deck.bdf")
+    assert ["SPC set 7" in line for line in found["left"]] == [True]
+    w, points, wrench = weights / weights.sum(), BAR.points[np.array(TIP) - 1], np.arange(1.0, 7)
+    arms = points - w @ points
+    inertia = np.einsum("i,ij,ij", w, arms, arms) * np.eye(3) - (arms.T * w) @ arms
+    lever = [100.0, 5.0, 5.0] - w @ points
+    moment = wrench[3:] * 1e3 + np.cross(lever, wrench[:3])
+    forces = w[:, None] * (wrench[:3] + np.cross(np.linalg.solve(inertia, moment), arms))
+    rows = ((node, i, forces[j, i]) for j, node in enumerate(TIP) for i in range(3))
+    loads = "".join(f"{node}, {i + 1}, {force:.12e}\n" for node, i, force in rows)
+    text = HEAD + step(f"{HOLD}*CLOAD\n{loads}")
+    moved = {row[0]: [*map(float, row[1:])] for row in calculix.printed([text], tmp_path)}
+    u = np.array([moved[str(node)] for node in TIP])
+    turned = np.linalg.solve(inertia, w @ np.cross(arms, u))
+    mean = w @ u + np.cross(turned, lever)
+    expected = np.append(mean / 1e3, turned)
+    np.testing.assert_allclose(compliance(tmp_path / "new") @ wrench, expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('"deck"', '"equal"', 'by weights of its own; interface says weights = "equal"'),
+        ('"distributed"', '"rigid"', "interface.weights: a rigid coupling has no mean"),
+        ('"RBE3_80"\n', '"nodes_held_in_xyz"\n', "interface.weights: the deck gives"),
+        (f"{TIP[3]}, 1\n", f"{TIP[3]}, -99.\n", "interface.weights: they have no sum above 0"),
+    ],
+)
+def test_weights_that_are_not_the_decks_or_make_no_mean_are_named(tmp_path, old, new, words):
+    proposal(tmp_path, weighted(np.ones(len(TIP))), name="deck.bdf")
+    for path in (tmp_path / "new").iterdir():
+        path.write_text(path.read_text().replace(old, new))
+    lines = as_text(check(tmp_path / "new")).splitlines()
+    assert any(words in line for line in lines), lines
+
+
+def test_a_finer_mesh_and_one_of_midside_nodes_keep_the_weights_of_the_nodes(tmp_path):
+    proposal(tmp_path, weighted(WEIGHTS), name="deck.bdf")
+    mesh = read_mesh(tmp_path / "new" / "deck.inp", "mm")
+    for other in (halved(mesh), second_order(mesh)):
+        nodes, weights = other.node_weights["RBE3_80"]
+        np.testing.assert_allclose(other.points[nodes], mesh.points[np.array(TIP) - 1], atol=1e-15)
+        np.testing.assert_array_equal(weights, WEIGHTS)

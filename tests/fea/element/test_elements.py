@@ -31,7 +31,9 @@ def test_every_affine_field_is_reproduced_with_its_gradient(kind):
     np.testing.assert_allclose(element.values.sum(axis=1), 1.0)
 
 
-@pytest.mark.parametrize("kind", ["hex20", "hex27", "tet10", "wedge15", "quad8", "quad9", "tri6"])
+@pytest.mark.parametrize(
+    "kind", ["hex20", "hex27", "tet10", "wedge15", "pyramid13", "quad8", "quad9", "tri6"]
+)
 def test_second_order_kinds_reproduce_every_quadratic_field(kind):
     element, places = reference_element(kind), node_coordinates(kind)
     points = element.values @ places
@@ -45,7 +47,7 @@ def test_second_order_kinds_reproduce_every_quadratic_field(kind):
 
 @pytest.mark.parametrize("kind", ALL)
 def test_the_weights_sum_to_the_reference_volume(kind):
-    volume = {"hex": 1, "tet": 1 / 6, "wed": 1 / 2, "qua": 1, "tri": 1 / 2}[kind[:3]]
+    volume = {"hex": 1, "tet": 1 / 6, "wed": 1 / 2, "qua": 1, "tri": 1 / 2, "pyr": 1 / 3}[kind[:3]]
     element = reference_element(kind)
     assert element.weights.sum() == pytest.approx(volume, rel=1e-13)
     assert (element.weights > 0).all()

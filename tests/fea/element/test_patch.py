@@ -6,10 +6,11 @@ import pytest
 from tests.fea import components
 from tests.fea.boxes import box
 from tests.fea.components import component
+from tests.fea.pyramids import mixed
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.tensors import rotation
 
-KINDS = ["hex8", "hex20", "hex27", "tet4", "tet10", "wedge6", "wedge15"]
+KINDS = ["hex8", "hex20", "hex27", "tet4", "tet10", "wedge6", "wedge15", "pyramid5", "pyramid13"]
 RNG = np.random.default_rng(2)
 YOUNG, POISSON = 3.0e9, 0.3
 
@@ -45,10 +46,17 @@ def solve_with_boundary(body, boundary):
     return held - body.tangent(None).solve(forces)[:, :, 0]
 
 
+def patch(kind):
+    """Return a distorted cube: of one kind, or of hexahedra, pyramids and tetrahedra."""
+    if kind == "mixed":
+        return mixed(warp=warp_inside(0.02))
+    return box(kind, (3, 3, 3), warp=warp_inside(0.02), corners_only=True)
+
+
 @pytest.mark.parametrize("integration", ["reduced", "full"])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [*KINDS, "mixed"])
 def test_a_distorted_patch_reproduces_every_constant_strain(kind, integration):
-    mesh = box(kind, (3, 3, 3), warp=warp_inside(0.02), corners_only=True)
+    mesh = patch(kind)
     body = body_of(mesh, on_the_surface(mesh), integration)
     affine = mesh.points @ RNG.standard_normal((3, 3)) + [1.0, 2.0, 3.0]
     found = solve_with_boundary(body, affine)
@@ -63,9 +71,9 @@ def test_full_integration_passes_the_patch_test_with_curved_edges_as_well(kind):
     np.testing.assert_allclose(solve_with_boundary(body, affine), affine, atol=1e-12)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [*KINDS, "mixed"])
 def test_a_distorted_patch_is_in_balance_under_every_large_homogeneous_deformation(kind):
-    mesh = box(kind, (3, 3, 3), warp=warp_inside(0.02), corners_only=True)
+    mesh = patch(kind)
     body = body_of(mesh, on_the_surface(mesh))
     gradient = rotation(np.array([0.4, -0.7, 0.3])) @ (np.eye(3) + 0.1 * RNG.random((3, 3)))
     forces, _, least = body.forces(mesh.points @ (gradient - np.eye(3)).T)
@@ -112,6 +120,8 @@ def energy_of(kind, divisions, integration):
         ("hex27", 2, (2, 4)),
         ("tet10", 2, (2, 4)),
         ("wedge15", 2, (2, 4)),
+        ("pyramid5", 1, (4, 8)),
+        ("pyramid13", 2, (2, 4)),
     ],
 )
 def test_the_energy_converges_at_twice_the_order_of_the_element(kind, order, sizes):

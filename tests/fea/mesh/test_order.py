@@ -155,7 +155,7 @@ def filled_by(mesh):
     return np.linalg.det(maps) @ element.weights
 
 
-@pytest.mark.parametrize("kind", NODES_PER_CELL)
+@pytest.mark.parametrize("kind", [kind for kind in NODES_PER_CELL if kind[:3] != "pyr"])
 def test_eight_cells_fill_the_one_they_come_from(kind):
     whole = bent_cell(kind)
     split = halved(whole)
@@ -164,7 +164,7 @@ def test_eight_cells_fill_the_one_they_come_from(kind):
     assert filled_by(split).sum() == pytest.approx(filled_by(whole).sum(), rel=1e-13)
 
 
-@pytest.mark.parametrize("kind", NODES_PER_CELL)
+@pytest.mark.parametrize("kind", [kind for kind in NODES_PER_CELL if kind[:3] != "pyr"])
 def test_groups_hold_what_they_held(kind):
     split = halved(halved(bent_cell(kind)))
     skin = outer_surface(split.blocks).node_ids
@@ -173,7 +173,7 @@ def test_groups_hold_what_they_held(kind):
     assert len(split.regions["all"][0]) == 64
 
 
-@pytest.mark.parametrize("kind", NODES_PER_CELL)
+@pytest.mark.parametrize("kind", [kind for kind in NODES_PER_CELL if kind[:3] != "pyr"])
 def test_neighbours_share_the_nodes_between_them(kind):
     mesh = box(kind, (2, 2, 2), (1.0, 1.0, 1.0))
     split = halved(mesh)

@@ -77,6 +77,7 @@ CHANGES = [
     (("interface", "point"), [1, 0, 0]),
     (("interface", "axes"), [[0, 1, 0], [0, 0, 1], [1, 0, 0]]),
     (("interface", "coupling"), "distributed"),
+    (("interface", "weights"), "equal"),
     (("interface", "locked"), ["ux"]),
     (("analysis", "nonlinear"), True),
     (("analysis", "integration"), "full"),

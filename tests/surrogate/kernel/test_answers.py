@@ -41,7 +41,7 @@ def test_error_bars_of_the_kriging_grow_from_a_row_on(kind, seed):
     bars = told_by(kind, row + np.array([[0.0], [0.01], [0.1], [0.4]]) * step, "kriging").errors
     known = np.isfinite(bars).all(axis=1)
     assert known[0]
-    # Of rows that scatter those near by may have smaller bars: in 3 % of 3,000 draws of "uncertain".
+    # Of rows that scatter those near by may have smaller bars: 3 % of 3,000 draws of "uncertain".
     assert kind not in ("solved", "second derivatives") or (bars[known] >= 0.9 * bars[0]).all()
     assert bars[known][-1].sum() > bars[0].sum()
 
