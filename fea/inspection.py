@@ -32,16 +32,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from wrenchbook.fea.component import ComponentModel
-from wrenchbook.fea.mesh.facets import (
-    EDGES,
-    FACES,
-    corners_of,
-    facets_within,
-    outer_surface,
-    row_numbers,
-)
+from wrenchbook.fea.mesh.facets import EDGES, FACES, corners_of, facets_within, outer_surface
 from wrenchbook.fea.mesh.mapping import extreme_determinants
-from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
+from wrenchbook.fea.mesh.mesh import CellBlock, Mesh, row_numbers
 from wrenchbook.fea.mesh.reference_cell import node_coordinates
 from wrenchbook.fea.spec.problems import BundleProblem, point_text
 from wrenchbook.fea.tensors import determinant

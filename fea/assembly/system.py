@@ -115,10 +115,9 @@ class System:
         start = Linearisation(
             self.body, self.coupling, self.balance_at_rest, tangent, self.body_force
         )
-        factor = start.tangent.factor
-        if factor.pivot_ratio < _MIN_PIVOT:
+        if start.tangent.factor.pivot_ratio < _MIN_PIVOT:
             energy = softest_energy(self.body, start.tangent)
-            weakest = factor.weakest
+            weakest = start.tangent.factor.weakest
             node = self.body.dissection.nodes[weakest // 3] if weakest >= 0 else 0
             raise unheld(f"Near {point_text(self._points[node])} m the mesh", energy)
         if not np.isfinite(start.compliance).all():

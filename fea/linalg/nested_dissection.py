@@ -116,13 +116,17 @@ class Cutter:
         low = max(int(count * (0.5 - _WINDOW)), 1)
         sizes = np.arange(low, max(count - low, low) + 1)  # of the first half
         dearer = 1.0 + _UNEVEN * (2.0 * sizes / count - 1.0) ** 2
-        order = np.argsort(_directions(centres) @ centres.T, axis=1, kind="stable")
-        ranks = np.empty(order.shape, dtype=np.int32)
-        np.put_along_axis(ranks, order, np.arange(count, dtype=np.int32)[None], axis=1)
-        self._rank[cells] = np.arange(count)
-        cost = _on_both_sides(ranks[:, self._rank[pairs.cells]], starts, count)[:, sizes] * dearer
-        direction, least = divmod(int(cost.argmin()), sizes.size)
-        return ranks[direction] >= sizes[least]
+        best, chosen = np.inf, np.arange(count) >= count // 2
+        for direction in _directions(centres):
+            order = np.argsort(centres @ direction, kind="stable")
+            rank = np.empty(count, dtype=np.int64)
+            rank[order] = np.arange(count)
+            self._rank[cells] = rank
+            cost = _on_both_sides(self._rank[pairs.cells], starts, count)[sizes] * dearer
+            least = int(cost.argmin())
+            if cost[least] < best:
+                best, chosen = cost[least], rank >= sizes[least]
+        return chosen
 
 
 def _directions(centres: Array) -> Array:
@@ -137,21 +141,14 @@ def _directions(centres: Array) -> Array:
 
 
 def _on_both_sides(ranks: Array, starts: Array, count: int) -> Array:
-    """Return the number of nodes on both sides of a cut before each rank, (k, count + 1).
-
-    ranks: shape (k, pairs), int32: of each pair's cell along each of k directions.
-    starts: where the pairs of each node begin.
-    """
+    """Return the number of nodes on both sides of a cut before each rank, shape (count + 1,)."""
     if not starts.size:
-        return np.zeros((len(ranks), count + 1), dtype=np.int64)
-    row = (count + 1) * np.arange(len(ranks))[:, None] + 1
-    first, last = (
-        np.bincount(
-            (row + end.reduceat(ranks, starts, axis=1)).ravel(), minlength=row[-1, 0] + count
-        )
-        for end in (np.minimum, np.maximum)
+        return np.zeros(count + 1, dtype=np.int64)
+    first, last = np.minimum.reduceat(ranks, starts), np.maximum.reduceat(ranks, starts)
+    change = np.bincount(first + 1, minlength=count + 1) - np.bincount(
+        last + 1, minlength=count + 1
     )
-    return np.cumsum((first - last).reshape(len(ranks), count + 1), axis=1)
+    return np.cumsum(change)[: count + 1]
 
 
 @dataclass(eq=False)
@@ -201,6 +198,12 @@ class Dissection:
     def unknowns(self) -> int:
         """Three for each free node."""
         return 3 * self.nodes.size
+
+    @property
+    def numbers(self) -> int:
+        """Numbers in the factor, about: of each front half of a square, and a rectangle."""
+        sizes = ((part.eliminated, part.boundary.size) for part in self.substructures)
+        return sum(m * m // 2 + m * b for m, b in sizes)
 
 
 def dissect(cells: list[Array], centres: Array, free: Array) -> Dissection:

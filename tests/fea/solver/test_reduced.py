@@ -24,11 +24,10 @@ def part():
 def symmetric(entries):
     """The matrix of {((node, freedom), (node, freedom)): value}, rows in the order of nodes."""
     rows = sorted({row for pair in entries for row in pair})
-    where = {row: i for i, row in enumerate(rows)}
     matrix = np.zeros((len(rows), len(rows)))
     for (row, column), value in entries.items():
         assert (column, row) not in entries or row == column
-        i, j = where[row], where[column]
+        i, j = rows.index(row), rows.index(column)
         matrix[i, j] = matrix[j, i] = value
     return matrix
 
@@ -58,25 +57,23 @@ def nastran(text):
         else:
             assert small[0] == "*"
             terms[name][(int(wide[0]), int(wide[1])), column] = number(wide[2])
-    for (node, freedom), _ in [pair for entries in terms.values() for pair in entries]:
-        assert (freedom in range(1, 7) and node in points) or (freedom == 0 and node in scalars)
+    rows = {row for entries in terms.values() for row, _ in entries}
+    assert rows == {(n, i) for n in points for i in range(1, 7)} | {(n, 0) for n in scalars}
     return points, scalars, terms
 
 
 def abaqus(text):
     """The nodes, the terms of each matrix, and the kinds of the assembled ones."""
-    nodes, terms, kinds, keyword, entries = {}, {}, {}, "", {}
+    nodes, terms, kinds, entries, keyword = {}, {}, {}, {}, ""
     for line in text.upper().splitlines():
         if line.startswith("**"):
             continue
         words = [word.strip() for word in line.split(",")]
         if line.startswith("*"):
-            keyword = words[0]
-            pairs = dict(word.split("=") for word in words[1:])
-            kinds = pairs if keyword == "*MATRIX ASSEMBLE" else kinds
+            keyword, kinds = words[0], dict(word.split("=") for word in words[1:])
             if keyword == "*MATRIX INPUT":
-                assert pairs["TYPE"] == "SYMMETRIC"
-                entries = terms[pairs["NAME"]] = {}
+                assert kinds["TYPE"] == "SYMMETRIC"
+                entries = terms[kinds["NAME"]] = {}
         elif keyword == "*NODE":
             nodes[int(words[0])] = [float(word) for word in words[1:]]
         else:
@@ -119,7 +116,6 @@ def test_each_elastic_mode_of_the_free_part_has_the_damping_ratio(part):
     damping = motions.T @ part["damping"] @ motions
     ratios = np.diag(damping)[6:] / (2 * np.sqrt(squares[6:]))
     np.testing.assert_allclose(ratios, 0.02, rtol=1e-6)
-    assert np.abs(damping[:6]).max() < 1e-6 * np.abs(damping).max()
 
 
 @pytest.mark.parametrize(("ending", "reader"), [("pch", nastran), ("MTX", abaqus)])
