@@ -25,7 +25,6 @@ _AT_A_TIME = 256
 _FIELDS_AT_A_TIME = 1024
 """Cells whose nodes' six fields are there at once: 1.5 to 3 MB; a flange's 8,100 took 23 MB."""
 
-
 _SINGLE_NUMBERS = 30e6
 """Numbers from which on the undeformed body's factor is in single precision: 0.24 GB in double.
 
