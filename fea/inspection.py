@@ -35,9 +35,10 @@ from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.mesh.bolts import BoltCut
 from wrenchbook.fea.mesh.facets import EDGES, FACES, corners_of, facets_within, outer_surface
 from wrenchbook.fea.mesh.mapping import extreme_determinants
-from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
+from wrenchbook.fea.mesh.mesh import CellBlock, Mesh, row_numbers
 from wrenchbook.fea.mesh.reference_cell import node_coordinates
 from wrenchbook.fea.spec.problems import BundleProblem, point_text
+from wrenchbook.fea.tensors import determinant
 
 Array = np.ndarray
 
@@ -69,7 +70,7 @@ def scaled_jacobian(points: Array, block: CellBlock) -> Array:
     at = points[block.nodes]
     triples = np.array(triples)
     edges = at[:, triples[:, 1:]] - at[:, triples[:, :1]]
-    volume = np.linalg.det(edges)
+    volume = determinant(edges)
     length = np.linalg.norm(edges, axis=3).prod(axis=2)
     scaled = np.divide(volume, length, out=np.zeros_like(volume), where=length > 0)
     return np.minimum(scaled.min(axis=1) / ideal, 1.0)
@@ -186,11 +187,11 @@ def bodies_of(mesh: Mesh) -> Bodies:
     pairs, first = [], 0
     for block in mesh.blocks:
         bodies = np.repeat(number[first : first + len(block)], block.nodes.shape[1])
-        pairs.append(np.column_stack([bodies, block.nodes.ravel()]))
+        pairs.append(bodies * len(mesh.points) + block.nodes.ravel())
         first += len(block)
-    both = np.unique(np.concatenate(pairs), axis=0)
-    cuts = np.searchsorted(both[:, 0], np.arange(1, count))
-    return Bodies(count, sizes[order], np.split(both[:, 1], cuts))
+    bodies, nodes = np.divmod(np.unique(np.concatenate(pairs)), len(mesh.points))
+    cuts = np.searchsorted(bodies, np.arange(1, count))
+    return Bodies(count, sizes[order], np.split(nodes, cuts))
 
 
 def _faces(mesh: Mesh) -> tuple[Array, Array]:
@@ -204,8 +205,7 @@ def _faces(mesh: Mesh) -> tuple[Array, Array]:
             corners.append(np.sort(row, axis=1))
             owners.append(first + np.arange(len(block)))
         first += len(block)
-    _, number = np.unique(np.concatenate(corners), axis=0, return_inverse=True)
-    return number.ravel(), np.concatenate(owners)
+    return row_numbers(np.concatenate(corners)), np.concatenate(owners)
 
 
 def stacked_singly(mesh: Mesh) -> Array:
@@ -213,6 +213,8 @@ def stacked_singly(mesh: Mesh) -> Array:
 
     Shape (k, 3), m: two or more in a row, each joined to others along one direction only.
     """
+    if all(block.kind != "hex20" for block in mesh.blocks):
+        return np.empty((0, 3))
     number, _ = _faces(mesh)
     shared = np.bincount(number)[number] > 1
     first, alone, single_faces, middles = 0, np.zeros(len(number), dtype=bool), [], []
@@ -225,8 +227,6 @@ def stacked_singly(mesh: Mesh) -> Array:
             alone[faces] = np.tile(single, len(FACES[block.kind]))
             single_faces.append(number[faces].reshape(-1, len(block))[:, single])
             middles.append(mesh.points[block.nodes[single]].mean(axis=1))
-    if not single_faces:
-        return np.empty((0, 3))
     times = np.bincount(number[alone], minlength=int(number.max()) + 1)
     return np.concatenate(middles)[(times[np.hstack(single_faces)] > 1).any(axis=0)]
 

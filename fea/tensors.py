@@ -32,6 +32,12 @@ def skew(vector: Array) -> Array:
     return matrix
 
 
+def determinant(matrix: Array) -> Array:
+    """Return det of matrices, shapes (..., 3, 3) -> (...): in closed form, faster than LAPACK."""
+    (a, b, c), (d, e, f), (g, h, i) = np.moveaxis(matrix, (-2, -1), (0, 1))
+    return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+
+
 def rotation(vector: Array) -> Array:
     """Return exp([r]x), shape (3, 3), for a rotation vector r (rad)."""
     return np.eye(3, dtype=np.asarray(vector).dtype) + rotation_less_identity(vector)

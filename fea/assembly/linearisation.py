@@ -155,15 +155,15 @@ class Linearisation:
         nodes, border = self.solve(balance.nodal[:, :, None], balance.border[:, None])
         return -nodes[:, :, 0], -border[:, 0]
 
-    def solve(self, nodal: Array, border: Array) -> tuple[Array, Array]:
-        """Solve the bordered equations for k load cases.
+    def solve(self, nodal: Array, border: Array, rough: bool = False) -> tuple[Array, Array]:
+        """Solve the bordered equations for k load cases, `rough` as of `Tangent.solve`.
 
         nodal: shape (n, 3, k), N.
         border: shape (border, k): N and N·m for interface freedoms, m and m^2 for constraints.
         Returns nodes: shape (n, 3, k), m: of the free nodes; the others are zero. border: shape
         (border, k).
         """
-        moved = self.tangent.solve(nodal)
+        moved = self.tangent.solve(nodal, rough)
         carried = self._solve_border(border - contract(self._columns, moved))
         return moved - self._solved @ carried, carried
 

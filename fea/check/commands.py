@@ -20,6 +20,7 @@ from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.reference import json_schema
 from wrenchbook.fea.check.proposal import propose
 from wrenchbook.fea.check.reporting import as_text, report, surface_in
+from wrenchbook.fea.export import reduced
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.surface import Surface
 from wrenchbook.fea.solve import Solver
@@ -101,14 +102,22 @@ def new(options: argparse.Namespace) -> Reply:
 
 def condense(options: argparse.Namespace) -> Reply:
     """Write a part as stiffness and mass of its frames and modes."""
-    _check_output(options, options.out, (".npz",), f"{options.out}: the file is an .npz")
-    content = vars(Solver(read_bundle(options.folder)).craig_bampton(options.modes))
-    with options.out.open("wb") as file:
-        np.savez(file, **content)
+    wanted = f"{options.out}: the file is .npz, .pch (Nastran) or .mtx (Abaqus)"
+    _check_output(options, options.out, (".npz", ".pch", ".mtx"), wanted)
+    if not (0 <= options.damping < 1 and 0 < options.first < 90_000_000):  # Nastran: eight digits
+        options.usage_error("--damping is a ratio such as 0.01, --first a node's number from 1 on")
+    part = Solver(read_bundle(options.folder)).craig_bampton(options.modes)
+    content = reduced.arrays(part, options.damping)
+    if options.out.suffix.lower() == ".npz":
+        with options.out.open("wb") as file:
+            np.savez(file, **content)
+    else:
+        text = reduced.nastran if options.out.suffix.lower() == ".pch" else reduced.abaqus
+        options.out.write_text(text(content, options.first), encoding="utf-8")
     first = {name: [float(f"{f:.6g}") for f in content[name][:_SHOWN]] for name in ("free", "held")}
-    header = {"file": str(options.out), "frames": list(content["names"]), "modes": options.modes}
+    header = {"file": str(options.out), "frames": list(part.names), "modes": options.modes}
     lines = [
-        f"{options.out}: frames {', '.join(content['names'])}; {options.modes} modes",
+        f"{options.out}: frames {', '.join(part.names)}; {options.modes} modes",
         f"first frequencies with the first frame held: {first['free']} Hz",
         f"with all frames held: {first['held']} Hz",
     ]
@@ -223,11 +232,13 @@ def _parser() -> argparse.ArgumentParser:
     add("--plot", type=Path, help="write errors over cell sizes as a page, .html")
     add("folder", type=Path, help="folder of the component bundle")
 
-    text = "Write stiffness and mass of frames and modes (Craig-Bampton) as npz."
+    text = "Write stiffness and mass of frames and modes (Craig-Bampton) for other programs."
     add = command(condense, text, ValueError)
     add("--modes", type=int, default=10, help="modes with all frames held (default 10)")
+    add("--damping", type=float, default=0.0, help="damping ratio of all elastic modes; or none")
+    add("--first", type=int, default=1, help="number of the first node in .pch and .mtx")
     add("folder", type=Path, help="folder of the component bundle")
-    add("out", type=Path, help="the file to write, .npz")
+    add("out", type=Path, help="the file to write: .npz, .pch (Nastran) or .mtx (Abaqus)")
 
     add = command(new, "Propose a component for an input deck, check it, and print what is open.")
     add("--unit", choices=tuple(UNITS), help="length unit; by default guessed from the constants")

@@ -31,11 +31,13 @@ from wrenchbook.fea.linalg.nested_dissection import Dissection, Substructure
 
 Array = np.ndarray
 
-_like = (np.empty((1, 1), order="F"),)
-_trsm, _syrk = get_blas_funcs(("trsm", "syrk"), _like)
-_potrf, _getrf, _getrs = get_lapack_funcs(("potrf", "getrf", "getrs"), _like)
-_trttf, _tfsm = get_lapack_funcs(("trttf", "tfsm"), _like)
-
+_BLAS, _LAPACK = ("trsm", "syrk"), ("potrf", "trttf", "tfsm")
+_ROUTINES: dict[Any, Any] = {  # by precision and name
+    np.dtype(kind): dict(zip(_BLAS, get_blas_funcs(_BLAS, dtype=kind), strict=True))
+    | dict(zip(_LAPACK, get_lapack_funcs(_LAPACK, dtype=kind), strict=True))
+    for kind in (np.float32, np.float64)
+}
+_getrf, _getrs = get_lapack_funcs(("getrf", "getrs"), dtype=np.float64)
 
 # Fronts of up to 3,500 unknowns take twice the time by two threads of BLAS as by one.
 _ONE_THREAD = ThreadpoolController().wrap(limits=1, user_api="blas")
@@ -99,7 +101,7 @@ def products(left: Array, right: Array, square: Callable[[Array], Array] | None)
         if b - a == count:
             blocks.append(diagonal)
             continue
-        block = np.empty((b - a, count - a)).T
+        block = np.empty((b - a, count - a), dtype=right.dtype).T
         block[: b - a] = diagonal
         np.matmul(columns.T, left[:, b:], out=block.T[:, b - a :])
         blocks.append(block)
@@ -165,6 +167,10 @@ def add_to_boundary(total: Condensed, part: Condensed, way: Route, eliminated: i
         target[way.indices[low:] - shift, columns] += block[low - a :, low - a : high - a]
 
 
+_SINGLE_PIVOT = 5e-3
+"""Pivot ratio that single precision needs: rods of 1:10 have 4e-2, of 1:25 (not refined) 3e-3."""
+
+
 class NotDefinite(ArithmeticError):  # noqa: N818 - a finding about the matrix
     """A pivot block is not positive definite."""
 
@@ -175,6 +181,8 @@ class MultifrontalFactor:
     dissection: the order of elimination.
     leaf: gives the matrix of each leaf, N/m; called when the leaf is due, so that few are in
     memory.
+    single: in half the memory; solves are to be refined. Raises NotDefinite where a pivot ratio is
+    below _SINGLE_PIVOT.
     definite: whether the matrix is positive definite.
     pivot_ratio: the least ratio of a pivot to the diagonal entry it came from: what elimination
     left of the stiffness there. Near roundoff it says that some motion has no stiffness. 0 if the
@@ -184,13 +192,15 @@ class MultifrontalFactor:
     """
 
     @_ONE_THREAD
-    def __init__(self, dissection: Dissection, leaf: Leaf) -> None:
-        self._dissection = dissection
+    def __init__(self, dissection: Dissection, leaf: Leaf, single: bool = False) -> None:
+        self._dissection, self._single = dissection, single
         self.unknowns = dissection.unknowns
         try:
-            self._fronts, self.diagonal = _eliminate(dissection, leaf, _CholeskyFront)
+            self._fronts, self.diagonal = _eliminate(dissection, leaf, _CholeskyFront, single)
             self.definite = True
         except NotDefinite:
+            if single:
+                raise
             self.definite = False
         if not self.definite:  # here, as the exception keeps the fronts done so far
             self._fronts, self.diagonal = _eliminate(dissection, leaf, _LUFront)
@@ -213,7 +223,8 @@ class MultifrontalFactor:
         loads: shape (unknowns, k), N, in the order of elimination.
         Result: shape (unknowns, k), m, in the same order.
         """
-        x = np.array(loads, dtype=float, order="C")
+        scale = np.abs(loads).max(axis=0, initial=1e-300) if self._single else 1.0  # less range
+        x = np.array(loads / scale, dtype=np.float32 if self._single else float, order="C")
         for part, front in zip(self._dissection.substructures, self._fronts, strict=True):
             if part.eliminated:
                 front.forward(x, part)
@@ -222,7 +233,7 @@ class MultifrontalFactor:
         ):
             if part.eliminated:
                 front.backward(x, part)
-        return x
+        return x * scale
 
 
 class _CholeskyFront:
@@ -235,22 +246,24 @@ class _CholeskyFront:
     __slots__ = ("L", "W", "pivots")
 
     def __init__(self, A: Array, B: Array) -> None:
-        L, info = _potrf(A, lower=1, clean=0, overwrite_a=1)
+        routines = _ROUTINES[A.dtype]
+        L, info = routines["potrf"](A, lower=1, clean=0, overwrite_a=1)
         if info:
             raise NotDefinite
         self.W = B
         if B.size:
-            self.W = _trsm(1.0, L, B, lower=1, overwrite_b=1)
+            self.W = routines["trsm"](1.0, L, B, lower=1, overwrite_b=1)
         self.pivots = np.diagonal(L) ** 2
-        self.L, _ = _trttf(L, uplo="L")
+        self.L, _ = routines["trttf"](L, uplo="L")
 
     def products(self, boundary: int) -> Condensed:
         """Return the update of the boundary's stiffness by what is eliminated here."""
-        return products(self.W, self.W, partial(_syrk, 1.0, trans=1, lower=1))
+        W, syrk = self.W, _ROUTINES[self.W.dtype]["syrk"]
+        return products(W, W, partial(syrk, 1.0, trans=1, lower=1))
 
     def forward(self, x: Array, part: Substructure) -> None:
         rows = slice(part.start, part.stop)
-        y = _tfsm(1.0, self.L, x[rows], uplo="L")
+        y = _ROUTINES[x.dtype]["tfsm"](1.0, self.L, x[rows], uplo="L")
         x[rows] = y
         if part.boundary.size:
             x[part.boundary] -= self.W.T @ y
@@ -260,7 +273,7 @@ class _CholeskyFront:
         y = x[rows]
         if part.boundary.size:
             y = y - self.W @ x[part.boundary]
-        x[rows] = _tfsm(1.0, self.L, y, uplo="L", trans="T")
+        x[rows] = _ROUTINES[x.dtype]["tfsm"](1.0, self.L, y, uplo="L", trans="T")
 
 
 class _LUFront:
@@ -303,23 +316,25 @@ class _LUFront:
         x[rows] = y
 
 
-def _eliminate(dissection: Dissection, leaf: Leaf, kind: type) -> tuple[list, Array]:
+def _eliminate(dissection: Dissection, leaf: Leaf, kind: type, single: bool = False) -> Any:
     """Factorise front by front; a condensed part is dropped once its parent has taken it.
 
     Returns the fronts and the diagonal of the matrix.
     """
-    diagonal = np.zeros(dissection.unknowns)
+    diagonal, dtype = np.zeros(dissection.unknowns), np.float32 if single else np.float64
     fronts: list = []
     condensed: dict[int, Condensed] = {}
     for number, part in enumerate(dissection.substructures):
         if part.children:
-            front, handed_on = _branch(part, condensed, kind)
+            front, handed_on = _branch(part, condensed, kind, dtype)
         else:
             matrix = leaf(number)
             diagonal_of_leaf = np.diagonal(matrix)
             diagonal[part.start : part.stop] += diagonal_of_leaf[: part.eliminated]
             diagonal[part.boundary] += diagonal_of_leaf[part.eliminated :]
-            front, handed_on = _leaf(part, matrix, kind)
+            front, handed_on = _leaf(part, matrix.astype(dtype, copy=False), kind)
+        if single and (front.pivots < _SINGLE_PIVOT * diagonal[part.start : part.stop]).any():
+            raise NotDefinite
         fronts.append(front)
         condensed[number] = handed_on
     return fronts, diagonal
@@ -354,7 +369,7 @@ def _leaf(part: Substructure, matrix: Array, kind: type) -> tuple[Any, Condensed
 
 
 def _branch(
-    part: Substructure, condensed: dict[int, Condensed], kind: type
+    part: Substructure, condensed: dict[int, Condensed], kind: type, dtype: Any
 ) -> tuple[Any, Condensed]:
     """Return the front of a branch and what it hands on; what its parts did is dropped.
 
@@ -367,8 +382,8 @@ def _branch(
     ]
     front = _EMPTY
     if eliminated:
-        A = np.zeros((eliminated, eliminated), order="F")
-        B = np.zeros((eliminated, boundary), order="F")
+        A = np.zeros((eliminated, eliminated), order="F", dtype=dtype)
+        B = np.zeros((eliminated, boundary), order="F", dtype=dtype)
         for child, way in zip(part.children, ways, strict=True):
             add_to_pivots(A, B, condensed[child], way)
         front = kind(A, B)

@@ -199,6 +199,12 @@ class Dissection:
         """Three for each free node."""
         return 3 * self.nodes.size
 
+    @property
+    def numbers(self) -> int:
+        """Numbers in the factor, about: of each front half of a square, and a rectangle."""
+        sizes = ((part.eliminated, part.boundary.size) for part in self.substructures)
+        return sum(m * m // 2 + m * b for m, b in sizes)
+
 
 def dissect(cells: list[Array], centres: Array, free: Array) -> Dissection:
     """Cut a mesh into nested substructures.

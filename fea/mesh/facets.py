@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
-from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
+from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh, row_numbers
 from wrenchbook.fea.spec.problems import BundleProblem, suggest
 
 Array = np.ndarray
@@ -104,14 +105,13 @@ def faces_of(blocks: tuple[CellBlock, ...]) -> dict[str, Array]:
     return {kind: np.concatenate(parts) for kind, parts in by_kind.items()}
 
 
+@lru_cache(maxsize=1)  # a solve asks four times for the surface of its one mesh
 def outer_surface(blocks: tuple[CellBlock, ...]) -> FacetGroup:
     """Return the faces that only one cell has."""
     outer = []
     for kind, nodes in faces_of(blocks).items():
-        _, index, times = np.unique(
-            np.sort(nodes, axis=1), axis=0, return_index=True, return_counts=True
-        )
-        outer.append(FacetBlock(kind, nodes[np.sort(index[times == 1])]))
+        numbers = row_numbers(np.sort(nodes, axis=1))
+        outer.append(FacetBlock(kind, nodes[np.bincount(numbers)[numbers] == 1]))
     return FacetGroup(tuple(outer))
 
 
@@ -154,11 +154,9 @@ class FaceFinder:
         blocks = []
         for face_kind, faces in self._by_corners[count]:
             corners = np.sort(faces[:, :count], axis=1)
-            keys, first = np.unique(corners, axis=0, return_index=True)
-            # Which rows of `keys` are also rows of `sought`; neither has a row twice.
-            both = np.concatenate([sought, keys])
-            _, inverse, times = np.unique(both, axis=0, return_inverse=True, return_counts=True)
-            chosen = first[times[inverse.ravel()[len(sought) :]] == 2]
+            numbers = row_numbers(np.concatenate([sought, corners]))
+            keys, first = np.unique(numbers[len(sought) :], return_index=True)
+            chosen = first[np.isin(keys, numbers[: len(sought)])]
             missing -= len(chosen)
             if len(chosen):
                 blocks.append(FacetBlock(face_kind, faces[np.sort(chosen)]))

@@ -10,6 +10,7 @@ from wrenchbook.fea.failure import inverted_elements
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetGroup, Mesh
 from wrenchbook.fea.mesh.reference_cell import node_coordinates, reference_element, tabulate
 from wrenchbook.fea.spec.problems import BundleProblem, point_text
+from wrenchbook.fea.tensors import determinant
 
 Array = np.ndarray
 
@@ -20,7 +21,7 @@ _FLAT = 1e-9
 def determinants(points: Array, block: CellBlock) -> Array:
     """Return det(dx/dxi) of each cell at each point of its full quadrature, shape (m, q), m^3."""
     slopes = reference_element(block.kind).slopes
-    return np.linalg.det(np.einsum("mad,qai->mqdi", points[block.nodes], slopes, optimize=True))
+    return determinant(np.einsum("mad,qai->mqdi", points[block.nodes], slopes, optimize=True))
 
 
 def extreme_determinants(points: Array, block: CellBlock) -> tuple[Array, Array]:
@@ -34,7 +35,7 @@ def extreme_determinants(points: Array, block: CellBlock) -> tuple[Array, Array]
     Returns least, largest: each of shape (m,), m^3: the least, and the largest in size.
     """
     _, slopes = tabulate(block.kind, node_coordinates(block.kind))
-    at_nodes = np.linalg.det(np.einsum("mad,qai->mqdi", points[block.nodes], slopes, optimize=True))
+    at_nodes = determinant(np.einsum("mad,qai->mqdi", points[block.nodes], slopes, optimize=True))
     every = np.concatenate([determinants(points, block), at_nodes], axis=1)
     return every.min(axis=1), np.abs(every).max(axis=1)
 
@@ -114,7 +115,7 @@ def cell_gradients(points: Array, block: CellBlock, integration: str) -> Gradien
     """
     element = reference_element(block.kind, integration)
     jacobian = points[block.nodes].transpose(0, 2, 1)[:, None] @ element.slopes  # dX_i/dxi_j
-    determinant = np.linalg.det(jacobian)
+    volumes_of = determinant(jacobian)
     bad = folded_cells(points, block)
     if bad.size:
         listed = ", ".join(str(cell) for cell in bad[:5])
@@ -124,7 +125,7 @@ def cell_gradients(points: Array, block: CellBlock, integration: str) -> Gradien
         )
     inverse = np.linalg.inv(jacobian)
     slopes = inverse.transpose(0, 1, 3, 2) @ element.slopes.transpose(0, 2, 1)
-    return Gradients(np.ascontiguousarray(slopes), determinant * element.weights, element.values)
+    return Gradients(np.ascontiguousarray(slopes), volumes_of * element.weights, element.values)
 
 
 def area_weights(points: Array, group: FacetGroup) -> tuple[Array, Array]:

@@ -106,6 +106,14 @@ class Mesh:
         return {block.kind: len(block) for block in self.blocks}
 
 
+def row_numbers(rows: Array) -> Array:
+    """Return the ranks of rows of indices (or -1), (k, c) to (k,): as `numpy.unique`, faster."""
+    numbers, above = rows[:, 0], int(rows.max(initial=0)) + 2
+    for column in rows.T[1:]:
+        numbers = np.unique(numbers * above + column, return_inverse=True)[1]
+    return numbers
+
+
 def _require_columns(kind: str, nodes: Array, columns: dict[str, int]) -> None:
     if kind not in columns:
         raise ValueError(f"unknown kind {kind!r}; one of {', '.join(columns)}")

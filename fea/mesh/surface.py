@@ -14,7 +14,6 @@ from itertools import combinations
 from typing import Any, NoReturn
 
 import numpy as np
-from scipy.optimize import least_squares
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -149,6 +148,8 @@ class Surface:
         frame = np.linalg.eigh(vectors.T @ vectors)[1]  # first: the direction square to normals
         local = (x - middle) @ frame / size
         some = local[:: max(1, len(x) // 2000)]  # enough for five numbers
+
+        from scipy.optimize import least_squares  # here: 50 ms of a solve's imports
 
         def off(values: Array, at: Array) -> Array:
             arms = np.cross(at - [0, *values[:2]], _unit(np.array([[1, *values[2:4]]])))

@@ -104,7 +104,7 @@ def _refined(system: System, start: Linearisation) -> tuple[Array, Array, float]
         nodal = system.body.movable.released(forces + border.columns @ moved) - acting
         border_residual = contract(border.constraint, forces) + contract(border.columns, nodes)
         border_residual += border.block @ moved - loads
-        more_nodes, more = start.solve(nodal, border_residual)
+        more_nodes, more = start.solve(nodal, border_residual, rough=True)
         nodes, moved = nodes - more_nodes, moved - more
         size = max(
             _relative(more_nodes[..., group], nodes[..., group])

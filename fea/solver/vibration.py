@@ -2,7 +2,7 @@
 
 A rigid mass may ride on the interface. The frames of the reduced part (Craig and Bampton 1968) are
 the base, which the supports or the held interface stand on, and the other interfaces; each has six
-freedoms, a translation and a rotation vector in its axes. Unit motions of a frame while the
+freedoms, a translation and a rotation vector in the mesh's axes. Unit motions of a frame while the
 others stand still are the static shapes; to them come the lowest modes of the part with all frames
 held, of unit mass each. The base's shapes are rigid motions of the part less what these move
 of the interfaces, so that rigid motions cost no energy.
@@ -22,7 +22,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import eigh
+from scipy.linalg import block_diag, eigh
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.linalg import LinearOperator, eigsh
 
@@ -300,9 +300,9 @@ class CraigBampton:
     names: tuple[str, ...]  # of the frames; that of supports is "base"
     origins: Array  # shape (f, 3), m: of the frames, undeformed, in the mesh's axes
     rotations: Array  # shape (f, 3, 3): the columns are a frame's axes in the mesh's
-    # stiffness, mass: shape (6 f + n, 6 f + n): of six freedoms a frame, then the modes; N/m, N,
-    # N·m and kg, kg·m, kg·m^2 for frames, (rad/s)^2 and 1 for modes, kg^0.5 and kg^0.5·m between
-    # both.
+    # stiffness, mass: shape (6 f + n, 6 f + n): of six freedoms a frame along the mesh's axes, then
+    # the modes; N/m, N, N·m and kg, kg·m, kg·m^2 for frames, (rad/s)^2 and 1 for modes, kg^0.5 and
+    # kg^0.5·m between both.
     stiffness: Array
     mass: Array
     # held, free: Natural frequencies, Hz, ascending: with all frames held, shape (n,); and with the
@@ -330,7 +330,7 @@ def craig_bampton(
     """
     count = system.coupling.freedoms
     inertia = Inertia(system, mass, np.zeros((count, count)))
-    (_, origin, axes), *moving = frames
+    (_, origin, _), *moving = frames
     freedoms = inertia.active.size
     if freedoms != 6 * len(moving):
         raise ValueError("a frame needs its six freedoms: leave `locked` out of the interface")
@@ -340,29 +340,27 @@ def craig_bampton(
         raise ValueError(f"there are 1 to {inertia.size - freedoms - 1} modes, not {modes}")
     shapes, compliance = static_shapes(inertia)
     squares, motions = _held_modes(inertia, shapes, modes)
-    # Each frame's motion (6, 6), in its axes, by that of the first frame.
-    turned = np.hstack([np.zeros((3, 3)), axes.T])
-    motions_of = [
-        np.vstack([eigenvalues @ _rigid((point - origin)[None], axes)[0], eigenvalues @ turned])
-        for _, point, eigenvalues in moving
-    ]
-    moved = np.concatenate(motions_of)
-    static = _nodal(inertia, shapes)
-    rigid = _rigid(points - origin, axes) * ~system.body.slips[:, None, None]
+    # The frames' motions (6 i, 6) by that of the first frame, and of the interfaces in their axes.
+    moved = np.concatenate(
+        [np.vstack([_rigid((point - origin)[None])[0], np.eye(6)[3:]]) for _, point, _ in moving]
+    )
+    turn = np.asarray(block_diag(*(axes for _, _, axes in moving for _ in range(2))))
+    static = _nodal(inertia, shapes) @ turn
+    rigid = _rigid(points - origin) * ~system.body.slips[:, None, None]
     base = np.einsum("ij,njk->nik", body, rigid) - static @ moved
     fields = np.concatenate([base, static, _nodal(inertia, motions)], axis=2)
     total = sum(fields[:, axis].T @ (mass @ fields[:, axis]) for axis in range(3))
     energies = 0.5 * np.asarray(total + np.transpose(total))  # twice the kinetic ones of pairs
     # The stiffness of base, interfaces and modes, from what the base moves (6 i, 6).
-    both = np.hstack([-moved, np.eye(len(compliance))])
+    both = turn @ np.hstack([-moved, np.eye(len(compliance))])
     first = both.shape[1]
     stiffness = np.zeros((first + len(squares),) * 2)
     stiffness[:first, :first] = both.T @ np.linalg.inv(compliance) @ both
     stiffness[first:, first:] = np.diag(squares)
     stiffness = 0.5 * (stiffness + stiffness.T)
     eigenvalues = eigh(stiffness[6:, 6:], energies[6:, 6:], eigvals_only=True)
-    names, origins, rows = zip(*frames, strict=True)
-    turned = np.array(rows).swapaxes(1, 2)
+    names, origins, axes = zip(*frames, strict=True)
+    turned = np.array(axes).swapaxes(1, 2)
     held, free = (np.sqrt(squared) / (2 * np.pi) for squared in (squares, eigenvalues))
     return CraigBampton(names, np.array(origins), turned, stiffness, energies, held, free)
 
@@ -391,13 +389,10 @@ def _nodal(inertia: Inertia, motions: Array) -> Array:
     return np.stack([inertia.fields(motion)[0] for motion in motions.T], axis=2)
 
 
-def _rigid(arms: Array, axes: Array) -> Array:
-    """Return how points at arms (n, 3), m, move by unit motions of a frame: shape (n, 3, 6).
-
-    Arms and results are in the mesh's axes, the motions in the frame's, its rows `axes`.
-    """
+def _rigid(arms: Array) -> Array:
+    """Return how points at arms (n, 3), m, move by unit motions of a frame: shape (n, 3, 6)."""
     translations = np.broadcast_to(np.eye(3), (len(arms), 3, 3))
-    return np.concatenate([translations, -skew(arms)], axis=2) @ np.kron(np.eye(2), axes.T)
+    return np.concatenate([translations, -skew(arms)], axis=2)
 
 
 _MODES = 8  # at once, of both signs; the two extreme ones converge as the quotient to the ninth

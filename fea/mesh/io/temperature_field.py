@@ -9,7 +9,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import KDTree
 
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
@@ -72,6 +71,8 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
             order = np.argsort(here[:, 0])
             inside = np.interp(there[:, 0], here[order, 0], values[order], np.nan, np.nan)
         else:
+            from scipy.interpolate import LinearNDInterpolator  # here: 20 ms of a solve's imports
+
             inside = np.asarray(LinearNDInterpolator(here, values)(there))
         shape[between] = np.where(np.isnan(inside), shape[between], inside)
     return shape

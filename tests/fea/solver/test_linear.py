@@ -83,3 +83,23 @@ def test_six_loads_and_every_later_solve_take_one_factorisation(monkeypatch):
         built.solve(wrench)
     assert len(factors) == 1
     assert factors[0].unknowns == built.unknowns - 6
+
+
+@pytest.mark.parametrize(
+    ("length", "steps", "stays"),
+    [(2.0, 6, True), (2.0, 1, False), (60.0, 6, False)],
+    ids=["a block", "a block not refined enough", "a rod"],
+)
+def test_single_precision_gives_doubles_digits_or_way_to_it(length, steps, stays, monkeypatch):
+    part = component(box("tet10", (3, 3, 8), (1.0, 1.0, length)), coupling="distributed")
+    exact, single = Solver(part), Solver(part)
+    scale = np.sqrt(np.diagonal(exact.compliance))
+    monkeypatch.setattr(body, "_SINGLE_NUMBERS", 0)
+    monkeypatch.setattr(body, "_SINGLE_STEPS", steps)
+    apart = (single.compliance - exact.compliance) / np.outer(scale, scale)
+    assert np.abs(apart).max() < 1e-12
+    tangents = [solver._system.undeformed.tangent for solver in (single, exact)]
+    loads = np.random.default_rng(1).standard_normal((len(part.mesh.points), 3, 2))
+    moved, expected = (tangent.solve(loads) for tangent in tangents)
+    np.testing.assert_allclose(moved, expected, atol=1e-11 * np.abs(expected).max())
+    assert [tangent.factor._single for tangent in tangents] == [stays, False]

@@ -1,0 +1,75 @@
+"""Reduced parts as files: arrays for Simscape, Nastran's DMIG and Abaqus's matrices."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from scipy.linalg import eigh
+from scipy.spatial.transform import Rotation
+
+from wrenchbook.fea.solver.vibration import CraigBampton
+
+_NAMES = {"stiffness": "K", "mass": "M", "damping": "B"}  # in Nastran's case control
+
+
+def arrays(part: CraigBampton, damping: float = 0.0) -> dict[str, Any]:
+    """Return a part's fields, ``quaternions`` (f, 4), w first, of its frames, and ``damping``.
+
+    damping: ratio of each elastic mode of the free part; 0 leaves the matrix (N·s/m) out.
+    """
+    content: dict[str, Any] = dict(vars(part))
+    content["quaternions"] = Rotation.from_matrix(part.rotations).as_quat(scalar_first=True)
+    if damping:
+        squares, motions = eigh(part.stiffness, part.mass)
+        squares[:6] = 0.0  # the rigid motions
+        momenta = part.mass @ motions * (2 * damping) ** 0.5 * squares**0.25
+        content["damping"] = momenta @ momenta.T
+    return content
+
+
+def nastran(part: Mapping[str, Any], first: int) -> str:
+    """Return bulk data GRID, SPOINT and DMIG; `first` is the number of the first frame's point."""
+    names = {key: name for key, name in _NAMES.items() if key in part}
+    control = ", ".join(f"{name}2GG = {name}AAX" for name in names.values())
+    lines, rows = [f"$ Reduced part, SI units. Case control: {control}"], _rows(part, first, 0)
+    for node, (name, point) in enumerate(zip(part["names"], part["origins"], strict=True), first):
+        x, y, z = (_number(value).replace("D", "E") for value in point)
+        lines += [f"$ {name}", f"GRID*   {node:>16}{'':16}{x}{y}", f"*       {z}"]
+    lines.append(f"SPOINT  {first + len(part['names']):>8}THRU    {rows[-1][0]:>8}")
+    for key, name in names.items():
+        lines.append(f"DMIG    {name}AAX    {0:>8}{6:>8}{2:>8}{0:>8}")  # symmetric, in double
+        for j, column in enumerate(part[key].T):
+            lines.append("DMIG*   {}AAX{:12}{:>16}{:>16}".format(name, "", *rows[j]))
+            for i in j + np.flatnonzero(column[j:]):
+                lines.append("*       {:>16}{:>16}{}".format(*rows[i], _number(column[i])))
+    return "\n".join(lines) + "\n"
+
+
+def abaqus(part: Mapping[str, Any], first: int) -> str:
+    """Return *NODE and *MATRIX; `first` is the number of the first frame's node."""
+    rows, keys = _rows(part, first, 1), [key for key in _NAMES if key in part]
+    points = {node: np.zeros(3) for node, _ in rows} | dict(enumerate(part["origins"], first))
+    lines = ["** Reduced part, SI units", "*NODE"]
+    lines += ["{}, {:.16e}, {:.16e}, {:.16e}".format(node, *at) for node, at in points.items()]
+    for key in keys:
+        lines.append(f"*MATRIX INPUT, NAME={key.upper()}, TYPE=SYMMETRIC")
+        for i, j in zip(*np.nonzero(np.tril(part[key])), strict=True):
+            lines.append("{},{},{},{},{:.16e}".format(*rows[i], *rows[j], part[key][i, j]))
+    kinds = ", ".join(f"{'viscous ' * (key == 'damping')}{key}={key}" for key in keys)
+    return "\n".join([*lines, f"*MATRIX ASSEMBLE, {kinds.upper()}"]) + "\n"
+
+
+def _rows(part: Mapping[str, Any], first: int, scalar: int) -> list[tuple[int, int]]:
+    """Return node and freedom of each row; a mode has a node of its own and freedom `scalar`."""
+    frames, count = len(part["names"]), len(part["stiffness"])
+    rows = [(first + frame, freedom) for frame in range(frames) for freedom in range(1, 7)]
+    return rows + [(first + frames + mode, scalar) for mode in range(count - len(rows))]
+
+
+def _number(value: float) -> str:
+    """Return a number in a field of 16 characters, with the digits that it holds: 9 to 13."""
+    parts = (f"{value:.{digits}e}".split("e") for digits in range(12, 7, -1))
+    texts = (f"{mantissa}D{int(exponent)}" for mantissa, exponent in parts)
+    return next(f"{text:>16}" for text in texts if len(text) <= 16)
