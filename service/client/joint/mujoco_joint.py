@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeAlias
 from weakref import WeakKeyDictionary, WeakValueDictionary
 
@@ -11,6 +14,7 @@ from numpy.typing import NDArray
 from ..errors import JointError, JointWarning, required, warn
 from ..wrenches import Vector
 from .joint import FREEDOMS, Joint, quaternion
+from .report import JointReport, report_of
 
 if TYPE_CHECKING:
     from ..table import Table
@@ -23,6 +27,8 @@ _JOINT, _OBJECT, _PGS = engine.mjtJoint, engine.mjtObj, int(engine.mjtSolver.mjS
 _SQUARE = 1e-5  # the axes of the slides are unit and orthogonal to the six digits of MuJoCo's XML
 # The joints of each MjData by the first freedom of their tips: a step is of all of them.
 _JOINTS: WeakKeyDictionary[Data, WeakValueDictionary[int, MujocoJoint]] = WeakKeyDictionary()
+_NO_CONTROL = int(engine.mjtDisableBit.mjDSBL_ACTUATION)
+_IN_MJ_STEP: list[bool] = []  # not empty within joints_in_mj_step
 _REMEDY = "make the scene with: wrenchbook joint NAME --base BODY --tip BODY scene.xml"
 
 
@@ -177,6 +183,17 @@ class MujocoJoint(Joint):
         self._velocity, self._applied = data.qvel[self._dofs], data.qfrc_applied[self._dofs]
         self._mass, self._scene = data.M, model.opt
 
+    def _read_pose(self, pose: Vector) -> None:
+        """Write the tip's translation and quaternion, (7,)."""
+        if self._turns:
+            pose[3:] = self._turned
+        elif self._turned.size:
+            pose[3:] = quaternion(self._hinge * self._turned)
+        if len(self._moves) == 3:
+            pose[:3] = self._slid
+        else:
+            pose[self._moves] = self._data.qpos[self._slides]
+
     def _push(self) -> None:
         """Apply the wrench of this step, as far as the motion before it determines it.
 
@@ -185,15 +202,7 @@ class MujocoJoint(Joint):
         model, data, dt = self._model, self._data, self._scene.timestep
         if self._unmoved:
             self._watch_base()
-        pose = self._pose_of_tip
-        if self._turns:
-            pose[3:] = self._turned
-        elif self._turned.size:
-            pose[3:] = quaternion(self._hinge * self._turned)
-        if len(self._moves) == 3:
-            pose[:3] = self._slid
-        else:
-            pose[self._moves] = data.qpos[self._slides]
+        self._read_pose(self._pose_of_tip)
         engine.mj_solveM(model, data, self._solved, self._units)
         # Accelerations of the freedoms by unit loads on them.
         if len(self.free) == FREEDOMS:
@@ -210,7 +219,46 @@ class MujocoJoint(Joint):
         self._law = force.copy(), slope.copy(), self._velocity
         np.subtract(-force, slope @ self._velocity, out=self._applied)
         # What the velocity after the step changes.
-        self._mass[self._at_pairs] += dt * slope.take(self._pairs)
+        self._own_mass = self._mass[self._at_pairs]
+        self._with_part = self._own_mass + dt * slope.take(self._pairs)
+        self._mass[self._at_pairs] = self._with_part
+
+    def _restore(self) -> bool:
+        """Take the part out of the mass matrix, and return whether it was still there."""
+        with_part, self._with_part = self._with_part, None
+        if with_part is None or (self._mass[self._at_pairs] != with_part).any():
+            return False  # MuJoCo has computed the matrix anew
+        self._mass[self._at_pairs] = self._own_mass
+        return True
+
+    def report(self) -> JointReport:
+        """Return coverage, largest error bars and energy of all steps since `restart`.
+
+        The energies are those of the scene's present state.
+        """
+        parts, model, began = self._of_scene, self._model, self._began
+        if began is None:
+            return report_of(self, np.nan)
+        stored, drift = sum(joint._stored() for joint in parts.values()), np.nan
+        of_all = all(part._began == began for part in parts.values())
+        if of_all and self._data.time >= began[0]:
+            now, fields = engine.MjData(model), engine.mjtState.mjSTATE_INTEGRATION
+            state = np.empty(engine.mj_stateSize(model, fields))
+            engine.mj_getState(model, self._data, state, fields)
+            engine.mj_setState(model, now, state, fields)
+            engine.mj_fwdPosition(model, now)
+            drift = _energy(model, now) + stored - began[1]
+        return report_of(self, self._stored(), began[0], drift)
+
+    def _stored(self) -> float:
+        """Return the energy that the part has taken up until now, J, NaN if it is not known."""
+        steps = self._steps
+        memory, replies = steps.memory.copy(), steps.replies.copy()
+        self._read_pose(self._pose_of_tip)
+        steps.law(self._scene.timestep, self.damping)
+        stored = np.nan if self._status[0] else float(steps.history["stored"][0])
+        steps.memory[:], steps.replies[:] = memory, replies
+        return stored
 
     def _with_last_contacts(self, force: Vector, slope: Vector, dt: float) -> tuple[Vector, Vector]:
         """Return the wrench by the constraint forces of the step before, and no slope."""
@@ -231,6 +279,8 @@ class MujocoJoint(Joint):
             np.zeros((len(self.free),) * 2),
             np.zeros(len(self.free)),
         )
+        self._began: tuple[float, float] | None = None  # time, s, and energy, J, of the scene
+        self._with_part = None
         super().restart()
 
     def _of_step(self) -> Vector:
@@ -274,24 +324,126 @@ def step_joints(*joints: MujocoJoint) -> None:
     JointRangeError
         See `Joint.step`; the scene is where it was.
     """
+    _require_scene(joints)
+    model, data = joints[0]._model, joints[0]._data
+    engine.mj_step1(model, data)
+    if not _IN_MJ_STEP:
+        _pull(joints)
+    engine.mj_step2(model, data)
+    for joint in joints:
+        force, slope, _ = joint._law
+        joint._law = force, slope, joint._velocity.copy()
+        joint._restore()
+
+
+def pull_joints(*joints: MujocoJoint) -> None:
+    """Let a scene's joints pull in a step: call it between ``mj_step1`` and ``mj_step2``.
+
+    Until the next ``mj_step1`` or ``mj_forward`` ``data.M`` also has the parts' implicit terms.
+
+    Raises
+    ------
+    JointError, JointRangeError
+        See `step_joints`.
+    """
+    _require_scene(joints)
+    if not _IN_MJ_STEP:
+        _pull(joints)
+
+
+def _require_scene(joints: tuple[MujocoJoint, ...]) -> None:
+    """Raise JointError if joints are not those of one scene, or its step is not above zero."""
     if not joints or any(joint._data is not joints[0]._data for joint in joints):
         raise JointError("step_joints takes the joints of one scene: one or more of the same data")
-    model, data, scene = joints[0]._model, joints[0]._data, joints[0]._scene
     if len({joint._dofs.start for joint in joints}) < len(joints):
         raise JointError("two joints have one tip, which would feel one of them: leave one out")
     if len(joints[0]._of_scene) > len(joints):
         _require_all(joints)
-    if not scene.timestep > 0:
-        raise JointError(f"the scene's time step is {scene.timestep} s: set it above 0")
-    engine.mj_step1(model, data)
+    if not (step := joints[0]._scene.timestep) > 0:
+        raise JointError(f"the scene's time step is {step} s: set it above 0")
+
+
+def _pull(joints: Collection[MujocoJoint]) -> None:
+    """Add the joints to the equation of motion, once ``mj_step1`` has computed pose and motion."""
+    first = next(iter(joints))
+    model, data, scene = first._model, first._data, first._scene
+    if sum(joint._restore() for joint in joints):  # of each, not of the first alone
+        engine.mj_factorM(model, data)
+    if new := [joint for joint in joints if joint._began is None]:
+        began = float(data.time), _energy(model, data)
+        for joint in new:
+            joint._began = began
     for joint in joints:
         joint._push()
     engine.mj_factorM(model, data)
     if scene.solver == _PGS or scene.noslip_iterations:
         engine.mj_projectConstraint(model, data)
-    engine.mj_step2(model, data)
-    for joint in joints:
-        joint._law = *joint._law[:2], joint._velocity.copy()
+
+
+def _energy(model: Model, data: Data) -> float:
+    """Return the mechanical energy of a scene without its parts, J, at the computed pose."""
+    shown = data.energy.copy()
+    engine.mj_energyPos(model, data)
+    engine.mj_energyVel(model, data)
+    total, data.energy[:] = float(data.energy.sum()), shown
+    return total
+
+
+@contextmanager
+def joints_in_mj_step() -> Iterator[None]:
+    """Let ``mj_step`` itself step the joints of each scene that has some, within a ``with``.
+
+    So programs that call ``mj_step`` have joints, such as ``mujoco.rollout``. The step has the bits
+    of `step_joints`. It is MuJoCo's control callback, of the whole process: threads take turns, and
+    a callback set before is called first. MuJoCo calls none, and no joint pulls, with actuation,
+    springs and dampers all disabled. `MujocoJoint.report` counts ``mj_forward`` as a step.
+
+    Raises
+    ------
+    JointError
+        If a callback is none of Python, or was exchanged within the ``with``; see `Joint.step`.
+        In threads of ``mujoco.rollout`` an error ends a scene's motion; the ``with`` raises it.
+    """
+    before, errors = (engine.get_mjcb_control(), engine.get_mjcb_passive()), []
+    if any(call is not None and not callable(call) for call in before):
+        raise JointError("mjcb_control or mjcb_passive is no Python function: remove it first")
+    ours = _callback(before[0], False, errors), _callback(before[1], True, errors)
+    engine.set_mjcb_control(ours[0])
+    engine.set_mjcb_passive(ours[1])
+    _IN_MJ_STEP.append(True)
+    try:
+        yield
+        exchanged = (engine.get_mjcb_control(), engine.get_mjcb_passive()) != ours
+    finally:
+        _IN_MJ_STEP.pop()
+        engine.set_mjcb_control(before[0])
+        engine.set_mjcb_passive(before[1])
+    if errors:
+        raise errors[0]
+    if exchanged:
+        raise JointError("joints stood still: set your mjcb_control before joints_in_mj_step")
+
+
+def _callback(before: Any, passive: bool, errors: list[Exception]) -> Any:
+    """Return a callback that pulls; the passive one does without actuation: no other is called."""
+
+    def call(model: Model, data: Data) -> None:
+        if before is not None:
+            before(model, data)
+        joints = list(_JOINTS.get(data, {}).values())
+        if not joints or bool(model.opt.disableflags & _NO_CONTROL) != passive:
+            return
+        try:
+            if passive:  # it comes before the bias
+                engine.mj_rne(model, data, False, data.qfrc_bias)
+            _pull(joints)
+        except Exception as error:
+            if sys._getframe().f_back is not None:
+                raise
+            errors.append(error)  # raised in a thread of C++ it would end the process
+            data.qfrc_applied[:] = np.nan
+
+    return call
 
 
 def _require_all(joints: tuple[MujocoJoint, ...]) -> None:
