@@ -348,7 +348,7 @@ class _Refinement:
         if self.joint is None or not len(wrenches):
             return over
         stiffness = np.linalg.pinv(self._slopes(wrenches))
-        forces = np.sqrt(stiffness**2 @ bars[:, self.joint, None] ** 2)[:, :, 0]
+        forces = (np.abs(stiffness) @ bars[:, self.joint, None])[:, :, 0]  # as wb_joint_step has it
         return np.maximum(over, (forces / (FORCE_ERROR * self.span.scale[self.joint])).max(axis=1))
 
     def _slopes(self, wrenches: Floats) -> Floats:
