@@ -169,7 +169,7 @@ class Joint:
 
     def report(self) -> JointReport:
         """Return coverage, largest error bars and stored energy of all steps since `restart`."""
-        return report_of(self, float(self._steps.history["stored"][0]))
+        return report_of(self)
 
     def _begin(self, axes: Vector | None) -> None:
         """Make the kernel's arrays, for spins in `axes` (3, 3) of the tip or in the frame's."""

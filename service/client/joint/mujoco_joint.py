@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeAlias
 from weakref import WeakKeyDictionary, WeakValueDictionary
 
@@ -28,7 +29,6 @@ _SQUARE = 1e-5  # the axes of the slides are unit and orthogonal to the six digi
 # The joints of each MjData by the first freedom of their tips: a step is of all of them.
 _JOINTS: WeakKeyDictionary[Data, WeakValueDictionary[int, MujocoJoint]] = WeakKeyDictionary()
 _NO_CONTROL = int(engine.mjtDisableBit.mjDSBL_ACTUATION)
-_IN_MJ_STEP: list[bool] = []  # not empty within joints_in_mj_step
 _REMEDY = "make the scene with: wrenchbook joint NAME --base BODY --tip BODY scene.xml"
 
 
@@ -219,46 +219,21 @@ class MujocoJoint(Joint):
         self._law = force.copy(), slope.copy(), self._velocity
         np.subtract(-force, slope @ self._velocity, out=self._applied)
         # What the velocity after the step changes.
-        self._own_mass = self._mass[self._at_pairs]
+        self._own_mass = self._mass.take(self._at_pairs)
         self._with_part = self._own_mass + dt * slope.take(self._pairs)
         self._mass[self._at_pairs] = self._with_part
 
-    def _restore(self) -> bool:
-        """Take the part out of the mass matrix, and return whether it was still there."""
-        with_part, self._with_part = self._with_part, None
-        if with_part is None or (self._mass[self._at_pairs] != with_part).any():
-            return False  # MuJoCo has computed the matrix anew
-        self._mass[self._at_pairs] = self._own_mass
-        return True
+    def _restore(self) -> None:
+        """Take the part out of the mass matrix."""
+        self._mass[self._at_pairs], self._with_part = self._own_mass, None
 
     def report(self) -> JointReport:
-        """Return coverage, largest error bars and energy of all steps since `restart`.
-
-        The energies are those of the scene's present state.
-        """
-        parts, model, began = self._of_scene, self._model, self._began
-        if began is None:
-            return report_of(self, np.nan)
-        stored, drift = sum(joint._stored() for joint in parts.values()), np.nan
-        of_all = all(part._began == began for part in parts.values())
-        if of_all and self._data.time >= began[0]:
-            now, fields = engine.MjData(model), engine.mjtState.mjSTATE_INTEGRATION
-            state = np.empty(engine.mj_stateSize(model, fields))
-            engine.mj_getState(model, self._data, state, fields)
-            engine.mj_setState(model, now, state, fields)
-            engine.mj_fwdPosition(model, now)
-            drift = _energy(model, now) + stored - began[1]
-        return report_of(self, self._stored(), began[0], drift)
-
-    def _stored(self) -> float:
-        """Return the energy that the part has taken up until now, J, NaN if it is not known."""
-        steps = self._steps
-        memory, replies = steps.memory.copy(), steps.replies.copy()
-        self._read_pose(self._pose_of_tip)
-        steps.law(self._scene.timestep, self.damping)
-        stored = np.nan if self._status[0] else float(steps.history["stored"][0])
-        steps.memory[:], steps.replies[:] = memory, replies
-        return stored
+        """Return coverage, largest error bars and energy of all steps since `restart`."""
+        parts, began = list(self._of_scene.values()), self._began
+        time, energy = began or (0.0, np.nan)
+        if all(part._began == began for part in parts) and self._data.time >= time:
+            return report_of(self, time, _energy(parts) - energy)
+        return report_of(self, time)
 
     def _with_last_contacts(self, force: Vector, slope: Vector, dt: float) -> tuple[Vector, Vector]:
         """Return the wrench by the constraint forces of the step before, and no slope."""
@@ -326,8 +301,9 @@ def step_joints(*joints: MujocoJoint) -> None:
     """
     _require_scene(joints)
     model, data = joints[0]._model, joints[0]._data
+    joints[0]._with_part = None
     engine.mj_step1(model, data)
-    if not _IN_MJ_STEP:
+    if joints[0]._with_part is None:  # joints_in_mj_step has not
         _pull(joints)
     engine.mj_step2(model, data)
     for joint in joints:
@@ -339,16 +315,11 @@ def step_joints(*joints: MujocoJoint) -> None:
 def pull_joints(*joints: MujocoJoint) -> None:
     """Let a scene's joints pull in a step: call it between ``mj_step1`` and ``mj_step2``.
 
-    Until the next ``mj_step1`` or ``mj_forward`` ``data.M`` also has the parts' implicit terms.
-
-    Raises
-    ------
-    JointError, JointRangeError
-        See `step_joints`.
+    Until the next ``mj_step1`` or ``mj_forward`` ``data.M`` has the parts' implicit terms too. It
+    raises as `step_joints` does.
     """
     _require_scene(joints)
-    if not _IN_MJ_STEP:
-        _pull(joints)
+    _pull(joints)
 
 
 def _require_scene(joints: tuple[MujocoJoint, ...]) -> None:
@@ -367,25 +338,47 @@ def _pull(joints: Collection[MujocoJoint]) -> None:
     """Add the joints to the equation of motion, once ``mj_step1`` has computed pose and motion."""
     first = next(iter(joints))
     model, data, scene = first._model, first._data, first._scene
-    if sum(joint._restore() for joint in joints):  # of each, not of the first alone
-        engine.mj_factorM(model, data)
-    if new := [joint for joint in joints if joint._began is None]:
-        began = float(data.time), _energy(model, data)
-        for joint in new:
-            joint._began = began
+    for joint in joints:  # of a second call, unless MuJoCo has computed the matrix anew
+        if joint._with_part is not None:
+            if (data.M[joint._at_pairs] == joint._with_part).all():
+                joint._restore()
+                engine.mj_factorM(model, data)
+            joint._with_part = None
     for joint in joints:
         joint._push()
     engine.mj_factorM(model, data)
     if scene.solver == _PGS or scene.noslip_iterations:
         engine.mj_projectConstraint(model, data)
+    if new := [joint for joint in joints if joint._began is None]:
+        began = float(data.time), _energy(joints)
+        for joint in new:
+            joint._began = began
 
 
-def _energy(model: Model, data: Data) -> float:
-    """Return the mechanical energy of a scene without its parts, J, at the computed pose."""
-    shown = data.energy.copy()
-    engine.mj_energyPos(model, data)
-    engine.mj_energyVel(model, data)
-    total, data.energy[:] = float(data.energy.sum()), shown
+def _energy(joints: Collection[MujocoJoint]) -> float:
+    """Return the energy of a scene and what its parts have taken up, J, half a step ago.
+
+    MuJoCo's velocities belong to the middle between its positions: there the energy of a swing
+    without damping stays, while that by both of one moment goes up and down by the step.
+    """
+    first = next(iter(joints))
+    model, data, fields = first._model, first._data, engine.mjtState.mjSTATE_INTEGRATION
+    then, state = engine.MjData(model), np.empty(engine.mj_stateSize(model, fields))
+    engine.mj_getState(model, data, state, fields)
+    engine.mj_setState(model, then, state, fields)
+    engine.mj_integratePos(model, then.qpos, then.qvel, -0.5 * first._scene.timestep)
+    engine.mj_fwdPosition(model, then)
+    engine.mj_energyPos(model, then)
+    engine.mj_energyVel(model, then)
+    total, now, data.qpos[:] = float(then.energy.sum()), data.qpos.copy(), then.qpos
+    for joint in joints:
+        steps = joint._steps
+        memory, replies = steps.memory.copy(), steps.replies.copy()
+        joint._read_pose(joint._pose_of_tip)
+        steps.law(joint._scene.timestep, joint.damping)
+        total += float(steps.history["stored"][0]) if not joint._status[0] else np.nan
+        steps.memory[:], steps.replies[:] = memory, replies
+    data.qpos[:] = now
     return total
 
 
@@ -394,42 +387,19 @@ def joints_in_mj_step() -> Iterator[None]:
     """Let ``mj_step`` itself step the joints of each scene that has some, within a ``with``.
 
     So programs that call ``mj_step`` have joints, such as ``mujoco.rollout``. The step has the bits
-    of `step_joints`. It is MuJoCo's control callback, of the whole process: threads take turns, and
-    a callback set before is called first. MuJoCo calls none, and no joint pulls, with actuation,
-    springs and dampers all disabled. `MujocoJoint.report` counts ``mj_forward`` as a step.
+    of `step_joints`. It is MuJoCo's control callback, of the whole process: threads take turns.
+    With actuation, springs and dampers all disabled MuJoCo calls none, and no joint pulls. A
+    `report` counts ``mj_forward`` as a step.
 
     Raises
     ------
     JointError
-        If a callback is none of Python, or was exchanged within the ``with``; see `Joint.step`.
-        In threads of ``mujoco.rollout`` an error ends a scene's motion; the ``with`` raises it.
+        If MuJoCo has another callback, or had at the end of the ``with``; see `Joint.step`. In
+        threads of ``mujoco.rollout`` an error ends a scene's motion, and the ``with`` raises it.
     """
-    before, errors = (engine.get_mjcb_control(), engine.get_mjcb_passive()), []
-    if any(call is not None and not callable(call) for call in before):
-        raise JointError("mjcb_control or mjcb_passive is no Python function: remove it first")
-    ours = _callback(before[0], False, errors), _callback(before[1], True, errors)
-    engine.set_mjcb_control(ours[0])
-    engine.set_mjcb_passive(ours[1])
-    _IN_MJ_STEP.append(True)
-    try:
-        yield
-        exchanged = (engine.get_mjcb_control(), engine.get_mjcb_passive()) != ours
-    finally:
-        _IN_MJ_STEP.pop()
-        engine.set_mjcb_control(before[0])
-        engine.set_mjcb_passive(before[1])
-    if errors:
-        raise errors[0]
-    if exchanged:
-        raise JointError("joints stood still: set your mjcb_control before joints_in_mj_step")
+    errors: list[Exception] = []
 
-
-def _callback(before: Any, passive: bool, errors: list[Exception]) -> Any:
-    """Return a callback that pulls; the passive one does without actuation: no other is called."""
-
-    def call(model: Model, data: Data) -> None:
-        if before is not None:
-            before(model, data)
+    def pull(model: Model, data: Data, passive: bool = False) -> None:
         joints = list(_JOINTS.get(data, {}).values())
         if not joints or bool(model.opt.disableflags & _NO_CONTROL) != passive:
             return
@@ -443,7 +413,21 @@ def _callback(before: Any, passive: bool, errors: list[Exception]) -> Any:
             errors.append(error)  # raised in a thread of C++ it would end the process
             data.qfrc_applied[:] = np.nan
 
-    return call
+    ours = pull, partial(pull, passive=True)  # without actuation the first is not called
+    if engine.get_mjcb_control() or engine.get_mjcb_passive():
+        raise JointError("MuJoCo has another callback: remove it, or call step_joints yourself")
+    engine.set_mjcb_control(ours[0])
+    engine.set_mjcb_passive(ours[1])
+    try:
+        yield
+        exchanged = (engine.get_mjcb_control(), engine.get_mjcb_passive()) != ours
+    finally:
+        engine.set_mjcb_control(None)
+        engine.set_mjcb_passive(None)
+    if errors:
+        raise errors[0]
+    if exchanged:
+        raise JointError("a callback was set within joints_in_mj_step: since then no joint pulled")
 
 
 def _require_all(joints: tuple[MujocoJoint, ...]) -> None:

@@ -25,10 +25,9 @@ class LargestError(NamedTuple):
 
 
 class StiffAxis(NamedTuple):
-    """A load whose largest error bar is more than 5 % of its half load range, `allowed`.
+    """A load whose error bar is more than 5 % of its half load range, `allowed`.
 
-    It would not be if the error bar of `output`, the displacement that adds most to it, were
-    `needed`, m or rad. `tolerance` is the table's; None if it has none.
+    `output` is the displacement that adds most to it; its bar should be `needed`, not `tolerance`.
     """
 
     load: str
@@ -51,7 +50,7 @@ class JointReport:
         By ``ux`` to ``rz`` and ``fx`` to ``mz``: the largest error bar of the displacement, and of
         the wrench of a step's pose. Times are the scene's in MuJoCo, else from the first step on.
     stored : float or None
-        Energy that the part has taken up since its first step, J.
+        Energy that the part has taken up from its first step to the beginning of the last, J.
     energy_drift : float or None
         Change of the energy of a MuJoCo scene and all its parts since the first step, J. Without
         drives, damping and contacts it is the integration's error.
@@ -73,10 +72,8 @@ class JointReport:
     remedy: str
 
 
-def report_of(
-    joint: Joint, stored: float, began: float = 0.0, energy_drift: float = np.nan
-) -> JointReport:
-    """Review a joint's steps, of which the first began at a time, s; energies NaN if unknown."""
+def report_of(joint: Joint, began: float = 0.0, energy_drift: float = np.nan) -> JointReport:
+    """Review a joint's steps, of which the first began at a time, s; J, or NaN if not known."""
     history, free, arrays = joint._steps.history[0], joint.free, joint._table.packed.arrays
     count = int(history["steps"])
 
@@ -97,11 +94,12 @@ def report_of(
             limits = OUTPUTS[output], needed, None if np.isnan(limit) else limit
             stiff.append(StiffAxis(LOADS[load], float(error), float(allowed), *limits))
     covered = float(history["covered"]) / count if count else None
-    known = [None if not count or np.isnan(energy) else energy for energy in (stored, energy_drift)]
     uncovered = covered is not None and covered < 1.0
     return JointReport(
         *(joint._name, count, float(history["time"]), covered),
         *(largest("pose_error", OUTPUTS), largest("wrench_error", LOADS)),
-        *(known[0], known[1], tuple(stiff)),
+        float(history["stored"]) if count else None,
+        energy_drift if np.isfinite(energy_drift) else None,
+        tuple(stiff),
         remedy=joint._more_rows() if stiff or uncovered else "",
     )
