@@ -446,7 +446,7 @@ def _require_all(joints: tuple[MujocoJoint, ...]) -> None:
 def _places(model: Model, dofs: NDArray[np.intp]) -> list[NDArray[np.intp]]:
     """Return rows, columns and places in MuJoCo's mass matrix of pairs of some freedoms."""
     if not hasattr(model, "M_rowadr"):
-        raise JointError("MujocoJoint needs MuJoCo 4.0 or newer: pip install 'mujoco>=4.0'")
+        raise JointError("MujocoJoint needs MuJoCo 3.17 or newer: pip install 'mujoco>=3.17'")
     entries = []
     for row, dof in enumerate(dofs.tolist()):
         start, count = int(model.M_rowadr[dof]), int(model.M_rownnz[dof])

@@ -49,15 +49,12 @@ class JointReport:
     pose_error, wrench_error : dict of LargestError
         By ``ux`` to ``rz`` and ``fx`` to ``mz``: the largest error bar of the displacement, and of
         the wrench of a step's pose. Times are the scene's in MuJoCo, else from the first step on.
-    stored : float or None
-        Energy that the part has taken up from its first step to the beginning of the last, J.
-    energy_drift : float or None
-        Change of the energy of a MuJoCo scene and all its parts since the first step, J. Without
-        drives, damping and contacts it is the integration's error.
+    stored, energy_drift : float or None
+        The energy that the part has taken up before its last step, and the change of that of a
+        MuJoCo scene with its parts: without drives, damping and contacts the integration's error.
     stiff : tuple of StiffAxis
-        Loads with error bars too large for a joint.
-    remedy : str
-        What to do about those and about steps that are not covered; empty if there are none.
+        Loads with error bars too large for a joint. `remedy` says what to do about these and about
+        steps that are not covered; it is empty if there are none.
     """
 
     component: str
