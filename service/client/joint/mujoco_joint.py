@@ -223,10 +223,6 @@ class MujocoJoint(Joint):
         self._with_part = self._own_mass + dt * slope.take(self._pairs)
         self._mass[self._at_pairs] = self._with_part
 
-    def _restore(self) -> None:
-        """Take the part out of the mass matrix."""
-        self._mass[self._at_pairs], self._with_part = self._own_mass, None
-
     def report(self) -> JointReport:
         """Return coverage, largest error bars and energy of all steps since `restart`."""
         parts, began = list(self._of_scene.values()), self._began
@@ -309,7 +305,7 @@ def step_joints(*joints: MujocoJoint) -> None:
     for joint in joints:
         force, slope, _ = joint._law
         joint._law = force, slope, joint._velocity.copy()
-        joint._restore()
+        joint._mass[joint._at_pairs], joint._with_part = joint._own_mass, None
 
 
 def pull_joints(*joints: MujocoJoint) -> None:
@@ -323,13 +319,20 @@ def pull_joints(*joints: MujocoJoint) -> None:
 
 
 def _require_scene(joints: tuple[MujocoJoint, ...]) -> None:
-    """Raise JointError if joints are not those of one scene, or its step is not above zero."""
+    """Raise JointError if joints are not all those of one scene, or its step is not above zero."""
     if not joints or any(joint._data is not joints[0]._data for joint in joints):
         raise JointError("step_joints takes the joints of one scene: one or more of the same data")
-    if len({joint._dofs.start for joint in joints}) < len(joints):
+    stepped, of_scene = {joint._dofs.start for joint in joints}, joints[0]._of_scene
+    if len(stepped) < len(joints):
         raise JointError("two joints have one tip, which would feel one of them: leave one out")
-    if len(joints[0]._of_scene) > len(joints):
-        _require_all(joints)
+    if len(of_scene) > len(joints):
+        others = [joint for at, joint in of_scene.items() if at not in stepped]
+        tips, missing = (", ".join(repr(joint._tip) for joint in some) for some in (joints, others))
+        raise JointError(
+            f"the scene has joints at the tips {tips} and {missing}: a step of one "
+            "advances all of the scene, and the others would not pull. Call step_joints(a, b) of "
+            "wrenchbook once with all of them, in the place of a.step(); b.step()"
+        )
     if not (step := joints[0]._scene.timestep) > 0:
         raise JointError(f"the scene's time step is {step} s: set it above 0")
 
@@ -341,7 +344,7 @@ def _pull(joints: Collection[MujocoJoint]) -> None:
     for joint in joints:  # of a second call, unless MuJoCo has computed the matrix anew
         if joint._with_part is not None:
             if (data.M[joint._at_pairs] == joint._with_part).all():
-                joint._restore()
+                data.M[joint._at_pairs] = joint._own_mass
                 engine.mj_factorM(model, data)
             joint._with_part = None
     for joint in joints:
@@ -358,8 +361,7 @@ def _pull(joints: Collection[MujocoJoint]) -> None:
 def _energy(joints: Collection[MujocoJoint]) -> float:
     """Return the energy of a scene and what its parts have taken up, J, half a step ago.
 
-    MuJoCo's velocities belong to the middle between its positions: there the energy of a swing
-    without damping stays, while that by both of one moment goes up and down by the step.
+    MuJoCo's velocities belong between two positions: there the energy of a swing does not ripple.
     """
     first = next(iter(joints))
     model, data, fields = first._model, first._data, engine.mjtState.mjSTATE_INTEGRATION
@@ -386,10 +388,9 @@ def _energy(joints: Collection[MujocoJoint]) -> float:
 def joints_in_mj_step() -> Iterator[None]:
     """Let ``mj_step`` itself step the joints of each scene that has some, within a ``with``.
 
-    So programs that call ``mj_step`` have joints, such as ``mujoco.rollout``. The step has the bits
-    of `step_joints`. It is MuJoCo's control callback, of the whole process: threads take turns.
-    With actuation, springs and dampers all disabled MuJoCo calls none, and no joint pulls. A
-    `report` counts ``mj_forward`` as a step.
+    The step has the bits of `step_joints`. It is MuJoCo's control callback, of the whole process:
+    threads take turns. With actuation, springs and dampers all disabled MuJoCo calls none, and no
+    joint pulls. A `report` counts ``mj_forward`` as a step.
 
     Raises
     ------
@@ -428,19 +429,6 @@ def joints_in_mj_step() -> Iterator[None]:
         raise errors[0]
     if exchanged:
         raise JointError("a callback was set within joints_in_mj_step: since then no joint pulled")
-
-
-def _require_all(joints: tuple[MujocoJoint, ...]) -> None:
-    """Raise JointError if joints of a scene are not among those that step."""
-    stepped = {joint._dofs.start for joint in joints}
-    others = [joint for at, joint in joints[0]._of_scene.items() if at not in stepped]
-    if others:
-        tips, missing = (", ".join(repr(joint._tip) for joint in some) for some in (joints, others))
-        raise JointError(
-            f"the scene has joints at the tips {tips} and {missing}: a step of one "
-            "advances all of the scene, and the others would not pull. Call step_joints(a, b) of "
-            "wrenchbook once with all of them, in the place of a.step(); b.step()"
-        )
 
 
 def _places(model: Model, dofs: NDArray[np.intp]) -> list[NDArray[np.intp]]:
