@@ -29,7 +29,7 @@ from .build import Table, build
 from .packed.writer import packed_of
 from .table.axes import AXES
 from .table.rows import LONGEST, ZERO_LOAD, Floats, LoadRange, Rows, Tolerance
-from .table.spread import sample_of, spread_wrenches, weakest
+from .table.spread import FORCE_ERROR, sample_of, spread_wrenches, weakest
 
 SAMPLE = 256  # wrenches at which error bars are compared with the tolerance: 95 % of them are 243
 ENOUGH = 0.95  # of the sample within the tolerance ends a fill, as bars hold 95 % of errors
@@ -40,9 +40,6 @@ AXIS_CANDIDATES = 32  # of each axis by itself, where a table brings no tangents
 # made-up responses, 39 solves, the worst output's part inside its bar rises from 89 to 93 % by it,
 # and errors stay the same.
 EVENLY = 4
-# Of each load's half range: the error of a joint's wrench, stiffness times error bars, that a fill
-# for a joint allows. A stiff freedom asks more of its bar than the tolerance does.
-FORCE_ERROR = 0.05
 FAR = 10_000  # into the sequence, so that the even wrenches are not in the sample
 # Candidates chosen between two checks of the bars that remain: a check costs as much.
 BETWEEN_CHECKS = 3
@@ -351,7 +348,7 @@ class _Refinement:
         if self.joint is None or not len(wrenches):
             return over
         stiffness = np.linalg.pinv(self._slopes(wrenches))
-        forces = np.sqrt(stiffness**2 @ bars[:, self.joint, None] ** 2)[:, :, 0]
+        forces = (np.abs(stiffness) @ bars[:, self.joint, None])[:, :, 0]  # as wb_joint_step has it
         return np.maximum(over, (forces / (FORCE_ERROR * self.span.scale[self.joint])).max(axis=1))
 
     def _slopes(self, wrenches: Floats) -> Floats:

@@ -15,7 +15,7 @@ arrays
     A table on arrays of JAX and PyTorch, for many environments at once.
 Mount, MujocoMount, Settled
     The joint between a rigid-body simulation and a component; in MuJoCo; where it is at rest.
-Joint, MujocoJoint, step_joints, LinearPart
+Joint, MujocoJoint, step_joints, pull_joints, joints_in_mj_step, LinearPart, JointReport
     A part that bends as a force element between two bodies that move; in MuJoCo, one or several;
     as springs.
 conventions
@@ -82,11 +82,14 @@ if TYPE_CHECKING:
         Joint as Joint,
         JointError as JointError,
         JointRangeError as JointRangeError,
+        JointReport as JointReport,
         JointWarning as JointWarning,
         LinearPart as LinearPart,
     )
     from .service.client.joint.mujoco_joint import (
         MujocoJoint as MujocoJoint,
+        joints_in_mj_step as joints_in_mj_step,
+        pull_joints as pull_joints,
         step_joints as step_joints,
     )
     from .service.client.mount import (
@@ -113,8 +116,10 @@ _NAMES = {
     "service.client.mount": (
         "CouplingDiverged DisplacementUnknown Mount MountError MountWarning SensorError Settled"
     ),
-    "service.client.joint": ("Joint JointError JointRangeError JointWarning LinearPart"),
-    "service.client.joint.mujoco_joint": ("MujocoJoint step_joints"),
+    "service.client.joint": (
+        "Joint JointError JointRangeError JointReport JointWarning LinearPart"
+    ),
+    "service.client.joint.mujoco_joint": "MujocoJoint joints_in_mj_step pull_joints step_joints",
     "service.client.mount.mujoco_mount": "MujocoMount",
     "service.client.arrays": "arrays",
     "service.client.conventions": "conventions",

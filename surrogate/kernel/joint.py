@@ -26,10 +26,11 @@ REPLY = np.dtype(
     ]
 )
 
+_LARGEST = np.dtype([(name, float, 6) for name in ("value", "step", "time")])
 HISTORY = np.dtype(
     [
-        *((name, float) for name in ("steps", "covered")),
-        *((f"{kind}_{of}", float, 6) for kind in ("pose", "wrench") for of in ("error", "step")),
+        *((name, float) for name in ("steps", "covered", "time")),
+        *((name, _LARGEST) for name in ("pose_error", "wrench_error")),
         ("stored", float),
         *((name, float, 6) for name in ("still", "displacement")),
     ]

@@ -129,12 +129,17 @@ static const double CLOSE = 1e-9;
 static const double SMALL_ANGLE = 1e-3;
 enum { TOWARDS_BOUNDARY = 8 }; /* steps to the boundary point; each gains some digits */
 
+/* The largest errors of all steps. */
+typedef struct {
+    double value[FREEDOMS], step[FREEDOMS]; /* in which step it was, from 1 on; 0: never known */
+    double time[FREEDOMS]; /* of the step's beginning, s */
+} largest;
+
 /* What a joint keeps behind the end of its last search: whether there was one, its loads (n),
  * displacement (m) and stiffness (n, m). */
 typedef struct {
-    double steps, covered; /* their numbers */
-    double pose_error[FREEDOMS], pose_step[FREEDOMS]; /* the largest, and in which step it was */
-    double wrench_error[FREEDOMS], wrench_step[FREEDOMS];
+    double steps, covered, time; /* numbers of steps, and the sum of all, s */
+    largest pose_error, wrench_error;
     double stored; /* J: the work of the wrenches at the poses, by trapezoids */
     double still[FREEDOMS], displacement[FREEDOMS]; /* of the last pose */
 } history;
@@ -384,13 +389,14 @@ static void judge(const search *s, const double *loads, const double *stiffness,
                                                answer.error[s->o->first + s->free[j]];
 }
 
-static void keep_largest(const double *error, double step, double *largest, double *steps) {
+static void keep_largest(const double *error, const history *h, largest *kept) {
     for (int i = 0; i < FREEDOMS; i++)
-        if (error[i] > largest[i] || (step == 0 && !isnan(error[i]))) largest[i] = error[i], steps[i] = step;
+        if (error[i] > kept->value[i] || (kept->step[i] == 0 && !isnan(error[i])))
+            kept->value[i] = error[i], kept->step[i] = h->steps, kept->time[i] = h->time;
 }
 
 /* Go on with the history: errors, and the energy stored since the last pose. */
-static void remember(history *h, const wb_joint_reply *reply) {
+static void remember(history *h, const wb_joint_reply *reply, double dt) {
     double change[FREEDOMS], middle[3], turn[9];
     for (int i = 0; i < FREEDOMS; i++) change[i] = reply->displacement[i] - h->displacement[i];
     for (int i = 0; i < 3; i++) middle[i] = 0.5 * (reply->displacement[3 + i] + h->displacement[3 + i]);
@@ -398,10 +404,11 @@ static void remember(history *h, const wb_joint_reply *reply) {
     if (h->steps > 0 && wb_eliminate(turn, change + 3, 3, 1))
         for (int i = 0; i < FREEDOMS; i++)
             h->stored += 0.5 * (h->still[i] + reply->still[i]) * change[i];
-    keep_largest(reply->pose_error, h->steps, h->pose_error, h->pose_step);
-    keep_largest(reply->wrench_error, h->steps, h->wrench_error, h->wrench_step);
-    h->covered += reply->coverage == WB_COVERED;
     h->steps++;
+    keep_largest(reply->pose_error, h, &h->pose_error);
+    keep_largest(reply->wrench_error, h, &h->wrench_error);
+    h->covered += reply->coverage == WB_COVERED;
+    h->time += dt;
     memcpy(h->still, reply->still, sizeof h->still);
     memcpy(h->displacement, reply->displacement, sizeof h->displacement);
 }
@@ -420,7 +427,7 @@ static void step(search *s, const double *pose, const double *velocity, const do
     int positive = symmetric(s, by_vector, reply->displacement + 3, reply->stiffness);
     if (s->o->errors) judge(s, loads, by_vector, reply);
     if (inverse_mass) reply->status = advance(s, velocity, inverse_mass, reply);
-    if (!reply->status && inverse_mass) remember(s->past, reply);
+    if (!reply->status && inverse_mass) remember(s->past, reply, s->o->dt);
     if (!reply->status && !positive) reply->status = WB_INDEFINITE;
 }
 

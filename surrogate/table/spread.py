@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from .rows import Floats, LoadRange
 
 INSIDE = 448  # wrenches inside the range: with its 64 corners they are answered in 5 ms
+# Of each load's half range: the error of a joint's wrench, stiffness times error bars, that a fill
+# for a joint allows. A stiff freedom asks more of its bar than the tolerance does.
+FORCE_ERROR = 0.05
 SLOPE_ROUNDING = 1e-10  # of the largest eigenvalue: a kriging's slopes are right to some 1e-11
 
 

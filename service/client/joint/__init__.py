@@ -2,5 +2,6 @@
 
 from ..errors import JointError, JointRangeError, JointWarning
 from .joint import Joint, LinearPart
+from .report import JointReport
 
-__all__ = ["Joint", "JointError", "JointRangeError", "JointWarning", "LinearPart"]
+__all__ = ["Joint", "JointError", "JointRangeError", "JointReport", "JointWarning", "LinearPart"]

@@ -26,6 +26,7 @@ from ...contract import LOADS, OUTPUTS
 from ..errors import Document, InvalidArgument, JointError, JointRangeError, JointWarning, warn
 from ..rotation import sinc
 from ..wrenches import Vector
+from .report import JointReport, report_of
 
 if TYPE_CHECKING:
     from ..table import Table
@@ -136,6 +137,8 @@ class Joint:
         self._steps.memory[:] = 0.0
         for name in ("wrench", "displacement"):
             self._steps.replies[name] = 0.0
+        for name in ("wrench_error", "pose_error"):
+            self._steps.replies[name] = math.nan
 
     @property
     def wrench(self) -> Vector:
@@ -153,6 +156,20 @@ class Joint:
     def displacement(self) -> Vector:
         """Shape (6,), m and rad, at the beginning of the last step."""
         return np.array(self._steps.replies["displacement"][0])
+
+    @property
+    def error(self) -> Vector:
+        """Error bar of the last step's wrench at its pose, shape (6,), N and N·m; NaN: unknown."""
+        return np.array(self._steps.replies["wrench_error"][0])
+
+    @property
+    def displacement_error(self) -> Vector:
+        """The table's error bar of the displacement, shape (6,), m and rad; NaN where unknown."""
+        return np.array(self._steps.replies["pose_error"][0])
+
+    def report(self) -> JointReport:
+        """Return coverage, largest error bars and stored energy of all steps since `restart`."""
+        return report_of(self)
 
     def _begin(self, axes: Vector | None) -> None:
         """Make the kernel's arrays, for spins in `axes` (3, 3) of the tip or in the frame's."""

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeAlias
 from weakref import WeakKeyDictionary, WeakValueDictionary
 
@@ -11,6 +15,7 @@ from numpy.typing import NDArray
 from ..errors import JointError, JointWarning, required, warn
 from ..wrenches import Vector
 from .joint import FREEDOMS, Joint, quaternion
+from .report import JointReport, report_of
 
 if TYPE_CHECKING:
     from ..table import Table
@@ -23,6 +28,7 @@ _JOINT, _OBJECT, _PGS = engine.mjtJoint, engine.mjtObj, int(engine.mjtSolver.mjS
 _SQUARE = 1e-5  # the axes of the slides are unit and orthogonal to the six digits of MuJoCo's XML
 # The joints of each MjData by the first freedom of their tips: a step is of all of them.
 _JOINTS: WeakKeyDictionary[Data, WeakValueDictionary[int, MujocoJoint]] = WeakKeyDictionary()
+_NO_CONTROL = int(engine.mjtDisableBit.mjDSBL_ACTUATION)
 _REMEDY = "make the scene with: wrenchbook joint NAME --base BODY --tip BODY scene.xml"
 
 
@@ -177,6 +183,17 @@ class MujocoJoint(Joint):
         self._velocity, self._applied = data.qvel[self._dofs], data.qfrc_applied[self._dofs]
         self._mass, self._scene = data.M, model.opt
 
+    def _read_pose(self, pose: Vector) -> None:
+        """Write the tip's translation and quaternion, (7,)."""
+        if self._turns:
+            pose[3:] = self._turned
+        elif self._turned.size:
+            pose[3:] = quaternion(self._hinge * self._turned)
+        if len(self._moves) == 3:
+            pose[:3] = self._slid
+        else:
+            pose[self._moves] = self._data.qpos[self._slides]
+
     def _push(self) -> None:
         """Apply the wrench of this step, as far as the motion before it determines it.
 
@@ -185,15 +202,7 @@ class MujocoJoint(Joint):
         model, data, dt = self._model, self._data, self._scene.timestep
         if self._unmoved:
             self._watch_base()
-        pose = self._pose_of_tip
-        if self._turns:
-            pose[3:] = self._turned
-        elif self._turned.size:
-            pose[3:] = quaternion(self._hinge * self._turned)
-        if len(self._moves) == 3:
-            pose[:3] = self._slid
-        else:
-            pose[self._moves] = data.qpos[self._slides]
+        self._read_pose(self._pose_of_tip)
         engine.mj_solveM(model, data, self._solved, self._units)
         # Accelerations of the freedoms by unit loads on them.
         if len(self.free) == FREEDOMS:
@@ -210,7 +219,17 @@ class MujocoJoint(Joint):
         self._law = force.copy(), slope.copy(), self._velocity
         np.subtract(-force, slope @ self._velocity, out=self._applied)
         # What the velocity after the step changes.
-        self._mass[self._at_pairs] += dt * slope.take(self._pairs)
+        self._own_mass = self._mass.take(self._at_pairs)
+        self._with_part = self._own_mass + dt * slope.take(self._pairs)
+        self._mass[self._at_pairs] = self._with_part
+
+    def report(self) -> JointReport:
+        """Return coverage, largest error bars and energy of all steps since `restart`."""
+        parts, began = list(self._of_scene.values()), self._began
+        time, energy = began or (0.0, np.nan)
+        if all(part._began == began for part in parts) and self._data.time >= time:
+            return report_of(self, time, _energy(parts) - energy)
+        return report_of(self, time)
 
     def _with_last_contacts(self, force: Vector, slope: Vector, dt: float) -> tuple[Vector, Vector]:
         """Return the wrench by the constraint forces of the step before, and no slope."""
@@ -231,6 +250,8 @@ class MujocoJoint(Joint):
             np.zeros((len(self.free),) * 2),
             np.zeros(len(self.free)),
         )
+        self._began: tuple[float, float] | None = None  # time, s, and energy, J, of the scene
+        self._with_part = None
         super().restart()
 
     def _of_step(self) -> Vector:
@@ -274,43 +295,147 @@ def step_joints(*joints: MujocoJoint) -> None:
     JointRangeError
         See `Joint.step`; the scene is where it was.
     """
-    if not joints or any(joint._data is not joints[0]._data for joint in joints):
-        raise JointError("step_joints takes the joints of one scene: one or more of the same data")
-    model, data, scene = joints[0]._model, joints[0]._data, joints[0]._scene
-    if len({joint._dofs.start for joint in joints}) < len(joints):
-        raise JointError("two joints have one tip, which would feel one of them: leave one out")
-    if len(joints[0]._of_scene) > len(joints):
-        _require_all(joints)
-    if not scene.timestep > 0:
-        raise JointError(f"the scene's time step is {scene.timestep} s: set it above 0")
+    _require_scene(joints)
+    model, data = joints[0]._model, joints[0]._data
+    joints[0]._with_part = None
     engine.mj_step1(model, data)
-    for joint in joints:
-        joint._push()
-    engine.mj_factorM(model, data)
-    if scene.solver == _PGS or scene.noslip_iterations:
-        engine.mj_projectConstraint(model, data)
+    if joints[0]._with_part is None:  # joints_in_mj_step has not
+        _pull(joints)
     engine.mj_step2(model, data)
     for joint in joints:
-        joint._law = *joint._law[:2], joint._velocity.copy()
+        force, slope, _ = joint._law
+        joint._law = force, slope, joint._velocity.copy()
+        joint._mass[joint._at_pairs], joint._with_part = joint._own_mass, None
 
 
-def _require_all(joints: tuple[MujocoJoint, ...]) -> None:
-    """Raise JointError if joints of a scene are not among those that step."""
-    stepped = {joint._dofs.start for joint in joints}
-    others = [joint for at, joint in joints[0]._of_scene.items() if at not in stepped]
-    if others:
+def pull_joints(*joints: MujocoJoint) -> None:
+    """Let a scene's joints pull in a step: call it between ``mj_step1`` and ``mj_step2``.
+
+    Until the next ``mj_step1`` or ``mj_forward`` ``data.M`` has the parts' implicit terms too. It
+    raises as `step_joints` does.
+    """
+    _require_scene(joints)
+    _pull(joints)
+
+
+def _require_scene(joints: tuple[MujocoJoint, ...]) -> None:
+    """Raise JointError if joints are not all those of one scene, or its step is not above zero."""
+    if not joints or any(joint._data is not joints[0]._data for joint in joints):
+        raise JointError("step_joints takes the joints of one scene: one or more of the same data")
+    stepped, of_scene = {joint._dofs.start for joint in joints}, joints[0]._of_scene
+    if len(stepped) < len(joints):
+        raise JointError("two joints have one tip, which would feel one of them: leave one out")
+    if len(of_scene) > len(joints):
+        others = [joint for at, joint in of_scene.items() if at not in stepped]
         tips, missing = (", ".join(repr(joint._tip) for joint in some) for some in (joints, others))
         raise JointError(
             f"the scene has joints at the tips {tips} and {missing}: a step of one "
             "advances all of the scene, and the others would not pull. Call step_joints(a, b) of "
             "wrenchbook once with all of them, in the place of a.step(); b.step()"
         )
+    if not (step := joints[0]._scene.timestep) > 0:
+        raise JointError(f"the scene's time step is {step} s: set it above 0")
+
+
+def _pull(joints: Collection[MujocoJoint]) -> None:
+    """Add the joints to the equation of motion, once ``mj_step1`` has computed pose and motion."""
+    first = next(iter(joints))
+    model, data, scene = first._model, first._data, first._scene
+    for joint in joints:  # of a second call, unless MuJoCo has computed the matrix anew
+        if joint._with_part is not None:
+            if (data.M[joint._at_pairs] == joint._with_part).all():
+                data.M[joint._at_pairs] = joint._own_mass
+                engine.mj_factorM(model, data)
+            joint._with_part = None
+    for joint in joints:
+        joint._push()
+    engine.mj_factorM(model, data)
+    if scene.solver == _PGS or scene.noslip_iterations:
+        engine.mj_projectConstraint(model, data)
+    if new := [joint for joint in joints if joint._began is None]:
+        began = float(data.time), _energy(joints)
+        for joint in new:
+            joint._began = began
+
+
+def _energy(joints: Collection[MujocoJoint]) -> float:
+    """Return the energy of a scene and what its parts have taken up, J, half a step ago.
+
+    MuJoCo's velocities belong between two positions: there the energy of a swing does not ripple.
+    """
+    first = next(iter(joints))
+    model, data, fields = first._model, first._data, engine.mjtState.mjSTATE_INTEGRATION
+    then, state = engine.MjData(model), np.empty(engine.mj_stateSize(model, fields))
+    engine.mj_getState(model, data, state, fields)
+    engine.mj_setState(model, then, state, fields)
+    engine.mj_integratePos(model, then.qpos, then.qvel, -0.5 * first._scene.timestep)
+    engine.mj_fwdPosition(model, then)
+    engine.mj_energyPos(model, then)
+    engine.mj_energyVel(model, then)
+    total, now, data.qpos[:] = float(then.energy.sum()), data.qpos.copy(), then.qpos
+    for joint in joints:
+        steps = joint._steps
+        memory, replies = steps.memory.copy(), steps.replies.copy()
+        joint._read_pose(joint._pose_of_tip)
+        steps.law(joint._scene.timestep, joint.damping)
+        total += float(steps.history["stored"][0]) if not joint._status[0] else np.nan
+        steps.memory[:], steps.replies[:] = memory, replies
+    data.qpos[:] = now
+    return total
+
+
+@contextmanager
+def joints_in_mj_step() -> Iterator[None]:
+    """Let ``mj_step`` itself step the joints of each scene that has some, within a ``with``.
+
+    The step has the bits of `step_joints`. It is MuJoCo's control callback, of the whole process:
+    threads take turns. With actuation, springs and dampers all disabled MuJoCo calls none, and no
+    joint pulls. A `report` counts ``mj_forward`` as a step.
+
+    Raises
+    ------
+    JointError
+        If MuJoCo has another callback, or had at the end of the ``with``; see `Joint.step`. In
+        threads of ``mujoco.rollout`` an error ends a scene's motion, and the ``with`` raises it.
+    """
+    errors: list[Exception] = []
+
+    def pull(model: Model, data: Data, passive: bool = False) -> None:
+        joints = list(_JOINTS.get(data, {}).values())
+        if not joints or bool(model.opt.disableflags & _NO_CONTROL) != passive:
+            return
+        try:
+            if passive:  # it comes before the bias
+                engine.mj_rne(model, data, False, data.qfrc_bias)
+            _pull(joints)
+        except Exception as error:
+            if sys._getframe().f_back is not None:
+                raise
+            errors.append(error)  # raised in a thread of C++ it would end the process
+            data.qfrc_applied[:] = np.nan
+
+    ours = pull, partial(pull, passive=True)  # without actuation the first is not called
+    if engine.get_mjcb_control() or engine.get_mjcb_passive():
+        raise JointError("MuJoCo has another callback: remove it, or call step_joints yourself")
+    engine.set_mjcb_control(ours[0])
+    engine.set_mjcb_passive(ours[1])
+    try:
+        yield
+        exchanged = (engine.get_mjcb_control(), engine.get_mjcb_passive()) != ours
+    finally:
+        engine.set_mjcb_control(None)
+        engine.set_mjcb_passive(None)
+    if errors:
+        raise errors[0]
+    if exchanged:
+        raise JointError("a callback was set within joints_in_mj_step: since then no joint pulled")
 
 
 def _places(model: Model, dofs: NDArray[np.intp]) -> list[NDArray[np.intp]]:
     """Return rows, columns and places in MuJoCo's mass matrix of pairs of some freedoms."""
-    if not hasattr(model, "M_rowadr"):
-        raise JointError("MujocoJoint needs MuJoCo 4.0 or newer: pip install 'mujoco>=4.0'")
+    if [int(number) for number in engine.__version__.split(".")[:2]] < [3, 17]:
+        # Constraints of 3.3.7 do not feel what is added to the matrix.
+        raise JointError("MujocoJoint needs MuJoCo 3.17 or newer: pip install 'mujoco>=3.17'")
     entries = []
     for row, dof in enumerate(dofs.tolist()):
         start, count = int(model.M_rowadr[dof]), int(model.M_rownnz[dof])

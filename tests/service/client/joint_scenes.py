@@ -39,6 +39,24 @@ def packed_table(rows: Rows, load_range: LoadRange, **options: Any) -> Table:
     return Table(PackedTable.from_bytes(content), "bar")
 
 
+def known_law(wrench: np.ndarray) -> np.ndarray:
+    """The displacement of a bar that yields up to a tenth more or less, by all loads together."""
+    share = np.tanh(wrench / HIGH @ np.array([0.3, 0.2, -0.4, 0.1, 0.2, 0.3]))
+    return wrench @ bar_compliance().T * (1.0 + 0.1 * share)[..., None]
+
+
+def known_table(count: int, seed: int = 0) -> Table:
+    """Rows of `known_law` with tangents, at random wrenches; one of no load."""
+    wrenches = np.random.default_rng(seed).uniform(-1, 1, (count, 6)) * HIGH
+    wrenches[0] = 0.0
+    around = np.einsum("ij,s->sij", np.diag(1e-6 * HIGH), [1.0, -1.0])[:, None]
+    ahead, behind = known_law(wrenches[None, :, None] + around.reshape(2, 1, 6, 6))
+    slopes = ((ahead - behind) / (2e-6 * HIGH)[:, None]).transpose(0, 2, 1)
+    source = ["fea"] * count
+    rows = Rows.of(wrenches, known_law(wrenches), compliance=slopes, source=source)
+    return packed_table(rows, LoadRange(-HIGH, HIGH))
+
+
 def scene(
     tip: str,
     dt: float = 1e-3,

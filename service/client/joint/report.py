@@ -1,0 +1,102 @@
+"""A joint's steps in review: coverage, largest error bars, energy, and axes that need more rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from wrenchbook.surrogate.kernel.joint import FREEDOMS
+from wrenchbook.surrogate.table.spread import FORCE_ERROR
+
+from ...contract import LOADS, OUTPUTS
+
+if TYPE_CHECKING:
+    from .joint import Joint
+
+
+class LargestError(NamedTuple):
+    """The largest error bar of all steps, m, rad, N or N·m; its step, from 1 on, and time, s."""
+
+    value: float
+    step: int
+    time: float
+
+
+class StiffAxis(NamedTuple):
+    """A load whose error bar is more than 5 % of its half load range, `allowed`.
+
+    `output` is the displacement that adds most to it; its bar should be `needed`, not `tolerance`.
+    """
+
+    load: str
+    error: float
+    allowed: float
+    output: str
+    needed: float
+    tolerance: float | None
+
+
+@dataclass(frozen=True)
+class JointReport:
+    """All steps of a joint since its first or since `restart`, SI; None where unknown.
+
+    Attributes
+    ----------
+    covered : float or None
+        The share of steps whose wrench the table covers.
+    pose_error, wrench_error : dict of LargestError
+        By ``ux`` to ``rz`` and ``fx`` to ``mz``: the largest error bar of the displacement, and of
+        the wrench of a step's pose. Times are the scene's in MuJoCo, else from the first step on.
+    stored, energy_drift : float or None
+        The energy that the part has taken up before its last step, and the change of that of a
+        MuJoCo scene with its parts: without drives, damping and contacts the integration's error.
+    stiff : tuple of StiffAxis
+        Loads with error bars too large for a joint. `remedy` says what to do about these and about
+        steps that are not covered; it is empty if there are none.
+    """
+
+    component: str
+    steps: int
+    time: float
+    covered: float | None
+    pose_error: dict[str, LargestError | None]
+    wrench_error: dict[str, LargestError | None]
+    stored: float | None
+    energy_drift: float | None
+    stiff: tuple[StiffAxis, ...]
+    remedy: str
+
+
+def report_of(joint: Joint, began: float = 0.0, energy_drift: float = np.nan) -> JointReport:
+    """Review a joint's steps, of which the first began at a time, s; J, or NaN if not known."""
+    history, free, arrays = joint._steps.history[0], joint.free, joint._table.packed.arrays
+    count = int(history["steps"])
+
+    def largest(kind: str, names: tuple[str, ...]) -> dict[str, LargestError | None]:
+        rows = zip(*(history[kind][of].tolist() for of in ("value", "step", "time")), strict=True)
+        all_of = [LargestError(v, int(step), began + t) if step else None for v, step, t in rows]
+        return {names[int(k)]: all_of[k] for k in free}
+
+    scale, tolerance = (arrays[f"space/{of}"][joint._at] for of in ("scale", "tolerance"))
+    moved, pulled = history["pose_error"]["value"], history["wrench_error"]["value"]
+    # By the stiffness of the last step: the displacement that adds most to a load's error bar.
+    most = np.nan_to_num(np.abs(joint._stiffness) * moved) + np.finfo(float).tiny * np.eye(FREEDOMS)
+    stiff = []
+    for load in free:
+        error, allowed, output = pulled[load], FORCE_ERROR * scale[load], int(most[load].argmax())
+        if error > allowed:
+            needed, limit = float(moved[output] * allowed / error), float(tolerance[output])
+            limits = OUTPUTS[output], needed, None if np.isnan(limit) else limit
+            stiff.append(StiffAxis(LOADS[load], float(error), float(allowed), *limits))
+    covered = float(history["covered"]) / count if count else None
+    uncovered = covered is not None and covered < 1.0
+    return JointReport(
+        *(joint._name, count, float(history["time"]), covered),
+        *(largest("pose_error", OUTPUTS), largest("wrench_error", LOADS)),
+        float(history["stored"]) if count else None,
+        energy_drift if np.isfinite(energy_drift) else None,
+        tuple(stiff),
+        remedy=joint._more_rows() if stiff or uncovered else "",
+    )
