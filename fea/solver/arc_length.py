@@ -172,8 +172,8 @@ class ArcPath:
 
     def _rate(self, tangent: Linearisation) -> tuple[Array, Array]:
         """Return the motion of free nodes and border per unit of the load's size."""
-        loads = [columns @ self._direction[:, None] for columns in tangent.load_columns]
-        nodes, border = tangent.solve(*loads)
+        nodal, edge = (columns @ self._direction[:, None] for columns in tangent.load_columns)
+        nodes, border = tangent.solve(nodal, edge)
         return nodes[:, :, 0], border[:, 0]
 
     def _point_at(self, size: float, equilibrium: Equilibrium) -> _Point:
