@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .errors import InvalidArgument, required
+from .joint.joint import Joint
+from .joint.joints import status_of, step_of
 from .table import Table
 from .wrenches import Tolerance
 
@@ -176,19 +179,8 @@ def jax(table: Table, method: str | None = None, tolerance: Tolerance | None = N
     """
     package = required("jax", "arrays.jax", "'wrenchbook[jax]'")
     jnp = required("jax.numpy", "arrays.jax", "'wrenchbook[jax]'")
-    host = Host(table, method, tolerance)
+    host, on_host = Host(table, method, tolerance), partial(_jax_on_host, package)
     n, m = host.packed.inputs, host.packed.outputs
-
-    def on_host(function: Callable[..., Iterable[Array]], shapes: Shapes, *arrays: Array) -> Array:
-        """Call a function of numpy arrays; `vmap` calls it once, with all lines."""
-
-        def call(*values: Array) -> list[Array]:
-            blocks = function(*values)
-            kinds = [kind for _, kind in shapes]
-            return [b.astype(kind, copy=False) for b, kind in zip(blocks, kinds, strict=True)]
-
-        results = [package.ShapeDtypeStruct(shape, kind) for shape, kind in shapes]
-        return package.pure_callback(call, results, *arrays, vmap_method="broadcast_all")
 
     def array(values: Array) -> Array:
         kind = jnp.asarray(values).dtype
@@ -223,6 +215,126 @@ def jax(table: Table, method: str | None = None, tolerance: Tolerance | None = N
         return wrench, jnp.einsum("...nq,...q->...n", stiffness, tangents[0])
 
     return Evaluator(host, jnp, array, answers, slopes, inverse)
+
+
+def _jax_on_host(
+    package: ModuleType, function: Callable[..., Iterable[Array]], shapes: Shapes, *arrays: Array
+) -> Array:
+    """Call a function of numpy arrays; `vmap` calls it once, with all lines."""
+
+    def call(*values: Array) -> list[Array]:
+        blocks = function(*values)
+        kinds = [kind for _, kind in shapes]
+        return [b.astype(kind, copy=False) for b, kind in zip(blocks, kinds, strict=True)]
+
+    results = [package.ShapeDtypeStruct(shape, kind) for shape, kind in shapes]
+    return package.pure_callback(call, results, *arrays, vmap_method="broadcast_all")
+
+
+class JointAnswers(NamedTuple):
+    """One step of joints, shape (...).
+
+    Attributes
+    ----------
+    wrench, displacement, error : array
+        Shape (..., 6): of `Joints.step`, and the error bar of the wrench of the pose, N and N·m.
+    coverage, status : array of int32
+        Shape (...): 0 is covered, 1 thin, 2 outside; 0 is ok, else the wrench is NaN: -1 beyond
+        twice the range, otherwise a code of ``wrenchbook.h``.
+    memory : array
+        Shape (..., k): for the next step.
+    """
+
+    wrench: Array
+    displacement: Array
+    error: Array
+    coverage: Array
+    status: Array
+    memory: Array
+
+
+class JaxJoint:
+    """A step of joints as a function on arrays of JAX, for ``jit``, ``vmap`` and ``lax.scan``.
+
+    Called with memory (..., k), poses (..., 7), velocities (..., 6) and inverse masses (..., 6, 6)
+    of `Joints.step`, it returns `JointAnswers`. `vmap` calls the kernel once. It has no derivative.
+
+    Parameters
+    ----------
+    table : Table
+    dt : float
+        The step, s.
+    damping : float
+        Share of critical damping of each mode of the part between the two bodies.
+    axes : array_like, optional
+        Shape (3, 3): the interface frame's axes, its columns, in the tip's, if quaternions,
+        spins and moments have those, as of MuJoCo's ball; the undeformed frame's if not given.
+    **options
+        Of `Joint`.
+
+    Raises
+    ------
+    InvalidArgument
+        If the step is not above zero, and as of `Joint`; in a call if a shape is wrong.
+    MissingPackage
+        If JAX is not installed.
+    """
+
+    def __init__(
+        self,
+        table: Table,
+        dt: float,
+        damping: float = 0.02,
+        *,
+        axes: Array = None,
+        **options: Any,
+    ) -> None:
+        self._package = required("jax", "arrays.JaxJoint", "'wrenchbook[jax]'")
+        self._joint = Joint(table, damping, **options)
+        self._dt = step_of(dt)
+        self._axes = None if axes is None else np.array(axes, dtype=float, order="C")
+        if self._axes is not None and self._axes.shape != (3, 3):
+            raise InvalidArgument(f"axes have the shape (3, 3), not {self._axes.shape}")
+        self._threads = os.cpu_count() or 1
+        self._size = self._joint.new_steps(1, None).memory.shape[1]
+
+    def memory(self, *shape: int) -> Array:
+        """Return the memory of joints that begin, (*shape, k): zeros."""
+        return self._package.numpy.zeros((*shape, self._size))
+
+    def __call__(
+        self, memory: Array, poses: Array, velocities: Array, inverse_masses: Array
+    ) -> JointAnswers:
+        """Return wrenches and the memory for the next step."""
+        given = [
+            self._package.numpy.asarray(a) for a in (memory, poses, velocities, inverse_masses)
+        ]
+        lead, kind = given[1].shape[:-1], given[1].dtype
+        shapes = [array.shape for array in given]
+        expected = [(*lead, self._size), (*lead, 7), (*lead, 6), (*lead, 6, 6)]
+        if shapes != expected:
+            raise InvalidArgument(
+                "memory, poses, velocities and inverse_masses have the shapes "
+                f"{', '.join(map(str, expected))}, not {', '.join(map(str, shapes))}"
+            )
+        six, whole = ((*lead, 6), kind), (lead, np.int32)
+        results = [six, six, six, whole, whole, ((*lead, self._size), kind)]
+        return JointAnswers(*_jax_on_host(self._package, self._on_host, results, *given))
+
+    def _on_host(self, *arrays: Array) -> list[Array]:
+        lead = arrays[1].shape[:-1]
+        steps = self._joint.new_steps(int(np.prod(lead)), self._axes)
+        places = steps.memory, steps.poses, steps.velocities, steps.inverse_masses
+        for place, array in zip(places, arrays, strict=True):
+            place[:] = np.asarray(array).reshape(place.shape)
+        steps.step(self._dt, self._joint.damping, self._threads)
+        codes, replies = status_of(self._joint, steps), steps.replies
+        wrench, coverage = np.array(replies["wrench"]), np.array(replies["coverage"])
+        if self._axes is not None:
+            wrench[:, 3:] = np.einsum("nji,nj->ni", replies["spin"], wrench[:, 3:])
+        coverage[coverage < 0] = OUTSIDE
+        found = wrench, replies["displacement"], replies["wrench_error"], coverage, codes
+        return [array.reshape(*lead, *array.shape[1:]) for array in (*found, steps.memory)]
 
 
 def torch(table: Table, method: str | None = None, tolerance: Tolerance | None = None) -> Evaluator:

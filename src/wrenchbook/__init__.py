@@ -18,6 +18,8 @@ Mount, MujocoMount, Settled
 Joint, MujocoJoint, step_joints, LinearPart
     A part that bends as a force element between two bodies that move; in MuJoCo, one or several;
     as springs.
+Joints, MujocoJoints
+    Many of them in one call a step; in many MuJoCo environments.
 conventions
     Wrenches and poses of ROS, Drake, MuJoCo and PyBullet.
 Scene, ComponentPlan
@@ -83,8 +85,10 @@ if TYPE_CHECKING:
         JointError as JointError,
         JointRangeError as JointRangeError,
         JointWarning as JointWarning,
+        Joints as Joints,
         LinearPart as LinearPart,
     )
+    from .service.client.joint.mujoco_joints import MujocoJoints as MujocoJoints
     from .service.client.joint.mujoco_joint import (
         MujocoJoint as MujocoJoint,
         step_joints as step_joints,
@@ -113,8 +117,9 @@ _NAMES = {
     "service.client.mount": (
         "CouplingDiverged DisplacementUnknown Mount MountError MountWarning SensorError Settled"
     ),
-    "service.client.joint": ("Joint JointError JointRangeError JointWarning LinearPart"),
+    "service.client.joint": ("Joint JointError JointRangeError JointWarning Joints LinearPart"),
     "service.client.joint.mujoco_joint": ("MujocoJoint step_joints"),
+    "service.client.joint.mujoco_joints": "MujocoJoints",
     "service.client.mount.mujoco_mount": "MujocoMount",
     "service.client.arrays": "arrays",
     "service.client.conventions": "conventions",

@@ -2,5 +2,6 @@
 
 from ..errors import JointError, JointRangeError, JointWarning
 from .joint import Joint, LinearPart
+from .joints import Joints
 
-__all__ = ["Joint", "JointError", "JointRangeError", "JointWarning", "LinearPart"]
+__all__ = ["Joint", "JointError", "JointRangeError", "JointWarning", "Joints", "LinearPart"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 from weakref import WeakKeyDictionary, WeakValueDictionary
 
@@ -13,6 +14,8 @@ from ..wrenches import Vector
 from .joint import FREEDOMS, Joint, quaternion
 
 if TYPE_CHECKING:
+    from wrenchbook.surrogate.kernel.joint import JointSteps
+
     from ..table import Table
 
 Model: TypeAlias = Any  # mujoco.MjModel, mujoco.MjData: compiled, without types
@@ -84,14 +87,12 @@ class MujocoJoint(Joint):
         if model.body_parentid[body] != parent:
             raise JointError(f"body {tip!r} must be a child of body {base!r}; {_REMEDY}")
         self._find(body, tip)
-        self._base, self._tip, self._pose = base, tip, None
+        self._base, self._tip = base, tip
         self._name = f"{table.name} at tip {tip!r}"
         # The last body towards the base that no freedom moves: a mocap body, or the world.
         while model.body_dofnum[top := int(model.body_weldid[parent])]:
             parent = int(model.body_parentid[top])
         self._unmoved = parent
-        self._of_scene = _JOINTS.setdefault(data, WeakValueDictionary())
-        self._of_scene[self._dofs.start] = self
 
     def step(self) -> None:  # type: ignore[override]
         """Advance the scene by one time step; call it in the place of ``mj_step``.
@@ -153,36 +154,43 @@ class MujocoJoint(Joint):
         self._slides = np.array(
             [model.jnt_qposadr[joint] for joint in joints[: len(moves)]], dtype=int
         )
-        self._turn = int(model.jnt_qposadr[joints[-1]]) if turning else -1
+        self._turn = int(model.jnt_qposadr[joints[-1]]) if turning else model.nq  # nq: none
         start = int(model.jnt_dofadr[first]) if joints else 0
         count = len(self.free)
         self._dofs = slice(start, start + count)
         self._units = np.eye(model.nv)[self._dofs]
-        self._solved, self._square = np.empty_like(self._units), np.ix_(self.free, self.free)
+        self._square = np.ix_(self.free, self.free)
         rows, columns, self._at_pairs = _places(model, np.arange(start, start + count))
         self._pairs, self._diagonal = count * rows + columns, len(rows) == count > 1
         self._turns, self._moves = len(turns) == 3, self.free[self.free < 3]
         self._hinge = np.zeros(3)
         self._hinge[turns[:1] - 3] = 1.0
-        self._begin(np.ascontiguousarray(self._axes) if self._turns else None)
-        # Views that stay: a scene's arrays are where they were made, and so are the kernel's.
-        data, replies, steps = self._data, self._steps.replies, self._steps
-        self._pose_of_tip, self._inverse_mass = steps.poses[0], steps.inverse_masses[0]
-        self._force, self._slope, self._spin = (
-            replies[name][0] for name in ("force", "rate", "spin")
-        )
-        at = self._turn
-        self._turned = data.qpos[at : at + (4 if self._turns else 1)] if turning else np.empty(0)
-        self._slid = data.qpos[self._slides[0] : self._slides[0] + 3] if len(moves) == 3 else None
-        self._velocity, self._applied = data.qvel[self._dofs], data.qfrc_applied[self._dofs]
-        self._mass, self._scene = data.M, model.opt
+        self._spin_axes = np.ascontiguousarray(self._axes) if self._turns else None
+        self._begin(self._spin_axes)
+        self._scene = model.opt
+        self._watch(self._data, self._steps, 0)
 
-    def _push(self) -> None:
-        """Apply the wrench of this step, as far as the motion before it determines it.
+    def _watch(self, data: Data, steps: JointSteps, at: int) -> None:
+        """Take a joint of the kernel's arrays, and views of the data of its scene.
 
-        The rest depends on the velocity after the step, and enters the mass matrix.
+        They stay: a scene's arrays are where they were made, and so are the kernel's.
         """
-        model, data, dt = self._model, self._data, self._scene.timestep
+        self._use(steps, at)
+        self._data, self._pose, reply = data, None, self._reply
+        self._solved = np.empty_like(self._units)
+        self._pose_of_tip, self._inverse_mass = steps.poses[at], steps.inverse_masses[at]
+        self._force, self._slope, self._spin = (reply[name] for name in ("force", "rate", "spin"))
+        turn, slides = self._turn, self._slides
+        self._turned = data.qpos[turn : turn + (4 if self._turns else 1)]
+        self._slid = data.qpos[slides[0] : slides[0] + 3] if len(slides) == 3 else None
+        self._velocity, self._applied = data.qvel[self._dofs], data.qfrc_applied[self._dofs]
+        self._mass = data.M
+        self._of_scene = _JOINTS.setdefault(data, WeakValueDictionary())
+        self._of_scene[self._dofs.start] = self
+
+    def _read(self) -> None:
+        """Write the pose and the inverse mass of this step into the kernel's arrays."""
+        model, data = self._model, self._data
         if self._unmoved:
             self._watch_base()
         pose = self._pose_of_tip
@@ -200,9 +208,13 @@ class MujocoJoint(Joint):
             self._inverse_mass[:] = self._solved[:, self._dofs]
         else:
             self._inverse_mass[self._square] = self._solved[:, self._dofs]
-        self._steps.law(dt, self.damping)
-        self._heed()
-        force, slope = self._force, self._slope
+
+    def _push(self) -> None:
+        """Apply the wrench of this step, as far as the motion before it determines it.
+
+        The rest depends on the velocity after the step, and enters the mass matrix.
+        """
+        dt, force, slope = self._scene.timestep, self._force, self._slope
         if len(self.free) < FREEDOMS:
             force, slope = force[self.free], slope[self._square]
         if self._diagonal:  # nothing can be added to it: the last step's constraint forces stand
@@ -226,7 +238,7 @@ class MujocoJoint(Joint):
 
     def restart(self) -> None:
         """Forget the state of the last step."""
-        self._law = (
+        self._law: tuple[Vector, Vector, Vector] = (
             np.zeros(len(self.free)),
             np.zeros((len(self.free),) * 2),
             np.zeros(len(self.free)),
@@ -274,18 +286,22 @@ def step_joints(*joints: MujocoJoint) -> None:
     JointRangeError
         See `Joint.step`; the scene is where it was.
     """
-    if not joints or any(joint._data is not joints[0]._data for joint in joints):
-        raise JointError("step_joints takes the joints of one scene: one or more of the same data")
-    model, data, scene = joints[0]._model, joints[0]._data, joints[0]._scene
-    if len({joint._dofs.start for joint in joints}) < len(joints):
-        raise JointError("two joints have one tip, which would feel one of them: leave one out")
-    if len(joints[0]._of_scene) > len(joints):
-        _require_all(joints)
-    if not scene.timestep > 0:
-        raise JointError(f"the scene's time step is {scene.timestep} s: set it above 0")
+    require_scene(joints)
+    if any(len(joint._steps.replies) > 1 for joint in joints):
+        raise JointError("a joint of MujocoJoints steps with all of them: call their step")
+    model, data = joints[0]._model, joints[0]._data
     engine.mj_step1(model, data)
     for joint in joints:
+        joint._read()
+        joint._steps.law(model.opt.timestep, joint.damping)
+        joint._heed()
         joint._push()
+    finish(joints)
+
+
+def finish(joints: Sequence[MujocoJoint]) -> None:
+    """Advance a scene whose joints have pushed."""
+    model, data, scene = joints[0]._model, joints[0]._data, joints[0]._scene
     engine.mj_factorM(model, data)
     if scene.solver == _PGS or scene.noslip_iterations:
         engine.mj_projectConstraint(model, data)
@@ -294,7 +310,20 @@ def step_joints(*joints: MujocoJoint) -> None:
         joint._law = *joint._law[:2], joint._velocity.copy()
 
 
-def _require_all(joints: tuple[MujocoJoint, ...]) -> None:
+def require_scene(joints: Sequence[MujocoJoint]) -> None:
+    """Raise JointError if joints are not those of one scene, or its step is not above zero."""
+    if not joints or any(joint._data is not joints[0]._data for joint in joints):
+        raise JointError("step_joints takes the joints of one scene: one or more of the same data")
+    scene = joints[0]._scene
+    if len({joint._dofs.start for joint in joints}) < len(joints):
+        raise JointError("two joints have one tip, which would feel one of them: leave one out")
+    if len(joints[0]._of_scene) > len(joints):
+        _require_all(joints)
+    if not scene.timestep > 0:
+        raise JointError(f"the scene's time step is {scene.timestep} s: set it above 0")
+
+
+def _require_all(joints: Sequence[MujocoJoint]) -> None:
     """Raise JointError if joints of a scene are not among those that step."""
     stepped = {joint._dofs.start for joint in joints}
     others = [joint for at, joint in joints[0]._of_scene.items() if at not in stepped]
