@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from .errors import InvalidArgument, required
 from .joint.joint import Joint
-from .joint.joints import status_of, step_of
+from .joint.joints import status_of
 from .table import Table
 from .wrenches import Tolerance
 
@@ -232,12 +232,15 @@ def _jax_on_host(
 
 
 class JointAnswers(NamedTuple):
-    """One step of joints, shape (...).
+    """One step of joints, shape (...), by `jax_joint`.
 
     Attributes
     ----------
     wrench, displacement, error : array
         Shape (..., 6): of `Joints.step`, and the error bar of the wrench of the pose, N and N·m.
+    force, rate : array
+        Shapes (..., 6) and (..., 6, 6): with velocities v after the step, in the axes of the spin,
+        the wrench is force + rate v.
     coverage, status : array of int32
         Shape (...): 0 is covered, 1 thin, 2 outside; 0 is ok, else the wrench is NaN: -1 beyond
         twice the range, otherwise a code of ``wrenchbook.h``.
@@ -248,93 +251,55 @@ class JointAnswers(NamedTuple):
     wrench: Array
     displacement: Array
     error: Array
+    force: Array
+    rate: Array
     coverage: Array
     status: Array
     memory: Array
 
 
-class JaxJoint:
-    """A step of joints as a function on arrays of JAX, for ``jit``, ``vmap`` and ``lax.scan``.
+def jax_joint(
+    table: Table, dt: float, damping: float = 0.02, *, axes: Array = None, **options: Any
+) -> tuple[Callable[[Array, Array, Array, Array], JointAnswers], int]:
+    """Return a step of joints on arrays of JAX, and k, the numbers that a joint keeps.
 
-    Called with memory (..., k), poses (..., 7), velocities (..., 6) and inverse masses (..., 6, 6)
-    of `Joints.step`, it returns `JointAnswers`. `vmap` calls the kernel once. It has no derivative.
-
-    Parameters
-    ----------
-    table : Table
-    dt : float
-        The step, s.
-    damping : float
-        Share of critical damping of each mode of the part between the two bodies.
-    axes : array_like, optional
-        Shape (3, 3): the interface frame's axes, its columns, in the tip's, if quaternions,
-        spins and moments have those, as of MuJoCo's ball; the undeformed frame's if not given.
-    **options
-        Of `Joint`.
-
-    Raises
-    ------
-    InvalidArgument
-        If the step is not above zero, and as of `Joint`; in a call if a shape is wrong.
-    MissingPackage
-        If JAX is not installed.
+    ``step(memory, poses, velocities, inverse_masses)`` takes shapes (..., k), which begins with
+    zeros, and those of `Joints.step` for a step of `dt`, s. `jit`, `vmap` (one call of the kernel)
+    and `lax.scan` work on it; it has no derivative. `axes` (3, 3), columns, are the interface
+    frame's axes in the tip's own if quaternions, spins and moments of force and rate have those,
+    as MuJoCo's ball has. Options and errors are those of `Joint`.
     """
+    package = required("jax", "arrays.jax_joint", "'wrenchbook[jax]'")
+    joint, turned = Joint(table, damping, **options), None if axes is None else np.array(axes) + 0.0
+    size = joint.new_steps(1, turned).memory.shape[1]
 
-    def __init__(
-        self,
-        table: Table,
-        dt: float,
-        damping: float = 0.02,
-        *,
-        axes: Array = None,
-        **options: Any,
-    ) -> None:
-        self._package = required("jax", "arrays.JaxJoint", "'wrenchbook[jax]'")
-        self._joint = Joint(table, damping, **options)
-        self._dt = step_of(dt)
-        self._axes = None if axes is None else np.array(axes, dtype=float, order="C")
-        if self._axes is not None and self._axes.shape != (3, 3):
-            raise InvalidArgument(f"axes have the shape (3, 3), not {self._axes.shape}")
-        self._threads = os.cpu_count() or 1
-        self._size = self._joint.new_steps(1, None).memory.shape[1]
-
-    def memory(self, *shape: int) -> Array:
-        """Return the memory of joints that begin, (*shape, k): zeros."""
-        return self._package.numpy.zeros((*shape, self._size))
-
-    def __call__(
-        self, memory: Array, poses: Array, velocities: Array, inverse_masses: Array
-    ) -> JointAnswers:
-        """Return wrenches and the memory for the next step."""
-        given = [
-            self._package.numpy.asarray(a) for a in (memory, poses, velocities, inverse_masses)
-        ]
-        lead, kind = given[1].shape[:-1], given[1].dtype
-        shapes = [array.shape for array in given]
-        expected = [(*lead, self._size), (*lead, 7), (*lead, 6), (*lead, 6, 6)]
-        if shapes != expected:
-            raise InvalidArgument(
-                "memory, poses, velocities and inverse_masses have the shapes "
-                f"{', '.join(map(str, expected))}, not {', '.join(map(str, shapes))}"
-            )
-        six, whole = ((*lead, 6), kind), (lead, np.int32)
-        results = [six, six, six, whole, whole, ((*lead, self._size), kind)]
-        return JointAnswers(*_jax_on_host(self._package, self._on_host, results, *given))
-
-    def _on_host(self, *arrays: Array) -> list[Array]:
+    def on_host(*arrays: Array) -> list[Array]:
         lead = arrays[1].shape[:-1]
-        steps = self._joint.new_steps(int(np.prod(lead)), self._axes)
+        steps = joint.new_steps(int(np.prod(lead)), turned)
         places = steps.memory, steps.poses, steps.velocities, steps.inverse_masses
         for place, array in zip(places, arrays, strict=True):
             place[:] = np.asarray(array).reshape(place.shape)
-        steps.step(self._dt, self._joint.damping, self._threads)
-        codes, replies = status_of(self._joint, steps), steps.replies
-        wrench, coverage = np.array(replies["wrench"]), np.array(replies["coverage"])
-        if self._axes is not None:
-            wrench[:, 3:] = np.einsum("nji,nj->ni", replies["spin"], wrench[:, 3:])
-        coverage[coverage < 0] = OUTSIDE
-        found = wrench, replies["displacement"], replies["wrench_error"], coverage, codes
-        return [array.reshape(*lead, *array.shape[1:]) for array in (*found, steps.memory)]
+        steps.step(dt, damping, os.cpu_count() or 1)
+        codes, coverage = status_of(joint, steps), steps.replies["coverage"]
+        names = "wrench", "displacement", "wrench_error", "force", "rate"
+        floats = [steps.replies[name] for name in names]
+        found = *floats, np.where(coverage < 0, OUTSIDE, coverage), codes, steps.memory
+        return [array.reshape(*lead, *array.shape[1:]) for array in found]
+
+    def step(memory: Array, poses: Array, velocities: Array, inverse_masses: Array) -> JointAnswers:
+        given = [package.numpy.asarray(a) for a in (memory, poses, velocities, inverse_masses)]
+        lead, kind = given[1].shape[:-1], given[1].dtype
+        expected = [(*lead, *shape) for shape in ((size,), (7,), (6,), (6, 6))]
+        if [array.shape for array in given] != expected:
+            raise InvalidArgument(
+                f"memory, poses, velocities and inverse_masses have the shapes {expected}, not "
+                f"{[array.shape for array in given]}"
+            )
+        six, flag = ((*lead, 6), kind), (lead, np.int32)
+        results = [six, six, six, six, ((*lead, 6, 6), kind), flag, flag, ((*lead, size), kind)]
+        return JointAnswers(*_jax_on_host(package, on_host, results, *given))
+
+    return step, size
 
 
 def torch(table: Table, method: str | None = None, tolerance: Tolerance | None = None) -> Evaluator:

@@ -10,14 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from wrenchbook.surrogate.kernel.joint import (
-    FREEDOMS,
-    INDEFINITE,
-    NO_MASS,
-    NOT_FINITE,
-    OK,
-    JointSteps,
-)
+from wrenchbook.surrogate.kernel.joint import INDEFINITE, NO_MASS, NOT_FINITE, OK, JointSteps
 
 from ...contract import COVERAGE
 from ..errors import InvalidArgument, JointWarning, warn
@@ -29,20 +22,14 @@ if TYPE_CHECKING:
 
 Array: TypeAlias = Any  # of numpy or PyTorch
 BEYOND = -1  # beside the kernel's codes: a pose beyond MAX_RANGES
-STATUS = {
-    OK: "ok",
-    BEYOND: "beyond twice the range",
-    NOT_FINITE: "not finite",
-    NO_MASS: "no inverse mass",
-    INDEFINITE: "not positive definite",
-}
-NO_INVERSE = "no wrench at this pose"  # of the kernel's other codes
+_STATUS = np.full(NO_MASS + 2, "no wrench at this pose", dtype=object)  # the last is BEYOND
+_STATUS[[OK, BEYOND, NOT_FINITE]] = "ok", "beyond twice the range", "not finite"
+_STATUS[[NO_MASS, INDEFINITE]] = "no inverse mass", "not positive definite"
 
 
 def status_of(joint: Joint, steps: JointSteps) -> NDArray[np.int32]:
     """Return the codes (n,) of a call's joints; NaN becomes the wrench of each that is not OK."""
-    replies = steps.replies
-    codes = np.array(replies["status"])
+    replies, codes = steps.replies, np.array(steps.replies["status"])
     doubtful = np.flatnonzero(codes == INDEFINITE)
     if len(doubtful):
         least, _ = joint._weakest(replies["stiffness"][doubtful])
@@ -56,22 +43,8 @@ class Joints:
     """Many parts of one table, each between two bodies of its own, in one call a step.
 
     Each has the numbers of a `Joint`, bit by bit. A joint without a wrench does not stop the
-    others: its wrench is NaN, `status` says why, and one `JointWarning` counts them.
-
-    Parameters
-    ----------
-    table : Table
-    count : int
-        The number of joints, n.
-    damping : float
-        Share of critical damping of each mode of the part between the two bodies.
-    **options
-        Of `Joint`.
-
-    Raises
-    ------
-    InvalidArgument
-        If the count is below 1, and as of `Joint`.
+    others: its wrench is NaN, `status` says why, and one `JointWarning` counts them. Table,
+    damping, options and errors are those of `Joint`; `count` is the number of joints, n.
     """
 
     def __init__(self, table: Table, count: int, damping: float = 0.02, **options: Any) -> None:
@@ -114,7 +87,7 @@ class Joints:
         return np.array(replies["pose_error"]), np.array(replies["wrench_error"])
 
     @property
-    def coverage(self) -> NDArray[np.str_]:
+    def coverage(self) -> NDArray[Any]:
         """How the table covers the wrench of each pose, (n,): outside too where there is none."""
         return np.array(COVERAGE)[self._steps.replies["coverage"]]
 
@@ -124,64 +97,39 @@ class Joints:
         return self._codes != OK
 
     @property
-    def status(self) -> NDArray[np.str_]:
+    def status(self) -> NDArray[Any]:
         """Of each joint, (n,): ``ok``, or why it has no wrench."""
-        names = [STATUS.get(code, NO_INVERSE) for code in range(BEYOND, NO_MASS + 1)]
-        return np.array(names)[self._codes - BEYOND]
+        return _STATUS[self._codes]
 
     def restart(self, which: Any = slice(None)) -> None:
         """Forget the last step of some joints, by a mask or indices; of all if none are given."""
-        at = np.arange(len(self))[which]
-        self._steps.memory[at] = self._codes[at] = 0
-        for name in ("wrench", "displacement"):
-            self._steps.replies[name][at] = 0.0
+        for array in (self._steps.memory, self._codes, self._steps.replies):
+            array[which] = 0
 
     def step(
-        self,
-        poses: Array,
-        velocities: Array,
-        inverse_masses: Array,
-        dt: float,
-        threads: int | None = None,
+        self, poses: Array, velocities: Array, inverse_masses: Array, dt: float, threads: int = 0
     ) -> Array:
         """Return the wrenches on the parts during a step, (n, 6), N and N·m; see `Joint.step`.
 
-        Tensors of PyTorch give a tensor of the poses' type and device, without gradients: those of
-        a GPU are copied to the host and back. The kernel computes in float64.
-
-        Parameters
-        ----------
-        poses : array_like
-            Shape (n, 7): of the tip's interface frame in its undeformed frame the translation, m,
-            and the quaternion, w first.
-        velocities : array_like
-            Shape (n, 6), m/s and rad/s.
-        inverse_masses : array_like
-            Shape (n, 6, 6), or (6, 6) for all, 1/kg to 1/(kg·m^2).
-        dt : float
-            The step, s.
-        threads : int, optional
-            The number of threads; one a processor if it is not given.
-
-        Raises
-        ------
-        InvalidArgument
-            If a shape is wrong or the step not above zero.
+        `poses` (n, 7) are translations, m, and quaternions, w first, of the tips' interface frames
+        in their undeformed frames; `velocities` (n, 6); `inverse_masses` (n, 6, 6), or (6, 6) for
+        all; `threads` 0 is one a processor. Tensors of PyTorch give a tensor of the poses' type and
+        device, without gradients: those of a GPU are copied to the host and back. InvalidArgument
+        if a shape is wrong or the step not above zero.
         """
-        steps, count = self._steps, len(self)
-        given = [_on_host(array) for array in (poses, velocities, inverse_masses)]
-        shapes = [array.shape for array in given]
-        square = (FREEDOMS, FREEDOMS)
-        if shapes[:2] != [(count, 7), (count, FREEDOMS)] or shapes[2] not in (
-            square,
-            (count, *square),
-        ):
+        steps, n = self._steps, len(self)
+        arrays = poses, velocities, inverse_masses
+        given = [np.asarray(a.detach().cpu() if hasattr(a, "detach") else a) for a in arrays]
+        shapes = tuple(array.shape for array in given)
+        if shapes not in (((n, 7), (n, 6), (n, 6, 6)), ((n, 7), (n, 6), (6, 6))):
             raise InvalidArgument(
-                f"poses, velocities and inverse_masses of {count} joints have shapes ({count}, 7), "
-                "({0}, 6) and ({0}, 6, 6), not {1}, {2} and {3}".format(count, *shapes)
+                f"poses, velocities and inverse_masses of {n} joints have shapes ({n}, 7), "
+                "({0}, 6) and ({0}, 6, 6), not {1}, {2} and {3}".format(n, *shapes)
             )
+        if not (math.isfinite(dt) and dt > 0):
+            raise InvalidArgument(f"a step is above zero, not {dt} s")
         steps.poses[:], steps.velocities[:], steps.inverse_masses[:] = given
-        steps.step(step_of(dt), self._joint.damping, threads or os.cpu_count() or 1)
+        steps.step(dt, self._joint.damping, threads or os.cpu_count() or 1)
         self._heed()
         found = steps.replies["wrench"]
         return poses.new_tensor(found) if hasattr(poses, "new_tensor") else np.array(found)
@@ -189,30 +137,17 @@ class Joints:
     def _heed(self) -> None:
         """Keep the joints' status, and warn once of each kind."""
         self._codes, replies = status_of(self._joint, self._steps), self._steps.replies
-        failed, ok = self._codes[self._codes != OK], self._codes == OK
-        if len(failed) and not self._warned:
+        failed, within = self.status[self.failed].tolist(), replies["ranges"] <= 1.0
+        if failed and not self._warned:
             self._warned = True
-            kinds = [STATUS.get(int(code), NO_INVERSE) for code in failed]
-            counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
+            counts = ", ".join(f"{failed.count(kind)} {kind}" for kind in dict.fromkeys(failed))
             warn(
                 f"{self._joint._name}: {len(failed)} of {len(self)} joints have no wrench in this "
                 f"step, NaN: {counts}; `status` has each. {self._joint._remedy}. This is said once",
                 JointWarning,
             )
-        if (ok & (replies["ranges"] > 1.0)).any():
+        if (~self.failed & ~within).any():
             self._joint._warn_beyond()
-        uncovered = np.flatnonzero(ok & (replies["ranges"] <= 1.0) & (replies["coverage"] > 0))
+        uncovered = np.flatnonzero(~self.failed & within & (replies["coverage"] > 0))
         if len(uncovered):
             self._joint._warn_uncovered(replies["still"][uncovered[0]])
-
-
-def step_of(dt: float) -> float:
-    """Return a time step, s; InvalidArgument if it is not above zero."""
-    if not (math.isfinite(dt) and dt > 0):
-        raise InvalidArgument(f"a step is above zero, not {dt} s")
-    return float(dt)
-
-
-def _on_host(array: Array) -> Vector:
-    """Return an array of numpy; that of a tensor of PyTorch is its own memory if on the host."""
-    return array.detach().cpu().numpy() if hasattr(array, "detach") else np.asarray(array, float)
