@@ -71,6 +71,11 @@ class Joints:
         self._steps.inputs[:] = self._joint._steps.inputs
 
     @property
+    def memory(self) -> Vector:
+        """Shape (n, k), to read and to write: what the joints keep from step to step."""
+        return self._steps.memory
+
+    @property
     def wrenches(self) -> Vector:
         """Shape (n, 6), N and N·m, of the last step; see `Joint.wrench`. NaN where none."""
         return np.array(self._steps.replies["wrench"])
