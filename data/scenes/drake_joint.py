@@ -1,8 +1,8 @@
 """A pendulum in Drake at the end of a bar that bends, on a carriage that is shaken.
 
-``wrenchbook export bar bar.wbt`` makes the table, then ``python data/scenes/drake_joint.py bar.wbt``
-runs. `DrakeJoint` is a system that reads the plant's state and gives spatial forces on the two bodies:
-the law of `wrenchbook.Joint`, for a discrete plant of the same step.
+``wrenchbook export bar bar.wbt`` makes the table, then ``python data/scenes/drake_joint.py
+bar.wbt`` runs. `DrakeJoint` is a system that reads the plant's state and gives spatial forces on
+the two bodies: the law of `wrenchbook.Joint`, for a discrete plant of the same step.
 """
 
 from __future__ import annotations

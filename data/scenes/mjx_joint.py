@@ -93,7 +93,9 @@ def main(table: Table, count: int = 256, steps: int = 200) -> tuple[np.ndarray, 
     began = time.perf_counter()
     heights, status = jax.block_until_ready(go(hertz))
     took = time.perf_counter() - began
-    print(f"{count} environments, {steps} steps: {1e6 * took / count / steps:.1f} us a step of each")
+    print(
+        f"{count} environments, {steps} steps: {1e6 * took / count / steps:.1f} us a step of each"
+    )
     print(f"{int((status != 0).any(axis=1).sum())} without a wrench in some step")
     return hertz, np.asarray(heights)
 

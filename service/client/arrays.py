@@ -284,7 +284,7 @@ def jax_joint(
         names = "wrench", "displacement", "wrench_error", "force", "rate"
         floats = [steps.replies[name] for name in names]
         found = *floats, np.where(coverage < 0, OUTSIDE, coverage), codes, steps.memory
-        return [array.reshape(*lead, *array.shape[1:]) for array in found]
+        return [array.reshape((*lead, *array.shape[1:])) for array in found]
 
     def step(memory: Array, poses: Array, velocities: Array, inverse_masses: Array) -> JointAnswers:
         given = [package.numpy.asarray(a) for a in (memory, poses, velocities, inverse_masses)]

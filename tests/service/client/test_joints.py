@@ -11,12 +11,14 @@ import pytest
 
 from tests.service.client.joint_scenes import FREEDOMS, linear_table, mujoco, scene, sphere
 from tests.service.client.test_joint_scenes import turning_table
+from wrenchbook.service.client import arrays
 from wrenchbook.service.client.errors import InvalidArgument
 from wrenchbook.service.client.joint import Joint, JointError, Joints, JointWarning
 from wrenchbook.service.client.joint.joint import quaternion, rotation_vector
 from wrenchbook.service.client.joint.mujoco_joint import MujocoJoint, step_joints
 from wrenchbook.service.client.joint.mujoco_joints import MujocoJoints
 from wrenchbook.service.client.rotation import rotation_matrix
+from wrenchbook.surrogate.kernel.joint import JointSteps
 
 MASSES = np.diag([1.0, 1, 1, 9, 9, 9])
 table = cache(turning_table)
@@ -81,6 +83,39 @@ def test_a_batch_that_is_none_is_refused_by_name(changed, words):
         Joints(linear_table(), 3).step(**(good | {"dt": 1e-3} | changed))
     with pytest.raises(InvalidArgument, match="count is the number of joints"):
         Joints(linear_table(), 0)
+
+
+@pytest.fixture
+def in_float64():
+    """JAX with float64."""
+    jax = pytest.importorskip("jax", reason="the extra 'jax' is not installed")
+    before = jax.config.jax_enable_x64
+    jax.config.update("jax_enable_x64", True)
+    yield jax
+    jax.config.update("jax_enable_x64", before)
+
+
+def test_a_step_in_jax_has_the_bits_of_joints_in_one_call_of_the_kernel(in_float64, monkeypatch):
+    joints, (step, size) = Joints(table(), 6), arrays.jax_joint(table(), 1e-3)
+    calls, counted = [], JointSteps.step
+    monkeypatch.setattr(
+        JointSteps, "step", lambda s, *a: calls.append(len(s.poses)) or counted(s, *a)
+    )
+    memory, each = np.zeros((6, size)), in_float64.jit(in_float64.vmap(step))
+    poses, velocities, _ = states(6)
+    for scale in (1.0, 0.9):
+        poses[:, :3] *= scale
+        found = each(memory, poses, velocities, np.tile(MASSES, (6, 1, 1)))
+        expected, memory = joints.step(poses, velocities, MASSES, 1e-3), found.memory
+        np.testing.assert_array_equal(found.wrench, expected)
+        np.testing.assert_array_equal(found.error, joints.errors[1])
+    assert calls == [6, 6, 6, 6]
+    poses[2, 0] = np.nan
+    found = step(memory, poses, velocities, np.tile(MASSES, (6, 1, 1)))
+    assert found.status.tolist() == [0, 0, 1, 0, 0, 0]
+    assert np.flatnonzero(np.isnan(found.wrench).all(axis=1)).tolist() == [2]
+    with pytest.raises(InvalidArgument, match=r"\(6, 6\)\], not"):
+        step(memory[0], poses[0], velocities[0], np.eye(5))
 
 
 def environments(count: int, model: Any) -> list[Any]:
