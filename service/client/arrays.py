@@ -232,20 +232,11 @@ def _jax_on_host(
 
 
 class JointAnswers(NamedTuple):
-    """One step of joints, shape (...), by `jax_joint`.
+    """One step of joints by `jax_joint`: wrench, displacement and error (..., 6) as of `Joints`.
 
-    Attributes
-    ----------
-    wrench, displacement, error : array
-        Shape (..., 6): of `Joints.step`, and the error bar of the wrench of the pose, N and N·m.
-    force, rate : array
-        Shapes (..., 6) and (..., 6, 6): with velocities v after the step, in the axes of the spin,
-        the wrench is force + rate v.
-    coverage, status : array of int32
-        Shape (...): 0 is covered, 1 thin, 2 outside; 0 is ok, else the wrench is NaN: -1 beyond
-        twice the range, otherwise a code of ``wrenchbook.h``.
-    memory : array
-        Shape (..., k): for the next step.
+    With velocities v after the step, in the axes of the spin, the wrench is force (..., 6) + rate
+    (..., 6, 6) v. Coverage: 0 covered, 1 thin, 2 outside. Status: 0 ok; else the wrench is NaN, -1
+    beyond twice the range, otherwise a code of ``wrenchbook.h``. Memory is for the next step.
     """
 
     wrench: Array
