@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -47,6 +47,8 @@ class Joints:
     damping, options and errors are those of `Joint`; `count` is the number of joints, n.
     """
 
+    joints: Sequence[Any] = ()  # of `MujocoJoints`
+
     def __init__(self, table: Table, count: int, damping: float = 0.02, **options: Any) -> None:
         if not (isinstance(count, int | np.integer) and count > 0):
             raise InvalidArgument(f"count is the number of joints, 1 or more, not {count!r}")
@@ -69,6 +71,8 @@ class Joints:
     def inputs(self, values: Mapping[str, float]) -> None:
         self._joint.inputs = values
         self._steps.inputs[:] = self._joint._steps.inputs
+        for joint in self.joints:
+            joint._further = self._joint._further
 
     @property
     def memory(self) -> Vector:

@@ -23,8 +23,8 @@ class MujocoJoints(Joints):
 
     Each has the bits of a `MujocoJoint`. An environment whose joint has no wrench stays where it
     was: `failed` and `status` name it. Reset its data and call ``restart`` for it. `datas` are the
-    MjData of the environments; `joints` is the `MujocoJoint` of each. Base, tip, damping and errors
-    are those of `MujocoJoint`.
+    MjData of the environments; `joints` has the `MujocoJoint` of each, to read. Base, tip, options
+    and errors are those of `MujocoJoint`.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class MujocoJoints(Joints):
     def restart(self, which: Any = slice(None)) -> None:
         """Forget the last step of some environments, by a mask or indices; of all without."""
         super().restart(which)
-        for at in np.atleast_1d(np.arange(len(self))[which]):
+        for at in np.atleast_1d(np.arange(len(self))[which]).tolist():
             self.joints[at].restart()
 
     def step(self, *others: MujocoJoints, threads: int = 0) -> None:  # type: ignore[override]

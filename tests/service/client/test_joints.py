@@ -11,6 +11,7 @@ import pytest
 
 from tests.service.client.joint_scenes import FREEDOMS, linear_table, mujoco, scene, sphere
 from tests.service.client.test_joint_scenes import turning_table
+from tests.service.client.test_joint_tables import WARM
 from wrenchbook.service.client import arrays
 from wrenchbook.service.client.errors import InvalidArgument
 from wrenchbook.service.client.joint import Joint, JointError, Joints, JointWarning
@@ -166,6 +167,21 @@ def test_two_parts_of_each_environment_step_together():
         step_joints(near.joints[0], far.joints[0])
 
 
+def test_further_inputs_are_those_of_all_environments():
+    model, _ = scene(sphere(2, "0 0 0.01"))
+    many, alone = environments(2, model), environments(2, model)
+    joints = MujocoJoints(model, many, WARM, inputs={"temperature": 20.0})
+    single = [MujocoJoint(model, data, WARM, inputs={"temperature": 20.0}) for data in alone]
+    for degrees in (21.0, 22.0):
+        joints.inputs = {"temperature": degrees}
+        joints.step()
+        for one in single:
+            one.inputs = {"temperature": degrees}
+            one.step()
+    assert [d.qpos.tobytes() for d in many] == [d.qpos.tobytes() for d in alone]
+    assert joints.joints[1].inputs == joints.inputs == {"temperature": 22.0}
+
+
 def test_an_environment_whose_part_is_torn_stays_and_the_others_go_on():
     model, _ = scene(sphere(3, "0.02 0 0.01"))
     datas = environments(3, model)
@@ -189,7 +205,6 @@ def test_tensors_of_pytorch_give_a_tensor_of_their_type():
     expected = Joints(table(), 5).step(poses, velocities, MASSES, 1e-3)
     tensors = [torch.tensor(array) for array in (poses, velocities, MASSES)]
     joints = Joints(table(), 5)
-    found = joints.step(*tensors, 1e-3)
-    np.testing.assert_array_equal(found.numpy(), expected)
+    np.testing.assert_array_equal(joints.step(*tensors, 1e-3).numpy(), expected)
     single = joints.step(*(tensor.float() for tensor in tensors), 1e-3)
     assert single.dtype == torch.float32
