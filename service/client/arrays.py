@@ -235,8 +235,8 @@ class JointAnswers(NamedTuple):
     """One step of joints by `jax_joint`: wrench, displacement and error (..., 6) as of `Joints`.
 
     With velocities v after the step, in the axes of the spin, the wrench is force (..., 6) + rate
-    (..., 6, 6) v. Coverage: 0 covered, 1 thin, 2 outside. Status: 0 ok; else the wrench is NaN, -1
-    beyond twice the range, otherwise a code of ``wrenchbook.h``. Memory is for the next step.
+    (..., 6, 6) v. Coverage: 0 covered, 1 thin, 2 outside. Status: 0 ok; else wrench and force are
+    NaN, -1 beyond twice the range, otherwise a code of ``wrenchbook.h``. Memory is for the next step.
     """
 
     wrench: Array
@@ -262,6 +262,8 @@ def jax_joint(
     """
     package = required("jax", "arrays.jax_joint", "'wrenchbook[jax]'")
     joint, turned = Joint(table, damping, **options), None if axes is None else np.array(axes) + 0.0
+    if not 0.0 < dt < np.inf or (turned is not None and turned.shape != (3, 3)):
+        raise InvalidArgument(f"a step is above zero, and axes are (3, 3), not {dt} s and {axes}")
     size = joint.new_steps(1, turned).memory.shape[1]
 
     def on_host(*arrays: Array) -> list[Array]:

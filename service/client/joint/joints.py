@@ -28,14 +28,14 @@ _STATUS[[NO_MASS, INDEFINITE]] = "no inverse mass", "not positive definite"
 
 
 def status_of(joint: Joint, steps: JointSteps) -> NDArray[np.int32]:
-    """Return the codes (n,) of a call's joints; NaN becomes the wrench of each that is not OK."""
+    """Return the codes (n,) of a call's joints; wrench and force of each not OK become NaN."""
     replies, codes = steps.replies, np.array(steps.replies["status"])
     doubtful = np.flatnonzero(codes == INDEFINITE)
     if len(doubtful):
         least, _ = joint._weakest(replies["stiffness"][doubtful])
         codes[doubtful[~(least < 0.0)]] = OK
     codes[(codes == OK) & ~(replies["ranges"] <= MAX_RANGES)] = BEYOND
-    replies["wrench"][codes != OK] = np.nan
+    replies["wrench"][codes != OK] = replies["force"][codes != OK] = np.nan
     return codes
 
 

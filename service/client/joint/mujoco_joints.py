@@ -32,6 +32,8 @@ class MujocoJoints(Joints):
     ) -> None:
         if not len(datas) or len({id(data) for data in datas}) < len(datas):
             raise InvalidArgument("datas are one MjData an environment: one or more, each once")
+        if any(data.signature != model.signature for data in datas):
+            raise InvalidArgument("datas are of another model than the one given")
         first = MujocoJoint(model, datas[0], table, *bodies, **options)
         self.joints = [first, *(copy.copy(first) for _ in datas[1:])]
         self._model, self._pool = model, ThreadPoolExecutor()
@@ -56,7 +58,7 @@ class MujocoJoints(Joints):
         `others` are the joints at other tips of the same environments; with no `threads` there is
         one a processor. Errors are those of `step_joints`.
         """
-        batches, threads = (self, *others), threads or os.cpu_count() or 1
+        batches, threads = (self, *others), max(threads, 0) or os.cpu_count() or 1
         if any(len(batch) != len(self) for batch in others):
             raise InvalidArgument("joints of one step have the same environments, in one order")
         scenes = list(zip(*(batch.joints for batch in batches), strict=True))
@@ -68,7 +70,7 @@ class MujocoJoints(Joints):
             batch._heed()
         failed = np.any([batch.failed for batch in batches], axis=0)
         for batch in batches:
-            for joint in (batch.joints[at] for at in np.flatnonzero(batch.failed)):
+            for joint in (batch.joints[at] for at in np.flatnonzero(batch.failed).tolist()):
                 joint._law = np.full(len(joint.free), np.nan), *joint._law[1:]
         advanced = [joints for joints, stays in zip(scenes, failed, strict=True) if not stays]
         self._share(self._end, advanced, threads)

@@ -117,6 +117,9 @@ def test_a_step_in_jax_has_the_bits_of_joints_in_one_call_of_the_kernel(in_float
     assert np.flatnonzero(np.isnan(found.wrench).all(axis=1)).tolist() == [2]
     with pytest.raises(InvalidArgument, match=r"\(6, 6\)\], not"):
         step(memory[0], poses[0], velocities[0], np.eye(5))
+    for wrong in ({"dt": 0.0}, {"dt": 1e-3, "axes": np.eye(2)}):
+        with pytest.raises(InvalidArgument, match=r"a step is above zero, and axes are \(3, 3\)"):
+            arrays.jax_joint(table(), **wrong)
 
 
 def environments(count: int, model: Any) -> list[Any]:
@@ -195,8 +198,10 @@ def test_an_environment_whose_part_is_torn_stays_and_the_others_go_on():
     joints.restart(joints.failed)
     joints.step()
     assert [data.time for data in datas] == [2e-3, 1e-3, 2e-3]
-    with pytest.raises(InvalidArgument, match="each once"):
-        MujocoJoints(model, [datas[0], datas[0]], linear_table())
+    other = mujoco.MjData(mujoco.MjModel.from_xml_string("<mujoco/>"))
+    for wrong, words in ((datas[0], "each once"), (other, "of another model")):
+        with pytest.raises(InvalidArgument, match=words):
+            MujocoJoints(model, [datas[0], wrong], linear_table())
 
 
 def test_tensors_of_pytorch_give_a_tensor_of_their_type():
