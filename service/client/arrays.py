@@ -236,7 +236,7 @@ class JointAnswers(NamedTuple):
 
     With velocities v after the step, in the axes of the spin, the wrench is force (..., 6) + rate
     (..., 6, 6) v. Coverage: 0 covered, 1 thin, 2 outside. Status: 0 ok; else wrench and force are
-    NaN, -1 beyond twice the range, otherwise a code of ``wrenchbook.h``. Memory is for the next step.
+    NaN: -1 beyond twice the range, or a code of ``wrenchbook.h``. Memory is for the next step.
     """
 
     wrench: Array
