@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .errors import InvalidArgument, required
+from .joint.joint import Joint
+from .joint.joints import status_of
 from .table import Table
 from .wrenches import Tolerance
 
@@ -176,19 +179,8 @@ def jax(table: Table, method: str | None = None, tolerance: Tolerance | None = N
     """
     package = required("jax", "arrays.jax", "'wrenchbook[jax]'")
     jnp = required("jax.numpy", "arrays.jax", "'wrenchbook[jax]'")
-    host = Host(table, method, tolerance)
+    host, on_host = Host(table, method, tolerance), partial(_jax_on_host, package)
     n, m = host.packed.inputs, host.packed.outputs
-
-    def on_host(function: Callable[..., Iterable[Array]], shapes: Shapes, *arrays: Array) -> Array:
-        """Call a function of numpy arrays; `vmap` calls it once, with all lines."""
-
-        def call(*values: Array) -> list[Array]:
-            blocks = function(*values)
-            kinds = [kind for _, kind in shapes]
-            return [b.astype(kind, copy=False) for b, kind in zip(blocks, kinds, strict=True)]
-
-        results = [package.ShapeDtypeStruct(shape, kind) for shape, kind in shapes]
-        return package.pure_callback(call, results, *arrays, vmap_method="broadcast_all")
 
     def array(values: Array) -> Array:
         kind = jnp.asarray(values).dtype
@@ -223,6 +215,84 @@ def jax(table: Table, method: str | None = None, tolerance: Tolerance | None = N
         return wrench, jnp.einsum("...nq,...q->...n", stiffness, tangents[0])
 
     return Evaluator(host, jnp, array, answers, slopes, inverse)
+
+
+def _jax_on_host(
+    package: ModuleType, function: Callable[..., Iterable[Array]], shapes: Shapes, *arrays: Array
+) -> Array:
+    """Call a function of numpy arrays; `vmap` calls it once, with all lines."""
+
+    def call(*values: Array) -> list[Array]:
+        blocks = function(*values)
+        kinds = [kind for _, kind in shapes]
+        return [b.astype(kind, copy=False) for b, kind in zip(blocks, kinds, strict=True)]
+
+    results = [package.ShapeDtypeStruct(shape, kind) for shape, kind in shapes]
+    return package.pure_callback(call, results, *arrays, vmap_method="broadcast_all")
+
+
+class JointAnswers(NamedTuple):
+    """One step of joints by `jax_joint`: wrench, displacement and error (..., 6) as of `Joints`.
+
+    With velocities v after the step, in the axes of the spin, the wrench is force (..., 6) + rate
+    (..., 6, 6) v. Coverage: 0 covered, 1 thin, 2 outside. Status: 0 ok; else wrench and force are
+    NaN: -1 beyond twice the range, or a code of ``wrenchbook.h``. Memory is for the next step.
+    """
+
+    wrench: Array
+    displacement: Array
+    error: Array
+    force: Array
+    rate: Array
+    coverage: Array
+    status: Array
+    memory: Array
+
+
+def jax_joint(
+    table: Table, dt: float, damping: float = 0.02, *, axes: Array = None, **options: Any
+) -> tuple[Callable[[Array, Array, Array, Array], JointAnswers], int]:
+    """Return a step of joints on arrays of JAX, and k, the numbers that a joint keeps.
+
+    ``step(memory, poses, velocities, inverse_masses)`` takes shapes (..., k), which begins with
+    zeros, and those of `Joints.step` for a step of `dt`, s. `jit`, `vmap` (one call of the kernel)
+    and `lax.scan` work on it; it has no derivative. `axes` (3, 3), columns, are the interface
+    frame's axes in the tip's own if quaternions, spins and moments of force and rate have those,
+    as MuJoCo's ball has. Options and errors are those of `Joint`.
+    """
+    package = required("jax", "arrays.jax_joint", "'wrenchbook[jax]'")
+    joint, turned = Joint(table, damping, **options), None if axes is None else np.array(axes) + 0.0
+    if not 0.0 < dt < np.inf or (turned is not None and turned.shape != (3, 3)):
+        raise InvalidArgument(f"a step is above zero, and axes are (3, 3), not {dt} s and {axes}")
+    size = joint.new_steps(1, turned).memory.shape[1]
+
+    def on_host(*arrays: Array) -> list[Array]:
+        lead = arrays[1].shape[:-1]
+        steps = joint.new_steps(int(np.prod(lead)), turned)
+        places = steps.memory, steps.poses, steps.velocities, steps.inverse_masses
+        for place, array in zip(places, arrays, strict=True):
+            place[:] = np.asarray(array).reshape(place.shape)
+        steps.step(dt, damping, os.cpu_count() or 1)
+        codes, coverage = status_of(joint, steps), steps.replies["coverage"]
+        names = "wrench", "displacement", "wrench_error", "force", "rate"
+        floats = [steps.replies[name] for name in names]
+        found = *floats, np.where(coverage < 0, OUTSIDE, coverage), codes, steps.memory
+        return [array.reshape((*lead, *array.shape[1:])) for array in found]
+
+    def step(memory: Array, poses: Array, velocities: Array, inverse_masses: Array) -> JointAnswers:
+        given = [package.numpy.asarray(a) for a in (memory, poses, velocities, inverse_masses)]
+        lead, kind = given[1].shape[:-1], given[1].dtype
+        expected = [(*lead, *shape) for shape in ((size,), (7,), (6,), (6, 6))]
+        if [array.shape for array in given] != expected:
+            raise InvalidArgument(
+                f"memory, poses, velocities and inverse_masses have the shapes {expected}, not "
+                f"{[array.shape for array in given]}"
+            )
+        six, flag = ((*lead, 6), kind), (lead, np.int32)
+        results = [six, six, six, six, ((*lead, 6, 6), kind), flag, flag, ((*lead, size), kind)]
+        return JointAnswers(*_jax_on_host(package, on_host, results, *given))
+
+    return step, size
 
 
 def torch(table: Table, method: str | None = None, tolerance: Tolerance | None = None) -> Evaluator:

@@ -18,6 +18,8 @@ Mount, MujocoMount, Settled
 Joint, MujocoJoint, step_joints, pull_joints, joints_in_mj_step, LinearPart, JointReport
     A part that bends as a force element between two bodies that move; in MuJoCo, one or several;
     as springs.
+Joints, MujocoJoints
+    Many of them in one call a step; in many MuJoCo environments.
 conventions
     Wrenches and poses of ROS, Drake, MuJoCo and PyBullet.
 Scene, ComponentPlan
@@ -84,8 +86,10 @@ if TYPE_CHECKING:
         JointRangeError as JointRangeError,
         JointReport as JointReport,
         JointWarning as JointWarning,
+        Joints as Joints,
         LinearPart as LinearPart,
     )
+    from .service.client.joint.mujoco_joints import MujocoJoints as MujocoJoints
     from .service.client.joint.mujoco_joint import (
         MujocoJoint as MujocoJoint,
         joints_in_mj_step as joints_in_mj_step,
@@ -117,9 +121,10 @@ _NAMES = {
         "CouplingDiverged DisplacementUnknown Mount MountError MountWarning SensorError Settled"
     ),
     "service.client.joint": (
-        "Joint JointError JointRangeError JointReport JointWarning LinearPart"
+        "Joint JointError JointRangeError JointReport JointWarning Joints LinearPart"
     ),
     "service.client.joint.mujoco_joint": "MujocoJoint joints_in_mj_step pull_joints step_joints",
+    "service.client.joint.mujoco_joints": "MujocoJoints",
     "service.client.mount.mujoco_mount": "MujocoMount",
     "service.client.arrays": "arrays",
     "service.client.conventions": "conventions",

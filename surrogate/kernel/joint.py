@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from .binding import PackedTable
 
 FREEDOMS = 6  # of an interface: three translations, then three rotations
-OK, NOT_FINITE, INDEFINITE, NO_MASS = 0, 1, 7, 8  # of the statuses in wrenchbook.h
+OK, NOT_FINITE, SINGULAR, INDEFINITE, NO_MASS = 0, 1, 5, 7, 8  # of the statuses in wrenchbook.h
 REPLY = np.dtype(
     [
         *((name, float, 6) for name in ("wrench", "displacement", "still", "force")),
@@ -101,10 +101,10 @@ class JointSteps:
         self._options.dt, self._options.damping = dt, damping
         self._done(self._call(self._table.handle, *self._step, threads, self._at))
 
-    def law(self, dt: float, damping: float) -> None:
+    def law(self, dt: float, damping: float, threads: int = 1) -> None:
         """Find wrench and rate at the poses, for a simulator that has the step's velocity later."""
         self._options.dt, self._options.damping = dt, damping
-        self._done(self._call(self._table.handle, *self._law, 1, self._at))
+        self._done(self._call(self._table.handle, *self._law, threads, self._at))
 
     def state(self) -> None:
         """Find the wrenches of the poses."""

@@ -2,6 +2,15 @@
 
 from ..errors import JointError, JointRangeError, JointWarning
 from .joint import Joint, LinearPart
+from .joints import Joints
 from .report import JointReport
 
-__all__ = ["Joint", "JointError", "JointRangeError", "JointReport", "JointWarning", "LinearPart"]
+__all__ = [
+    "Joint",
+    "JointError",
+    "JointRangeError",
+    "JointReport",
+    "JointWarning",
+    "Joints",
+    "LinearPart",
+]

@@ -20,7 +20,13 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wrenchbook.surrogate.kernel.joint import FREEDOMS, INDEFINITE, NO_MASS, NOT_FINITE
+from wrenchbook.surrogate.kernel.joint import (
+    FREEDOMS,
+    INDEFINITE,
+    NO_MASS,
+    NOT_FINITE,
+    JointSteps,
+)
 
 from ...contract import LOADS, OUTPUTS
 from ..errors import Document, InvalidArgument, JointError, JointRangeError, JointWarning, warn
@@ -134,11 +140,11 @@ class Joint:
 
     def restart(self) -> None:
         """Forget the state of the last step."""
-        self._steps.memory[:] = 0.0
+        self._memory[:] = 0.0
         for name in ("wrench", "displacement"):
-            self._steps.replies[name] = 0.0
+            self._reply[name] = 0.0
         for name in ("wrench_error", "pose_error"):
-            self._steps.replies[name] = math.nan
+            self._reply[name] = math.nan
 
     @property
     def wrench(self) -> Vector:
@@ -150,22 +156,22 @@ class Joint:
 
     def _of_step(self) -> Vector:
         """Return the wrench of the last step."""
-        return np.array(self._steps.replies["wrench"][0])
+        return np.array(self._reply["wrench"])
 
     @property
     def displacement(self) -> Vector:
         """Shape (6,), m and rad, at the beginning of the last step."""
-        return np.array(self._steps.replies["displacement"][0])
+        return np.array(self._reply["displacement"])
 
     @property
     def error(self) -> Vector:
         """Error bar of the last step's wrench at its pose, shape (6,), N and N·m; NaN: unknown."""
-        return np.array(self._steps.replies["wrench_error"][0])
+        return np.array(self._reply["wrench_error"])
 
     @property
     def displacement_error(self) -> Vector:
         """The table's error bar of the displacement, shape (6,), m and rad; NaN where unknown."""
-        return np.array(self._steps.replies["pose_error"][0])
+        return np.array(self._reply["pose_error"])
 
     def report(self) -> JointReport:
         """Return coverage, largest error bars and stored energy of all steps since `restart`."""
@@ -173,17 +179,26 @@ class Joint:
 
     def _begin(self, axes: Vector | None) -> None:
         """Make the kernel's arrays, for spins in `axes` (3, 3) of the tip or in the frame's."""
+        self._use(self.new_steps(1, axes), 0)
+        self.restart()
+
+    def new_steps(self, count: int, axes: Vector | None) -> JointSteps:
+        """Return the kernel's arrays for so many joints of these options; see `_begin`."""
         try:
-            self._steps = self._table.packed.joints(1, self._at.start, self._method, axes)
+            steps = self._table.packed.joints(count, self._at.start, self._method, axes)
         except ValueError as error:  # no such method
             raise InvalidArgument(str(error)) from error
-        self._steps.inputs[:] = self._inputs(np.zeros(FREEDOMS))
-        replies = self._steps.replies
+        steps.inputs[:] = self._inputs(np.zeros(FREEDOMS))
+        return steps
+
+    def _use(self, steps: JointSteps, at: int) -> None:
+        """Take the arrays of a joint of a call."""
+        self._steps, self._reply, self._memory = steps, steps.replies[at], steps.memory[at]
+        self._history = steps.history[at]
         self._status, self._ranges, self._coverage = (
-            replies[name] for name in ("status", "ranges", "coverage")
+            steps.replies[name][at : at + 1] for name in ("status", "ranges", "coverage")
         )
-        self._still, self._stiffness = replies["still"][0], replies["stiffness"][0]
-        self.restart()
+        self._still, self._stiffness = self._reply["still"], self._reply["stiffness"]
 
     @property
     def coverage(self) -> str:
@@ -287,9 +302,14 @@ class Joint:
         ranges = self._ranges[0]
         if self._status[0] or ranges > 1.0:
             self._refuse(int(self._status[0]), float(ranges))
-        elif self._coverage[0] > 0 and not self._uncovered:
+        elif self._coverage[0] > 0:
+            self._warn_uncovered(self._still)
+
+    def _warn_uncovered(self, wrench: Vector) -> None:
+        """Warn once that the table does not cover a wrench."""
+        if not self._uncovered:
             self._uncovered, packed = True, self._table.packed
-            answer = packed.answer(self._inputs(self._still).tolist(), None, self._method)
+            answer = packed.answer(self._inputs(wrench).tolist(), None, self._method)
             warn(
                 f"{self._name}: the wrench of a step is {answer.coverage} by the method "
                 f"{packed.answers_by(self._method)!r}, and displacement and wrench are "
@@ -300,7 +320,9 @@ class Joint:
     def _refuse(self, status: int, ranges: float) -> None:
         """Raise what a status and a pose so many ranges out are, or warn."""
         if status == INDEFINITE:
-            self._require_definite()
+            least, loads = self._weakest(self._stiffness[None])
+            if least[0] < 0.0:
+                raise JointError(self._indefinite(self._still, loads[0]))
         elif status == NO_MASS:
             raise InvalidArgument(
                 "the inverse effective mass of the joint is not positive definite: a freedom "
@@ -318,7 +340,12 @@ class Joint:
                 f"{self._name}: the pose needs {ranges:.3g} times the load range, or turns by as "
                 f"many times 20 degrees. {self._remedy}"
             )
-        if ranges > 1.0 and not self._warned:
+        if ranges > 1.0:
+            self._warn_beyond()
+
+    def _warn_beyond(self) -> None:
+        """Warn once that a pose is beyond the range."""
+        if not self._warned:
             self._warned = True
             warn(
                 f"{self._name}: the pose is beyond the load range or 20 degrees; the wrench "
@@ -326,14 +353,11 @@ class Joint:
                 JointWarning,
             )
 
-    def _require_definite(self) -> None:
-        """Raise JointError if some motion of the part gives energy back."""
+    def _weakest(self, stiffness: Vector) -> tuple[Vector, Vector]:
+        """Return `PackedTable.weakest` of stiffnesses (k, 6, 6): below zero a part gives energy."""
         packed, free = self._table.packed, self.free
-        compliance = np.asarray(np.linalg.inv(self._stiffness[np.ix_(free, free)]), dtype=float)
-        scale = packed.arrays["space/scale"][self._at][free]
-        least, loads = packed.weakest(compliance[None], scale)
-        if least[0] < 0.0:
-            raise JointError(self._indefinite(self._still, loads[0]))
+        compliance = np.asarray(np.linalg.inv(stiffness[:, free][:, :, free]), dtype=float)
+        return packed.weakest(compliance, packed.arrays["space/scale"][self._at][free])
 
     def _inputs(self, wrench: Vector) -> Vector:
         """Return the table's inputs with a wrench at the tip, shape (n,), SI."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -18,6 +18,8 @@ from .joint import FREEDOMS, Joint, quaternion
 from .report import JointReport, report_of
 
 if TYPE_CHECKING:
+    from wrenchbook.surrogate.kernel.joint import JointSteps
+
     from ..table import Table
 
 Model: TypeAlias = Any  # mujoco.MjModel, mujoco.MjData: compiled, without types
@@ -90,14 +92,12 @@ class MujocoJoint(Joint):
         if model.body_parentid[body] != parent:
             raise JointError(f"body {tip!r} must be a child of body {base!r}; {_REMEDY}")
         self._find(body, tip)
-        self._base, self._tip, self._pose = base, tip, None
+        self._base, self._tip = base, tip
         self._name = f"{table.name} at tip {tip!r}"
         # The last body towards the base that no freedom moves: a mocap body, or the world.
         while model.body_dofnum[top := int(model.body_weldid[parent])]:
             parent = int(model.body_parentid[top])
         self._unmoved = parent
-        self._of_scene = _JOINTS.setdefault(data, WeakValueDictionary())
-        self._of_scene[self._dofs.start] = self
 
     def step(self) -> None:  # type: ignore[override]
         """Advance the scene by one time step; call it in the place of ``mj_step``.
@@ -159,29 +159,39 @@ class MujocoJoint(Joint):
         self._slides = np.array(
             [model.jnt_qposadr[joint] for joint in joints[: len(moves)]], dtype=int
         )
-        self._turn = int(model.jnt_qposadr[joints[-1]]) if turning else -1
+        self._turn = int(model.jnt_qposadr[joints[-1]]) if turning else model.nq  # nq: none
         start = int(model.jnt_dofadr[first]) if joints else 0
         count = len(self.free)
         self._dofs = slice(start, start + count)
         self._units = np.eye(model.nv)[self._dofs]
-        self._solved, self._square = np.empty_like(self._units), np.ix_(self.free, self.free)
+        self._square = np.ix_(self.free, self.free)
         rows, columns, self._at_pairs = _places(model, np.arange(start, start + count))
         self._pairs, self._diagonal = count * rows + columns, len(rows) == count > 1
         self._turns, self._moves = len(turns) == 3, self.free[self.free < 3]
         self._hinge = np.zeros(3)
         self._hinge[turns[:1] - 3] = 1.0
-        self._begin(np.ascontiguousarray(self._axes) if self._turns else None)
-        # Views that stay: a scene's arrays are where they were made, and so are the kernel's.
-        data, replies, steps = self._data, self._steps.replies, self._steps
-        self._pose_of_tip, self._inverse_mass = steps.poses[0], steps.inverse_masses[0]
-        self._force, self._slope, self._spin = (
-            replies[name][0] for name in ("force", "rate", "spin")
-        )
-        at = self._turn
-        self._turned = data.qpos[at : at + (4 if self._turns else 1)] if turning else np.empty(0)
-        self._slid = data.qpos[self._slides[0] : self._slides[0] + 3] if len(moves) == 3 else None
+        self._spin_axes = np.ascontiguousarray(self._axes) if self._turns else None
+        self._begin(self._spin_axes)
+        self._scene = model.opt
+        self._watch(self._data, self._steps, 0)
+
+    def _watch(self, data: Data, steps: JointSteps, at: int) -> None:
+        """Take a joint of the kernel's arrays, and views of the data of its scene.
+
+        They stay: a scene's arrays are where they were made, and so are the kernel's.
+        """
+        self._use(steps, at)
+        self._data, self._pose, reply = data, None, self._reply
+        self._solved = np.empty_like(self._units)
+        self._pose_of_tip, self._inverse_mass = steps.poses[at], steps.inverse_masses[at]
+        self._force, self._slope, self._spin = (reply[name] for name in ("force", "rate", "spin"))
+        turn, slides = self._turn, self._slides
+        self._turned = data.qpos[turn : turn + (4 if self._turns else 1)]
+        self._slid = data.qpos[slides[0] : slides[0] + 3] if len(slides) == 3 else None
         self._velocity, self._applied = data.qvel[self._dofs], data.qfrc_applied[self._dofs]
-        self._mass, self._scene = data.M, model.opt
+        self._mass = data.M
+        self._of_scene = _JOINTS.setdefault(data, WeakValueDictionary())
+        self._of_scene[self._dofs.start] = self
 
     def _read_pose(self, pose: Vector) -> None:
         """Write the tip's translation and quaternion, (7,)."""
@@ -194,24 +204,24 @@ class MujocoJoint(Joint):
         else:
             pose[self._moves] = self._data.qpos[self._slides]
 
-    def _push(self) -> None:
-        """Apply the wrench of this step, as far as the motion before it determines it.
-
-        The rest depends on the velocity after the step, and enters the mass matrix.
-        """
-        model, data, dt = self._model, self._data, self._scene.timestep
+    def _read(self) -> None:
+        """Write the pose and the inverse mass of this step into the kernel's arrays."""
         if self._unmoved:
             self._watch_base()
         self._read_pose(self._pose_of_tip)
-        engine.mj_solveM(model, data, self._solved, self._units)
+        engine.mj_solveM(self._model, self._data, self._solved, self._units)
         # Accelerations of the freedoms by unit loads on them.
         if len(self.free) == FREEDOMS:
             self._inverse_mass[:] = self._solved[:, self._dofs]
         else:
             self._inverse_mass[self._square] = self._solved[:, self._dofs]
-        self._steps.law(dt, self.damping)
-        self._heed()
-        force, slope = self._force, self._slope
+
+    def _push(self) -> None:
+        """Apply the wrench of this step, as far as the motion before it determines it.
+
+        The rest depends on the velocity after the step, and enters the mass matrix.
+        """
+        dt, force, slope = self._scene.timestep, self._force, self._slope
         if len(self.free) < FREEDOMS:
             force, slope = force[self.free], slope[self._square]
         if self._diagonal:  # nothing can be added to it: the last step's constraint forces stand
@@ -227,7 +237,7 @@ class MujocoJoint(Joint):
         """Return coverage, largest error bars and energy of all steps since `restart`."""
         parts, began = list(self._of_scene.values()), self._began
         time, energy = began or (0.0, np.nan)
-        if all(part._began == began for part in parts) and self._data.time >= time:
+        if began and all(part._began == began for part in parts) and self._data.time >= time:
             return report_of(self, time, _energy(parts) - energy)
         return report_of(self, time)
 
@@ -295,13 +305,18 @@ def step_joints(*joints: MujocoJoint) -> None:
     JointRangeError
         See `Joint.step`; the scene is where it was.
     """
-    _require_scene(joints)
+    require_scene(joints)
     model, data = joints[0]._model, joints[0]._data
     joints[0]._with_part = None
     engine.mj_step1(model, data)
     if joints[0]._with_part is None:  # joints_in_mj_step has not
         _pull(joints)
-    engine.mj_step2(model, data)
+    advance(joints)
+
+
+def advance(joints: Sequence[MujocoJoint]) -> None:
+    """Advance a scene whose joints pull."""
+    engine.mj_step2(joints[0]._model, joints[0]._data)
     for joint in joints:
         force, slope, _ = joint._law
         joint._law = force, slope, joint._velocity.copy()
@@ -314,11 +329,11 @@ def pull_joints(*joints: MujocoJoint) -> None:
     Until the next ``mj_step1`` or ``mj_forward`` ``data.M`` has the parts' implicit terms too. It
     raises as `step_joints` does.
     """
-    _require_scene(joints)
+    require_scene(joints)
     _pull(joints)
 
 
-def _require_scene(joints: tuple[MujocoJoint, ...]) -> None:
+def require_scene(joints: Sequence[MujocoJoint]) -> None:
     """Raise JointError if joints are not all those of one scene, or its step is not above zero."""
     if not joints or any(joint._data is not joints[0]._data for joint in joints):
         raise JointError("step_joints takes the joints of one scene: one or more of the same data")
@@ -340,7 +355,9 @@ def _require_scene(joints: tuple[MujocoJoint, ...]) -> None:
 def _pull(joints: Collection[MujocoJoint]) -> None:
     """Add the joints to the equation of motion, once ``mj_step1`` has computed pose and motion."""
     first = next(iter(joints))
-    model, data, scene = first._model, first._data, first._scene
+    model, data, dt = first._model, first._data, first._scene.timestep
+    if any(len(joint._steps.replies) > 1 for joint in joints):
+        raise JointError("a joint of MujocoJoints steps with all of them: call their step")
     for joint in joints:  # of a second call, unless MuJoCo has computed the matrix anew
         if joint._with_part is not None:
             if (data.M[joint._at_pairs] == joint._with_part).all():
@@ -348,14 +365,24 @@ def _pull(joints: Collection[MujocoJoint]) -> None:
                 engine.mj_factorM(model, data)
             joint._with_part = None
     for joint in joints:
-        joint._push()
-    engine.mj_factorM(model, data)
-    if scene.solver == _PGS or scene.noslip_iterations:
-        engine.mj_projectConstraint(model, data)
+        joint._read()
+        joint._steps.law(dt, joint.damping)
+        joint._heed()
+    push(joints)
     if new := [joint for joint in joints if joint._began is None]:
         began = float(data.time), _energy(joints)
         for joint in new:
             joint._began = began
+
+
+def push(joints: Collection[MujocoJoint]) -> None:
+    """Add wrenches and rates that the kernel has found to the equation of motion of a scene."""
+    for joint in joints:
+        joint._push()
+    first = next(iter(joints))
+    engine.mj_factorM(first._model, first._data)
+    if first._scene.solver == _PGS or first._scene.noslip_iterations:
+        engine.mj_projectConstraint(first._model, first._data)
 
 
 def _energy(joints: Collection[MujocoJoint]) -> float:

@@ -71,7 +71,7 @@ class JointReport:
 
 def report_of(joint: Joint, began: float = 0.0, energy_drift: float = np.nan) -> JointReport:
     """Review a joint's steps, of which the first began at a time, s; J, or NaN if not known."""
-    history, free, arrays = joint._steps.history[0], joint.free, joint._table.packed.arrays
+    history, free, arrays = joint._history, joint.free, joint._table.packed.arrays
     count = int(history["steps"])
 
     def largest(kind: str, names: tuple[str, ...]) -> dict[str, LargestError | None]:

@@ -136,6 +136,20 @@ def test_the_example_in_cpp_has_the_bits_of_python(folder, table, tmp_path):
     assert (code, "not a packed table" in error) == (1, True)
 
 
+@pytest.mark.parametrize("name", ["gz_joint.cpp", "ros2_joint.cpp"])
+def test_the_joints_examples_compile_against_stubs_of_their_engines(name, tmp_path):
+    """Gazebo and ROS are not here: engine_stubs.hpp has their declarations."""
+    if shutil.which("g++") is None:
+        pytest.skip("no g++")
+    source, here = SCENES / name, Path(__file__).parent
+    for header in re.findall(r"#include <(\w+/.*)>", source.read_text()):
+        (tmp_path / header).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / header).write_text('#include "engine_stubs.hpp"')
+    warn = ["-std=c++17", "-Wall", "-Wextra", "-Werror", "-fsyntax-only"]
+    places = [f"-I{place}" for place in (kernel_build.FOLDER, tmp_path, here)]
+    compiled(["g++", *warn, *places, source])
+
+
 def test_the_zip_holds_the_table_the_sources_and_the_header_of_the_kernel(folder, table):
     assert (folder / "plate_thin.wbt").read_bytes() == b"".join(pack(table))
     for path in kernel_build.sources():

@@ -1,0 +1,162 @@
+"""Many joints of one table in one call of the kernel, for environments that run at once."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wrenchbook.surrogate.kernel.joint import INDEFINITE, NO_MASS, NOT_FINITE, OK, JointSteps
+
+from ...contract import COVERAGE
+from ..errors import InvalidArgument, JointWarning, warn
+from ..wrenches import Vector
+from .joint import MAX_RANGES, Joint
+
+if TYPE_CHECKING:
+    from ..table import Table
+
+Array: TypeAlias = Any  # of numpy or PyTorch
+BEYOND = -1  # beside the kernel's codes: a pose beyond MAX_RANGES
+_STATUS = np.full(NO_MASS + 2, "no wrench at this pose", dtype=object)  # the last is BEYOND
+_STATUS[[OK, BEYOND, NOT_FINITE]] = "ok", "beyond twice the range", "not finite"
+_STATUS[[NO_MASS, INDEFINITE]] = "no inverse mass", "not positive definite"
+
+
+def status_of(joint: Joint, steps: JointSteps) -> NDArray[np.int32]:
+    """Return the codes (n,) of a call's joints; wrench and force of each not OK become NaN."""
+    replies, codes = steps.replies, np.array(steps.replies["status"])
+    doubtful = np.flatnonzero(codes == INDEFINITE)
+    if len(doubtful):
+        least, _ = joint._weakest(replies["stiffness"][doubtful])
+        codes[doubtful[~(least < 0.0)]] = OK
+    codes[(codes == OK) & ~(replies["ranges"] <= MAX_RANGES)] = BEYOND
+    replies["wrench"][codes != OK] = replies["force"][codes != OK] = np.nan
+    return codes
+
+
+class Joints:
+    """Many parts of one table, each between two bodies of its own, in one call a step.
+
+    Each has the numbers of a `Joint`, bit by bit. A joint without a wrench does not stop the
+    others: its wrench is NaN, `status` says why, and one `JointWarning` counts them. Table,
+    damping, options and errors are those of `Joint`; `count` is the number of joints, n.
+    """
+
+    joints: Sequence[Any] = ()  # of `MujocoJoints`
+
+    def __init__(self, table: Table, count: int, damping: float = 0.02, **options: Any) -> None:
+        if not (isinstance(count, int | np.integer) and count > 0):
+            raise InvalidArgument(f"count is the number of joints, 1 or more, not {count!r}")
+        self._hold(Joint(table, damping, **options), int(count), None)
+
+    def _hold(self, joint: Joint, count: int, axes: Vector | None) -> None:
+        """Keep the options of a joint, and make the kernel's arrays."""
+        self._joint, self._steps, self._warned = joint, joint.new_steps(count, axes), False
+        self._codes = np.zeros(count, dtype=np.int32)
+
+    def __len__(self) -> int:
+        return len(self._codes)
+
+    @property
+    def inputs(self) -> dict[str, float]:
+        """The table's further inputs by name, of all joints; assign a mapping to change them."""
+        return self._joint.inputs
+
+    @inputs.setter
+    def inputs(self, values: Mapping[str, float]) -> None:
+        self._joint.inputs = values
+        self._steps.inputs[:] = self._joint._steps.inputs
+        for joint in self.joints:
+            joint._further = self._joint._further
+
+    @property
+    def memory(self) -> Vector:
+        """Shape (n, k), to read and to write: what the joints keep from step to step."""
+        return self._steps.memory
+
+    @property
+    def wrenches(self) -> Vector:
+        """Shape (n, 6), N and N·m, of the last step; see `Joint.wrench`. NaN where none."""
+        return np.array(self._steps.replies["wrench"])
+
+    @property
+    def displacements(self) -> Vector:
+        """Shape (n, 6), m and rad, at the beginning of the last step."""
+        return np.array(self._steps.replies["displacement"])
+
+    @property
+    def errors(self) -> tuple[Vector, Vector]:
+        """Error bars (n, 6) of displacements, m and rad, and of the poses' wrenches, N and N·m."""
+        replies = self._steps.replies
+        return np.array(replies["pose_error"]), np.array(replies["wrench_error"])
+
+    @property
+    def coverage(self) -> NDArray[Any]:
+        """How the table covers the wrench of each pose, (n,): outside too where there is none."""
+        return np.array(COVERAGE)[self._steps.replies["coverage"]]
+
+    @property
+    def failed(self) -> NDArray[np.bool_]:
+        """Which joints had no wrench in the last step, (n,)."""
+        return self._codes != OK
+
+    @property
+    def status(self) -> NDArray[Any]:
+        """Of each joint, (n,): ``ok``, or why it has no wrench."""
+        return _STATUS[self._codes]
+
+    def restart(self, which: Any = slice(None)) -> None:
+        """Forget the last step of some joints, by a mask or indices; of all if none are given."""
+        for array in (self._steps.memory, self._codes, self._steps.replies):
+            array[which] = 0
+
+    def step(
+        self, poses: Array, velocities: Array, inverse_masses: Array, dt: float, threads: int = 0
+    ) -> Array:
+        """Return the wrenches on the parts during a step, (n, 6), N and N·m; see `Joint.step`.
+
+        `poses` (n, 7) are translations, m, and quaternions, w first, of the tips' interface frames
+        in their undeformed frames; `velocities` (n, 6); `inverse_masses` (n, 6, 6), or (6, 6) for
+        all; `threads` 0 is one a processor. Tensors of PyTorch give a tensor of the poses' type and
+        device, without gradients: those of a GPU are copied to the host and back. InvalidArgument
+        if a shape is wrong or the step not above zero.
+        """
+        steps, n = self._steps, len(self)
+        arrays = poses, velocities, inverse_masses
+        given = [np.asarray(a.detach().cpu() if hasattr(a, "detach") else a) for a in arrays]
+        shapes = tuple(array.shape for array in given)
+        if shapes not in (((n, 7), (n, 6), (n, 6, 6)), ((n, 7), (n, 6), (6, 6))):
+            raise InvalidArgument(
+                f"poses, velocities and inverse_masses of {n} joints have shapes ({n}, 7), "
+                "({0}, 6) and ({0}, 6, 6), not {1}, {2} and {3}".format(n, *shapes)
+            )
+        if not (math.isfinite(dt) and dt > 0):
+            raise InvalidArgument(f"a step is above zero, not {dt} s")
+        steps.poses[:], steps.velocities[:], steps.inverse_masses[:] = given
+        steps.step(dt, self._joint.damping, threads or os.cpu_count() or 1)
+        self._heed()
+        found = steps.replies["wrench"]
+        return poses.new_tensor(found) if hasattr(poses, "new_tensor") else np.array(found)
+
+    def _heed(self) -> None:
+        """Keep the joints' status, and warn once of each kind."""
+        self._codes, replies = status_of(self._joint, self._steps), self._steps.replies
+        failed, within = self.status[self.failed].tolist(), replies["ranges"] <= 1.0
+        if failed and not self._warned:
+            self._warned = True
+            counts = ", ".join(f"{failed.count(kind)} {kind}" for kind in dict.fromkeys(failed))
+            warn(
+                f"{self._joint._name}: {len(failed)} of {len(self)} joints have no wrench in this "
+                f"step, NaN: {counts}; `status` has each. {self._joint._remedy}. This is said once",
+                JointWarning,
+            )
+        if (~self.failed & ~within).any():
+            self._joint._warn_beyond()
+        uncovered = np.flatnonzero(~self.failed & within & (replies["coverage"] > 0))
+        if len(uncovered):
+            self._joint._warn_uncovered(replies["still"][uncovered[0]])

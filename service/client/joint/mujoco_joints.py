@@ -1,0 +1,90 @@
+"""The joint in many MuJoCo environments of one scene: one call of the kernel a step for all."""
+
+from __future__ import annotations
+
+import copy
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import InvalidArgument
+from .joints import Joints
+from .mujoco_joint import Data, Model, MujocoJoint, advance, engine, push, require_scene
+
+if TYPE_CHECKING:
+    from ..table import Table
+
+
+class MujocoJoints(Joints):
+    """A part in each of many MuJoCo environments of one scene, with one call of the kernel a step.
+
+    Each has the bits of a `MujocoJoint`. An environment whose joint has no wrench stays where it
+    was: `failed` and `status` name it. Reset its data and call ``restart`` for it. `datas` are the
+    MjData of the environments; `joints` has the `MujocoJoint` of each, to read. Base, tip, options
+    and errors are those of `MujocoJoint`.
+    """
+
+    def __init__(
+        self, model: Model, datas: Sequence[Data], table: Table, *bodies: Any, **options: Any
+    ) -> None:
+        if not len(datas) or len({id(data) for data in datas}) < len(datas):
+            raise InvalidArgument("datas are one MjData an environment: one or more, each once")
+        if any(data.signature != model.signature for data in datas):
+            raise InvalidArgument("datas are of another model than the one given")
+        first = MujocoJoint(model, datas[0], table, *bodies, **options)
+        self.joints = [first, *(copy.copy(first) for _ in datas[1:])]
+        self._model, self._pool = model, ThreadPoolExecutor()
+        self._hold(first, len(datas), first._spin_axes)
+        for at, (joint, data) in enumerate(zip(self.joints, datas, strict=True)):
+            joint._watch(data, self._steps, at)
+
+    @property
+    def wrenches(self) -> np.ndarray:
+        """Shape (n, 6), N and N·m, of the last step; see `Joint.wrench`. NaN where none."""
+        return np.array([joint.wrench for joint in self.joints])
+
+    def restart(self, which: Any = slice(None)) -> None:
+        """Forget the last step of some environments, by a mask or indices; of all without."""
+        super().restart(which)
+        for at in np.atleast_1d(np.arange(len(self))[which]).tolist():
+            self.joints[at].restart()
+
+    def step(self, *others: MujocoJoints, threads: int = 0) -> None:  # type: ignore[override]
+        """Advance each environment by one time step, in the place of ``mj_step``.
+
+        `others` are the joints at other tips of the same environments; with no `threads` there is
+        one a processor. Errors are those of `step_joints`.
+        """
+        batches, threads = (self, *others), max(threads, 0) or os.cpu_count() or 1
+        if any(len(batch) != len(self) for batch in others):
+            raise InvalidArgument("joints of one step have the same environments, in one order")
+        scenes = list(zip(*(batch.joints for batch in batches), strict=True))
+        for joints in scenes:
+            require_scene(joints)
+        self._share(self._begin, scenes, threads)
+        for batch in batches:
+            batch._steps.law(self._model.opt.timestep, batch._joint.damping, threads)
+            batch._heed()
+        failed = np.any([batch.failed for batch in batches], axis=0)
+        for batch in batches:
+            for joint in (batch.joints[at] for at in np.flatnonzero(batch.failed).tolist()):
+                joint._law = np.full(len(joint.free), np.nan), *joint._law[1:]
+        advanced = [joints for joints, stays in zip(scenes, failed, strict=True) if not stays]
+        self._share(self._end, advanced, threads)
+
+    def _begin(self, joints: Sequence[MujocoJoint]) -> None:
+        engine.mj_step1(self._model, joints[0]._data)
+        for joint in joints:
+            joint._read()
+
+    def _end(self, joints: Sequence[MujocoJoint]) -> None:
+        push(joints)
+        advance(joints)
+
+    def _share(self, work: Callable[[Any], None], scenes: Sequence[Any], threads: int) -> None:
+        """Do work on all scenes; MuJoCo leaves the interpreter to other threads."""
+        parts = [scenes[k::threads] for k in range(threads)]
+        list(self._pool.map(lambda part: [work(joints) for joints in part], parts))
