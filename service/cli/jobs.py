@@ -5,14 +5,18 @@ from __future__ import annotations
 import json
 import time
 from typing import Annotated
+from urllib.parse import urlencode
 
 import typer
 from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
 
 from wrenchbook.service.cli.connect import DEFAULT_SERVER, AsJson, Data, Server, connected
 from wrenchbook.service.cli.render import Screen, job_table, plain, show
 from wrenchbook.service.client import Client, Event
 
+MAX_STATE = 60  # characters of a state in the table of the audit; --json prints all
 MAX_SHOWN = 50  # open jobs in the table before the first event
 
 
@@ -39,6 +43,31 @@ def jobs(
     last = listed[-1:] if len(listed) == limit else []
     older = [f"Older ones: wrenchbook jobs --after {job.id}" for job in last]
     show([job.raw for job in listed], as_json, lambda: [job_table(listed), *older])
+
+
+def audit(
+    component: Annotated[str | None, typer.Option(help="only of this component")] = None,
+    actor: Annotated[str | None, typer.Option(help="only by it: a key, or user:NAME")] = None,
+    action: Annotated[str | None, typer.Option(help="only this: row.withdraw, or job.*")] = None,
+    since: Annotated[str | None, typer.Option(help="from this time on, ISO 8601")] = None,
+    until: Annotated[str | None, typer.Option(help="before this time")] = None,
+    limit: Annotated[int, typer.Option(min=1, help="largest number of entries")] = 100,
+    after: Annotated[int | None, typer.Option(help="only entries older than this one")] = None,
+    as_json: AsJson = False,
+    server: Server = DEFAULT_SERVER,
+    data: Data = None,
+) -> None:
+    """List writes with their actors, newest first."""
+    options = {"component": component, "actor": actor, "action": action, "since": since}
+    options |= {"until": until, "limit": limit, "after": after}
+    query = urlencode({name: value for name, value in options.items() if value is not None})
+    with connected(server, data) as client:
+        entries = client.call_json("GET", f"/v1/audit?{query}")["entries"]
+    table = Table("id", "time", "actor", "action", "component", "object", "after")
+    for entry in entries:
+        row = (str(entry[name] or "") for name in ("id", "time", "actor", "action", "component"))
+        table.add_row(*row, entry["object"], escape(json.dumps(entry["after"])[:MAX_STATE]))
+    show(entries, as_json, lambda: [table])
 
 
 def follow_jobs(

@@ -19,7 +19,8 @@ from uvicorn.config import STARTUP_FAILURE
 from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.jobs.dispatcher import Dispatcher
 from wrenchbook.service.jobs.solver_pool import LocalEngine
-from wrenchbook.service.ledger import FINAL, Ledger, LedgerError
+from wrenchbook.service.keys import OWN_KEY
+from wrenchbook.service.ledger import FINAL, Ledger, LedgerError, noted
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.settings import Settings
 from wrenchbook.service.tables.build import TableBuilder
@@ -50,10 +51,21 @@ def opened(settings: Settings) -> Iterator[Parts]:
     try:
         if trouble := ledger.trouble():
             log.error("nothing is accepted until this is repaired: %s", trouble)
+        elif OWN_KEY not in os.environ:  # of no server for the length of a command
+            note_settings(ledger, settings)
         library = Library(folder / "components", allow_decks=settings.allow_decks)
         yield ledger, library, SolverErrors(ledger)
     finally:
         ledger.close()
+
+
+def note_settings(ledger: Ledger, settings: Settings) -> None:
+    """Note in the audit the settings that differ from those of the start before."""
+    known = ledger.audit(action="settings", limit=1)
+    before, after = known[0].after if known else None, vars(settings) | {"data": str(settings.data)}
+    if before != after:
+        with noted(ledger, "settings", "serve", before=before, after=after):
+            pass
 
 
 @contextmanager
