@@ -10,7 +10,8 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import asdict
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
@@ -51,21 +52,10 @@ def opened(settings: Settings) -> Iterator[Parts]:
     try:
         if trouble := ledger.trouble():
             log.error("nothing is accepted until this is repaired: %s", trouble)
-        elif OWN_KEY not in os.environ:  # of no server for the length of a command
-            note_settings(ledger, settings)
         library = Library(folder / "components", allow_decks=settings.allow_decks)
         yield ledger, library, SolverErrors(ledger)
     finally:
         ledger.close()
-
-
-def note_settings(ledger: Ledger, settings: Settings) -> None:
-    """Note in the audit the settings that differ from those of the start before."""
-    known = ledger.audit(action="settings", limit=1)
-    before, after = known[0].after if known else None, vars(settings) | {"data": str(settings.data)}
-    if before != after:
-        with noted(ledger, "settings", "serve", before=before, after=after):
-            pass
 
 
 @contextmanager
@@ -207,7 +197,20 @@ def run(settings: Settings, started: threading.Event) -> None:
         sys.exit(STARTUP_FAILURE)
     try:
         with opened(settings) as parts, building(settings, parts, state):
+            if OWN_KEY not in os.environ:  # of no server for the length of a command
+                note_settings(parts[0], settings)
             started.set()
             stop.wait()
     finally:
         state.release()
+
+
+def note_settings(ledger: Ledger, settings: Settings) -> None:
+    """Note in the audit the settings that differ from those of the start before."""
+    with suppress(LedgerError):  # tables answer without it
+        known = ledger.audit(action="settings", limit=1)
+        before, after = known[0].after if known else None, asdict(settings)
+        after["data"] = str(settings.data)
+        if before != after:
+            with noted(ledger, "settings", "serve", before=before, after=after):
+                pass

@@ -31,10 +31,12 @@ from wrenchbook.surrogate.table.space import DEFAULT
 async def _touched(request: Request, workspace: Opened) -> None:
     """Refuse the job of a component that the key may not touch, as if there were none."""
     caller, job_id = CALLER.get(), request.path_params.get("job_id", "")
-    if caller.components != ANY and job_id.isdecimal() and int(job_id[:20]) < 2**63:
-        job = await run_in_threadpool(workspace.ledger.job, int(job_id[:20]))
-        if not caller.touches(job.component):
-            raise UnknownJobError(f"there is no job {job_id}; GET /v1/jobs lists all")
+    if caller.components != ANY and job_id:
+        if job_id.isdecimal() and len(job_id) < 19:
+            job = await run_in_threadpool(workspace.ledger.job, int(job_id))
+            if caller.touches(job.component):
+                return
+        raise UnknownJobError("the key may touch no job of that number; GET /v1/jobs lists all")
 
 
 router = APIRouter(
