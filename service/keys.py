@@ -34,7 +34,6 @@ SCOPES: Final[tuple[Scope, ...]] = get_args(Scope)
 
 FILE: Final = "keys.json"
 USED: Final = "keys-used"  # folder: a file a key, whose date is that of its last use
-USED_S: Final = 60.0  # between two notes of a key's use, in each process
 OVERLAP_HOURS: Final = 24.0  # that the old secret of a rotated key is valid: a day's deployments
 LOOK_S: Final = 0.5  # between checks of the file: a revoked key is valid at most so long
 MAX_KEYS: Final = 1000
@@ -136,27 +135,25 @@ class Keyring:
         """Return whether a key is one of these, with the same scope and limits."""
         return self._keys.get(key.digest) == key and key.is_valid()
 
-    def note_use(self, key: Key) -> None:
-        """Note that a key is used now."""
+    def note_use(self, key: Key, every_s: float) -> None:
+        """Note that a key is used now, unless a process has noted it in the last `every_s`."""
         path = self._path.with_name(USED) / key.digest[:16]
         with suppress(OSError):  # a key answers on a full disk
-            path.parent.mkdir(mode=0o700, exist_ok=True)
-            path.touch(mode=0o600)
+            if abs(time.time() - (self.last_use(key) or 0.0)) >= every_s:
+                path.parent.mkdir(mode=0o700, exist_ok=True)
+                path.touch(mode=0o600)
+
+    def last_use(self, key: Key) -> float | None:
+        """Return the time of a key's last use, seconds since the epoch; None if never."""
+        path = self._path.with_name(USED) / key.digest[:16]
+        return path.stat().st_mtime if path.exists() else None
 
     def public(self) -> list[dict[str, Any]]:
-        """Return what may be seen of all keys, by name, with `last_used`; None if never."""
-        listed = []
-        for key in self.listed():
-            path = self._path.with_name(USED) / key.digest[:16]
-            used = path.stat().st_mtime if path.exists() else None
-            listed.append(key.public() | {"last_used": used})
-        return listed
+        """Return all keys by name, without their digests, with their `last_used`."""
+        return [key.public() | {"last_used": self.last_use(key)} for key in self.listed()]
 
     def look(self, patience: float = LOOK_S) -> int:
-        """Read the file if commands have changed it; return a number that differs then.
-
-        And once a key has expired.
-        """
+        """Read the file if it was changed; return a number that differs then, or at an expiry."""
         now = time.monotonic()
         if now < self._next_look and patience:
             return self.version
@@ -197,18 +194,17 @@ class Keyring:
         secret = PREFIX + secrets.token_urlsafe(32)
         with self._changing() as keys:
             known = [key for key in keys.values() if key.name == name and key.is_valid()]
-            if not known:
-                raise KeysError(f"there is no key {name!r} that is valid; make one: keys add")
-            old, now = max(known, key=lambda key: key.created), time.time()
-            if not 0.0 <= overlap_s < 1e9:
-                raise KeysError("the overlap is a number of hours from 0")
-            end = min(old.expires or math.inf, now + overlap_s)
-            keys |= {
-                key.digest: replace(key, expires=min(key.expires or end, end)) for key in known
-            }
-            keys[digest_of(secret)] = replace(old, digest=digest_of(secret), created=now)
-            for key in [key for key in keys.values() if key.name == name and not key.is_valid()]:
-                del keys[key.digest]
+            if not known or not 0.0 <= overlap_s < 1e9 or len(keys) >= MAX_KEYS:
+                why = f"there is no key {name!r} that is valid, or there are {MAX_KEYS} keys"
+                raise KeysError(f"{why}, or the overlap is no number of hours from 0")
+            newest, now = max(known, key=lambda key: key.created), time.time()
+            for old in known:
+                del keys[old.digest]
+                end = min(old.expires or math.inf, now + overlap_s)
+                if end > now:
+                    keys[old.digest] = replace(old, expires=end)
+            digest = digest_of(secret)
+            keys[digest] = replace(newest, digest=digest, created=now)
         return secret
 
     def revoke(self, name: str) -> None:
@@ -296,12 +292,11 @@ def _checked(fields: dict[str, Any]) -> Key:
         raise ValueError(f"the rate is a number of requests a second above 0, not {key.rate!r}")
     if not (isinstance(key.megabytes, int) and 0 < key.megabytes < 1 << 20):
         raise ValueError(f"the largest body is a number of MiB above 0, not {key.megabytes!r}")
-    if not 0 < len(key.components) <= _MAX_PATTERNS or not all(
-        isinstance(part, str) and _PATTERN.fullmatch(part) for part in key.components
-    ):
+    named = key.components[:_MAX_PATTERNS] == key.components != ()
+    if not (named and all(_PATTERN.fullmatch(str(part)) for part in key.components)):
         raise ValueError(
-            f"{list(key.components)!r} are no patterns of components: up to {_MAX_PATTERNS} of "
-            "letters, digits, '_', '-', * and ?"
+            f"{key.components!r} are no patterns of components: up to {_MAX_PATTERNS} of letters, "
+            "digits, '_', '-', * and ?"
         )
     if not (key.expires is None or (isinstance(key.expires, int | float) and key.expires > 0)):
         raise ValueError(f"a key expires at seconds since the epoch, not {key.expires!r}")

@@ -16,15 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from wrenchbook.service.ledger import (
-    JobRecord,
-    Ledger,
-    OpenJob,
-    Quota,
-    QuotaError,
-    packed,
-    unpacked,
-)
+from wrenchbook.service.ledger import JobRecord, Ledger, OpenJob, Quota, packed, unpacked
+from wrenchbook.service.ledger.records import QuotaError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.settings import Settings

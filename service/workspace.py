@@ -164,8 +164,7 @@ class Workspace:
         self.catalogue = Catalogue(self.ledger)
         self.query_counts = QueryStatistics(self.ledger)
         self.quota = Quota(settings.actor_jobs, settings.actor_seconds)
-        limits = settings.queue_limit, self.quota
-        self.submission = Submission(self.ledger, self.library, *limits)
+        self.submission = Submission(self.ledger, self.library, settings.queue_limit, self.quota)
         self.errors = SolverErrors(self.ledger)
         self.tables = MappedTables(
             TableStore(settings.data / "tables", self.ledger, self.errors),

@@ -22,17 +22,8 @@ from wrenchbook.service.actors import ANONYMOUS, ANY, CALLER, LOCAL, USER, Calle
 from wrenchbook.service.events import Listener
 from wrenchbook.service.http.body import counted
 from wrenchbook.service.http.problems import HttpProblemError
-from wrenchbook.service.http.proxy import PEER, ProxyTrust
-from wrenchbook.service.keys import (
-    MAX_KEYS,
-    OWN_KEY,
-    USED_S,
-    Key,
-    Keyring,
-    Scope,
-    digest_of,
-    is_loopback,
-)
+from wrenchbook.service.http.proxy import PEER, PEER_FIELD, ProxyTrust
+from wrenchbook.service.keys import MAX_KEYS, OWN_KEY, Key, Keyring, Scope, digest_of, is_loopback
 
 LOOPBACK_NAMES: Final = frozenset({"localhost", "127.0.0.1", "::1"})
 PERMISSION: Final = "wrenchbook.permission"  # its key in a request's scope
@@ -61,6 +52,7 @@ _BURST_S: Final = 2.0  # a burst is what this many seconds allow
 # Share of a second's requests that a process takes from the common bucket at a time: a lock costs
 # 2 µs, an answer 50. What a process has taken and not used is at most half a percent of a burst.
 _TAKEN: Final = 0.01
+_USED_S: Final = 60.0  # between two notes of a key's use
 _BUCKET: Final = Struct("=8sd")  # begin of a key's digest; monotonic time at which it is full
 _TRIES: Final = 1000  # for the lock, 1 ms; its holder was stopped in the middle of it then
 
@@ -70,8 +62,7 @@ _TWO_USERS: Final = HttpProblemError(
     400,
     "users",
     "More than one user",
-    "The header of the user, or of the groups, is there more than once; nothing was changed. The "
-    "proxy must replace what callers send.",
+    "The header of the user or of the groups is there twice: the proxy must replace what is sent.",
 )
 
 _NOTHING: Final = b"default-src 'none'; frame-ancestors 'none'; sandbox"
@@ -195,7 +186,7 @@ class Rates:
 class Permission:
     """What a key may do, with the `rates` it shares; without a key all, and nothing is counted."""
 
-    __slots__ = ("_keyring", "_noted", "_rates", "_remaining", "caller", "key")
+    __slots__ = ("_keyring", "_note_at", "_rates", "_remaining", "caller", "key")
 
     def __init__(
         self, key: Key | None = None, rates: Rates | None = None, keyring: Keyring | None = None
@@ -203,7 +194,7 @@ class Permission:
         self.key = key
         self._rates = rates
         self._remaining = 0
-        self._keyring, self._noted = keyring, -USED_S  # of a stored key the use is noted
+        self._keyring, self._note_at = keyring, 0.0  # of a stored key the use is noted
         self.caller = Caller(ANONYMOUS)
         if key is not None:
             self.caller = Caller(key.name, key.components, key.allows("admin"))
@@ -216,9 +207,9 @@ class Permission:
         """Count one request: 0, or the seconds until there is one again."""
         if self.key is None or self._rates is None:
             return 0.0
-        if self._keyring is not None and (now := time.monotonic()) >= self._noted + USED_S:
-            self._noted = now
-            self._keyring.note_use(self.key)
+        if self._keyring is not None and (now := time.time()) >= self._note_at:
+            self._note_at = now + _USED_S
+            self._keyring.note_use(self.key, _USED_S)
         if not self._remaining:
             self._remaining, seconds = self._rates.take(self.key)
             if not self._remaining:
@@ -258,8 +249,8 @@ class AccessControl:
     @property
     def keys_needed(self) -> bool:
         """Whether every call needs a key."""
-        proxy = self.security.proxy is not None
-        return self.security.keys_needed or proxy or len(self.keyring) > 0
+        security = self.security
+        return security.keys_needed or security.proxy is not None or len(self.keyring) > 0
 
     def admit(self, path: str, head: Mapping[bytes, bytes]) -> Permission | None:
         """Return the permission of a query of the fast path; None for the ordinary path.
@@ -303,7 +294,8 @@ class AccessControl:
                 if proxy and (names.count(proxy.user) > 1 or names.count(proxy.groups) > 1):
                     raise _TWO_USERS
                 peer = scope.get(PEER) or (scope.get("client") or ("",))[0]
-                scope[PERMISSION] = self.check(scope["method"], scope["path"], head, peer)
+                head[PEER_FIELD] = peer.encode()
+                scope[PERMISSION] = self.check(scope["method"], scope["path"], head)
         except HttpProblemError as refused:
             await refused.response()(scope, receive, send)
             return None
@@ -319,7 +311,6 @@ class AccessControl:
         path: str,
         head: Mapping[bytes, bytes],
         peer: str = "",
-        *,
         counts: bool = True,
     ) -> Permission:
         """Check a request by its head, and return its permission; `counts`: for its key's rate.
@@ -330,7 +321,7 @@ class AccessControl:
         if method in ("GET", "HEAD") and (path in _PUBLIC or path.startswith(_PUBLIC_FOLDERS)):
             return OPEN
         self._check_origin(head)
-        permission = self._permission(head, peer)
+        permission = self._permission(head)
         # Whether a displacement queues anything stands in its body, which is read later.
         is_query = path.startswith("/v1/components/") and path.endswith(_QUERIES)
         reads = method in _READING or (method == "POST" and is_query)
@@ -401,11 +392,11 @@ class AccessControl:
             f"{site[:100] if '://' in site else 'ORIGIN'}",
         )
 
-    def _permission(self, head: Mapping[bytes, bytes], peer: str) -> Permission:
+    def _permission(self, head: Mapping[bytes, bytes]) -> Permission:
         self.refresh()
         if not self.keys_needed:
             return OPEN
-        if self.security.proxy is not None and (user := self.security.proxy.key_of(head, peer)):
+        if self.security.proxy is not None and (user := self.security.proxy.key_of(head)):
             if len(self._users) >= MAX_KEYS:
                 self._users.clear()
             return self._users.setdefault((user.name, user.scope), Permission(user, self._rates))
@@ -463,16 +454,15 @@ def _check_components(caller: Caller, method: str, path: str) -> None:
     if caller.components == ANY:
         return
     name = path.split("/")[3] if path.startswith("/v1/components/") else None
-    limited = path in _LIMITED or path.startswith(_LIMITED_NAMED)
-    limited = limited or (method == "GET" and (f"{path}/").startswith(_RIGS))
+    is_read_rig = method == "GET" and f"{path}/".startswith(_RIGS)
+    limited = path in _LIMITED or path.startswith(_LIMITED_NAMED) or is_read_rig
     if limited and (name is None or caller.touches(name)):
         return
-    patterns = ", ".join(caller.components)
     raise HttpProblemError(
         403,
         "components",
         "The key is not for this component",
-        f"The key {caller.actor!r} is for components {patterns}, and this call is of "
+        f"The key {caller.actor!r} is for {', '.join(caller.components)}, and this call is of "
         f"{'the whole server' if name is None else repr(name[:100])}; nothing was changed. Make "
         "another with: wrenchbook keys add NAME --component PATTERN",
     )

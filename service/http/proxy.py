@@ -14,8 +14,10 @@ from wrenchbook.service.keys import SCOPES, Key, Scope, digest_of
 from wrenchbook.service.settings import Settings, SettingsError
 
 PEER: Final = "wrenchbook.peer"  # key in a scope: the address that a connection comes from
+PEER_FIELD: Final = b":peer"  # the same among the header fields; no caller can send a ":" in a name
 _HEADER: Final = re.compile(r"[A-Za-z0-9-]{1,64}")
 _USER: Final = re.compile(r"[A-Za-z0-9][\w.@+:/=|-]{0,127}", re.ASCII)  # a mail, or an id
+_OF_CALLERS: Final = ("authorization", "cookie", "host")  # proxies pass these on
 _MAX_GROUPS: Final = 1000
 
 
@@ -28,13 +30,13 @@ class ProxyTrust:
     groups: bytes
     scopes: Mapping[str, Scope]
 
-    def key_of(self, head: Mapping[bytes, bytes], peer: str) -> Key | None:
+    def key_of(self, head: Mapping[bytes, bytes]) -> Key | None:
         """Return the user of a request as a key that is stored nowhere; None if none is named.
 
         The header of any other address is ignored. Raises HttpProblemError, 403.
         """
         sent = head.get(self.user, b"").decode("latin-1").strip()
-        if not sent or not self.trusts(peer):
+        if not sent or not self.trusts(head.get(PEER_FIELD, b"").decode()):
             return None
         if not _USER.fullmatch(sent):
             raise _refused(f"The proxy names a user {sent[:100]!r}, which is no mail or id.")
@@ -64,7 +66,7 @@ def proxy_trust(settings: Settings) -> ProxyTrust | None:
             raise SettingsError("name the header of the user too: --trust-proxy-user HEADER")
         return None
     for header in filter(None, (user, groups)):
-        if not _HEADER.fullmatch(header) or header.lower() in ("authorization", "cookie", "host"):
+        if not _HEADER.fullmatch(header) or header.lower() in _OF_CALLERS:
             raise SettingsError(f"{header!r} is no header that a proxy names a user by")
     scopes: dict[str, Scope] = {}
     for part in settings.trust_proxy_scopes.split(","):

@@ -533,11 +533,10 @@ def _charged(db: Connection, component: str, quota: Quota | None) -> str:
         return actor
     if quota.open_jobs is not None:
         open_ = "SELECT count(*) FROM jobs WHERE status IN ('waiting', 'running') AND actor = ?"
-        if (count := db.execute(open_, (actor,)).fetchone()[0]) >= quota.open_jobs:
+        if db.execute(open_, (actor,)).fetchone()[0] >= quota.open_jobs:
             raise QuotaError(
                 f"{actor} would have more than {quota.open_jobs} open jobs, its quota (serve "
-                f"--actor-jobs), with {count} and those of this call. Nothing was queued; wait "
-                "until some have ended, or cancel some",
+                "--actor-jobs). Nothing was queued; wait until some have ended, or cancel some",
                 solve_seconds(db, component) or UNKNOWN_SECONDS,
             )
     if quota.solver_seconds is not None:
