@@ -16,7 +16,6 @@ from wrenchbook.service.cli.connect import DEFAULT_SERVER, AsJson, Data, Server,
 from wrenchbook.service.cli.render import Screen, job_table, plain, show
 from wrenchbook.service.client import Client, Event
 
-MAX_STATE = 60  # characters of a state in the table of the audit; --json prints all
 MAX_SHOWN = 50  # open jobs in the table before the first event
 
 
@@ -57,16 +56,15 @@ def audit(
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
-    """List writes with their actors, newest first."""
+    """List writes with their actors, newest first; --json has the states before and after."""
     options = {"component": component, "actor": actor, "action": action, "since": since}
     options |= {"until": until, "limit": limit, "after": after}
     query = urlencode({name: value for name, value in options.items() if value is not None})
     with connected(server, data) as client:
         entries = client.call_json("GET", f"/v1/audit?{query}")["entries"]
-    table = Table("id", "time", "actor", "action", "component", "object", "after")
+    table = Table(*(names := ("id", "time", "actor", "action", "component", "object")))
     for entry in entries:
-        row = (str(entry[name] or "") for name in ("id", "time", "actor", "action", "component"))
-        table.add_row(*row, entry["object"], escape(json.dumps(entry["after"])[:MAX_STATE]))
+        table.add_row(*(escape(str(entry[name] or "")) for name in names))
     show(entries, as_json, lambda: [table])
 
 

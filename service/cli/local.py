@@ -310,10 +310,11 @@ def rotate(
 def list_(as_json: AsJson = False, data: Folder = DEFAULT_DATA) -> None:
     """List the keys, without their secrets."""
     listed = Keyring(data).public()
-    dates = ("created", "expires", "last_used")
+    dates = {"made": "created", "ends": "expires", "used": "last_used"}
     table = Table("name", "scope", "components", *dates, "a second", "MiB")
     for key in listed:
-        at = [key[date] and time.strftime("%Y-%m-%d", time.gmtime(key[date])) for date in dates]
+        times = [key[field] for field in dates.values()]
+        at = [seconds and time.strftime("%Y-%m-%d", time.gmtime(seconds)) for seconds in times]
         fields = key["name"], key["scope"], ", ".join(key["components"]), *at
         table.add_row(*fields, f"{key['rate']:g}", str(key["megabytes"]))
     show(listed, as_json, lambda: [table])

@@ -82,7 +82,7 @@ def test_only_the_proxy_has_ports_and_it_speaks_tls():
         {"source": "caddyfile", "target": "/etc/caddy/Caddyfile"}
     ]
     content = COMPOSE["configs"]["caddyfile"]["content"]
-    assert "reverse_proxy server:8000" in content
+    assert "reverse_proxy ${UPSTREAM:-server:8000}" in content
     assert content.startswith("${SITE:-localhost} {")  # a name without http:// has TLS
 
 
