@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from datetime import datetime
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
+from pydantic import AwareDatetime
 from starlette.responses import Response
 
 from wrenchbook.service.http.openapi import refused
@@ -24,8 +24,8 @@ def list_audit(
     action: Annotated[
         str | None, Query(max_length=64, description="such as row.withdraw, or job.*")
     ] = None,
-    since: Annotated[datetime | None, Query(description="from this time on, UTC")] = None,
-    until: Annotated[datetime | None, Query(description="before this time, UTC")] = None,
+    since: Annotated[AwareDatetime | None, Query(description="from this time on")] = None,
+    until: Annotated[AwareDatetime | None, Query(description="before this time")] = None,
     limit: Annotated[int, Query(ge=1, le=10_000)] = 1000,
     after: Annotated[
         int | None, Query(ge=1, lt=2**63, description="go on after this entry, to older ones")
