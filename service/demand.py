@@ -18,6 +18,7 @@ import numpy as np
 
 from wrenchbook.service.contract import COVERAGE
 from wrenchbook.service.ledger import Ledger, LedgerError
+from wrenchbook.service.ledger.audit import note
 from wrenchbook.service.ledger.connection import Connection
 from wrenchbook.surrogate.table.rows import LoadRange
 
@@ -156,6 +157,7 @@ class QueryStatistics:
         """Begin a component's map anew; raises LedgerUnavailableError."""
         with self._ledger.writing(durable=False) as db:
             db.execute("DELETE FROM demand WHERE component = ?", (name,))
+            note(db, "demand.forget", name, name)
         with self._lock:
             self._unsaved.pop(name, None)
 

@@ -10,17 +10,19 @@ import hashlib
 import ipaddress
 import json
 import logging
+import math
 import os
 import re
 import secrets
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
+from wrenchbook.service.actors import ANY
 from wrenchbook.service.files.durable import write_whole_bytes
 from wrenchbook.service.files.lock import take
 
@@ -31,6 +33,8 @@ SCOPES: Final[tuple[Scope, ...]] = get_args(Scope)
 """From the least to the most: each allows what those before it do."""
 
 FILE: Final = "keys.json"
+USED: Final = "keys-used"  # folder: a file a key, whose date is that of its last use
+OVERLAP_HOURS: Final = 24.0  # that the old secret of a rotated key is valid: a day's deployments
 LOOK_S: Final = 0.5  # between checks of the file: a revoked key is valid at most so long
 MAX_KEYS: Final = 1000
 OWN_KEY: Final = "WRENCHBOOK_OWN_KEY"  # a private server's, in its environment
@@ -41,6 +45,8 @@ components; a server answers some 10,000."""
 MEGABYTES: Final = 512
 """Largest body a key may send unless said otherwise, MiB: that of the largest bundle."""
 
+_PATTERN: Final = re.compile(r"[A-Za-z0-9_*?-]{1,64}")  # the same to fnmatch and to SQLite's GLOB
+_MAX_PATTERNS: Final = 100
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}")
 _WITHOUT_KEYS: Final = (
     "{host} is reached from other machines, and {folder} has no keys: anybody there could change "
@@ -64,7 +70,9 @@ class Key:
 
     The digest is SHA-256, hexadecimal: the secret has 256 random bits, so a slower function gains
     nothing. `rate` is in requests a second, with twice as many at once; `megabytes` the largest
-    body, MiB; `created` seconds since the epoch.
+    body, MiB; `created` and `expires`, the end of its validity, are seconds since the epoch. It is
+    for components whose name matches a pattern of `components`. A rotated key has two secrets, and
+    so two of these, until the older one expires.
     """
 
     name: str
@@ -73,6 +81,12 @@ class Key:
     created: float
     rate: float = RATE
     megabytes: int = MEGABYTES
+    components: tuple[str, ...] = ANY
+    expires: float | None = None
+
+    def is_valid(self) -> bool:
+        """Return whether the key has not expired."""
+        return self.expires is None or time.time() < self.expires
 
     def allows(self, scope: Scope) -> bool:
         """Return whether the key's scope includes another."""
@@ -99,7 +113,7 @@ class Keyring:
         self._lock = threading.Lock()
         self._stamp: tuple[int, int, int] | None = None
         self._keys: dict[str, Key] = {}
-        self._next_look = 0.0
+        self._next_look, self._next_end = 0.0, 0.0
         self.version = 0
         self._read()
 
@@ -112,16 +126,34 @@ class Keyring:
         return sorted(self._keys.values(), key=lambda key: key.name)
 
     def find(self, secret: str) -> Key | None:
-        """Return the key of a secret; None if there is none."""
+        """Return the key of a secret; None if there is none that is valid."""
         # Looked up by digest: the time it takes reveals nothing about the secrets.
-        return self._keys.get(digest_of(secret))
+        key = self._keys.get(digest_of(secret))
+        return key if key is not None and key.is_valid() else None
 
     def has(self, key: Key) -> bool:
         """Return whether a key is one of these, with the same scope and limits."""
-        return self._keys.get(key.digest) == key
+        return self._keys.get(key.digest) == key and key.is_valid()
+
+    def note_use(self, key: Key, every_s: float) -> None:
+        """Note that a key is used now, unless a process has noted it in the last `every_s`."""
+        path = self._path.with_name(USED) / key.digest[:16]
+        with suppress(OSError):  # a key answers on a full disk
+            if abs(time.time() - (self.last_use(key) or 0.0)) >= every_s:
+                path.parent.mkdir(mode=0o700, exist_ok=True)
+                path.touch(mode=0o600)
+
+    def last_use(self, key: Key) -> float | None:
+        """Return the time of a key's last use, seconds since the epoch; None if never."""
+        path = self._path.with_name(USED) / key.digest[:16]
+        return path.stat().st_mtime if path.exists() else None
+
+    def public(self) -> list[dict[str, Any]]:
+        """Return all keys by name, without their digests, with their `last_used`."""
+        return [key.public() | {"last_used": self.last_use(key)} for key in self.listed()]
 
     def look(self, patience: float = LOOK_S) -> int:
-        """Read the file if commands have changed it; return a number that differs then."""
+        """Read the file if it was changed; return a number that differs then, or at an expiry."""
         now = time.monotonic()
         if now < self._next_look and patience:
             return self.version
@@ -132,12 +164,14 @@ class Keyring:
                     self._read()
                 except KeysError as error:
                     log.error("keys stay as they were: %s", error)
+        if time.time() >= self._next_end:
+            ends = (key.expires for key in self._keys.values() if key.expires and key.is_valid())
+            self._next_end = min(ends, default=math.inf)
+            self.version += 1
         return self.version
 
-    def add(
-        self, name: str, scope: Scope, *, rate: float = RATE, megabytes: int = MEGABYTES
-    ) -> str:
-        """Make a key and return its secret, which is not stored; see `Key`.
+    def add(self, name: str, scope: Scope, **limits: Any) -> str:
+        """Make a key and return its secret, which is not stored; `limits` are fields of `Key`.
 
         Raises KeysError if the name is taken or a value is invalid.
         """
@@ -148,12 +182,29 @@ class Keyring:
             if any(key.name == name for key in keys.values()):
                 raise KeysError(f"there is a key {name!r} already; revoke it or take another name")
             fields = {"name": name, "scope": scope, "digest": digest_of(secret)}
-            limits = {"rate": rate, "megabytes": megabytes}
             try:
                 key = _checked({**fields, "created": time.time(), **limits})
             except ValueError as error:
                 raise KeysError(str(error)) from None
             keys[key.digest] = key
+        return secret
+
+    def rotate(self, name: str, overlap_s: float) -> str:
+        """Make a new secret of a key and return it; the old one is valid for `overlap_s` more."""
+        secret = PREFIX + secrets.token_urlsafe(32)
+        with self._changing() as keys:
+            known = [key for key in keys.values() if key.name == name and key.is_valid()]
+            if not known or not 0.0 <= overlap_s < 1e9 or len(keys) >= MAX_KEYS:
+                why = f"there is no key {name!r} that is valid, or there are {MAX_KEYS} keys"
+                raise KeysError(f"{why}, or the overlap is no number of hours from 0")
+            newest, now = max(known, key=lambda key: key.created), time.time()
+            for old in known:
+                del keys[old.digest]
+                end = min(old.expires or math.inf, now + overlap_s)
+                if end > now:
+                    keys[old.digest] = replace(old, expires=end)
+            digest = digest_of(secret)
+            keys[digest] = replace(newest, digest=digest, created=now)
         return secret
 
     def revoke(self, name: str) -> None:
@@ -163,7 +214,8 @@ class Keyring:
             if not digests:
                 names = ", ".join(sorted(key.name for key in keys.values())) or "none"
                 raise KeysError(f"there is no key {name!r}; there are: {names}")
-            del keys[digests[0]]
+            for digest in digests:
+                del keys[digest]
 
     @contextmanager
     def _changing(self) -> Iterator[dict[str, Key]]:
@@ -199,7 +251,7 @@ class Keyring:
                 "keys with: wrenchbook keys add NAME --scope admin"
             ) from error
         self._keys, self._stamp = {key.digest: key for key in keys}, stamp
-        self.version += 1
+        self.version, self._next_end = self.version + 1, 0.0
 
     def _file_stamp(self) -> tuple[int, int, int] | None:
         try:
@@ -226,7 +278,7 @@ def require_keys(host: str, folder: Path) -> None:
 def _checked(fields: dict[str, Any]) -> Key:
     """Return the key of its fields; ValueError if a field is missing, unknown or invalid."""
     try:
-        key = Key(**fields)
+        key = Key(**{**fields, "components": tuple(fields.get("components", ANY))})
     except TypeError as error:
         raise ValueError(f"the fields of a key are wrong: {error}") from None
     if not isinstance(key.name, str) or not _NAME.fullmatch(key.name):
@@ -240,6 +292,14 @@ def _checked(fields: dict[str, Any]) -> Key:
         raise ValueError(f"the rate is a number of requests a second above 0, not {key.rate!r}")
     if not (isinstance(key.megabytes, int) and 0 < key.megabytes < 1 << 20):
         raise ValueError(f"the largest body is a number of MiB above 0, not {key.megabytes!r}")
+    named = key.components[:_MAX_PATTERNS] == key.components != ()
+    if not (named and all(_PATTERN.fullmatch(str(part)) for part in key.components)):
+        raise ValueError(
+            f"{key.components!r} are no patterns of components: up to {_MAX_PATTERNS} of letters, "
+            "digits, '_', '-', * and ?"
+        )
+    if not (key.expires is None or (isinstance(key.expires, int | float) and key.expires > 0)):
+        raise ValueError(f"a key expires at seconds since the epoch, not {key.expires!r}")
     if not re.fullmatch(r"[0-9a-f]{64}", str(key.digest)):
         raise ValueError("a digest is 64 hexadecimal digits")
     return key

@@ -276,6 +276,7 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
     else:
         (placed,), limit = submission.queue(name, wrench), submission.queue_limit
         why = f"no solve is queued: {limit} jobs of queries are open already (serve --queue-limit)"
+        why += ", or the caller's quota is used up"
     outcome.job = placed.job
     if placed.job is None:
         reason = "" if outcome.reply.reason == beyond else outcome.reply.reason

@@ -56,6 +56,10 @@ class Settings:
         "answers where a request names none; by default each table's best",
     ] = None
     queue_limit: Annotated[Count, "open jobs of a component from queries"] = 64
+    actor_jobs: Annotated[int | None, Ge(0), "open jobs of an actor; by default any number"] = None
+    actor_seconds: Annotated[
+        float | None, Ge(0), "solver seconds of an actor in 24 h; by default any number"
+    ] = None
     table_memory: Annotated[Count, "MB of rows and numpy tables kept; packed tables are mapped"] = (
         700
     )
@@ -74,6 +78,16 @@ class Settings:
     allow_origin: Annotated[
         str | None, "other sites whose pages may call: https://..., with commas"
     ] = None
+    trust_proxy_user: Annotated[
+        str | None, "header in which a trusted proxy names the user, such as X-Forwarded-User"
+    ] = None
+    trust_proxy_from: Annotated[
+        str | None, "addresses or networks of trusted proxies, with commas"
+    ] = None
+    trust_proxy_groups: Annotated[str | None, "header in which it lists the user's groups"] = None
+    trust_proxy_scopes: Annotated[
+        str, "scope of each group, * for all users: lab=write,ops=admin,*=read"
+    ] = "*=write"
     first_key: Annotated[bool, "make a key for admin if there is none; printed once"] = False
 
 

@@ -8,6 +8,7 @@ flooding the queue. Loads on locked freedoms are in no job: see `Component.actin
 from __future__ import annotations
 
 import threading
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from wrenchbook.service.ledger import JobRecord, Ledger, OpenJob, packed, unpacked
+from wrenchbook.service.ledger import JobRecord, Ledger, OpenJob, Quota, packed, unpacked
+from wrenchbook.service.ledger.records import QuotaError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.settings import Settings
@@ -67,14 +69,21 @@ class _Open:
 
 
 class Submission:
-    """Turns wrenches into jobs of the ledger; at most `queue_limit` open ones come from queries."""
+    """Turns wrenches into jobs of the ledger; at most `queue_limit` open ones come from queries.
+
+    An actor's new jobs are within its `quota`: `accept` and `fill` raise QuotaError.
+    """
 
     def __init__(
-        self, ledger: Ledger, library: Library, queue_limit: int = Settings.queue_limit
+        self,
+        ledger: Ledger,
+        library: Library,
+        queue_limit: int = Settings.queue_limit,
+        quota: Quota | None = None,
     ) -> None:
         self._ledger = ledger
         self._library = library
-        self.queue_limit = queue_limit
+        self.queue_limit, self._quota = queue_limit, quota
         self._known: dict[tuple[str, str], _Open] = {}
         self._lock = threading.Lock()
 
@@ -88,9 +97,9 @@ class Submission:
         component = self.solvable(name)
         acting = component.acting(np.array(wrench)).tolist()
         priority = 1 if urgent else 0
-        return self._ledger.accept(
-            name, component.fingerprint, acting, priority=priority, asked_by=asked_by
-        )[0]
+        setup = name, component.fingerprint
+        more = {"priority": priority, "asked_by": asked_by, "quota": self._quota}
+        return self._ledger.accept(*setup, acting, **more)[0]
 
     def fill(
         self, name: str, wrenches: Floats, *, urgent: bool = False, asked_by: str = "fill"
@@ -106,6 +115,7 @@ class Submission:
             dict.fromkeys(map(tuple, component.acting(wrenches).tolist())),
             priority=1 if urgent else 0,
             asked_by=asked_by,
+            quota=self._quota,
         )
 
     def queue(self, name: str, wrenches: Floats) -> list[Placement]:
@@ -179,7 +189,9 @@ class Submission:
                 room = self.queue_limit - near_by.queries
                 return packed(wrenches[rest][free][spread(scaled[free], reach, room)])
 
-            accepted = self._ledger.accept_chosen(*setup, choose, asked_by="query")
+            accepted, more = [], {"asked_by": "query", "quota": self._quota}
+            with suppress(QuotaError):  # as at the limit, the estimate answers
+                accepted = self._ledger.accept_chosen(*setup, choose, **more)
             new = packed(np.array([job.wrench for job in accepted]).reshape(-1, len(scale)))
             jobs |= dict(zip(new, accepted, strict=True))
             opened = [OpenJob(job.id, key, "query") for key, job in zip(new, accepted, strict=True)]

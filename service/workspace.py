@@ -15,13 +15,21 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from wrenchbook.service.actors import CALLER, SERVER, acting_as
 from wrenchbook.service.demand import QueryStatistics
 from wrenchbook.service.fields.deformed import DeformedSurfaces
 from wrenchbook.service.fields.shape import Deformed
 from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.jobs.attempt import Attempt, attempt_folder, notes_of
 from wrenchbook.service.jobs.waiting import Polls
-from wrenchbook.service.ledger import JobRecord, Ledger, LedgerError, LedgerUnavailableError
+from wrenchbook.service.ledger import (
+    JobRecord,
+    Ledger,
+    LedgerError,
+    LedgerUnavailableError,
+    Quota,
+    noted,
+)
 from wrenchbook.service.library.catalogue import Catalogue
 from wrenchbook.service.library.component import Component, solver_error_of
 from wrenchbook.service.library.library import Library
@@ -151,10 +159,12 @@ class Workspace:
             on_added=self._on_added,
             on_checked=self._on_checked,
             on_copy=self._on_copy,
+            noted=lambda name: noted(self.ledger, "component.add", name, component=name),
         )
         self.catalogue = Catalogue(self.ledger)
         self.query_counts = QueryStatistics(self.ledger)
-        self.submission = Submission(self.ledger, self.library, settings.queue_limit)
+        self.quota = Quota(settings.actor_jobs, settings.actor_seconds)
+        self.submission = Submission(self.ledger, self.library, settings.queue_limit, self.quota)
         self.errors = SolverErrors(self.ledger)
         self.tables = MappedTables(
             TableStore(settings.data / "tables", self.ledger, self.errors),
@@ -314,7 +324,8 @@ class Workspace:
             damaged["(ledger)"] = f"{'; '.join(losses)}. Note it with: wrenchbook doctor --repair"
         for seq, name in self.ledger.damaged.items():
             damaged[name] = f"row {seq} is damaged on the disk and left out of the table"
-        return {**damaged, **self.tables.faults(), **self.library.broken()}
+        broken, touches = {**damaged, **self.tables.faults()}, CALLER.get().touches
+        return {k: v for k, v in broken.items() if touches(k)} | self.library.broken()
 
     def _on_checked(self, component: Component) -> None:
         """Keep the estimate of an upload's check before another process can build its table."""
@@ -342,6 +353,7 @@ class Workspace:
         try:
             pending = self.submission.pending_wrenches(name)
             design = next_wrenches(table.surrogate(), 6, pending=pending)
-            self.submission.fill(name, design.wrenches, urgent=True)
+            with acting_as(SERVER):  # the caller may only read, and has not asked for them
+                self.submission.fill(name, design.wrenches, urgent=True)
         except LedgerUnavailableError:
             del self._compliance_requested[name]  # the next query tries again

@@ -5,9 +5,12 @@ from __future__ import annotations
 import json
 import time
 from typing import Annotated
+from urllib.parse import urlencode
 
 import typer
 from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
 
 from wrenchbook.service.cli.connect import DEFAULT_SERVER, AsJson, Data, Server, connected
 from wrenchbook.service.cli.render import Screen, job_table, plain, show
@@ -39,6 +42,30 @@ def jobs(
     last = listed[-1:] if len(listed) == limit else []
     older = [f"Older ones: wrenchbook jobs --after {job.id}" for job in last]
     show([job.raw for job in listed], as_json, lambda: [job_table(listed), *older])
+
+
+def audit(
+    component: Annotated[str | None, typer.Option(help="only of this component")] = None,
+    actor: Annotated[str | None, typer.Option(help="only by it: a key, or user:NAME")] = None,
+    action: Annotated[str | None, typer.Option(help="only this: row.withdraw, or job.*")] = None,
+    since: Annotated[str | None, typer.Option(help="from this time on, ISO 8601")] = None,
+    until: Annotated[str | None, typer.Option(help="before this time")] = None,
+    limit: Annotated[int, typer.Option(min=1, help="largest number of entries")] = 100,
+    after: Annotated[int | None, typer.Option(help="only entries older than this one")] = None,
+    as_json: AsJson = False,
+    server: Server = DEFAULT_SERVER,
+    data: Data = None,
+) -> None:
+    """List writes with their actors, newest first; --json has the states before and after."""
+    options = {"component": component, "actor": actor, "action": action, "since": since}
+    options |= {"until": until, "limit": limit, "after": after}
+    query = urlencode({name: value for name, value in options.items() if value is not None})
+    with connected(server, data) as client:
+        entries = client.call_json("GET", f"/v1/audit?{query}")["entries"]
+    table = Table(*(names := ("id", "time", "actor", "action", "component", "object")))
+    for entry in entries:
+        table.add_row(*(escape(str(entry[name] or "")) for name in names))
+    show(entries, as_json, lambda: [table])
 
 
 def follow_jobs(

@@ -7,6 +7,8 @@ import json
 import os
 import shlex
 import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_type_hints
@@ -15,10 +17,11 @@ import typer
 from annotated_types import Ge, Le
 from rich.table import Table
 
+from wrenchbook.service.actors import ANY
 from wrenchbook.service.cli.connect import AsJson, in_folder
 from wrenchbook.service.cli.render import Screen, plain, print_json, show
 from wrenchbook.service.files.program import run_child, usable_cores
-from wrenchbook.service.keys import MEGABYTES, RATE, Keyring
+from wrenchbook.service.keys import MEGABYTES, OVERLAP_HOURS, RATE, Keyring
 from wrenchbook.service.settings import (
     Settings,
     SettingsError,
@@ -43,6 +46,7 @@ def serve(
     **options: Any,
 ) -> None:
     """Serve the API and solve what is queued."""
+    from wrenchbook.service.http.proxy import proxy_trust
     from wrenchbook.service.keys import require_keys
     from wrenchbook.service.workers.supervisor import AddressError, supervise
 
@@ -57,12 +61,14 @@ def serve(
             typer.echo(as_file(settings, origins), nl=False)
             return
         check_engine(settings.engine, settings.scheduler)
+        trust = proxy_trust(settings)
     except SettingsError as error:
         raise typer.BadParameter(str(error)) from error
     _make_folder(settings.data)
     if settings.first_key:
         make_first_key(settings.data, err=as_json)
-    require_keys(settings.host, settings.data)
+    if trust is None:  # else a caller needs a user or a key
+        require_keys(settings.host, settings.data)
     try:
         supervise(settings, as_json=as_json)
     except AddressError as error:
@@ -254,7 +260,7 @@ def _data_option(data: Path) -> str:
     return "" if data == DEFAULT_DATA else f" --data {shlex.quote(str(data))}"
 
 
-keys = typer.Typer(no_args_is_help=True, help="List, add and revoke access keys.")
+keys = typer.Typer(no_args_is_help=True, help="List, add, rotate and revoke access keys.")
 
 KeyName = Annotated[str, typer.Argument(help="name of the key's owner")]
 
@@ -268,31 +274,70 @@ def add(
     ] = "write",
     rate: Annotated[float, typer.Option(help="largest number of requests a second")] = RATE,
     megabytes: Annotated[int, typer.Option(help="largest body, MiB")] = MEGABYTES,
+    component: Annotated[
+        list[str] | None,
+        typer.Option(help="components it may touch: a name, or plate_*; repeatable; default all"),
+    ] = None,
+    days: Annotated[float | None, typer.Option(help="days that it is valid; default ever")] = None,
     as_json: AsJson = False,
     data: Folder = DEFAULT_DATA,
 ) -> None:
     """Make a key and print it once."""
-    key = Keyring(data).add(name, scope, rate=rate, megabytes=megabytes)
+    fields = {"name": name, "scope": scope, "rate": rate, "megabytes": megabytes}
+    fields["components"] = tuple(component or ANY)
+    fields["expires"] = None if days is None else time.time() + 86_400.0 * days
+    with _noted(data, "key.add", name, after=fields):
+        key = Keyring(data).add(**fields)
     print_json({"name": name, "scope": scope, "key": key}) if as_json else typer.echo(key)
     typer.echo(f"The key {name} for {scope}; it is not stored and not shown again.", err=True)
+
+
+@keys.command("rotate")
+def rotate(
+    name: KeyName,
+    hours: Annotated[float, typer.Option(help="that the old secret is valid")] = OVERLAP_HOURS,
+    as_json: AsJson = False,
+    data: Folder = DEFAULT_DATA,
+) -> None:
+    """Make a new secret of a key and print it once; the old one is valid for some hours more."""
+    with _noted(data, "key.rotate", name, after={"overlap_hours": hours}):
+        key = Keyring(data).rotate(name, 3600.0 * hours)
+    print_json({"name": name, "key": key}) if as_json else typer.echo(key)
+    typer.echo(f"The old secret of {name} is valid for {hours:g} hours more.", err=True)
 
 
 @keys.command("list")
 def list_(as_json: AsJson = False, data: Folder = DEFAULT_DATA) -> None:
     """List the keys, without their secrets."""
-    listed = [key.public() for key in Keyring(data).listed()]
-    table = Table("name", "scope", "made", "a second", "MiB")
+    listed = Keyring(data).public()
+    dates = {"made": "created", "ends": "expires", "used": "last_used"}
+    table = Table("name", "scope", "components", *dates, "a second", "MiB")
     for key in listed:
-        made = time.strftime("%Y-%m-%d", time.gmtime(key["created"]))
-        table.add_row(key["name"], key["scope"], made, f"{key['rate']:g}", str(key["megabytes"]))
+        times = [key[field] for field in dates.values()]
+        at = [seconds and time.strftime("%Y-%m-%d", time.gmtime(seconds)) for seconds in times]
+        fields = key["name"], key["scope"], ", ".join(key["components"]), *at
+        table.add_row(*fields, f"{key['rate']:g}", str(key["megabytes"]))
     show(listed, as_json, lambda: [table])
 
 
 @keys.command("revoke")
 def revoke(name: KeyName, as_json: AsJson = False, data: Folder = DEFAULT_DATA) -> None:
     """Revoke a key; servers refuse it within a second."""
-    Keyring(data).revoke(name)
+    with _noted(data, "key.revoke", name):
+        Keyring(data).revoke(name)
     show({"name": name, "revoked": True}, as_json, f"The key {name} is revoked.")
+
+
+@contextmanager
+def _noted(data: Path, action: str, name: str, after: Any = None) -> Iterator[None]:
+    """Change a key with its entry in the audit of a data directory."""
+    from wrenchbook.service.ledger import Ledger, noted
+
+    with (
+        closing(Ledger(data / "ledger.sqlite")) as ledger,
+        noted(ledger, action, name, after=after),
+    ):
+        yield
 
 
 def make_first_key(data: Path, *, err: bool = False) -> None:
@@ -300,7 +345,8 @@ def make_first_key(data: Path, *, err: bool = False) -> None:
     keyring = Keyring(data)
     if len(keyring):
         return
-    secret = keyring.add("first", "admin")
+    with _noted(data, "key.add", "first", after={"scope": "admin"}):
+        secret = keyring.add("first", "admin")
     typer.echo(f"The first key, for admin, shown this once: {secret}", err=err)
 
 

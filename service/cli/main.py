@@ -25,7 +25,7 @@ from wrenchbook.service.cli.connect import (
     in_folder,
     number,
 )
-from wrenchbook.service.cli.jobs import jobs
+from wrenchbook.service.cli.jobs import audit, jobs
 from wrenchbook.service.cli.joint import joint, stiffness
 from wrenchbook.service.cli.local import LOCAL_COMMANDS, PROGRAMS, keys, run_program
 from wrenchbook.service.cli.recording import RECORDING_COMMANDS
@@ -76,7 +76,7 @@ def program(
 
 for name, table_command in TABLE_COMMANDS.items():
     app.command(name)(table_command)
-for command in (*LOCAL_COMMANDS, *RECORDING_COMMANDS, jobs):
+for command in (*LOCAL_COMMANDS, *RECORDING_COMMANDS, jobs, audit):
     app.command()(command)
 for name, summary in PROGRAMS.items():
     passed_on = {"ignore_unknown_options": True, "allow_extra_args": True}

@@ -219,7 +219,7 @@ def component_table(components: Sequence[dict[str, Any]]) -> Table:
 
 def job_table(jobs: Sequence[Job]) -> Table:
     """Lay out jobs, with their inputs, and how far they are or why they failed."""
-    table = Table("id", "component", "status", "attempt", "wrench, N and N·m", "")
+    table = Table("id", "component", "actor", "status", "attempt", "wrench, N and N·m", "")
     for job in jobs:
         loads = job.raw.get("loads") or {"": job.raw}
         inputs = [
@@ -228,7 +228,9 @@ def job_table(jobs: Sequence[Job]) -> Table:
         ]
         inputs += [f"{name} {value:g}" for name, value in job.raw.get("inputs", {}).items()]
         attempt, state = str(job.raw["attempt"]), escape(job_state(job))
-        table.add_row(str(job.id), job.component, job.status, attempt, ", ".join(inputs), state)
+        actor = escape(job.raw.get("actor") or "")
+        loads = ", ".join(inputs)
+        table.add_row(str(job.id), job.component, actor, job.status, attempt, loads, state)
     return table
 
 

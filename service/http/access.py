@@ -18,9 +18,11 @@ from typing import Any, Final
 from starlette.types import Message, Receive, Send
 from starlette.types import Scope as HttpScope
 
+from wrenchbook.service.actors import ANONYMOUS, ANY, CALLER, LOCAL, USER, Caller
 from wrenchbook.service.events import Listener
 from wrenchbook.service.http.body import counted
 from wrenchbook.service.http.problems import HttpProblemError
+from wrenchbook.service.http.proxy import PEER, PEER_FIELD, ProxyTrust
 from wrenchbook.service.keys import MAX_KEYS, OWN_KEY, Key, Keyring, Scope, digest_of, is_loopback
 
 LOOPBACK_NAMES: Final = frozenset({"localhost", "127.0.0.1", "::1"})
@@ -32,6 +34,11 @@ _READING: Final = ("GET", "HEAD", "OPTIONS")
 # Open to every site and without a key: these files contain nothing of the tables.
 _PUBLIC_FOLDERS: Final = ("/page/",)
 _PUBLIC: Final = frozenset({"/", "/docs", "/openapi.json", "/favicon.ico", "/health/live"})
+_ADMIN: Final = ("/v1/keys", "/v1/audit")
+# Calls that answer about the components which the caller may touch, and of no other. A key for some
+# components has no further ones: each that is new is refused until it is listed here.
+_LIMITED: Final = ("/v1/components", "/v1/jobs", "/v1/events", "/v1/scenes/plan", "/health/ready")
+_LIMITED_NAMED: Final = ("/v1/components/", "/v1/jobs/", "/umbridge/")
 _JSON: Final = b"application/json"
 _BYTES: Final = b"application/octet-stream"
 _QUERIES: Final = ("/displacement", "/displacements")
@@ -45,10 +52,18 @@ _BURST_S: Final = 2.0  # a burst is what this many seconds allow
 # Share of a second's requests that a process takes from the common bucket at a time: a lock costs
 # 2 µs, an answer 50. What a process has taken and not used is at most half a percent of a burst.
 _TAKEN: Final = 0.01
+_USED_S: Final = 60.0  # between two notes of a key's use
 _BUCKET: Final = Struct("=8sd")  # begin of a key's digest; monotonic time at which it is full
 _TRIES: Final = 1000  # for the lock, 1 ms; its holder was stopped in the middle of it then
 
 Fields = tuple[tuple[bytes, bytes], ...]
+
+_TWO_USERS: Final = HttpProblemError(
+    400,
+    "users",
+    "More than one user",
+    "The header of the user or of the groups is there twice: the proxy must replace what is sent.",
+)
 
 _NOTHING: Final = b"default-src 'none'; frame-ancestors 'none'; sandbox"
 # The page's scripts and styles are files of this server; plotly sets styles and makes pictures.
@@ -92,9 +107,12 @@ class SecuritySettings:
     hosts: frozenset[str] | None = None
     origins: frozenset[str] = field(default_factory=frozenset)
     own_key: str | None = None
+    proxy: ProxyTrust | None = None
 
 
-def security_settings(host: str, hosts: str | None, origins: str | None) -> SecuritySettings:
+def security_settings(
+    host: str, hosts: str | None, origins: str | None, proxy: ProxyTrust | None = None
+) -> SecuritySettings:
     """Security settings of a server that listens on an address; `hosts`, `origins` by commas.
 
     On loopback it answers to loopback's names and those listed: a page of another site whose name
@@ -108,7 +126,7 @@ def security_settings(host: str, hosts: str | None, origins: str | None) -> Secu
     local, names = is_loopback(host), listed(hosts)
     allowed = LOOPBACK_NAMES | {host} | names if local or names else None
     sites = frozenset(site.rstrip("/") for site in listed(origins))
-    return SecuritySettings(not local, allowed, sites, os.environ.get(OWN_KEY))
+    return SecuritySettings(not local, allowed, sites, os.environ.get(OWN_KEY), proxy)
 
 
 class Rates:
@@ -168,12 +186,18 @@ class Rates:
 class Permission:
     """What a key may do, with the `rates` it shares; without a key all, and nothing is counted."""
 
-    __slots__ = ("_rates", "_remaining", "key")
+    __slots__ = ("_keyring", "_note_at", "_rates", "_remaining", "caller", "key")
 
-    def __init__(self, key: Key | None = None, rates: Rates | None = None) -> None:
+    def __init__(
+        self, key: Key | None = None, rates: Rates | None = None, keyring: Keyring | None = None
+    ) -> None:
         self.key = key
         self._rates = rates
         self._remaining = 0
+        self._keyring, self._note_at = keyring, 0.0  # of a stored key the use is noted
+        self.caller = Caller(ANONYMOUS)
+        if key is not None:
+            self.caller = Caller(key.name, key.components, key.allows("admin"))
 
     def allows(self, scope: Scope) -> bool:
         """Whether it is for a scope."""
@@ -183,6 +207,9 @@ class Permission:
         """Count one request: 0, or the seconds until there is one again."""
         if self.key is None or self._rates is None:
             return 0.0
+        if self._keyring is not None and (now := time.time()) >= self._note_at:
+            self._note_at = now + _USED_S
+            self._keyring.note_use(self.key, _USED_S)
         if not self._remaining:
             self._remaining, seconds = self._rates.take(self.key)
             if not self._remaining:
@@ -212,8 +239,9 @@ class AccessControl:
         self.keyring = keyring
         self._rates = rates or Rates()
         digest = digest_of(security.own_key or "")
-        self._own = Key("own", "admin", digest, 0.0, _NO_LIMIT, int(_NO_LIMIT))
+        self._own = Key(LOCAL, "admin", digest, 0.0, _NO_LIMIT, int(_NO_LIMIT))
         self._permissions: dict[str, Permission] = {}
+        self._users: dict[tuple[str, Scope], Permission] = {}
         self._streams: weakref.WeakKeyDictionary[Listener, Permission] = weakref.WeakKeyDictionary()
         self.heads: dict[bytes, Any] = {}  # cache of the fast path, emptied once a key changes
         self._version = keyring.version
@@ -221,14 +249,18 @@ class AccessControl:
     @property
     def keys_needed(self) -> bool:
         """Whether every call needs a key."""
-        return self.security.keys_needed or len(self.keyring) > 0
+        security = self.security
+        return security.keys_needed or security.proxy is not None or len(self.keyring) > 0
 
     def admit(self, path: str, head: Mapping[bytes, bytes]) -> Permission | None:
         """Return the permission of a query of the fast path; None for the ordinary path.
 
         The fast path counts each query itself, and sends neither refusals nor CORS headers; what a
-        key without the scope `write` may ask depends on the body.
+        key without the scope `write` may ask depends on the body, and whether a proxy's header
+        counts on the connection.
         """
+        if self.security.proxy is not None and self.security.proxy.user in head:
+            return None
         try:
             permission = self.check("POST", path, head, counts=False)
         except HttpProblemError:
@@ -258,17 +290,28 @@ class AccessControl:
             return None
         try:
             if PERMISSION not in scope:  # the fast path has admitted and counted it already
+                proxy, names = self.security.proxy, [name for name, _ in scope["headers"]]
+                if proxy and (names.count(proxy.user) > 1 or names.count(proxy.groups) > 1):
+                    raise _TWO_USERS
+                peer = scope.get(PEER) or (scope.get("client") or ("",))[0]
+                head[PEER_FIELD] = peer.encode()
                 scope[PERMISSION] = self.check(scope["method"], scope["path"], head)
         except HttpProblemError as refused:
             await refused.response()(scope, receive, send)
             return None
+        CALLER.set(permission_of(scope).caller)
         key = permission_of(scope).key
         if key is not None and b"transfer-encoding" in head:
             receive = counted(receive, key.megabytes << 20)
         return receive, send
 
     def check(
-        self, method: str, path: str, head: Mapping[bytes, bytes], *, counts: bool = True
+        self,
+        method: str,
+        path: str,
+        head: Mapping[bytes, bytes],
+        peer: str = "",
+        counts: bool = True,
     ) -> Permission:
         """Check a request by its head, and return its permission; `counts`: for its key's rate.
 
@@ -282,10 +325,11 @@ class AccessControl:
         # Whether a displacement queues anything stands in its body, which is read later.
         is_query = path.startswith("/v1/components/") and path.endswith(_QUERIES)
         reads = method in _READING or (method == "POST" and is_query)
-        of_keys = path == "/v1/keys" or path.startswith("/v1/keys/")
-        needed: Scope = "admin" if of_keys else "read" if reads else "write"
+        of_admin = any(path == call or path.startswith(f"{call}/") for call in _ADMIN)
+        needed: Scope = "admin" if of_admin else "read" if reads else "write"
         if not permission.allows(needed):
             raise beyond_scope(permission, needed)
+        _check_components(permission.caller, method, path)
         if counts and (seconds := permission.wait()) > 0.0:
             assert permission.key is not None
             raise HttpProblemError(
@@ -352,6 +396,10 @@ class AccessControl:
         self.refresh()
         if not self.keys_needed:
             return OPEN
+        if self.security.proxy is not None and (user := self.security.proxy.key_of(head)):
+            if len(self._users) >= MAX_KEYS:
+                self._users.clear()
+            return self._users.setdefault((user.name, user.scope), Permission(user, self._rates))
         word, _, secret = head.get(b"authorization", b"").decode("latin-1").partition(" ")
         secret = secret.strip()
         if word.lower() != "bearer" or not secret:
@@ -362,8 +410,9 @@ class AccessControl:
             is_own = bool(server_key) and compare_digest(secret.encode(), server_key)
             key = self._own if is_own else self.keyring.find(secret)
             if key is None:
-                raise _no_key("The request's key is none of this server's; it may be revoked.")
-            permission = self._permissions[secret] = Permission(key, self._rates)
+                raise _no_key("The request's key is none of this server's; revoked, or expired.")
+            stored = None if is_own else self.keyring
+            permission = self._permissions[secret] = Permission(key, self._rates, stored)
         return permission
 
     def refresh(self) -> None:
@@ -380,7 +429,9 @@ class AccessControl:
     def _holds(self, permission: Permission) -> bool:
         """Whether a request that was permitted would be so now."""
         key = permission.key
-        return not self.keys_needed if key is None else key is self._own or self.keyring.has(key)
+        if key is None or key is self._own:
+            return key is self._own or not self.keys_needed
+        return key.name.startswith(USER) or self.keyring.has(key)
 
 
 def beyond_scope(permission: Permission, needed: Scope) -> HttpProblemError:
@@ -395,6 +446,25 @@ def beyond_scope(permission: Permission, needed: Scope) -> HttpProblemError:
         "The key's scope does not allow this",
         f"The key {permission.key.name!r} is for {permission.key.scope}, this call needs {needed}; "
         f"nothing was changed.{also} Make another with: wrenchbook keys add NAME --scope {needed}",
+    )
+
+
+def _check_components(caller: Caller, method: str, path: str) -> None:
+    """Refuse a key for some components a call of another one, or of the whole server."""
+    if caller.components == ANY:
+        return
+    name = path.split("/")[3] if path.startswith("/v1/components/") else None
+    is_read_rig = method == "GET" and f"{path}/".startswith(_RIGS)
+    limited = path in _LIMITED or path.startswith(_LIMITED_NAMED) or is_read_rig
+    if limited and (name is None or caller.touches(name)):
+        return
+    raise HttpProblemError(
+        403,
+        "components",
+        "The key is not for this component",
+        f"The key {caller.actor!r} is for {', '.join(caller.components)}, and this call is of "
+        f"{'the whole server' if name is None else repr(name[:100])}; nothing was changed. Make "
+        "another with: wrenchbook keys add NAME --component PATTERN",
     )
 
 

@@ -16,6 +16,7 @@ from fastapi import FastAPI
 from starlette.concurrency import run_in_threadpool
 from starlette.types import Message, Receive, Scope, Send
 
+from wrenchbook.service.actors import CALLER, Caller
 from wrenchbook.service.contract import CONTRACT_TEXT
 from wrenchbook.service.events import Events
 from wrenchbook.service.http import openapi, problems
@@ -23,6 +24,7 @@ from wrenchbook.service.http.access import AccessControl, Rates, SecuritySetting
 from wrenchbook.service.http.problems import CLIENT_GONE, HttpProblemError
 from wrenchbook.service.http.protocol import HEADER, FastPath, id_of
 from wrenchbook.service.http.routes import (
+    audit,
     components,
     coverage,
     deformed,
@@ -69,11 +71,13 @@ _PARTS = (
     jobs,
     events,
     keys,
+    audit,
 )
 
 
 access_log = logging.getLogger("wrenchbook.access")
 NO_ROUTE: Final = "none"  # no call of the API, or refused before the router
+_REFUSED: Final = Caller("-", (), admin=False)  # until the access control knows the caller
 _METHODS: Final = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
 _STOPPING: Final = HttpProblemError(
     503,
@@ -106,6 +110,7 @@ class Application(FastAPI):
         sent_id = id_of(scope["headers"])
         request_id = sent_id or secrets.token_hex(8).encode()
         REQUEST_ID.set(request_id.decode())  # each request runs in a context of its own
+        CALLER.set(_REFUSED)
 
         async def send_with_id(message: Message) -> None:
             nonlocal status
@@ -136,9 +141,9 @@ class Application(FastAPI):
                 # The path as it was sent: a decoded one may hold a line end.
                 target = scope["raw_path"].decode("latin-1").partition("?")[0]
                 target += "?" + query if query else ""
-                access_log.info(
-                    '%s "%s %s" %d %.1f ms', host, method, target, status, 1e3 * seconds
-                )
+                actor = CALLER.get().actor
+                told = host, actor, method, target, status, 1e3 * seconds
+                access_log.info('%s %s "%s %s" %d %.1f ms', *told, extra={"actor": actor})
 
 
 def create_app(settings: Settings, security: SecuritySettings | None = None) -> Application:

@@ -34,7 +34,7 @@ _REFUSALS: Final[dict[int, str]] = {
     415: "a content type that this call does not take",
     422: "the request has mistakes; nothing was changed",
     424: "the solve of this wrench failed",
-    429: "the key is used more often than it may be; Retry-After says when",
+    429: "the key is used more often than it may be, or its quota is used up; see Retry-After",
     500: "the server made a mistake; its log has the traceback",
     503: "the ledger cannot be read or written now; nothing was changed",
     507: "the disk is full; nothing was changed",

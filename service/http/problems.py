@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 from collections.abc import Mapping, Sequence
 from itertools import islice
+from math import ceil
 from typing import Any
 
 import orjson
@@ -16,6 +17,7 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 
 from wrenchbook.fea.bundle.read import BundleError
+from wrenchbook.service.actors import NotPermittedError
 from wrenchbook.service.events import TooManyListenersError
 from wrenchbook.service.fields.deformed import NoFieldsError, TooFarError
 from wrenchbook.service.files.redact import redact_values
@@ -31,6 +33,7 @@ from wrenchbook.service.ledger import (
     InvalidTransitionError,
     LedgerFullError,
     LedgerUnavailableError,
+    QuotaError,
     RowStatusError,
     UnknownImportError,
     UnknownJobError,
@@ -80,6 +83,8 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     InvalidTransitionError: (409, "job-status", "The job's status does not allow this"),
     TooManyPollsError: (503, "busy", "Too many callers wait for jobs"),
     TooManyListenersError: (503, "too-many-listeners", "Too many listeners"),
+    NotPermittedError: (403, "not-permitted", "The caller may not do this"),
+    QuotaError: (429, "quota", "The quota is used up"),
     RowStatusError: (409, "row-status", "The row's state does not allow this"),
     UnitError: (422, "unit", "Not a unit this export can use"),
     SheetFullError: (409, "export", "This export cannot be made"),
@@ -186,6 +191,8 @@ def problem_of(error: Exception) -> HttpProblemError:
         if isinstance(error, kind):
             facts = getattr(error, "facts", {})
             again = {"Retry-After": _BUILT_S} if kind is TableBehindError else None
+            if isinstance(error, QuotaError):
+                again = {"Retry-After": str(ceil(error.retry_s))}
             return HttpProblemError(status, slug, title, str(error), headers=again, **facts)
     raise error
 

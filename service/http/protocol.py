@@ -27,6 +27,7 @@ from uvicorn.server import ServerState
 
 from wrenchbook.service.http.access import PERMISSION, PLAIN, Permission
 from wrenchbook.service.http.problems import HttpProblemError
+from wrenchbook.service.http.proxy import PEER
 from wrenchbook.service.query import answered_at_once, fields_of, plain_query
 
 log = logging.getLogger(__name__)
@@ -317,6 +318,8 @@ class FastPathProtocol(HttpToolsProtocol):
         self.app, self._in_body = app, True
         scope: Any = self.scope
         scope.update(self._known)
+        # uvicorn has X-Forwarded-For replace the scope's address.
+        scope[PEER] = self.client[0] if self.client else ""
         if self._is_last:
             self.cycle.keep_alive = False
 

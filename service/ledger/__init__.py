@@ -1,5 +1,6 @@
 """The durable record of jobs and rows; see `Ledger`."""
 
+from wrenchbook.service.ledger.audit import AuditEntry, noted
 from wrenchbook.service.ledger.imports import About, ImportRecord
 from wrenchbook.service.ledger.ledger import Ledger
 from wrenchbook.service.ledger.packing import packed, row_keys, unpacked
@@ -21,6 +22,8 @@ from wrenchbook.service.ledger.records import (
     LedgerUnavailableError,
     NotedRows,
     OpenJob,
+    Quota,
+    QuotaError,
     RowChanges,
     RowEdit,
     RowStatusError,
@@ -38,6 +41,7 @@ __all__ = [
     "STATUSES",
     "About",
     "AppendError",
+    "AuditEntry",
     "Beat",
     "BlockKeyError",
     "DamagedRowError",
@@ -54,6 +58,8 @@ __all__ = [
     "LedgerUnavailableError",
     "NotedRows",
     "OpenJob",
+    "Quota",
+    "QuotaError",
     "RowChanges",
     "RowEdit",
     "RowStatusError",
@@ -64,6 +70,7 @@ __all__ = [
     "UnknownJobError",
     "UnknownRowError",
     "UnknownVersionError",
+    "noted",
     "packed",
     "row_keys",
     "unpacked",

@@ -352,7 +352,7 @@ def _upgrade(connection: Connection) -> None:
     connection.execute("BEGIN IMMEDIATE")
     while (before := version()) != VERSION:  # another process may upgrade it
         after, script = STEPS[before] if before else (VERSION, TABLES)
-        for statement in filter(str.strip, script.split(";")):
+        for statement in filter(str.strip, script.split(";\n")):  # a trigger has a ";" within
             connection.execute(statement)
         connection.execute(f"PRAGMA user_version = {after}")
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")

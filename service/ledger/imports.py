@@ -19,6 +19,7 @@ import numpy as np
 
 from wrenchbook.service.files.lock import take
 from wrenchbook.service.ledger import rows
+from wrenchbook.service.ledger.audit import note
 from wrenchbook.service.ledger.connection import Connection, sequences
 from wrenchbook.service.ledger.packing import KEY_BYTES, key_hashes, row_keys, unpacked
 from wrenchbook.service.ledger.records import (
@@ -147,7 +148,9 @@ def _import(
         new = db.execute(select, (number,)).fetchone()[0]
         db.execute("UPDATE imports SET rows = ? WHERE id = ?", (new, number))
         db.execute("UPDATE import_parts SET hidden = 0 WHERE import = ?", (number,))
-        if not new:
+        if new:
+            _note(db, "import.load", number, component, new, about)
+        else:
             db.execute("DELETE FROM import_parts WHERE import = ?", (number,))
             db.execute("DELETE FROM imports WHERE id = ?", (number,))
         db.rows += new
@@ -193,6 +196,8 @@ def append_rows(
         if not db.execute(longer, (last, number, first - 1)).rowcount:
             part = first, last, number, component
             db.execute("INSERT INTO import_parts VALUES (?, ?, ?, ?, 0)", part)
+    if total:
+        _note(db, "import.append", number, component, total, about)
     return total, known, number
 
 
@@ -294,7 +299,17 @@ def edit_import(
     keys = [key for some in lists for key in some] if all(lists) else []
     seqs = _chosen(db, component, number, keys, withdrawn=not withdrawn)
     rows.edit(db, component, seqs, withdrawn=withdrawn, now=time.time())
+    if seqs:
+        more = {"withdrawn": withdrawn, "rows": len(seqs), "finding": cause}
+        rows.note_edit(db, "import", number, component, **more)
     return len(seqs)
+
+
+def _note(
+    db: Connection, action: str, number: int | None, component: str, new: int, about: About
+) -> None:
+    after = {"rows": new, "filename": about.filename, "sha256": about.digest}
+    note(db, action, number, component, after=after)
 
 
 def _take_lock(ledger: Ledger) -> int | None:

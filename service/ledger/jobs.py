@@ -7,7 +7,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple
 
+from wrenchbook.service.actors import ANY, CALLER, LOCAL, SERVER, NotPermittedError
 from wrenchbook.service.ledger import rows
+from wrenchbook.service.ledger.audit import note
 from wrenchbook.service.ledger.connection import Connection
 from wrenchbook.service.ledger.packing import pack_vector, unpack_vector
 from wrenchbook.service.ledger.records import (
@@ -18,6 +20,8 @@ from wrenchbook.service.ledger.records import (
     JobRecord,
     LedgerRow,
     OpenJob,
+    Quota,
+    QuotaError,
     StaleAttemptError,
     Status,
     UnknownJobError,
@@ -26,6 +30,8 @@ from wrenchbook.service.ledger.records import (
 # Seconds a job waits after its solver's first, second and third death; the fourth ends it.
 # The cause of deaths, such as a lack of memory, has often passed a minute or two later.
 BACKOFF_SECONDS = (1.0, 10.0, 100.0)
+DAY_SECONDS = 24 * 3600.0  # of a quota of solver seconds
+UNKNOWN_SECONDS = 60.0  # of a solve, for Retry-After: no job of the component has ended yet
 FORGOTTEN_SECONDS = 24 * 3600.0  # leases of owners that were killed without a job are deleted then
 
 # The state machine: the status after an event. A done job is reopened if its row is withdrawn.
@@ -97,30 +103,38 @@ def accept(
     priority: int = 0,
     reopen_cancelled: bool = True,
     asked_by: str = "",
+    quota: Quota | None = None,
 ) -> tuple[JobRecord, bool]:
     """Return the job for this wrench (packed, or N and N·m), and whether it is new.
 
     There is one job for one (component, fingerprint, wrench), whatever its status: a waiting,
     running, done or failed one is returned as it is (a waiting one with the higher of both
     priorities), a cancelled one goes back to waiting, and so does a done one whose row was
-    withdrawn or is damaged. Raises ValueError if the wrench is not six or more finite numbers.
+    withdrawn or is damaged. What waits anew is the caller's. Raises ValueError if the wrench is not
+    six or more finite numbers, and QuotaError.
     """
     key = wrench if isinstance(wrench, bytes) else pack_vector(wrench)
     where = "WHERE component = ? AND fingerprint = ? AND wrench = ?"
     known = _select(db, where, (component, fingerprint, key))
     if not known:
+        actor = _charged(db, component, quota)
         added = db.execute(
             "INSERT INTO jobs (component, fingerprint, wrench, status, priority, attempt, lost,"
-            " created, asked_by) VALUES (?, ?, ?, 'waiting', ?, 0, 0, ?, ?)",
-            (component, fingerprint, key, priority, time.time(), asked_by),
+            " created, asked_by, actor) VALUES (?, ?, ?, 'waiting', ?, 0, 0, ?, ?, ?)",
+            (component, fingerprint, key, priority, time.time(), asked_by, actor),
         )
         assert added.lastrowid is not None
         job = db.jobs[added.lastrowid] = get(db, added.lastrowid)
+        after = {"status": job.status, "priority": priority, "asked_by": asked_by}
+        note(db, "job.accept", job.id, component, after=after)
         return job, True
     job = known[0]
     if _lacks_its_row(db, job) or (job.status == "cancelled" and reopen_cancelled):
-        job = _moved(db, job, "reopen", row=None, asked_by=asked_by, **_FRESH)
+        more = {"row": None, "asked_by": asked_by, "actor": _charged(db, component, quota)}
+        job = _by_caller(db, job, "reopen", **more, **_FRESH)
     if job.status == "waiting" and priority > job.priority:
+        before, after = {"priority": job.priority}, {"priority": priority}
+        note(db, "job.priority", job.id, component, before=before, after=after)
         job = _save(db, replace(job, priority=priority))
     return job, False
 
@@ -156,12 +170,34 @@ def accept_chosen(
 
 
 def next_waiting(db: Connection, most: int) -> list[JobRecord]:
-    """Return the waiting jobs that start next, at most `most`."""
-    where = (
-        "WHERE status = 'waiting' AND coalesce(not_before, 0) <= ?"
+    """Return the waiting jobs that start next, at most `most`.
+
+    Those of the highest priority, of each actor in turn: next is the actor whose last start is the
+    longest ago, and its oldest job.
+    """
+    due = (
+        "WHERE status = 'waiting' AND actor = ? AND coalesce(not_before, 0) <= ?"
         " ORDER BY priority DESC, id LIMIT ?"
     )
-    return _select(db, where, (time.time(), most))
+    other = "SELECT min(actor) FROM jobs WHERE status = 'waiting' AND actor {} ?"
+    last = "SELECT coalesce(max(started), 0) FROM jobs WHERE actor = ?"
+    queues: dict[str, list[JobRecord]] = {}
+    turns: dict[str, tuple[int, float]] = {}
+    actor = db.execute(other.format(">="), ("",)).fetchone()[0]
+    while actor is not None:
+        if jobs := _select(db, due, (actor, time.time(), most)):
+            queues[actor] = jobs[::-1]
+            turns[actor] = 0, db.execute(last, (actor,)).fetchone()[0]
+        actor = db.execute(other.format(">"), (actor,)).fetchone()[0]
+    picked: list[JobRecord] = []
+    while queues and len(picked) < most:
+        heads = {actor: jobs[-1] for actor, jobs in queues.items()}
+        actor = min(heads, key=lambda name: (-heads[name].priority, turns[name], heads[name].id))
+        picked.append(queues[actor].pop())
+        turns[actor] = len(picked), 0.0
+        if not queues[actor]:
+            del queues[actor]
+    return picked
 
 
 def claim(db: Connection, owner: str, engine: str, most: int) -> list[JobRecord]:
@@ -232,6 +268,7 @@ def commit(
     _check_attempt(job, attempt)
     now = time.time()
     row = rows.add_solved(db, job, displacement, source, origin, now, **known)
+    note(db, "row.solve", row.seq, job.component, after={"job": job_id}, actor=job.actor)
     _moved(db, job, "commit", owner=None, row=row.seq, **_end(job, now, seconds))
     return row
 
@@ -283,24 +320,36 @@ def end_lease(db: Connection, owner: str) -> None:
 
 
 def cancel(db: Connection, job_id: int) -> JobRecord:
-    """Cancel a waiting or running job; its dispatcher then stops the solver."""
-    job = get(db, job_id)
-    finished = job.finished if job.status == "cancelled" else time.time()
-    return _moved(db, job, "cancel", owner=None, finished=finished)
+    """Cancel a waiting or running job; its dispatcher then stops the solver.
+
+    Raises NotPermittedError for a job of another actor, unless the caller is for admin.
+    """
+    job, caller = get(db, job_id), CALLER.get()
+    if not caller.admin and job.actor != caller.actor:
+        raise NotPermittedError(
+            f"job {job_id} is of {job.actor or 'an actor unknown'}; {caller.actor} may cancel its "
+            "own jobs. Others' jobs need a key for admin"
+        )
+    if job.status == "cancelled":
+        return job
+    return _by_caller(db, job, "cancel", owner=None, finished=time.time())
 
 
 def cancel_many(db: Connection, component: str | None, status: Status) -> int:
     """Cancel all jobs of a status (of one component), and return how many there were.
 
+    Those that the caller may cancel: its own, for admin all, of the components that it may touch.
     Raises InvalidTransitionError if jobs of that status cannot be cancelled; then none is.
     """
-    jobs = listed(db, component, status, limit=-1)  # no limit, to SQLite
+    actor = None if CALLER.get().admin else CALLER.get().actor
+    jobs = listed(db, component, status, limit=-1, actor=actor)  # no limit, to SQLite
     return len([cancel(db, job.id) for job in jobs])
 
 
-def retry(db: Connection, job_id: int) -> JobRecord:
-    """Let a failed or cancelled job wait again."""
-    return _moved(db, get(db, job_id), "retry", **_FRESH)
+def retry(db: Connection, job_id: int, quota: Quota | None = None) -> JobRecord:
+    """Let a failed or cancelled job wait again, as the caller's; raises QuotaError."""
+    job = get(db, job_id)
+    return _by_caller(db, job, "retry", actor=_charged(db, job.component, quota), **_FRESH)
 
 
 # -- reading ----------------------------------------------------------------------------------
@@ -320,12 +369,20 @@ def listed(
     status: Status | None = None,
     limit: int = 100,
     below: int | None = None,
+    actor: str | None = None,
 ) -> list[JobRecord]:
-    """Return jobs, newest first, those of a number below `below` if given."""
-    terms = {"component = ?": component, "status = ?": status, "id < ?": below}
+    """Return jobs, newest first, those of a number below `below` if given.
+
+    Without those of components that the caller may not touch.
+    """
+    terms = {"component = ?": component, "status = ?": status, "id < ?": below, "actor = ?": actor}
     used = {term: value for term, value in terms.items() if value is not None}
+    values = [*used.values()]
+    if (patterns := CALLER.get().components) != ANY:
+        used[f"({' OR '.join(['component GLOB ?'] * len(patterns))})"] = None
+        values += patterns
     where = f"WHERE {' AND '.join(used)}" if used else ""
-    return _select(db, f"{where} ORDER BY id DESC LIMIT ?", (*used.values(), limit))
+    return _select(db, f"{where} ORDER BY id DESC LIMIT ?", (*values, limit))
 
 
 def open_jobs(db: Connection, component: str, fingerprint: str) -> list[OpenJob]:
@@ -424,10 +481,14 @@ def statistics(db: Connection) -> Statistics:
 
 def ahead(db: Connection, job_id: int, priority: int, now: float) -> list[Ahead]:
     """Return the waiting jobs that start before one, by component, with the time of a solve."""
+    # Of each actor as many of a priority start before a job as are before it of its own actor.
     records = db.execute(
-        "SELECT component, count(*) FROM jobs WHERE status = 'waiting'"
-        " AND (priority > :priority OR (priority = :priority AND id < :id))"
-        " AND coalesce(not_before, 0) <= :now GROUP BY component",
+        "WITH due AS (SELECT id, component, priority, row_number() OVER"
+        " (PARTITION BY actor, priority ORDER BY id) AS turn FROM jobs WHERE status = 'waiting'"
+        " AND coalesce(not_before, 0) <= :now OR id = :id),"
+        " this AS (SELECT turn FROM due WHERE id = :id)"
+        " SELECT component, count(*) FROM due, this WHERE priority > :priority"
+        " OR (priority = :priority AND (due.turn, id) < (this.turn, :id)) GROUP BY component",
         {"priority": priority, "id": job_id, "now": now},
     ).fetchall()
     return [Ahead(name, number, solve_seconds(db, name)) for name, number in records]
@@ -455,6 +516,44 @@ def _moved(db: Connection, job: JobRecord, event: str, **changes: Any) -> JobRec
             possible = "it is final unless its row is withdrawn"
         raise InvalidTransitionError(f"job {job.id} is {job.status}: cannot {event} it; {possible}")
     return _save(db, replace(job, status=status, **changes))
+
+
+def _by_caller(db: Connection, job: JobRecord, event: str, **changes: Any) -> JobRecord:
+    """Write a job after an event of the caller, with its entry in the audit."""
+    moved = _moved(db, job, event, **changes)
+    before, after = ({"status": part.status, "actor": part.actor} for part in (job, moved))
+    note(db, f"job.{event}", job.id, job.component, before=before, after=after)
+    return moved
+
+
+def _charged(db: Connection, component: str, quota: Quota | None) -> str:
+    """Return the caller as the actor of one more open job; raises QuotaError."""
+    actor = CALLER.get().actor
+    if quota is None or actor in (LOCAL, SERVER):
+        return actor
+    if quota.open_jobs is not None:
+        open_ = "SELECT count(*) FROM jobs WHERE status IN ('waiting', 'running') AND actor = ?"
+        if db.execute(open_, (actor,)).fetchone()[0] >= quota.open_jobs:
+            raise QuotaError(
+                f"{actor} would have more than {quota.open_jobs} open jobs, its quota (serve "
+                "--actor-jobs). Nothing was queued; wait until some have ended, or cancel some",
+                solve_seconds(db, component) or UNKNOWN_SECONDS,
+            )
+    if quota.solver_seconds is not None:
+        now = time.time()
+        spent, first = db.execute(
+            f"SELECT sum(max(0.0, coalesce(finished, :now) - {_BEGIN})), min(started) FROM jobs"
+            " WHERE actor = :actor AND started > :now - :day",
+            {"actor": actor, "now": now, "day": DAY_SECONDS},
+        ).fetchone()
+        if (spent or 0.0) >= quota.solver_seconds:
+            raise QuotaError(
+                f"the solves of {actor} that began in the last 24 hours took {spent or 0.0:.0f} s "
+                f"of {quota.solver_seconds:g} s, its quota (serve --actor-seconds). Nothing was "
+                "queued; ask again later, or have the quota raised",
+                max(1.0, (first or now) + DAY_SECONDS - now),
+            )
+    return actor
 
 
 def _save(db: Connection, job: JobRecord) -> JobRecord:

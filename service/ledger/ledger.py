@@ -12,6 +12,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 
+from wrenchbook.service.ledger import audit as audit_sql
 from wrenchbook.service.ledger import imports as import_sql
 from wrenchbook.service.ledger import jobs as job_sql
 from wrenchbook.service.ledger import rows as row_sql
@@ -168,6 +169,7 @@ class Ledger:
     import_of = _reads(import_sql.import_of)
     import_spans = _reads(import_sql.import_spans)
     findings = _reads(import_sql.findings)
+    audit = _reads(audit_sql.entries)
 
     def claim(self, owner: str, engine: str = "local") -> JobRecord | None:
         """Start the next waiting job's next attempt under `owner`; None if none waits."""
@@ -198,7 +200,11 @@ class Ledger:
         # Before the lock is taken: other writers wait for the insertion alone.
         keys = row_keys(component, block)
         with self.writing() as db:
-            return row_sql.insert(db, component, block, keys, time.time(), above=above)
+            new, known = row_sql.insert(db, component, block, keys, time.time(), above=above)
+            if new:
+                last, after = sequences(db)["rows"], {"rows": new}
+                audit_sql.note(db, "row.insert", last, component, after=after)
+            return new, known
 
     @contextmanager
     def table_at(

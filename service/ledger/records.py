@@ -37,6 +37,7 @@ class JobRecord:
     engine: str | None = None  # that has the latest attempt
     task: str | None = None  # the engine's key of it
     began: float | None = None  # when a solver was first seen at it; until then it is submitted
+    actor: str = ""  # that asked for it; empty if it was accepted before the ledger knew actors
 
     @property
     def seconds(self) -> float | None:
@@ -55,6 +56,13 @@ class JobRecord:
     def is_final(self) -> bool:
         """True if nothing more happens to the job by itself."""
         return self.status in FINAL
+
+
+class Quota(NamedTuple):
+    """The most that an actor may have: open jobs, and solver seconds of a day; None for any."""
+
+    open_jobs: int | None = None
+    solver_seconds: float | None = None
 
 
 class Beat(NamedTuple):
@@ -166,6 +174,14 @@ class UnknownImportError(LedgerError, LookupError):
 
 class InvalidTransitionError(LedgerError):
     """The job's status does not allow this; see `TRANSITIONS`."""
+
+
+class QuotaError(LedgerError):
+    """The actor has as many open jobs or solver seconds as it may; nothing was changed."""
+
+    def __init__(self, message: str, retry_s: float) -> None:
+        super().__init__(message)
+        self.retry_s = retry_s
 
 
 class StaleAttemptError(InvalidTransitionError):

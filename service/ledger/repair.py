@@ -31,7 +31,7 @@ from wrenchbook.surrogate.table.rows import Rows
 _DIGEST = 8  # bytes
 _TABLES = (
     *("jobs", "rows", "edits", "gatherings", "recorded", "extremes", "blocks"),
-    *("imports", "import_parts", "catalogue", "demand", "solver_errors", "rigs"),
+    *("imports", "import_parts", "catalogue", "demand", "solver_errors", "rigs", "audit"),
 )
 _STORED = (
     "EXISTS (SELECT 1 FROM rows WHERE rows.seq = (SELECT max(seq) FROM rows WHERE seq <= row)"

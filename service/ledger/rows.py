@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from wrenchbook.service.ledger import audit
 from wrenchbook.service.ledger.connection import Connection
 from wrenchbook.service.ledger.packing import (
     KEY_BYTES,
@@ -297,6 +298,7 @@ def rewrite(db: Connection, component: str, seq: int, rows: Rows) -> bool:
     withdrawn = is_withdrawn(db, seq)
     edit(db, component, [seq], withdrawn=not withdrawn, now=now)
     edit(db, component, [seq], withdrawn=withdrawn, now=now)
+    audit.note(db, "row.rewrite", seq, component)
     return True
 
 
@@ -310,6 +312,15 @@ def withdraw(db: Connection, component: str, seq: int, *, withdrawn: bool = True
     if is_withdrawn(db, seq) == withdrawn:
         raise RowStatusError(f"row {seq} is {'withdrawn already' if withdrawn else 'in the table'}")
     edit(db, component, [seq], withdrawn=withdrawn, now=time.time())
+    note_edit(db, "row", seq, component, withdrawn=withdrawn)
+
+
+def note_edit(
+    db: Connection, kind: str, subject: object, component: str, *, withdrawn: bool, **more: Any
+) -> None:
+    """Note a withdrawal or restoring of a row or an import."""
+    states = {"before": {"withdrawn": not withdrawn}, "after": {"withdrawn": withdrawn, **more}}
+    audit.note(db, f"{kind}.{'withdraw' if withdrawn else 'restore'}", subject, component, **states)
 
 
 def restore(db: Connection, component: str, seq: int) -> None:
@@ -339,6 +350,7 @@ def replay(db: Connection, component: str, edits: Iterable[RowEdit]) -> int:
             last = db.execute(newest, (seq,)).fetchone()
             if is_withdrawn(db, seq) != withdrawn and (last is None or last[0] < created):
                 edit(db, component, [seq], withdrawn=withdrawn, now=created)
+                note_edit(db, "row", seq, component, withdrawn=withdrawn)
                 changed += 1
     return changed
 

@@ -1,7 +1,7 @@
 """The SQL of the ledger's tables, and the steps from the schemas of released versions."""
 
 APPLICATION_ID = 0x77726E63  # "wrnc": tells a ledger from other programs' SQLite files
-VERSION = 15  # of TABLES; raise it, and add a step from the previous one, with each change
+VERSION = 16  # of TABLES; raise it, and add a step from the previous one, with each change
 
 # `wrench`, `displacement` and their kin are float64, little-endian, of any number of loads and
 # outputs; see packing.py.
@@ -36,6 +36,35 @@ _STATE = """
 # Profiles of test rigs: TOML texts by name.
 _RIGS = """
     CREATE TABLE rigs (name TEXT PRIMARY KEY, profile TEXT NOT NULL);
+"""
+
+# Writes and their actors. REPLACE fires no trigger of DELETE, so that one of INSERT refuses it.
+_ACTOR = "actor TEXT NOT NULL DEFAULT ''"
+_TURNS = """
+    -- Waiting jobs start by priority and id of each actor in turn: the one whose last start is the
+    -- longest ago is the next.
+    CREATE INDEX jobs_in_turn ON jobs (status, actor, priority DESC, id);
+    CREATE INDEX jobs_of_actor ON jobs (actor, started);
+"""
+_REFUSED = "BEGIN SELECT RAISE(ABORT, 'entries of the audit are never changed'); END"
+_AUDIT = f"""
+    CREATE TABLE audit (
+        id INTEGER PRIMARY KEY AUTOINCREMENT,
+        time REAL NOT NULL,
+        actor TEXT NOT NULL,
+        action TEXT NOT NULL,
+        component TEXT NOT NULL,
+        object TEXT NOT NULL,
+        before TEXT,
+        after TEXT
+    );
+    CREATE INDEX audit_of_component ON audit (component, id);
+    CREATE INDEX audit_of_actor ON audit (actor, id);
+    CREATE INDEX audit_by_time ON audit (time);
+    CREATE TRIGGER audit_kept BEFORE UPDATE ON audit {_REFUSED};
+    CREATE TRIGGER audit_complete BEFORE DELETE ON audit {_REFUSED};
+    CREATE TRIGGER audit_not_replaced BEFORE INSERT ON audit
+        WHEN EXISTS (SELECT 1 FROM audit WHERE id = new.id) {_REFUSED};
 """
 
 # A record has consecutive rows, from `seq`, of one setup, source and note: the bytes of their
@@ -100,9 +129,10 @@ TABLES = f"""
         engine TEXT,
         task TEXT,
         began REAL,
+        {_ACTOR},
         UNIQUE (component, fingerprint, wrench)
     );
-    CREATE INDEX jobs_in_order ON jobs (status, priority DESC, id);
+    {_TURNS}
     CREATE INDEX jobs_of_component ON jobs (component, status);
     CREATE INDEX jobs_of_owner ON jobs (owner) WHERE owner IS NOT NULL;
     -- Jobs are listed by component, or by status, newest first, a page at a time.
@@ -196,6 +226,7 @@ TABLES = f"""
     );
     {_STATE}
     {_RIGS}
+    {_AUDIT}
 """
 
 # By the schema version of a file: the version that the script leads to, and the script. 8 is that
@@ -244,4 +275,13 @@ STEPS = {
         """,
     ),
     14: (15, _RIGS),
+    15: (
+        16,
+        f"""
+        ALTER TABLE jobs ADD COLUMN {_ACTOR};
+        DROP INDEX jobs_in_order;
+        {_TURNS}
+        {_AUDIT}
+        """,
+    ),
 }

@@ -8,6 +8,7 @@ from dataclasses import astuple, dataclass, replace
 from typing import Any
 
 from wrenchbook.service.ledger import Ledger, LedgerError
+from wrenchbook.service.ledger.audit import note
 
 
 @dataclass(frozen=True)
@@ -46,9 +47,12 @@ class Catalogue:
         """Change a component's entry, on disk for good; raises LedgerUnavailableError."""
         with self._ledger.writing() as db:
             row = db.execute("SELECT * FROM catalogue WHERE component = ?", (name,)).fetchone()
-            card = replace(_card(row) if row else CatalogueCard(), **fields)
+            before = _card(row) if row else CatalogueCard()
+            card = replace(before, **fields)
             values = name, *astuple(card)
             db.execute("INSERT OR REPLACE INTO catalogue VALUES (?, ?, ?, ?, ?)", values)
+            former = {field: getattr(before, field) for field in fields}
+            note(db, "component.edit", name, name, before=former, after=fields)
         return card
 
 

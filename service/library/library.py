@@ -18,6 +18,7 @@ from typing import Any, BinaryIO
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.spec.keys import is_slug
+from wrenchbook.service.actors import CALLER, NotPermittedError
 from wrenchbook.service.files.durable import sync, sync_tree
 from wrenchbook.service.library.bundles import (
     check_mesh,
@@ -61,6 +62,8 @@ class Library:
     and so with a command to run, may be added. `on_added` is called with each component that has
     been added, `on_checked` with an uploaded component before anything can see it, `on_copy` with a
     component and the name of its copy before anything can see the copy; its OSError adds nothing.
+    `noted` is a context in which a component of this name becomes visible. A request sees the
+    components that its key may touch; the others are unknown to it.
     """
 
     def __init__(
@@ -72,10 +75,13 @@ class Library:
         on_added: Callable[[Component], None] = lambda _: None,
         on_checked: Callable[[Component], None] = lambda _: None,
         on_copy: Callable[[Component, str], None] = lambda *_: None,
+        noted: Callable[[str], contextlib.AbstractContextManager[None]] = (
+            lambda _: contextlib.nullcontext()
+        ),
     ) -> None:
         self._own, self._shipped = own, shipped
         self._on_added, self._on_checked, self._on_copy = on_added, on_checked, on_copy
-        self._allow_decks = allow_decks
+        self._allow_decks, self._noted = allow_decks, noted
         self._lock = threading.Lock()
         self._version, self._next_look, self._own_stamp = 0, 0.0, 0
         self._components: dict[str, Component] = {}
@@ -89,7 +95,8 @@ class Library:
 
     def names(self) -> list[str]:
         """Return the names of all components, sorted."""
-        return sorted(name for name in self._components if self._find(name))
+        touches = CALLER.get().touches
+        return sorted(name for name in self._components if self._find(name) and touches(name))
 
     def version(self) -> int:
         """Return a number that differs after a component was added, changed or broken.
@@ -114,15 +121,16 @@ class Library:
 
     def broken(self) -> dict[str, str]:
         """Return why a folder of the library is no usable component, by the folder's name."""
-        return dict(self._broken)
+        touches = CALLER.get().touches
+        return {name: reason for name, reason in self._broken.items() if touches(name)}
 
     def __contains__(self, name: str) -> bool:
-        return self._find(name) is not None
+        return self._find(name) is not None and CALLER.get().touches(name)
 
     def __getitem__(self, name: str) -> Component:
         component = self._find(name)
-        if component is None:
-            if name in self._broken:
+        if component is None or not CALLER.get().touches(name):
+            if component is None and name in self._broken:
                 raise BrokenComponentError(name, self.names(), self._broken[name])
             raise UnknownComponentError(name, self.names())
         return component
@@ -220,6 +228,9 @@ class Library:
         `before` is called with that name while nothing can see the component yet.
         """
         name = read_bundle(folder).name
+        if not CALLER.get().touches(name):
+            patterns = ", ".join(CALLER.get().components)
+            raise NotPermittedError(f"the key may touch {patterns}, and not {name!r}")
         final = self._own / name
         with self._lock:
             # On the disk too: another process may have added it, or its files may be damaged.
@@ -227,13 +238,14 @@ class Library:
                 raise ComponentExistsError(_TAKEN.format(name=name))
             sync_tree(folder)
             before(name)
-            try:
-                folder.rename(final)  # never into a folder that is there: shutil.move would
-            except OSError as error:
-                if error.errno in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
-                    raise ComponentExistsError(_TAKEN.format(name=name)) from error
-                raise
-            sync(self._own)
+            with self._noted(name):
+                try:
+                    folder.rename(final)  # never into a folder that is there: shutil.move would
+                except OSError as error:
+                    if error.errno in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
+                        raise ComponentExistsError(_TAKEN.format(name=name)) from error
+                    raise
+                sync(self._own)
             return self._register(final, shipped=False)
 
     def _try(self, folder: Path, *, shipped: bool) -> None:

@@ -6,6 +6,8 @@ from pathlib import Path
 
 from wrenchbook.service.formats.rig import NAME, Rig, RigError
 from wrenchbook.service.ledger import Ledger
+from wrenchbook.service.ledger.audit import note
+from wrenchbook.service.ledger.connection import Connection
 
 MAX_RIGS = 1000  # stored: 8 MB; a laboratory has dozens
 MAX_NAMED = 20  # in a message
@@ -48,11 +50,20 @@ def store_rig(ledger: Ledger, name: str, profile: str) -> None:
             raise RigError(
                 f"{others} rigs are stored, the most; remove one (wrenchbook rig remove)"
             )
+        note(db, "rig.store", name, before=_stored(db, name), after=profile)
         db.execute("INSERT OR REPLACE INTO rigs VALUES (?, ?)", (name, profile))
 
 
 def remove_rig(ledger: Ledger, name: str) -> None:
     """Remove a stored profile; UnknownRigError."""
     with ledger.writing() as db:
-        if not db.execute("DELETE FROM rigs WHERE name = ?", (name,)).rowcount:
+        before = _stored(db, name)
+        if before is None:
             raise UnknownRigError(f"the rig {name!r} is not stored; shipped ones stay")
+        db.execute("DELETE FROM rigs WHERE name = ?", (name,))
+        note(db, "rig.remove", name, before=before)
+
+
+def _stored(db: Connection, name: str) -> str | None:
+    row = db.execute("SELECT profile FROM rigs WHERE name = ?", (name,)).fetchone()
+    return row[0] if row else None

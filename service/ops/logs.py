@@ -10,7 +10,7 @@ from typing import Final, Literal
 
 LogFormat = Literal["text", "json"]
 # Optional attributes of a record: `logger.info(..., extra={"job": 7})`.
-ABOUT: Final = ("job", "attempt", "component", "request_id")
+ABOUT: Final = ("job", "attempt", "component", "request_id", "actor")
 REQUEST_ID: ContextVar[str | None] = ContextVar("request_id", default=None)
 """The id of the HTTP request that this context answers; None outside of requests."""
 _MOST_CHARACTERS = 20_000  # of a message or a traceback: log collectors limit lines

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from wrenchbook.service.contract import COVERAGE
 from wrenchbook.service.ledger import BlockKeyError, packed, unpacked
+from wrenchbook.service.ledger.audit import note
 from wrenchbook.service.ledger.connection import Connection
 from wrenchbook.service.ledger.packing import content_key
 from wrenchbook.service.library.component import Component
@@ -231,6 +232,7 @@ class RecordingStore:
             db.execute(f"DELETE FROM {table} WHERE component = ?", (component,))
             if before.revision:
                 _save(db, component, kind, Tally(revision=before.revision + 1))
+                note(db, f"{kind}.clear", component, component, before={"offered": before.offered})
         return before
 
     def _subsets_of(

@@ -10,7 +10,8 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import asdict
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
@@ -19,7 +20,8 @@ from uvicorn.config import STARTUP_FAILURE
 from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.jobs.dispatcher import Dispatcher
 from wrenchbook.service.jobs.solver_pool import LocalEngine
-from wrenchbook.service.ledger import FINAL, Ledger, LedgerError
+from wrenchbook.service.keys import OWN_KEY
+from wrenchbook.service.ledger import FINAL, Ledger, LedgerError, noted
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.settings import Settings
 from wrenchbook.service.tables.build import TableBuilder
@@ -195,7 +197,20 @@ def run(settings: Settings, started: threading.Event) -> None:
         sys.exit(STARTUP_FAILURE)
     try:
         with opened(settings) as parts, building(settings, parts, state):
+            if OWN_KEY not in os.environ:  # of no server for the length of a command
+                note_settings(parts[0], settings)
             started.set()
             stop.wait()
     finally:
         state.release()
+
+
+def note_settings(ledger: Ledger, settings: Settings) -> None:
+    """Note in the audit the settings that differ from those of the start before."""
+    with suppress(LedgerError):  # tables answer without it
+        known = ledger.audit(action="settings", limit=1)
+        before, after = known[0].after if known else None, asdict(settings)
+        after["data"] = str(settings.data)
+        if before != after:
+            with noted(ledger, "settings", "serve", before=before, after=after):
+                pass

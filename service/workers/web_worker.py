@@ -16,6 +16,7 @@ from wrenchbook.service.files.scratch import take_scratch
 from wrenchbook.service.http.access import security_settings
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.protocol import FastPathProtocol
+from wrenchbook.service.http.proxy import proxy_trust
 from wrenchbook.service.http.server import Server, raise_open_files, server_config
 from wrenchbook.service.sandbox import warm_up
 from wrenchbook.service.settings import Settings
@@ -38,7 +39,8 @@ class WebWorker(Server):
         self._ready = ready
         raise_open_files()
         self._scratch = take_scratch()
-        security = security_settings(settings.host, settings.allow_host, settings.allow_origin)
+        names = settings.host, settings.allow_host, settings.allow_origin
+        security = security_settings(*names, proxy_trust(settings))
         app = create_app(settings, security)
         super().__init__(server_config(app, settings.log_level, log_config=None))
         # The private server of a command ends before that pays; a process each takes 90 MB.

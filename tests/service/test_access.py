@@ -88,7 +88,7 @@ def test_every_call_refuses_none_and_a_wrong_key_and_every_write_a_key_for_readi
         reply = locked.request(method, url, headers=headers)
         assert reply.status_code == 401, reply.text
         assert reply.headers["www-authenticate"].startswith("Bearer")
-    if path.startswith("/v1/keys"):
+    if path.startswith(("/v1/keys", "/v1/audit")):
         assert locked.request(method, url, headers=bearer(secrets_["write"])).status_code == 403
     elif method != "GET":
         refused = locked.request(method, url, headers=bearer(secrets_["read"]))

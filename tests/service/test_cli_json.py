@@ -48,6 +48,7 @@ COMMANDS = {
     "joint": (["plate", "FOLDER/scene.xml"], [COMPONENT]),
     "stiffness": (["plate"], [COMPONENT, STIFF]),
     "jobs": ([], [{"jobs": []}]),
+    "audit": ([], [{"entries": []}]),
     "recording": (["plate"], [RECORDED]),
     "recording --start": (["plate"], [QUEUED_NONE]),
     "recording --clear": (["plate"], [{"cleared": 5}]),
@@ -63,6 +64,7 @@ COMMANDS = {
     "keys add": (["ann", "--data", "FOLDER"], []),
     "keys list": (["--data", "FOLDER"], []),
     "keys revoke": (["bob", "--data", "FOLDER"], []),
+    "keys rotate": (["bob", "--data", "FOLDER"], []),
     "backup": (["FOLDER/kept.backup", "--data", "FOLDER/data"], []),
     "restore": (["FOLDER/whole.backup", "--data", "FOLDER/again"], []),
     "doctor": (["--data", "FOLDER/data"], []),
@@ -145,6 +147,7 @@ def test_keys_are_printed_as_json(run: Run, folder: Path):
     added = json.loads(run("keys", "add", "ann", *where)[1])
     assert (added["name"], added["scope"], bool(added["key"])) == ("ann", "write", True)
     assert [key["name"] for key in json.loads(run("keys", "list", *where)[1])] == ["ann", "bob"]
+    assert json.loads(run("keys", "rotate", "ann", *where)[1])["key"] != added["key"]
     assert json.loads(run("keys", "revoke", "bob", *where)[1]) == {"name": "bob", "revoked": True}
 
 

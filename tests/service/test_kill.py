@@ -1,5 +1,7 @@
 """kill -9 of dispatchers and solvers: every accepted job is done, each row is there once.
 
+The audit has one entry of each job and of each row.
+
 WRENCHBOOK_KILLS=200 makes a long run of it.
 """
 
@@ -33,7 +35,8 @@ class Site:
         self.dispatcher = None
 
     def start(self, solver="waits_for_a_word"):
-        environment = dict(os.environ, WRENCHBOOK_SOLVE=f"stand_in:{solver}", PYTHONPATH=SOLVERS)
+        paths = os.pathsep.join(filter(None, (SOLVERS, os.environ.get("PYTHONPATH"))))
+        environment = dict(os.environ, WRENCHBOOK_SOLVE=f"stand_in:{solver}", PYTHONPATH=paths)
         command = [sys.executable, str(HERE / "run_dispatcher.py"), str(self.folder)]
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
         self.dispatcher = subprocess.Popen(command, env=environment, **pipes)
@@ -87,6 +90,10 @@ class Site:
         assert sorted(row.job for row in rows) == sorted(job.id for job in jobs)
         for row in rows:
             assert row.displacement == tuple(load * 1e-6 for load in row.wrench)
+        for action, written in (("job.accept", jobs), ("row.solve", rows)):
+            entries = self.ledger.audit(action=action, limit=10**6)
+            numbers = [job.id if action == "job.accept" else job.seq for job in written]
+            assert sorted(int(entry.object) for entry in entries) == sorted(numbers)
 
 
 @pytest.fixture

@@ -88,9 +88,9 @@ def test_the_access_log_has_a_line_of_every_request(folder, stand_in, lines):
         client.get("/v1/x%0AINFO%20forged")  # which makes no line of its own
     found = [one for one in lines() if one["logger"] == "wrenchbook.access"]
     assert [one["message"].rpartition(" ms")[0].rpartition(" ")[0] for one in found] == [
-        f'testclient "POST {CALL}" 200',
-        'testclient "GET /v1/jobs?limit=3" 200',
-        'testclient "GET /v1/x%0AINFO%20forged" 404',
+        f'testclient (anonymous) "POST {CALL}" 200',
+        'testclient (anonymous) "GET /v1/jobs?limit=3" 200',
+        'testclient (anonymous) "GET /v1/x%0AINFO%20forged" 404',
     ]
     assert found[0]["request_id"] == "q"
 

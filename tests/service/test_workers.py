@@ -47,7 +47,7 @@ class SeveralProcesses:
         command = child_command(
             "wrenchbook.service.cli.main", "serve", "--data", str(folder), "--port", "0"
         )
-        paths = f"{HERE}:{HERE.parents[1]}"
+        paths = f"{HERE}:{HERE.parents[1]}:{HERE.parents[1] / 'src'}"
         self.supervisor = subprocess.Popen(
             [*command, "--processes", "2", "--solvers", str(solvers), "--log-level", "error"],
             stdout=subprocess.PIPE,

@@ -139,7 +139,7 @@ async def add_component(request: Request, workspace: Opened) -> Response:
     summary="Queue the solves that lower the table's error most",
     responses=answers(Queued, "the interpolation error is within the tolerance")
     | answers(Queued, "solves are queued", 202)
-    | refused(404, 409, 422),
+    | refused(404, 409, 422, 429),
 )
 def fill(name: str, workspace: Opened, order: FillBody) -> Response:
     began = time.time()

@@ -56,7 +56,7 @@ router = APIRouter(
     prefix="/v1/components/{name}",
     tags=["displacement"],
     route_class=DirectRoute,
-    responses=refused(404, 409, 422),
+    responses=refused(404, 409, 422, 429),
 )
 
 

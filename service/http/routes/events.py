@@ -11,6 +11,7 @@ from fastapi import APIRouter, Header, Query, Request
 from starlette.responses import Response, StreamingResponse
 from starlette.types import Message, Receive, Scope, Send
 
+from wrenchbook.service.actors import ANY, CALLER, NotPermittedError
 from wrenchbook.service.events import Events, Feed, Listener
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.openapi import refused
@@ -60,6 +61,8 @@ async def events(
     watched: Events = request.app.state.events
     if component is not None:
         _ = workspace.library[component]
+    elif (caller := CALLER.get()).components != ANY:
+        raise NotPermittedError(f"{caller.actor} must name one of its components: ?component=NAME")
     listener = await watched.listen(component, last_event_id)
     request.app.state.access.end_with_key(listener, permission_of(request.scope))
     return EventStream(watched.feed, listener)

@@ -9,11 +9,12 @@ from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Path, Query
+from fastapi import APIRouter, Depends, Path, Query, Request
 from pydantic import AfterValidator
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import PlainTextResponse, Response, StreamingResponse
 
+from wrenchbook.service.actors import ANY, CALLER
 from wrenchbook.service.contract import by_part
 from wrenchbook.service.files.redact import redact_values
 from wrenchbook.service.http.openapi import BYTES, refused
@@ -26,7 +27,21 @@ from wrenchbook.service.query import job_link
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.table.space import DEFAULT
 
-router = APIRouter(prefix="/v1/jobs", tags=["jobs"], responses=refused(404, 422))
+
+async def _touched(request: Request, workspace: Opened) -> None:
+    """Refuse the job of a component that the key may not touch, as if there were none."""
+    caller, job_id = CALLER.get(), request.path_params.get("job_id", "")
+    if caller.components != ANY and job_id:
+        if job_id.isdecimal() and len(job_id) < 19:
+            job = await run_in_threadpool(workspace.ledger.job, int(job_id))
+            if caller.touches(job.component):
+                return
+        raise UnknownJobError("the key may touch no job of that number; GET /v1/jobs lists all")
+
+
+router = APIRouter(
+    prefix="/v1/jobs", tags=["jobs"], responses=refused(404, 422), dependencies=[Depends(_touched)]
+)
 # The end, where the reason stands; all of it is in the attempt's files.
 MAX_LOG_BYTES = 64 * 1024
 CODE = pathlib.Path(__file__).parents[3]
@@ -58,6 +73,7 @@ def job_body(
     body: dict[str, Any] = {
         **job_link(job),
         "component": job.component,
+        "actor": job.actor or None,
         **(space.by_name(job.wrench) if space else {"wrench": job.wrench}),
         "attempt": job.attempt,
         "not_before": _time(job.not_before),
@@ -86,18 +102,20 @@ def list_jobs(
     response: Response,
     component: str | None = None,
     status: Status | None = None,
+    actor: Annotated[str | None, Query(max_length=200, description="only those of it")] = None,
     limit: Annotated[int, Query(ge=1, le=100_000)] = 1000,
     after: Annotated[
         int | None, Query(ge=1, lt=2**63, description="go on after this job, to older ones")
     ] = None,
 ) -> dict[str, Any]:
     _check_known(workspace, component)
-    jobs = workspace.ledger.jobs(component, status, limit + 1, below=after)
+    jobs = workspace.ledger.jobs(component, status, limit + 1, below=after, actor=actor)
     more, jobs = len(jobs) > limit, jobs[:limit]
     rows = workspace.ledger.rows_of([job.row for job in jobs if job.row is not None])
     next_url = None
     if more:
-        query = {"component": component, "status": status, "limit": limit, "after": jobs[-1].id}
+        query = {"component": component, "status": status, "actor": actor, "limit": limit}
+        query["after"] = jobs[-1].id
         next_url = next_page(response, "/v1/jobs", query)
     return {"jobs": [job_body(workspace, job, rows) for job in jobs], "next": next_url}
 
@@ -122,7 +140,7 @@ async def get_job(job_id: JobId, workspace: Opened, wait_s: WaitSeconds = 0.0) -
 
 @router.delete(
     "",
-    summary="Cancel all jobs that wait, or that run",
+    summary="Cancel all jobs that wait, or that run: the caller's own, for admin all",
     responses={
         200: {"model": dict[Literal["cancelled"], int], "description": "the number of jobs"}
     },
@@ -136,16 +154,20 @@ def cancel_jobs(
     return {"cancelled": workspace.ledger.cancel_many(component, status)}
 
 
-@router.delete("/{job_id}", summary="Cancel a job that has not ended", responses=refused(409))
+@router.delete(
+    "/{job_id}",
+    summary="Cancel an own job, or any for admin",
+    responses=refused(409),
+)
 def cancel_job(job_id: JobId, workspace: Opened) -> dict[str, Any]:
     return job_body(workspace, workspace.ledger.cancel(job_id))
 
 
 @router.post(
-    "/{job_id}/retry", summary="Queue a failed or cancelled job again", responses=refused(409)
+    "/{job_id}/retry", summary="Queue a failed or cancelled job again", responses=refused(409, 429)
 )
 def retry_job(job_id: JobId, workspace: Opened) -> dict[str, Any]:
-    return job_body(workspace, workspace.ledger.retry(job_id))
+    return job_body(workspace, workspace.ledger.retry(job_id, workspace.quota))
 
 
 @router.get(

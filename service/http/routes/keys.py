@@ -1,4 +1,4 @@
-"""Keys over HTTP, for whoever has one for admin: list, add, revoke."""
+"""Keys over HTTP, for whoever has one for admin: list, add, rotate, revoke."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ from fastapi import APIRouter, Request
 from pydantic import Field
 from starlette.responses import Response
 
+from wrenchbook.service.actors import ANY
 from wrenchbook.service.http.bodies import Body
 from wrenchbook.service.http.body import JsonRoute
 from wrenchbook.service.http.openapi import answers, refused
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
-from wrenchbook.service.http.routes import json_reply
-from wrenchbook.service.keys import MEGABYTES, RATE, Keyring, KeysError
+from wrenchbook.service.http.routes import Opened, json_reply
+from wrenchbook.service.keys import MEGABYTES, OVERLAP_HOURS, RATE, Keyring, KeysError
+from wrenchbook.service.ledger import noted
 
 router = APIRouter(
     prefix="/v1/keys",
@@ -32,11 +34,21 @@ class KeyBody(Body):
     megabytes: Annotated[
         int, Field(strict=True, gt=0, lt=2**20, description="largest body, MiB")
     ] = MEGABYTES
+    components: Annotated[
+        tuple[str, ...], Field(max_length=100, description="patterns of their names: plate_*")
+    ] = ANY
+    expires: Annotated[float | None, Field(description="seconds since the epoch")] = None
+
+
+class RotateBody(Body):
+    """How long the old secret is valid."""
+
+    overlap_hours: Annotated[float, Field(ge=0, le=8760)] = OVERLAP_HOURS
 
 
 @router.get("", summary="The keys there are, without their secrets; needs a key for admin")
 def list_keys(request: Request) -> dict[str, Any]:
-    return {"keys": [key.public() for key in _keyring(request).listed()]}
+    return {"keys": _keyring(request).public()}
 
 
 @router.post(
@@ -46,21 +58,38 @@ def list_keys(request: Request) -> dict[str, Any]:
     responses=answers(dict[str, Any], "the new key; `key` is its secret, sent this once", 201)
     | refused(422),
 )
-def add_key(request: Request, body: KeyBody) -> Response:
+def add_key(request: Request, workspace: Opened, body: KeyBody) -> Response:
+    keyring, fields = _keyring(request), body.model_dump()
     try:
-        secret = _keyring(request).add(
-            body.name, body.scope, rate=body.rate, megabytes=body.megabytes
-        )
+        with noted(workspace.ledger, "key.add", body.name, after=fields):
+            secret = keyring.add(**fields)
     except KeysError as error:
         raise bad_body([{"loc": "name", "msg": str(error)}]) from None
     return json_reply({"name": body.name, "scope": body.scope, "key": secret}, 201)
 
 
+@router.post(
+    "/{name}/rotate",
+    status_code=201,
+    summary="Make a new secret, sent this once; the old one is valid for some hours more",
+    responses=answers(dict[str, Any], "`key` is the new secret", 201) | refused(404, 422),
+)
+def rotate_key(name: str, request: Request, workspace: Opened, body: RotateBody) -> Response:
+    keyring, after = _keyring(request), body.model_dump()
+    try:
+        with noted(workspace.ledger, "key.rotate", name, after=after):
+            secret = keyring.rotate(name, 3600.0 * body.overlap_hours)
+    except KeysError as error:
+        raise HttpProblemError(404, "unknown-key", "No such key", str(error)) from None
+    return json_reply({"name": name, "key": secret, **after}, 201)
+
+
 @router.delete("/{name}", summary="Revoke a key", responses=refused(404, 422))
-def revoke_key(name: str, request: Request) -> dict[str, Any]:
+def revoke_key(name: str, request: Request, workspace: Opened) -> dict[str, Any]:
     keyring = _keyring(request)
     try:
-        keyring.revoke(name)
+        with noted(workspace.ledger, "key.revoke", name):
+            keyring.revoke(name)
     except KeysError as error:
         raise HttpProblemError(404, "unknown-key", "No such key", str(error)) from None
     return {"revoked": name}

@@ -52,7 +52,7 @@ router = APIRouter(
 )
 blocks = APIRouter(route_class=DirectRoute, responses=refused(409))  # read their own bodies
 _BLOCK = takes(BlockBody, BINARY_BODY, BlockKey)
-_QUEUED = answers(messages.Started, "solves are queued", 202) | refused(409)
+_QUEUED = answers(messages.Started, "solves are queued", 202) | refused(409, 429)
 
 
 @blocks.post(

@@ -114,7 +114,7 @@ function change(list, row, job) {
   const running = job.status === "running";
   const fraction = job.progress?.fraction;
   put(row.root,
-    el("td", {}, el("a", { href: `#/jobs/${job.id}` }, String(job.id))),
+    el("td", {}, el("a", { href: `#/jobs/${job.id}` }, String(job.id)), job.actor ? el("span", { class: "muted small" }, ` ${job.actor}`) : null),
     list.withName ? el("td", {}, el("a", { href: `#/c/${job.component}` }, job.component)) : null,
     el("td", { class: running || job.error ? "whole" : null }, el("div", { class: "stack" }, el("div", { class: "line" }, pill(job.status), running && job.progress ? el("span", { class: "small muted" }, job.progress.message) : null),
       running ? el("progress", { max: "1", value: fraction ?? 0, "aria-label": `Job ${job.id}` }) : null,
@@ -158,7 +158,7 @@ async function saveFiles(id) {
 
 export function jobFacts(job) {
   return [
-    ["Component", el("a", { href: `#/c/${job.component}` }, job.component)], ["Wrench", said(job)],
+    ["Component", el("a", { href: `#/c/${job.component}` }, job.component)], ["Actor", job.actor || ""], ["Wrench", said(job)],
     ["Attempt", job.attempt ? String(job.attempt) : ""], ["Accepted", time(job.created)], ["Started", job.started ? time(job.started) : ""],
     ["Ended", job.finished ? time(job.finished) : ""], ["Took", job.seconds ? seconds(job.seconds) : ""], ["Row", job.row ? String(job.row) : ""],
     ["Waits", job.waiting ? job.waiting.reason || "" : ""],

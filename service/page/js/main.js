@@ -9,6 +9,7 @@ const VIEWS = [
   [/^\/c\/([^/]+)(?:\/([a-z]+))?$/, "component.js"],
   [/^\/jobs(?:\/(\d+))?$/, "jobs.js"],
   [/^\/scene$/, "scene.js"],
+  [/^\/audit$/, "audit.js"],
 ];
 const main = document.getElementById("main");
 let leaving = new AbortController();
@@ -43,7 +44,7 @@ function viewOf(address) {
 }
 
 function markWhereWeAre(address) {
-  const room = address.startsWith("/jobs") ? "#/jobs" : address.startsWith("/scene") ? "#/scene" : "#/";
+  const room = ["#/jobs", "#/scene", "#/audit"].find((one) => `#${address}`.startsWith(one)) || "#/";
   for (const link of document.querySelectorAll(".main-nav a")) {
     if (link.getAttribute("href") === room) link.setAttribute("aria-current", "page");
     else link.removeAttribute("aria-current");

@@ -1,0 +1,92 @@
+"""Users that a trusted proxy names in headers, as proxies of OpenID Connect send them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from ipaddress import IPv4Network, IPv6Network, ip_address, ip_network
+from typing import Final
+
+from wrenchbook.service.actors import USER
+from wrenchbook.service.http.problems import HttpProblemError
+from wrenchbook.service.keys import SCOPES, Key, Scope, digest_of
+from wrenchbook.service.settings import Settings, SettingsError
+
+PEER: Final = "wrenchbook.peer"  # key in a scope: the address that a connection comes from
+PEER_FIELD: Final = b":peer"  # the same among the header fields; no caller can send a ":" in a name
+_HEADER: Final = re.compile(r"[A-Za-z0-9-]{1,64}")
+_USER: Final = re.compile(r"[A-Za-z0-9][\w.@+:/=|-]{0,127}", re.ASCII)  # a mail, or an id
+_OF_CALLERS: Final = ("authorization", "cookie", "host")  # proxies pass these on
+_MAX_GROUPS: Final = 1000
+
+
+@dataclass(frozen=True)
+class ProxyTrust:
+    """The headers of trusted proxies, in lower case, their networks, and the scopes of groups."""
+
+    user: bytes
+    networks: tuple[IPv4Network | IPv6Network, ...]
+    groups: bytes
+    scopes: Mapping[str, Scope]
+
+    def key_of(self, head: Mapping[bytes, bytes]) -> Key | None:
+        """Return the user of a request as a key that is stored nowhere; None if none is named.
+
+        The header of any other address is ignored. Raises HttpProblemError, 403.
+        """
+        sent = head.get(self.user, b"").decode("latin-1").strip()
+        if not sent or not self.trusts(head.get(PEER_FIELD, b"").decode()):
+            return None
+        if not _USER.fullmatch(sent):
+            raise _refused(f"The proxy names a user {sent[:100]!r}, which is no mail or id.")
+        groups = head.get(self.groups, b"").decode("latin-1").split(",")[:_MAX_GROUPS]
+        named = {"*", *(group.strip() for group in groups)}
+        allowed: list[Scope] = [self.scopes[group] for group in named & self.scopes.keys()]
+        if not allowed:
+            raise _refused(f"No group of the user {sent} has a scope (--trust-proxy-scopes).")
+        name, scope = f"{USER}{sent}", max(allowed, key=SCOPES.index)
+        return Key(name, scope, digest_of(name), 0.0)
+
+    def trusts(self, peer: str) -> bool:
+        """Return whether an address is that of a trusted proxy."""
+        try:
+            address = ip_address(peer)
+        except ValueError:
+            return False
+        address = getattr(address, "ipv4_mapped", None) or address
+        return any(address in network for network in self.networks)
+
+
+def proxy_trust(settings: Settings) -> ProxyTrust | None:
+    """Return the settings of trusted proxies; None without. Raises SettingsError."""
+    user, groups = settings.trust_proxy_user, settings.trust_proxy_groups
+    if user is None:
+        if settings.trust_proxy_from or groups:
+            raise SettingsError("name the header of the user too: --trust-proxy-user HEADER")
+        return None
+    for header in filter(None, (user, groups)):
+        if not _HEADER.fullmatch(header) or header.lower() in _OF_CALLERS:
+            raise SettingsError(f"{header!r} is no header that a proxy names a user by")
+    scopes: dict[str, Scope] = {}
+    for part in settings.trust_proxy_scopes.split(","):
+        group, _, word = part.strip().partition("=")
+        if not group or word not in SCOPES:
+            raise SettingsError(
+                f"--trust-proxy-scopes: {part!r} is not GROUP=SCOPE; scopes are {', '.join(SCOPES)}"
+            )
+        scopes[group] = SCOPES[SCOPES.index(word)]
+    listed = [part.strip() for part in (settings.trust_proxy_from or "").split(",") if part.strip()]
+    if not listed:
+        raise SettingsError("name the proxy's address: --trust-proxy-from ADDRESS")
+    try:
+        networks = tuple(ip_network(part) for part in listed)
+    except ValueError as error:
+        raise SettingsError(f"--trust-proxy-from: {error}") from None
+    return ProxyTrust(user.lower().encode(), networks, (groups or "").lower().encode(), scopes)
+
+
+def _refused(why: str) -> HttpProblemError:
+    return HttpProblemError(
+        403, "user", "The user may not call this server", f"{why} Nothing was changed."
+    )

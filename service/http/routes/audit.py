@@ -1,0 +1,48 @@
+"""The audit: which actor wrote what, and when."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query
+from pydantic import AwareDatetime
+from starlette.responses import Response
+
+from wrenchbook.service.http.openapi import refused
+from wrenchbook.service.http.routes import Opened, next_page
+from wrenchbook.service.tables.rows import iso_time
+
+router = APIRouter(prefix="/v1/audit", tags=["audit"], responses=refused(422))
+
+
+@router.get("", summary="Writes, newest first, a page at a time; needs a key for admin")
+def list_audit(
+    workspace: Opened,
+    response: Response,
+    component: Annotated[str | None, Query(max_length=300)] = None,
+    actor: Annotated[str | None, Query(max_length=200, description="a key, or user:NAME")] = None,
+    action: Annotated[
+        str | None, Query(max_length=64, description="such as row.withdraw, or job.*")
+    ] = None,
+    since: Annotated[AwareDatetime | None, Query(description="from this time on")] = None,
+    until: Annotated[AwareDatetime | None, Query(description="before this time")] = None,
+    limit: Annotated[int, Query(ge=1, le=10_000)] = 1000,
+    after: Annotated[
+        int | None, Query(ge=1, lt=2**63, description="go on after this entry, to older ones")
+    ] = None,
+) -> dict[str, Any]:
+    which: dict[str, Any] = {"component": component, "actor": actor, "action": action}
+    times = {"since": since, "until": until}
+    ends: dict[str, Any] = {name: time and time.timestamp() for name, time in times.items()}
+    found = workspace.ledger.audit(**which, **ends, limit=limit + 1, below=after)
+    more, found = len(found) > limit, found[:limit]
+    next_url = None
+    if more:
+        which |= {name: time and time.isoformat() for name, time in times.items()}
+        query = {**which, "limit": limit, "after": found[-1].id}
+        next_url = next_page(response, "/v1/audit", query)
+    entries = [
+        {**vars(entry), "time": iso_time(entry.time), "actor": entry.actor or None}
+        for entry in found
+    ]
+    return {"entries": entries, "next": next_url}

@@ -1,0 +1,36 @@
+// The audit: writes with their actors, newest first, a page at a time.
+
+import { get } from "./api.js";
+import { el, field, put } from "./dom.js";
+import { time } from "./format.js";
+
+const SHOWN = 50, FIELDS = ["actor", "component", "action"];
+
+export async function show(root, _, signal) {
+  document.title = "Audit · wrenchbook";
+  const inputs = FIELDS.map((name) => el("input", { name, placeholder: name === "action" ? "job.*" : "all" }));
+  const body = el("tbody", {}), older = el("button", { type: "button", hidden: true }, "Older entries");
+  let next = null;
+  const load = async (path, fresh) => {
+    const page = await get(path, signal);
+    if (fresh) put(body);
+    for (const one of page.entries) {
+      const cells = [time(one.time), one.actor || "–", one.action, one.component, one.object];
+      body.append(el("tr", { id: `entry-${one.id}` }, cells.map((text) => el("td", {}, text)), el("td", { class: "small whole" }, states(one))));
+    }
+    next = page.next;
+    older.hidden = !next;
+  };
+  const fresh = () => {
+    const chosen = inputs.filter((input) => input.value.trim()).map((input) => [input.name, input.value.trim()]);
+    return load(`v1/audit?${new URLSearchParams([...chosen, ["limit", SHOWN]])}`, true);
+  };
+  older.addEventListener("click", () => load(next.replace(/^\//, ""), false));
+  const form = el("form", { class: "line", onsubmit: (event) => { event.preventDefault(); fresh(); } },
+    inputs.map((input) => field(input.name, input)), el("button", {}, "Show"));
+  await fresh();
+  put(root, el("h1", {}, "Audit"), el("section", { class: "card" }, form,
+    el("table", { class: "folds" }, el("thead", {}, el("tr", {}, ["time", "actor", "action", "component", "object", "before and after"].map((one) => el("th", { scope: "col" }, one)))), body), older));
+}
+
+const states = ({ before, after }) => [before, after].filter((one) => one !== null).map((one) => JSON.stringify(one)).join(" → ");

@@ -1,0 +1,290 @@
+"""Actors: each write has its entry in the audit; keys and users reach what they may; fair turns."""
+
+import itertools
+import sqlite3
+import time
+
+import pytest
+from starlette.testclient import TestClient
+
+from tests.service.test_access import CALLS, TABLE_ONLY, bearer
+from wrenchbook.service.actors import CALLER, Caller, NotPermittedError, acting_as
+from wrenchbook.service.http.access import SecuritySettings
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.http.proxy import proxy_trust
+from wrenchbook.service.keys import Keyring
+from wrenchbook.service.ledger import Ledger, Quota, QuotaError, noted
+from wrenchbook.service.settings import Settings, SettingsError
+
+# Calls of the whole server, and those that answer about the components of the caller alone. One
+# that is in neither list, and of no component, fails the matrix below.
+OF_SERVER = {"/metrics", "/v1/audit", "/v1/keys", "/v1/keys/{name}", "/v1/keys/{name}/rotate"}
+OF_SERVER_BUT_READ = {"/v1/rigs", "/v1/rigs/{name}"}
+LIMITED = {"/health/ready", "/v1/components", "/v1/jobs", "/v1/scenes/plan", "/v1/events"}
+JOB = "/v1/jobs/{job_id}"
+ROWS = {"rows": [{"wrench": [1, 0, 0, 0, 0, 0], "displacement": [1e-6] * 6}]}
+PROXY = {"trust_proxy_user": "X-Forwarded-User", "trust_proxy_from": "10.0.0.5, 10.1.0.0/16"}
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    return tmp_path_factory.mktemp("actors")
+
+
+@pytest.fixture(scope="module")
+def keys(place):
+    keyring = Keyring(place)
+    keys = {
+        scope: keyring.add(f"{scope}er", scope, components=("bar", "ri?_*"))
+        for scope in ("read", "write", "admin")
+    }
+    keys["all"] = keyring.add("root", "admin")
+    keys["bob"] = keyring.add("bob", "write")
+    keys["over"] = keyring.add("over", "admin", expires=time.time() + 1e-3)
+    return keys
+
+
+@pytest.fixture(scope="module")
+def http(place, keys):
+    settings = Settings(place, solvers=0, actor_jobs=3, **PROXY, trust_proxy_groups="X-Groups")
+    settings = Settings(**{**vars(settings), "trust_proxy_scopes": "lab=write,ops=admin,*=read"})
+    security = SecuritySettings(proxy=proxy_trust(settings))
+    with TestClient(create_app(settings, security), raise_server_exceptions=False) as client:
+        client.headers["content-type"] = "application/json"
+        yield client
+
+
+@pytest.fixture
+def ledger(tmp_path):
+    ledger = Ledger(tmp_path / "ledger.sqlite")
+    yield ledger
+    ledger.close()
+
+
+def entries(http, keys, **query):
+    reply = http.get("/v1/audit", params=query, headers=bearer(keys["all"]))
+    return [(one["actor"], one["action"], one["object"]) for one in reply.json()["entries"]]
+
+
+@pytest.mark.parametrize(("method", "path"), CALLS)
+def test_each_call_has_a_rule_for_each_key_component_and_address(http, keys, method, path):
+    for name, scope in itertools.product(("bar", "plate"), ("read", "write", "admin")):
+        url = path.replace("{name}", name).replace("{job_id}", "999999").replace("{row}", "1")
+        url = url.replace("{number}", "1")
+        reply = http.request(method, url, content=b"{", headers=bearer(keys[scope]))
+        kind = reply.json().get("type", "") if reply.status_code == 403 else ""
+        if path.startswith("/v1/components/{name}"):
+            expected = name != "bar"
+        elif path in OF_SERVER or (path in OF_SERVER_BUT_READ and method != "GET"):
+            expected = True
+        else:
+            named = path in LIMITED | OF_SERVER_BUT_READ or path.startswith((JOB, "/umbridge/"))
+            assert named, f"{path} has no rule for keys of some components"
+            expected = False
+        refused = kind.endswith((":components", ":scope"))
+        assert refused >= expected, reply.text
+        if scope == "admin":
+            assert refused == expected, reply.text
+    url = path.replace("{name}", "bar").replace("{job_id}", "1").replace("{row}", "1")
+    assert http.request(method, url, headers=bearer(keys["over"])).status_code == 401
+    unknown = {"X-Forwarded-User": "ann", "X-Groups": "ops"}  # of an address that is not trusted
+    assert http.request(method, url, headers=unknown).status_code == 401
+
+
+def test_a_key_of_some_components_sees_no_other(http, keys, place):
+    key, other = bearer(keys["admin"]), bearer(keys["bob"])
+    job = http.post("/v1/components/plate/solve", json={"force": [0, 0, 1]}, headers=other).json()
+    path = f"/v1/jobs/{job['job']['id']}"
+    assert http.get(path, headers=other).json()["actor"] == "bob"
+    for text in (path, path.replace("/jobs/", "/jobs/+"), f"{path}/log", f"{path}/files"):
+        assert http.get(text, headers=key).status_code in (404, 422)
+    assert http.delete(path, headers=key).status_code == 404
+    assert http.delete("/v1/jobs", headers=key).status_code == 200
+    assert http.get(path, headers=other).json()["status"] == "waiting"
+    assert {one["component"] for one in http.get("/v1/jobs", headers=key).json()["jobs"]} <= {"bar"}
+    names = http.get("/v1/components", headers=key).json()["components"]
+    assert [one["name"] for one in names] == ["bar"]
+    assert http.get("/umbridge/Info", headers=key).json()["models"] == ["bar"]
+    assert set(http.get("/health/ready", headers=key).json()["tables"]) == {"bar"}
+    scene = {"components": {"plate": {"force": [[0, 1]] * 3, "moment": [[0, 1]] * 3}}}
+    assert http.post("/v1/scenes/plan", json=scene, headers=key).status_code == 404
+    assert http.get("/v1/events", headers=key).status_code == 403
+    assert http.get("/v1/events?component=plate", headers=key).status_code == 404
+    for new in ({"name": "spare"}, {"name": "rig"}):
+        assert http.post("/v1/components/bar/copy", json=new, headers=key).status_code == 403
+    made = http.post("/v1/components", json={**TABLE_ONLY, "name": "other"}, headers=key)
+    assert made.status_code == 403
+    assert not (place / "components" / "other").exists()
+    http.delete(path, headers=other)
+
+
+def test_each_write_has_one_entry_of_its_actor(http, keys):
+    bob, root, part = bearer(keys["bob"]), bearer(keys["all"]), "/v1/components/rig"
+    assert http.post("/v1/components", json=TABLE_ONLY, headers=bob).status_code == 201
+    loaded = http.post(f"{part}/table?wait_s=0", json=ROWS, headers=bob).json()
+    assert loaded["inserted"] == 1, loaded
+    row = loaded["table_version"]
+    job = http.post("/v1/components/bar/solve", json={"force": [0, 0, 7]}, headers=bob).json()
+    job = job["job"]["id"]
+    calls = [
+        ("DELETE", f"{part}/table/{row}", None, "row.withdraw", row),
+        ("POST", f"{part}/table/{row}/restore", None, "row.restore", row),
+        ("DELETE", f"{part}/imports/{loaded['import']}", None, "import.withdraw", 1),
+        ("POST", f"{part}/imports/{loaded['import']}/restore", None, "import.restore", 1),
+        ("PUT", f"{part}/notes", {"text": "seen"}, "component.edit", "rig"),
+        ("DELETE", f"{part}/demand", None, "demand.forget", "rig"),
+        ("DELETE", f"/v1/jobs/{job}", None, "job.cancel", job),
+        ("POST", f"/v1/jobs/{job}/retry", None, "job.retry", job),
+        ("DELETE", f"/v1/jobs/{job}", None, "job.cancel", job),
+    ]
+    written = [("bob", "component.add", "rig"), ("bob", "import.load", str(loaded["import"]))]
+    written.append(("bob", "job.accept", str(job)))
+    for method, path, body, action, subject in calls:
+        reply = http.request(method, path, json=body, headers=bob)
+        assert reply.status_code == 200, reply.text
+        written.append(("bob", action, str(subject)))
+    assert entries(http, keys, actor="bob", limit=len(written))[::-1] == written
+    assert http.post("/v1/keys", json={"name": "tmp"}, headers=root).status_code == 201
+    rotated = http.post("/v1/keys/tmp/rotate", json={}, headers=root)
+    assert rotated.status_code == 201
+    assert http.delete("/v1/keys/tmp", headers=root).status_code == 200
+    assert [one[:2] for one in entries(http, keys, action="key.*")] == [
+        ("root", "key.revoke"), ("root", "key.rotate"), ("root", "key.add")
+    ]  # fmt: skip
+    assert http.delete("/v1/keys/none", headers=root).status_code == 404
+    assert len(entries(http, keys, action="key.*")) == 3
+    page = http.get("/v1/audit?limit=2&component=rig", headers=root).json()
+    older = http.get(page["next"], headers=root).json()["entries"]
+    assert older[0]["id"] < page["entries"][-1]["id"]
+    assert entries(http, keys, until="2000-01-01T00:00:00Z") == []
+
+
+def test_entries_of_the_audit_are_only_added(ledger):
+    with acting_as("ann"):
+        ledger.accept("bar", "f", [0.0] * 6)
+    for statement in (
+        "UPDATE audit SET actor = 'eve'",
+        "DELETE FROM audit",
+        "REPLACE INTO audit SELECT id, time, 'eve', action, '', '', NULL, NULL FROM audit",
+    ):
+        db = sqlite3.connect(ledger.path)
+        with pytest.raises(sqlite3.IntegrityError, match="never changed"):
+            db.execute(statement)
+        db.close()
+    assert [entry.actor for entry in ledger.audit()] == ["ann"]
+
+
+def test_a_write_that_fails_leaves_no_entry(ledger):
+    with pytest.raises(OSError, match="full"), noted(ledger, "key.add", "ann"):
+        raise OSError("full")
+    assert ledger.audit() == []
+
+
+def test_ten_jobs_beside_a_thousand_are_among_the_first_25(ledger):
+    with acting_as("many"):
+        ledger.accept_many("bar", "f", [[float(n), 0, 0, 0, 0, 0] for n in range(1000)])
+    done = [ledger.claim("d") for _ in range(3)]
+    with acting_as("few"):
+        few = ledger.accept_many("bar", "f", [[0, float(n), 0, 0, 0, 1] for n in range(10)])
+    ahead = ledger.ahead(few[9].id, 0, time.time())
+    assert sum(part.waiting for part in ahead) <= 20
+    for _ in range(22):
+        job = ledger.claim("d")
+        ledger.commit(job.id, job.attempt, [0.0] * 6)
+        done.append(job)
+    assert {job.id for job in few} <= {job.id for job in done[:25]}
+    assert {entry.actor for entry in ledger.audit(action="row.solve")} == {"many", "few"}
+
+
+def test_own_jobs_may_be_cancelled_and_others_by_admin_alone(ledger):
+    jobs = {}
+    for actor in ("ann", "bob"):
+        with acting_as(actor):
+            jobs[actor] = ledger.accept("bar", "f", [len(jobs), 0, 0, 0, 0, 0])[0].id
+    CALLER.set(Caller("ann", admin=False))
+    with pytest.raises(NotPermittedError, match="is of bob"):
+        ledger.cancel(jobs["bob"])
+    assert ledger.cancel_many(None, "waiting") == 1
+    CALLER.set(Caller("root"))
+    assert ledger.cancel(jobs["bob"]).status == "cancelled"
+
+
+def test_quotas_of_open_jobs_and_solver_seconds_refuse_further_jobs(ledger, http, keys):
+    with acting_as("ann"):
+        seconds = Quota(None, 5.0)
+        ledger.accept("bar", "f", [1.0] * 6, quota=seconds)
+        job = ledger.claim("d")
+        ledger.commit(job.id, 1, [0.0] * 6, seconds=6.0)
+        with pytest.raises(QuotaError, match="6 s of 5 s") as error:
+            ledger.accept("bar", "f", [2.0] * 6, quota=seconds)
+        assert 0 < error.value.retry_s <= 86_400
+    plate, bob = "/v1/components/plate_thin", bearer(keys["bob"])
+    for force in range(5):
+        reply = http.post(f"{plate}/solve", json={"force": [force, 0, 0]}, headers=bob)
+    assert reply.status_code == 429
+    assert int(reply.headers["retry-after"]) > 0
+    assert "open jobs" in reply.json()["detail"]
+    loop = {"force": [0, 0, 500], "moment": [0, 0, 0]}  # of a loop: an estimate, and no job
+    reply = http.post(f"{plate}/displacement", json=loop, headers=bob).json()
+    assert reply["job"] is None
+    assert "quota" in reply["reason"]
+
+
+def test_a_user_of_a_trusted_proxy_alone_is_named(http, keys):
+    user = {"X-Forwarded-User": "ann@lab.example", "X-Groups": "lab, none"}
+    for address in ("10.0.0.5", "10.1.2.3", "::ffff:10.0.0.5"):
+        proxy = TestClient(http.app, client=(address, 1))
+        job = proxy.post("/v1/components/bar/solve", json={"force": [9, 9, 9]}, headers=user)
+        assert job.status_code == 202, job.text
+        assert proxy.get("/v1/keys", headers=user).status_code == 403
+        assert proxy.get("/v1/keys", headers={**user, "X-Groups": "ops"}).status_code == 200
+        doubled = [*user.items(), ("X-Forwarded-User", "root")]
+        assert proxy.get("/v1/jobs", headers=doubled).status_code == 400
+        assert proxy.get("/v1/jobs", headers={"X-Forwarded-User": "a\tb"}).status_code == 403
+        assert proxy.get("/v1/jobs").status_code == 401
+    assert ("user:ann@lab.example", "job.accept") in [one[:2] for one in entries(http, keys)]
+    for address in ("10.0.0.6", "127.0.0.1", "x"):
+        stranger = TestClient(http.app, client=(address, 1))
+        assert stranger.get("/v1/jobs", headers=user).status_code == 401
+        forwarded = {**user, "X-Forwarded-For": "10.0.0.5"}
+        assert stranger.get("/v1/jobs", headers=forwarded).status_code == 401
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"trust_proxy_from": None},
+        {"trust_proxy_from": "proxy"},
+        {"trust_proxy_user": None},
+        {"trust_proxy_user": "Cookie"},
+        {"trust_proxy_scopes": "lab=root"},
+    ],
+)
+def test_settings_of_a_proxy_that_cannot_be_are_refused(tmp_path, wrong):
+    with pytest.raises(SettingsError):
+        proxy_trust(Settings(tmp_path, **{**PROXY, **wrong}))
+
+
+def test_a_rotated_key_has_two_secrets_until_the_old_one_ends(tmp_path):
+    keyring = Keyring(tmp_path)
+    old = keyring.add("ann", "write", components=("bar",))
+    new = keyring.rotate("ann", 3600.0)
+    assert keyring.find(old).components == keyring.find(new).components == ("bar",)
+    assert keyring.find(old).expires == pytest.approx(time.time() + 3600.0, abs=60.0)
+    newest = keyring.rotate("ann", 0.0)
+    assert (keyring.find(old), keyring.find(new)) == (None, None)
+    assert keyring.find(newest).expires is None
+    keyring.revoke("ann")
+    assert len(keyring) == 0
+
+
+def test_the_last_use_of_a_key_is_noted_at_most_once_a_minute(http, keys, place):
+    def used():
+        return {key["name"]: key["last_used"] for key in Keyring(place).public()}
+
+    http.get("/v1/jobs", headers=bearer(keys["read"]))
+    first = used()["reader"]
+    assert first == pytest.approx(time.time(), abs=600.0)
+    http.get("/v1/jobs", headers=bearer(keys["read"]))
+    assert used()["reader"] == first
+    assert used()["over"] is None
