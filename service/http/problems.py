@@ -31,6 +31,7 @@ from wrenchbook.service.ledger import (
     InvalidTransitionError,
     LedgerFullError,
     LedgerUnavailableError,
+    ReadOnlyError,
     RowStatusError,
     UnknownImportError,
     UnknownJobError,
@@ -85,6 +86,7 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     SheetFullError: (409, "export", "This export cannot be made"),
     SandboxError: (422, "too-costly", "The file cannot be read within its limits"),
     SandboxBusyError: (503, "busy", "Too many files are being read"),
+    ReadOnlyError: (403, "read-only", "This server takes no writes"),
     LedgerFullError: (507, "disk", "The disk is full; nothing was accepted"),
     LedgerUnavailableError: (503, "ledger", "The ledger cannot be written; nothing was accepted"),
 }
