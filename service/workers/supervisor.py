@@ -250,7 +250,8 @@ def supervise(settings: Settings, *, as_json: bool = False) -> None:
     for path in shared.iterdir():  # counts and rates of a server that was killed
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
-    kinds = BUILDER, WEB_WORKER, COPIER, FOLLOWER
+    kinds = [WEB_WORKER, FOLLOWER if settings.read_only else BUILDER]
+    kinds += [COPIER] if settings.replicate or settings.backup_every else []
     forks.set_forkserver_preload([path.split(":")[0] for _, path in kinds])
     forkserver.ensure_running()
     set_up(settings.log_level, settings.log_format)
