@@ -12,7 +12,7 @@ import re
 import secrets
 import socket
 import time
-from collections.abc import Callable, Mapping, MutableMapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from hashlib import blake2b
@@ -48,7 +48,7 @@ _CREDENTIALS = re.compile(r"//[^/@\s]*@")
 
 Entry = tuple[int, tuple[str, ...]]
 """A file: its length and the digests of its blocks."""
-Place = MutableMapping[str, bytes]
+Place = Any  # fsspec's mapping of names to bytes, with its storage `fs` and `root`
 
 
 class ReplicaError(BackupError):
@@ -223,7 +223,10 @@ class Shipper:
             if time.monotonic() > self._collect_at:
                 self.collect()
                 self._collect_at = time.monotonic() + COLLECT_S
-        self._write(LATEST, json.dumps({"manifest": self._latest, "checked": begun}).encode())
+        pointer = json.dumps({"manifest": self._latest, "checked": begun})
+        self._write(f"{LATEST}.part", pointer.encode())
+        root = self._replica.place.root  # readers see this pointer or the one before
+        self._replica.place.fs.mv(f"{root}/{LATEST}.part", f"{root}/{LATEST}")
         self.facts["checked"] = begun
 
     def collect(self) -> None:
