@@ -7,14 +7,16 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from starlette.testclient import TestClient
 from typer.testing import CliRunner
 
 from tests.service.test_backup import answers
 from tests.service.test_durable_tables import Site
 from tests.until import until
 from wrenchbook.service.cli.main import app
+from wrenchbook.service.http.app import create_app
 from wrenchbook.service.keys import Keyring
-from wrenchbook.service.ledger import Ledger, ReadOnlyError
+from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.ops import replica
 from wrenchbook.service.ops.doctor import examine
 from wrenchbook.service.ops.replica import Replica, ReplicaError, Shipper, stays
@@ -194,12 +196,23 @@ def test_a_follower_keeps_a_table_until_its_next_version_is_there(shipped, reade
     assert len(list((settings.data / "tables").iterdir())) == 1
 
 
-def test_a_read_only_ledger_takes_no_write_and_names_the_server(tmp_path):
-    with (
-        closing(Ledger(tmp_path / "ledger.sqlite", read_only=lambda: "ask A")) as ledger,
-        pytest.raises(ReadOnlyError, match="ask A"),
-    ):
-        ledger.accept("rig", "f", (1.0, 0, 0, 0, 0, 0))
+@pytest.mark.parametrize(
+    ("path", "body"),
+    [
+        ("fill", {"budget": 1}),
+        ("displacement", {"force": [1, 2, 3], "moment": [0, 0, 0]}),
+    ],
+)
+def test_a_read_only_server_refuses_writes_and_names_the_main_server(tmp_path, path, body):
+    replica.write_status(tmp_path, followed={"server": "https://main", "checked": 0.0})
+    settings = Settings(tmp_path, solvers=0, read_only="file:///replica")
+    with TestClient(create_app(settings)) as http:
+        reply = http.post(f"/v1/components/plate_thin/{path}", json=body)
+        assert (reply.status_code, reply.json()["type"].rpartition(":")[2]) == (403, "read-only")
+        assert reply.json()["detail"].endswith("Send it to https://main")
+        estimate = {"force": [1, 2, 3], "moment": [0, 0, 0], "on_thin": "estimate"}
+        answer = http.post("/v1/components/plate_thin/displacement", json=estimate)
+        assert answer.status_code == 200
 
 
 # -- the process ---------------------------------------------------------------------------------
