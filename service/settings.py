@@ -88,6 +88,19 @@ class Settings:
     trust_proxy_scopes: Annotated[
         str, "scope of each group, * for all users: lab=write,ops=admin,*=read"
     ] = "*=write"
+    replicate: Annotated[
+        str | None, "ship ledger, tables, bundles and surfaces to file:///FOLDER, s3://, sftp://"
+    ] = None
+    replicate_interval: Annotated[
+        float, Ge(0.5), "s of accepted work that the loss of this machine may cost"
+    ] = 5.0
+    public_url: Annotated[str | None, "of this server, for writes that a replica's refuses"] = None
+    read_only: Annotated[str | None, "URL of a replica to answer from; no writes, no solves"] = None
+    backup_every: Annotated[Days, "hours between backups, each tested; 0: none"] = 0.0
+    backup_folder: Annotated[Path | None, "of these; by default backups in the data directory"] = (
+        None
+    )
+    backup_keep: Annotated[int, Ge(1), "newest backups that are kept"] = 7
     first_key: Annotated[bool, "make a key for admin if there is none; printed once"] = False
 
 
@@ -152,6 +165,16 @@ def check_engine(name: str, scheduler: str | None) -> None:
         why = "the engine dask is not installed: pip install wrenchbook[cluster]"
     if why:
         raise SettingsError(why)
+
+
+def check_copies(settings: Settings) -> None:
+    """Raise SettingsError for a replica or backup that cannot be."""
+    for name in ("replicate", "read_only"):
+        scheme, separator, _ = url = (getattr(settings, name) or "file://").partition("://")
+        if not separator or (scheme == "file" and url[2][:1] not in ("", "/")):
+            raise SettingsError(f"{name}: write file:///FOLDER, s3://BUCKET/FOLDER or sftp://...")
+    if settings.read_only and (settings.replicate or settings.backup_every):
+        raise SettingsError("read_only: a replica's server makes no copies; its main server does")
 
 
 def as_file(settings: Settings, origins: Mapping[str, str]) -> str:

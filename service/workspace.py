@@ -9,7 +9,9 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,10 +32,12 @@ from wrenchbook.service.ledger import (
     Quota,
     noted,
 )
+from wrenchbook.service.ledger.connection import inode
 from wrenchbook.service.library.catalogue import Catalogue
 from wrenchbook.service.library.component import Component, solver_error_of
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.ops.checks import is_full
+from wrenchbook.service.ops.replica import STATUS, read_status
 from wrenchbook.service.report.queue import Reports
 from wrenchbook.service.settings import Settings
 from wrenchbook.service.submission import Submission
@@ -149,7 +153,9 @@ class Workspace:
         self.settings = settings
         self._jobs_folder = settings.data / "jobs"
         # A full disk or a damaged file does not keep the existing tables from answering.
-        self.ledger = Ledger(settings.data / "ledger.sqlite", patient=True)
+        self.copies: dict[str, Any] = {}  # the status of replica and backups
+        read_only = self.refusal if settings.read_only else None
+        self.ledger = Ledger(settings.data / "ledger.sqlite", patient=True, read_only=read_only)
         if trouble := self.ledger.trouble():
             log.error("nothing is accepted until this is repaired: %s", trouble)
         self.watcher = Watcher(self.ledger)
@@ -186,9 +192,12 @@ class Workspace:
         with suppress(LedgerUnavailableError):
             self.ledger.drop_abandoned()  # what a server left that was killed during an import
         self.watcher.on_change(self.tables.wake, self.tables.stamp)
+        self.watcher.on_change(self._read_copies, partial(inode, self.settings.data / STATUS))
+        self._read_copies()
         self.watcher.start()
         self.tables.start()
-        self.query_counts.start()
+        if not self.settings.read_only:
+            self.query_counts.start()
 
     def close(self) -> None:
         """Stop."""
@@ -196,7 +205,8 @@ class Workspace:
         self.reports.close()
         self.shapes.close()
         self.tables.stop()
-        self.query_counts.stop()
+        if not self.settings.read_only:
+            self.query_counts.stop()
         self.ledger.close()
 
     def surrogate(self, name: str) -> ServedTable:
@@ -327,6 +337,22 @@ class Workspace:
         broken, touches = {**damaged, **self.tables.faults()}, CALLER.get().touches
         return {k: v for k, v in broken.items() if touches(k)} | self.library.broken()
 
+    def age(self) -> float | None:
+        """Return how old the state of a read-only server is at most, s; None elsewhere."""
+        checked = self.copies.get("followed", {}).get("checked")
+        return checked and max(0.0, time.time() - checked)
+
+    def refusal(self) -> str:
+        """Return why a read-only server refuses a write, and which server takes it."""
+        server = self.copies.get("followed", {}).get("server", "the main server")
+        return (
+            f"This server answers from a replica and takes no writes; nothing was changed. "
+            f"Send it to {server}"
+        )
+
+    def _read_copies(self) -> None:
+        self.copies = read_status(self.settings.data)
+
     def _on_checked(self, component: Component) -> None:
         """Keep the estimate of an upload's check before another process can build its table."""
         estimate = solver_error_of(component.folder, component.fingerprint)
@@ -347,7 +373,11 @@ class Workspace:
         """Queue the solves of a linear component's compliance, once a version of its table."""
         component = self.library[name]
         setup = component.fingerprint, table.version
-        if not component.has_fea or self._compliance_requested.get(name) == setup:
+        if (
+            self.settings.read_only
+            or not component.has_fea
+            or self._compliance_requested.get(name) == setup
+        ):
             return
         self._compliance_requested[name] = setup
         try:

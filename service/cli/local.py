@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import MISSING, fields
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_type_hints
 
@@ -26,6 +27,7 @@ from wrenchbook.service.settings import (
     Settings,
     SettingsError,
     as_file,
+    check_copies,
     check_engine,
     read_settings,
 )
@@ -62,6 +64,7 @@ def serve(
             return
         check_engine(settings.engine, settings.scheduler)
         trust = proxy_trust(settings)
+        check_copies(settings)
     except SettingsError as error:
         raise typer.BadParameter(str(error)) from error
     _make_folder(settings.data)
@@ -196,21 +199,37 @@ def backup(
 
 
 def restore(
-    file: Annotated[Path, typer.Argument(help="the backup", exists=True, dir_okay=False)],
+    file: Annotated[str, typer.Argument(help="the backup, or the URL of a replica")],
+    at: Annotated[
+        datetime | None, typer.Option(help="of a replica: its newest state until then, UTC")
+    ] = None,
     data: Folder = DEFAULT_DATA,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="move existing files of the data directory aside")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Make a data directory from a backup."""
+    """Make a data directory from a backup or a replica."""
     from wrenchbook.service.keys import FILE as KEYS
     from wrenchbook.service.ops.restore import restore as restored
 
-    manifest, former = restored(file, data, overwrite=overwrite)
-    skipped, has_keys, option = manifest.skipped, (data / KEYS).exists(), _data_option(data)
+    source = file if "://" in file else Path(file)
+    if isinstance(source, Path) and not source.is_file():
+        raise typer.BadParameter(f"there is no file {file}")
+    until = at.replace(tzinfo=UTC).timestamp() if at else float("inf")
+    manifest, former = restored(source, data, overwrite=overwrite, until=until)
+    skipped, state, option = manifest.skipped, manifest.state, _data_option(data)
+    has_keys = (data / KEYS).exists()
     text = f"{data}: {len(manifest.files)} files restored. Start it with: wrenchbook serve{option}"
     texts = [text]
+    if state:
+        created = datetime.fromtimestamp(state["created"], UTC).isoformat(" ", "milliseconds")
+        texts.append(
+            f"It is as it was at {created}: {state['rows']} rows, up to number "
+            f"{state['last_row']}, and {state['jobs']} jobs. What the server accepted later is not "
+            f"in it: {state['interval']:g} s at most, if it shipped until its end. Serve it with "
+            "another --replicate URL."
+        )
     if skipped:
         texts.append(f"Not restored, since backups hold no such files: {', '.join(skipped)}.")
     if has_keys:
@@ -220,7 +239,7 @@ def restore(
         texts.append(f"It has no keys: anybody on this machine may call it. {add}")
     if former is not None:
         texts.append(f"The former files are in {former}; remove them once you need them no more.")
-    reply = {"data": data, "files": len(manifest.files), "former": former}
+    reply = {"data": data, "files": len(manifest.files), "former": former, **state}
     show(reply | {"skipped": skipped, "keys": has_keys}, as_json, "\n".join(texts))
 
 

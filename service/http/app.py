@@ -44,6 +44,7 @@ from wrenchbook.service.http.routes import (
     umbridge,
 )
 from wrenchbook.service.keys import Keyring
+from wrenchbook.service.ledger import ReadOnlyError
 from wrenchbook.service.ops.counts import Counts
 from wrenchbook.service.ops.logs import REQUEST_ID
 from wrenchbook.service.ops.metrics import Metrics
@@ -79,6 +80,7 @@ access_log = logging.getLogger("wrenchbook.access")
 NO_ROUTE: Final = "none"  # no call of the API, or refused before the router
 _REFUSED: Final = Caller("-", (), admin=False)  # until the access control knows the caller
 _METHODS: Final = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
+_QUERIES: Final = ("/displacement", "/displacements", "/scenes/plan")
 _STOPPING: Final = HttpProblemError(
     503,
     "stopping",
@@ -100,6 +102,7 @@ class Application(FastAPI):
 
     fast_path: FastPath | None = None
     logged = False
+    read_only = False  # it answers from a replica
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request, or run the lifespan."""
@@ -123,7 +126,10 @@ class Application(FastAPI):
 
         try:
             permitted = await self.state.access.pass_on(scope, receive, send_with_id)
-            if permitted is not None:
+            if permitted is not None and self.read_only and not _reads(scope):
+                refused = ReadOnlyError(self.state.workspace.refusal())
+                await problems.problem_of(refused).response()(scope, receive, send_with_id)
+            elif permitted is not None:
                 await super().__call__(scope, *permitted)
         except asyncio.CancelledError:  # see `Server.shutdown`
             if status == CLIENT_GONE:
@@ -144,6 +150,13 @@ class Application(FastAPI):
                 actor = CALLER.get().actor
                 told = host, actor, method, target, status, 1e3 * seconds
                 access_log.info('%s %s "%s %s" %d %.1f ms', *told, extra={"actor": actor})
+
+
+def _reads(scope: Scope) -> bool:
+    """Whether a request changes keys at most; queries refuse what they would add."""
+    if scope["method"] in ("GET", "HEAD", "OPTIONS"):
+        return True
+    return scope["path"].endswith(_QUERIES) or scope["path"].startswith(("/umbridge/", "/v1/keys"))
 
 
 def create_app(settings: Settings, security: SecuritySettings | None = None) -> Application:
@@ -204,7 +217,7 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
         app.include_router(part.router, responses=openapi.refused(403, 500, 503, 507))
     app.include_router(page.router)
     openapi.install(app)
-    app.logged = settings.access_log
+    app.logged, app.read_only = settings.access_log, bool(settings.read_only)
     if app.logged:
         access_log.setLevel(logging.INFO)
     else:

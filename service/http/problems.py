@@ -34,6 +34,7 @@ from wrenchbook.service.ledger import (
     LedgerFullError,
     LedgerUnavailableError,
     QuotaError,
+    ReadOnlyError,
     RowStatusError,
     UnknownImportError,
     UnknownJobError,
@@ -90,6 +91,7 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     SheetFullError: (409, "export", "This export cannot be made"),
     SandboxError: (422, "too-costly", "The file cannot be read within its limits"),
     SandboxBusyError: (503, "busy", "Too many files are being read"),
+    ReadOnlyError: (403, "read-only", "This server takes no writes"),
     LedgerFullError: (507, "disk", "The disk is full; nothing was accepted"),
     LedgerUnavailableError: (503, "ledger", "The ledger cannot be written; nothing was accepted"),
 }

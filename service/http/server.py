@@ -8,6 +8,7 @@ import gc
 import logging
 import resource
 import socket
+from math import ceil
 from types import FrameType
 from typing import Any
 
@@ -19,6 +20,7 @@ from wrenchbook.service.http.protocol import FastPathProtocol
 
 log = logging.getLogger(__name__)
 
+TICKS_A_SECOND = 10  # uvicorn's, which makes the headers anew each second
 OPEN_FILES = 10_240  # more than connections and files together may be
 FINISH_S = 5  # for requests to end after SIGTERM
 # For requests to end once another process answers new ones. An import may wait a minute for its
@@ -55,6 +57,17 @@ class Server(uvicorn.Server):
         gc.collect()
         gc.freeze()
         gc.set_threshold(*GARBAGE_AFTER)
+
+    async def on_tick(self, counter: int) -> bool:
+        """Update all replies' headers once a second; a replica's have Age (RFC 9111)."""
+        ended = await super().on_tick(counter)
+        workspace = getattr(getattr(self.config.app, "state", None), "workspace", None)
+        if counter % TICKS_A_SECOND == 0 and workspace is not None:
+            age = workspace.age()
+            if age is not None:
+                headers = self.server_state.default_headers
+                self.server_state.default_headers = [*headers, (b"age", b"%d" % ceil(age))]
+        return ended
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """End event streams and long polls, finish requests for a limited time, and stop."""

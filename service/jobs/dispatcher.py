@@ -146,8 +146,9 @@ class Dispatcher:
     `bundles` gives the folder of a component by its name; what it raises fails the job. The jobs
     folder holds the attempts' folders, ``<job>/<attempt>``, and ``owners``. `fields` keeps deformed
     surfaces and `errors` estimates of the solver's own error, if there are any. `deadline` is the
-    seconds a solve may take, by default what the component's check makes of it. `stop` does not
-    close the engine.
+    seconds a solve may take, by default what the component's check makes of it. `setups` gives the
+    fingerprint of a component as it is now: a job that was accepted for an earlier one, before an
+    upgrade for example, is asked again for it. `stop` does not close the engine.
     """
 
     def __init__(
@@ -160,12 +161,13 @@ class Dispatcher:
         errors: SolverErrors | None = None,
         *,
         deadline: float | None = None,
+        setups: Callable[[str], str] = lambda _: "",
     ) -> None:
         self._failing: str | None = None
         self._unstarted: str | None = None
         self._ledger = ledger
         self._engine = engine
-        self._bundles = bundles
+        self._bundles, self._setups = bundles, setups
         self._jobs_folder = Path(jobs_folder).absolute()
         self._fields, self._errors = fields, errors
         self._deadline = deadline
@@ -440,6 +442,7 @@ class Dispatcher:
         for attempt in attempts:
             try:
                 bundle = self._bundles(attempt.component)
+                fingerprint = self._setups(attempt.component) or attempt.fingerprint
             except Exception as error:
                 missing = {
                     "kind": "component_missing",
@@ -448,6 +451,11 @@ class Dispatcher:
                     "remedy": "add the component again and retry the job, or leave it",
                 }
                 self._ledger.fail(*attempt.key, missing)
+                self._drop(attempt)
+                continue
+            if fingerprint != attempt.fingerprint:
+                _log.info("job %d is asked again: its component has changed", attempt.job)
+                self._ledger.renew(*attempt.key, fingerprint)
                 self._drop(attempt)
                 continue
             self._complete(attempt, bundle)

@@ -306,6 +306,20 @@ def release(db: Connection, job_id: int, attempt: int, *, delay: float = 0.0) ->
     return _moved(db, job, "release", not_before=later, **_UNSTARTED)
 
 
+def renew(db: Connection, job_id: int, attempt: int, fingerprint: str) -> JobRecord:
+    """Have a claimed job of an earlier setup wait again, for the setup with this fingerprint.
+
+    If that has a job of this wrench, it is accepted in its place, and this one is cancelled.
+    """
+    job = _check_attempt(get(db, job_id), attempt)
+    key = job.component, fingerprint, pack_vector(job.wrench)
+    if _select(db, "WHERE component = ? AND fingerprint = ? AND wrench = ?", key):
+        accept(db, *key, priority=job.priority, asked_by=job.asked_by)
+        return _moved(db, job, "cancel", owner=None, finished=time.time())
+    db.execute("UPDATE jobs SET fingerprint = ? WHERE id = ?", (fingerprint, job_id))
+    return _moved(db, get(db, job_id), "release", **_UNSTARTED)
+
+
 def end_lease(db: Connection, owner: str) -> None:
     """Delete the lease of an owner that has ended; its attempts can then be adopted."""
     db.execute("DELETE FROM leases WHERE owner = ?", (owner,))

@@ -39,6 +39,7 @@ from wrenchbook.service.ledger.records import (
     LedgerFileError,
     LedgerUnavailableError,
     NotedRows,
+    ReadOnlyError,
     TableAt,
 )
 from wrenchbook.service.ledger.repair import Acknowledged, Numbers
@@ -88,11 +89,15 @@ class Ledger:
     The file and its folder are made if there are none. A `patient` ledger continues without a file
     that cannot be used now, on a full disk for example: `trouble` then returns the reason, and each
     `writing` tries to open it again. Another raises LedgerFileError for it, and if the file is
-    foreign, damaged or of a newer schema.
+    foreign, damaged or of a newer schema. With `read_only`, which returns the remedy, each
+    `writing` raises ReadOnlyError.
     """
 
-    def __init__(self, path: str | Path, *, patient: bool = False) -> None:
+    def __init__(
+        self, path: str | Path, *, patient: bool = False, read_only: Callable[[], str] | None = None
+    ) -> None:
         self.path = Path(path).absolute()
+        self._read_only = read_only
         self.damaged: dict[int, str] = {}
         """Rows found to be damaged on the disk, with their component."""
         self._closed = False
@@ -124,6 +129,7 @@ class Ledger:
     fail = _writes(job_sql.fail)
     lose = _writes(job_sql.lose)
     release = _writes(job_sql.release)
+    renew = _writes(job_sql.renew)
     end_lease = _writes(job_sql.end_lease)
     cancel = _writes(job_sql.cancel)
     cancel_many = _writes(job_sql.cancel_many)
@@ -221,6 +227,8 @@ class Ledger:
         Listeners are called once it is. Without `durable`, the sync is left to the next durable
         transaction, which covers the complete log.
         """
+        if self._read_only is not None:
+            raise ReadOnlyError(self._read_only())
         with self._write_lock, self.named_errors():
             writer = self._present_writer()
             if not durable:
@@ -344,19 +352,34 @@ class Ledger:
                 writer.execute(f"PRAGMA busy_timeout = {round(1000 * BUSY_SECONDS)}")
             return not busy
 
-    def copy(self, target: Path) -> None:
+    def copy(self, target: Path, *, checked: bool = True) -> tuple[int, int, int]:
         """Write all that is committed into a new file, by one read of SQLite's online backup.
 
-        In one step: taken in parts it would begin anew with each commit of another process. Raises
-        LedgerFileError if the copy is damaged.
+        In one step: taken in parts it would begin anew with each commit of another process. Returns
+        the numbers of its rows, of the highest row and of its jobs. Raises LedgerFileError if the
+        copy is damaged; one that is not `checked` need not last either.
         """
         with self.named_errors():
             self._check_open()
             self._check_usable()
+            target.unlink(missing_ok=True)
             with closing(connect(self.path)) as source, closing(connect(target)) as copy:
+                if not checked:
+                    copy.execute("PRAGMA synchronous = OFF")
                 source.backup(copy)
-                check_whole(copy, target)
+                if checked:
+                    check_whole(copy, target)
                 copy.execute("PRAGMA journal_mode = DELETE")  # one file; WAL again once opened
+                return copy.execute(
+                    "SELECT coalesce(sum(count), 0), coalesce(max(seq + count - 1), 0),"
+                    " (SELECT count(*) FROM jobs) FROM rows"
+                ).fetchone()
+
+    def take_over(self, source: Path) -> None:
+        """Replace all content by that of another ledger's file, in one transaction."""
+        with self._write_lock, self.named_errors(), closing(connect(source)) as new:
+            new.backup(self._present_writer())
+        self.checkpoint()  # while another connection reads, the next call shortens the log
 
     def close(self) -> None:
         """Close all connections, one in use when it comes back; idempotent."""

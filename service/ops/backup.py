@@ -35,7 +35,7 @@ _FOLDERS = ("components", "fields")
 _EARLIER = (earlier.CATALOGUE, earlier.DEMAND), (earlier.SOLVER_ERRORS,)
 # All that a backup holds. Packed tables and reports are made again; keys and settings belong to
 # the directory, attempts' folders to the server. Names of drafts begin with a dot.
-_HELD = re.compile(
+HELD = re.compile(
     rf"{'|'.join(map(re.escape, (LEDGER, *_EARLIER[0])))}|{TABLES}/(?!\.)[^/]+\.h5|"
     rf"(?:{'|'.join((*_FOLDERS, *_EARLIER[1]))})(?:/(?!\.)[^/]+)+"
 )
@@ -62,6 +62,7 @@ class Manifest:
     format: str = FORMAT
     schema: int = SCHEMA
     skipped: tuple[str, ...] = ()  # files of an earlier version that are not restored: keys
+    state: Mapping[str, Any] = field(default_factory=dict)  # facts of a replica's manifest
 
 
 def back_up(folder: Path, target: Path) -> Manifest:
@@ -101,7 +102,7 @@ def back_up(folder: Path, target: Path) -> Manifest:
         sync(target.parent)
     except OSError as error:
         path, what = Path(str(error.filename)), f"{target} cannot be written: {error}"
-        if path.is_relative_to(folder) and _HELD.fullmatch(path.relative_to(folder).as_posix()):
+        if path.is_relative_to(folder) and HELD.fullmatch(path.relative_to(folder).as_posix()):
             what = f"{path} cannot be read: {error.strerror}"
         raise BackupError(f"{what}. No backup was made") from error
     except LedgerError as error:
@@ -177,7 +178,7 @@ def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
         created, ledger_schema = float(fields["created"]), int(fields["ledger_schema"])
     except _UNREADABLE as error:
         raise BackupError(f"{source} does not say what is in it ({error!r})") from error
-    held = {name: digest for name, digest in files.items() if _HELD.fullmatch(name)}
+    held = {name: digest for name, digest in files.items() if HELD.fullmatch(name)}
     skipped = tuple(files.keys() - held.keys())
     outside = [name for name in skipped if name.startswith("/") or ".." in name.split("/")]
     if outside or (skipped and schema > 1):
@@ -207,7 +208,7 @@ def _files(folder: Path, copy: Path, excluded: set[Path]) -> Iterator[tuple[str,
         place = folder / name
         for path in [place] if place.is_file() else sorted(place.rglob("*")):
             path_name = path.relative_to(folder).as_posix()
-            if path.is_file() and _HELD.fullmatch(path_name) and path not in excluded:
+            if path.is_file() and HELD.fullmatch(path_name) and path not in excluded:
                 yield path_name, path
 
     yield from held(TABLES)

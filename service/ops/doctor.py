@@ -29,6 +29,7 @@ from wrenchbook.service.ops.checks import (
     find_leftovers,
     move_aside,
 )
+from wrenchbook.service.ops.replica import read_status, trouble_of
 from wrenchbook.service.ops.restore import in_use
 from wrenchbook.service.tables.rows import followed, unsolved
 from wrenchbook.service.tables.store import TableStore
@@ -50,6 +51,9 @@ def examine(folder: Path, *, repair: bool = False) -> list[DataFinding]:
             DataFinding("fault", f"there is no data directory {folder}", "say which with --data")
         ]
     findings = [*check_disk(folder), *check_side_files(folder, repair=repair)]
+    if copies := trouble_of(read_status(folder)):
+        remedy = "see that the target is there, has room and can be written; the server tries again"
+        findings.append(DataFinding("fault", f"copies of this directory: {copies}", remedy))
     ledger, of_ledger = _opened(folder, repair=repair)
     findings += of_ledger
     if ledger is None:

@@ -5,23 +5,29 @@ from __future__ import annotations
 import os
 import shutil
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import IO
 
 from wrenchbook.service.files import lock
 from wrenchbook.service.files.durable import sync, sync_tree
 from wrenchbook.service.keys import FILE as KEYS
 from wrenchbook.service.ledger import Ledger, LedgerError
+from wrenchbook.service.ops import replica
 from wrenchbook.service.ops.backup import LEDGER, BackupError, Manifest, unpack, verify
 from wrenchbook.service.tables.coordinator_state import FOLDER as SHARED
 from wrenchbook.service.tables.coordinator_state import LOCK
 
+Place = Callable[[str], IO[bytes]]
 _DRAFT = ".restoring"  # in the data directory, which may be a mount
 # Keys and settings are no part of a backup: those of the directory stay, whatever is restored.
 _STAYS = (_DRAFT, KEYS, f"{KEYS}.lock", "wrenchbook.toml")
 
 
-def restore(source: Path, folder: Path, *, overwrite: bool = False) -> tuple[Manifest, Path | None]:
-    """Restore a backup into a data directory.
+def restore(
+    source: Path | str, folder: Path, *, overwrite: bool = False, until: float = float("inf")
+) -> tuple[Manifest, Path | None]:
+    """Restore a backup, or the newest state of a replica's URL `until` then (s), into a directory.
 
     The backup is verified first, and the restored files before they replace others. Keys and
     settings of the directory stay. Restored files are their owner's alone to read. With
@@ -30,7 +36,7 @@ def restore(source: Path, folder: Path, *, overwrite: bool = False) -> tuple[Man
     new, or the directory not empty, in use or not writable.
     """
     folder = folder.absolute()
-    verify(source)
+    unpacked = _source(source, until)
     draft, aside, state = folder / _DRAFT, None, "Nothing was changed"
 
     def place(name: str):
@@ -43,7 +49,7 @@ def restore(source: Path, folder: Path, *, overwrite: bool = False) -> tuple[Man
         _check_free(folder, overwrite=overwrite)
         shutil.rmtree(draft, ignore_errors=True)  # of an interrupted restore
         draft.mkdir(0o700)
-        manifest = unpack(source, place)
+        manifest = unpacked(place)
         for path in filter(Path.is_dir, draft.rglob("*")):
             path.chmod(0o700)
         Ledger(draft / LEDGER).close()  # verifies it and updates its schema
@@ -69,6 +75,14 @@ def restore(source: Path, folder: Path, *, overwrite: bool = False) -> tuple[Man
     finally:
         shutil.rmtree(draft, ignore_errors=True)
     return manifest, aside
+
+
+def _source(source: Path | str, until: float) -> Callable[[Place], Manifest]:
+    """Return a function that unpacks a verified backup or a replica."""
+    if isinstance(source, str):
+        return lambda place: replica.unpack(source, place, until)
+    verify(source)
+    return lambda place: unpack(source, place)
 
 
 def in_use(folder: Path) -> bool:

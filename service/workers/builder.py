@@ -75,7 +75,10 @@ def solving(settings: Settings, parts: Parts) -> Iterator[Dispatcher | None]:
 
         engine = DaskEngine(settings.scheduler or "")
     fields = FieldStore(settings.data / "fields")
-    dispatcher = Dispatcher(ledger, engine, lambda name: library[name].folder, jobs, fields, errors)
+    dispatcher = Dispatcher(
+        ledger, engine, lambda name: library[name].folder, jobs, fields, errors,
+        setups=lambda name: library[name].fingerprint,
+    )  # fmt: skip
     stop = threading.Event()
     arguments = ledger, jobs, settings, stop
     retention = threading.Thread(target=retain, args=arguments, name="retention", daemon=True)

@@ -35,6 +35,8 @@ log = logging.getLogger("wrenchbook.service.workers")
 # Name in ps and top, and what a process runs: `run(settings, started, *sockets)`.
 BUILDER: Final = "wb-builder", "wrenchbook.service.workers.builder:run"
 WEB_WORKER: Final = "wb-webworker", "wrenchbook.service.workers.web_worker:run"
+FOLLOWER: Final = "wb-follower", "wrenchbook.service.workers.follower:run"
+COPIER: Final = "wb-copier", "wrenchbook.service.workers.copier:run"
 HEARTBEAT_S: Final = 0.25
 # Without a heartbeat, and for the start of a web worker at SIGHUP: on a machine with ten times
 # the work it can do, a thread waited for 3 s and a start took 20 s.
@@ -119,7 +121,7 @@ def _run(
 
 
 class Supervisor:
-    """Keeps the builder and the web workers running until SIGTERM or SIGINT.
+    """Keeps the builder, web workers and the copier, if any, running until SIGTERM or SIGINT.
 
     SIGHUP replaces the web workers, each once its successor has started. `ready` is printed once
     all processes have started; `failed` says why the server ends without a signal.
@@ -128,7 +130,10 @@ class Supervisor:
     def __init__(self, settings: Settings, bound: socket.socket, ready: str) -> None:
         self._settings, self._bound, self._ready = settings, bound, ready
         self._signals: list[int] = []
-        self._builder = self._start(BUILDER)
+        self._kind = FOLLOWER if settings.read_only else BUILDER
+        self._builder = self._start(self._kind)
+        copies = settings.replicate or settings.backup_every
+        self._copiers = [self._start(COPIER)] if copies else []
         self._web = [self._start(WEB_WORKER) for _ in range(settings.processes)]
         self._to_replace = 0  # web workers, of a restart that has begun
         self._successor: Child | None = None
@@ -155,15 +160,17 @@ class Supervisor:
             self._bound.shutdown(socket.SHUT_RDWR)
         for child in web:
             child.join()
-        self._builder.send(signal.SIGTERM)
-        self._builder.join()
+        for child in (self._builder, *self._copiers):  # the last rows are shipped at the end
+            child.send(signal.SIGTERM)
+            child.join()
 
     def look(self) -> None:
         """Say once that all processes are ready; from then on replace those that ended."""
         children = self._builder, *self._web
         if not self._ready:
             self._retired = [child for child in self._retired if child.process.is_alive()]
-            self._builder = self._living(self._builder, BUILDER)
+            self._builder = self._living(self._builder, self._kind)
+            self._copiers = [self._living(child, COPIER) for child in self._copiers]
             self._web = [self._living(child, WEB_WORKER) for child in self._web]
             self._replace()
         elif not all(child.is_healthy() for child in children):
@@ -173,7 +180,7 @@ class Supervisor:
             self._ready = ""
 
     def _start(self, kind: tuple[str, str]) -> Child:
-        sockets = () if kind == BUILDER else (self._bound,)
+        sockets = (self._bound,) if kind == WEB_WORKER else ()
         return Child(kind, self._settings, *sockets)
 
     def _living(self, child: Child, kind: tuple[str, str]) -> Child:
@@ -243,7 +250,9 @@ def supervise(settings: Settings, *, as_json: bool = False) -> None:
     for path in shared.iterdir():  # counts and rates of a server that was killed
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
-    forks.set_forkserver_preload([path.split(":")[0] for _, path in (BUILDER, WEB_WORKER)])
+    kinds = [WEB_WORKER, FOLLOWER if settings.read_only else BUILDER]
+    kinds += [COPIER] if settings.replicate or settings.backup_every else []
+    forks.set_forkserver_preload([path.split(":")[0] for _, path in kinds])
     forkserver.ensure_running()
     set_up(settings.log_level, settings.log_format)
     ready = f"wrenchbook serves {address}"

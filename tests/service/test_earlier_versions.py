@@ -201,3 +201,33 @@ def test_a_ledger_of_0_3_that_is_made_anew_has_the_state_of_the_files(directory)
     with closing(Ledger(path)) as ledger:
         assert Catalogue(ledger)["rig"].notes == "bolts at 20 N m"
         assert QueryStatistics(ledger).map_of("rig", RANGE)["asked"] == 3
+
+
+@pytest.mark.parametrize("asked_since", [False, True])
+def test_a_waiting_job_of_0_3_is_asked_again_for_the_setup_that_this_version_has(
+    directory, stand_in, asked_since
+):
+    """A changed mesh made the rows "another setup" and failed the job: `component_changed`."""
+    toml = directory / "components" / "block" / "component.toml"
+    with closing(sqlite3.connect(directory / "ledger.sqlite")) as db:
+        (before,) = db.execute("SELECT fingerprint FROM rows WHERE component = 'block'").fetchone()
+        db.execute(
+            "INSERT INTO jobs (id, component, fingerprint, wrench, status, priority, attempt, lost,"
+            " created) VALUES (77, 'block', ?, ?, 'waiting', 0, 0, 0, 1.0)",
+            (before, np.array([20.0, 0, 0, 0, 0, 0]).tobytes()),
+        )
+        db.commit()
+    toml.write_text(re.sub(r"poisson_ratio = 0\.\d+", "poisson_ratio = 0.25", toml.read_text()))
+    ids = [77]
+    if asked_since:
+        with served(directory) as client:
+            asked = client.displacement("block", [20.0, 0, 0], on_thin="wait", wait_s=0)
+            ids.append(asked.job.id)
+    with served(directory, solvers=1) as client:
+        until(lambda: {client.job(number).status for number in ids} <= {"done", "cancelled"})
+        statuses = [client.job(number).status for number in ids]
+        assert statuses == (["cancelled", "done"] if asked_since else ["done"])
+    with closing(Ledger(directory / "ledger.sqlite")) as ledger:
+        rows = [(row.fingerprint == before, row.wrench[0]) for row in stored(ledger, "block")]
+    assert [same for same, _ in rows][:3] == [True, True, False]
+    assert rows.count((False, 20.0)) == 1

@@ -12,6 +12,7 @@ from wrenchbook.service.files.redact import redact_values
 from wrenchbook.service.http.openapi import answers, refused
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.ops.metrics import Metrics
+from wrenchbook.service.ops.replica import trouble_of
 from wrenchbook.service.workspace import Workspace
 
 router = APIRouter(tags=["health"])
@@ -34,7 +35,9 @@ async def live() -> dict[str, str]:
     "`ready`, `building`, `degraded` (it answers, but not from all its rows or not from its file) "
     "or `broken` for each component; `pending_rows` the rows that are being built into a table. "
     "`ready` is true if the server and all tables are. With `component`, the tables and the status "
-    "code are of its table.",
+    "code are of its table. `copies` has the outcome of the last shipping of the "
+    "replica and of the last scheduled backup, with `trouble`; `age_s` of a read-only server how "
+    "old its state is at most.",
     responses=answers(dict[str, Any], "ready, or tables are built")
     | answers(dict[str, Any], "not ready; see faults", 503)
     | refused(404, 422),
@@ -57,6 +60,8 @@ def ready(
             tables[component] = "building"  # added a moment ago
         tables = {component: tables[component]}
     flawed = broken or any(state in ("degraded", "broken") for state in tables.values())
+    copies = trouble_of(workspace.copies, workspace.settings)
+    flawed = flawed or copies is not None
     status = "building" if building else "degraded" if flawed else "ready"
     body: dict[str, Any] = {
         "status": "not ready" if faults else status,
@@ -68,6 +73,8 @@ def ready(
         "building": building,
         "pending_rows": pending,
         "tables": tables,
+        "copies": {**workspace.copies, "trouble": copies},
+        "age_s": workspace.age(),
     }
     answering = ("ready", "degraded")
     served = not faults and (component is None or tables[component] in answering)

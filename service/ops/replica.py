@@ -1,0 +1,354 @@
+"""A replica of a data directory at a URL: blocks named by their digests, and manifests.
+
+A file is a list of blocks, so that a changed ledger ships the blocks that differ. A manifest is
+written once all its blocks are there, under a name with its own digest; ``latest.json`` names the
+newest one. Nothing that an interrupted write left is taken for whole.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import secrets
+import socket
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from hashlib import blake2b
+from io import BytesIO
+from pathlib import Path
+from typing import IO, Any
+from urllib.parse import unquote
+
+from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.ledger import Ledger
+from wrenchbook.service.ledger.schema import VERSION
+from wrenchbook.service.ops import backup
+from wrenchbook.service.ops.backup import LEDGER, BackupError
+from wrenchbook.service.settings import Settings
+
+FORMAT = "wrenchbook replica 1"
+# A commit of a row changes some six pages of the ledger, in as many blocks; the manifest has 43
+# bytes a block. For a ledger of 50 MB this size ships the least, within a factor of two.
+BLOCK = 1 << 16
+LATEST, MANIFESTS, BLOCKS = "latest.json", "manifests/", "blocks/"
+# In the data directory: an id, since two directories never ship to the same URL; the ledger of the
+# last manifest; what health and doctor say of replica and backups.
+ORIGIN, COPY, STATUS = "replica-id", ".replica.sqlite", "copies.json"
+PACKED = re.compile(rf"{backup.TABLES}/(?!\.)[^/]+\.wbt")  # mapped by read-only servers
+FILES_PART = 0.25  # of the interval, for files apart from the ledger in one round
+COLLECT_S = 600.0  # between removals of what no manifest needs
+# Manifests that stay, by age and s apart: all of the last ten minutes, one an hour for a day, one a
+# day for a week.
+KEEP_S = ((600.0, 0.0), (86_400.0, 3600.0), (7 * 86_400.0, 86_400.0))
+# Parts of the status, with the settings that have them written.
+_SWITCHES = {"replica": "replicate", "backup": "backup_every", "followed": "read_only"}
+_CREDENTIALS = re.compile(r"//[^/@\s]*@")
+
+Entry = tuple[int, tuple[str, ...]]
+"""A file: its length and the digests of its blocks."""
+Place = Any  # fsspec's mapping of names to bytes, with its storage `fs` and `root`
+
+
+class ReplicaError(BackupError):
+    """A replica that cannot be written or read; the text says why and what to do."""
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """The state of a data directory at `created`, s since the epoch: all that was committed then.
+
+    `rows` and `jobs` are numbers, `last_row` is the highest number of a row. `files` is the entry
+    of a JSON text with the entries of all files but the ledger. Writes go to `server`.
+    """
+
+    number: int
+    created: float
+    origin: str
+    server: str
+    interval: float
+    rows: int
+    last_row: int
+    jobs: int
+    ledger: Entry
+    files: Entry
+    ledger_schema: int = VERSION
+    format: str = FORMAT
+
+
+def place_of(url: str) -> Place:
+    """Return the storage of a URL as a mapping; raises ReplicaError."""
+    try:
+        import fsspec  # half a second that only servers with a replica wait
+
+        if url.startswith("file://"):  # its owner's alone, as backups
+            Path(unquote(url[7:])).mkdir(0o700, parents=True, exist_ok=True)
+        return fsspec.get_mapper(url, skip_instance_cache=True)
+    except (ImportError, ValueError) as error:
+        raise ReplicaError(f"{shown(url)} cannot be used: {shown(str(error))}") from error
+
+
+def shown(text: str) -> str:
+    """Return a text without the credentials of its URLs."""
+    return _CREDENTIALS.sub("//", text)
+
+
+class Replica:
+    """A replica to read: its manifests, and the content of their files."""
+
+    def __init__(self, url: str) -> None:
+        self.url, self.place = shown(url), place_of(url)
+
+    def manifests(self) -> list[str]:
+        """Return the names of the manifests, the newest first."""
+        return sorted((name for name in self.place if name.startswith(MANIFESTS)), reverse=True)
+
+    def manifest(self, name: str) -> Manifest:
+        """Return a manifest; raises ReplicaError if it is damaged or of a newer program."""
+        try:
+            content = self.place[name]
+            fields: dict[str, Any] = json.loads(content)
+            if name != _name(fields["number"], content):
+                raise ValueError("it is not what was written")
+            if fields["format"] != FORMAT or fields["ledger_schema"] > VERSION:
+                raise ReplicaError(f"{self.url} is of a newer wrenchbook; install that to read it")
+            fields.update(_entries({name: fields[name] for name in ("ledger", "files")}))
+            return Manifest(**fields)
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise ReplicaError(f"{name} of {self.url} is damaged: {error!r}") from error
+
+    def newest(self, until: float = float("inf")) -> Manifest:
+        """Return the newest whole manifest that was created `until` then; raises ReplicaError."""
+        why = ReplicaError(f"{self.url} has no manifest{' of that time' * (until < 1e99)}")
+        for name in self.manifests():
+            try:
+                if (manifest := self.manifest(name)).created <= until:
+                    return manifest
+            except ReplicaError as error:
+                why = error
+        raise why
+
+    def files(self, manifest: Manifest) -> dict[str, Entry]:
+        """Return the entries of all files; raises ReplicaError for one that no replica holds."""
+        files = _entries(json.loads(b"".join(map(self.block, manifest.files[1]))))
+        for name in files:
+            if not is_held(name):
+                raise ReplicaError(f"{self.url} holds {name!r}, which no replica does")
+        return {**files, LEDGER: manifest.ledger}
+
+    def block(self, digest: str) -> bytes:
+        """Return a block; raises ReplicaError if it is missing or damaged."""
+        content = self.place.get(_block(digest), b"")
+        if _digest(content) != digest:
+            raise ReplicaError(
+                f"block {digest} of {self.url} is missing or damaged; restore an earlier time: --at"
+            )
+        return content
+
+
+def unpack(url: str, place: Callable[[str], IO[bytes]], until: float) -> backup.Manifest:
+    """Copy the files of a replica that a restore needs; raises ReplicaError."""
+    replica = Replica(url)
+    manifest, files = replica.newest(until), dict[str, tuple[int, str]]()
+    for name, (length, blocks) in replica.files(manifest).items():
+        if not PACKED.fullmatch(name):  # built again by the start
+            with place(name) as file:
+                file.writelines(map(replica.block, blocks))
+            files[name] = length, ""
+    names = "created", "rows", "last_row", "jobs", "interval"
+    state = {name: getattr(manifest, name) for name in names}
+    return backup.Manifest(manifest.created, manifest.ledger_schema, files, state=state)
+
+
+class Shipper:
+    """Ships a data directory to its URL, one `round` after the other, from one thread.
+
+    All that was committed when a round began is in its manifest. Files apart from the ledger have
+    a part of the interval in each round, so that a large table does not delay rows.
+    """
+
+    def __init__(self, settings: Settings, ledger: Ledger) -> None:
+        self._settings, self._data, self._ledger = settings, settings.data, ledger
+        self._replica = replica = Replica(settings.replicate or "")
+        try:
+            self._origin = (settings.data / ORIGIN).read_text()
+        except FileNotFoundError:
+            self._origin = secrets.token_hex(16)
+            write_whole_bytes(settings.data / ORIGIN, self._origin.encode())
+        self._files: dict[str, Entry] = {}
+        self._known: set[str] = set()  # blocks that are there
+        self._number, self._collect_at = 0, time.monotonic() + COLLECT_S
+        if names := replica.manifests():
+            newest = replica.newest()
+            if newest.origin != self._origin:
+                raise ReplicaError(
+                    f"{replica.url} has the replica of another data directory; name an empty "
+                    "folder. A restored directory needs a new one too"
+                )
+            self._files, self._number = replica.files(newest), int(names[0][len(MANIFESTS) :][:10])
+            entries = *self._files.values(), newest.files
+            self._known = {digest for _, blocks in entries for digest in blocks}
+        self._seen: object = None  # version of the ledger in the last manifest
+        self._shipped: dict[str, object] = {}  # stamps of files that are there
+        self._latest, self._surfaces_behind = "", False
+        self.facts: dict[str, Any] = {"bytes": 0}
+
+    def round(self) -> None:
+        """Ship what has changed, and note it in `facts`."""
+        deadline = time.monotonic() + FILES_PART * self._settings.replicate_interval
+        self.facts["files_behind"] = 0
+        changed, seen = self._ship(backup.TABLES, deadline), self._ledger.version()
+        if seen != self._seen or self._surfaces_behind:  # a surface comes with a row
+            behind = self.facts["files_behind"]
+            changed |= self._ship("fields", deadline)
+            self._surfaces_behind = self.facts["files_behind"] > behind
+        begun, settings = time.time(), self._settings
+        seen = self._ledger.version()
+        if changed or seen != self._seen:
+            rows, last_row, jobs = self._ledger.copy(self._data / COPY, checked=False)
+            self._ship("components")  # after the ledger: no row is without its component
+            with (self._data / COPY).open("rb") as file:
+                ledger = self._files[LEDGER] = self._ship_file(file)
+            rest = {name: entry for name, entry in self._files.items() if name != LEDGER}
+            files = self._ship_file(BytesIO(json.dumps(rest).encode()))
+            server = settings.public_url or f"http://{socket.gethostname()}:{settings.port}"
+            state = self._origin, server, settings.replicate_interval, rows, last_row, jobs
+            manifest = Manifest(self._number + 1, begun, *state, ledger, files)
+            content = json.dumps(asdict(manifest)).encode()
+            self._latest = _name(manifest.number, content)
+            self._write(self._latest, content)
+            self._number, self._seen = manifest.number, seen
+            self.facts |= {"manifest": manifest.number, "created": begun, "rows": rows}
+            if time.monotonic() > self._collect_at:
+                self.collect()
+                self._collect_at = time.monotonic() + COLLECT_S
+        pointer = json.dumps({"manifest": self._latest, "checked": begun})
+        self._write(f"{LATEST}.part", pointer.encode())
+        root = self._replica.place.root  # readers see this pointer or the one before
+        self._replica.place.fs.mv(f"{root}/{LATEST}.part", f"{root}/{LATEST}")
+        self.facts["checked"] = begun
+
+    def collect(self) -> None:
+        """Remove the manifests that need not stay, and the blocks that no manifest needs."""
+        kept, needed, place = list[float](), set[str](), self._replica.place
+        for name in self._replica.manifests():
+            with suppress(ReplicaError):
+                manifest = self._replica.manifest(name)
+                if stays(manifest.created, kept):
+                    kept.append(manifest.created)
+                    entries = *self._replica.files(manifest).values(), manifest.files
+                    needed.update(*(blocks for _, blocks in entries))
+                    continue
+            del place[name]
+        for name in [name for name in place if name.startswith(BLOCKS)]:
+            if name.rpartition("/")[2] not in needed:
+                del place[name]
+        self._known &= needed
+
+    def _ship(self, folder: str, deadline: float = float("inf")) -> bool:
+        """Ship the changed files of a folder until the deadline; return whether any has changed."""
+        present, before = self._stamps(folder), self._files
+        self._files = {
+            name: entry
+            for name, entry in before.items()
+            if name in present or not name.startswith(f"{folder}/")
+        }
+        changed = len(self._files) < len(before)
+        for name, stamp in present.items():
+            if self._shipped.get(name) == stamp:
+                continue
+            try:
+                with (self._data / name).open("rb") as file:
+                    entry = self._ship_file(file, deadline)
+            except FileNotFoundError:  # a newer version has taken its place
+                continue
+            except TimeoutError:
+                self.facts["files_behind"] += 1
+                continue
+            changed |= self._files.get(name) != entry
+            self._files[name], self._shipped[name] = entry, stamp
+        return changed
+
+    def _stamps(self, folder: str) -> dict[str, object]:
+        """Return the files that replicas hold in a folder, with a value that changes with each."""
+        stamps: dict[str, object] = {}
+        for path in (self._data / folder).rglob("*"):
+            name = path.relative_to(self._data).as_posix()
+            with suppress(FileNotFoundError):
+                if is_held(name) and path.is_file():
+                    stat = path.stat()
+                    stamps[name] = stat.st_mtime_ns, stat.st_size, stat.st_ino
+        return stamps
+
+    def _ship_file(self, file: IO[bytes], deadline: float = float("inf")) -> Entry:
+        """Ship a file's blocks; after a TimeoutError those that are there stay."""
+        length, digests = 0, list[str]()
+        while piece := file.read(BLOCK):
+            digests.append(digest := _digest(piece))
+            length += len(piece)
+            if digest not in self._known:
+                if time.monotonic() > deadline:
+                    raise TimeoutError
+                self._write(_block(digest), piece)
+                self._known.add(digest)
+        return length, tuple(digests)
+
+    def _write(self, name: str, content: bytes) -> None:
+        self._replica.place[name] = content
+        self.facts["bytes"] += len(content)
+
+
+def stays(created: float, kept: list[float]) -> bool:
+    """Whether a manifest stays, by the times of the newer ones that do, the newest first; s."""
+    if not kept:
+        return True
+    age = kept[0] - created
+    return next((kept[-1] - created >= apart for most, apart in KEEP_S if age <= most), False)
+
+
+def write_status(data: Path, **parts: Any) -> None:
+    """Write `replica`, `backup` or `followed`, by which health and doctor judge the copies."""
+    write_whole_bytes(data / STATUS, json.dumps(read_status(data) | parts).encode(), durable=False)
+
+
+def read_status(data: Path) -> dict[str, Any]:
+    """Return the parts of the status; without those that were never written."""
+    try:
+        return json.loads((data / STATUS).read_bytes())
+    except (OSError, ValueError):
+        return {}
+
+
+def trouble_of(status: Mapping[str, Any], settings: Settings | None = None) -> str | None:
+    """Return what is wrong with copies; with a running server's settings also silence."""
+    parts = []
+    for name, part in status.items():
+        silent = time.time() - part["seen"] if settings else 0.0
+        if settings is None or getattr(settings, _SWITCHES[name]):
+            if part["trouble"]:
+                parts.append(f"{name}: {part['trouble']}")
+            elif silent > part["patience"]:
+                parts.append(f"{name}: its process has not reported for {silent:.0f} s")
+    return "; ".join(parts) or None
+
+
+def is_held(name: str) -> bool:
+    """Whether a replica holds a file: those of backups, and packed tables."""
+    return bool(backup.HELD.fullmatch(name) or PACKED.fullmatch(name))
+
+
+def _entries(fields: Mapping[str, Any]) -> dict[str, Entry]:
+    return {name: (int(length), tuple(blocks)) for name, (length, blocks) in fields.items()}
+
+
+def _digest(content: bytes) -> str:
+    return blake2b(content, digest_size=20).hexdigest()
+
+
+def _block(digest: str) -> str:
+    return f"{BLOCKS}{digest[:2]}/{digest}"
+
+
+def _name(number: int, content: bytes) -> str:
+    return f"{MANIFESTS}{number:010d}-{_digest(content)}.json"

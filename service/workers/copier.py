@@ -1,0 +1,111 @@
+"""The process that ships a replica and makes scheduled backups; it may die without harm.
+
+The supervisor starts it again. Its outcomes are in ``copies.json`` for health and doctor.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import tempfile
+import threading
+import time
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from wrenchbook.service.ledger import Ledger
+from wrenchbook.service.ops.backup import LEDGER, back_up
+from wrenchbook.service.ops.doctor import examine
+from wrenchbook.service.ops.replica import COPY, Shipper, read_status, shown, write_status
+from wrenchbook.service.ops.restore import restore
+from wrenchbook.service.settings import Settings
+
+log = logging.getLogger(__name__)
+
+HOUR = 3600.0
+LOOK_S = 10.0  # between looks at whether a backup is due
+SLACK_S = 60.0  # without a report before health says so, and before a failed backup is repeated
+_PATTERN = "wrenchbook-*.wbb"  # of scheduled backups
+_status_lock = threading.Lock()  # of this process, whose two threads write one file
+
+
+def run(settings: Settings, started: threading.Event) -> None:
+    """Copy until SIGTERM; `started` is set at once: no request waits for a copy."""
+    stop = threading.Event()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    os.umask(0o077)  # copies are their owner's alone, as the ledger
+    started.set()
+    if settings.backup_every:
+        threading.Thread(target=keep, args=(settings, stop), name="backups", daemon=True).start()
+    if settings.replicate:
+        ship(settings, stop)
+    stop.wait()
+
+
+def ship(settings: Settings, stop: threading.Event) -> None:
+    """Ship each half interval, and once after `stop`: what was committed is soon there."""
+    shipper: Shipper | None = None
+    with closing(Ledger(settings.data / LEDGER, patient=True)) as ledger:
+        while True:
+            last, begun = stop.is_set(), time.monotonic()
+            try:
+                shipper = shipper or Shipper(settings, ledger)
+                shipper.round()
+                facts = {**shipper.facts, "trouble": None, "seconds": time.monotonic() - begun}
+            except Exception as error:  # of any storage
+                shipper, facts = None, {"trouble": shown(str(error) or repr(error))}
+                log.warning("the replica was not written: %s", facts["trouble"])
+            _report(settings, "replica", SLACK_S + settings.replicate_interval, facts)
+            if last:
+                break
+            stop.wait(max(0.0, begun + settings.replicate_interval / 2 - time.monotonic()))
+    (settings.data / COPY).unlink(missing_ok=True)
+
+
+def keep(settings: Settings, stop: threading.Event) -> None:
+    """Make a backup whenever one is due, test it by a restore, and remove old ones."""
+    folder, period = settings.backup_folder or settings.data / "backups", settings.backup_every
+    pause = 0.0
+    while not stop.wait(pause):
+        pause = LOOK_S
+        newest = max((path.stat().st_mtime for path in folder.glob(_PATTERN)), default=0.0)
+        if time.time() - newest >= period * HOUR:
+            try:
+                facts = {"trouble": None, **tested_backup(settings.data, folder)}
+                for path in sorted(folder.glob(_PATTERN))[: -settings.backup_keep]:
+                    path.unlink(missing_ok=True)
+            except Exception as error:
+                log.exception("the scheduled backup failed")
+                facts, pause = {"trouble": str(error) or repr(error)}, SLACK_S
+            _report(settings, "backup", 1.5 * period * HOUR + SLACK_S, facts)
+
+
+def tested_backup(data: Path, folder: Path) -> dict[str, Any]:
+    """Write a backup into a folder and restore it into a temporary one.
+
+    One that does not restore, or whose restored directory has faults, is renamed; raises
+    RuntimeError or BackupError then.
+    """
+    folder.mkdir(0o700, parents=True, exist_ok=True)
+    file = folder / f"wrenchbook-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}.wbb"
+    back_up(data, file)
+    try:
+        with tempfile.TemporaryDirectory(prefix=".tested-", dir=folder) as scratch:
+            restore(file, Path(scratch) / "data")
+            faults = [f.what for f in examine(Path(scratch) / "data") if f.kind == "fault"]
+            if faults:
+                raise RuntimeError(f"its restore has {len(faults)} faults, first: {faults[0]}")
+    except BaseException:
+        file.rename(file.with_suffix(".failed"))
+        raise
+    return {"file": file.name, "created": time.time(), "tested": True}
+
+
+def _report(settings: Settings, name: str, patience: float, facts: dict[str, Any]) -> None:
+    with _status_lock:
+        part = read_status(settings.data).get(name, {}) | facts
+        part |= {"seen": time.time(), "patience": patience}
+        write_status(settings.data, **{name: part})

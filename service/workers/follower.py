@@ -1,0 +1,122 @@
+"""The process of a read-only server that follows a replica; it takes the builder's place.
+
+It replaces the ledger's content in one transaction, then the packed tables that are built from it.
+Web workers map these as they do on the main server.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import signal
+import sys
+import threading
+import time
+from contextlib import closing
+
+from uvicorn.config import STARTUP_FAILURE
+
+from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.ledger import Ledger
+from wrenchbook.service.ledger.schema import VERSION
+from wrenchbook.service.ops import replica
+from wrenchbook.service.ops.backup import LEDGER, TABLES
+from wrenchbook.service.ops.replica import Entry, Manifest, Replica, read_status, shown
+from wrenchbook.service.settings import Settings
+from wrenchbook.service.tables.coordinator_state import FOLDER, CoordinatorState, Status
+from wrenchbook.service.workers.supervisor import IN_USE
+
+log = logging.getLogger(__name__)
+
+LOOKS = 4  # at the pointer in an interval: what was shipped is seen within a quarter of it
+AGAIN_S = 5.0  # before the next look at a replica that could not be read
+
+
+class Follower:
+    """Brings a data directory to the state of a replica's newest manifest."""
+
+    def __init__(self, settings: Settings, ledger: Ledger) -> None:
+        self._data, self._ledger = settings.data, ledger
+        self._replica = Replica(settings.read_only or "")
+        self._entries: dict[str, Entry] = {}
+        self._manifest: Manifest | None = None
+        self._name = ""
+
+    def look(self) -> tuple[Manifest, float]:
+        """Take the newest manifest over; return it, and when it had all that was committed, s."""
+        pointer = json.loads(self._replica.place[replica.LATEST])
+        if self._manifest is None or pointer["manifest"] != self._name:
+            manifest = self._replica.manifest(pointer["manifest"])
+            entries = self._replica.files(manifest)
+            if self._entries.get(LEDGER) != entries[LEDGER]:
+                self._take_ledger(entries[LEDGER], upgrade=manifest.ledger_schema != VERSION)
+            # Bundles first: a table is mapped once its component is there.
+            for name in sorted(entries.keys() - {LEDGER}, key=lambda name: name.startswith(TABLES)):
+                if self._entries.get(name) != entries[name] and not name.endswith(".h5"):
+                    self._take_file(name, entries[name])
+            newer = {name.rpartition("-")[0] for name in entries}  # components that have a table
+            present = {f"{TABLES}/{path.name}" for path in (self._data / TABLES).glob("[!.]*.wbt")}
+            for name in (present | self._entries.keys()) - entries.keys():
+                if name not in present or name.rpartition("-")[0] in newer:
+                    (self._data / name).unlink(missing_ok=True)
+            self._manifest, self._name, self._entries = manifest, pointer["manifest"], entries
+            if manifest.ledger_schema != VERSION:
+                del entries[LEDGER]  # the copy was upgraded: the next one is taken as a whole
+        return self._manifest, float(pointer["checked"])
+
+    def _take_ledger(self, entry: Entry, *, upgrade: bool) -> None:
+        """Bring the copy of the ledger up to date by the blocks that differ, then the ledger."""
+        path, before = self._data / replica.COPY, self._entries.get(LEDGER, (0, ()))[1]
+        with os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT, 0o600), "r+b") as file:
+            for place, digest in enumerate(entry[1]):
+                if before[place : place + 1] != (digest,):
+                    file.seek(place * replica.BLOCK)
+                    file.write(self._replica.block(digest))
+            file.truncate(entry[0])
+        if upgrade:
+            Ledger(path).close()
+        self._ledger.take_over(path)
+
+    def _take_file(self, name: str, entry: Entry) -> None:
+        path = self._data / name
+        if name.startswith(TABLES) and path.is_file() and path.stat().st_size == entry[0]:
+            return  # of the last start: its name has its version, and it has a checksum
+        path.parent.mkdir(0o700, parents=True, exist_ok=True)
+        content = b"".join(map(self._replica.block, entry[1]))
+        write_whole_bytes(path, content, durable=False, mode=0o600)
+
+
+def run(settings: Settings, started: threading.Event) -> None:
+    """Follow the replica until SIGTERM; `started` is set once a state of it is there."""
+    stop = threading.Event()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    state = CoordinatorState(settings.data / FOLDER)
+    if not state.take():
+        log.error(IN_USE.format(settings.data))
+        sys.exit(STARTUP_FAILURE)
+    follower, part = None, read_status(settings.data).get("followed", {})
+    if part:
+        started.set()  # it answers from the last state it had, whose age it says
+    try:
+        with closing(Ledger(settings.data / LEDGER, patient=True)) as ledger:
+            while not stop.is_set():
+                pause = AGAIN_S
+                try:
+                    follower = follower or Follower(settings, ledger)
+                    manifest, checked = follower.look()
+                    pause = manifest.interval / LOOKS
+                    part |= {"checked": checked, "manifest": manifest.number, "trouble": None}
+                    part |= {"server": manifest.server, "rows": manifest.rows}
+                    started.set()
+                except Exception as error:  # of any storage
+                    follower, part["trouble"] = None, shown(str(error) or repr(error))
+                    log.warning("the replica cannot be read: %s", part["trouble"])
+                if started.is_set():
+                    part |= {"seen": time.time(), "patience": 60.0 + pause}  # s: a busy machine
+                    replica.write_status(settings.data, followed=part)
+                state.write(Status(pid=os.getpid()))
+                stop.wait(pause)
+    finally:
+        state.release()

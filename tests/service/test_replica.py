@@ -1,0 +1,263 @@
+"""A replica has all that was committed, restores to the same answers and feeds other servers."""
+
+import os
+import shutil
+import threading
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from starlette.testclient import TestClient
+from typer.testing import CliRunner
+
+from tests.service.test_backup import answers
+from tests.service.test_durable_tables import Site
+from tests.until import until
+from wrenchbook.service.cli.main import app
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.keys import Keyring
+from wrenchbook.service.ledger import Ledger
+from wrenchbook.service.ops import replica
+from wrenchbook.service.ops.doctor import examine
+from wrenchbook.service.ops.replica import Replica, ReplicaError, Shipper, stays
+from wrenchbook.service.ops.restore import restore
+from wrenchbook.service.settings import Settings
+from wrenchbook.service.workers import copier
+from wrenchbook.service.workers.follower import Follower
+
+
+class Shipped:
+    """A data directory with 30 rows, its replica, and what ships to it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.url = folder / "site", f"file://{folder}/replica"
+        self.site = Site(self.folder)
+        self.site.open("rig")
+        self.insert(30)
+        self.settings = Settings(self.folder, replicate=self.url, replicate_interval=3600.0)
+        self.shipper = self.new_shipper()
+
+    def insert(self, count, first=0):
+        self.site.insert(count, first=first)
+        assert self.site.tables.catch_up("rig", 600)
+
+    def new_shipper(self):
+        return Shipper(self.settings, self.site.ledger)
+
+    def round(self):
+        self.shipper.round()
+        return Replica(self.url).newest()
+
+
+@pytest.fixture
+def shipped(tmp_path):
+    shipped = Shipped(tmp_path)
+    yield shipped
+    shipped.site.close()
+
+
+def test_a_restored_replica_has_the_answers_and_jobs_of_the_lost_directory(shipped, tmp_path):
+    shipped.site.ledger.accept("rig", "f", (1.0, 0, 0, 0, 0, 0))
+    shipped.round()
+    shipped.insert(5, first=30)
+    assert shipped.round().rows == 35
+    lines = CliRunner().invoke(app, ["restore", shipped.url, "--data", str(tmp_path / "again")])
+    assert "35 rows, up to number 35, and 1 jobs" in lines.output
+    assert answers(tmp_path / "again") == answers(shutil.copytree(shipped.folder, tmp_path / "b"))
+    assert [finding for finding in examine(tmp_path / "again") if finding.kind == "fault"] == []
+
+
+def test_a_replica_holds_no_keys_settings_and_drafts(shipped, tmp_path):
+    Keyring(shipped.folder).add("ops", "admin")
+    for name in ("wrenchbook.toml", "stranger.txt", "tables/.rig.h5.abc.tmp"):
+        (shipped.folder / name).write_text("solvers = 0")
+    files = Replica(shipped.url).files(shipped.round())
+    tables = {f"tables/{path.name}" for path in (shipped.folder / "tables").glob("rig*")}
+    assert set(files) == {"ledger.sqlite", "components/rig/component.toml", *tables}
+    assert (tmp_path / "replica").stat().st_mode & 0o077 == 0
+
+
+def test_a_round_without_changes_writes_the_pointer_alone_and_a_row_few_blocks(shipped):
+    shipped.round()
+    before = shipped.shipper.facts["bytes"]
+    number = shipped.round().number
+    assert shipped.shipper.facts["bytes"] - before < 200
+    assert number == shipped.new_shipper()._number == 1
+
+
+def test_a_replica_whose_manifest_was_cut_off_restores_to_the_one_before(shipped, tmp_path):
+    shipped.round()
+    shipped.insert(5, first=30)
+    shipped.round()
+    path = tmp_path / "replica" / shipped.shipper._latest
+    path.write_bytes(path.read_bytes()[:-20])
+    assert Replica(shipped.url).newest().rows == 30
+    assert shipped.new_shipper()._number == 2
+
+
+def test_a_damaged_block_is_not_restored(shipped, tmp_path):
+    digest = shipped.round().ledger[1][0]
+    path = tmp_path / "replica" / "blocks" / digest[:2] / digest
+    path.write_bytes(b"\0" + path.read_bytes()[1:])
+    with pytest.raises(ReplicaError, match="missing or damaged; restore an earlier time: --at"):
+        restore(shipped.url, tmp_path / "again")
+    assert list((tmp_path / "again").iterdir()) == []
+
+
+def test_a_file_that_no_replica_holds_is_not_restored(shipped, tmp_path):
+    shipped.shipper._files["../keys.json"] = (0, ())
+    shipped.round()
+    with pytest.raises(ReplicaError, match="which no replica does"):
+        restore(shipped.url, tmp_path / "again")
+
+
+def test_another_directory_does_not_ship_to_the_same_url(shipped):
+    shipped.round()
+    (shipped.folder / replica.ORIGIN).unlink()
+    with pytest.raises(ReplicaError, match="of another data directory"):
+        shipped.new_shipper()
+
+
+def test_old_manifests_go_with_the_blocks_that_no_other_needs(shipped, tmp_path, monkeypatch):
+    monkeypatch.setattr(replica, "KEEP_S", ())
+    shipped.round()
+    shipped.insert(5, first=30)
+    newest = shipped.round()
+    shipped.shipper.collect()
+    files = Replica(shipped.url).files(newest).values()
+    needed = {digest for _, blocks in (*files, newest.files) for digest in blocks}
+    assert {path.name for path in (tmp_path / "replica" / "blocks").glob("*/*")} == needed
+    assert len(list((tmp_path / "replica" / "manifests").iterdir())) == 1
+
+
+def test_manifests_stay_for_ten_minutes_then_by_the_hour_and_the_day():
+    kept = []
+    for created in range(10 * 86_400, 0, -60):
+        if stays(created, kept):
+            kept.append(created)
+    ages = [kept[0] - created for created in kept]
+    assert ages[:12] == [60 * n for n in range(11)] + [600 + 3600]
+    assert ages[-1] == ages[-2] + 86_400 <= 7 * 86_400
+
+
+def test_surfaces_that_take_too_long_wait_for_the_next_round_and_rows_do_not(shipped, tmp_path):
+    folder = shipped.folder / "fields" / "rig" / "f"
+    folder.mkdir(parents=True)
+    (folder / "1.fields").write_bytes(os.urandom(100))
+    shipped.shipper._settings = Settings(
+        shipped.folder, replicate=shipped.url, replicate_interval=-1
+    )
+    assert shipped.round().rows == 30
+    assert shipped.shipper.facts["files_behind"] > 0
+    shipped.shipper._settings = shipped.settings
+    assert "fields/rig/f/1.fields" in Replica(shipped.url).files(shipped.round())
+
+
+def test_any_storage_of_fsspec_takes_a_replica(shipped, tmp_path):
+    shipped.settings = Settings(shipped.folder, replicate="memory://replica")
+    shipped.shipper, shipped.url = shipped.new_shipper(), "memory://replica"
+    shipped.round()
+    restore("memory://replica", tmp_path / "again")
+    assert answers(tmp_path / "again") == answers(shutil.copytree(shipped.folder, tmp_path / "b"))
+
+
+# -- read-only servers ---------------------------------------------------------------------------
+
+
+@pytest.fixture
+def reader(shipped, tmp_path):
+    """Settings and follower of a directory elsewhere."""
+    settings = Settings(tmp_path / "reader", solvers=0, read_only=shipped.url)
+    settings.data.mkdir()
+    with closing(Ledger(settings.data / "ledger.sqlite")) as ledger:
+        yield settings, Follower(settings, ledger)
+
+
+def test_a_follower_has_the_rows_and_tables_of_each_manifest(shipped, reader):
+    settings, follower = reader
+    for count in (30, 35):
+        shipped.insert(count, first=0)
+        shipped.round()
+        manifest, _ = follower.look()
+        with closing(Ledger(settings.data / "ledger.sqlite")) as ledger:
+            assert ledger.count_rows("rig") == manifest.rows == count
+        (table,) = (settings.data / "tables").iterdir()
+        assert table.read_bytes() == (shipped.folder / "tables" / table.name).read_bytes()
+
+
+def test_a_follower_keeps_a_table_until_its_next_version_is_there(shipped, reader):
+    settings, follower = reader
+    shipped.round()
+    follower.look()
+    for path in (shipped.folder / "tables").glob("*.wbt"):
+        path.unlink()
+    shipped.round()
+    follower.look()
+    assert len(list((settings.data / "tables").iterdir())) == 1
+
+
+@pytest.mark.parametrize(
+    ("path", "body"),
+    [
+        ("fill", {"budget": 1}),
+        ("displacement", {"force": [1, 2, 3], "moment": [0, 0, 0]}),
+    ],
+)
+def test_a_read_only_server_refuses_writes_and_names_the_main_server(tmp_path, path, body):
+    replica.write_status(tmp_path, followed={"server": "https://main", "checked": 0.0})
+    settings = Settings(tmp_path, solvers=0, read_only="file:///replica")
+    with TestClient(create_app(settings)) as http:
+        reply = http.post(f"/v1/components/plate_thin/{path}", json=body)
+        assert (reply.status_code, reply.json()["type"].rpartition(":")[2]) == (403, "read-only")
+        assert reply.json()["detail"].endswith("Send it to https://main")
+        estimate = {"force": [1, 2, 3], "moment": [0, 0, 0], "on_thin": "estimate"}
+        answer = http.post("/v1/components/plate_thin/displacement", json=estimate)
+        assert answer.status_code == 200
+
+
+# -- the process ---------------------------------------------------------------------------------
+
+
+def test_a_scheduled_backup_is_tested_by_its_restore_and_old_ones_go(shipped, tmp_path):
+    folder, stop = tmp_path / "backups", threading.Event()
+    folder.mkdir()
+    for number in range(3):
+        old = folder / f"wrenchbook-2020010{number}T000000Z.wbb"
+        old.touch()
+        os.utime(old, (0, 0))
+    settings = Settings(shipped.folder, backup_every=1.0, backup_folder=folder, backup_keep=2)
+    thread = threading.Thread(target=copier.keep, args=(settings, stop))
+    thread.start()
+    status = until(lambda: replica.read_status(shipped.folder).get("backup"))
+    stop.set()
+    thread.join()
+    assert (status["trouble"], status["tested"]) == (None, True)
+    assert [path.name for path in sorted(folder.iterdir())][1] == status["file"]
+    assert len(list(folder.iterdir())) == 2
+
+
+def test_a_backup_that_does_not_restore_is_no_backup_and_health_and_doctor_say_so(
+    shipped, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(copier, "examine", lambda _: [replica_fault()])
+    with pytest.raises(RuntimeError, match="1 faults, first: rows are gone"):
+        copier.tested_backup(shipped.folder, tmp_path)
+    assert not list(tmp_path.glob("*.wbb"))
+
+
+def replica_fault():
+    from wrenchbook.service.ops.checks import DataFinding
+
+    return DataFinding("fault", "rows are gone")
+
+
+def test_health_and_doctor_say_that_nothing_is_shipped(shipped, tmp_path):
+    part = {"trouble": "no route to host", "seen": 0.0, "patience": 60.0}
+    replica.write_status(shipped.folder, replica=part)
+    settings = Settings(shipped.folder, replicate=shipped.url)
+    assert "replica: no route to host" in replica.trouble_of({"replica": part}, settings)
+    silent = {"replica": part | {"trouble": None}}
+    assert "has not reported for" in replica.trouble_of(silent, settings)
+    assert replica.trouble_of(silent, Settings(shipped.folder)) is None
+    faults = [finding.what for finding in examine(shipped.folder) if finding.kind == "fault"]
+    assert any("no route to host" in fault for fault in faults)
