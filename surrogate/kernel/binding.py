@@ -440,7 +440,8 @@ class PackedTable:
         code, library = method_code(method or self.method), kernel()
         form = library.with_gil if count == 1 else library.without_gil
         size = form.wb_joint_memory(self.handle), self._scratch
-        return JointSteps(self, form.wb_joint_step, count, (first, code, axes), size)
+        options, arguments = (first, code, axes), (count, first, method, axes)
+        return JointSteps(self, form.wb_joint_step, count, options, size, arguments)
 
     @property
     def handle(self) -> int:

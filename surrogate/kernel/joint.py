@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -49,7 +49,7 @@ class _Options(ctypes.Structure):
 
 
 class JointSteps:
-    """n joints of one table; see ``wb_joint_step``.
+    """n joints of one table; see ``wb_joint_step``. `arguments` of ``table.joints`` made them.
 
     Attributes
     ----------
@@ -72,10 +72,11 @@ class JointSteps:
         count: int,
         options: tuple[int, int, Floats | None],
         sizes: tuple[int, int],
+        arguments: tuple[Any, ...],
     ) -> None:
         """Take the kernel's call, the first load, method and axes, and memory and scratch."""
         first, method, self._axes = options
-        self._table, self._call = table, call
+        self._table, self._call, self.arguments = table, call, arguments
         self.inputs = np.zeros(table.inputs)
         self.poses, self.velocities = np.zeros((count, 7)), np.zeros((count, FREEDOMS))
         self.poses[:, 3] = 1.0
@@ -95,6 +96,15 @@ class JointSteps:
         self._law = *head, None, masses, memory, replies
         self._state = *head, None, None, memory, replies
         self._at = self._scratch.ctypes.data
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Make a copy by the table, then write its arrays."""
+        names = "inputs", "poses", "velocities", "inverse_masses", "memory", "replies"
+        return self._table.joints, self.arguments, {name: getattr(self, name) for name in names}
+
+    def __setstate__(self, arrays: dict[str, Floats]) -> None:
+        for name, array in arrays.items():
+            getattr(self, name)[:] = array
 
     def step(self, dt: float, damping: float, threads: int = 1) -> None:
         """Find the wrenches of a step of dt, s; damping is a share of critical."""

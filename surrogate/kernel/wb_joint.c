@@ -123,6 +123,8 @@ int wb_joint_rate(int n, const double *stiffness, const double *inverse_mass, do
 
 /* Of a table: the limit of its rotations, rad. */
 static const double LARGEST_TURN = 20.0 * 3.14159265358979323846 / 180.0;
+/* Beyond, no simulator makes the step: MAX_RANGES of joint.py. */
+static const double MAX_RANGES = 2.0;
 /* Of the range: changes of the boundary point below it are rounding. */
 static const double CLOSE = 1e-9;
 /* rad: below it 1/12 is right to 1e-9, and times the angle's square to rounding. */
@@ -427,7 +429,7 @@ static void step(search *s, const double *pose, const double *velocity, const do
     int positive = symmetric(s, by_vector, reply->displacement + 3, reply->stiffness);
     if (s->o->errors) judge(s, loads, by_vector, reply);
     if (inverse_mass) reply->status = advance(s, velocity, inverse_mass, reply);
-    if (!reply->status && inverse_mass) remember(s->past, reply, s->o->dt);
+    if (!reply->status && inverse_mass && reply->ranges <= MAX_RANGES) remember(s->past, reply, s->o->dt);
     if (!reply->status && !positive) reply->status = WB_INDEFINITE;
 }
 

@@ -11,11 +11,12 @@ explicit, so that symplectic Euler keeps their energy; stiff ones are implicit a
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from numbers import Real
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -191,9 +192,16 @@ class Joint:
         steps.inputs[:] = self._inputs(np.zeros(FREEDOMS))
         return steps
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Be a copy with arrays of its own."""
+        self.__dict__.update(state)
+        self._use(copy.copy(self._steps), self._place)
+
     def _use(self, steps: JointSteps, at: int) -> None:
         """Take the arrays of a joint of a call."""
-        self._steps, self._reply, self._memory = steps, steps.replies[at], steps.memory[at]
+        self._place, self._steps, self._reply, self._memory = (
+            *(at, steps, steps.replies[at], steps.memory[at]),
+        )
         self._history = steps.history[at]
         self._status, self._ranges, self._coverage = (
             steps.replies[name][at : at + 1] for name in ("status", "ranges", "coverage")
@@ -291,11 +299,17 @@ class Joint:
         JointRangeError
             See `step`.
         """
-        steps = self._steps
+        mine, place, steps = self._steps, self._place, self.new_steps(1, None)
         steps.poses[0, :3], steps.poses[0, 3:] = translation, quaternion(rotation)
+        steps.memory[0] = self._memory
         steps.state()
-        self._heed()
-        return self._still.copy(), self._stiffness.copy()
+        self._memory[:] = steps.memory[0]
+        try:  # the last step's replies stay
+            self._use(steps, 0)
+            self._heed()
+            return self._still.copy(), self._stiffness.copy()
+        finally:
+            self._use(mine, place)
 
     def _heed(self) -> None:
         """Raise and warn as the kernel's reply says."""
@@ -329,7 +343,9 @@ class Joint:
                 "between base and tip moves no mass"
             )
         elif status == NOT_FINITE:
-            raise InvalidArgument("pose, velocity and inverse mass must be finite numbers")
+            raise InvalidArgument(
+                "pose, velocity and inverse mass must be finite numbers, the quaternion not zero"
+            )
         elif status:
             raise JointError(
                 f"{self._name}: the compliance has no inverse at this pose, so that no wrench "

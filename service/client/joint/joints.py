@@ -58,6 +58,7 @@ class Joints:
         """Keep the options of a joint, and make the kernel's arrays."""
         self._joint, self._steps, self._warned = joint, joint.new_steps(count, axes), False
         self._codes = np.zeros(count, dtype=np.int32)
+        Joints.restart(self)
 
     def __len__(self) -> int:
         return len(self._codes)
@@ -114,6 +115,8 @@ class Joints:
         """Forget the last step of some joints, by a mask or indices; of all if none are given."""
         for array in (self._steps.memory, self._codes, self._steps.replies):
             array[which] = 0
+        for name in ("pose_error", "wrench_error"):
+            self._steps.replies[name][which] = np.nan
 
     def step(
         self, poses: Array, velocities: Array, inverse_masses: Array, dt: float, threads: int = 0

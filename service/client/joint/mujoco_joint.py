@@ -82,11 +82,7 @@ class MujocoJoint(Joint):
         **options: Any,
     ) -> None:
         super().__init__(table, damping, **options)
-        if model.opt.integrator == engine.mjtIntegrator.mjINT_RK4:
-            raise JointError(
-                "the integrator RK4 evaluates forces four times a step, and the joint once: use "
-                "Euler, implicit or implicitfast"
-            )
+        _refuse_rk4(model)
         self._model, self._data = model, data
         parent, body = _body(model, base), _body(model, tip)
         if model.body_parentid[body] != parent:
@@ -172,7 +168,6 @@ class MujocoJoint(Joint):
         self._hinge[turns[:1] - 3] = 1.0
         self._spin_axes = np.ascontiguousarray(self._axes) if self._turns else None
         self._begin(self._spin_axes)
-        self._scene = model.opt
         self._watch(self._data, self._steps, 0)
 
     def _watch(self, data: Data, steps: JointSteps, at: int) -> None:
@@ -181,7 +176,7 @@ class MujocoJoint(Joint):
         They stay: a scene's arrays are where they were made, and so are the kernel's.
         """
         self._use(steps, at)
-        self._data, self._pose, reply = data, None, self._reply
+        self._data, self._pose, reply, self._scene = data, None, self._reply, self._model.opt
         self._solved = np.empty_like(self._units)
         self._pose_of_tip, self._inverse_mass = steps.poses[at], steps.inverse_masses[at]
         self._force, self._slope, self._spin = (reply[name] for name in ("force", "rate", "spin"))
@@ -190,8 +185,15 @@ class MujocoJoint(Joint):
         self._slid = data.qpos[slides[0] : slides[0] + 3] if len(slides) == 3 else None
         self._velocity, self._applied = data.qvel[self._dofs], data.qfrc_applied[self._dofs]
         self._mass = data.M
-        self._of_scene = _JOINTS.setdefault(data, WeakValueDictionary())
-        self._of_scene[self._dofs.start] = self
+        _JOINTS.setdefault(data, WeakValueDictionary())[self._dofs.start] = self
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but MuJoCo's options, which it does not pickle: the model has them."""
+        return {name: value for name, value in self.__dict__.items() if name != "_scene"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        super().__setstate__(state)
+        self._watch(self._data, self._steps, self._place)
 
     def _read_pose(self, pose: Vector) -> None:
         """Write the tip's translation and quaternion, (7,)."""
@@ -235,7 +237,7 @@ class MujocoJoint(Joint):
 
     def report(self) -> JointReport:
         """Return coverage, largest error bars and energy of all steps since `restart`."""
-        parts, began = list(self._of_scene.values()), self._began
+        parts, began = list(_JOINTS[self._data].values()), self._began
         time, energy = began or (0.0, np.nan)
         if began and all(part._began == began for part in parts) and self._data.time >= time:
             return report_of(self, time, _energy(parts) - energy)
@@ -337,7 +339,7 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
     """Raise JointError if joints are not all those of one scene, or its step is not above zero."""
     if not joints or any(joint._data is not joints[0]._data for joint in joints):
         raise JointError("step_joints takes the joints of one scene: one or more of the same data")
-    stepped, of_scene = {joint._dofs.start for joint in joints}, joints[0]._of_scene
+    stepped, of_scene = {joint._dofs.start for joint in joints}, _JOINTS[joints[0]._data]
     if len(stepped) < len(joints):
         raise JointError("two joints have one tip, which would feel one of them: leave one out")
     if len(of_scene) > len(joints):
@@ -348,14 +350,15 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
             "advances all of the scene, and the others would not pull. Call step_joints(a, b) of "
             "wrenchbook once with all of them, in the place of a.step(); b.step()"
         )
-    if not (step := joints[0]._scene.timestep) > 0:
-        raise JointError(f"the scene's time step is {step} s: set it above 0")
+    if not 0 < (step := joints[0]._scene.timestep) < np.inf:
+        raise JointError(f"the scene's time step is {step} s: set it above 0, and finite")
 
 
 def _pull(joints: Collection[MujocoJoint]) -> None:
     """Add the joints to the equation of motion, once ``mj_step1`` has computed pose and motion."""
     first = next(iter(joints))
     model, data, dt = first._model, first._data, first._scene.timestep
+    _refuse_rk4(model)  # it may have been chosen since
     if any(len(joint._steps.replies) > 1 for joint in joints):
         raise JointError("a joint of MujocoJoints steps with all of them: call their step")
     for joint in joints:  # of a second call, unless MuJoCo has computed the matrix anew
@@ -456,6 +459,14 @@ def joints_in_mj_step() -> Iterator[None]:
         raise errors[0]
     if exchanged:
         raise JointError("a callback was set within joints_in_mj_step: since then no joint pulled")
+
+
+def _refuse_rk4(model: Model) -> None:
+    if model.opt.integrator == engine.mjtIntegrator.mjINT_RK4:
+        raise JointError(
+            "the integrator RK4 evaluates forces four times a step, and the joint once: use "
+            "Euler, implicit or implicitfast"
+        )
 
 
 def _places(model: Model, dofs: NDArray[np.intp]) -> list[NDArray[np.intp]]:

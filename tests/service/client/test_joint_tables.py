@@ -46,6 +46,28 @@ def with_one_negative(place: int) -> np.ndarray:
     return matrix
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            lambda model, data: setattr(model.opt, "timestep", np.inf),
+            "is inf s: set it above 0, and f",
+        ),
+        (lambda model, data: data.qpos.fill(0.0), "the quaternion not zero"),
+        (
+            lambda model, data: setattr(model.opt, "integrator", 1),
+            "RK4 evaluates forces four times",
+        ),
+    ],
+)
+def test_a_step_of_a_scene_that_has_none_is_refused_by_name(change, words):
+    model, data = scene(sphere(3, "0.02 0 0.03"))
+    joint = MujocoJoint(model, data, linear_table())
+    change(model, data)
+    with pytest.raises((JointError, InvalidArgument), match=words):
+        joint.step()
+
+
 def test_a_table_without_rows_is_refused_by_name():
     table = packed_table(Rows.of(np.empty((0, 6)), np.empty((0, 6))), SPAN)
     with pytest.raises(InvalidArgument, match=r"bar has no rows.*solve more rows"):

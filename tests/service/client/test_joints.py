@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import warnings
 from functools import cache
 from typing import Any
@@ -46,6 +48,58 @@ def test_joints_have_the_wrenches_displacements_and_errors_of_each_joint():
         assert joints.coverage[k] == one.coverage
     assert (joints.status == "ok").all()
     assert all((error > 0).any() for error in joints.errors)
+
+
+def test_errors_are_unknown_before_a_step_and_after_a_restart():
+    poses, velocities, _ = states(2)
+    joints = Joints(table(), 2)
+    assert np.isnan(joints.errors).all()
+    joints.step(poses, velocities, MASSES, 1e-3)
+    joints.restart([1])
+    assert np.isnan(joints.errors[1]).all(axis=1).tolist() == [False, True]
+
+
+COPIES = [copy.copy, copy.deepcopy, lambda joint: pickle.loads(pickle.dumps(joint))]
+
+
+@pytest.mark.parametrize("copied", COPIES, ids=["copy", "deepcopy", "pickle"])
+def test_a_copy_of_a_joint_goes_on_by_itself(copied):
+    poses, velocities, turned = states(2)
+    joint = Joint(table())
+    joint.step(turned[0], poses[0, :3], velocities[0], MASSES, 1e-3)
+    before, other = joint.wrench, copied(joint)
+    found = other.step(turned[1], poses[1, :3], velocities[1], MASSES, 1e-3)
+    np.testing.assert_array_equal(joint.wrench, before)
+    np.testing.assert_array_equal(
+        joint.step(turned[1], poses[1, :3], velocities[1], MASSES, 1e-3), found
+    )
+    assert joint.report() == other.report()
+
+
+@pytest.mark.parametrize("copied", COPIES[1:], ids=["deepcopy", "pickle"])
+def test_a_copy_of_a_mujoco_joint_has_a_scene_of_its_own(copied):
+    joint = MujocoJoint(*scene(sphere(3, "0.02 0 0.03")), linear_table())
+    joint.step()
+    other = copied(joint)
+    for _ in range(20):
+        joint.step()
+        other.step()
+    np.testing.assert_array_equal(other._data.qpos, joint._data.qpos)
+    assert other._data is not joint._data
+
+
+def test_a_state_of_a_joint_is_that_of_its_pose_and_leaves_the_last_step():
+    """In turned axes of the slides, and of each environment."""
+    axes = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("0 1 0", "0 0 1", "1 0 0"))
+    model, _ = scene(sphere(3, "0.02 0 0.03"), joints=axes + '<joint type="ball"/>')
+    joints = MujocoJoints(model, [mujoco.MjData(model) for _ in range(2)], linear_table())
+    joints.step()
+    pose = [1e-6, 2e-4, -3e-4], [1e-3, -2e-3, 3e-3]
+    expected = Joint(linear_table()).state(*pose)
+    for joint in joints.joints:
+        before = joint.wrench, joint.displacement, joint.error
+        np.testing.assert_allclose(joint.state(*pose)[0], expected[0], rtol=1e-9, atol=1e-9)
+        np.testing.assert_array_equal((joint.wrench, joint.displacement, joint.error), before)
 
 
 def test_a_joint_without_a_wrench_is_named_and_does_not_stop_the_others():
@@ -194,6 +248,7 @@ def test_an_environment_whose_part_is_torn_stays_and_the_others_go_on():
         joints.step()
     assert [data.time for data in datas] == [1e-3, 0.0, 1e-3]
     assert np.isnan(joints.wrenches).all(axis=1).tolist() == [False, True, False]
+    assert [joint.report().steps for joint in joints.joints] == [1, 0, 1]
     mujoco.mj_resetData(model, datas[1])
     joints.restart(joints.failed)
     joints.step()
