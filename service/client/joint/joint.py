@@ -16,6 +16,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from numbers import Real
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -69,7 +70,7 @@ class Joint:
     ----------
     free : numpy.ndarray of int
         The freedoms that the part does not lock; others have no wrench.
-    inputs : dict of float
+    inputs : mapping of float
         The further inputs; assign a mapping to change them.
 
     Raises
@@ -128,11 +129,10 @@ class Joint:
             )
 
     @property
-    def inputs(self) -> dict[str, float]:
-        """The table's further inputs by name, in the component's units."""
-        return dict(
-            zip([load.name for load in self._table.space.scalars], self._further, strict=True)
-        )
+    def inputs(self) -> Mapping[str, float]:
+        """The table's further inputs by name, in its units; assign them as a whole."""
+        names = [load.name for load in self._table.space.scalars]
+        return MappingProxyType(dict(zip(names, self._further, strict=True)))
 
     @inputs.setter
     def inputs(self, values: Mapping[str, float]) -> None:

@@ -64,7 +64,7 @@ class Joints:
         return len(self._codes)
 
     @property
-    def inputs(self) -> dict[str, float]:
+    def inputs(self) -> Mapping[str, float]:
         """The table's further inputs by name, of all joints; assign a mapping to change them."""
         return self._joint.inputs
 

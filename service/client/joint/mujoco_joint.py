@@ -130,11 +130,13 @@ class MujocoJoint(Joint):
                 "frictionloss": model.dof_frictionloss[dof],
                 "a limited range": model.jnt_limited[joint],
             }
+            if kinds[joint - first] != _JOINT.mjJNT_BALL:
+                forces["a reference (ref)"] = model.qpos0[model.jnt_qposadr[joint]]
             present = [word for word, value in forces.items() if np.any(value)]
             if present:
                 raise JointError(
                     f"a joint of body {name!r} has {present[0]}, which would add to the part's "
-                    "own: remove it (a default class may set it)"
+                    "own or its zero: remove it (a default class may set it)"
                 )
         # The interface frame's axes in the tip's body; of a part with locked freedoms the body's.
         axis_of = {
@@ -348,7 +350,8 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
         raise JointError(
             f"the scene has joints at the tips {tips} and {missing}: a step of one "
             "advances all of the scene, and the others would not pull. Call step_joints(a, b) of "
-            "wrenchbook once with all of them, in the place of a.step(); b.step()"
+            "wrenchbook once with all of them, in the place of a.step(); b.step() (MujocoJoints: "
+            "a.step(b))"
         )
     if not 0 < (step := joints[0]._scene.timestep) < np.inf:
         raise JointError(f"the scene's time step is {step} s: set it above 0, and finite")

@@ -139,7 +139,7 @@ def _with_freedoms(
     for name, kind, axis in joints:
         joint = body.add_joint(name=f"{tip}_{name}", type=kind, pos=at, axis=axis)
         # Without what a default class of the scene may set.
-        for word in ("stiffness", "damping", "frictionloss", "armature", "limited"):
+        for word in ("stiffness", "damping", "frictionloss", "armature", "limited", "ref"):
             setattr(joint, word, np.zeros_like(getattr(joint, word)))
     inner = body.add_body(name=f"{tip}_part", pos=at, quat=_quaternion(axes))
     if mass is not None:

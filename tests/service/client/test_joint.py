@@ -302,6 +302,7 @@ def test_a_state_that_is_none_is_refused_by_name(changed, words):
         ({"joints": FREEDOMS.replace('"1 0 0"', '"0 1 1"', 1)}, {}, "axes in the order x, y, z"),
         ({"joints": FREEDOMS.replace('"ball"', '"ball" damping="1"')}, {}, "has damping"),
         ({"joints": FREEDOMS.replace('"slide"', '"slide" stiffness="9"', 1)}, {}, "has stiffness"),
+        ({"joints": FREEDOMS.replace('"slide"', '"slide" ref="1"', 1)}, {}, "has a reference"),
         ({"option": 'integrator="RK4"'}, {}, "RK4"),
         ({}, {"tip": "hand"}, "no body 'hand'; it has 'base', 'tip'"),
         ({}, {"damping": -0.1}, "damping"),

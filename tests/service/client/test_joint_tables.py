@@ -259,6 +259,14 @@ def test_beyond_the_load_range_the_temperature_stays():
     assert wrench[2] == pytest.approx(1.5 * HIGH[2], rel=1e-3)
 
 
+def test_a_temperature_that_is_written_into_the_inputs_is_refused():
+    joint = Joint(WARM, inputs={"temperature": 20.0})
+    with pytest.raises(TypeError):
+        joint.inputs["temperature"] = 80.0  # type: ignore[index]
+    joint.inputs = {**joint.inputs, "temperature": 80.0}
+    assert joint.inputs == {"temperature": 80.0}
+
+
 def test_springs_are_those_of_the_temperature():
     part = LinearPart.of(WARM, inputs={"temperature": 120.0})
     np.testing.assert_allclose(np.linalg.inv(part.stiffness), 1.1 * C, atol=1e-3 * C[4, 4])
