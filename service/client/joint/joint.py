@@ -96,9 +96,7 @@ class Joint:
         method: str | None = None,
         inputs: Mapping[str, float] | None = None,
     ) -> None:
-        if not (isinstance(damping, Real) and 0.0 <= damping < math.inf):
-            raise InvalidArgument(f"damping is a share of critical, 0 or more, not {damping!r}")
-        self._table, self.damping, self._method = table, float(damping), method
+        self._table, self.damping, self._method = table, damping, method
         self._at, self.free = moving(table, interface)
         self._name = table.name
         self._further = further_inputs(table, inputs or {})
@@ -127,6 +125,17 @@ class Joint:
                 f"{known} wrenches of the load range, {(bad & covered).sum()} of them covered",
                 JointWarning,
             )
+
+    @property
+    def damping(self) -> float:
+        """Share of critical damping of each mode; assign it to change it."""
+        return self._damping
+
+    @damping.setter
+    def damping(self, damping: float) -> None:
+        if not (isinstance(damping, Real) and 0.0 <= damping < math.inf):
+            raise InvalidArgument(f"damping is a share of critical, 0 or more, not {damping!r}")
+        self._damping = float(damping)
 
     @property
     def inputs(self) -> Mapping[str, float]:

@@ -17,7 +17,8 @@ from wrenchbook.service.client.joint.mujoco_joint import MujocoJoint
 from wrenchbook.service.client.joint.mujoco_model import scene_with_joint
 
 SCENE = """
-<mujoco><default><joint damping="3" armature="1" ref="0.2"/></default><option timestep="0.001"/><worldbody>
+<mujoco><default><joint damping="3" armature="1" ref="0.2"/></default>
+<option timestep="0.001"/><worldbody>
 <body name="base" pos="0 0 1"><freejoint/><geom size=".1" mass="3"/>
 <body name="tip" pos="1 0 0" {turned}><site name="flange" pos=".1 0 0" quat=".6 .2 .7 .3"/>
 <geom size=".05" mass="1" pos=".2 0 0"/>{inside}</body></body></worldbody></mujoco>

@@ -259,6 +259,13 @@ def test_beyond_the_load_range_the_temperature_stays():
     assert wrench[2] == pytest.approx(1.5 * HIGH[2], rel=1e-3)
 
 
+def test_a_damping_below_zero_is_refused_later_too():
+    joint = Joint(linear_table())
+    with pytest.raises(InvalidArgument, match="0 or more, not"):
+        joint.damping = -0.1
+    assert joint.damping == 0.02
+
+
 def test_a_temperature_that_is_written_into_the_inputs_is_refused():
     joint = Joint(WARM, inputs={"temperature": 20.0})
     with pytest.raises(TypeError):
