@@ -12,7 +12,7 @@ from weakref import WeakKeyDictionary, WeakValueDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import JointError, JointWarning, required, warn
+from ..errors import InvalidArgument, JointError, JointWarning, required, warn
 from ..wrenches import Vector
 from .joint import FREEDOMS, Joint, quaternion
 from .report import JointReport, report_of
@@ -177,6 +177,8 @@ class MujocoJoint(Joint):
 
         They stay: a scene's arrays are where they were made, and so are the kernel's.
         """
+        if data.signature != self._model.signature:
+            raise InvalidArgument("data is of another model than the one given")
         self._use(steps, at)
         self._data, self._pose, reply, self._scene = data, None, self._reply, self._model.opt
         self._solved = np.empty_like(self._units)

@@ -32,8 +32,6 @@ class MujocoJoints(Joints):
     ) -> None:
         if not len(datas) or len({id(data) for data in datas}) < len(datas):
             raise InvalidArgument("datas are one MjData an environment: one or more, each once")
-        if any(data.signature != model.signature for data in datas):
-            raise InvalidArgument("datas are of another model than the one given")
         first = MujocoJoint(model, datas[0], table, *bodies, **options)
         self.joints = [first, *(copy.copy(first) for _ in datas[1:])]
         self._model, self._pool = model, ThreadPoolExecutor()

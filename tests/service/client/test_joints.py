@@ -257,6 +257,8 @@ def test_an_environment_whose_part_is_torn_stays_and_the_others_go_on():
     for wrong, words in ((datas[0], "each once"), (other, "of another model")):
         with pytest.raises(InvalidArgument, match=words):
             MujocoJoints(model, [datas[0], wrong], linear_table())
+    with pytest.raises(InvalidArgument, match="of another model"):
+        MujocoJoint(model, other, linear_table())
 
 
 def test_tensors_of_pytorch_give_a_tensor_of_their_type():
