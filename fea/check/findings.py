@@ -235,7 +235,7 @@ class _Equations:
             return
         if (dependents := self.component.whole.dependents) is not None:
             # How the motions of all bodies move dependent nodes less what these follow.
-            size = dependents.map.shape[0]  # of the mesh without cuts
+            size = len(self.component.whole.points)  # without cuts, as these dependents
             moves = np.zeros((size, 3, 6 * self.bodies.count))
             for number, nodes in enumerate(self.bodies.nodes):
                 mine = nodes[(self.owner[nodes] == number) & (nodes < size)]
