@@ -224,6 +224,10 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     problems = cell_problems(mesh) + problems
     _check_disjoint(mesh, fixed, holds, problems)
     taken = [fixed, *(hold.section.node_ids for hold in holds)]
+    if mesh.dependents is not None:  # what is tied, and what that follows
+        taken += [
+            group for tie in ties for group in (tie.nodes, mesh.dependents.map[tie.nodes].indices)
+        ]
     _check_bolts(mesh, bolts, np.concatenate(taken), sliding, problems)
     _check_locked(bundle, interfaces, problems)
     if problems:
@@ -386,7 +390,7 @@ def _check_bolts(
         if shared.size:
             message = (
                 f"{shared.size} nodes of its cut are held along its axis by [supports], or belong "
-                "to an interface or a spring, such as the one at "
+                "to an interface, a spring or a tie, such as the one at "
                 f"{point_text(mesh.points[shared[0]])} m: cut the shank elsewhere (point)"
             )
             problems.append(BundleProblem(bolt.key, message))

@@ -393,7 +393,8 @@ def tie_warnings(component: ComponentModel) -> list[BundleProblem]:
     for i, tie in enumerate(component.ties if follow else ()):
         count, loose = len(tie.nodes), f"{tie.untied} secondary nodes are loose: they are held, or "
         if tie.untied:
-            texts.append((i, f"{loose}the main surface covers too little of their facets"))
+            little = "the main surface covers too little of their facets"
+            texts.append((i, f"{loose}{little}; if it ends within facets, split the surface there"))
         if tie.gap > _CLOSED * tie.distance:
             texts.append((i, f"a gap of up to {tie.gap:.3g} m is closed by moving secondary nodes"))
         if follow and follow.map[tie.nodes].nnz > _FINER * count:

@@ -235,9 +235,10 @@ class _Equations:
             return
         if (dependents := self.component.whole.dependents) is not None:
             # How the motions of all bodies move dependent nodes less what these follow.
-            moves = np.zeros((len(self.owner), 3, 6 * self.bodies.count))
+            size = len(self.component.whole.points)  # without cuts, as these dependents
+            moves = np.zeros((size, 3, 6 * self.bodies.count))
             for number, nodes in enumerate(self.bodies.nodes):
-                mine = nodes[self.owner[nodes] == number]
+                mine = nodes[(self.owner[nodes] == number) & (nodes < size)]
                 moves[mine, :, 6 * number : 6 * number + 6] = self._moves(mine).reshape(-1, 3, 6)
             apart = (moves - dependents.expanded(moves))[dependents.nodes]
             self._add({0: _condensed(apart.reshape(-1, moves.shape[2]))})

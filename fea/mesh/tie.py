@@ -98,6 +98,11 @@ def joined(
                 f"{tied.distance:.3g} m; their nearest nodes are {gaps.min():.3g} m apart. Correct "
                 "the groups, or write a larger distance"
             )
+            if not may[nodes].any():
+                message = (
+                    f'no node of "{pair.secondary}" is free to follow: all are held, belong to '
+                    f'"{pair.main}", or follow others already. Leave the tie out, or name others'
+                )
             problems.append(BundleProblem(key, message))
         for where, attached in sections.items():
             if (shared := np.intersect1d(tied.nodes, attached)).size:

@@ -13,10 +13,11 @@ from tests.fea.pairs import LARGE, TIE, merged, moved, pair, tied, together
 from wrenchbook.fea.assembly.body import gather
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
 from wrenchbook.fea.check import as_text, report
+from wrenchbook.fea.check.findings import motion_problems
 from wrenchbook.fea.check.proposal import propose
 from wrenchbook.fea.component import build
 from wrenchbook.fea.export.calculix import PLACEHOLDERS, deck_of
-from wrenchbook.fea.inspection import coincident_nodes
+from wrenchbook.fea.inspection import bodies_of, coincident_nodes
 from wrenchbook.fea.solve import Solver, solve
 from wrenchbook.fea.spec.schema import Deck
 from wrenchbook.fea.tensors import rotation
@@ -147,7 +148,7 @@ BUSHING = {"group": "b_x0", "coupling": "rigid", "stiffness": [1, 1, 1, 1, 1, 1]
         ({"distance": -1}, {}, r"tie\[0\].distance: must be above 0"),
         ({}, {"section": "b_x0"}, "are of interface.section: a node can follow one only. Swap"),
         ({}, {"supports": {"bushing": [BUSHING]}}, r"are of supports.bushing\[0\].group: a node"),
-        ({}, {"fixed": "b_z0"}, 'no facet of "b_z0" with free nodes'),
+        ({}, {"fixed": "b_z0"}, 'no node of "b_z0" is free to follow'),
     ],
 )
 def test_a_tie_that_cannot_be_is_refused(changes, tables, words):
@@ -226,3 +227,15 @@ def test_equations_and_pairs_of_nodes_of_a_deck_tie_its_mesh(tmp_path):
 def test_ties_by_which_a_node_follows_itself_are_refused():
     with pytest.raises(BundleError, match="follows itself by several ties; swap"):
         tied(pair(sizes=(LARGE, LARGE)), TIE, {"secondary": "a_z1", "main": "b_z0"})
+
+
+def test_a_tie_beside_a_bolt_counts_as_what_holds_the_part_and_may_not_hold_the_cut():
+    mesh = pair()
+    mesh = replace(mesh, regions={"b": (np.arange(0), np.arange(len(mesh.blocks[1])))})
+    shank = {"region": "b", "axis": [0, 0, 1], "force": 1e4}
+    part = tied(mesh, TIE, bolt=[shank])
+    (problem,) = motion_problems(part, bodies_of(part.whole), coincident_nodes(part.whole))
+    assert "while they are tightened: it can slide along (0, 0, 1)" in problem.message
+    for tie in (TIE, {"secondary": "a_z1", "main": "b_z0"}):
+        with pytest.raises(BundleError, match=r"nodes of its cut are held .* a spring or a tie"):
+            tied(mesh, tie, fixed="a_x1", section="a_x0", bolt=[shank | {"axis": [1, 0, 0]}])

@@ -51,7 +51,9 @@ def surface_of_geometry(path: Path, geometry: GeometryMeshing) -> Surface:
 
     The same file and keys give the same nodes, in whatever process, with the same version of gmsh
     and its geometry kernel; another version may put them elsewhere, within what a mesh of that
-    size leaves open anyway. Where gmsh fails, or leaves cells inside out, `_ATTEMPTS` follow.
+    size leaves open anyway. Cells that gmsh turns back are taken in the order of their addresses,
+    so nodes there differ from run to run. Where gmsh fails, or leaves cells inside out, `_ATTEMPTS`
+    follow.
 
     Raises BundleError as `mesh_geometry`, but of no group.
     """
