@@ -554,7 +554,7 @@ def _charged(db: Connection, component: str, quota: Quota | None) -> str:
         if db.execute(open_, (actor,)).fetchone()[0] >= quota.open_jobs:
             raise QuotaError(
                 f"{actor} would have more than {quota.open_jobs} open jobs, its quota (serve "
-                "--actor-jobs). Nothing was queued; wait until some have ended, or cancel some",
+                "--actor-jobs). Nothing was queued; ask for fewer, wait, or cancel some",
                 solve_seconds(db, component) or UNKNOWN_SECONDS,
             )
     if quota.solver_seconds is not None:
