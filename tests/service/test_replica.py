@@ -200,6 +200,15 @@ def test_a_first_round_that_was_cut_off_is_begun_again(shipped, tmp_path):
     assert shipped.round().number == 2
 
 
+def test_a_restore_leaves_the_last_use_of_keys(shipped, tmp_path):
+    shipped.round()
+    keyring = Keyring(tmp_path / "again")
+    key = keyring.find(keyring.add("ann", "read"))
+    keyring.note_use(key, 0.0)
+    restore(shipped.url, tmp_path / "again")
+    assert keyring.last_use(key) is not None
+
+
 def test_reading_makes_no_folder(tmp_path):
     with pytest.raises(ReplicaError, match="has no manifest"):
         restore(f"file://{tmp_path}/typo", tmp_path / "again")
