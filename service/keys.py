@@ -288,8 +288,8 @@ def _checked(fields: dict[str, Any]) -> Key:
         )
     if key.scope not in SCOPES:
         raise ValueError(f"{key.scope!r} is no scope; there are {', '.join(SCOPES)}")
-    if not (isinstance(key.rate, int | float) and 0 < key.rate < 1e9):
-        raise ValueError(f"the rate is a number of requests a second above 0, not {key.rate!r}")
+    if not (isinstance(key.rate, int | float) and 1e-6 <= key.rate < 1e9):
+        raise ValueError(f"the rate is a number of requests a second from 1e-6, not {key.rate!r}")
     if not (isinstance(key.megabytes, int) and 0 < key.megabytes < 1 << 20):
         raise ValueError(f"the largest body is a number of MiB above 0, not {key.megabytes!r}")
     named = key.components[:_MAX_PATTERNS] == key.components != ()
@@ -298,7 +298,9 @@ def _checked(fields: dict[str, Any]) -> Key:
             f"{key.components!r} are no patterns of components: up to {_MAX_PATTERNS} of letters, "
             "digits, '_', '-', * and ?"
         )
-    if not (key.expires is None or (isinstance(key.expires, int | float) and key.expires > 0)):
+    # Before the year 5138: a time in milliseconds is a mistake.
+    ends = 1 if key.expires is None else key.expires
+    if not (isinstance(ends, int | float) and 0 < ends < 1e11):
         raise ValueError(f"a key expires at seconds since the epoch, not {key.expires!r}")
     if not re.fullmatch(r"[0-9a-f]{64}", str(key.digest)):
         raise ValueError("a digest is 64 hexadecimal digits")

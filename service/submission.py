@@ -8,7 +8,6 @@ flooding the queue. Loads on locked freedoms are in no job: see `Component.actin
 from __future__ import annotations
 
 import threading
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,7 +16,6 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from wrenchbook.service.ledger import JobRecord, Ledger, OpenJob, Quota, packed, unpacked
-from wrenchbook.service.ledger.records import QuotaError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.settings import Settings
@@ -189,9 +187,8 @@ class Submission:
                 room = self.queue_limit - near_by.queries
                 return packed(wrenches[rest][free][spread(scaled[free], reach, room)])
 
-            accepted, more = [], {"asked_by": "query", "quota": self._quota}
-            with suppress(QuotaError):  # as at the limit, the estimate answers
-                accepted = self._ledger.accept_chosen(*setup, choose, **more)
+            more = {"asked_by": "query", "quota": self._quota}
+            accepted = self._ledger.accept_chosen(*setup, choose, **more)
             new = packed(np.array([job.wrench for job in accepted]).reshape(-1, len(scale)))
             jobs |= dict(zip(new, accepted, strict=True))
             opened = [OpenJob(job.id, key, "query") for key, job in zip(new, accepted, strict=True)]

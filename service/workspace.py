@@ -342,13 +342,13 @@ class Workspace:
         checked = self.copies.get("followed", {}).get("checked")
         return checked and max(0.0, time.time() - checked)
 
-    def refusal(self) -> str:
-        """Return why a read-only server refuses a write, and which server takes it."""
-        server = self.copies.get("followed", {}).get("server", "the main server")
-        return (
-            f"This server answers from a replica and takes no writes; nothing was changed. "
-            f"Send it to {server}"
-        )
+    def refusal(self, path: str = "") -> str:
+        """Return why a read-only server refuses a write of a path, and which server takes it."""
+        send = f"Send it to {self.copies.get('followed', {}).get('server', 'the main server')}"
+        if path.startswith("/v1/keys"):  # those of the main server are not valid here
+            send = "Change its keys on its machine: wrenchbook keys"
+        why = "This server answers from a replica and takes no writes; nothing was changed"
+        return f"{why}. {send}"
 
     def _read_copies(self) -> None:
         self.copies = read_status(self.settings.data)

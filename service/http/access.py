@@ -437,15 +437,18 @@ class AccessControl:
 def beyond_scope(permission: Permission, needed: Scope) -> HttpProblemError:
     """Return the refusal of a call that needs another scope."""
     assert permission.key is not None
-    also = ""
+    also, name = "", permission.key.name
+    more = f"Make another with: wrenchbook keys add NAME --scope {needed}"
+    if name.startswith(USER):
+        more = "The server's --trust-proxy-scopes has the scopes of groups"
     if needed == "write":
         also = " A displacement with on_thin 'estimate' or 'reject' needs no more than read."
     return HttpProblemError(
         403,
         "scope",
         "The key's scope does not allow this",
-        f"The key {permission.key.name!r} is for {permission.key.scope}, this call needs {needed}; "
-        f"nothing was changed.{also} Make another with: wrenchbook keys add NAME --scope {needed}",
+        f"The {'user' if more[0] == 'T' else 'key'} {name!r} is for {permission.key.scope}, this "
+        f"call needs {needed}; nothing was changed.{also} {more}",
     )
 
 

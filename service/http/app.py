@@ -127,7 +127,7 @@ class Application(FastAPI):
         try:
             permitted = await self.state.access.pass_on(scope, receive, send_with_id)
             if permitted is not None and self.read_only and not _reads(scope):
-                refused = ReadOnlyError(self.state.workspace.refusal())
+                refused = ReadOnlyError(self.state.workspace.refusal(scope["path"]))
                 await problems.problem_of(refused).response()(scope, receive, send_with_id)
             elif permitted is not None:
                 await super().__call__(scope, *permitted)
@@ -153,10 +153,10 @@ class Application(FastAPI):
 
 
 def _reads(scope: Scope) -> bool:
-    """Whether a request changes keys at most; queries refuse what they would add."""
+    """Whether a request writes nothing by itself; queries refuse what they would add."""
     if scope["method"] in ("GET", "HEAD", "OPTIONS"):
         return True
-    return scope["path"].endswith(_QUERIES) or scope["path"].startswith(("/umbridge/", "/v1/keys"))
+    return scope["path"].endswith(_QUERIES) or scope["path"].startswith("/umbridge/")
 
 
 def create_app(settings: Settings, security: SecuritySettings | None = None) -> Application:

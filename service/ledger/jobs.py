@@ -4,6 +4,7 @@ import json
 import secrets
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple
 
@@ -160,10 +161,13 @@ def accept_chosen(
     """Accept the packed wrenches that `choose` picks once it has seen the open jobs.
 
     Choosing and accepting are one transaction, so a limit on open jobs holds however many
-    processes accept at once.
+    processes accept at once. Those beyond the actor's quota are left out.
     """
-    chosen = choose(open_jobs(db, component, fingerprint))
-    return accept_many(db, component, fingerprint, chosen, **options)
+    accepted = list[JobRecord]()
+    with suppress(QuotaError):
+        for wrench in choose(open_jobs(db, component, fingerprint)):
+            accepted.append(accept(db, component, fingerprint, wrench, **options)[0])
+    return accepted
 
 
 # -- attempts ---------------------------------------------------------------------------------
@@ -550,7 +554,7 @@ def _charged(db: Connection, component: str, quota: Quota | None) -> str:
         if db.execute(open_, (actor,)).fetchone()[0] >= quota.open_jobs:
             raise QuotaError(
                 f"{actor} would have more than {quota.open_jobs} open jobs, its quota (serve "
-                "--actor-jobs). Nothing was queued; wait until some have ended, or cancel some",
+                "--actor-jobs). Nothing was queued; ask for fewer, wait, or cancel some",
                 solve_seconds(db, component) or UNKNOWN_SECONDS,
             )
     if quota.solver_seconds is not None:

@@ -19,7 +19,6 @@ from hashlib import blake2b
 from io import BytesIO
 from pathlib import Path
 from typing import IO, Any
-from urllib.parse import unquote
 
 from wrenchbook.service.files.durable import write_whole_bytes
 from wrenchbook.service.ledger import Ledger
@@ -44,7 +43,11 @@ COLLECT_S = 600.0  # between removals of what no manifest needs
 KEEP_S = ((600.0, 0.0), (86_400.0, 3600.0), (7 * 86_400.0, 86_400.0))
 # Parts of the status, with the settings that have them written.
 _SWITCHES = {"replica": "replicate", "backup": "backup_every", "followed": "read_only"}
-_CREDENTIALS = re.compile(r"//[^/@\s]*@")
+_CREDENTIALS = re.compile(r"//[^/\s]*@")
+_MANIFEST = re.compile(rf"{MANIFESTS}\d{{10,}}-[0-9a-f]{{40}}\.json")  # some disks add files
+_DIGEST = re.compile("[0-9a-f]{40}")
+# What reading a file that was changed raises; a deep JSON text a RecursionError.
+_UNREADABLE = ValueError, KeyError, TypeError, AttributeError, RecursionError
 
 Entry = tuple[int, tuple[str, ...]]
 """A file: its length and the digests of its blocks."""
@@ -82,11 +85,10 @@ def place_of(url: str) -> Place:
     try:
         import fsspec  # half a second that only servers with a replica wait
 
-        if url.startswith("file://"):  # its owner's alone, as backups
-            Path(unquote(url[7:])).mkdir(0o700, parents=True, exist_ok=True)
         return fsspec.get_mapper(url, skip_instance_cache=True)
-    except (ImportError, ValueError) as error:
-        raise ReplicaError(f"{shown(url)} cannot be used: {shown(str(error))}") from error
+    except (ImportError, ValueError, TypeError) as error:
+        install = ": pip install 'wrenchbook[replica]'" * isinstance(error, ImportError)
+        raise ReplicaError(f"{shown(url)} cannot be used: {shown(str(error))}{install}") from error
 
 
 def shown(text: str) -> str:
@@ -102,24 +104,27 @@ class Replica:
 
     def manifests(self) -> list[str]:
         """Return the names of the manifests, the newest first."""
-        return sorted((name for name in self.place if name.startswith(MANIFESTS)), reverse=True)
+        return sorted(filter(_MANIFEST.fullmatch, self.place), reverse=True)
 
     def manifest(self, name: str) -> Manifest:
-        """Return a manifest; raises ReplicaError if it is damaged or of a newer program."""
+        """Return a manifest; raises ReplicaError if it is damaged, BackupError if it is newer."""
         try:
             content = self.place[name]
             fields: dict[str, Any] = json.loads(content)
             if name != _name(fields["number"], content):
                 raise ValueError("it is not what was written")
             if fields["format"] != FORMAT or fields["ledger_schema"] > VERSION:
-                raise ReplicaError(f"{self.url} is of a newer wrenchbook; install that to read it")
+                raise BackupError(f"{self.url} is of a newer wrenchbook; install that to read it")
+            numbers = fields["interval"], fields["created"], fields["ledger"][0]
+            if not all(0.0 < number < 1e11 for number in numbers):
+                raise ValueError("its interval, its time or its ledger cannot be")
             fields.update(_entries({name: fields[name] for name in ("ledger", "files")}))
             return Manifest(**fields)
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+        except _UNREADABLE as error:
             raise ReplicaError(f"{name} of {self.url} is damaged: {error!r}") from error
 
     def newest(self, until: float = float("inf")) -> Manifest:
-        """Return the newest whole manifest that was created `until` then; raises ReplicaError."""
+        """Return the newest whole manifest that was created `until` then; raises BackupError."""
         why = ReplicaError(f"{self.url} has no manifest{' of that time' * (until < 1e99)}")
         for name in self.manifests():
             try:
@@ -131,7 +136,10 @@ class Replica:
 
     def files(self, manifest: Manifest) -> dict[str, Entry]:
         """Return the entries of all files; raises ReplicaError for one that no replica holds."""
-        files = _entries(json.loads(b"".join(map(self.block, manifest.files[1]))))
+        try:
+            files = _entries(json.loads(b"".join(map(self.block, manifest.files[1]))))
+        except _UNREADABLE as error:
+            raise ReplicaError(f"the files of {self.url} are damaged: {error!r}") from error
         for name in files:
             if not is_held(name):
                 raise ReplicaError(f"{self.url} holds {name!r}, which no replica does")
@@ -140,7 +148,7 @@ class Replica:
     def block(self, digest: str) -> bytes:
         """Return a block; raises ReplicaError if it is missing or damaged."""
         content = self.place.get(_block(digest), b"")
-        if _digest(content) != digest:
+        if _digest(content) != digest or len(content) > BLOCK:
             raise ReplicaError(
                 f"block {digest} of {self.url} is missing or damaged; restore an earlier time: --at"
             )
@@ -168,9 +176,11 @@ class Shipper:
     a part of the interval in each round, so that a large table does not delay rows.
     """
 
-    def __init__(self, settings: Settings, ledger: Ledger) -> None:
+    def __init__(self, settings: Settings, ledger: Ledger, *, again: bool = False) -> None:
         self._settings, self._data, self._ledger = settings, settings.data, ledger
         self._replica = replica = Replica(settings.replicate or "")
+        if replica.url.startswith("file://"):  # its owner's alone, as backups
+            Path(replica.place.root).mkdir(0o700, parents=True, exist_ok=True)
         try:
             self._origin = (settings.data / ORIGIN).read_text()
         except FileNotFoundError:
@@ -179,16 +189,31 @@ class Shipper:
         self._files: dict[str, Entry] = {}
         self._known: set[str] = set()  # blocks that are there
         self._number, self._collect_at = 0, time.monotonic() + COLLECT_S
-        if names := replica.manifests():
-            newest = replica.newest()
+        self._pointer = replica.place.get(LATEST, b"")  # as this shipper has seen or written it
+        names, newest = replica.manifests(), None
+        if again and not names:
+            raise ReplicaError(
+                f"{replica.url} is empty and was not before; mount it, or start the server again "
+                "to ship all anew"
+            )
+        try:
+            newest = replica.newest() if names else None
+        except ReplicaError:
+            if self._pointer:  # without, the first round ever was cut off
+                raise
+        if names:
+            self._number = int(names[0][len(MANIFESTS) :].partition("-")[0])
+        if newest is not None:
             if newest.origin != self._origin:
                 raise ReplicaError(
                     f"{replica.url} has the replica of another data directory; name an empty "
                     "folder. A restored directory needs a new one too"
                 )
-            self._files, self._number = replica.files(newest), int(names[0][len(MANIFESTS) :][:10])
-            entries = *self._files.values(), newest.files
-            self._known = {digest for _, blocks in entries for digest in blocks}
+            present = {name.rpartition("/")[2] for name in replica.place if name.startswith(BLOCKS)}
+            with suppress(ReplicaError):  # else all is shipped again
+                self._files = replica.files(newest)
+                entries = *self._files.values(), newest.files
+                self._known = present & {digest for _, blocks in entries for digest in blocks}
         self._seen: object = None  # version of the ledger in the last manifest
         self._shipped: dict[str, object] = {}  # stamps of files that are there
         self._latest, self._surfaces_behind = "", False
@@ -216,6 +241,7 @@ class Shipper:
             state = self._origin, server, settings.replicate_interval, rows, last_row, jobs
             manifest = Manifest(self._number + 1, begun, *state, ledger, files)
             content = json.dumps(asdict(manifest)).encode()
+            self._check()
             self._latest = _name(manifest.number, content)
             self._write(self._latest, content)
             self._number, self._seen = manifest.number, seen
@@ -223,11 +249,17 @@ class Shipper:
             if time.monotonic() > self._collect_at:
                 self.collect()
                 self._collect_at = time.monotonic() + COLLECT_S
-        pointer = json.dumps({"manifest": self._latest, "checked": begun})
-        self._write(f"{LATEST}.part", pointer.encode())
+        self._check()
+        pointer = json.dumps({"manifest": self._latest, "checked": begun}).encode()
+        self._write(f"{LATEST}.part", pointer)
         root = self._replica.place.root  # readers see this pointer or the one before
         self._replica.place.fs.mv(f"{root}/{LATEST}.part", f"{root}/{LATEST}")
-        self.facts["checked"] = begun
+        self._pointer, self.facts["checked"] = pointer, begun
+
+    def _check(self) -> None:
+        """Raise ReplicaError unless the place is as it was left: blocks may be missing now."""
+        if self._replica.place.get(LATEST, b"") != self._pointer:
+            raise ReplicaError(f"{self._replica.url} has changed or is gone, not by this server")
 
     def collect(self) -> None:
         """Remove the manifests that need not stay, and the blocks that no manifest needs."""
@@ -335,11 +367,14 @@ def trouble_of(status: Mapping[str, Any], settings: Settings | None = None) -> s
 
 def is_held(name: str) -> bool:
     """Whether a replica holds a file: those of backups, and packed tables."""
-    return bool(backup.HELD.fullmatch(name) or PACKED.fullmatch(name))
+    return "\0" not in name and bool(backup.HELD.fullmatch(name) or PACKED.fullmatch(name))
 
 
 def _entries(fields: Mapping[str, Any]) -> dict[str, Entry]:
-    return {name: (int(length), tuple(blocks)) for name, (length, blocks) in fields.items()}
+    for length, blocks in fields.values():
+        if -(-length // BLOCK) != len(blocks) or not all(map(_DIGEST.fullmatch, blocks)):
+            raise ValueError("a length or a digest cannot be")
+    return {name: (length, tuple(blocks)) for name, (length, blocks) in fields.items()}
 
 
 def _digest(content: bytes) -> str:

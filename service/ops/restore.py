@@ -12,6 +12,7 @@ from typing import IO
 from wrenchbook.service.files import lock
 from wrenchbook.service.files.durable import sync, sync_tree
 from wrenchbook.service.keys import FILE as KEYS
+from wrenchbook.service.keys import USED
 from wrenchbook.service.ledger import Ledger, LedgerError
 from wrenchbook.service.ops import replica
 from wrenchbook.service.ops.backup import LEDGER, BackupError, Manifest, unpack, verify
@@ -21,7 +22,7 @@ from wrenchbook.service.tables.coordinator_state import LOCK
 Place = Callable[[str], IO[bytes]]
 _DRAFT = ".restoring"  # in the data directory, which may be a mount
 # Keys and settings are no part of a backup: those of the directory stay, whatever is restored.
-_STAYS = (_DRAFT, KEYS, f"{KEYS}.lock", "wrenchbook.toml")
+_STAYS = (_DRAFT, KEYS, f"{KEYS}.lock", USED, "wrenchbook.toml")
 
 
 def restore(

@@ -23,6 +23,7 @@ from wrenchbook.service.jobs.solver_pool import LocalEngine
 from wrenchbook.service.keys import OWN_KEY
 from wrenchbook.service.ledger import FINAL, Ledger, LedgerError, noted
 from wrenchbook.service.library.library import Library
+from wrenchbook.service.ops.replica import shown
 from wrenchbook.service.settings import Settings
 from wrenchbook.service.tables.build import TableBuilder
 from wrenchbook.service.tables.coordinator_state import FOLDER, CoordinatorState
@@ -213,6 +214,7 @@ def note_settings(ledger: Ledger, settings: Settings) -> None:
     with suppress(LedgerError):  # tables answer without it
         known = ledger.audit(action="settings", limit=1)
         before, after = known[0].after if known else None, asdict(settings)
+        after = {key: shown(v) if isinstance(v, str) else v for key, v in after.items()}
         after["data"] = str(settings.data)
         if before != after:
             with noted(ledger, "settings", "serve", before=before, after=after):

@@ -47,13 +47,14 @@ def run(settings: Settings, started: threading.Event) -> None:
 
 def ship(settings: Settings, stop: threading.Event) -> None:
     """Ship each half interval, and once after `stop`: what was committed is soon there."""
-    shipper: Shipper | None = None
+    shipper, again = None, False
     with closing(Ledger(settings.data / LEDGER, patient=True)) as ledger:
         while True:
             last, begun = stop.is_set(), time.monotonic()
             try:
-                shipper = shipper or Shipper(settings, ledger)
+                shipper = shipper or Shipper(settings, ledger, again=again)
                 shipper.round()
+                again = True
                 facts = {**shipper.facts, "trouble": None, "seconds": time.monotonic() - begun}
             except Exception as error:  # of any storage
                 shipper, facts = None, {"trouble": shown(str(error) or repr(error))}

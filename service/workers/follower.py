@@ -45,7 +45,11 @@ class Follower:
 
     def look(self) -> tuple[Manifest, float]:
         """Take the newest manifest over; return it, and when it had all that was committed, s."""
-        pointer = json.loads(self._replica.place[replica.LATEST])
+        if not (content := self._replica.place.get(replica.LATEST)):
+            raise replica.ReplicaError(
+                f"{self._replica.url} has no replica; is its server at work?"
+            )
+        pointer = json.loads(content)
         if self._manifest is None or pointer["manifest"] != self._name:
             manifest = self._replica.manifest(pointer["manifest"])
             entries = self._replica.files(manifest)

@@ -15,6 +15,7 @@ from wrenchbook.service.http.proxy import proxy_trust
 from wrenchbook.service.keys import Keyring
 from wrenchbook.service.ledger import Ledger, Quota, QuotaError, noted
 from wrenchbook.service.settings import Settings, SettingsError
+from wrenchbook.service.workers.builder import note_settings
 
 # Calls of the whole server, and those that answer about the components of the caller alone. One
 # that is in neither list, and of no component, fails the matrix below.
@@ -230,13 +231,31 @@ def test_quotas_of_open_jobs_and_solver_seconds_refuse_further_jobs(ledger, http
     assert "quota" in reply["reason"]
 
 
+def test_a_batch_beyond_the_quota_has_the_jobs_that_the_quota_allows(http, keys):
+    wrenches = [[40.0 * (axis == place) for axis in range(6)] for place in range(6)]
+    body = {"wrenches": wrenches, "on_thin": "queue"}
+    http.post("/v1/components/plate_thin/displacements", json=body, headers=bearer(keys["bob"]))
+    bobs = {"actor": "bob", "status": "waiting"}
+    jobs = http.get("/v1/jobs", params=bobs, headers=bearer(keys["bob"])).json()["jobs"]
+    assert len(jobs) == 3
+
+
+def test_the_audit_of_settings_has_no_credentials(ledger, tmp_path):
+    url = "sftp://ann:se:cr@et@nas.example/replica"
+    note_settings(ledger, Settings(tmp_path, replicate=url))
+    (entry,) = ledger.audit(action="settings")
+    assert entry.after["replicate"] == "sftp://nas.example/replica"
+
+
 def test_a_user_of_a_trusted_proxy_alone_is_named(http, keys):
     user = {"X-Forwarded-User": "ann@lab.example", "X-Groups": "lab, none"}
     for address in ("10.0.0.5", "10.1.2.3", "::ffff:10.0.0.5"):
         proxy = TestClient(http.app, client=(address, 1))
         job = proxy.post("/v1/components/bar/solve", json={"force": [9, 9, 9]}, headers=user)
         assert job.status_code == 202, job.text
-        assert proxy.get("/v1/keys", headers=user).status_code == 403
+        refused = proxy.get("/v1/keys", headers=user)
+        assert refused.status_code == 403
+        assert "the user 'user:ann@lab.example' is for write" in refused.json()["detail"].lower()
         assert proxy.get("/v1/keys", headers={**user, "X-Groups": "ops"}).status_code == 200
         doubled = [*user.items(), ("X-Forwarded-User", "root")]
         assert proxy.get("/v1/jobs", headers=doubled).status_code == 400

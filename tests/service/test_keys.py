@@ -53,6 +53,8 @@ def test_a_server_takes_up_what_a_command_changes(keyring, tmp_path):
         ("ann", "root", {}),
         ("ann", "read", {"rate": 0}),
         ("ann", "read", {"rate": float("nan")}),
+        ("ann", "read", {"rate": 1e-309}),
+        ("ann", "read", {"expires": 1.8e12}),  # ms
         ("ann", "read", {"megabytes": 0}),
     ],
 )

@@ -1,5 +1,6 @@
 """A replica has all that was committed, restores to the same answers and feeds other servers."""
 
+import json
 import os
 import shutil
 import threading
@@ -17,7 +18,9 @@ from wrenchbook.service.cli.main import app
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.keys import Keyring
 from wrenchbook.service.ledger import Ledger
+from wrenchbook.service.ledger.earlier import CATALOGUE
 from wrenchbook.service.ops import replica
+from wrenchbook.service.ops.backup import BackupError
 from wrenchbook.service.ops.doctor import examine
 from wrenchbook.service.ops.replica import Replica, ReplicaError, Shipper, stays
 from wrenchbook.service.ops.restore import restore
@@ -111,6 +114,107 @@ def test_a_file_that_no_replica_holds_is_not_restored(shipped, tmp_path):
         restore(shipped.url, tmp_path / "again")
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"interval": float("nan")},
+        {"interval": -1.0},
+        {"created": "x"},
+        {"ledger": [0, []]},
+        {"ledger": [10**15, ["0" * 40]]},
+        {"ledger": [4, ["/../../../../../dev/zero"]]},
+        {"files": [4, [5]]},
+    ],
+)
+def test_a_manifest_with_values_that_cannot_be_is_damaged(shipped, tmp_path, change):
+    manifest = {**vars(shipped.round()), **change}
+    content = json.dumps(manifest).encode()
+    (tmp_path / "replica" / shipped.shipper._latest).unlink()
+    (tmp_path / "replica" / replica._name(1, content)).write_bytes(content)
+    with pytest.raises(ReplicaError, match="is damaged"):
+        restore(shipped.url, tmp_path / "again")
+    assert list((tmp_path / "again").iterdir()) == []
+
+
+@pytest.mark.parametrize("entry", [7, [10**15, ["0" * 40]], [4, ["../x"]], [4, [5]], [[4], "a"]])
+def test_a_file_whose_blocks_cannot_be_is_not_restored(shipped, tmp_path, entry):
+    shipped.shipper._files[CATALOGUE] = entry
+    shipped.round()
+    with pytest.raises(ReplicaError, match="are damaged"):
+        restore(shipped.url, tmp_path / "again")
+
+
+def test_an_earlier_program_does_not_restore_the_state_before_an_upgrade(
+    shipped, tmp_path, monkeypatch
+):
+    shipped.round()
+    shipped.insert(5, first=30)
+    monkeypatch.setattr(replica, "VERSION", replica.VERSION + 1)
+    shipped.settings = Settings(shipped.folder, replicate=shipped.url)
+    manifest = shipped.round()
+    path = tmp_path / "replica" / shipped.shipper._latest
+    content = json.dumps({**vars(manifest), "ledger_schema": replica.VERSION}).encode()
+    path.unlink()
+    (tmp_path / "replica" / replica._name(2, content)).write_bytes(content)
+    monkeypatch.undo()
+    with pytest.raises(BackupError, match="of a newer wrenchbook"):
+        restore(shipped.url, tmp_path / "again")
+
+
+def test_a_replica_that_was_away_is_trouble_and_whole_once_it_is_back(shipped, tmp_path):
+    shipped.round()
+    place, away = tmp_path / "replica", tmp_path / "away"
+    place.rename(away)
+    shipped.insert(5, first=30)
+    with pytest.raises(ReplicaError, match="has changed or is gone"):
+        shipped.round()
+    shutil.rmtree(place)
+    with pytest.raises(ReplicaError, match="is empty and was not before; mount it"):
+        Shipper(shipped.settings, shipped.site.ledger, again=True)
+    place.rmdir()
+    away.rename(place)
+    shipped.shipper = Shipper(shipped.settings, shipped.site.ledger, again=True)
+    shipped.round()
+    restore(shipped.url, tmp_path / "again")
+    assert answers(tmp_path / "again") == answers(shutil.copytree(shipped.folder, tmp_path / "b"))
+
+
+def test_blocks_that_are_gone_are_shipped_again(shipped, tmp_path):
+    shipped.round()
+    for path in (tmp_path / "replica" / "blocks").glob("*/*"):
+        path.unlink()
+    shipped.shipper = shipped.new_shipper()
+    shipped.insert(5, first=30)
+    shipped.round()
+    assert restore(shipped.url, tmp_path / "again")[0].state["rows"] == 35
+
+
+def test_a_first_round_that_was_cut_off_is_begun_again(shipped, tmp_path):
+    shipped.round()
+    path = tmp_path / "replica" / shipped.shipper._latest
+    path.write_bytes(path.read_bytes()[:-20])
+    (tmp_path / "replica" / replica.LATEST).unlink()
+    (tmp_path / "replica" / "manifests" / "@eaDir").mkdir()
+    (tmp_path / "replica" / "manifests" / "@eaDir" / "x").touch()  # of the disk's own
+    shipped.shipper = shipped.new_shipper()
+    assert shipped.round().number == 2
+
+
+def test_a_restore_leaves_the_last_use_of_keys(shipped, tmp_path):
+    shipped.round()
+    keyring = Keyring(tmp_path / "again")
+    key = keyring.find(keyring.add("ann", "read"))
+    keyring.note_use(key, 0.0)
+    restore(shipped.url, tmp_path / "again")
+    assert keyring.last_use(key) is not None
+
+
+def test_reading_makes_no_folder(tmp_path):
+    with pytest.raises(ReplicaError, match="has no manifest"):
+        restore(f"file://{tmp_path}/typo", tmp_path / "again")
+    assert not (tmp_path / "typo").exists()
+
+
 def test_another_directory_does_not_ship_to_the_same_url(shipped):
     shipped.round()
     (shipped.folder / replica.ORIGIN).unlink()
@@ -145,7 +249,7 @@ def test_surfaces_that_take_too_long_wait_for_the_next_round_and_rows_do_not(shi
     folder.mkdir(parents=True)
     (folder / "1.fields").write_bytes(os.urandom(100))
     shipped.shipper._settings = Settings(
-        shipped.folder, replicate=shipped.url, replicate_interval=-1
+        shipped.folder, replicate=shipped.url, replicate_interval=1e-9
     )
     assert shipped.round().rows == 30
     assert shipped.shipper.facts["files_behind"] > 0
@@ -210,6 +314,8 @@ def test_a_read_only_server_refuses_writes_and_names_the_main_server(tmp_path, p
         reply = http.post(f"/v1/components/plate_thin/{path}", json=body)
         assert (reply.status_code, reply.json()["type"].rpartition(":")[2]) == (403, "read-only")
         assert reply.json()["detail"].endswith("Send it to https://main")
+        keys = http.post("/v1/keys", json={"name": "ann"}).json()
+        assert keys["detail"].endswith("Change its keys on its machine: wrenchbook keys")
         estimate = {"force": [1, 2, 3], "moment": [0, 0, 0], "on_thin": "estimate"}
         answer = http.post("/v1/components/plate_thin/displacement", json=estimate)
         assert answer.status_code == 200

@@ -30,7 +30,7 @@ export async function show(root, _, signal) {
     inputs.map((input) => field(input.name, input)), el("button", {}, "Show"));
   await fresh();
   put(root, el("h1", {}, "Audit"), el("section", { class: "card" }, form,
-    el("table", { class: "folds" }, el("thead", {}, el("tr", {}, ["time", "actor", "action", "component", "object", "before and after"].map((one) => el("th", { scope: "col" }, one)))), body), older));
+    el("table", { class: "folds audit" }, el("thead", {}, el("tr", {}, ["time", "actor", "action", "component", "object", "before and after"].map((one) => el("th", { scope: "col" }, one)))), body), older));
 }
 
 const states = ({ before, after }) => [before, after].filter((one) => one !== null).map((one) => JSON.stringify(one)).join(" → ");

@@ -376,7 +376,14 @@ def walk(chromium, plate):
     chromium.resize(390, 700)
     chromium.visit("#/")
     wide = {}
-    for address in ("#/", "#/add", "#/jobs", "#/scene", *(f"{PLATE}/{view}" for view in VIEWS)):
+    for address in (
+        "#/",
+        "#/add",
+        "#/jobs",
+        "#/audit",
+        "#/scene",
+        *(f"{PLATE}/{view}" for view in VIEWS),
+    ):
         chromium.go(address)
         if address.endswith("/query"):
             ask(chromium, fx=123.4567, fy=-321.7654, fz=-900.1234, mx=12.34567)
