@@ -211,7 +211,8 @@ def softest_energy(body: ElasticBody, tangent: Tangent) -> float:
     motion = np.zeros((factor.unknowns, 1))
     motion[factor.weakest] = 1.0
     for _ in range(_POWER_STEPS):
-        motion = factor.solve(motion)
+        with np.errstate(over="ignore", invalid="ignore"):  # looked at below
+            motion = factor.solve(motion)
         if not np.isfinite(motion).all() or not motion.any():
             return 0.0
         motion /= np.abs(motion).max()

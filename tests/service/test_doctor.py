@@ -268,7 +268,7 @@ def test_a_done_job_whose_row_is_nowhere_is_solved_again(folder):
     db.execute("DELETE FROM rows WHERE seq = ?", (row.seq,))
     db.commit()
     (number,) = db.execute(
-        "SELECT rootpage FROM sqlite_master WHERE name = 'jobs_in_order'"
+        "SELECT rootpage FROM sqlite_master WHERE name = 'jobs_in_turn'"
     ).fetchone()
     db.close()
     overwrite(folder / "ledger.sqlite", 4096 * (number - 1), 4096)
