@@ -30,7 +30,14 @@ from ..calibration import CONFIDENCE
 from ..table.rows import Floats
 from .correlation import Hyperparameters, covariance, matern, mean_terms
 from .equations import Equations, Scaling
-from .factor import OutputGroup, SingularCovarianceError, factorise, inverse_factor, output_groups
+from .factor import (
+    Indices,
+    OutputGroup,
+    SingularCovarianceError,
+    factorise,
+    inverse_factor,
+    output_groups,
+)
 from .gradient import contracted
 from .settings import KrigingSettings
 
@@ -103,7 +110,7 @@ def noisy_rows(
 ) -> list[NoisyRows]:
     """Return the rows whose noise is estimated, for each group of outputs."""
     unit, noisy = equations.unit_noise, []
-    with_noise = (unit > 0) & equations.measured & ~scaling.constant
+    with_noise = _with_noise(equations, scaling)
     size = np.log(np.where(with_noise, unit, 1.0)).sum(axis=0)
     scale = np.exp(size / np.maximum(with_noise.sum(axis=0), 1))
     groups = output_groups(replace(equations, noise=unit), scale, settings)
@@ -131,6 +138,11 @@ def noisy_rows(
             NoisyRows(rows, outputs, parts, scale[outputs], repeats, scatter, basis, squares)
         )
     return noisy
+
+
+def _with_noise(equations: Equations, scaling: Scaling) -> NDArray[np.bool_]:
+    """Return which outputs of which rows are readings whose noise is estimated, (rows, outputs)."""
+    return (equations.unit_noise > 0) & equations.measured & ~scaling.constant
 
 
 class Spectrum(NamedTuple):
@@ -293,6 +305,13 @@ def _contracted_values(
     return np.append(by_rate * kernel.inverse_squares, by_weight[-len(kernel.weights) :])
 
 
+def _evenly(equations: Equations, rows: Indices, limit: int) -> Indices:
+    """Return an even choice of some rows, of about so many equations, at least one."""
+    count = int(np.searchsorted(np.cumsum(equations.known[rows].sum(axis=1)), limit))
+    places = np.linspace(0, len(rows) - 1, max(min(count, len(rows)), 1))
+    return rows[np.unique(places.round().astype(np.intp))]
+
+
 def estimate_noise(
     equations: Equations, scaling: Scaling, points: Floats, settings: KrigingSettings
 ) -> Estimate:
@@ -306,16 +325,21 @@ def estimate_noise(
         Where answers' variance is averaged: see `Estimate.widening`.
     """
     parts = []
+    noisy, every = _with_noise(equations, scaling), np.arange(len(equations))
     for limit in (settings.search_equations, settings.likelihood_equations):
-        count = np.searchsorted(np.cumsum(equations.known.sum(axis=1)), limit)
-        rows = np.linspace(0, len(equations) - 1, max(min(int(count), len(equations)), 1))
-        chosen = np.unique(rows.round().astype(np.intp))
+        chosen = _evenly(equations, every, limit)
+        # Of few readings among many solves an even choice may have none.
+        if (left := noisy.any(axis=0) & ~noisy[chosen].any(axis=0)).any():
+            readings = np.flatnonzero(noisy[:, left].any(axis=1))
+            chosen = np.union1d(chosen, _evenly(equations, readings, limit // 2))
         parts.append(noisy_rows(equations.take(chosen), scaling, settings))
     few, many = parts
     if all(len(rows.squares) for rows in few):
-        few = [rows.output(index) for rows in few for index in range(len(rows.outputs))]
-        many = [rows.output(index) for rows in many for index in range(len(rows.outputs))]
-        sets = [([one], [other]) for one, other in zip(few, many, strict=True)]
+        each = [
+            {rows.outputs[k]: rows.output(k) for rows in part for k in range(len(rows.outputs))}
+            for part in parts
+        ]
+        sets = [([each[0][output]], [each[1][output]]) for output in each[0]]
     else:
         sets = [(few, many)]
     variance, noise, widening, noise_widening = np.ones((4, len(scaling.spread)))

@@ -136,3 +136,14 @@ def test_many_exact_readings_choose_among_kernels_of_which_most_cannot_be() -> N
     kriging = Kriging.build(rows, RANGE)
     assert np.isfinite(kriging.answer_many(rows.wrench)[1]).any()
     assert np.nanmax(kriging.observation_noise / np.ptp(rows.displacement, axis=0)) < 1e-3
+
+
+@pytest.mark.parametrize("count", [1, 5])
+def test_a_few_readings_among_many_solves_have_a_noise(count: int) -> None:
+    readings, _ = measured("smooth", full_wrenches(count, 8), 0.01, 2)
+    equations, scaling = prepared(solved(SMOOTH, full_wrenches(100, 3)) + readings)
+    settings = KrigingSettings()
+    found = noise.estimate_noise(equations, scaling, full_wrenches(50, 4), settings)
+    assert np.isfinite(found.noise).all()
+    assert np.isfinite(found.variance).all()
+    assert (found.variance > 0).all()
