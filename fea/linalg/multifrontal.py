@@ -286,7 +286,8 @@ class _LUFront:
         self.lu, self.swaps, info = _getrf(A)
         if info > 0:  # exactly singular: the factor is of use for naming the node only
             pivots = np.einsum("ii->i", self.lu)
-            pivots[pivots == 0] = np.finfo(float).tiny
+            # Smaller than any that roundoff leaves, and its inverse does not overflow.
+            pivots[pivots == 0] = np.finfo(float).eps ** 2 * np.abs(A).max()
         self.B = B
         self.W = _getrs(self.lu, self.swaps, B)[0] if B.size else B
 
