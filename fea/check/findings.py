@@ -29,6 +29,7 @@ from wrenchbook.fea.inspection import Bodies, bodies_of, gap
 from wrenchbook.fea.mesh.deck_content import (
     CoupledGroup,
     DeckContent,
+    DeckSpring,
     HeldGroup,
     SolidSection,
     in_si,
@@ -407,6 +408,7 @@ def contradictions(component: ComponentModel) -> list[BundleProblem]:
     cases = [
         [text for support in case.supports for text in _freed(component, support)]
         + [text for coupled in case.couplings for text in _uncoupled(component, coupled)]
+        + [text for spring in case.springs for text in _unsprung(component, spring)]
         for case in deck.cases
     ]
     messages += min(cases, key=len)  # a component is of one case of its deck
@@ -505,6 +507,28 @@ def _uncoupled(component: ComponentModel, group: CoupledGroup) -> Iterator[str]:
     if group.point and np.abs(point - same[0].point).max() > _NEAR * size:
         here, there = (", ".join(f"{x:.5g}" for x in p) for p in (point, same[0].point))
         yield f"{start} at ({here}) m; {same[0].key}.point is ({there}) m"
+
+
+def _unsprung(component: ComponentModel, spring: DeckSpring) -> Iterator[str]:
+    """Compare a spring with that of the component between the same nodes."""
+    ends = [replace(end, point=spring.ends[0].point) for end in spring.ends]
+    yield from (text for end in ends for text in _uncoupled(component, end))
+    groups = {_nodes(component.mesh, end.group).tobytes() for end in ends}
+    unit = component.bundle.mesh.unit if component.bundle.mesh else "m"
+    there, expected = np.zeros((6, 6)), spring.in_si(unit)
+    for numbers, stiffness in component.springs:
+        frames = [component.frames[i] for i in numbers]
+        if {frame.section.node_ids.tobytes() for frame in frames} == groups:
+            turn = np.kron(np.eye(2), frames[0].axes)
+            there = turn.T @ stiffness @ turn
+    sizes = np.sqrt(np.maximum(np.diagonal(there), np.diagonal(expected)))
+    if (np.abs(there - expected) > _SAME * np.outer(sizes, sizes)).any():
+        names = " and ".join(f'"{end.group}"' for end in ends)
+        here, other = (_listed(np.diagonal(matrix)) for matrix in (expected, there))
+        yield (
+            f"{spring.where} puts {names} on springs of {here} in SI, a matrix of this diagonal; "
+            f"the component has {other}"
+        )
 
 
 def _nodes(mesh: Mesh, group: str) -> Array:

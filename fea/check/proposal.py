@@ -20,6 +20,7 @@ from wrenchbook.fea.mesh.deck_content import (
     Constant,
     CoupledGroup,
     DeckContent,
+    DeckSpring,
     LoadCase,
     SolidSection,
     in_si,
@@ -101,6 +102,7 @@ class _Proposal:
             *self.supports(),
             *self.interfaces(),
             *(line for _, tie in self.deck.ties for line in self.tie(tie)),
+            *self.joints(),
             "",
             "[analysis]",
             *self.integration(bool(first)),
@@ -157,7 +159,8 @@ class _Proposal:
         held = [support for support in self.case.supports if support.group in self.groups]
         fixed = [slide.group for slide in held if slide.directions == "xyz"]
         sliding = [slide for slide in held if slide.directions != "xyz"]
-        if not held:
+        grounded = [spring for spring in self.springs() if len(spring.ends) == 1]
+        if not held and not grounded:
             self.decide.append("supports: the deck holds nothing; name fixed groups")
             fixed = [_CHOOSE]
         names = ", ".join(map(_text, dict.fromkeys(fixed)))
@@ -170,7 +173,35 @@ class _Proposal:
                 f"directions = [{ways}]",
             ]
             lines += _axes(support.axes)
+        for spring in grounded:
+            (end,) = spring.ends
+            group = f"group = {_text(end.group)}"
+            lines += ["[[supports.bushing]]", group, *self.attached(end), self.stiffness(spring)]
         return lines
+
+    def springs(self) -> list[DeckSpring]:
+        """Return the springs on groups of the mesh."""
+        return [s for s in self.case.springs if all(end.group in self.groups for end in s.ends)]
+
+    def joints(self) -> list[str]:
+        self.skipped += [
+            f"{spring.where} on a group of no solid cell"
+            for spring in self.case.springs
+            if spring not in self.springs()
+        ]
+        lines = []
+        for spring in self.springs():
+            if len(spring.ends) == 2:
+                groups = ", ".join(_text(end.group) for end in spring.ends)
+                lines += ["", "[[spring]]", f"groups = [{groups}]"]
+                lines += [*self.attached(spring.ends[0]), self.stiffness(spring)]
+        return lines
+
+    def stiffness(self, spring: DeckSpring) -> str:
+        matrix = spring.in_si(self.unit)
+        plain = np.array_equal(matrix, np.diag(np.diagonal(matrix)))
+        values = np.diagonal(matrix) if plain else matrix
+        return f"stiffness = {json.dumps(values.tolist())}"
 
     def interfaces(self) -> list[str]:
         """Return each coupling that is free, else the group with forces, as an interface."""
@@ -207,14 +238,16 @@ class _Proposal:
         return ["", "[[tie]]", *sides, *([near] if tie.distance else [])]
 
     def interface(self, group: CoupledGroup) -> list[str]:
-        at = ", ".join(f"{x * UNITS[self.unit]:.9g}" for x in group.point)
         locked = ", ".join(_text(FREEDOMS[i]) for i in sorted(group.held))
+        locks = [f"locked = [{locked}]"] if locked else []
+        return [f"section = {_text(group.group)}", *self.attached(group), *locks]
+
+    def attached(self, group: CoupledGroup) -> list[str]:
+        """Return how a group follows its point."""
         return [
-            f"section = {_text(group.group)}",
-            *([f"point = [{at}]"] if at else []),
+            *([f"point = {_numbers(group.point, UNITS[self.unit])}"] if group.point else []),
             f"coupling = {_text(group.kind)}",
             *(['weights = "deck"'] if group.weighted else []),
-            *([f"locked = [{locked}]"] if locked else []),
         ]
 
     def range(self, group: CoupledGroup) -> list[str]:

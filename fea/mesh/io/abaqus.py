@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from wrenchbook.fea.mesh.io.axes import axes_through, cartesian
 from wrenchbook.fea.mesh.io.raw import NODES_PER_LINE, Block, RawMesh
 from wrenchbook.fea.mesh.mesh import NODES_PER_CELL, NODES_PER_FACET
 from wrenchbook.fea.spec.deck_text import DeckText, deck_text
@@ -73,9 +74,19 @@ class Keyword:
     rows: list[list[str]] = field(default_factory=list)
     frame: Frame = Frame()
 
+    @property
+    def where(self) -> str:
+        """The line and the word."""
+        return f"line {self.at}: *{self.word}"
+
+    def numbers(self, row: int, count: int) -> Array:
+        """Return numbers of a row, those that are not there 0, shape (count,)."""
+        fields = self.rows[row] if row < len(self.rows) else []
+        return np.array([float(each or 0.0) for each in (*fields, *[""] * count)[:count]])
+
     def wrong(self, message: object) -> MeshFileError:
         """Return the error that names the line."""
-        return MeshFileError(f"line {self.at}: *{self.word} {message}")
+        return MeshFileError(f"{self.where} {message}")
 
 
 def read_keywords(text: DeckText) -> Iterator[Keyword]:
@@ -223,33 +234,6 @@ class Deck:
     entries: int = 0
 
 
-def axes_through(origin: Array, first: Array, second: Array) -> Array:
-    """Return right-handed axes in rows: 1 from `origin` to `first`, 2 towards `second`."""
-    x = first - origin
-    z = np.cross(x, second - origin)
-    lengths = np.linalg.norm(x), np.linalg.norm(z)
-    if not min(lengths) > 0 or not np.isfinite(lengths).all():
-        raise ValueError("its three points are on one line")
-    x, z = x / lengths[0], z / lengths[1]
-    return np.array([x, np.cross(z, x), z])
-
-
-def cartesian(kind: str, point: Array) -> Array:
-    """Return a point by its coordinates in a system R, C or S, angles in degrees, shape (3,)."""
-    radius, (a, b) = point[0], np.radians(point[1:])
-    if kind == "C":
-        return np.array([radius * np.cos(a), radius * np.sin(a), point[2]])
-    if kind == "S":
-        return radius * np.array([np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), np.cos(a)])
-    return point
-
-
-def numbers(keyword: Keyword, row: int, count: int) -> Array:
-    """Return numbers of a row, those that are not there 0, shape (count,)."""
-    fields = keyword.rows[row] if row < len(keyword.rows) else []
-    return np.array([float(each or 0.0) for each in (*fields, *[""] * count)[:count]])
-
-
 def parsed(path: Path, take: Callable[[Deck, Keyword], None]) -> Deck:
     """Return the mesh of a deck; `take` gets each keyword after it.
 
@@ -295,7 +279,7 @@ def _take_nodes(deck: Deck, keyword: Keyword) -> None:
             )
         labels.append(label)
     if "NSET" in keyword.options:
-        _add(deck, deck.node_sets, keyword.frame, keyword.options["NSET"], labels)
+        add(deck, deck.node_sets, keyword.frame, keyword.options["NSET"], labels)
 
 
 def _take_system(deck: Deck, keyword: Keyword) -> None:
@@ -303,10 +287,10 @@ def _take_system(deck: Deck, keyword: Keyword) -> None:
     if not keyword.rows:
         deck.systems.pop(keyword.frame.number, None)
         return
-    origin, first = numbers(keyword, 0, 6).reshape(2, 3)
+    origin, first = keyword.numbers(0, 6).reshape(2, 3)
     axes = np.eye(3)
     if any(keyword.rows[0][3:6]):
-        second = numbers(keyword, 1, 3)
+        second = keyword.numbers(1, 3)
         if len(keyword.rows) == 1:  # z stays
             second = origin + np.cross([0.0, 0.0, 1.0], first - origin)
         axes = axes_through(origin, first, second)
@@ -336,7 +320,7 @@ def _take_elements(deck: Deck, keyword: Keyword) -> None:
     deck.cells.append([row[1:] for row in table])
     if "ELSET" in keyword.options:
         labels = [row[0] for row in table]
-        _add(deck, deck.element_sets, keyword.frame, keyword.options["ELSET"], labels)
+        add(deck, deck.element_sets, keyword.frame, keyword.options["ELSET"], labels)
 
 
 def kind_of(name: str) -> str | None:
@@ -357,7 +341,7 @@ def _take_set(deck: Deck, keyword: Keyword) -> None:
         for element in named(deck, deck.element_sets, keyword.options["ELSET"], keyword.frame):
             block, row = deck.where[element]
             entries += deck.cells[block][row]
-    _add(deck, sets, keyword.frame, keyword.options[keyword.word], entries)
+    add(deck, sets, keyword.frame, keyword.options[keyword.word], entries)
 
 
 def _members(deck: Deck, sets: dict[str, list[int]], keyword: Keyword) -> list[int]:
@@ -427,7 +411,7 @@ def _take_surface(deck: Deck, keyword: Keyword) -> None:
 def add_weighted(deck: Deck, frame: Frame, name: str, target: str, weight: str = "") -> None:
     """Add a node or the nodes of a set to another set, with the weight of each if it has one."""
     labels = named(deck, deck.node_sets, target, frame)
-    _add(deck, deck.node_sets, frame, name, list(labels))
+    add(deck, deck.node_sets, frame, name, list(labels))
     if weight and labels:
         deck.weights[frame.key(name)].update(dict.fromkeys(labels, float(weight)))
 
@@ -458,9 +442,10 @@ def _key(deck: Deck, frame: Frame, name: str) -> str:
     return key
 
 
-def _add(
+def add(
     deck: Deck, sets: dict[str, list[int]], frame: Frame, name: str, entries: list[int]
 ) -> None:
+    """Add members to a set, a new one or that of its name."""
     deck.entries += len(entries)
     if deck.entries > _MAX_MEMBERS:
         raise MeshFileError(f"names a set too many: they have {deck.entries} members in all")

@@ -22,21 +22,22 @@ from wrenchbook.fea.mesh.element_order import SECOND
 from wrenchbook.fea.mesh.facets import FACES
 from wrenchbook.fea.mesh.io.abaqus import (
     SOLID_FACES,
+    STRIDE,
     TAKERS,
     Deck,
     Frame,
     Keyword,
     add_weighted,
-    axes_through,
     kind_of,
     named,
-    numbers,
     parsed,
     raw_mesh,
     set_key,
     set_names,
 )
+from wrenchbook.fea.mesh.io.axes import orientation, transforms
 from wrenchbook.fea.mesh.io.raw import RawMesh
+from wrenchbook.fea.mesh.io.springs import NODES, Ends, Springs
 from wrenchbook.fea.spec.problems import MeshFileError
 from wrenchbook.fea.spec.schema import Tie
 
@@ -53,7 +54,6 @@ _BOUNDARY_TYPES = {
 }
 
 _MISSING = {
-    "SPRING": "is not solved; write [[supports.bushing]] or [[spring]]",
     "CONNECTOR SECTION": "is not solved; write [[supports.bushing]] or [[spring]]",
     "CONTACT": "is not solved: surfaces do not meet; compare bonded and free as bounds",
     "CONTACT PAIR": "is not solved: surfaces do not meet; compare bonded and free as bounds",
@@ -82,6 +82,11 @@ _LOOSE = (
     "in the mesh, or write [[tie]]"
 )
 
+_PARTLY = (
+    "couples some directions only; here all three are: couple 1 to 3, or hold all freedoms of its "
+    "point, which makes the group a support"
+)
+
 _QUIET = {"", "HEADING", "PREPRINT", "ASSEMBLY", "END ASSEMBLY", "PART", "END PART", "END STEP"}
 _QUIET |= {"END LOAD CASE"}
 
@@ -97,6 +102,7 @@ class _Coupling:
     key: str
     ref: int | None
     rot: int | None = None
+    directions: str = "xyz"
     kind: str = "rigid"
     radius: float = math.inf
 
@@ -135,14 +141,17 @@ class _Reader:
 
     `steps` begins with what precedes the first; `sets` are keys of node sets by their labels, and
     `points` the number of a coupling and the first freedom of each reference node. `turned` are the
-    axes of nodes, nine numbers, that are not the global ones.
+    axes of nodes, nine numbers, that are not the global ones, and `axial` those that do for what
+    is held along or across a cylinder's axis.
     """
 
     content: DeckContent = field(default_factory=DeckContent)
     sections: list[tuple[str, str, str, str]] = field(default_factory=list)
     orientations: dict[str, tuple[float, ...]] = field(default_factory=dict)
     turned: dict[int, tuple[float, ...]] = field(default_factory=dict)
+    axial: dict[int, tuple[float, ...]] = field(default_factory=dict)
     couplings: list[_Coupling] = field(default_factory=list)
+    springs: Springs = field(default_factory=Springs)
     # Where, keys of both surfaces, and distance
     ties: list[tuple[str, str, str, float | None]] = field(default_factory=list)
     # By node and freedom from 0, what the node follows by an equation: weights by label
@@ -170,11 +179,17 @@ class _Reader:
             lines = self.content.taken if known else self.content.ignored
             lines.setdefault(keyword.word, []).append(keyword.line)
 
+    def axes(self, label: int, freedoms: set[int]) -> tuple[float, ...]:
+        """Return the axes along which a node is held, nine numbers, empty for the global ones."""
+        ways = _directions(freedoms)
+        alike = self.axial if ways in ("z", "xy") else {}
+        return _GLOBAL if ways == "xyz" else alike.get(label, self.turned.get(label, _GLOBAL))
+
     def lack(self, keyword: Keyword, message: str) -> None:
         """Note what counts and is not taken over."""
-        before = self.content.missing.get(_where(keyword), message)
+        before = self.content.missing.get(keyword.where, message)
         together = before if message in before else f"{before}; it {message}"
-        self.content.missing[_where(keyword)] = together
+        self.content.missing[keyword.where] = together
 
     @property
     def constants(self) -> dict[str, Constant]:
@@ -194,55 +209,76 @@ def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
     content = reader.content
     reader.sets = {frozenset(labels): key for key, labels in reversed(deck.node_sets.items())}
     couplings = _couplings(reader, deck)
+    springs = reader.springs.read(deck, reader.orientations, reader.turned, reader.lack)
     steps = [step for step in reader.steps if step.name] or reader.steps
     held: dict[int, tuple[list[HeldGroup], list[set[int]]]] = {}  # steps share their motions
     for step in reversed(steps):  # from the last: its groups get the plain names
-        case = LoadCase(step.name, nonlinear=step.nonlinear)
         if id(step.motions) not in held:
             held[id(step.motions)] = _supports(reader, deck, step, len(couplings))
-        case.supports, freedoms = held[id(step.motions)]
-        case.couplings = [
-            replace(coupling, held=set(freedoms[i]), loads=[0.0] * 6)
-            for i, coupling in enumerate(couplings)
+        supports, freedoms = held[id(step.motions)]
+        coupled = [
+            replace(coupling, held=set(ways), loads=[0.0] * 6)
+            for coupling, ways in zip(couplings, freedoms, strict=True)
         ]
-        single = {label for (label, _), (key, _) in step.forces.items() if not key}
-        single -= reader.points.keys()
-        single_key = _set_of(reader, deck, sorted(single), "nodes_with_forces") if single else ""
-        for (label, freedom), (key, value) in step.forces.items():
-            number, first = reader.points.get(label, (None, 0))
-            if number is None:
-                loads = case.loads.setdefault(key or single_key, [0.0] * 6)
-            else:
-                loads = case.couplings[number].loads
-            turn, way = divmod((freedom + first) % 6, 3)
-            along = reader.turned.get(label, np.eye(3).ravel())[3 * way : 3 * way + 3]
-            for i, part in enumerate(along):
-                loads[3 * turn + i] += part * value
+        case = LoadCase(step.name, supports, coupled, nonlinear=step.nonlinear)
+        _take_loads(reader, deck, step, case)
+        nodes = {n: set[int]() for spring in springs for n in spring.nodes}
+        for *_, labels, ways in step.motions if nodes else ():
+            for node in nodes.keys() & labels:
+                nodes[node] |= ways
+        ends = Ends(deck, reader.points, coupled, nodes, step.nonlinear)
+        case.springs = ends.joined(springs, reader.lack)
         content.cases.insert(0, case)
     regions, groups = set_names(deck, deck.element_sets), set_names(deck, deck.node_sets)
     faces = set_names(deck, deck.surfaces)
     content.missing |= {
-        where: f'has the orientation "{orientation}", which is not taken over'
-        for where, _, _, orientation in reader.sections
-        if orientation and orientation not in reader.orientations
+        where: f'has the orientation "{name}", which is not taken over'
+        for where, _, _, name in reader.sections
+        if name and name not in reader.orientations
     }
-    for where, key, name, orientation in reader.sections:
-        axes = reader.orientations.get(orientation, _GLOBAL)
+    for where, key, name, axes_name in reader.sections:
+        axes = reader.orientations.get(axes_name, _GLOBAL)
         content.sections.append(SolidSection(where, regions[key], name, axes))
     for case in content.cases:
-        case.supports = [replace(support, group=groups[support.group]) for support in case.supports]
-        case.loads = {groups[key]: loads for key, loads in case.loads.items()}
-        for coupled in list(case.couplings):
-            coupled.group = faces.get(coupled.group) or groups[coupled.group]
-            if len(coupled.held) == len(coupled.loads):
-                case.couplings.remove(coupled)
-                case.supports.append(HeldGroup(coupled.where, coupled.group, "xyz"))
+        _finish(case, content, groups, faces)
     content.ties = [(at, Tie(faces[a], faces[b], near)) for at, a, b, near in reader.ties]
     return replace(raw_mesh(deck), follow=_following(reader, deck)), content
 
 
-def _where(keyword: Keyword) -> str:
-    return f"line {keyword.at}: *{keyword.word}"
+def _take_loads(reader: _Reader, deck: Deck, step: _Step, case: LoadCase) -> None:
+    """Add a step's forces to its couplings, or to the groups with forces."""
+    single = {label for (label, _), (key, _) in step.forces.items() if not key}
+    single -= reader.points.keys()
+    single_key = _set_of(reader, deck, sorted(single), "nodes_with_forces") if single else ""
+    for (label, freedom), (key, value) in step.forces.items():
+        number, first = reader.points.get(label, (None, 0))
+        if number is None:
+            loads = case.loads.setdefault(key or single_key, [0.0] * 6)
+        else:
+            loads = case.couplings[number].loads
+        turn, way = divmod((freedom + first) % 6, 3)
+        along = reader.turned.get(label, np.eye(3).ravel())[3 * way : 3 * way + 3]
+        for i, part in enumerate(along):
+            loads[3 * turn + i] += part * value
+
+
+def _finish(
+    case: LoadCase, content: DeckContent, groups: dict[str, str], faces: dict[str, str]
+) -> None:
+    """Give groups their final names, and make supports of couplings whose points are held."""
+    case.supports = [replace(support, group=groups[support.group]) for support in case.supports]
+    case.loads = {groups[key]: loads for key, loads in case.loads.items()}
+    sprung = {id(end) for spring in case.springs for end in spring.ends}
+    couplings, case.couplings = case.couplings, []
+    for coupled in couplings:
+        coupled.group = faces.get(coupled.group) or groups[coupled.group]
+        if coupled.fixed:
+            held = HeldGroup(coupled.where, coupled.group, coupled.directions, coupled.axes)
+            case.supports.append(held)
+        elif coupled.directions != "xyz":
+            content.missing[coupled.where] = _PARTLY
+        if not coupled.fixed and id(coupled) not in sprung:
+            case.couplings.append(coupled)
 
 
 def _take_elements(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
@@ -250,6 +286,8 @@ def _take_elements(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
     if kind == "DCOUP3D":  # its node as a set, by which *DISTRIBUTING COUPLING names it
         ((_, node, *_),) = keyword.rows
         add_weighted(deck, keyword.frame, keyword.options["ELSET"], node)
+    elif kind in NODES:
+        reader.springs.take(deck, keyword)
     elif kind_of(kind) is None:
         reader.lack(keyword, f"of type {kind} is not solved: only solid cells are")
     elif keyword.at in deck.element_lines[-1:]:
@@ -291,42 +329,21 @@ def _take_section(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
     key = set_key(deck, deck.element_sets, keyword.options["ELSET"], keyword.frame)
     orientation = keyword.options.get("ORIENTATION", "")
     orientation = keyword.frame.key(orientation) if orientation else ""
-    reader.sections.append((_where(keyword), key, keyword.options["MATERIAL"], orientation))
+    reader.sections.append((keyword.where, key, keyword.options["MATERIAL"], orientation))
 
 
 def _take_orientation(reader: _Reader, _: Deck, keyword: Keyword) -> None:
-    """Take axes through points, by an angle about one of them; or about the axis of a cylinder."""
-    system = keyword.options.get("SYSTEM", "RECTANGULAR").upper()
-    kind = keyword.options.get("DEFINITION", "COORDINATES").upper()
-    first, second, origin = numbers(keyword, 0, 9).reshape(3, 3)
-    number, angle = numbers(keyword, 1, 2)
-    if kind != "COORDINATES" or system not in ("RECTANGULAR", "CYLINDRICAL"):
-        raise ValueError(f"{system} by {kind}; it may be RECTANGULAR or CYLINDRICAL")
-    if system == "CYLINDRICAL":
-        if angle:
-            raise ValueError("a cylinder with an angle")
-        points = [keyword.frame.transformed(point.tolist()) for point in (first, second)]
-        axis = np.subtract(points[1], points[0])
-        axes = np.array([*points[0], *(axis / np.linalg.norm(axis))])
-    else:
-        axes = axes_through(origin, first, second)
-        if angle:
-            i, j = int(number) % 3, (int(number) + 1) % 3
-            cos, sin = math.cos(math.radians(angle)), math.sin(math.radians(angle))
-            axes[[i, j]] = cos * axes[i] + sin * axes[j], cos * axes[j] - sin * axes[i]
-        if keyword.frame.rotation:
-            axes = axes @ np.array(keyword.frame.rotation).reshape(3, 3).T
     name = keyword.frame.key(keyword.options["NAME"])
-    reader.orientations[name] = tuple(axes.ravel().tolist())
+    reader.orientations[name] = tuple(orientation(keyword).tolist())
 
 
 def _take_transform(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
-    if (kind := keyword.options.get("TYPE", "R").upper()) != "R":
-        reader.lack(keyword, f"of type {kind} turns nodes; they are taken in the global axes")
-        return
-    axes = axes_through(np.zeros(3), *numbers(keyword, 0, 6).reshape(2, 3))
-    for label in named(deck, deck.node_sets, keyword.options["NSET"], keyword.frame):
-        reader.turned[label] = tuple(axes.ravel().tolist())
+    labels = named(deck, deck.node_sets, keyword.options["NSET"], keyword.frame)
+    if unknown := [label for label in labels if label not in deck.nodes]:
+        raise ValueError(f"node {unknown[0] % STRIDE} is not defined above it")
+    both = transforms(keyword, np.array([deck.nodes[label] for label in labels]))
+    for label, *axes in zip(labels, *(each.reshape(-1, 9).tolist() for each in both), strict=True):
+        reader.turned[label], reader.axial[label] = map(tuple, axes)
 
 
 def _take_boundary(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
@@ -344,7 +361,7 @@ def _take_boundary(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
             if held and float(value or 0.0):
                 reader.lack(keyword, "moves nodes by what is not 0; they are fixed where they are")
         key, labels = _target(deck, target, keyword.frame)
-        step.motions.append((_where(keyword), key, labels, held))
+        step.motions.append((keyword.where, key, labels, held))
 
 
 def _target(deck: Deck, name: str, frame: Frame) -> tuple[str, list[int]]:
@@ -366,7 +383,10 @@ def _take_coupling(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
 def _take_coupling_kind(reader: _Reader, _: Deck, keyword: Keyword) -> None:
     rows = [[int(each) for each in row if each] for row in keyword.rows]
     freedoms = {n for row in rows for n in range(row[0], row[-1] + 1)}
-    if rows and not freedoms >= {1, 2, 3}:
+    some = "".join(way for i, way in enumerate("xyz", 1) if i in freedoms)
+    if rows and keyword.word == "KINEMATIC":
+        reader.couplings[-1].directions = some
+    elif rows and some != "xyz":
         reader.lack(keyword, "couples some directions only; here all three are")
     elif rows and keyword.word == "DISTRIBUTING" and not freedoms >= {4, 5, 6}:
         reader.lack(keyword, "couples no rotation; here its point turns with the mean")
@@ -409,7 +429,7 @@ def _take_tie(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
     distance = float(keyword.options.get("POSITION TOLERANCE", 0.0)) or None
     for row in keyword.rows:
         first, second = (set_key(deck, deck.surfaces, name, keyword.frame) for name in row[:2])
-        reader.ties.append((_where(keyword), first, second, distance))
+        reader.ties.append((keyword.where, first, second, distance))
 
 
 def _take_equations(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
@@ -515,6 +535,11 @@ _CONSTANTS = {
     "PLASTIC": ("yield_strength",),
 }
 
+
+def _take_spring(reader: _Reader, _: Deck, keyword: Keyword) -> None:
+    reader.springs.sections.append(keyword)
+
+
 _TAKERS: dict[str, Callable[[_Reader, Deck, Keyword], None]] = {
     "ELEMENT": _take_elements,
     "MATERIAL": _take_material,
@@ -528,6 +553,7 @@ _TAKERS: dict[str, Callable[[_Reader, Deck, Keyword], None]] = {
     "DISTRIBUTING": _take_coupling_kind,
     "DISTRIBUTING COUPLING": _take_weighted,
     "RIGID BODY": _take_rigid,
+    "SPRING": _take_spring,
     "TIE": _take_tie,
     "EQUATION": _take_equations,
     "MPC": _take_constraints,
@@ -550,16 +576,14 @@ def _supports(
         if partly and any(label in reader.points and label in reader.turned for label in labels):
             reader.content.missing[where] = "holds a coupled node along turned axes"
         plain = [label for label in labels if label not in reader.points]
-        turned = list({reader.turned.get(label, _GLOBAL) for label in plain})
+        turned = list({reader.axes(label, freedoms) for label in plain})
         if key and len(turned) == 1:
             by_set.setdefault((key, turned[0]), (where, set()))[1].update(freedoms)
         for label in plain if not key or turned[1:] else ():
             by_node.setdefault(label, (where, set()))[1].update(freedoms)
     together: dict[tuple[str, tuple[float, ...]], list[int]] = defaultdict(list)
     for label, (_, freedoms) in by_node.items():
-        ways = _directions(freedoms)
-        axes = _GLOBAL if ways == "xyz" else reader.turned.get(label, _GLOBAL)
-        together[ways, axes].append(label)
+        together[_directions(freedoms), reader.axes(label, freedoms)].append(label)
     held = [
         HeldGroup(where, key, _directions(freedoms_held), axes)
         for (key, axes), (where, freedoms_held) in by_set.items()
@@ -608,12 +632,20 @@ def _couplings(reader: _Reader, deck: Deck) -> list[CoupledGroup]:
             key = _set_of(reader, deck, near, f"{deck.names[key]}_within_{coupled.radius:g}")
             if weights:
                 deck.weights[key] = Counter({n: weights[n] for n in near if n in weights})
+        directions, keyword, axes = coupled.directions, coupled.keyword, _GLOBAL
+        if directions != "xyz":
+            if name := keyword.options.get("ORIENTATION", ""):
+                axes = reader.orientations.get(keyword.frame.key(name), _GLOBAL)
+            turned = keyword.frame.rotation or not reader.turned.keys().isdisjoint(
+                _nodes_of(deck, key)
+            )
+            if turned or len(axes) != (9 if name else 0):
+                directions = ""  # of no known axes
         numbers = ((coupled.ref, 0), (coupled.rot, 3))
         reader.points |= {n: (len(couplings), i) for n, i in numbers if n is not None}
         weighted = coupled.kind == "distributed" and key in deck.weights
-        couplings.append(
-            CoupledGroup(_where(coupled.keyword), key, coupled.kind, point, weighted=weighted)
-        )
+        group = CoupledGroup(keyword.where, key, coupled.kind, point, weighted=weighted)
+        couplings.append(replace(group, directions=directions, axes=axes))
     return couplings
 
 

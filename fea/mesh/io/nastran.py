@@ -6,6 +6,7 @@ word, and knows no materials, constraints and rigid elements.
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections import defaultdict
 from collections.abc import Callable, Iterator
@@ -13,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wrenchbook.fea.mesh.io.abaqus import axes_through, cartesian
+from wrenchbook.fea.mesh.io.axes import axes_through, cartesian, radial_axes
 from wrenchbook.fea.mesh.io.raw import Case, Translated
 from wrenchbook.fea.spec.deck_text import DeckText
 from wrenchbook.fea.spec.problems import MeshFileError
@@ -35,6 +36,7 @@ _QUIET = {"PARAM", "END BULK", "MPCADD"}
 _SYSTEMS = ("CORD1R", "CORD1C", "CORD1S", "CORD2R", "CORD2C", "CORD2S")
 _EXPONENT = re.compile(r"(?<=[\d.])([+-]\d+)$")
 _MASS_FACTOR = re.compile(r"^\s*PARAM[\s,*]+WTMASS[\s,]+([\w.+-]+)", re.I | re.M)
+_ALONG = 1e-6  # of a length: decks write coordinates to 7 digits
 _NONLINEAR = re.compile(r"^\s*SOL\s+(106|NLSTATIC|400|60[01])\b", re.I | re.M)
 _CASE = re.compile(r"(SUBCASE|SUBC|SYM|SUBCOM|SYMCOM|REPCASE)\b\s*=?\s*(\d+)")
 _SELECTION = re.compile(r"(SPC|LOAD)\b\s*(?:\([^)]*\))?\s*=?\s*(\w+)")
@@ -57,6 +59,9 @@ class _Bulk(Translated):
     cards: dict[str, tuple[str, list[str]]] = field(default_factory=dict)
     grids: dict[str, list[str]] = field(default_factory=dict)
     systems: dict[str, tuple[str, Array, Array]] = field(default_factory=dict)
+    # Cards of springs by element, and six or one stiffness of each property, as text
+    springs: dict[str, tuple[str, list[str]]] = field(default_factory=dict)
+    stiffness: dict[str, list[str]] = field(default_factory=dict)
 
     def system(self, number: str) -> tuple[str, Array, Array]:
         """Return kind (R, C, S), axes in rows and origin of a coordinate system, in basic axes."""
@@ -86,16 +91,24 @@ class _Bulk(Translated):
         """Return where the node of a GRID is, in basic axes, shape (3,)."""
         return self.placed(fields[1], np.array([_real(each) for each in fields[2:5]]))
 
+    def oriented(self, name: str, axes: Array, kind: str = "R") -> str:
+        """Add an orientation unless it is the basic one; return the option that names it."""
+        if kind == "R" and np.array_equal(axes, np.eye(3)):
+            return ""
+        system = ", SYSTEM=CYLINDRICAL" if kind == "C" else ""
+        row = ", ".join(f"{each:.15g}" for each in axes[:2].ravel().tolist())
+        self.couplings += [f"*ORIENTATION, NAME=AXES_{name}{system}", row]
+        return f", ORIENTATION=AXES_{name}"
+
     def axes_at(self, number: str, node: str) -> Array:
         """Return the axes of a coordinate system at a node in rows, shape (3, 3)."""
         kind, axes, origin = self.system(number)
         if kind == "R":
             return axes
         out = self.point(self.grids[node]) - origin
-        around = np.cross(axes[2], out)
         if kind == "C":
-            return axes_through(np.zeros(3), np.cross(around, axes[2]), around)
-        return axes_through(np.zeros(3), out, np.cross(around, out))
+            return radial_axes(axes[2], out)
+        return axes_through(np.zeros(3), out, np.cross(np.cross(axes[2], out), out))
 
 
 def read_nastran(text: DeckText) -> Translated:
@@ -128,6 +141,7 @@ def read_nastran(text: DeckText) -> Translated:
             raise MeshFileError(
                 f"line {text.place(number)}: {name} cannot be read ({error})"
             ) from None
+    _take_springs(data)
     _take_cases(data, control)
     return data
 
@@ -295,8 +309,16 @@ def _orthotropic(data: _Bulk, name: str, fields: list[str]) -> None:
 
 
 def _section(data: _Bulk, name: str, fields: list[str]) -> None:
-    data.sections[f"{name}_{fields[0]}"] = f"MAT_{fields[1]}"
-    data.skipped["CORDM of PSOLID, which counts for MAT9"] += fields[2] not in ("", "0")
+    region, kind, axes, origin = f"{name}_{fields[0]}", "-", np.eye(3), np.zeros(3)
+    data.sections[region] = f"MAT_{fields[1]}"
+    if fields[2] != "-1":
+        kind, axes, origin = data.system(fields[2])
+    if kind == "R":
+        data.sections[region] += data.oriented(region, axes)
+    elif kind == "C":
+        data.sections[region] += data.oriented(region, np.array([origin, origin + axes[2]]), kind)
+    else:
+        data.skipped["CORDM of PSOLID of an element or a sphere, which counts for MAT9"] += 1
 
 
 def _listed(fields: list[str]) -> list[str]:
@@ -332,10 +354,13 @@ def _sum(data: _Bulk, name: str, fields: list[str]) -> None:
 
 def _rigid(data: _Bulk, name: str, fields: list[str]) -> None:
     nodes = _listed([each for each in fields[3:] if "." not in each])  # less its expansion
-    if not set("123") <= set(fields[2]):
+    ways = sorted(set("123") & set(fields[2]))
+    turned = (data.grids[node][5] for node in nodes if node in data.grids)
+    if not ways or (len(ways) < 3 and not {*turned} <= {"", "0"}):
         data.skipped[f"{name} of some freedoms only"] += 1
         return
     data.tie(f"{name}_{fields[0]}", nodes, fields[1], "KINEMATIC")
+    data.couplings += ways if len(ways) < 3 else []
 
 
 def _mean(data: _Bulk, name: str, fields: list[str]) -> None:
@@ -358,6 +383,84 @@ def _mean(data: _Bulk, name: str, fields: list[str]) -> None:
     data.tie(f"{name}_{fields[0]}", [*weights], fields[2], "DISTRIBUTING", weights.values())
 
 
+def _spring(data: _Bulk, name: str, fields: list[str]) -> None:
+    """Keep a spring, or the stiffness of one direction or of six."""
+    fields = [*fields, *[""] * 8]
+    if name in ("CELAS1", "CELAS2", "CBUSH"):
+        if data.springs.setdefault(fields[0], (name, fields))[1] is not fields:
+            raise ValueError(f"element {fields[0]} is there twice")
+        return
+    rows = {fields[i]: [fields[i + 1]] for i in (0, 4) if fields[i]}
+    if name == "PBUSH":
+        first = next((i for i in range(1, len(fields) - 7, 8) if fields[i] == "K"), None)
+        rows = {fields[0]: [each or "0" for each in fields[first + 1 : first + 7]]} if first else {}
+    if data.stiffness.keys() & rows:
+        raise ValueError(f"property {fields[0]} is there twice")
+    data.stiffness |= rows
+
+
+def _take_springs(data: _Bulk) -> None:
+    """Take springs from a node to the ground or another, each freedom as an element."""
+    solids = {row[0] for rows in data.elements.values() for row in rows}
+    numbers = itertools.count(max(map(int, solids), default=0) + 1)
+    for number, (name, fields) in data.springs.items():
+        try:
+            if number in solids:
+                raise ValueError("a solid has its number")
+            nodes, first, axes, sizes = _ends(data, name, fields)
+        except ValueError as error:
+            data.skipped[f"{name} ({error}): write [[supports.bushing]] or [[spring]]"] += 1
+            continue
+        orientation = data.oriented(f"{name}_{number}", axes)
+        for i, size in enumerate(sizes, first):
+            if size:
+                key = f"{name}_{number}_{i}"
+                data.couplings += [
+                    f"*ELEMENT, TYPE=SPRING{len(nodes)}, ELSET={key}",
+                    ", ".join([str(next(numbers)), *nodes]),
+                    f"*SPRING, ELSET={key}{orientation}",
+                    ", ".join([str(i)] * len(nodes)),
+                    f"{size:.12g}",
+                ]
+
+
+def _ends(data: _Bulk, name: str, fields: list[str]) -> tuple[list[str], int, Array, list[float]]:
+    """Return the nodes of a spring, its first freedom from 1, its axes in rows, its stiffnesses."""
+    bush = name == "CBUSH"
+    texts = [fields[1]] if name == "CELAS2" else data.stiffness.get(fields[1] or fields[0], [])
+    ends = [(fields[2], "1"), (fields[3], "1")] if bush else [fields[2:4], fields[4:6]]
+    ends = [(node, way) for node, way in ends if node.strip("0")]
+    nodes, ways = [node for node, _ in ends], {way for _, way in ends}
+    if len(texts) != (6 if bush else 1) or not nodes or not data.grids.keys() >= {*nodes}:
+        raise ValueError("without its property, or on no GRID")
+    if len(ways) > 1 or not ways <= set("123456"):
+        raise ValueError("of components that differ, or are not 1 to 6")
+    sizes = [_real(text) for text in texts]
+    if bush:
+        return nodes, 1, _bush_axes(data, fields, nodes, sizes), sizes
+    axes, *others = [data.axes_at(data.grids[node][5], node) for node in nodes]
+    if not all(np.allclose(axes, other) for other in others):
+        raise ValueError("on nodes of different axes")
+    return nodes, int(ways.pop()), axes, sizes
+
+
+def _bush_axes(data: _Bulk, fields: list[str], nodes: list[str], sizes: list[float]) -> Array:
+    """Return the axes of a CBUSH whose forces act at both of its nodes, in rows."""
+    start, *_, end = (data.point(data.grids[node]) for node in nodes * 2)
+    apart = end - start
+    kind, axes = "R", np.eye(3)
+    if fields[7]:
+        kind, axes, _ = data.system(fields[7])
+    elif not apart.any() or sizes[4] != sizes[5]:
+        raise ValueError("without CID")
+    else:  # 1 is along it, and it is alike about it
+        axes = axes_through(np.zeros(3), apart, np.eye(3)[np.abs(apart).argmin()])
+    across = np.linalg.norm(np.cross(apart, axes), axis=1) > _ALONG * np.linalg.norm(apart)
+    if kind != "R" or fields[9] not in ("", "-1") or (across & (np.array(sizes[:3]) != 0)).any():
+        raise ValueError("with a curved CID, an OCID, or shear between nodes that are apart")
+    return axes
+
+
 def _load(data: _Bulk, name: str, fields: list[str]) -> None:
     first, size = (1 if name == "FORCE" else 4), _real(fields[3])
     load = np.array([size * _real(each) for each in fields[4:7]])
@@ -376,5 +479,6 @@ _TAKERS: dict[str, Callable[[_Bulk, str, list[str]], None]] = {
     **dict.fromkeys(("SPCADD", "LOAD"), _sum),
     "RBE2": _rigid,
     "RBE3": _mean,
+    **dict.fromkeys(("CELAS1", "CELAS2", "CBUSH", "PELAS", "PBUSH"), _spring),
     **dict.fromkeys(("FORCE", "MOMENT"), _load),
 }
