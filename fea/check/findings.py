@@ -510,25 +510,21 @@ def _uncoupled(component: ComponentModel, group: CoupledGroup) -> Iterator[str]:
 
 
 def _unsprung(component: ComponentModel, spring: DeckSpring) -> Iterator[str]:
-    """Compare a spring with that of the component between the same nodes."""
     ends = [replace(end, point=spring.ends[0].point) for end in spring.ends]
     yield from (text for end in ends for text in _uncoupled(component, end))
     groups = {_nodes(component.mesh, end.group).tobytes() for end in ends}
-    unit = component.bundle.mesh.unit if component.bundle.mesh else "m"
-    there, expected = np.zeros((6, 6)), spring.in_si(unit)
+    expected = spring.in_si(component.bundle.mesh.unit if component.bundle.mesh else "m")
+    there = np.zeros((6, 6))
     for numbers, stiffness in component.springs:
         frames = [component.frames[i] for i in numbers]
         if {frame.section.node_ids.tobytes() for frame in frames} == groups:
             turn = np.kron(np.eye(2), frames[0].axes)
             there = turn.T @ stiffness @ turn
-    sizes = np.sqrt(np.maximum(np.diagonal(there), np.diagonal(expected)))
+    sizes = np.sqrt(np.maximum(*map(np.diagonal, (there, expected))))
     if (np.abs(there - expected) > _SAME * np.outer(sizes, sizes)).any():
-        names = " and ".join(f'"{end.group}"' for end in ends)
         here, other = (_listed(np.diagonal(matrix)) for matrix in (expected, there))
-        yield (
-            f"{spring.where} puts {names} on springs of {here} in SI, a matrix of this diagonal; "
-            f"the component has {other}"
-        )
+        name = ends[0].group
+        yield f'{spring.where} has "{name}" on springs of {here} in SI; the component has {other}'
 
 
 def _nodes(mesh: Mesh, group: str) -> Array:

@@ -20,7 +20,6 @@ from wrenchbook.fea.mesh.deck_content import (
     Constant,
     CoupledGroup,
     DeckContent,
-    DeckSpring,
     LoadCase,
     SolidSection,
     in_si,
@@ -102,7 +101,7 @@ class _Proposal:
             *self.supports(),
             *self.interfaces(),
             *(line for _, tie in self.deck.ties for line in self.tie(tie)),
-            *self.joints(),
+            *self.springs(2),
             "",
             "[analysis]",
             *self.integration(bool(first)),
@@ -159,8 +158,8 @@ class _Proposal:
         held = [support for support in self.case.supports if support.group in self.groups]
         fixed = [slide.group for slide in held if slide.directions == "xyz"]
         sliding = [slide for slide in held if slide.directions != "xyz"]
-        grounded = [spring for spring in self.springs() if len(spring.ends) == 1]
-        if not held and not grounded:
+        bushings = self.springs(1)
+        if not held and not bushings:
             self.decide.append("supports: the deck holds nothing; name fixed groups")
             fixed = [_CHOOSE]
         names = ", ".join(map(_text, dict.fromkeys(fixed)))
@@ -173,35 +172,21 @@ class _Proposal:
                 f"directions = [{ways}]",
             ]
             lines += _axes(support.axes)
-        for spring in grounded:
-            (end,) = spring.ends
-            group = f"group = {_text(end.group)}"
-            lines += ["[[supports.bushing]]", group, *self.attached(end), self.stiffness(spring)]
-        return lines
+        return [*lines, *bushings]
 
-    def springs(self) -> list[DeckSpring]:
-        """Return the springs on groups of the mesh."""
-        return [s for s in self.case.springs if all(end.group in self.groups for end in s.ends)]
-
-    def joints(self) -> list[str]:
-        self.skipped += [
-            f"{spring.where} on a group of no solid cell"
-            for spring in self.case.springs
-            if spring not in self.springs()
-        ]
+    def springs(self, ends: int) -> list[str]:
+        """Return the bushings, of one end each, or the springs between groups, of two."""
         lines = []
-        for spring in self.springs():
-            if len(spring.ends) == 2:
-                groups = ", ".join(_text(end.group) for end in spring.ends)
-                lines += ["", "[[spring]]", f"groups = [{groups}]"]
-                lines += [*self.attached(spring.ends[0]), self.stiffness(spring)]
+        for spring in (spring for spring in self.case.springs if len(spring.ends) == ends):
+            groups = ", ".join(_text(end.group) for end in spring.ends)
+            table = ["", "[[spring]]", f"groups = [{groups}]"]
+            if ends == 1:
+                table = ["[[supports.bushing]]", f"group = {groups}"]
+            matrix = spring.in_si(self.unit)
+            plain = np.array_equal(matrix, np.diag(np.diagonal(matrix)))
+            stiffness = (np.diagonal(matrix) if plain else matrix).tolist()
+            lines += [*table, *self.attached(spring.ends[0]), f"stiffness = {stiffness}"]
         return lines
-
-    def stiffness(self, spring: DeckSpring) -> str:
-        matrix = spring.in_si(self.unit)
-        plain = np.array_equal(matrix, np.diag(np.diagonal(matrix)))
-        values = np.diagonal(matrix) if plain else matrix
-        return f"stiffness = {json.dumps(values.tolist())}"
 
     def interfaces(self) -> list[str]:
         """Return each coupling that is free, else the group with forces, as an interface."""
@@ -243,7 +228,6 @@ class _Proposal:
         return [f"section = {_text(group.group)}", *self.attached(group), *locks]
 
     def attached(self, group: CoupledGroup) -> list[str]:
-        """Return how a group follows its point."""
         return [
             *([f"point = {_numbers(group.point, UNITS[self.unit])}"] if group.point else []),
             f"coupling = {_text(group.kind)}",

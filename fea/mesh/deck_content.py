@@ -86,18 +86,7 @@ class CoupledGroup:
     # Force and moment on the point in the deck's units
     loads: list[float] = field(default_factory=lambda: [0.0] * 6)
     weighted: bool = False  # whether its mean is by weights of the deck
-    # Of its nodes, those that it moves, and their axes as of `HeldGroup`
-    directions: str = "xyz"
-    axes: tuple[float, ...] = ()
-
-    @property
-    def fixed(self) -> bool:
-        """Whether its nodes do not move along `directions`, because of what is held of its point.
-
-        A turn of the point about another axis than the direction moves them too.
-        """
-        ways = {*range(3)} if self.axes else {"xyz".index(letter) for letter in self.directions}
-        return bool(ways) and self.held >= ways | {3 + i for i in range(3) if ways - {i}}
+    directions: str = "xyz"  # of the global ones, along which it moves its group
 
 
 @dataclass(frozen=True, eq=False)

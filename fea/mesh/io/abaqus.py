@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-from wrenchbook.fea.mesh.io.axes import axes_through, cartesian
 from wrenchbook.fea.mesh.io.raw import NODES_PER_LINE, Block, RawMesh
 from wrenchbook.fea.mesh.mesh import NODES_PER_CELL, NODES_PER_FACET
 from wrenchbook.fea.spec.deck_text import DeckText, deck_text
 from wrenchbook.fea.spec.problems import MeshFileError
+from wrenchbook.fea.tensors import rotation as turned
 
 Array = np.ndarray
 
@@ -78,11 +78,6 @@ class Keyword:
     def where(self) -> str:
         """The line and the word."""
         return f"line {self.at}: *{self.word}"
-
-    def numbers(self, row: int, count: int) -> Array:
-        """Return numbers of a row, those that are not there 0, shape (count,)."""
-        fields = self.rows[row] if row < len(self.rows) else []
-        return np.array([float(each or 0.0) for each in (*fields, *[""] * count)[:count]])
 
     def wrong(self, message: object) -> MeshFileError:
         """Return the error that names the line."""
@@ -172,9 +167,7 @@ def _frame(keyword: Keyword, number: int) -> Frame:
         shift, rotation = np.array((rows[0] + [0.0] * 3)[:3]), np.eye(3)
         if len(rows) > 1:
             a, b, angle = np.array(rows[1][:3]), np.array(rows[1][3:6]), np.radians(rows[1][6])
-            x, y, z = (b - a) / np.linalg.norm(b - a)
-            cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-            rotation += np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross  # Rodrigues
+            rotation = turned(angle * (b - a) / np.linalg.norm(b - a))
             shift = rotation @ (shift - a) + a
     except (ValueError, IndexError) as error:
         raise keyword.wrong(f"cannot be read ({error})") from None
@@ -234,6 +227,39 @@ class Deck:
     entries: int = 0
 
 
+def axes_through(origin: Array, first: Array, second: Array) -> Array:
+    """Return right-handed axes in rows: 1 from `origin` to `first`, 2 towards `second`."""
+    x = first - origin
+    z = np.cross(x, second - origin)
+    lengths = np.linalg.norm(x), np.linalg.norm(z)
+    if not min(lengths) > 0 or not np.isfinite(lengths).all():
+        raise ValueError("its three points are on one line")
+    x, z = x / lengths[0], z / lengths[1]
+    return np.array([x, np.cross(z, x), z])
+
+
+def radial_axes(axis: Array, out: Array) -> Array:
+    """Return the radial, circumferential and axial directions at a point off an axis, in rows."""
+    around = np.cross(axis, out)
+    return axes_through(np.zeros(3), np.cross(around, axis), around)
+
+
+def cartesian(kind: str, point: Array) -> Array:
+    """Return a point by its coordinates in a system R, C or S, angles in degrees, shape (3,)."""
+    radius, (a, b) = point[0], np.radians(point[1:])
+    if kind == "C":
+        return np.array([radius * np.cos(a), radius * np.sin(a), point[2]])
+    if kind == "S":
+        return radius * np.array([np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), np.cos(a)])
+    return point
+
+
+def numbers(keyword: Keyword, row: int, count: int) -> Array:
+    """Return numbers of a row, those that are not there 0, shape (count,)."""
+    fields = keyword.rows[row] if row < len(keyword.rows) else []
+    return np.array([float(each or 0.0) for each in (*fields, *[""] * count)[:count]])
+
+
 def parsed(path: Path, take: Callable[[Deck, Keyword], None]) -> Deck:
     """Return the mesh of a deck; `take` gets each keyword after it.
 
@@ -287,10 +313,10 @@ def _take_system(deck: Deck, keyword: Keyword) -> None:
     if not keyword.rows:
         deck.systems.pop(keyword.frame.number, None)
         return
-    origin, first = keyword.numbers(0, 6).reshape(2, 3)
+    origin, first = numbers(keyword, 0, 6).reshape(2, 3)
     axes = np.eye(3)
     if any(keyword.rows[0][3:6]):
-        second = keyword.numbers(1, 3)
+        second = numbers(keyword, 1, 3)
         if len(keyword.rows) == 1:  # z stays
             second = origin + np.cross([0.0, 0.0, 1.0], first - origin)
         axes = axes_through(origin, first, second)

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from wrenchbook.fea.mesh.deck_content import (
-    Constant,
     CoupledGroup,
     DeckContent,
     HeldGroup,
@@ -22,22 +21,24 @@ from wrenchbook.fea.mesh.element_order import SECOND
 from wrenchbook.fea.mesh.facets import FACES
 from wrenchbook.fea.mesh.io.abaqus import (
     SOLID_FACES,
-    STRIDE,
     TAKERS,
     Deck,
     Frame,
     Keyword,
     add_weighted,
+    axes_through,
     kind_of,
     named,
+    numbers,
     parsed,
+    radial_axes,
     raw_mesh,
     set_key,
     set_names,
 )
-from wrenchbook.fea.mesh.io.axes import orientation, transforms
 from wrenchbook.fea.mesh.io.raw import RawMesh
-from wrenchbook.fea.mesh.io.springs import NODES, Ends, Springs
+from wrenchbook.fea.mesh.io.reader import Coupling, Reader, Step
+from wrenchbook.fea.mesh.io.springs import NODES, join_springs, take_elements
 from wrenchbook.fea.spec.problems import MeshFileError
 from wrenchbook.fea.spec.schema import Tie
 
@@ -94,107 +95,23 @@ _PROPOSED = {"CLOAD", "STEP", "LOAD CASE"}
 """Keywords that propose load range and analysis of a new component; they are not compared."""
 
 
-@dataclass
-class _Coupling:
-    """A coupling as read: the key of its surface or node set, and its nodes' labels."""
-
-    keyword: Keyword
-    key: str
-    ref: int | None
-    rot: int | None = None
-    directions: str = "xyz"
-    kind: str = "rigid"
-    radius: float = math.inf
-
-
-@dataclass
-class _Step:
-    """Supports and forces at the end of a step; freedoms are numbers from 0.
-
-    `name` is empty of what is no case, as of a step with load cases. `kind` is "general",
-    "perturbation" or "load case". `motions` are (where, key of a set or empty, labels, freedoms
-    held), `forces` the key and the load by label and freedom. `begun` has the words of the step's
-    keywords and the keys of its forces.
-    """
-
-    name: str = ""
-    kind: str = "general"
-    motions: list[tuple[str, str, list[int], set[int]]] = field(default_factory=list)
-    forces: dict[tuple[int, int], tuple[str, float]] = field(default_factory=dict)
-    nonlinear: bool = False
-    begun: set[str | tuple[int, int]] = field(default_factory=set)
-
-    def begin(self, keyword: Keyword) -> None:
-        """Go on, at a word's first keyword, from what earlier steps set, by OP=NEW from nothing."""
-        if keyword.word not in self.begun:
-            self.begun.add(keyword.word)
-            new = keyword.options.get("OP", "").upper() == "NEW"
-            if keyword.word == "CLOAD":
-                self.forces = {} if new else dict(self.forces)
-            else:
-                self.motions = [] if new else list(self.motions)
-
-
-@dataclass
-class _Reader:
-    """Content read besides the mesh; groups are keys of the deck's sets until the end.
-
-    `steps` begins with what precedes the first; `sets` are keys of node sets by their labels, and
-    `points` the number of a coupling and the first freedom of each reference node. `turned` are the
-    axes of nodes, nine numbers, that are not the global ones, and `axial` those that do for what
-    is held along or across a cylinder's axis.
-    """
-
-    content: DeckContent = field(default_factory=DeckContent)
-    sections: list[tuple[str, str, str, str]] = field(default_factory=list)
-    orientations: dict[str, tuple[float, ...]] = field(default_factory=dict)
-    turned: dict[int, tuple[float, ...]] = field(default_factory=dict)
-    axial: dict[int, tuple[float, ...]] = field(default_factory=dict)
-    couplings: list[_Coupling] = field(default_factory=list)
-    springs: Springs = field(default_factory=Springs)
-    # Where, keys of both surfaces, and distance
-    ties: list[tuple[str, str, str, float | None]] = field(default_factory=list)
-    # By node and freedom from 0, what the node follows by an equation: weights by label
-    equations: dict[int, dict[int, tuple[Keyword, dict[int, float]]]] = field(default_factory=dict)
-    steps: list[_Step] = field(default_factory=lambda: [_Step()])
-    sets: dict[frozenset[int], str] = field(default_factory=dict)
-    points: dict[int, tuple[int, int]] = field(default_factory=dict)
-    material: str = ""
-
-    def take(self, deck: Deck, keyword: Keyword) -> None:
-        """Take one keyword, after the deck has taken what is of the mesh."""
-        taker = _TAKERS.get(keyword.word)
-        if "INPUT" in keyword.options and (taker is not None or keyword.word in TAKERS):
-            message = "paste that file's lines below the keyword"
-            raise MeshFileError(f"has its rows in {keyword.options['INPUT']}; {message}")
-        try:
-            if taker is not None:
-                taker(self, deck, keyword)
-        except (MeshFileError, ValueError, LookupError) as error:
-            self.lack(keyword, f"is not understood, so not taken over ({error})")
-        if keyword.word in _MISSING:
-            self.lack(keyword, _MISSING[keyword.word])
-        if keyword.word not in _QUIET:
-            known = keyword.word in TAKERS or (taker is not None and keyword.word not in _PROPOSED)
-            lines = self.content.taken if known else self.content.ignored
-            lines.setdefault(keyword.word, []).append(keyword.line)
-
-    def axes(self, label: int, freedoms: set[int]) -> tuple[float, ...]:
-        """Return the axes along which a node is held, nine numbers, empty for the global ones."""
-        ways = _directions(freedoms)
-        alike = self.axial if ways in ("z", "xy") else {}
-        return _GLOBAL if ways == "xyz" else alike.get(label, self.turned.get(label, _GLOBAL))
-
-    def lack(self, keyword: Keyword, message: str) -> None:
-        """Note what counts and is not taken over."""
-        before = self.content.missing.get(keyword.where, message)
-        together = before if message in before else f"{before}; it {message}"
-        self.content.missing[keyword.where] = together
-
-    @property
-    def constants(self) -> dict[str, Constant]:
-        """The material that the keywords are of."""
-        return self.content.materials.setdefault(self.material, {})
+def _take(reader: Reader, deck: Deck, keyword: Keyword) -> None:
+    """Take one keyword, after the deck has taken what is of the mesh."""
+    taker = _TAKERS.get(keyword.word)
+    if "INPUT" in keyword.options and (taker is not None or keyword.word in TAKERS):
+        message = "paste that file's lines below the keyword"
+        raise MeshFileError(f"has its rows in {keyword.options['INPUT']}; {message}")
+    try:
+        if taker is not None:
+            taker(reader, deck, keyword)
+    except (MeshFileError, ValueError, LookupError) as error:
+        reader.lack(keyword, f"is not understood, so not taken over ({error})")
+    if keyword.word in _MISSING:
+        reader.lack(keyword, _MISSING[keyword.word])
+    if keyword.word not in _QUIET:
+        known = keyword.word in TAKERS or (taker is not None and keyword.word not in _PROPOSED)
+        lines = reader.content.taken if known else reader.content.ignored
+        lines.setdefault(keyword.word, []).append(keyword.line)
 
 
 def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
@@ -203,13 +120,12 @@ def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
     Raises MeshFileError as `fea.mesh.io.abaqus.parsed` does, or if a keyword has its rows in
     another file.
     """
-    reader = _Reader()
-    deck = parsed(path, reader.take)
+    reader = Reader()
+    deck = parsed(path, lambda deck, keyword: _take(reader, deck, keyword))
     # Make a case of each step: groups by their final names, and what acts on couplings.
     content = reader.content
     reader.sets = {frozenset(labels): key for key, labels in reversed(deck.node_sets.items())}
     couplings = _couplings(reader, deck)
-    springs = reader.springs.read(deck, reader.orientations, reader.turned, reader.lack)
     steps = [step for step in reader.steps if step.name] or reader.steps
     held: dict[int, tuple[list[HeldGroup], list[set[int]]]] = {}  # steps share their motions
     for step in reversed(steps):  # from the last: its groups get the plain names
@@ -222,12 +138,7 @@ def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
         ]
         case = LoadCase(step.name, supports, coupled, nonlinear=step.nonlinear)
         _take_loads(reader, deck, step, case)
-        nodes = {n: set[int]() for spring in springs for n in spring.nodes}
-        for *_, labels, ways in step.motions if nodes else ():
-            for node in nodes.keys() & labels:
-                nodes[node] |= ways
-        ends = Ends(deck, reader.points, coupled, nodes, step.nonlinear)
-        case.springs = ends.joined(springs, reader.lack)
+        join_springs(reader, deck, step, case)
         content.cases.insert(0, case)
     regions, groups = set_names(deck, deck.element_sets), set_names(deck, deck.node_sets)
     faces = set_names(deck, deck.surfaces)
@@ -245,7 +156,7 @@ def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
     return replace(raw_mesh(deck), follow=_following(reader, deck)), content
 
 
-def _take_loads(reader: _Reader, deck: Deck, step: _Step, case: LoadCase) -> None:
+def _take_loads(reader: Reader, deck: Deck, step: Step, case: LoadCase) -> None:
     """Add a step's forces to its couplings, or to the groups with forces."""
     single = {label for (label, _), (key, _) in step.forces.items() if not key}
     single -= reader.points.keys()
@@ -272,22 +183,23 @@ def _finish(
     couplings, case.couplings = case.couplings, []
     for coupled in couplings:
         coupled.group = faces.get(coupled.group) or groups[coupled.group]
-        if coupled.fixed:
-            held = HeldGroup(coupled.where, coupled.group, coupled.directions, coupled.axes)
+        fixed = len(coupled.held) == 6
+        if fixed and coupled.directions:
+            held = HeldGroup(coupled.where, coupled.group, coupled.directions)
             case.supports.append(held)
         elif coupled.directions != "xyz":
             content.missing[coupled.where] = _PARTLY
-        if not coupled.fixed and id(coupled) not in sprung:
+        if not fixed and id(coupled) not in sprung:
             case.couplings.append(coupled)
 
 
-def _take_elements(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+def _take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     kind = keyword.options["TYPE"].upper()
     if kind == "DCOUP3D":  # its node as a set, by which *DISTRIBUTING COUPLING names it
         ((_, node, *_),) = keyword.rows
         add_weighted(deck, keyword.frame, keyword.options["ELSET"], node)
     elif kind in NODES:
-        reader.springs.take(deck, keyword)
+        take_elements(reader, deck, keyword)
     elif kind_of(kind) is None:
         reader.lack(keyword, f"of type {kind} is not solved: only solid cells are")
     elif keyword.at in deck.element_lines[-1:]:
@@ -295,11 +207,11 @@ def _take_elements(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
         counts[kind] = counts.get(kind, 0) + len(deck.cells[-1])
 
 
-def _take_material(reader: _Reader, _: Deck, keyword: Keyword) -> None:
+def _take_material(reader: Reader, _: Deck, keyword: Keyword) -> None:
     reader.material = keyword.options["NAME"]
 
 
-def _take_constants(reader: _Reader, _: Deck, keyword: Keyword) -> None:
+def _take_constants(reader: Reader, _: Deck, keyword: Keyword) -> None:
     kind = keyword.options.get("TYPE", "ISO").upper().replace(" ", "")
     if keyword.word == "ELASTIC" and kind in ("ENGINEERINGCONSTANTS", "ORTHO"):
         values = [float(each) for row in keyword.rows for each in row if each][:9]
@@ -325,28 +237,56 @@ def _take_constants(reader: _Reader, _: Deck, keyword: Keyword) -> None:
         reader.lack(keyword, "has values at several temperatures; its first line is compared")
 
 
-def _take_section(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+def _take_section(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     key = set_key(deck, deck.element_sets, keyword.options["ELSET"], keyword.frame)
     orientation = keyword.options.get("ORIENTATION", "")
     orientation = keyword.frame.key(orientation) if orientation else ""
     reader.sections.append((keyword.where, key, keyword.options["MATERIAL"], orientation))
 
 
-def _take_orientation(reader: _Reader, _: Deck, keyword: Keyword) -> None:
+def _take_orientation(reader: Reader, _: Deck, keyword: Keyword) -> None:
+    """Take axes through points, by an angle about one of them; or about the axis of a cylinder."""
+    system = keyword.options.get("SYSTEM", "RECTANGULAR").upper()
+    kind = keyword.options.get("DEFINITION", "COORDINATES").upper()
+    first, second, origin = numbers(keyword, 0, 9).reshape(3, 3)
+    number, angle = numbers(keyword, 1, 2)
+    if kind != "COORDINATES" or system not in ("RECTANGULAR", "CYLINDRICAL"):
+        raise ValueError(f"{system} by {kind}; it may be RECTANGULAR or CYLINDRICAL")
+    if system == "CYLINDRICAL":
+        if angle:
+            raise ValueError("a cylinder with an angle")
+        points = [keyword.frame.transformed(point.tolist()) for point in (first, second)]
+        axis = np.subtract(points[1], points[0])
+        axes = np.array([*points[0], *(axis / np.linalg.norm(axis))])
+    else:
+        axes = axes_through(origin, first, second)
+        if angle:
+            i, j = int(number) % 3, (int(number) + 1) % 3
+            cos, sin = math.cos(math.radians(angle)), math.sin(math.radians(angle))
+            axes[[i, j]] = cos * axes[i] + sin * axes[j], cos * axes[j] - sin * axes[i]
+        if keyword.frame.rotation:
+            axes = axes @ np.array(keyword.frame.rotation).reshape(3, 3).T
     name = keyword.frame.key(keyword.options["NAME"])
-    reader.orientations[name] = tuple(orientation(keyword).tolist())
+    reader.orientations[name] = tuple(axes.ravel().tolist())
 
 
-def _take_transform(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
-    labels = named(deck, deck.node_sets, keyword.options["NSET"], keyword.frame)
-    if unknown := [label for label in labels if label not in deck.nodes]:
-        raise ValueError(f"node {unknown[0] % STRIDE} is not defined above it")
-    both = transforms(keyword, np.array([deck.nodes[label] for label in labels]))
-    for label, *axes in zip(labels, *(each.reshape(-1, 9).tolist() for each in both), strict=True):
-        reader.turned[label], reader.axial[label] = map(tuple, axes)
+def _take_transform(reader: Reader, deck: Deck, keyword: Keyword) -> None:
+    """Take the axes of nodes, around a cylinder's axis those of each."""
+    if (kind := keyword.options.get("TYPE", "R").upper()) not in ("R", "C"):
+        raise ValueError(f"type {kind}; it may be R or C")
+    frame, (first, second) = keyword.frame, numbers(keyword, 0, 6).reshape(2, 3)
+    axis, turn = second - first, np.reshape(frame.rotation or np.eye(3), (3, 3))
+    start = np.array(frame.transformed(first.tolist()))
+    labels = named(deck, deck.node_sets, keyword.options["NSET"], frame)
+    if kind == "R":
+        axes = [axes_through(np.zeros(3), first, second) @ turn.T] * len(labels)
+    else:
+        axes = [radial_axes(turn @ axis, deck.nodes[label] - start) for label in labels]
+    rows = (tuple(each.ravel().tolist()) for each in axes)
+    reader.turned |= dict(zip(labels, rows, strict=True))
 
 
-def _take_boundary(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+def _take_boundary(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     step = reader.steps[-1]
     step.begin(keyword)
     if {"SUBMODEL", "USER"} & keyword.options.keys():
@@ -371,16 +311,16 @@ def _target(deck: Deck, name: str, frame: Frame) -> tuple[str, list[int]]:
     return "" if single else set_key(deck, deck.node_sets, name, frame), labels
 
 
-def _take_coupling(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+def _take_coupling(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     name = keyword.options["SURFACE"]
     sets = deck.surfaces if keyword.frame.key(name) in deck.surfaces else deck.node_sets
     key = set_key(deck, sets, name, keyword.frame)
     radius = float(keyword.options.get("INFLUENCE RADIUS", "inf"))
     ref = _node(deck, keyword, "REF NODE")
-    reader.couplings.append(_Coupling(keyword, key, ref, radius=radius))
+    reader.couplings.append(Coupling(keyword, key, ref, radius=radius))
 
 
-def _take_coupling_kind(reader: _Reader, _: Deck, keyword: Keyword) -> None:
+def _take_coupling_kind(reader: Reader, _: Deck, keyword: Keyword) -> None:
     rows = [[int(each) for each in row if each] for row in keyword.rows]
     freedoms = {n for row in rows for n in range(row[0], row[-1] + 1)}
     some = "".join(way for i, way in enumerate("xyz", 1) if i in freedoms)
@@ -395,16 +335,16 @@ def _take_coupling_kind(reader: _Reader, _: Deck, keyword: Keyword) -> None:
     reader.couplings[-1].kind = "rigid" if keyword.word == "KINEMATIC" else "distributed"
 
 
-def _take_weighted(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+def _take_weighted(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     """Take the mean of nodes with weights that the point of a DCOUP3D follows."""
     name = f"{keyword.options['ELSET']}_nodes"
     for target, weight in keyword.rows:
         add_weighted(deck, keyword.frame, name, target, weight)
     ref = _node(deck, keyword, "ELSET")
-    reader.couplings.append(_Coupling(keyword, keyword.frame.key(name), ref, kind="distributed"))
+    reader.couplings.append(Coupling(keyword, keyword.frame.key(name), ref, kind="distributed"))
 
 
-def _take_rigid(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+def _take_rigid(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     name = next(
         (keyword.options[k] for k in ("NSET", "TIE NSET", "PIN NSET") if k in keyword.options), ""
     )
@@ -413,7 +353,7 @@ def _take_rigid(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
         return
     key = set_key(deck, deck.node_sets, name, keyword.frame)
     ref, rot = (_node(deck, keyword, option) for option in ("REF NODE", "ROT NODE"))
-    reader.couplings.append(_Coupling(keyword, key, ref, rot))
+    reader.couplings.append(Coupling(keyword, key, ref, rot))
 
 
 def _node(deck: Deck, keyword: Keyword, option: str) -> int | None:
@@ -422,7 +362,7 @@ def _node(deck: Deck, keyword: Keyword, option: str) -> int | None:
     return named(deck, deck.node_sets, keyword.options[option], keyword.frame)[0]
 
 
-def _take_tie(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+def _take_tie(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     """Take a tie of surfaces of faces."""
     if "CYCLIC SYMMETRY" in keyword.options:
         raise ValueError("a part of a circle")
@@ -432,7 +372,7 @@ def _take_tie(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
         reader.ties.append((keyword.where, first, second, distance))
 
 
-def _take_equations(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+def _take_equations(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     """Take equations: the number of terms, then node, freedom and factor of each."""
     fields = [each for row in keyword.rows for each in row if each]
     while fields and "REMOVE" not in keyword.options:
@@ -446,7 +386,7 @@ def _take_equations(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
         _equate(reader, keyword, list(zip(labels, terms[1::3], factors, strict=True)))
 
 
-def _take_constraints(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+def _take_constraints(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     """Take pairs of nodes that move alike."""
     for kind, *names in keyword.rows:
         labels = [named(deck, deck.node_sets, name, keyword.frame) for name in names]
@@ -455,7 +395,7 @@ def _take_constraints(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
             _equate(reader, keyword, [(labels[0][0], axis, -1.0), (labels[-1][0], axis, 1.0)])
 
 
-def _equate(reader: _Reader, keyword: Keyword, terms: list[tuple[int, str, float]]) -> None:
+def _equate(reader: Reader, keyword: Keyword, terms: list[tuple[int, str, float]]) -> None:
     (node, freedom, factor), *others = terms
     weights: dict[int, float] = defaultdict(float)
     for label, _, other in others:
@@ -467,7 +407,7 @@ def _equate(reader: _Reader, keyword: Keyword, terms: list[tuple[int, str, float
     rows[axis if alone else -1] = keyword, weights
 
 
-def _following(reader: _Reader, deck: Deck) -> list[tuple[int, int, float]]:
+def _following(reader: Reader, deck: Deck) -> list[tuple[int, int, float]]:
     """Return nodes that follow others, these, and weights, by the rows of nodes.
 
     All are of second-order cells, and have the same weights and axes in all three directions.
@@ -487,7 +427,7 @@ def _following(reader: _Reader, deck: Deck) -> list[tuple[int, int, float]]:
     return entries
 
 
-def _take_force(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+def _take_force(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     step = reader.steps[-1]
     step.begin(keyword)
     if "AMPLITUDE" in keyword.options:
@@ -505,7 +445,7 @@ def _take_force(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
             step.begun.add(entry)
 
 
-def _take_step(reader: _Reader, _: Deck, keyword: Keyword) -> None:
+def _take_step(reader: Reader, _: Deck, keyword: Keyword) -> None:
     """Begin a step where the last general step ends, or a load case where its step stands."""
     kinds, kind = ("general",), "perturbation" if "PERTURBATION" in keyword.options else "general"
     if keyword.word == "LOAD CASE":
@@ -536,11 +476,7 @@ _CONSTANTS = {
 }
 
 
-def _take_spring(reader: _Reader, _: Deck, keyword: Keyword) -> None:
-    reader.springs.sections.append(keyword)
-
-
-_TAKERS: dict[str, Callable[[_Reader, Deck, Keyword], None]] = {
+_TAKERS: dict[str, Callable[[Reader, Deck, Keyword], None]] = {
     "ELEMENT": _take_elements,
     "MATERIAL": _take_material,
     **dict.fromkeys(_CONSTANTS, _take_constants),
@@ -553,7 +489,7 @@ _TAKERS: dict[str, Callable[[_Reader, Deck, Keyword], None]] = {
     "DISTRIBUTING": _take_coupling_kind,
     "DISTRIBUTING COUPLING": _take_weighted,
     "RIGID BODY": _take_rigid,
-    "SPRING": _take_spring,
+    "SPRING": lambda reader, _, keyword: reader.spring_sections.append(keyword),
     "TIE": _take_tie,
     "EQUATION": _take_equations,
     "MPC": _take_constraints,
@@ -563,7 +499,7 @@ _TAKERS: dict[str, Callable[[_Reader, Deck, Keyword], None]] = {
 
 
 def _supports(
-    reader: _Reader, deck: Deck, step: _Step, count: int
+    reader: Reader, deck: Deck, step: Step, count: int
 ) -> tuple[list[HeldGroup], list[set[int]]]:
     """Return the groups that a step holds, by their keys, and the freedoms of each coupling."""
     of_couplings: list[set[int]] = [set() for _ in range(count)]
@@ -576,14 +512,16 @@ def _supports(
         if partly and any(label in reader.points and label in reader.turned for label in labels):
             reader.content.missing[where] = "holds a coupled node along turned axes"
         plain = [label for label in labels if label not in reader.points]
-        turned = list({reader.axes(label, freedoms) for label in plain})
+        turned = list({reader.turned.get(label, _GLOBAL) for label in plain})
         if key and len(turned) == 1:
             by_set.setdefault((key, turned[0]), (where, set()))[1].update(freedoms)
         for label in plain if not key or turned[1:] else ():
             by_node.setdefault(label, (where, set()))[1].update(freedoms)
     together: dict[tuple[str, tuple[float, ...]], list[int]] = defaultdict(list)
     for label, (_, freedoms) in by_node.items():
-        together[_directions(freedoms), reader.axes(label, freedoms)].append(label)
+        ways = _directions(freedoms)
+        axes = _GLOBAL if ways == "xyz" else reader.turned.get(label, _GLOBAL)
+        together[ways, axes].append(label)
     held = [
         HeldGroup(where, key, _directions(freedoms_held), axes)
         for (key, axes), (where, freedoms_held) in by_set.items()
@@ -598,7 +536,7 @@ def _directions(freedoms: set[int]) -> str:
     return "".join(way for i, way in enumerate("xyz") if i in freedoms)
 
 
-def _set_of(reader: _Reader, deck: Deck, labels: list[int], name: str) -> str:
+def _set_of(reader: Reader, deck: Deck, labels: list[int], name: str) -> str:
     """Return the key of the set of these nodes, a new key if the deck has none."""
     nodes = frozenset(labels)
     if nodes not in reader.sets:
@@ -609,7 +547,7 @@ def _set_of(reader: _Reader, deck: Deck, labels: list[int], name: str) -> str:
     return reader.sets[nodes]
 
 
-def _couplings(reader: _Reader, deck: Deck) -> list[CoupledGroup]:
+def _couplings(reader: Reader, deck: Deck) -> list[CoupledGroup]:
     """Return the couplings whose reference nodes can be used, and note these in the reader."""
     couplings: list[CoupledGroup] = []
     for coupled in reader.couplings:
@@ -632,20 +570,16 @@ def _couplings(reader: _Reader, deck: Deck) -> list[CoupledGroup]:
             key = _set_of(reader, deck, near, f"{deck.names[key]}_within_{coupled.radius:g}")
             if weights:
                 deck.weights[key] = Counter({n: weights[n] for n in near if n in weights})
-        directions, keyword, axes = coupled.directions, coupled.keyword, _GLOBAL
-        if directions != "xyz":
-            if name := keyword.options.get("ORIENTATION", ""):
-                axes = reader.orientations.get(keyword.frame.key(name), _GLOBAL)
-            turned = keyword.frame.rotation or not reader.turned.keys().isdisjoint(
-                _nodes_of(deck, key)
-            )
-            if turned or len(axes) != (9 if name else 0):
-                directions = ""  # of no known axes
+        directions, own = coupled.directions, "ORIENTATION" in coupled.keyword.options
+        if directions != "xyz" and (
+            own or not reader.turned.keys().isdisjoint(_nodes_of(deck, key))
+        ):
+            directions = ""  # of other axes than the mesh's
         numbers = ((coupled.ref, 0), (coupled.rot, 3))
         reader.points |= {n: (len(couplings), i) for n, i in numbers if n is not None}
         weighted = coupled.kind == "distributed" and key in deck.weights
-        group = CoupledGroup(keyword.where, key, coupled.kind, point, weighted=weighted)
-        couplings.append(replace(group, directions=directions, axes=axes))
+        group = CoupledGroup(coupled.keyword.where, key, coupled.kind, point, weighted=weighted)
+        couplings.append(replace(group, directions=directions))
     return couplings
 
 

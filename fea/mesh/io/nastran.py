@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wrenchbook.fea.mesh.io.axes import axes_through, cartesian, radial_axes
+from wrenchbook.fea.mesh.io.abaqus import axes_through, cartesian, radial_axes
 from wrenchbook.fea.mesh.io.raw import Case, Translated
 from wrenchbook.fea.spec.deck_text import DeckText
 from wrenchbook.fea.spec.problems import MeshFileError
@@ -59,9 +59,8 @@ class _Bulk(Translated):
     cards: dict[str, tuple[str, list[str]]] = field(default_factory=dict)
     grids: dict[str, list[str]] = field(default_factory=dict)
     systems: dict[str, tuple[str, Array, Array]] = field(default_factory=dict)
-    # Cards of springs by element, and six or one stiffness of each property, as text
+    # Cards of springs by number, and by name and number the stiffnesses of each property
     springs: dict[str, tuple[str, list[str]]] = field(default_factory=dict)
-    stiffness: dict[str, list[str]] = field(default_factory=dict)
 
     def system(self, number: str) -> tuple[str, Array, Array]:
         """Return kind (R, C, S), axes in rows and origin of a coordinate system, in basic axes."""
@@ -385,79 +384,58 @@ def _mean(data: _Bulk, name: str, fields: list[str]) -> None:
 
 def _spring(data: _Bulk, name: str, fields: list[str]) -> None:
     """Keep a spring, or the stiffness of one direction or of six."""
-    fields = [*fields, *[""] * 8]
-    if name in ("CELAS1", "CELAS2", "CBUSH"):
-        if data.springs.setdefault(fields[0], (name, fields))[1] is not fields:
-            raise ValueError(f"element {fields[0]} is there twice")
-        return
-    rows = {fields[i]: [fields[i + 1]] for i in (0, 4) if fields[i]}
-    if name == "PBUSH":
-        first = next((i for i in range(1, len(fields) - 7, 8) if fields[i] == "K"), None)
-        rows = {fields[0]: [each or "0" for each in fields[first + 1 : first + 7]]} if first else {}
-    if data.stiffness.keys() & rows:
-        raise ValueError(f"property {fields[0]} is there twice")
-    data.stiffness |= rows
+    kept = {fields[0]: (name, [*fields, *[""] * 8])}
+    if name == "PELAS":
+        kept = {f"{name}{fields[i]}": (name, [fields[i + 1]]) for i in (0, 4) if fields[i]}
+    elif name == "PBUSH":
+        row = next((i + 1 for i in range(1, len(fields), 8) if fields[i] == "K"), len(fields))
+        kept = {name + fields[0]: (name, [each or "0" for each in fields[row : row + 6]])}
+    if data.springs.keys() & kept:
+        raise ValueError(f"{fields[0]} is there twice")
+    data.springs |= kept
 
 
 def _take_springs(data: _Bulk) -> None:
-    """Take springs from a node to the ground or another, each freedom as an element."""
-    solids = {row[0] for rows in data.elements.values() for row in rows}
-    numbers = itertools.count(max(map(int, solids), default=0) + 1)
+    """Take each freedom of a spring as an element; the reader of the deck checks them."""
+    numbers = itertools.count(1 + max(int(r[0]) for rows in data.elements.values() for r in rows))
     for number, (name, fields) in data.springs.items():
+        if name[0] == "P":
+            continue
+        bush, own = name == "CBUSH", ("", fields[1:2])  # of CELAS2
+        key = f"P{name[1:].rstrip('12')}{fields[1] or number}"
+        _, texts = own if name == "CELAS2" else data.springs.get(key, ("", []))
+        ends = [(fields[2], "1"), (fields[3], "1")] if bush else [fields[2:4], fields[4:6]]
+        ends = [(node, way or "0") for node, way in ends if node.strip("0")]
         try:
-            if number in solids:
-                raise ValueError("a solid has its number")
-            nodes, first, axes, sizes = _ends(data, name, fields)
-        except ValueError as error:
+            if not texts or not ends:
+                raise ValueError("without its property, or a node")
+            sizes = [_real(text) for text in texts]
+            axes = _spring_axes(data, fields if bush else [], [node for node, _ in ends], sizes)
+        except (ValueError, LookupError) as error:
             data.skipped[f"{name} ({error}): write [[supports.bushing]] or [[spring]]"] += 1
             continue
-        orientation = data.oriented(f"{name}_{number}", axes)
-        for i, size in enumerate(sizes, first):
-            if size:
-                key = f"{name}_{number}_{i}"
-                data.couplings += [
-                    f"*ELEMENT, TYPE=SPRING{len(nodes)}, ELSET={key}",
-                    ", ".join([str(next(numbers)), *nodes]),
-                    f"*SPRING, ELSET={key}{orientation}",
-                    ", ".join([str(i)] * len(nodes)),
-                    f"{size:.12g}",
-                ]
+        option = data.oriented(f"{name}_{number}", axes)
+        for i, size in enumerate(sizes):
+            if size or not bush:
+                element = f"{name}_{number}_{i + 1}"
+                data.couplings += [f"*ELEMENT, TYPE=SPRING{len(ends)}, ELSET={element}"]
+                data.couplings += [", ".join([str(next(numbers)), *(node for node, _ in ends)])]
+                data.couplings += [f"*SPRING, ELSET={element}{option}"]
+                data.couplings += [", ".join(str(int(way) + i) for _, way in ends), f"{size:.12g}"]
 
 
-def _ends(data: _Bulk, name: str, fields: list[str]) -> tuple[list[str], int, Array, list[float]]:
-    """Return the nodes of a spring, its first freedom from 1, its axes in rows, its stiffnesses."""
-    bush = name == "CBUSH"
-    texts = [fields[1]] if name == "CELAS2" else data.stiffness.get(fields[1] or fields[0], [])
-    ends = [(fields[2], "1"), (fields[3], "1")] if bush else [fields[2:4], fields[4:6]]
-    ends = [(node, way) for node, way in ends if node.strip("0")]
-    nodes, ways = [node for node, _ in ends], {way for _, way in ends}
-    if len(texts) != (6 if bush else 1) or not nodes or not data.grids.keys() >= {*nodes}:
-        raise ValueError("without its property, or on no GRID")
-    if len(ways) > 1 or not ways <= set("123456"):
-        raise ValueError("of components that differ, or are not 1 to 6")
-    sizes = [_real(text) for text in texts]
-    if bush:
-        return nodes, 1, _bush_axes(data, fields, nodes, sizes), sizes
+def _spring_axes(data: _Bulk, bush: list[str], nodes: list[str], sizes: list[float]) -> Array:
+    """Return the axes of a spring, those of its nodes unless its fields are a CBUSH's, in rows."""
     axes, *others = [data.axes_at(data.grids[node][5], node) for node in nodes]
-    if not all(np.allclose(axes, other) for other in others):
-        raise ValueError("on nodes of different axes")
-    return nodes, int(ways.pop()), axes, sizes
-
-
-def _bush_axes(data: _Bulk, fields: list[str], nodes: list[str], sizes: list[float]) -> Array:
-    """Return the axes of a CBUSH whose forces act at both of its nodes, in rows."""
-    start, *_, end = (data.point(data.grids[node]) for node in nodes * 2)
-    apart = end - start
-    kind, axes = "R", np.eye(3)
-    if fields[7]:
-        kind, axes, _ = data.system(fields[7])
-    elif not apart.any() or sizes[4] != sizes[5]:
-        raise ValueError("without CID")
-    else:  # 1 is along it, and it is alike about it
-        axes = axes_through(np.zeros(3), apart, np.eye(3)[np.abs(apart).argmin()])
+    if not bush:
+        if not all(np.allclose(axes, other) for other in others):
+            raise ValueError("on nodes of different axes")
+        return axes
+    kind, axes, _ = data.system(bush[7] or "none")
+    apart = data.point(data.grids[nodes[-1]]) - data.point(data.grids[nodes[0]])
     across = np.linalg.norm(np.cross(apart, axes), axis=1) > _ALONG * np.linalg.norm(apart)
-    if kind != "R" or fields[9] not in ("", "-1") or (across & (np.array(sizes[:3]) != 0)).any():
-        raise ValueError("with a curved CID, an OCID, or shear between nodes that are apart")
+    if kind != "R" or bush[9] not in ("", "-1") or (across & (np.array(sizes[:3]) != 0)).any():
+        raise ValueError("of a curved CID, an OCID, or shear between nodes that are apart")
     return axes
 
 

@@ -4,202 +4,132 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 
 import numpy as np
 
-from wrenchbook.fea.mesh.deck_content import CoupledGroup, DeckSpring
+from wrenchbook.fea.mesh.deck_content import CoupledGroup, DeckSpring, LoadCase
 from wrenchbook.fea.mesh.io.abaqus import STRIDE, Deck, Keyword, add, named
+from wrenchbook.fea.mesh.io.reader import Reader, Step
 
 Array = np.ndarray
-Lack = Callable[[Keyword, str], None]
 
-NODES = {"SPRING1": 1, "SPRING2": 2, "SPRINGA": 2}
+NODES = {"SPRING1": 1, "SPRING2": 2}
 """Of an element of each type."""
 
 _ALONG = 1e-6  # of coordinates, which decks write to 7 digits
 
 
-@dataclass(frozen=True)
-class Spring:
-    """An element as read: the freedom from 0 at each node, and the axes that these count along."""
-
-    keyword: Keyword
-    kind: str
-    nodes: list[int]
-    freedoms: list[int]
-    axes: Array  # shape (3, 3), in rows
-    size: float
-
-
-@dataclass
-class Springs:
-    """Elements of springs by label, each with its keyword, type and nodes, and their sections."""
-
-    elements: dict[int, tuple[Keyword, str, list[int]]] = field(default_factory=dict)
-    sections: list[Keyword] = field(default_factory=list)
-
-    def take(self, deck: Deck, keyword: Keyword) -> None:
-        """Take elements; raise ValueError if one is there twice or has too few or many nodes."""
-        kind, labels = keyword.options["TYPE"].upper(), list[int]()
-        for row in keyword.rows:
-            label, *nodes = (keyword.frame.label(each) for each in row if each)
-            if label in self.elements or label in deck.where:
-                raise ValueError(f"element {label % STRIDE} is there twice; number one anew")
-            if len(nodes) != NODES[kind]:
-                raise ValueError(f"element {label % STRIDE} has {len(nodes)} nodes")
-            self.elements[label] = keyword, kind, nodes
-            labels.append(label)
-        if "ELSET" in keyword.options:
-            add(deck, deck.element_sets, keyword.frame, keyword.options["ELSET"], labels)
-
-    def read(
-        self,
-        deck: Deck,
-        orientations: Mapping[str, tuple[float, ...]],
-        turned: Mapping[int, object],
-        lack: Lack,
-    ) -> list[Spring]:
-        """Return the linear springs along axes that are known; `lack` gets the blocks of others."""
-        springs, used = list[Spring](), set[int]()
-        for keyword in self.sections:
-            try:
-                labels = {*named(deck, deck.element_sets, keyword.options["ELSET"], keyword.frame)}
-                again = labels & used or [label for label in labels if label in deck.where]
-                used |= labels
-                if again:
-                    raise ValueError("an element is there twice, or has two *SPRING")
-                springs += [
-                    self._spring(keyword, label, orientations, turned) for label in sorted(labels)
-                ]
-            except (ValueError, LookupError) as error:
-                _refuse(lack, keyword, error)
-        for label, (keyword, *_) in self.elements.items():
-            if label not in used:
-                _refuse(lack, keyword, "an element has no *SPRING")
-        return springs
-
-    def _spring(
-        self,
-        keyword: Keyword,
-        label: int,
-        orientations: Mapping[str, tuple[float, ...]],
-        turned: Mapping[int, object],
-    ) -> Spring:
-        if label not in self.elements:
-            raise ValueError(f"{label % STRIDE} is no element of type {', '.join(NODES)}")
-        _, kind, nodes = self.elements[label]
-        rows = [row for row in keyword.rows if any(row)]
-        if keyword.options.keys() - {"ELSET", "ORIENTATION"} or len(rows) != 1 + (kind[-1] != "A"):
-            raise ValueError("nonlinear, or not of one constant")
-        if not (math.isfinite(size := float(rows[-1][0])) and size >= 0):
-            raise ValueError(f"a stiffness of {size:g}, where 0 or above should be")
-        name, axes = keyword.options.get("ORIENTATION", ""), np.eye(3)
-        if kind == "SPRINGA":
-            return Spring(keyword, kind, nodes, [0, 0], axes, size)
-        freedoms = [int(each) - 1 for each in rows[0] if each]
-        if len(freedoms) != len(nodes) or not {*freedoms} <= {*range(6)}:
-            raise ValueError(f"freedoms {', '.join(rows[0])}: write one from 1 to 6 for each node")
-        if name:
-            values = orientations.get(keyword.frame.key(name), ())
-            if len(values) != 9:
-                raise ValueError(f'"{name}" is no rectangular *ORIENTATION')
-            axes = np.reshape(values, (3, 3))
-        elif keyword.frame.rotation or any(node in turned for node in nodes):
-            raise ValueError("its nodes are turned; name an ORIENTATION")
-        return Spring(keyword, kind, nodes, freedoms, axes, size)
+def take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
+    """Take elements of springs; raise ValueError if one is there twice, or of other nodes."""
+    labels = list[int]()
+    for row in keyword.rows:
+        label, *nodes = (keyword.frame.label(each) for each in row if each)
+        expected = NODES[keyword.options["TYPE"].upper()]
+        if label in reader.springs or label in deck.where or len(nodes) != expected:
+            raise ValueError(f"element {row[0]} is there twice, or has {len(nodes)} nodes")
+        reader.springs[label] = keyword, nodes
+        labels.append(label)
+    if "ELSET" in keyword.options:
+        add(deck, deck.element_sets, keyword.frame, keyword.options["ELSET"], labels)
 
 
-@dataclass(frozen=True)
-class Ends:
-    """What the springs of a load case are on.
+def join_springs(reader: Reader, deck: Deck, step: Step, case: LoadCase) -> None:
+    """Add springs that join the same couplings as one; the reader notes those that cannot be."""
+    left, joined = dict(reader.springs), dict[tuple[int, ...], tuple[Keyword, Array]]()
+    held = {node: set[int]() for _, nodes in left.values() for node in nodes}
+    for *_, labels, freedoms in step.motions if held else ():
+        for node in held.keys() & labels:
+            held[node] |= freedoms
+    for keyword in reader.spring_sections:
+        try:
+            labels = {*named(deck, deck.element_sets, keyword.options["ELSET"], keyword.frame)}
+            if not labels <= left.keys() or any(label in deck.where for label in labels):
+                raise ValueError("an element is no SPRING1 or 2, there twice or of two *SPRING")
+            springs = [left.pop(label)[1] for label in sorted(labels)]
+            springs = [_spring(reader, deck, case, held, keyword, nodes) for nodes in springs]
+        except (ValueError, LookupError) as error:
+            _refuse(reader, keyword, error)
+            continue
+        for ends, stiffness in (spring for spring in springs if spring[0] and spring[1].any()):
+            joined.setdefault(ends, (keyword, np.zeros((6, 6))))[1][:] += stiffness
+    for keyword, _ in left.values():
+        _refuse(reader, keyword, "an element has no *SPRING")
+    used = Counter(i for ends in joined for i in ends)
+    for ends, (keyword, stiffness) in joined.items():
+        if max(used[i] for i in ends) > 1:
+            _refuse(reader, keyword, "a point has springs to several others, or the ground too")
+        else:
+            coupled = tuple(case.couplings[i] for i in ends)
+            case.springs.append(DeckSpring(keyword.where, coupled, stiffness))
 
-    `points` are the number of a coupling and the first freedom of each reference node, `held` the
-    freedoms that each node is held in.
+
+def _spring(
+    reader: Reader,
+    deck: Deck,
+    case: LoadCase,
+    held: Mapping[int, set[int]],
+    keyword: Keyword,
+    nodes: list[int],
+) -> tuple[tuple[int, ...], Array]:
+    """Return the numbers of the couplings that a spring moves, none to two, and its stiffness.
+
+    Shape (6, 6): of the motion of one from the other, along the global axes.
     """
-
-    deck: Deck
-    points: Mapping[int, tuple[int, int]]
-    couplings: list[CoupledGroup]
-    held: Mapping[int, set[int]]
-    nonlinear: bool
-
-    def joined(self, springs: list[Spring], lack: Lack) -> list[DeckSpring]:
-        """Return springs that join the same couplings as one; `lack` gets what cannot be had."""
-        together, wrong = dict[tuple[int, ...], DeckSpring](), dict[str, tuple[Keyword, object]]()
-        keywords = dict[tuple[int, ...], Keyword]()
-        for spring in springs:
-            keyword = spring.keyword
-            try:
-                ends, along = self._moved(spring)
-            except ValueError as error:
-                wrong.setdefault(keyword.where, (keyword, error))  # the first of each block
-                continue
-            if ends and spring.size:
-                keywords.setdefault(ends, keyword)
-                coupled = tuple(self.couplings[i] for i in ends)
-                default = DeckSpring(keyword.where, coupled, np.zeros((6, 6)))
-                stiffness = together.setdefault(ends, default).stiffness
-                stiffness += spring.size * np.outer(along, along)
-        times = Counter(i for ends in together for i in ends)
-        for ends in [ends for ends in together if any(times[i] > 1 for i in ends)]:
-            why = "a point has springs to several others, or to the ground too"
-            wrong.setdefault(keywords[ends].where, (keywords[ends], why))
-            del together[ends]
-        for keyword, why in wrong.values():
-            _refuse(lack, keyword, why)
-        return [*together.values()]
-
-    def _moved(self, spring: Spring) -> tuple[tuple[int, ...], Array]:
-        """Return the numbers of the couplings that a spring moves, none to two, and its direction.
-
-        Shape (6,): its length grows by this times the motion of one from the other.
-        """
-        free, way = self._free(spring)
-        start, *_, end = (np.array(self.deck.nodes[node]) for node in spring.nodes * 2)
-        apart, direction = end - start, spring.axes[way % 3]
-        if spring.kind == "SPRINGA":
-            direction = apart / (np.linalg.norm(apart) or math.nan)
-            if way > 2 or not np.isfinite(direction).all():
-                raise ValueError("it has no length, or is on a node of rotations")
-        if len(free) == 2:
-            first, second = (self.couplings[i] for i in free)
-            if first is second or (first.kind, first.weighted) != (second.kind, second.weighted):
-                raise ValueError("it joins couplings of two kinds, or a point with itself")
-            across = np.linalg.norm(np.cross(apart, direction))
-            if way < 3 and across > _ALONG * np.abs([start, end]).max():
-                raise ValueError("its two points are apart across it, so that it turns them")
-        if self.nonlinear and (len(free) == 2 or (free and spring.kind == "SPRINGA")):
-            raise ValueError("at large displacements its direction is another than that of ours")
-        along = np.zeros((2, 3))
-        along[way // 3] = direction
-        return tuple(sorted(free)), along.ravel()
-
-    def _free(self, spring: Spring) -> tuple[list[int], int]:
-        """Return the numbers of the couplings whose points are free, and the freedom, 0 to 5."""
-        free, ways = list[int](), set[int]()
-        for node, freedom in zip(spring.nodes, spring.freedoms, strict=True):
-            number, first = self.points.get(node, (None, 0))
-            if node not in self.deck.nodes:
-                raise ValueError(f"node {node % STRIDE} is not defined")
-            if number is None:
-                if not {freedom - freedom % 3 + i for i in range(3)} <= self.held[node]:
-                    raise ValueError(f"node {node % STRIDE} is no coupling's point, nor held")
-            elif len((coupled := self.couplings[number]).held) < 6:
-                if coupled.held or any(coupled.loads) or coupled.directions != "xyz":
-                    why = "is loaded or held in part, or its coupling is of some directions"
-                    raise ValueError(f"the point {node % STRIDE} {why}")
-                free.append(number)
-                ways.add(freedom + first)
-        if len(ways) > 1 or max(ways, default=0) > 5:
-            raise ValueError("its freedoms are of two kinds, or above 6")
-        return free, max(ways, default=0)
+    freedoms, axes, size = _constants(reader, keyword, nodes)
+    free, ways = list[int](), set[int]()
+    for node, freedom in zip(nodes, freedoms, strict=True):
+        number, first = reader.points.get(node, (None, 0))
+        if number is None:
+            three = {freedom - freedom % 3 + i for i in range(3)}
+            if node not in deck.nodes or not three <= held[node]:
+                raise ValueError(f"node {node % STRIDE} is no coupling's point, nor held")
+        elif len((coupled := case.couplings[number]).held) < 6:
+            if coupled.held or any(coupled.loads) or coupled.directions != "xyz":
+                why = "loaded, held in part, or of a coupling of some directions"
+                raise ValueError(f"the point {node % STRIDE} is {why}")
+            free.append(number)
+            ways.add(freedom + first)
+    if len(ways) > 1 or (way := max(ways, default=0)) > 5:
+        raise ValueError("its freedoms are of two kinds, or above 6")
+    if len(free) == 2:
+        _check_between(case, [case.couplings[i] for i in free], axes[way % 3] * (way < 3))
+    along = np.kron(np.eye(2)[way // 3], axes[way % 3])
+    return tuple(sorted(free)), size * np.outer(along, along)
 
 
-def _refuse(lack: Lack, keyword: Keyword, why: object) -> None:
-    lack(
-        keyword,
-        f"is not solved ({why}): write [[supports.bushing]] for a spring to the ground, or "
-        "[[spring]] for one between two groups",
-    )
+def _constants(
+    reader: Reader, keyword: Keyword, nodes: list[int]
+) -> tuple[list[int], Array, float]:
+    """Return the freedom from 0 at each node, the axes in rows, and the stiffness along one."""
+    rows, axes = [row for row in keyword.rows if any(row)], np.eye(3)
+    if keyword.options.keys() - {"ELSET", "ORIENTATION"} or len(rows) != 2:
+        raise ValueError("not of one constant stiffness")
+    freedoms = [int(each) - 1 for each in rows[0] if each]
+    if not 0 <= (size := float(rows[1][0])) < math.inf:
+        raise ValueError(f"its stiffness is {size:g}")
+    if len(freedoms) != len(nodes) or not {*freedoms} <= {*range(6)}:
+        raise ValueError(f"freedoms {', '.join(rows[0])}, not one of 1 to 6 for each node")
+    if name := keyword.options.get("ORIENTATION", ""):
+        axes = np.reshape(reader.orientations[keyword.frame.key(name)], (3, 3))  # of no cylinder
+    elif keyword.frame.rotation or not reader.turned.keys().isdisjoint(nodes):
+        raise ValueError("its nodes are turned; name an ORIENTATION")
+    return freedoms, axes, size
+
+
+def _check_between(case: LoadCase, ends: list[CoupledGroup], direction: Array) -> None:
+    """Refuse a spring between two points that ``[[spring]]`` is not; zero direction: of turns."""
+    first, second = ends
+    points = np.array([first.point, second.point])
+    across = np.linalg.norm(np.cross(points[1] - points[0], direction))
+    if first is second or (first.kind, first.weighted) != (second.kind, second.weighted):
+        raise ValueError("it joins couplings of two kinds, or a point with itself")
+    if across > _ALONG * np.abs(points).max():
+        raise ValueError("its points are apart across it, so that it turns them")
+    if case.nonlinear:
+        raise ValueError("its direction stays at large displacements, that of [[spring]] turns")
+
+
+def _refuse(reader: Reader, keyword: Keyword, why: object) -> None:
+    more = "write [[supports.bushing]] for a spring to the ground, or [[spring]] between groups"
+    reader.lack(keyword, f"is not solved ({why}): {more}")
