@@ -183,9 +183,11 @@ class _Proposal:
             if ends == 1:
                 table = ["[[supports.bushing]]", f"group = {groups}"]
             matrix = spring.in_si(self.unit)
-            plain = np.array_equal(matrix, np.diag(np.diagonal(matrix)))
-            stiffness = (np.diagonal(matrix) if plain else matrix).tolist()
-            lines += [*table, *self.attached(spring.ends[0]), f"stiffness = {stiffness}"]
+            rows = [_numbers(tuple(row), digits=15) for row in matrix.tolist()]
+            values = f"[{', '.join(rows)}]"
+            if not (matrix - np.diag(np.diagonal(matrix))).any():
+                values = _numbers(tuple(np.diagonal(matrix).tolist()), digits=15)
+            lines += [*table, *self.attached(spring.ends[0]), f"stiffness = {values}"]
         return lines
 
     def interfaces(self) -> list[str]:

@@ -407,8 +407,8 @@ def _take_springs(data: _Bulk) -> None:
         ends = [(fields[2], "1"), (fields[3], "1")] if bush else [fields[2:4], fields[4:6]]
         ends = [(node, way or "0") for node, way in ends if node.strip("0")]
         try:
-            if not texts or not ends:
-                raise ValueError("without its property, or a node")
+            if not texts or not ends or not data.grids.keys() >= {node for node, _ in ends}:
+                raise ValueError("without its property, or on no GRID")
             sizes = [_real(text) for text in texts]
             axes = _spring_axes(data, fields if bush else [], [node for node, _ in ends], sizes)
         except (ValueError, LookupError) as error:

@@ -43,7 +43,8 @@ def join_springs(reader: Reader, deck: Deck, step: Step, case: LoadCase) -> None
             held[node] |= freedoms
     for keyword in reader.spring_sections:
         try:
-            labels = {*named(deck, deck.element_sets, keyword.options["ELSET"], keyword.frame)}
+            name = keyword.options.get("ELSET", "")
+            labels = {*named(deck, deck.element_sets, name, keyword.frame)}
             if not labels <= left.keys() or any(label in deck.where for label in labels):
                 raise ValueError("an element is no SPRING1 or 2, there twice or of two *SPRING")
             springs = [left.pop(label)[1] for label in sorted(labels)]
@@ -111,7 +112,10 @@ def _constants(
     if len(freedoms) != len(nodes) or not {*freedoms} <= {*range(6)}:
         raise ValueError(f"freedoms {', '.join(rows[0])}, not one of 1 to 6 for each node")
     if name := keyword.options.get("ORIENTATION", ""):
-        axes = np.reshape(reader.orientations[keyword.frame.key(name)], (3, 3))  # of no cylinder
+        values = reader.orientations.get(keyword.frame.key(name), ())
+        if len(values) != 9:
+            raise ValueError(f'"{name}" is no rectangular *ORIENTATION')
+        axes = np.reshape(values, (3, 3))
     elif keyword.frame.rotation or not reader.turned.keys().isdisjoint(nodes):
         raise ValueError("its nodes are turned; name an ORIENTATION")
     return freedoms, axes, size
