@@ -397,7 +397,7 @@ def _spring(data: _Bulk, name: str, fields: list[str]) -> None:
 
 def _take_springs(data: _Bulk) -> None:
     """Take each freedom of a spring as an element; the reader of the deck checks them."""
-    numbers = itertools.count(1 + max(int(r[0]) for rows in data.elements.values() for r in rows))
+    numbers = itertools.count(10**9)  # Nastran's end at 1e8
     for number, (name, fields) in data.springs.items():
         if name[0] == "P":
             continue
@@ -405,8 +405,8 @@ def _take_springs(data: _Bulk) -> None:
         key = f"P{name[1:].rstrip('12')}{fields[1] or number}"
         _, texts = own if name == "CELAS2" else data.springs.get(key, ("", []))
         ends = [(fields[2], "1"), (fields[3], "1")] if bush else [fields[2:4], fields[4:6]]
-        ends = [(node, way or "0") for node, way in ends if node.strip("0")]
         try:
+            ends = [(node, int(way or 0)) for node, way in ends if node.strip("0")]
             if not texts or not ends or not data.grids.keys() >= {node for node, _ in ends}:
                 raise ValueError("without its property, or on no GRID")
             sizes = [_real(text) for text in texts]
@@ -421,13 +421,13 @@ def _take_springs(data: _Bulk) -> None:
                 data.couplings += [f"*ELEMENT, TYPE=SPRING{len(ends)}, ELSET={element}"]
                 data.couplings += [", ".join([str(next(numbers)), *(node for node, _ in ends)])]
                 data.couplings += [f"*SPRING, ELSET={element}{option}"]
-                data.couplings += [", ".join(str(int(way) + i) for _, way in ends), f"{size:.12g}"]
+                data.couplings += [", ".join(str(way + i) for _, way in ends), f"{size:.12g}"]
 
 
 def _spring_axes(data: _Bulk, bush: list[str], nodes: list[str], sizes: list[float]) -> Array:
     """Return the axes of a spring, those of its nodes unless its fields are a CBUSH's, in rows."""
-    axes, *others = [data.axes_at(data.grids[node][5], node) for node in nodes]
     if not bush:
+        axes, *others = [data.axes_at(data.grids[node][5], node) for node in nodes]
         if not all(np.allclose(axes, other) for other in others):
             raise ValueError("on nodes of different axes")
         return axes

@@ -17,6 +17,7 @@ Array = np.ndarray
 NODES = {"SPRING1": 1, "SPRING2": 2}
 """Of an element of each type."""
 
+_UPRIGHT = tuple(np.eye(3).ravel().tolist())
 _ALONG = 1e-6  # of coordinates, which decks write to 7 digits
 
 
@@ -116,7 +117,7 @@ def _constants(
         if len(values) != 9:
             raise ValueError(f'"{name}" is no rectangular *ORIENTATION')
         axes = np.reshape(values, (3, 3))
-    elif keyword.frame.rotation or not reader.turned.keys().isdisjoint(nodes):
+    elif keyword.frame.rotation not in ((), _UPRIGHT) or not reader.turned.keys().isdisjoint(nodes):
         raise ValueError("its nodes are turned; name an ORIENTATION")
     return freedoms, axes, size
 
