@@ -206,7 +206,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     keys = ["interface"] if len(keys) == 1 else keys
     pairs = zip(keys, bundle.interfaces, strict=True)
     interfaces = [_attach(mesh, f"{key}.section", source, problems) for key, source in pairs]
-    holds = enumerate(bushing.hold for bushing in supports.bushings)
+    holds = enumerate(bushing.end(bushing.group) for bushing in supports.bushings)
     springs = [
         _attach(mesh, f"supports.bushing[{i}].group", source, problems) for i, source in holds
     ]

@@ -101,6 +101,7 @@ class _Proposal:
             *self.supports(),
             *self.interfaces(),
             *(line for _, tie in self.deck.ties for line in self.tie(tie)),
+            *self.springs(2),
             "",
             "[analysis]",
             *self.integration(bool(first)),
@@ -157,7 +158,8 @@ class _Proposal:
         held = [support for support in self.case.supports if support.group in self.groups]
         fixed = [slide.group for slide in held if slide.directions == "xyz"]
         sliding = [slide for slide in held if slide.directions != "xyz"]
-        if not held:
+        bushings = self.springs(1)
+        if not held and not bushings:
             self.decide.append("supports: the deck holds nothing; name fixed groups")
             fixed = [_CHOOSE]
         names = ", ".join(map(_text, dict.fromkeys(fixed)))
@@ -170,6 +172,22 @@ class _Proposal:
                 f"directions = [{ways}]",
             ]
             lines += _axes(support.axes)
+        return [*lines, *bushings]
+
+    def springs(self, ends: int) -> list[str]:
+        """Return the bushings, of one end each, or the springs between groups, of two."""
+        lines = []
+        for spring in (spring for spring in self.case.springs if len(spring.ends) == ends):
+            groups = ", ".join(_text(end.group) for end in spring.ends)
+            table = ["", "[[spring]]", f"groups = [{groups}]"]
+            if ends == 1:
+                table = ["[[supports.bushing]]", f"group = {groups}"]
+            matrix = spring.in_si(self.unit)
+            rows = [_numbers(tuple(row), digits=15) for row in matrix.tolist()]
+            values = f"[{', '.join(rows)}]"
+            if not (matrix - np.diag(np.diagonal(matrix))).any():
+                values = _numbers(tuple(np.diagonal(matrix).tolist()), digits=15)
+            lines += [*table, *self.attached(spring.ends[0]), f"stiffness = {values}"]
         return lines
 
     def interfaces(self) -> list[str]:
@@ -207,14 +225,15 @@ class _Proposal:
         return ["", "[[tie]]", *sides, *([near] if tie.distance else [])]
 
     def interface(self, group: CoupledGroup) -> list[str]:
-        at = ", ".join(f"{x * UNITS[self.unit]:.9g}" for x in group.point)
         locked = ", ".join(_text(FREEDOMS[i]) for i in sorted(group.held))
+        locks = [f"locked = [{locked}]"] if locked else []
+        return [f"section = {_text(group.group)}", *self.attached(group), *locks]
+
+    def attached(self, group: CoupledGroup) -> list[str]:
         return [
-            f"section = {_text(group.group)}",
-            *([f"point = [{at}]"] if at else []),
+            *([f"point = {_numbers(group.point, UNITS[self.unit])}"] if group.point else []),
             f"coupling = {_text(group.kind)}",
             *(['weights = "deck"'] if group.weighted else []),
-            *([f"locked = [{locked}]"] if locked else []),
         ]
 
     def range(self, group: CoupledGroup) -> list[str]:

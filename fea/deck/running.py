@@ -48,7 +48,8 @@ def filled(deck: bytes, loads: Sequence[float]) -> bytes:
     """
     missing = missing_placeholders(deck)
     if missing:
-        raise bad_deck(
+        raise SolveFailed(
+            "bad_deck",
             f"The deck has no {', '.join(missing)}, so that load would be lost.",
             "Put each placeholder where its load goes; where a guide takes the load, into a "
             "comment line that says so.",
@@ -87,6 +88,7 @@ def run_deck(deck: Deck, wrench: Array, folder: Path, progress: Progress) -> tup
 
 def _run(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress) -> Reading:
     command = [word.replace("{job}", run.job) for word in deck.command]
+    program = command[0]
 
     def watch() -> None:
         stage = reader.stage(run)
@@ -96,13 +98,28 @@ def _run(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress) -> Re
     try:
         code = run_command(command, run.folder, run.printed, deck.timeout, watch)
     except OutOfTime:
-        raise timed_out(command[0], deck.timeout) from None
+        raise SolveFailed(
+            "timed_out",
+            f'"{program}" was ended: it had not finished after {deck.timeout:g} s.',
+            "Give it more time with timeout (seconds) in [deck], or make the deck smaller.",
+        ) from None
     except OSError as error:
-        raise no_solver(command[0], error.strerror or str(error)) from None
-    program = command[0]
+        package = f" ({_PACKAGES[program]})" if program in _PACKAGES else ""
+        raise SolveFailed(
+            "no_solver",
+            f'The program "{program}" of [deck] command cannot be started: '
+            f"{error.strerror or error}.",
+            f"Install it{package} where solves run, so that it is on the PATH there, or correct "
+            "the command.",
+        ) from None
     complaint = reader.complaint(run)
     if complaint is not None and complaint.not_converged:
-        raise not_converged(program, complaint.quoted)
+        raise SolveFailed(
+            "not_converged",
+            f'"{program}" found no equilibrium. It printed: {complaint.quoted}',
+            "Check that the load lies within what the part can carry and that its supports hold "
+            "it; smaller increments in the deck may help.",
+        )
     if complaint is not None:
         raise solver_failed(program, _ending(code), complaint.quoted, run.folder)
     if code != 0:
@@ -256,29 +273,6 @@ def deck_report(deck: Deck) -> tuple[dict[str, Any], list[BundleProblem]]:
 
 
 _PACKAGES = {"ccx": "CalculiX: on Debian and Ubuntu, apt-get install calculix-ccx"}
-_FILES_HINT = (
-    "The deck as it was run and all that the solver wrote are in {folder} of the attempt's files."
-)
-
-
-def no_solver(program: str, reason: str) -> SolveFailed:
-    """Return the failure of a program that cannot be started."""
-    package = f" ({_PACKAGES[program]})" if program in _PACKAGES else ""
-    return SolveFailed(
-        "no_solver",
-        f'The program "{program}" of [deck] command cannot be started: {reason}.',
-        f"Install it{package} where solves run, so that it is on the PATH there, or correct the "
-        "command.",
-    )
-
-
-def timed_out(program: str, seconds: float) -> SolveFailed:
-    """Return the failure of a program that was ended because it took too long."""
-    return SolveFailed(
-        "timed_out",
-        f'"{program}" was ended: it had not finished after {seconds:g} s.',
-        "Give it more time with timeout (seconds) in [deck], or make the deck smaller.",
-    )
 
 
 def solver_failed(program: str, ending: str, quoted: str, folder: Path) -> SolveFailed:
@@ -288,45 +282,9 @@ def solver_failed(program: str, ending: str, quoted: str, folder: Path) -> Solve
     )
 
 
-def not_converged(program: str, quoted: str) -> SolveFailed:
-    """Return the failure of an outside solver that found no equilibrium."""
-    return SolveFailed(
-        "not_converged",
-        f'"{program}" found no equilibrium. It printed: {quoted}',
-        "Check that the load lies within what the part can carry and that its supports hold it; "
-        "smaller increments in the deck may help.",
-    )
-
-
 def bad_output(message: str, folder: Path) -> SolveFailed:
     """Return the failure of output in which the interface's motion cannot be found."""
     return SolveFailed("bad_output", message, _files_hint(folder))
-
-
-def bad_deck(message: str, remedy: str) -> SolveFailed:
-    """Return the failure of a deck that cannot take the wrench."""
-    return SolveFailed("bad_deck", message, remedy)
-
-
-def moment_unsettled(runs: int, gap: float) -> SolveFailed:
-    """Return the failure of the search for the conjugate moment."""
-    return SolveFailed(
-        "not_converged",
-        f"After {runs} runs the deck's moment is still {gap:.1e} off the required moment.",
-        'If the deck takes moments about fixed axes, say moment = "spatial" in [deck]; else the '
-        "part turns too much for its moment.",
-    )
-
-
-def not_linear(gap: float) -> SolveFailed:
-    """Return the failure of a deck that its bundle calls linear and that is not."""
-    return SolveFailed(
-        "not_linear",
-        f"The deck's answer to this wrench is {gap:.1e} off what its answers to single loads add "
-        "up to.",
-        "Set nonlinear = true in [analysis], or take out of the deck what is not linear: NLGEOM, "
-        "contact, plasticity, loads other than the wrench.",
-    )
 
 
 def not_reciprocal(message: str) -> SolveFailed:
@@ -341,4 +299,7 @@ def not_reciprocal(message: str) -> SolveFailed:
 
 def _files_hint(folder: Path) -> str:
     # Not the full path: it goes to clients, whom the server's folders do not concern.
-    return _FILES_HINT.format(folder=f"{folder.parent.name}/{folder.name}")
+    return (
+        "The deck as it was run and all that the solver wrote are in "
+        f"{folder.parent.name}/{folder.name} of the attempt's files."
+    )

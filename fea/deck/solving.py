@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from wrenchbook.fea.deck.running import moment_unsettled, not_linear, not_reciprocal, run_deck
+from wrenchbook.fea.deck.running import not_reciprocal, run_deck
+from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solution import Progress, Solution, checked_wrench
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, Deck
 from wrenchbook.fea.tensors import spin_per_vector
@@ -92,7 +93,14 @@ def solve_deck(
             largest = (np.abs(compliance) @ np.abs(loads)).reshape(2, 3).max(axis=1)
             gaps = np.abs(compliance @ loads - displacement).reshape(2, 3).max(axis=1)
             if (gaps > _LINEAR_GAP * largest).any():
-                raise not_linear(float((gaps / np.maximum(largest, 1e-300)).max()))
+                gap = float((gaps / np.maximum(largest, 1e-300)).max())
+                raise SolveFailed(
+                    "not_linear",
+                    f"The deck's answer to this wrench is {gap:.1e} off what its answers to single "
+                    "loads add up to.",
+                    "Set nonlinear = true in [analysis], or take out of the deck what is not "
+                    "linear: NLGEOM, contact, plasticity, loads other than the wrench.",
+                )
             # A compliance is that of an elastic body if loads do no negative work, and as much on
             # each other's displacements (Betti). Compared is the work (J) of loads of these sizes:
             # a locked freedom may show roundoff.
@@ -183,7 +191,13 @@ def _nonlinear(runs: _Runs, wrench: Array) -> Array:
         step, before = -inverse @ excess, excess
         acting = acting + step
     runs.accept(displacement)
-    raise moment_unsettled(_MAX_RUNS, gap / size)
+    raise SolveFailed(
+        "not_converged",
+        f"After {_MAX_RUNS} runs the deck's moment is still {gap / size:.1e} off the required "
+        "moment.",
+        'If the deck takes moments about fixed axes, say moment = "spatial" in [deck]; else the '
+        "part turns too much for its moment.",
+    )
 
 
 @contextlib.contextmanager

@@ -9,7 +9,11 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from wrenchbook.fea.spec.schema import UNITS, Tie
+
+Array = np.ndarray
 
 _FORCES = {"in": 4.4482216152605, "ft": 4.4482216152605, "um": 1e-6}
 """N: inches and feet go with pounds, micrometres with micronewtons, all others with newtons."""
@@ -82,6 +86,21 @@ class CoupledGroup:
     # Force and moment on the point in the deck's units
     loads: list[float] = field(default_factory=lambda: [0.0] * 6)
     weighted: bool = False  # whether its mean is by weights of the deck
+    directions: str = "xyz"  # of the global ones, along which it moves its group
+
+
+@dataclass(frozen=True, eq=False)
+class DeckSpring:
+    """Springs from the point of a coupling to the ground, or of two: at that of the first."""
+
+    where: str
+    ends: tuple[CoupledGroup, ...]
+    stiffness: Array  # shape (6, 6), along the global axes, in the deck's units
+
+    def in_si(self, unit: str) -> Array:
+        """Return its stiffness in N/m, N and N·m, the deck's length unit given."""
+        size = np.repeat([1.0, in_si("length", unit)], 3)
+        return self.stiffness * np.outer(size, size) * in_si("force", unit) / size[3]
 
 
 @dataclass
@@ -94,6 +113,7 @@ class LoadCase:
     name: str
     supports: list[HeldGroup] = field(default_factory=list)
     couplings: list[CoupledGroup] = field(default_factory=list)
+    springs: list[DeckSpring] = field(default_factory=list)
     loads: dict[str, list[float]] = field(default_factory=dict)
     nonlinear: bool = False
 
@@ -105,6 +125,7 @@ class LoadCase:
             for coupled in self.couplings
             if coupled.held
         ]
+        held += [f"{end.group} (on springs)" for spring in self.springs for end in spring.ends]
         acting = [
             *((coupling.group, coupling.loads) for coupling in self.couplings),
             *self.loads.items(),

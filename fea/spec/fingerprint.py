@@ -183,7 +183,10 @@ def _supports(supports: Supports | None) -> object:
             [support.group, support.directions.tolist()] for support in supports.sliding
         ),
         "bushings": sorted(
-            ([_interface(item.hold), item.stiffness.tolist()] for item in supports.bushings),
+            (
+                [_interface(item.end(item.group)), item.stiffness.tolist()]
+                for item in supports.bushings
+            ),
             key=json.dumps,
         ),
     }

@@ -430,6 +430,10 @@ class Attached:
     )
     """x, y and z of the frame in the mesh's axes"""
 
+    def end(self, group: str) -> Interface:
+        """Return a group as a section, with the point and the axes of this."""
+        return Interface(group, **{name: getattr(self, name) for name in keys_of(Attached)})
+
 
 @array_table
 class Bushing(Attached):
@@ -441,11 +445,6 @@ class Bushing(Attached):
     stiffness: Stiffness = key("N/m, N/rad and N·m/rad", "[1e6, 1e6, 1e6, 50, 50, 50]")
     """of x, y, z and the rotations about them; or K, six rows of six, symmetric and without
     negative eigenvalues"""
-
-    @property
-    def hold(self) -> Interface:
-        """The group as a section, with the point and the axes of the spring."""
-        return Interface(self.group, **{name: getattr(self, name) for name in keys_of(Attached)})
 
 
 @array_table
@@ -493,10 +492,6 @@ class Joint(Attached):
             raise MistakesError(("stiffness", "write it, or rigid = true in its place"))
         if self.rigid and self.coupling != "rigid":
             raise MistakesError(("coupling", 'must be "rigid" of a rigid joint'))
-
-    def end(self, group: str) -> Interface:
-        """Return one of the groups as a section, with the point and the axes of the spring."""
-        return Interface(group, coupling=self.coupling, point=self.point, axes=self.axes)
 
 
 @table

@@ -20,6 +20,7 @@ from wrenchbook.fea.mesh.io.raw import NODES_PER_LINE, Block, RawMesh
 from wrenchbook.fea.mesh.mesh import NODES_PER_CELL, NODES_PER_FACET
 from wrenchbook.fea.spec.deck_text import DeckText, deck_text
 from wrenchbook.fea.spec.problems import MeshFileError
+from wrenchbook.fea.tensors import rotation as turned
 
 Array = np.ndarray
 
@@ -73,9 +74,14 @@ class Keyword:
     rows: list[list[str]] = field(default_factory=list)
     frame: Frame = Frame()
 
+    @property
+    def where(self) -> str:
+        """The line and the word."""
+        return f"line {self.at}: *{self.word}"
+
     def wrong(self, message: object) -> MeshFileError:
         """Return the error that names the line."""
-        return MeshFileError(f"line {self.at}: *{self.word} {message}")
+        return MeshFileError(f"{self.where} {message}")
 
 
 def read_keywords(text: DeckText) -> Iterator[Keyword]:
@@ -161,9 +167,7 @@ def _frame(keyword: Keyword, number: int) -> Frame:
         shift, rotation = np.array((rows[0] + [0.0] * 3)[:3]), np.eye(3)
         if len(rows) > 1:
             a, b, angle = np.array(rows[1][:3]), np.array(rows[1][3:6]), np.radians(rows[1][6])
-            x, y, z = (b - a) / np.linalg.norm(b - a)
-            cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-            rotation += np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross  # Rodrigues
+            rotation = turned(angle * (b - a) / np.linalg.norm(b - a))
             shift = rotation @ (shift - a) + a
     except (ValueError, IndexError) as error:
         raise keyword.wrong(f"cannot be read ({error})") from None
@@ -234,6 +238,12 @@ def axes_through(origin: Array, first: Array, second: Array) -> Array:
     return np.array([x, np.cross(z, x), z])
 
 
+def radial_axes(axis: Array, out: Array) -> Array:
+    """Return the radial, circumferential and axial directions at a point off an axis, in rows."""
+    around = np.cross(axis, out)
+    return axes_through(np.zeros(3), np.cross(around, axis), around)
+
+
 def cartesian(kind: str, point: Array) -> Array:
     """Return a point by its coordinates in a system R, C or S, angles in degrees, shape (3,)."""
     radius, (a, b) = point[0], np.radians(point[1:])
@@ -295,7 +305,7 @@ def _take_nodes(deck: Deck, keyword: Keyword) -> None:
             )
         labels.append(label)
     if "NSET" in keyword.options:
-        _add(deck, deck.node_sets, keyword.frame, keyword.options["NSET"], labels)
+        add(deck, deck.node_sets, keyword.frame, keyword.options["NSET"], labels)
 
 
 def _take_system(deck: Deck, keyword: Keyword) -> None:
@@ -336,7 +346,7 @@ def _take_elements(deck: Deck, keyword: Keyword) -> None:
     deck.cells.append([row[1:] for row in table])
     if "ELSET" in keyword.options:
         labels = [row[0] for row in table]
-        _add(deck, deck.element_sets, keyword.frame, keyword.options["ELSET"], labels)
+        add(deck, deck.element_sets, keyword.frame, keyword.options["ELSET"], labels)
 
 
 def kind_of(name: str) -> str | None:
@@ -357,7 +367,7 @@ def _take_set(deck: Deck, keyword: Keyword) -> None:
         for element in named(deck, deck.element_sets, keyword.options["ELSET"], keyword.frame):
             block, row = deck.where[element]
             entries += deck.cells[block][row]
-    _add(deck, sets, keyword.frame, keyword.options[keyword.word], entries)
+    add(deck, sets, keyword.frame, keyword.options[keyword.word], entries)
 
 
 def _members(deck: Deck, sets: dict[str, list[int]], keyword: Keyword) -> list[int]:
@@ -427,7 +437,7 @@ def _take_surface(deck: Deck, keyword: Keyword) -> None:
 def add_weighted(deck: Deck, frame: Frame, name: str, target: str, weight: str = "") -> None:
     """Add a node or the nodes of a set to another set, with the weight of each if it has one."""
     labels = named(deck, deck.node_sets, target, frame)
-    _add(deck, deck.node_sets, frame, name, list(labels))
+    add(deck, deck.node_sets, frame, name, list(labels))
     if weight and labels:
         deck.weights[frame.key(name)].update(dict.fromkeys(labels, float(weight)))
 
@@ -458,9 +468,10 @@ def _key(deck: Deck, frame: Frame, name: str) -> str:
     return key
 
 
-def _add(
+def add(
     deck: Deck, sets: dict[str, list[int]], frame: Frame, name: str, entries: list[int]
 ) -> None:
+    """Add members to a set, a new one or that of its name."""
     deck.entries += len(entries)
     if deck.entries > _MAX_MEMBERS:
         raise MeshFileError(f"names a set too many: they have {deck.entries} members in all")

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from wrenchbook.fea.mesh.deck_content import (
-    Constant,
     CoupledGroup,
     DeckContent,
     HeldGroup,
@@ -32,11 +31,14 @@ from wrenchbook.fea.mesh.io.abaqus import (
     named,
     numbers,
     parsed,
+    radial_axes,
     raw_mesh,
     set_key,
     set_names,
 )
 from wrenchbook.fea.mesh.io.raw import RawMesh
+from wrenchbook.fea.mesh.io.reader import Coupling, Reader, Step
+from wrenchbook.fea.mesh.io.springs import NODES, join_springs, take_elements
 from wrenchbook.fea.spec.problems import MeshFileError
 from wrenchbook.fea.spec.schema import Tie
 
@@ -53,7 +55,6 @@ _BOUNDARY_TYPES = {
 }
 
 _MISSING = {
-    "SPRING": "is not solved; write [[supports.bushing]] or [[spring]]",
     "CONNECTOR SECTION": "is not solved; write [[supports.bushing]] or [[spring]]",
     "CONTACT": "is not solved: surfaces do not meet; compare bonded and free as bounds",
     "CONTACT PAIR": "is not solved: surfaces do not meet; compare bonded and free as bounds",
@@ -82,6 +83,11 @@ _LOOSE = (
     "in the mesh, or write [[tie]]"
 )
 
+_PARTLY = (
+    "couples some directions only; here all three are: couple 1 to 3, or hold all freedoms of its "
+    "point, which makes the group a support"
+)
+
 _QUIET = {"", "HEADING", "PREPRINT", "ASSEMBLY", "END ASSEMBLY", "PART", "END PART", "END STEP"}
 _QUIET |= {"END LOAD CASE"}
 
@@ -89,97 +95,23 @@ _PROPOSED = {"CLOAD", "STEP", "LOAD CASE"}
 """Keywords that propose load range and analysis of a new component; they are not compared."""
 
 
-@dataclass
-class _Coupling:
-    """A coupling as read: the key of its surface or node set, and its nodes' labels."""
-
-    keyword: Keyword
-    key: str
-    ref: int | None
-    rot: int | None = None
-    kind: str = "rigid"
-    radius: float = math.inf
-
-
-@dataclass
-class _Step:
-    """Supports and forces at the end of a step; freedoms are numbers from 0.
-
-    `name` is empty of what is no case, as of a step with load cases. `kind` is "general",
-    "perturbation" or "load case". `motions` are (where, key of a set or empty, labels, freedoms
-    held), `forces` the key and the load by label and freedom. `begun` has the words of the step's
-    keywords and the keys of its forces.
-    """
-
-    name: str = ""
-    kind: str = "general"
-    motions: list[tuple[str, str, list[int], set[int]]] = field(default_factory=list)
-    forces: dict[tuple[int, int], tuple[str, float]] = field(default_factory=dict)
-    nonlinear: bool = False
-    begun: set[str | tuple[int, int]] = field(default_factory=set)
-
-    def begin(self, keyword: Keyword) -> None:
-        """Go on, at a word's first keyword, from what earlier steps set, by OP=NEW from nothing."""
-        if keyword.word not in self.begun:
-            self.begun.add(keyword.word)
-            new = keyword.options.get("OP", "").upper() == "NEW"
-            if keyword.word == "CLOAD":
-                self.forces = {} if new else dict(self.forces)
-            else:
-                self.motions = [] if new else list(self.motions)
-
-
-@dataclass
-class _Reader:
-    """Content read besides the mesh; groups are keys of the deck's sets until the end.
-
-    `steps` begins with what precedes the first; `sets` are keys of node sets by their labels, and
-    `points` the number of a coupling and the first freedom of each reference node. `turned` are the
-    axes of nodes, nine numbers, that are not the global ones.
-    """
-
-    content: DeckContent = field(default_factory=DeckContent)
-    sections: list[tuple[str, str, str, str]] = field(default_factory=list)
-    orientations: dict[str, tuple[float, ...]] = field(default_factory=dict)
-    turned: dict[int, tuple[float, ...]] = field(default_factory=dict)
-    couplings: list[_Coupling] = field(default_factory=list)
-    # Where, keys of both surfaces, and distance
-    ties: list[tuple[str, str, str, float | None]] = field(default_factory=list)
-    # By node and freedom from 0, what the node follows by an equation: weights by label
-    equations: dict[int, dict[int, tuple[Keyword, dict[int, float]]]] = field(default_factory=dict)
-    steps: list[_Step] = field(default_factory=lambda: [_Step()])
-    sets: dict[frozenset[int], str] = field(default_factory=dict)
-    points: dict[int, tuple[int, int]] = field(default_factory=dict)
-    material: str = ""
-
-    def take(self, deck: Deck, keyword: Keyword) -> None:
-        """Take one keyword, after the deck has taken what is of the mesh."""
-        taker = _TAKERS.get(keyword.word)
-        if "INPUT" in keyword.options and (taker is not None or keyword.word in TAKERS):
-            message = "paste that file's lines below the keyword"
-            raise MeshFileError(f"has its rows in {keyword.options['INPUT']}; {message}")
-        try:
-            if taker is not None:
-                taker(self, deck, keyword)
-        except (MeshFileError, ValueError, LookupError) as error:
-            self.lack(keyword, f"is not understood, so not taken over ({error})")
-        if keyword.word in _MISSING:
-            self.lack(keyword, _MISSING[keyword.word])
-        if keyword.word not in _QUIET:
-            known = keyword.word in TAKERS or (taker is not None and keyword.word not in _PROPOSED)
-            lines = self.content.taken if known else self.content.ignored
-            lines.setdefault(keyword.word, []).append(keyword.line)
-
-    def lack(self, keyword: Keyword, message: str) -> None:
-        """Note what counts and is not taken over."""
-        before = self.content.missing.get(_where(keyword), message)
-        together = before if message in before else f"{before}; it {message}"
-        self.content.missing[_where(keyword)] = together
-
-    @property
-    def constants(self) -> dict[str, Constant]:
-        """The material that the keywords are of."""
-        return self.content.materials.setdefault(self.material, {})
+def _take(reader: Reader, deck: Deck, keyword: Keyword) -> None:
+    """Take one keyword, after the deck has taken what is of the mesh."""
+    taker = _TAKERS.get(keyword.word)
+    if "INPUT" in keyword.options and (taker is not None or keyword.word in TAKERS):
+        message = "paste that file's lines below the keyword"
+        raise MeshFileError(f"has its rows in {keyword.options['INPUT']}; {message}")
+    try:
+        if taker is not None:
+            taker(reader, deck, keyword)
+    except (MeshFileError, ValueError, LookupError) as error:
+        reader.lack(keyword, f"is not understood, so not taken over ({error})")
+    if keyword.word in _MISSING:
+        reader.lack(keyword, _MISSING[keyword.word])
+    if keyword.word not in _QUIET:
+        known = keyword.word in TAKERS or (taker is not None and keyword.word not in _PROPOSED)
+        lines = reader.content.taken if known else reader.content.ignored
+        lines.setdefault(keyword.word, []).append(keyword.line)
 
 
 def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
@@ -188,8 +120,8 @@ def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
     Raises MeshFileError as `fea.mesh.io.abaqus.parsed` does, or if a keyword has its rows in
     another file.
     """
-    reader = _Reader()
-    deck = parsed(path, reader.take)
+    reader = Reader()
+    deck = parsed(path, lambda deck, keyword: _take(reader, deck, keyword))
     # Make a case of each step: groups by their final names, and what acts on couplings.
     content = reader.content
     reader.sets = {frozenset(labels): key for key, labels in reversed(deck.node_sets.items())}
@@ -197,59 +129,77 @@ def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
     steps = [step for step in reader.steps if step.name] or reader.steps
     held: dict[int, tuple[list[HeldGroup], list[set[int]]]] = {}  # steps share their motions
     for step in reversed(steps):  # from the last: its groups get the plain names
-        case = LoadCase(step.name, nonlinear=step.nonlinear)
         if id(step.motions) not in held:
             held[id(step.motions)] = _supports(reader, deck, step, len(couplings))
-        case.supports, freedoms = held[id(step.motions)]
-        case.couplings = [
-            replace(coupling, held=set(freedoms[i]), loads=[0.0] * 6)
-            for i, coupling in enumerate(couplings)
+        supports, freedoms = held[id(step.motions)]
+        coupled = [
+            replace(coupling, held=set(ways), loads=[0.0] * 6)
+            for coupling, ways in zip(couplings, freedoms, strict=True)
         ]
-        single = {label for (label, _), (key, _) in step.forces.items() if not key}
-        single -= reader.points.keys()
-        single_key = _set_of(reader, deck, sorted(single), "nodes_with_forces") if single else ""
-        for (label, freedom), (key, value) in step.forces.items():
-            number, first = reader.points.get(label, (None, 0))
-            if number is None:
-                loads = case.loads.setdefault(key or single_key, [0.0] * 6)
-            else:
-                loads = case.couplings[number].loads
-            turn, way = divmod((freedom + first) % 6, 3)
-            along = reader.turned.get(label, np.eye(3).ravel())[3 * way : 3 * way + 3]
-            for i, part in enumerate(along):
-                loads[3 * turn + i] += part * value
+        case = LoadCase(step.name, supports, coupled, nonlinear=step.nonlinear)
+        _take_loads(reader, deck, step, case)
+        join_springs(reader, deck, step, case)
         content.cases.insert(0, case)
     regions, groups = set_names(deck, deck.element_sets), set_names(deck, deck.node_sets)
     faces = set_names(deck, deck.surfaces)
     content.missing |= {
-        where: f'has the orientation "{orientation}", which is not taken over'
-        for where, _, _, orientation in reader.sections
-        if orientation and orientation not in reader.orientations
+        where: f'has the orientation "{name}", which is not taken over'
+        for where, _, _, name in reader.sections
+        if name and name not in reader.orientations
     }
-    for where, key, name, orientation in reader.sections:
-        axes = reader.orientations.get(orientation, _GLOBAL)
+    for where, key, name, axes_name in reader.sections:
+        axes = reader.orientations.get(axes_name, _GLOBAL)
         content.sections.append(SolidSection(where, regions[key], name, axes))
     for case in content.cases:
-        case.supports = [replace(support, group=groups[support.group]) for support in case.supports]
-        case.loads = {groups[key]: loads for key, loads in case.loads.items()}
-        for coupled in list(case.couplings):
-            coupled.group = faces.get(coupled.group) or groups[coupled.group]
-            if len(coupled.held) == len(coupled.loads):
-                case.couplings.remove(coupled)
-                case.supports.append(HeldGroup(coupled.where, coupled.group, "xyz"))
+        _finish(case, content, groups, faces)
     content.ties = [(at, Tie(faces[a], faces[b], near)) for at, a, b, near in reader.ties]
     return replace(raw_mesh(deck), follow=_following(reader, deck)), content
 
 
-def _where(keyword: Keyword) -> str:
-    return f"line {keyword.at}: *{keyword.word}"
+def _take_loads(reader: Reader, deck: Deck, step: Step, case: LoadCase) -> None:
+    """Add a step's forces to its couplings, or to the groups with forces."""
+    single = {label for (label, _), (key, _) in step.forces.items() if not key}
+    single -= reader.points.keys()
+    single_key = _set_of(reader, deck, sorted(single), "nodes_with_forces") if single else ""
+    for (label, freedom), (key, value) in step.forces.items():
+        number, first = reader.points.get(label, (None, 0))
+        if number is None:
+            loads = case.loads.setdefault(key or single_key, [0.0] * 6)
+        else:
+            loads = case.couplings[number].loads
+        turn, way = divmod((freedom + first) % 6, 3)
+        along = reader.turned.get(label, np.eye(3).ravel())[3 * way : 3 * way + 3]
+        for i, part in enumerate(along):
+            loads[3 * turn + i] += part * value
 
 
-def _take_elements(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+def _finish(
+    case: LoadCase, content: DeckContent, groups: dict[str, str], faces: dict[str, str]
+) -> None:
+    """Give groups their final names, and make supports of couplings whose points are held."""
+    case.supports = [replace(support, group=groups[support.group]) for support in case.supports]
+    case.loads = {groups[key]: loads for key, loads in case.loads.items()}
+    sprung = {id(end) for spring in case.springs for end in spring.ends}
+    couplings, case.couplings = case.couplings, []
+    for coupled in couplings:
+        coupled.group = faces.get(coupled.group) or groups[coupled.group]
+        fixed = len(coupled.held) == 6
+        if fixed and coupled.directions:
+            held = HeldGroup(coupled.where, coupled.group, coupled.directions)
+            case.supports.append(held)
+        elif coupled.directions != "xyz":
+            content.missing[coupled.where] = _PARTLY
+        if not fixed and id(coupled) not in sprung:
+            case.couplings.append(coupled)
+
+
+def _take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     kind = keyword.options["TYPE"].upper()
     if kind == "DCOUP3D":  # its node as a set, by which *DISTRIBUTING COUPLING names it
         ((_, node, *_),) = keyword.rows
         add_weighted(deck, keyword.frame, keyword.options["ELSET"], node)
+    elif kind in NODES:
+        take_elements(reader, deck, keyword)
     elif kind_of(kind) is None:
         reader.lack(keyword, f"of type {kind} is not solved: only solid cells are")
     elif keyword.at in deck.element_lines[-1:]:
@@ -257,11 +207,11 @@ def _take_elements(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
         counts[kind] = counts.get(kind, 0) + len(deck.cells[-1])
 
 
-def _take_material(reader: _Reader, _: Deck, keyword: Keyword) -> None:
+def _take_material(reader: Reader, _: Deck, keyword: Keyword) -> None:
     reader.material = keyword.options["NAME"]
 
 
-def _take_constants(reader: _Reader, _: Deck, keyword: Keyword) -> None:
+def _take_constants(reader: Reader, _: Deck, keyword: Keyword) -> None:
     kind = keyword.options.get("TYPE", "ISO").upper().replace(" ", "")
     if keyword.word == "ELASTIC" and kind in ("ENGINEERINGCONSTANTS", "ORTHO"):
         values = [float(each) for row in keyword.rows for each in row if each][:9]
@@ -287,14 +237,14 @@ def _take_constants(reader: _Reader, _: Deck, keyword: Keyword) -> None:
         reader.lack(keyword, "has values at several temperatures; its first line is compared")
 
 
-def _take_section(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+def _take_section(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     key = set_key(deck, deck.element_sets, keyword.options["ELSET"], keyword.frame)
     orientation = keyword.options.get("ORIENTATION", "")
     orientation = keyword.frame.key(orientation) if orientation else ""
-    reader.sections.append((_where(keyword), key, keyword.options["MATERIAL"], orientation))
+    reader.sections.append((keyword.where, key, keyword.options["MATERIAL"], orientation))
 
 
-def _take_orientation(reader: _Reader, _: Deck, keyword: Keyword) -> None:
+def _take_orientation(reader: Reader, _: Deck, keyword: Keyword) -> None:
     """Take axes through points, by an angle about one of them; or about the axis of a cylinder."""
     system = keyword.options.get("SYSTEM", "RECTANGULAR").upper()
     kind = keyword.options.get("DEFINITION", "COORDINATES").upper()
@@ -320,16 +270,23 @@ def _take_orientation(reader: _Reader, _: Deck, keyword: Keyword) -> None:
     reader.orientations[name] = tuple(axes.ravel().tolist())
 
 
-def _take_transform(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
-    if (kind := keyword.options.get("TYPE", "R").upper()) != "R":
-        reader.lack(keyword, f"of type {kind} turns nodes; they are taken in the global axes")
-        return
-    axes = axes_through(np.zeros(3), *numbers(keyword, 0, 6).reshape(2, 3))
-    for label in named(deck, deck.node_sets, keyword.options["NSET"], keyword.frame):
-        reader.turned[label] = tuple(axes.ravel().tolist())
+def _take_transform(reader: Reader, deck: Deck, keyword: Keyword) -> None:
+    """Take the axes of nodes, around a cylinder's axis those of each."""
+    if (kind := keyword.options.get("TYPE", "R").upper()) not in ("R", "C"):
+        raise ValueError(f"type {kind}; it may be R or C")
+    frame, (first, second) = keyword.frame, numbers(keyword, 0, 6).reshape(2, 3)
+    axis, turn = second - first, np.reshape(frame.rotation or np.eye(3), (3, 3))
+    start = np.array(frame.transformed(first.tolist()))
+    labels = named(deck, deck.node_sets, keyword.options["NSET"], frame)
+    if kind == "R":
+        axes = [axes_through(np.zeros(3), first, second) @ turn.T] * len(labels)
+    else:
+        axes = [radial_axes(turn @ axis, deck.nodes[label] - start) for label in labels]
+    rows = (tuple(each.ravel().tolist()) for each in axes)
+    reader.turned |= dict(zip(labels, rows, strict=True))
 
 
-def _take_boundary(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+def _take_boundary(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     step = reader.steps[-1]
     step.begin(keyword)
     if {"SUBMODEL", "USER"} & keyword.options.keys():
@@ -344,7 +301,7 @@ def _take_boundary(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
             if held and float(value or 0.0):
                 reader.lack(keyword, "moves nodes by what is not 0; they are fixed where they are")
         key, labels = _target(deck, target, keyword.frame)
-        step.motions.append((_where(keyword), key, labels, held))
+        step.motions.append((keyword.where, key, labels, held))
 
 
 def _target(deck: Deck, name: str, frame: Frame) -> tuple[str, list[int]]:
@@ -354,19 +311,22 @@ def _target(deck: Deck, name: str, frame: Frame) -> tuple[str, list[int]]:
     return "" if single else set_key(deck, deck.node_sets, name, frame), labels
 
 
-def _take_coupling(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+def _take_coupling(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     name = keyword.options["SURFACE"]
     sets = deck.surfaces if keyword.frame.key(name) in deck.surfaces else deck.node_sets
     key = set_key(deck, sets, name, keyword.frame)
     radius = float(keyword.options.get("INFLUENCE RADIUS", "inf"))
     ref = _node(deck, keyword, "REF NODE")
-    reader.couplings.append(_Coupling(keyword, key, ref, radius=radius))
+    reader.couplings.append(Coupling(keyword, key, ref, radius=radius))
 
 
-def _take_coupling_kind(reader: _Reader, _: Deck, keyword: Keyword) -> None:
+def _take_coupling_kind(reader: Reader, _: Deck, keyword: Keyword) -> None:
     rows = [[int(each) for each in row if each] for row in keyword.rows]
     freedoms = {n for row in rows for n in range(row[0], row[-1] + 1)}
-    if rows and not freedoms >= {1, 2, 3}:
+    some = "".join(way for i, way in enumerate("xyz", 1) if i in freedoms)
+    if rows and keyword.word == "KINEMATIC":
+        reader.couplings[-1].directions = some
+    elif rows and some != "xyz":
         reader.lack(keyword, "couples some directions only; here all three are")
     elif rows and keyword.word == "DISTRIBUTING" and not freedoms >= {4, 5, 6}:
         reader.lack(keyword, "couples no rotation; here its point turns with the mean")
@@ -375,16 +335,16 @@ def _take_coupling_kind(reader: _Reader, _: Deck, keyword: Keyword) -> None:
     reader.couplings[-1].kind = "rigid" if keyword.word == "KINEMATIC" else "distributed"
 
 
-def _take_weighted(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+def _take_weighted(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     """Take the mean of nodes with weights that the point of a DCOUP3D follows."""
     name = f"{keyword.options['ELSET']}_nodes"
     for target, weight in keyword.rows:
         add_weighted(deck, keyword.frame, name, target, weight)
     ref = _node(deck, keyword, "ELSET")
-    reader.couplings.append(_Coupling(keyword, keyword.frame.key(name), ref, kind="distributed"))
+    reader.couplings.append(Coupling(keyword, keyword.frame.key(name), ref, kind="distributed"))
 
 
-def _take_rigid(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+def _take_rigid(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     name = next(
         (keyword.options[k] for k in ("NSET", "TIE NSET", "PIN NSET") if k in keyword.options), ""
     )
@@ -393,7 +353,7 @@ def _take_rigid(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
         return
     key = set_key(deck, deck.node_sets, name, keyword.frame)
     ref, rot = (_node(deck, keyword, option) for option in ("REF NODE", "ROT NODE"))
-    reader.couplings.append(_Coupling(keyword, key, ref, rot))
+    reader.couplings.append(Coupling(keyword, key, ref, rot))
 
 
 def _node(deck: Deck, keyword: Keyword, option: str) -> int | None:
@@ -402,17 +362,17 @@ def _node(deck: Deck, keyword: Keyword, option: str) -> int | None:
     return named(deck, deck.node_sets, keyword.options[option], keyword.frame)[0]
 
 
-def _take_tie(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+def _take_tie(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     """Take a tie of surfaces of faces."""
     if "CYCLIC SYMMETRY" in keyword.options:
         raise ValueError("a part of a circle")
     distance = float(keyword.options.get("POSITION TOLERANCE", 0.0)) or None
     for row in keyword.rows:
         first, second = (set_key(deck, deck.surfaces, name, keyword.frame) for name in row[:2])
-        reader.ties.append((_where(keyword), first, second, distance))
+        reader.ties.append((keyword.where, first, second, distance))
 
 
-def _take_equations(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+def _take_equations(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     """Take equations: the number of terms, then node, freedom and factor of each."""
     fields = [each for row in keyword.rows for each in row if each]
     while fields and "REMOVE" not in keyword.options:
@@ -426,7 +386,7 @@ def _take_equations(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
         _equate(reader, keyword, list(zip(labels, terms[1::3], factors, strict=True)))
 
 
-def _take_constraints(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+def _take_constraints(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     """Take pairs of nodes that move alike."""
     for kind, *names in keyword.rows:
         labels = [named(deck, deck.node_sets, name, keyword.frame) for name in names]
@@ -435,7 +395,7 @@ def _take_constraints(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
             _equate(reader, keyword, [(labels[0][0], axis, -1.0), (labels[-1][0], axis, 1.0)])
 
 
-def _equate(reader: _Reader, keyword: Keyword, terms: list[tuple[int, str, float]]) -> None:
+def _equate(reader: Reader, keyword: Keyword, terms: list[tuple[int, str, float]]) -> None:
     (node, freedom, factor), *others = terms
     weights: dict[int, float] = defaultdict(float)
     for label, _, other in others:
@@ -447,7 +407,7 @@ def _equate(reader: _Reader, keyword: Keyword, terms: list[tuple[int, str, float
     rows[axis if alone else -1] = keyword, weights
 
 
-def _following(reader: _Reader, deck: Deck) -> list[tuple[int, int, float]]:
+def _following(reader: Reader, deck: Deck) -> list[tuple[int, int, float]]:
     """Return nodes that follow others, these, and weights, by the rows of nodes.
 
     All are of second-order cells, and have the same weights and axes in all three directions.
@@ -467,7 +427,7 @@ def _following(reader: _Reader, deck: Deck) -> list[tuple[int, int, float]]:
     return entries
 
 
-def _take_force(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
+def _take_force(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     step = reader.steps[-1]
     step.begin(keyword)
     if "AMPLITUDE" in keyword.options:
@@ -485,7 +445,7 @@ def _take_force(reader: _Reader, deck: Deck, keyword: Keyword) -> None:
             step.begun.add(entry)
 
 
-def _take_step(reader: _Reader, _: Deck, keyword: Keyword) -> None:
+def _take_step(reader: Reader, _: Deck, keyword: Keyword) -> None:
     """Begin a step where the last general step ends, or a load case where its step stands."""
     kinds, kind = ("general",), "perturbation" if "PERTURBATION" in keyword.options else "general"
     if keyword.word == "LOAD CASE":
@@ -515,7 +475,8 @@ _CONSTANTS = {
     "PLASTIC": ("yield_strength",),
 }
 
-_TAKERS: dict[str, Callable[[_Reader, Deck, Keyword], None]] = {
+
+_TAKERS: dict[str, Callable[[Reader, Deck, Keyword], None]] = {
     "ELEMENT": _take_elements,
     "MATERIAL": _take_material,
     **dict.fromkeys(_CONSTANTS, _take_constants),
@@ -528,6 +489,7 @@ _TAKERS: dict[str, Callable[[_Reader, Deck, Keyword], None]] = {
     "DISTRIBUTING": _take_coupling_kind,
     "DISTRIBUTING COUPLING": _take_weighted,
     "RIGID BODY": _take_rigid,
+    "SPRING": lambda reader, _, keyword: reader.spring_sections.append(keyword),
     "TIE": _take_tie,
     "EQUATION": _take_equations,
     "MPC": _take_constraints,
@@ -537,7 +499,7 @@ _TAKERS: dict[str, Callable[[_Reader, Deck, Keyword], None]] = {
 
 
 def _supports(
-    reader: _Reader, deck: Deck, step: _Step, count: int
+    reader: Reader, deck: Deck, step: Step, count: int
 ) -> tuple[list[HeldGroup], list[set[int]]]:
     """Return the groups that a step holds, by their keys, and the freedoms of each coupling."""
     of_couplings: list[set[int]] = [set() for _ in range(count)]
@@ -574,7 +536,7 @@ def _directions(freedoms: set[int]) -> str:
     return "".join(way for i, way in enumerate("xyz") if i in freedoms)
 
 
-def _set_of(reader: _Reader, deck: Deck, labels: list[int], name: str) -> str:
+def _set_of(reader: Reader, deck: Deck, labels: list[int], name: str) -> str:
     """Return the key of the set of these nodes, a new key if the deck has none."""
     nodes = frozenset(labels)
     if nodes not in reader.sets:
@@ -585,7 +547,7 @@ def _set_of(reader: _Reader, deck: Deck, labels: list[int], name: str) -> str:
     return reader.sets[nodes]
 
 
-def _couplings(reader: _Reader, deck: Deck) -> list[CoupledGroup]:
+def _couplings(reader: Reader, deck: Deck) -> list[CoupledGroup]:
     """Return the couplings whose reference nodes can be used, and note these in the reader."""
     couplings: list[CoupledGroup] = []
     for coupled in reader.couplings:
@@ -608,12 +570,16 @@ def _couplings(reader: _Reader, deck: Deck) -> list[CoupledGroup]:
             key = _set_of(reader, deck, near, f"{deck.names[key]}_within_{coupled.radius:g}")
             if weights:
                 deck.weights[key] = Counter({n: weights[n] for n in near if n in weights})
+        directions, own = coupled.directions, "ORIENTATION" in coupled.keyword.options
+        if directions != "xyz" and (
+            own or not reader.turned.keys().isdisjoint(_nodes_of(deck, key))
+        ):
+            directions = ""  # of other axes than the mesh's
         numbers = ((coupled.ref, 0), (coupled.rot, 3))
         reader.points |= {n: (len(couplings), i) for n, i in numbers if n is not None}
         weighted = coupled.kind == "distributed" and key in deck.weights
-        couplings.append(
-            CoupledGroup(_where(coupled.keyword), key, coupled.kind, point, weighted=weighted)
-        )
+        group = CoupledGroup(coupled.keyword.where, key, coupled.kind, point, weighted=weighted)
+        couplings.append(replace(group, directions=directions))
     return couplings
 
 

@@ -6,6 +6,7 @@ word, and knows no materials, constraints and rigid elements.
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections import defaultdict
 from collections.abc import Callable, Iterator
@@ -13,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wrenchbook.fea.mesh.io.abaqus import axes_through, cartesian
+from wrenchbook.fea.mesh.io.abaqus import axes_through, cartesian, radial_axes
 from wrenchbook.fea.mesh.io.raw import Case, Translated
 from wrenchbook.fea.spec.deck_text import DeckText
 from wrenchbook.fea.spec.problems import MeshFileError
@@ -35,6 +36,7 @@ _QUIET = {"PARAM", "END BULK", "MPCADD"}
 _SYSTEMS = ("CORD1R", "CORD1C", "CORD1S", "CORD2R", "CORD2C", "CORD2S")
 _EXPONENT = re.compile(r"(?<=[\d.])([+-]\d+)$")
 _MASS_FACTOR = re.compile(r"^\s*PARAM[\s,*]+WTMASS[\s,]+([\w.+-]+)", re.I | re.M)
+_ALONG = 1e-6  # of a length: decks write coordinates to 7 digits
 _NONLINEAR = re.compile(r"^\s*SOL\s+(106|NLSTATIC|400|60[01])\b", re.I | re.M)
 _CASE = re.compile(r"(SUBCASE|SUBC|SYM|SUBCOM|SYMCOM|REPCASE)\b\s*=?\s*(\d+)")
 _SELECTION = re.compile(r"(SPC|LOAD)\b\s*(?:\([^)]*\))?\s*=?\s*(\w+)")
@@ -57,6 +59,8 @@ class _Bulk(Translated):
     cards: dict[str, tuple[str, list[str]]] = field(default_factory=dict)
     grids: dict[str, list[str]] = field(default_factory=dict)
     systems: dict[str, tuple[str, Array, Array]] = field(default_factory=dict)
+    # Cards of springs by number, and by name and number the stiffnesses of each property
+    springs: dict[str, tuple[str, list[str]]] = field(default_factory=dict)
 
     def system(self, number: str) -> tuple[str, Array, Array]:
         """Return kind (R, C, S), axes in rows and origin of a coordinate system, in basic axes."""
@@ -86,16 +90,24 @@ class _Bulk(Translated):
         """Return where the node of a GRID is, in basic axes, shape (3,)."""
         return self.placed(fields[1], np.array([_real(each) for each in fields[2:5]]))
 
+    def oriented(self, name: str, axes: Array, kind: str = "R") -> str:
+        """Add an orientation unless it is the basic one; return the option that names it."""
+        if kind == "R" and np.array_equal(axes, np.eye(3)):
+            return ""
+        system = ", SYSTEM=CYLINDRICAL" if kind == "C" else ""
+        row = ", ".join(f"{each:.15g}" for each in axes[:2].ravel().tolist())
+        self.couplings += [f"*ORIENTATION, NAME=AXES_{name}{system}", row]
+        return f", ORIENTATION=AXES_{name}"
+
     def axes_at(self, number: str, node: str) -> Array:
         """Return the axes of a coordinate system at a node in rows, shape (3, 3)."""
         kind, axes, origin = self.system(number)
         if kind == "R":
             return axes
         out = self.point(self.grids[node]) - origin
-        around = np.cross(axes[2], out)
         if kind == "C":
-            return axes_through(np.zeros(3), np.cross(around, axes[2]), around)
-        return axes_through(np.zeros(3), out, np.cross(around, out))
+            return radial_axes(axes[2], out)
+        return axes_through(np.zeros(3), out, np.cross(np.cross(axes[2], out), out))
 
 
 def read_nastran(text: DeckText) -> Translated:
@@ -128,6 +140,7 @@ def read_nastran(text: DeckText) -> Translated:
             raise MeshFileError(
                 f"line {text.place(number)}: {name} cannot be read ({error})"
             ) from None
+    _take_springs(data)
     _take_cases(data, control)
     return data
 
@@ -295,8 +308,16 @@ def _orthotropic(data: _Bulk, name: str, fields: list[str]) -> None:
 
 
 def _section(data: _Bulk, name: str, fields: list[str]) -> None:
-    data.sections[f"{name}_{fields[0]}"] = f"MAT_{fields[1]}"
-    data.skipped["CORDM of PSOLID, which counts for MAT9"] += fields[2] not in ("", "0")
+    region, kind, axes, origin = f"{name}_{fields[0]}", "-", np.eye(3), np.zeros(3)
+    data.sections[region] = f"MAT_{fields[1]}"
+    if fields[2] != "-1":
+        kind, axes, origin = data.system(fields[2])
+    if kind == "R":
+        data.sections[region] += data.oriented(region, axes)
+    elif kind == "C":
+        data.sections[region] += data.oriented(region, np.array([origin, origin + axes[2]]), kind)
+    else:
+        data.skipped["CORDM of PSOLID of an element or a sphere, which counts for MAT9"] += 1
 
 
 def _listed(fields: list[str]) -> list[str]:
@@ -332,10 +353,13 @@ def _sum(data: _Bulk, name: str, fields: list[str]) -> None:
 
 def _rigid(data: _Bulk, name: str, fields: list[str]) -> None:
     nodes = _listed([each for each in fields[3:] if "." not in each])  # less its expansion
-    if not set("123") <= set(fields[2]):
+    ways = sorted(set("123") & set(fields[2]))
+    turned = (data.grids[node][5] for node in nodes if node in data.grids)
+    if not ways or (len(ways) < 3 and not {*turned} <= {"", "0"}):
         data.skipped[f"{name} of some freedoms only"] += 1
         return
     data.tie(f"{name}_{fields[0]}", nodes, fields[1], "KINEMATIC")
+    data.couplings += ways if len(ways) < 3 else []
 
 
 def _mean(data: _Bulk, name: str, fields: list[str]) -> None:
@@ -358,6 +382,63 @@ def _mean(data: _Bulk, name: str, fields: list[str]) -> None:
     data.tie(f"{name}_{fields[0]}", [*weights], fields[2], "DISTRIBUTING", weights.values())
 
 
+def _spring(data: _Bulk, name: str, fields: list[str]) -> None:
+    """Keep a spring, or the stiffness of one direction or of six."""
+    kept = {fields[0]: (name, [*fields, *[""] * 8])}
+    if name == "PELAS":
+        kept = {f"{name}{fields[i]}": (name, [fields[i + 1]]) for i in (0, 4) if fields[i]}
+    elif name == "PBUSH":
+        row = next((i + 1 for i in range(1, len(fields), 8) if fields[i] == "K"), len(fields))
+        kept = {name + fields[0]: (name, [each or "0" for each in fields[row : row + 6]])}
+    if data.springs.keys() & kept:
+        raise ValueError(f"{fields[0]} is there twice")
+    data.springs |= kept
+
+
+def _take_springs(data: _Bulk) -> None:
+    """Take each freedom of a spring as an element; the reader of the deck checks them."""
+    numbers = itertools.count(10**9)  # Nastran's end at 1e8
+    for number, (name, fields) in data.springs.items():
+        if name[0] == "P":
+            continue
+        bush, own = name == "CBUSH", ("", fields[1:2])  # of CELAS2
+        key = f"P{name[1:].rstrip('12')}{fields[1] or number}"
+        _, texts = own if name == "CELAS2" else data.springs.get(key, ("", []))
+        ends = [(fields[2], "1"), (fields[3], "1")] if bush else [fields[2:4], fields[4:6]]
+        try:
+            ends = [(node, int(way or 0)) for node, way in ends if node.strip("0")]
+            if not texts or not ends or not data.grids.keys() >= {node for node, _ in ends}:
+                raise ValueError("without its property, or on no GRID")
+            sizes = [_real(text) for text in texts]
+            axes = _spring_axes(data, fields if bush else [], [node for node, _ in ends], sizes)
+        except (ValueError, LookupError) as error:
+            data.skipped[f"{name} ({error}): write [[supports.bushing]] or [[spring]]"] += 1
+            continue
+        option = data.oriented(f"{name}_{number}", axes)
+        for i, size in enumerate(sizes):
+            if size or not bush:
+                element = f"{name}_{number}_{i + 1}"
+                data.couplings += [f"*ELEMENT, TYPE=SPRING{len(ends)}, ELSET={element}"]
+                data.couplings += [", ".join([str(next(numbers)), *(node for node, _ in ends)])]
+                data.couplings += [f"*SPRING, ELSET={element}{option}"]
+                data.couplings += [", ".join(str(way + i) for _, way in ends), f"{size:.12g}"]
+
+
+def _spring_axes(data: _Bulk, bush: list[str], nodes: list[str], sizes: list[float]) -> Array:
+    """Return the axes of a spring, those of its nodes unless its fields are a CBUSH's, in rows."""
+    if not bush:
+        axes, *others = [data.axes_at(data.grids[node][5], node) for node in nodes]
+        if not all(np.allclose(axes, other) for other in others):
+            raise ValueError("on nodes of different axes")
+        return axes
+    kind, axes, _ = data.system(bush[7] or "none")
+    apart = data.point(data.grids[nodes[-1]]) - data.point(data.grids[nodes[0]])
+    across = np.linalg.norm(np.cross(apart, axes), axis=1) > _ALONG * np.linalg.norm(apart)
+    if kind != "R" or bush[9] not in ("", "-1") or (across & (np.array(sizes[:3]) != 0)).any():
+        raise ValueError("of a curved CID, an OCID, or shear between nodes that are apart")
+    return axes
+
+
 def _load(data: _Bulk, name: str, fields: list[str]) -> None:
     first, size = (1 if name == "FORCE" else 4), _real(fields[3])
     load = np.array([size * _real(each) for each in fields[4:7]])
@@ -376,5 +457,6 @@ _TAKERS: dict[str, Callable[[_Bulk, str, list[str]], None]] = {
     **dict.fromkeys(("SPCADD", "LOAD"), _sum),
     "RBE2": _rigid,
     "RBE3": _mean,
+    **dict.fromkeys(("CELAS1", "CELAS2", "CBUSH", "PELAS", "PBUSH"), _spring),
     **dict.fromkeys(("FORCE", "MOMENT"), _load),
 }

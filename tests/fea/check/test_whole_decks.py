@@ -153,21 +153,27 @@ def test_a_component_of_other_directions_than_its_deck_is_warned_of(tmp_path, ol
     assert any(words in warning["message"] for warning in warnings), warnings
 
 
-@pytest.mark.parametrize(("across", "left"), [(0.0, "CORDM of PSOLID"), (1.0, "not orthotropic")])
-def test_an_orthotropic_mat9_is_that_of_abaqus_and_another_is_named(tmp_path, across, left):
+PLIES = {"": "\n1., 0., 0., 0., 1., 0.", "-1": "\n1., 0., 0., 0., 1., 0."}
+PLIES |= {"5": "\n1., 1., 0.3, -1., 1., 0.", "6": ORIENTATIONS["a cylinder"]}
+SYSTEM = "CORD2R,5,,0.,0.,0.,-.3,-.3,2.\n+,1.,1.,.3\nCORD2C,6,,0.,5.,-40.,0.,5.,-30.\n+,1.,5.,-40."
+
+
+@pytest.mark.parametrize(("system", "across"), [("5", 0.0), ("6", 0.0), ("-1", 0.0), ("", 1.0)])
+def test_an_orthotropic_mat9_is_that_of_abaqus_and_another_is_named(tmp_path, system, across):
     stiff = STIFF[:, [0, 1, 2, 3, 5, 4]][[0, 1, 2, 3, 5, 4]]
     stiff[1, 4] = across
     fields = [f"{each:.10g}" for each in [1, *stiff[np.triu_indices(6)], 1.6e-9]]
     lines = [",".join(["+", *fields[i : i + 8]]) for i in range(0, len(fields), 8)]
     text = bulk().replace("MAT1,1,70000.,,.3", "MAT9" + "\n".join(lines)[1:])
-    text = text.replace("PSOLID,1,1", "PSOLID,1,1,5")
-    assert any(left in line for line in proposal(tmp_path, text, name="deck.bdf")["left"])
+    text = text.replace("PSOLID,1,1", f"PSOLID,1,1,{system}\n{SYSTEM}")
+    left = " ".join(proposal(tmp_path, text, name="deck.bdf")["left"])
+    assert ("not orthotropic" in left, "CORDM of PSOLID" in left) == (across > 0, system == "-1")
     if across:
         return
     (material,) = read_bundle(tmp_path / "new").materials
     assert material.density == pytest.approx(1600)
     (tmp_path / "b").mkdir()
-    proposal(tmp_path / "b", laminate("\n1., 0., 0., 0., 1., 0.") + step(HOLD + PULL))
+    proposal(tmp_path / "b", laminate(PLIES[system]) + step(HOLD + PULL))
     assert tip(tmp_path) == pytest.approx(tip(tmp_path / "b"), rel=1e-7)
 
 

@@ -1,0 +1,88 @@
+"""What is read of an Abaqus or CalculiX deck besides its mesh, before groups have their names."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from wrenchbook.fea.mesh.deck_content import Constant, DeckContent
+from wrenchbook.fea.mesh.io.abaqus import Keyword
+
+
+@dataclass
+class Coupling:
+    """A coupling as read: the key of its surface or node set, and its nodes' labels."""
+
+    keyword: Keyword
+    key: str
+    ref: int | None
+    rot: int | None = None
+    directions: str = "xyz"
+    kind: str = "rigid"
+    radius: float = math.inf
+
+
+@dataclass
+class Step:
+    """Supports and forces at the end of a step; freedoms are numbers from 0.
+
+    `name` is empty of what is no case, as of a step with load cases. `kind` is "general",
+    "perturbation" or "load case". `motions` are (where, key of a set or empty, labels, freedoms
+    held), `forces` the key and the load by label and freedom. `begun` has the words of the step's
+    keywords and the keys of its forces.
+    """
+
+    name: str = ""
+    kind: str = "general"
+    motions: list[tuple[str, str, list[int], set[int]]] = field(default_factory=list)
+    forces: dict[tuple[int, int], tuple[str, float]] = field(default_factory=dict)
+    nonlinear: bool = False
+    begun: set[str | tuple[int, int]] = field(default_factory=set)
+
+    def begin(self, keyword: Keyword) -> None:
+        """Go on, at a word's first keyword, from what earlier steps set, by OP=NEW from nothing."""
+        if keyword.word not in self.begun:
+            self.begun.add(keyword.word)
+            new = keyword.options.get("OP", "").upper() == "NEW"
+            if keyword.word == "CLOAD":
+                self.forces = {} if new else dict(self.forces)
+            else:
+                self.motions = [] if new else list(self.motions)
+
+
+@dataclass
+class Reader:
+    """Content read besides the mesh; groups are keys of the deck's sets until the end.
+
+    `steps` begins with what precedes the first; `sets` are keys of node sets by their labels, and
+    `points` the number of a coupling and the first freedom of each reference node. `turned` are the
+    axes of nodes, nine numbers, that are not the global ones.
+    """
+
+    content: DeckContent = field(default_factory=DeckContent)
+    sections: list[tuple[str, str, str, str]] = field(default_factory=list)
+    orientations: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    turned: dict[int, tuple[float, ...]] = field(default_factory=dict)
+    couplings: list[Coupling] = field(default_factory=list)
+    # Keyword and nodes of each element by label, and *SPRING
+    springs: dict[int, tuple[Keyword, list[int]]] = field(default_factory=dict)
+    spring_sections: list[Keyword] = field(default_factory=list)
+    # Where, keys of both surfaces, and distance
+    ties: list[tuple[str, str, str, float | None]] = field(default_factory=list)
+    # By node and freedom from 0, what the node follows by an equation: weights by label
+    equations: dict[int, dict[int, tuple[Keyword, dict[int, float]]]] = field(default_factory=dict)
+    steps: list[Step] = field(default_factory=lambda: [Step()])
+    sets: dict[frozenset[int], str] = field(default_factory=dict)
+    points: dict[int, tuple[int, int]] = field(default_factory=dict)
+    material: str = ""
+
+    def lack(self, keyword: Keyword, message: str) -> None:
+        """Note what counts and is not taken over."""
+        before = self.content.missing.get(keyword.where, message)
+        together = before if message in before else f"{before}; it {message}"
+        self.content.missing[keyword.where] = together
+
+    @property
+    def constants(self) -> dict[str, Constant]:
+        """The material that the keywords are of."""
+        return self.content.materials.setdefault(self.material, {})
