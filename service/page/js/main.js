@@ -31,7 +31,7 @@ async function show() {
     if (!signal.aborted) await view.show(main, found.map((one) => one && decodeURIComponent(one)), signal);
   } catch (error) {
     if (error.name === "AbortError" || signal.aborted) return;
-    put(main, trouble(error), el("p", {}, el("a", { href: "#/" }, "Go to the library")));
+    put(main, el("h1", {}, "This view cannot be shown"), trouble(error), el("p", {}, el("a", { href: "#/" }, "Go to the library")));
   }
 }
 
