@@ -227,9 +227,7 @@ class Events:
         versions: dict[str, int | None] = {**self._seen.versions} if self._seen else {}
         if component is not None:
             versions = {component: versions.get(component)}
-        versions = {
-            name: version for name, version in versions.items() if CALLER.get().touches(name)
-        }
+        versions = {name: versions[name] for name in filter(CALLER.get().touches, versions)}
         return self.feed.listen(component, last_id, {"tables": versions})
 
     async def _look_on(self) -> None:

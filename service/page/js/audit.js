@@ -43,7 +43,7 @@ function actionOf(name) {
 // A state as words: "status waiting, priority 0".
 function wordsOf(state) {
   if (state === null || typeof state !== "object") return String(state);
-  return Object.entries(state).map(([name, value]) => (Array.isArray(state) ? wordsOf(value) : `${name.replaceAll("_", " ")} ${wordsOf(value)}`)).join(", ");
+  return Object.entries(state).filter(([, value]) => value !== null).map(([name, value]) => (Array.isArray(state) ? wordsOf(value) : `${name.replaceAll("_", " ")} ${wordsOf(value)}`)).join(", ");
 }
 
 const states = ({ before, after }) => [before, after].filter((one) => one !== null).map(wordsOf).join(" → ");

@@ -5,6 +5,7 @@ import { el, field, put, select } from "./dom.js";
 import { number } from "./format.js";
 import { draw } from "./plot.js";
 import { snippet } from "./snippet.js";
+import { awayFrom } from "./surface.js";
 import { figure as turning } from "./view3d.js";
 
 export async function show(root, about, signal) {
@@ -15,9 +16,10 @@ export async function show(root, about, signal) {
 // Shows a reply of `/faces` in a place.
 export async function facesIn(root, { faces, figure }, signal) {
   let chosen = 0;
-  const place = el("div", { class: "plot", id: "faces" });
+  const bodies = figure.data.filter((trace) => trace.type === "mesh3d").map(({ x, y, z }) => [x, y, z].map(decoded));
+  const place = el("div", { class: "plot", id: "faces", "data-away": awayFrom(bodies.flatMap(([x, y, z]) => Array.from(x, (one, k) => [one, y[k], z[k]]))) });
   const view = turning(place, "Numbered faces"), lines = snippet("For component.toml");
-  const group = el("input", { value: "NAME", pattern: "[A-Za-z0-9_\\-]+", autocomplete: "off", spellcheck: "false", oninput: () => choose(chosen) });
+  const group = el("input", { id: "faces-name", value: "NAME", pattern: "[A-Za-z0-9_\\-]+", autocomplete: "off", spellcheck: "false", oninput: () => choose(chosen) });
   const list = select(faces.map((one) => [one.number, described(one)]), null, (value) => choose(Number(value)));
   list.id = "face";
   let drawing = null;
@@ -32,16 +34,32 @@ export async function facesIn(root, { faces, figure }, signal) {
   choose(faces[0].number);
   drawing = await draw(place, (shade) => ({ data: figure.data.map((trace) => painted(trace, chosen, shade)), layout: { scene: sceneOf(view) } }), signal, `${faces.length} numbered faces`);
   view.hold(drawing);
-  place.on("plotly_click", ({ points }) => choose(numberOf(points[0].data)));
+  pressed(place, choose);
 }
 
+// Calls `choose` with the face under a press that does not turn the part. (plotly_click comes only if a frame falls into the press.)
+function pressed(place, choose) {
+  let over = null, from = null;
+  place.on("plotly_hover", ({ points }) => { over = numberOf(points[0].data); });
+  place.on("plotly_unhover", () => { over = null; });
+  place.addEventListener("pointerdown", ({ clientX, clientY }) => { from = [clientX, clientY]; }, true);
+  place.addEventListener("click", ({ clientX, clientY }) => {
+    if (from && Math.hypot(clientX - from[0], clientY - from[1]) < STILL) setTimeout(() => { if (over) choose(over); }, FRAME_MS);
+  }, true);
+}
+
+const decoded = ({ bdata }) => new Float64Array(Uint8Array.from(atob(bdata), (one) => one.charCodeAt(0)).buffer); // as plotly packs arrays
 const numberOf = (trace) => Number.parseInt(trace.name, 10);
+
+const STILL = 5; // px: a press that moves farther turns the part
+const FRAME_MS = 100; // after a touch plotly has found the face by then
+const PALE = "#b3bdc8"; // lies between paper and ink in both schemes
 
 // The chosen face in the colour of links, the others pale; numbers in the colour of text.
 function painted(trace, chosen, shade) {
   const here = numberOf(trace) === chosen;
   if (trace.type !== "mesh3d") return { ...trace, textfont: { color: shade.ink, size: here ? 18 : 13 } };
-  return { ...trace, color: here ? shade.accent : shade.muted, flatshading: true, lighting: { ambient: 0.6, diffuse: 0.6, specular: 0.05 } };
+  return { ...trace, color: here ? shade.accent : PALE, flatshading: false, lighting: { ambient: 0.7, diffuse: 0.5, specular: 0.05 } };
 }
 
 function sceneOf(view) {

@@ -61,7 +61,7 @@ function card(one) {
   return { root, rows, covered, picture, about: one, all: one.rows, has_fea: one.has_fea };
 }
 
-const rowsText = (rows) => (rows === 1 ? "1 row" : `${count(rows)} rows`);
+const rowsText = (rows) => (!rows ? "" : rows === 1 ? "1 row" : `${count(rows)} rows`);
 
 async function refresh(name, cards, signal, rows) {
   const shown = cards.get(name);
