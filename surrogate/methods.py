@@ -54,7 +54,8 @@ def choose(
     """
     has_axes = load_range.space.is_default
     if not len(rows):
-        return MethodChoice("additive" if has_axes else "linear", "no rows yet: fill or import", {})
+        reason = "the table has no rows: fill it, or import measured ones"
+        return MethodChoice("additive" if has_axes else "linear", reason, {})
     if linear and fit.complete:
         return MethodChoice("linear", "the component is linear: one compliance answers all", {})
     interpolator = kriging()
@@ -64,9 +65,7 @@ def choose(
         if np.isnan(error):
             reason = "too few rows to show its error at left-out rows; solve or import more"
             return MethodChoice("kriging", reason, {})
-        reason = (
-            f"left-out rows are met within {100 * error:.2g} % of the range; more rows lower it"
-        )
+        reason = f"predicts left-out rows within {100 * error:.2g} % of the range; more rows help"
         return MethodChoice("kriging", reason, {"kriging": error})
     if not has_axes:
         reason = "too few rows for kriging: a fitted compliance answers; solve or import more rows"

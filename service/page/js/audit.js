@@ -46,4 +46,9 @@ function wordsOf(state) {
   return Object.entries(state).filter(([, value]) => value !== null).map(([name, value]) => (Array.isArray(state) ? wordsOf(value) : `${name.replaceAll("_", " ")} ${wordsOf(value)}`)).join(", ");
 }
 
-const states = ({ before, after }) => [before, after].filter((one) => one !== null).map(wordsOf).join(" → ");
+// Of two states what differs, else the one there is.
+function states({ before, after }) {
+  if (![before, after].every((one) => one && typeof one === "object")) return [before, after].filter((one) => one !== null).map(wordsOf).join(" → ");
+  const changed = [...new Set([...Object.keys(before), ...Object.keys(after)])].filter((name) => JSON.stringify(before[name]) !== JSON.stringify(after[name]));
+  return changed.map((name) => `${name.replaceAll("_", " ")} ${wordsOf(before[name] ?? "none")} → ${wordsOf(after[name] ?? "none")}`).join(", ");
+}

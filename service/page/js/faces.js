@@ -17,7 +17,7 @@ export async function show(root, about, signal) {
 export async function facesIn(root, { faces, figure }, signal) {
   let chosen = 0;
   const bodies = figure.data.filter((trace) => trace.type === "mesh3d").map(({ x, y, z }) => [x, y, z].map(decoded));
-  const place = el("div", { class: "plot", id: "faces", "data-away": awayFrom(bodies.flatMap(([x, y, z]) => Array.from(x, (one, k) => [one, y[k], z[k]]))) });
+  const place = el("div", { class: "plot", id: "faces", "data-away": 1.1 * awayFrom(bodies.flatMap(([x, y, z]) => Array.from(x, (one, k) => [one, y[k], z[k]]))) });
   const view = turning(place, "Numbered faces"), lines = snippet("For component.toml");
   const group = el("input", { id: "faces-name", value: "NAME", pattern: "[A-Za-z0-9_\\-]+", autocomplete: "off", spellcheck: "false", oninput: () => choose(chosen) });
   const list = select(faces.map((one) => [one.number, described(one)]), null, (value) => choose(Number(value)));
@@ -30,7 +30,7 @@ export async function facesIn(root, { faces, figure }, signal) {
   };
   put(root, el("section", { class: "card" },
     el("p", { class: "muted" }, "Click a face, or choose it in the list. Copy its lines into component.toml; supports and interfaces name the group. Lengths are in m."),
-    view.root, el("div", { class: "few" }, field(`Face, of ${faces.length}`, list), field("Name of the group", group)), lines.root));
+    view.root, el("div", { class: "halves" }, field(`Face, of ${faces.length}`, list), field("Name of the group", group)), lines.root));
   choose(faces[0].number);
   drawing = await draw(place, (shade) => ({ data: figure.data.map((trace) => painted(trace, chosen, shade)), layout: { scene: sceneOf(view) } }), signal, `${faces.length} numbered faces`);
   view.hold(drawing);
@@ -53,13 +53,11 @@ const numberOf = (trace) => Number.parseInt(trace.name, 10);
 
 const STILL = 5; // px: a press that moves farther turns the part
 const FRAME_MS = 100; // after a touch plotly has found the face by then
-const PALE = "#b3bdc8"; // lies between paper and ink in both schemes
-
 // The chosen face in the colour of links, the others pale; numbers in the colour of text.
 function painted(trace, chosen, shade) {
   const here = numberOf(trace) === chosen;
   if (trace.type !== "mesh3d") return { ...trace, textfont: { color: shade.ink, size: here ? 18 : 13 } };
-  return { ...trace, color: here ? shade.accent : PALE, flatshading: false, lighting: { ambient: 0.7, diffuse: 0.5, specular: 0.05 } };
+  return { ...trace, color: here ? shade.accent : shade.part, flatshading: false, lighting: { ambient: 0.7, diffuse: 0.5, specular: 0.05 } };
 }
 
 function sceneOf(view) {

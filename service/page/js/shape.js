@@ -52,7 +52,7 @@ async function stageOf(stage, about, wrench, shape, signal) {
   const largest = sizes.reduce((a, b) => Math.max(a, b), 0);
   const natural = largest > 0 ? (SEEN * extent(shape.vertices)) / largest : 1;
   const state = { factor: round(natural), colour: "size", edges: outline(shape.vertices, shape.triangles) };
-  const place = el("div", { class: "plot", id: "shape", "data-away": awayFrom(shape.vertices) });
+  const place = el("div", { class: "plot", id: "shape", "data-away": awayFrom(moved(shape.vertices, shape.displacement, natural)) });
   const view = figure(place, `Deformed ${about.name}`);
   const magnification = el("output", { id: "factor" });
   const slider = el("input", { type: "range", min: 0, max: 100, step: 1, value: 50, id: "magnify", "aria-label": "Magnification" });
