@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import contextvars
 import logging
 import secrets
 from collections import deque
@@ -18,6 +19,7 @@ from typing import Any, NamedTuple
 import orjson
 from starlette.concurrency import run_in_threadpool
 
+from wrenchbook.service.actors import CALLER
 from wrenchbook.service.jobs.attempt import read_progress
 from wrenchbook.service.ledger import JobRecord, LedgerError, LedgerUnavailableError
 from wrenchbook.service.tables.mapped import TableBehindError
@@ -41,15 +43,20 @@ class TooManyListenersError(Exception):
 
 
 class Listener:
-    """A connection that reads the events of a component, or of all, from the feed."""
+    """A connection that reads the events of a component, or of all that its caller may touch."""
 
     def __init__(self, feed: Feed, component: str | None, number: int, greeting: bytes) -> None:
-        self.component = component
+        self._component, self._caller = component, CALLER.get()
         self.number = number  # of the last event read
         self.ended = False
         self._feed, self._greeting = feed, greeting
         self._ready = asyncio.Event()
         self._ready.set()
+
+    def hears(self, component: str | None) -> bool:
+        """Return whether the listener reads the events of a component; None: of all."""
+        of_listener = self._component in (None, component)
+        return component is None or (of_listener and self._caller.touches(component))
 
     def wake(self) -> None:
         """Let `read` return: there is an event."""
@@ -76,9 +83,6 @@ class _Event(NamedTuple):
     component: str | None
     wire: bytes
 
-    def is_for(self, listener: Listener) -> bool:
-        return listener.component is None or self.component in (None, listener.component)
-
 
 class Feed:
     """The newest events of one server, numbered.
@@ -103,8 +107,9 @@ class Feed:
         self._number += 1
         event = _Event(self._number, component, _wire(kind, body, self._newest()))
         self._kept.append(event)
-        for listener in filter(event.is_for, self._listeners):
-            listener.wake()
+        for listener in self._listeners:
+            if listener.hears(component):
+                listener.wake()
 
     def listen(self, component: str | None, last_id: str | None, hello: dict[str, Any]) -> Listener:
         """Add a listener, which reads what came after `last_id` and then what comes.
@@ -144,7 +149,7 @@ class Feed:
             )
             return _wire("dropped", {"reason": reason}, None)
         events = islice(self._kept, len(self._kept) - count, None)
-        return b"".join(event.wire for event in events if event.is_for(listener))
+        return b"".join(event.wire for event in events if listener.hears(event.component))
 
     def leave(self, listener: Listener) -> None:
         """Forget a listener."""
@@ -211,7 +216,8 @@ class Events:
         """
         if self._task is None or self._task.done():
             self._looked.clear()
-            self._task = asyncio.get_running_loop().create_task(self._look_on())
+            everything = contextvars.Context()  # not that of the first listener's caller
+            self._task = asyncio.get_running_loop().create_task(self._look_on(), context=everything)
         try:
             await asyncio.wait_for(self._looked.wait(), FIRST_LOOK_S)
         except TimeoutError:
@@ -221,6 +227,7 @@ class Events:
         versions: dict[str, int | None] = {**self._seen.versions} if self._seen else {}
         if component is not None:
             versions = {component: versions.get(component)}
+        versions = {name: versions[name] for name in filter(CALLER.get().touches, versions)}
         return self.feed.listen(component, last_id, {"tables": versions})
 
     async def _look_on(self) -> None:

@@ -200,7 +200,7 @@ def next_wrenches(
         )
     if surrogate.kriging is None:
         more = first_design(span, known, budget)
-        return _first(more, "too few rows for error bars: these wrenches are evenly spread")
+        return _first(more, "too few rows for error bars, so these solves are evenly spread")
     limit = tolerance or surrogate.tolerance
     indices = np.delete(np.arange(len(outputs)), surrogate.locked) if for_joint else None
     return _Refinement(table, known, limit, span, list(outputs), indices).design(budget)
@@ -263,7 +263,7 @@ class _Refinement:
         unit += " or a joint's share of the load range" if self.joint is not None else ""
         reason = f"95 % of the interpolation errors are at most {worst:.3g} times {unit}"
         if not np.isfinite(worst):
-            reason = "the rows do not yet show how large errors are"
+            reason = "the rows do not show the error yet; solves go where they are farthest apart"
         elif self.tolerance is not None and not self.span.space.is_default:
             reason += self._estimate_of_solves(sample, worst, budget)
         if len(self.indefinite):

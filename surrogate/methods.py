@@ -54,24 +54,29 @@ def choose(
     """
     has_axes = load_range.space.is_default
     if not len(rows):
-        return MethodChoice("additive" if has_axes else "linear", "there are no rows", {})
+        reason = "the table has no rows: fill it, or import measured ones"
+        return MethodChoice("additive" if has_axes else "linear", reason, {})
     if linear and fit.complete:
-        return MethodChoice("linear", "the component is linear: its compliance is exact", {})
+        return MethodChoice("linear", "the component is linear: one compliance answers all", {})
     interpolator = kriging()
     if interpolator is not None:
         size = np.where(interpolator.scaling.constant, 0.0, np.ptp(rows.displacement, axis=0))
         error = _score(interpolator.left_out(), size)
         if np.isnan(error):
-            return MethodChoice("kriging", "its error at left-out rows is not known", {})
-        reason = f"its error at left-out rows is {error:.2g} of the range"
+            reason = "too few rows to show its error at left-out rows; solve or import more"
+            return MethodChoice("kriging", reason, {})
+        reason = f"predicts left-out rows within {100 * error:.2g} % of the range; more rows help"
         return MethodChoice("kriging", reason, {"kriging": error})
     if not has_axes:
-        reason = "there are too few rows for kriging: the compliance that fits them answers"
+        reason = "too few rows for kriging: a fitted compliance answers; solve or import more rows"
         return MethodChoice("linear", reason, {})
     if linear:
-        reason = "the component is linear, but its compliance is not known in all loads yet"
+        reason = "the component is linear, but not all loads have rows: fill the table"
     else:
-        reason = "there are too few rows for kriging, or they contradict each other"
+        reason = (
+            "rows are too few for kriging or contradict each other: those of single axes answer, "
+            "without error bars; solve or import more, and withdraw wrong ones"
+        )
     return MethodChoice("additive", reason, {})
 
 

@@ -54,7 +54,8 @@ def check(options: argparse.Namespace) -> Reply:
     surface = surface_in(folder) if options.faces or options.plot else None
     summary = report(folder, riding, options.nonlinear, surface)
     if surface is not None and options.plot is not None:
-        draw_faces(surface, summary["faces"], options.plot)
+        figure = faces_figure(surface, summary["faces"])
+        figure.write_html(options.plot, include_plotlyjs=True, post_script=_CLICK)
     return int(not summary["ok"]), summary, as_text(summary)
 
 
@@ -66,8 +67,8 @@ document.getElementById("{plot_id}").on("plotly_click", event => {
 });"""
 
 
-def draw_faces(surface: Surface, faces: list[dict[str, Any]], page: Path) -> None:
-    """Draw numbered faces as a page; a click shows the lines that select one."""
+def faces_figure(surface: Surface, faces: list[dict[str, Any]]) -> go.Figure:
+    """Draw numbered faces, mm; each trace has the TOML that selects its face as ``meta``."""
     figure, points = go.Figure(), 1e3 * surface.mesh.points
     owners, off = surface.numbers[surface.owners], 0.01 * np.ptp(points, axis=0).max()
     for face in faces:
@@ -82,8 +83,7 @@ def draw_faces(surface: Surface, faces: list[dict[str, Any]], page: Path) -> Non
         at = np.linalg.norm(middle - 1e3 * np.array(face["centre"]), axis=1).argmin()
         x, y, z = middle[at] + off * surface.normals[members[at]]
         figure.add_scatter3d(x=[x], y=[y], z=[z], mode="text", text=str(face["number"]), **shown)
-    figure.update_layout(scene_aspectmode="data", showlegend=False, height=800)
-    figure.write_html(page, include_plotlyjs=True, post_script=_CLICK)
+    return figure.update_layout(scene_aspectmode="data", showlegend=False, height=800)
 
 
 def new(options: argparse.Namespace) -> Reply:

@@ -95,7 +95,7 @@ def report(
     summary: dict[str, Any] = {"ok": False, "problems": [], "warnings": []}
     folder = Path(folder)
     if surface is not None:
-        summary["faces"] = [_listed(surface, face) for face in surface.faces]
+        summary["faces"] = [listed(surface, face) for face in surface.faces]
     try:
         try:
             bundle = read_bundle(folder)
@@ -135,7 +135,8 @@ def surface_in(folder: Path) -> Surface | None:
         return None  # `report` says why
 
 
-def _listed(surface: Surface, face: Face) -> dict[str, Any]:
+def listed(surface: Surface, face: Face) -> dict[str, Any]:
+    """Return a face with the ``toml`` that selects it; lengths in m, areas in m^2."""
     if face.kind == "Cylinder" and face.axis is None:  # of a geometry file
         face = surface.cylinder(np.flatnonzero(surface.numbers == face.number), face) or face
     return asdict(face) | {"toml": surface.line(face)}

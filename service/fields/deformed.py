@@ -214,13 +214,13 @@ class DeformedSurfaces:
             error = np.maximum(error, rounding(fields.displacement))
         reason = ""
         if error is None:
-            reason = f"{len(blend.rows)} row(s) with a surface: too few for an error bar"
+            reason = f"too few surfaces for an error bar ({len(blend.rows)}); solve more"
         else:
             limit = component.tolerance
             allowed = limit.translation if limit else WITHOUT_TOLERANCE * blend.largest
             worst = float(error.max(initial=0.0))
             if worst > allowed:
-                reason = f"a vertex may be wrong by {worst:.3g} m, over {allowed:.3g} m"
+                reason = f"a point may be wrong by {worst:.3g} m, {allowed:.3g} m are allowed"
         coverage = "thin" if reason else "covered"
         stress = None
         if fields.stress is not None:

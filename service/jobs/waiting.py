@@ -72,9 +72,9 @@ def why_waiting(ledger: Ledger, job: JobRecord, slots: int, trouble: str | None)
     elif not slots:
         reason = "this server runs no solvers; it waits for a `wrenchbook work` on the same data"
     elif before:
-        reason = f"{before} jobs are ahead of it and {running} run, {slots} at a time"
+        reason = f"jobs ahead of it: {before}; running: {running} of at most {slots}"
     elif running >= slots:
-        reason = f"it is the next; all {slots} solvers are busy"
+        reason = f"it is the next; solvers busy: {running} of {slots}"
     else:
         reason = "it is the next and starts now"
     seconds = ledger.solve_seconds(job.component)

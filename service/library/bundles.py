@@ -1,7 +1,7 @@
 """Bundles of components: uploads, unpacked and checked in the sandbox, and copies.
 
 The web process never imports the finite-element stack; a bad archive or mesh can crash the sandbox
-without harm to the server. `unpacked`, `checked` and `surface` run there.
+without harm to the server. `unpacked`, `checked`, `surface` and `faces` run there.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ MAX_BUNDLE_BYTES: Final = 512 * 1024 * 1024  # a mesh of some million cells
 MAX_FILES: Final = 1000  # a component is its component.toml, a mesh, and what a deck includes
 MAX_PROBLEMS: Final = 1000
 PICTURE_VERTICES: Final = 2000  # a small picture shows no more; 80 kB of JSON
+MAX_FACE_TRIANGLES: Final = 200_000  # 6 MB of JSON; beyond that a browser turns them in jerks
 # The largest mesh of a generator, two million cells, takes 3 GB; a solve of half of that is days.
 CHECK: Final = Limits(memory=2048 * MIB, seconds=300.0, output=MAX_BUNDLE_BYTES)
 # Pieces of 1 MiB, the archive's list of files, and a component.toml that is small.
@@ -53,8 +54,10 @@ def one_problem(where: str, message: str) -> BundleError:
     return BundleError([BundleProblem(where, message)])
 
 
-def unpack(archive: BinaryIO, incoming: Path) -> tuple[Path, bool]:
+def unpack(archive: BinaryIO, incoming: Path, *, whole: bool = True) -> tuple[Path, bool]:
     """Unpack a bundle's zip below `incoming`; return its folder, and whether it has a deck.
+
+    Without `whole` its component.toml may lack entries, and the deck is not looked for.
 
     Raises BundleError if the archive or its component.toml has mistakes or takes too much to be
     read, SandboxBusyError if too many others are being read, OSError if the disk is full.
@@ -64,7 +67,7 @@ def unpack(archive: BinaryIO, incoming: Path) -> tuple[Path, bool]:
     archive.seek(0)
     with copy.open("wb") as file:
         shutil.copyfileobj(archive, file, _PIECE)
-    arguments = {"target": str(target)}
+    arguments = {"target": str(target), "whole": whole}
     try:
         (part,) = run("wrenchbook.service.library.bundles:unpacked", copy, arguments, UNPACK)
     except SandboxError as error:
@@ -113,6 +116,19 @@ def surface_of(folder: Path, _fingerprint: str) -> dict[str, Any]:
     return {name: np.array(array) for name, array in part.arrays.items()}
 
 
+@lru_cache(maxsize=8)
+def faces_of(folder: Path, _fingerprint: str = "") -> bytes:
+    """Return as JSON ``faces`` of a bundle's mesh, numbered, and the plotly ``figure`` of them.
+
+    Raises BundleError if no surface can be read or drawn, SandboxBusyError as `surface_of`.
+    """
+    try:
+        (part,) = _checks.run("wrenchbook.service.library.bundles:faces", folder, None, CHECK)
+    except SandboxError as error:
+        raise one_problem("mesh", redact(str(error))) from None
+    return part.arrays["json"].tobytes()
+
+
 _TOP_LEVEL = re.compile(r"^\s*\[", re.MULTILINE)
 _LINE = {key: re.compile(rf"^[ \t]*{key}[ \t]*=.*$", re.MULTILINE) for key in ("name", "title")}
 
@@ -157,8 +173,8 @@ def toml_text(text: str) -> str:
 # -- in the sandbox ---------------------------------------------------------------------------
 
 
-def unpacked(archive: Path, target: str) -> Iterator[Part]:
-    """Unpack a bundle's zip into an empty folder and read it.
+def unpacked(archive: Path, target: str, whole: bool) -> Iterator[Part]:
+    """Unpack a bundle's zip into an empty folder and, if it is to be `whole`, read it.
 
     Yields a part with ``problems``, each ``[where, message]``; without any also ``folder``, which
     holds the bundle, relative to `target`, and ``deck``, whether it names a command.
@@ -173,13 +189,13 @@ def unpacked(archive: Path, target: str) -> Iterator[Part]:
             if outside:
                 message = f'"{path.name}" has parts in other files; write it whole, without links'
                 raise one_problem("bundle", message)
-        bundle = read_bundle(folder)
+        has_deck = whole and read_bundle(folder).deck is not None
     except BundleError as error:
         problems = [[each.where, each.message] for each in error.problems[:MAX_PROBLEMS]]
         yield Part({"problems": problems})
     else:
         inside = folder.relative_to(target).as_posix()
-        yield Part({"problems": [], "folder": inside, "deck": bundle.deck is not None})
+        yield Part({"problems": [], "folder": inside, "deck": has_deck})
 
 
 def checked(folder: Path) -> Iterator[Part]:
@@ -203,6 +219,22 @@ def surface(folder: Path) -> Iterator[Part]:
     outside = recovery.surface_of(mesh, PICTURE_VERTICES)
     points = np.round(mesh.points[outside.nodes], 6)  # µm: short JSON
     yield Part({}, {"vertices": points, "triangles": outside.triangles})
+
+
+def faces(folder: Path) -> Iterator[Part]:
+    """Yield the reply of `faces_of`, ``json``, in bytes."""
+    reporting = importlib.import_module("wrenchbook.fea.check.reporting")
+    commands = importlib.import_module("wrenchbook.fea.check.commands")
+    if (surface := reporting.surface_in(folder)) is None:
+        problems = reporting.report(folder)["problems"]
+        texts = [f"{p['where']}: {p['message']}" for p in problems if p["where"][:4] == "mesh"]
+        raise ValueError("; ".join(texts) or "no [mesh], so no faces for [mesh.groups]")
+    if (count := len(surface.triangles)) > MAX_FACE_TRIANGLES:
+        raise ValueError(f"{count} triangles are too many here; use wrenchbook check --plot")
+    listed = [reporting.listed(surface, face) for face in surface.faces]
+    figure = commands.faces_figure(surface, listed).to_json()
+    text = f'{{"faces": {json.dumps(listed)}, "figure": {figure}}}'
+    yield Part({}, {"json": np.frombuffer(text.encode(), np.uint8)})
 
 
 def extract(archive: Path, target: Path) -> Path:

@@ -23,6 +23,7 @@ from wrenchbook.service.files.durable import sync, sync_tree
 from wrenchbook.service.library.bundles import (
     check_mesh,
     copy_bundle,
+    faces_of,
     one_problem,
     toml_value,
     unpack,
@@ -180,6 +181,11 @@ class Library:
             component = self._adopt(folder, lambda _: self._on_checked(checked))
         self._on_added(component)
         return component
+
+    def faces_of_zip(self, archive: BinaryIO) -> bytes:
+        """Return `bundles.faces_of` a zip that needs no more than [mesh]; raises as `add_zip`."""
+        with self._incoming() as incoming:
+            return faces_of(unpack(archive, incoming, whole=False)[0])
 
     def add_table_only(self, **entries: Any) -> Component:
         """Add a component that has no finite-element setup, only rows loaded from outside.

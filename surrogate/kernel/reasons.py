@@ -12,26 +12,25 @@ from ..table.rows import ZERO_LOAD
 from .format import Packed
 
 EMPTY = "the table has no rows"
-ONLY_BEYOND = "all rows of the table are outside its load range"
+ONLY_BEYOND = "all rows of the table are outside its load range; solve or import rows within it"
 FEW_ROWS = (
     "there are too few rows: kriging needs four in the load range that have each output, the "
     "compliance one for each input; solve or import more"
 )
 UNKNOWN_TOGETHER = (
-    "no row, or of rows without tangents too few, has several loads at once as large as those of "
-    "this wrench: what they do together is not known, nor how large the error is; solve or import "
-    "such rows"
+    "too few rows have several loads at once as large as this wrench: neither their joint effect "
+    "nor the error is known; solve or import such rows"
 )
-UNKNOWN_ERROR = "no row tells how far this answer may be wrong"
-LEAVES_LIMITS = "the estimate leaves what tables may hold, 20 degrees and 10 m, and is not given"
+UNKNOWN_ERROR = "the rows do not show the error of this answer; solve or import rows near it"
+LEAVES_LIMITS = "beyond a table's limits, 20 degrees or 10 m: no estimate is given; check the load"
 ERRORS_UNKNOWN = (
-    "how large errors are is not known: rows left out show nothing of wrenches as far from the "
-    "rows as those of the load range are (rows along one motion or near each other, or few rows "
-    "that make nearly all of the error); solve or import rows spread over the range"
+    "the error between the rows is not known: they are too few, close together or along one "
+    "motion, so no row left out is as far from the others as wrenches of the load range are; solve "
+    "or import rows spread over the range"
 )
 TOO_FAR = (
-    "how large the error is is not known: no row is as far from the others as this wrench is from "
-    "the rows; solve or import rows around it"
+    "the error is not known: this wrench is farther from the rows than any row is from the others; "
+    "solve or import rows around it"
 )
 
 
@@ -83,7 +82,7 @@ def _not_in_scene(reason: Reason, inputs: Sequence[float], packed: Packed) -> st
 
 
 def _unknown_load(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    return f"no row tells the influence of {_name(packed, reason.item)[0]}"
+    return f"no row shows the influence of {_name(packed, reason.item)[0]}; solve or import one"
 
 
 def _axis_inputs(axis: int) -> tuple[int, int, int]:
@@ -97,7 +96,7 @@ def _axis_amounts(reason: Reason, inputs: Sequence[float], packed: Packed) -> st
 
 def _no_rows(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
     amounts = _axis_amounts(reason, inputs, packed)
-    return f"axis {'xyz'[reason.axis]}: no rows to answer {amounts}"
+    return f"axis {'xyz'[reason.axis]}: no rows to answer {amounts}; solve or import such rows"
 
 
 def _off_hull(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
@@ -127,8 +126,8 @@ def _off_hull(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
 
 def _moment_alone(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
     return (
-        f"axis {'xyz'[reason.axis]}: {_amount(packed, reason.item, reason.value)} alone, from "
-        "which the composition counts, lies outside the rows"
+        f"axis {'xyz'[reason.axis]}: {_amount(packed, reason.item, reason.value)} alone "
+        "lies outside the rows, and the loads of this wrench are added up from there"
     )
 
 
@@ -146,8 +145,8 @@ def _beyond_span(reason: Reason, inputs: Sequence[float], packed: Packed) -> str
     low, high = packed.arrays[f"g{reason.group}/kriging/span_loads"][:, reason.item].tolist()
     name, unit = _name(packed, reason.item)
     return (
-        f"{name} = {reason.value:.6g} {unit} is further from the rows, which tell errors from "
-        f"{low:.6g} to {high:.6g} {unit}"
+        f"{name} = {reason.value:.6g} {unit} is beyond the rows that show errors, "
+        f"{low:.6g} to {high:.6g} {unit}; solve or import rows there"
     )
 
 

@@ -29,8 +29,8 @@ Decision = Literal["rigid", "linear", "table"]
 
 SAMPLE = 64  # wrenches of the scene, with its corners: as many as six loads have corners
 NO_ROWS = (
-    "no row yet: one solve tells the tangent compliance, and rows that show how large errors are "
-    "tell a bound of the displacement"
+    "no row yet: one solve gives the tangent compliance; a bound of the displacement needs rows "
+    "that show the error"
 )
 LOOKED_UP = (
     "its response is looked up: whether one compliance answers, and how far it moves, is planned "
@@ -287,7 +287,7 @@ def _bound(table: Table, need: Need) -> tuple[Floats, str]:
         unknown = np.flatnonzero(need.occurring & ~fit.known)
         if len(unknown):
             names = [need.span.space.input_names[load] for load in unknown]
-            why = f"no row tells the influence of {', '.join(names)}"
+            why = f"no row shows the influence of {', '.join(names)}"
             continue
         most = np.abs(fit.matrix) @ largest_loads + np.abs(fit.offset) + fit.error + solver
         if answers is not None:
@@ -334,7 +334,7 @@ def _single_compliance(table: Table, need: Need) -> tuple[Floats | None, str]:
         reason = f"over the scene's loads one compliance answers within {ratio.max():.2g} of the "
         return np.where(need.occurring, matrix, 0.0), reason + "tolerance"
     if not np.isfinite(ratio).all():
-        return None, "its rows do not tell yet how its response bends over the scene's loads"
+        return None, "its rows do not show how its response bends over the scene; fill it"
     worst = need.output_names()[int(np.argmax(ratio.max(axis=0)))]
     reason = f"one compliance would miss {worst} by {ratio.max():.3g} times the "
     return None, reason + "tolerance"

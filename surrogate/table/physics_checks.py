@@ -165,7 +165,7 @@ def _linear(rows: Rows, space: Space, fit: ComplianceFit) -> dict[str, Any]:
     """Return how far the rows are from one matrix, and name the farthest."""
     known = ((rows.wrench == space.zero) | fit.known).all(axis=1)
     if not known.any() or fit.origin == "none":
-        return {"ok": None, "reason": "the rows tell no compliance", "rows": []}
+        return {"ok": None, "reason": "no compliance fits the rows", "rows": []}
     residual = np.abs(rows.displacement - rows.wrench @ fit.matrix.T - fit.offset) / _sizes(
         rows, space
     )
@@ -218,7 +218,7 @@ def _tangents(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, An
     some = rows.take(there)
     pairs = _neighbours(some, load_range) if len(there) > 1 else np.empty((0, 2), dtype=int)
     if not len(pairs):
-        return {"ok": None, "reason": "fewer than two rows bring a tangent", "rows": []}
+        return {"ok": None, "reason": "fewer than two rows have a tangent", "rows": []}
     steps = some.wrench[pairs[:, 1]] - some.wrench[pairs[:, 0]]
     near = np.linalg.norm(steps / load_range.scale, axis=1) <= NEAR
     if not near.any():

@@ -10,6 +10,7 @@ import pytest
 from tests.service.live import add_rows, add_table, as_rows, clean_wrenches, moved, served
 from tests.until import until
 from wrenchbook.service import events as feed_module
+from wrenchbook.service.actors import CALLER, Caller
 from wrenchbook.service.client import Client, ProblemError, ServerUnreachable
 from wrenchbook.service.client.client import EventParser
 from wrenchbook.service.events import Feed
@@ -44,6 +45,36 @@ def test_a_listener_is_greeted_and_told_what_comes_about_its_component():
     feed.publish("job", "plate", {"id": 2})
     feed.publish("table", "bar", {"table_version": 3})
     assert [event.kind for event in heard(listener)] == ["hello", "job", "table"]
+
+
+def test_a_key_of_some_components_hears_of_these_alone():
+    feed = Feed()
+    token = CALLER.set(Caller("rig", components=("ba?",)))
+    listener = feed.listen(None, None, {})
+    CALLER.reset(token)
+    for name in ("bar", "plate"):
+        feed.publish("table", name, {"component": name})
+    assert [event.body.get("component") for event in heard(listener)] == [None, "bar"]
+
+
+def test_a_key_of_some_components_that_listens_first_does_not_narrow_what_others_hear(monkeypatch):
+    callers = []
+
+    def look(workspace, seen):
+        callers.append(CALLER.get())
+        return feed_module.Snapshot(versions={"bar": 1, "plate": 2}), []
+
+    async def run():
+        events = feed_module.Events(None)
+        CALLER.set(Caller("rig", components=("bar",)))
+        first = await (await events.listen(None, None)).read(1.0)
+        await events.stop()
+        return first
+
+    monkeypatch.setattr(feed_module, "look", look)
+    hello = asyncio.run(run())
+    assert b'{"tables":{"bar":1}}' in hello
+    assert callers[0].touches("plate")
 
 
 def test_who_comes_back_is_told_what_it_missed_and_nothing_twice():

@@ -1,6 +1,9 @@
 """The page's files and the calls that it draws from."""
 
+import io
+import json
 import re
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +13,7 @@ from starlette.testclient import TestClient
 
 from tests.service.conftest import SOLVERS
 from tests.service.live import FULL, as_rows, clean_wrenches, full_wrenches, moved
+from wrenchbook.fea.check.reporting import report, surface_in
 from wrenchbook.service.http import problems
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.routes.jobs import MAX_LOG_BYTES
@@ -165,6 +169,49 @@ def test_the_surface_of_an_unsolved_part_is_there_to_draw(http):
     told = http.get("/v1/components/plate_thin/surface").json()
     assert len(told["triangles"]) > 100
     assert max(map(max, told["triangles"])) < len(told["vertices"]) <= 2000
+
+
+def faces_of(http, files):
+    """The reply to a zip of these texts and bytes, of which only the faces are asked."""
+    archive = io.BytesIO()
+    with zipfile.ZipFile(archive, "w") as bundle:
+        for name, content in files.items():
+            bundle.writestr(name, content)
+    sent = {"bundle": ("part.zip", archive.getvalue())}
+    return http.post("/v1/components?faces=true", files=sent)
+
+
+def test_the_faces_of_a_part_are_those_of_its_check_with_a_trace_that_has_their_toml(http):
+    told = http.get("/v1/components/plate_thin/faces").json()
+    folder = http.app.state.workspace.library["plate_thin"].folder
+    checked = report(folder, surface=surface_in(folder))["faces"]
+    assert told["faces"] == json.loads(json.dumps(checked))
+    lines = {one["meta"] for one in told["figure"]["data"] if one["type"] == "mesh3d"}
+    assert lines == {face["toml"] for face in told["faces"]}
+
+
+def test_a_bundle_shows_its_faces_before_the_rest_is_written_and_is_not_added(http):
+    blocks = Path(__file__).parents[1] / "fea/good/blocks/blocks.msh"
+    toml = 'name = "half"\n[mesh]\nfile = "part.msh"\nunit = "mm"\n'
+    told = faces_of(http, {"component.toml": toml, "part.msh": blocks.read_bytes()})
+    assert told.status_code == 200
+    assert told.json()["faces"][0]["toml"] == '{plane = "x", at = 0.0}'
+    assert http.get("/v1/components/half").status_code == 404
+
+
+@pytest.mark.parametrize(
+    ("file", "why"),
+    [("../other.msh", "is outside the bundle"), ("absent.msh", "absent.msh"), (None, "no [mesh]")],
+)
+def test_a_bundle_whose_faces_cannot_be_read_is_refused_with_the_reason(http, file, why):
+    mesh = f'[mesh]\nfile = "{file}"\nunit = "mm"\n' if file else ""
+    told = faces_of(http, {"component.toml": f'name = "half"\n{mesh}'})
+    assert told.status_code == 422
+    assert why in told.json()["detail"]
+
+
+def test_a_table_without_a_mesh_has_no_faces(rig):
+    assert rig.get(f"{RIG}/faces").json()["type"].endswith("no-mesh")
 
 
 @pytest.fixture(scope="module")

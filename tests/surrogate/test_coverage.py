@@ -51,7 +51,7 @@ def test_a_load_that_no_row_varies_is_outside_and_says_what_the_rows_hold() -> N
     )
     by_default = surrogate.answer([10.0, 0, 0, 0, 3.0, 0])
     assert by_default.coverage == "thin"
-    assert "my = 3 N·m is further from the rows" in by_default.reason
+    assert "my = 3 N·m is beyond the rows that show errors" in by_default.reason
 
 
 def test_an_empty_table_knows_nothing_and_says_so() -> None:

@@ -76,7 +76,7 @@ def test_the_linear_method_can_be_asked_of_any_table_and_says_what_no_row_tells(
     rows = table(smooth, clean_wrenches(20, 1)[:20])
     answer = build(rows, RANGE).answer([0, 5.0, 0, 0, 0, 0], method="linear")
     assert answer.coverage == "outside"
-    assert answer.reason == "no row tells the influence of fy"
+    assert answer.reason == "no row shows the influence of fy; solve or import one"
     assert answer.error is None
 
 

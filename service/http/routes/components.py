@@ -103,10 +103,18 @@ def get_component(name: str, workspace: Opened, _: Newest) -> dict[str, Any]:
     "",
     status_code=201,
     summary="Add a component: a zip bundle, or JSON for a table only",
-    responses=answers(dict[str, Any], "added", 201) | refused(409, 422),
+    responses=answers(dict[str, Any], "added", 201)
+    | answers(dict[str, Any], "with faces=true: the faces")
+    | refused(409, 422),
     openapi_extra=takes(TableOnlyComponent, {"multipart/form-data": {"schema": _BUNDLE}}),
 )
-async def add_component(request: Request, workspace: Opened) -> Response:
+async def add_component(
+    request: Request,
+    workspace: Opened,
+    faces: Annotated[
+        bool, Query(description="answer the faces of the bundle's mesh (200); nothing is added")
+    ] = False,
+) -> Response:
     kind = content_type(request)
     if kind == "multipart/form-data":
         # The archive may be as large as a bundle, and its form has a head.
@@ -115,6 +123,9 @@ async def add_component(request: Request, workspace: Opened) -> Response:
             if not isinstance(upload, UploadFile):
                 message = "send the zip as the form's file 'bundle'"
                 raise bad_body([{"loc": "bundle", "msg": message}])
+            if faces:
+                listed = await run_in_threadpool(workspace.library.faces_of_zip, upload.file)
+                return Response(listed, media_type="application/json")
             decks = permission_of(request.scope).allows("admin")
             add_zip = workspace.library.add_zip
             component = await run_in_threadpool(add_zip, upload.file, decks=decks)

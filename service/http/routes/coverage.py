@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import product
+from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
 import numpy as np
@@ -11,14 +12,16 @@ from fastapi import APIRouter, Query
 from numpy.typing import NDArray
 from starlette.responses import Response
 
+from wrenchbook.fea.bundle.read import BundleError
 from wrenchbook.service.contract import COVERAGE, LOADS, OUTPUTS
 from wrenchbook.service.http.openapi import answers, refused
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.routes import Newest, Opened, json_reply
-from wrenchbook.service.library.bundles import surface_of
+from wrenchbook.service.library.bundles import faces_of, surface_of
 from wrenchbook.service.library.component import require_one_wrench
 from wrenchbook.service.messages import Compliance
 from wrenchbook.service.tables.mapped import ServedTable
+from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.table.axes import AXES, LoadAxis
 from wrenchbook.surrogate.table.physics_checks import check_physics
 from wrenchbook.surrogate.table.rows import ZERO_LOAD, Floats, LoadRange
@@ -148,12 +151,25 @@ def _grid(span: LoadRange, axis: LoadAxis) -> Floats:
 
 @router.get("/surface", summary="The undeformed surface, for a picture: at most 2000 vertices, m")
 def surface(name: str, workspace: Opened) -> Response:
+    return json_reply({"component": name, **surface_of(*_meshed(workspace, name))})
+
+
+@router.get("/faces", summary="The numbered faces of the mesh with their TOML, and a plotly figure")
+def faces(name: str, workspace: Opened) -> Response:
+    folder, fingerprint = _meshed(workspace, name)
+    try:
+        return Response(faces_of(folder, fingerprint), media_type="application/json")
+    except BundleError as error:
+        raise HttpProblemError(404, "no-mesh", "No faces can be shown", str(error)) from error
+
+
+def _meshed(workspace: Workspace, name: str) -> tuple[Path, str]:
+    """Return folder and fingerprint of a component with a mesh; one without is refused."""
     component = workspace.library[name]
     if not component.has_fea:
         why = f"{name!r} has measured rows and no mesh, so there is nothing to draw."
         raise HttpProblemError(404, "no-mesh", "The component has no mesh", why)
-    drawn = surface_of(component.folder, component.fingerprint)
-    return json_reply({"component": name, **drawn})
+    return component.folder, component.fingerprint
 
 
 @router.get(

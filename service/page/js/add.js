@@ -2,6 +2,7 @@
 
 import { post, send, trouble } from "./api.js";
 import { el, field, put } from "./dom.js";
+import { facesIn } from "./faces.js";
 
 export async function show(root, _, signal) {
   document.title = "Add a component · wrenchbook";
@@ -9,26 +10,33 @@ export async function show(root, _, signal) {
     el("div", { class: "head" }, el("div", {}, el("span", { class: "crumb" }, el("a", { href: "#/" }, "Library"), " /"), el("h1", {}, "Add a component"))),
     el("div", { class: "halves" },
       el("section", { class: "card" }, el("h2", {}, "A bundle, with finite elements"),
-        el("p", { class: "muted" }, "The zip of a folder with a component.toml: mesh, materials, supports, interface, load range."), bundle(signal)),
+        el("p", { class: "muted" }, "The zip of a folder with a component.toml: mesh, materials, supports, interface, load range. To name its faces, write file and unit under [mesh] and choose Show its faces."), bundle(root, signal)),
       el("section", { class: "card" }, el("h2", {}, "A table only"),
         el("p", { class: "muted" }, "For measured rows: the table answers from imported rows; nothing is solved."), tableOnly(signal))));
 }
 
 const goTo = (name) => { location.hash = `#/c/${encodeURIComponent(name)}`; };
 
-function bundle(signal) {
-  const state = el("div", { "aria-live": "polite" });
+function bundle(root, signal) {
+  const state = el("div", { "aria-live": "polite" }), faces = el("div", { class: "stack" });
   const input = el("input", { type: "file", accept: ".zip", id: "bundle", required: true, "aria-label": "A bundle's zip" });
   const add = async (event) => {
     event.preventDefault();
-    const body = new FormData();
+    const body = new FormData(), looks = event.submitter?.value === "faces";
     body.append("bundle", input.files[0]);
+    put(faces);
     try {
-      put(state, el("p", { class: "muted" }, "Checking the bundle …"));
-      goTo((await (await send("POST", "v1/components", { body, signal })).json()).name);
+      put(state, el("p", { class: "muted" }, looks ? "Reading the mesh …" : "Checking the bundle …"));
+      const reply = await (await send("POST", `v1/components${looks ? "?faces=true" : ""}`, { body, signal })).json();
+      put(state);
+      if (!looks) { goTo(reply.name); return; }
+      root.append(faces);
+      await facesIn(faces, reply, signal);
+      faces.scrollIntoView({ block: "nearest" });
     } catch (error) { if (!signal.aborted) put(state, trouble(error)); }
   };
-  return el("form", { class: "stack", onsubmit: add }, el("div", { class: "drop" }, input), el("div", {}, el("button", { class: "first" }, "Add the bundle")), state);
+  return el("form", { class: "stack", onsubmit: add }, el("div", { class: "drop" }, input), 
+    el("div", { class: "line" }, el("button", { class: "first" }, "Add the bundle"), el("button", { value: "faces" }, "Show its faces")), state);
 }
 
 function tableOnly(signal) {

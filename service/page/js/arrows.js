@@ -4,20 +4,18 @@ import { get, of } from "./api.js";
 import { el } from "./dom.js";
 import { named } from "./inputs.js";
 import { draw } from "./plot.js";
-import { column, extent, lines, outline, spansOf as sizes } from "./surface.js";
+import { awayFrom, column, extent, lines, outline } from "./surface.js";
 import { figure } from "./view3d.js";
 
 const MM = 1e3;
 const LONGEST = 0.35; // of the part's extent: the arrow of the largest force, and of the largest moment
-const FITS = 2.6; // extent over the mean size, as plotly scales it, that fits from the usual distance
 const TIP = 0.25; // of the longest arrow
 
 // `read()` gives the inputs; `again()` of the result draws them anew.
 export async function picture(root, about, read, signal) {
   const [surface, detail] = await Promise.all([get(`${of(about.name)}/surface`, signal), get(of(about.name), signal)]);
   const interfaces = Object.entries(detail.interfaces || { "": detail.interface }).filter(([, one]) => one?.point);
-  const mean = Math.cbrt(sizes(surface.vertices).reduce((product, one) => product * one, 1));
-  const place = el("div", { class: "plot", id: "loads", "data-away": Math.max(1.12, extent(surface.vertices) / mean / FITS) });
+  const place = el("div", { class: "plot", id: "loads", "data-away": awayFrom(surface.vertices) });
   const view = figure(place, "The part and its loads", marks());
   root.append(view.root);
   const edges = lines(surface.vertices, outline(surface.vertices, surface.triangles), MM);

@@ -2,7 +2,7 @@
 
 import { get } from "./api.js";
 import { el, field, put } from "./dom.js";
-import { time } from "./format.js";
+import { actorOf, time } from "./format.js";
 
 const SHOWN = 50, FIELDS = ["actor", "component", "action"];
 
@@ -15,7 +15,7 @@ export async function show(root, _, signal) {
     const page = await get(path, signal);
     if (fresh) put(body);
     for (const one of page.entries) {
-      const cells = [time(one.time), one.actor || "–", one.action, one.component, one.object];
+      const cells = [time(one.time), actorOf(one.actor) || "–", actionOf(one.action), one.component, one.object];
       body.append(el("tr", { id: `entry-${one.id}` }, cells.map((text) => el("td", {}, text)), el("td", { class: "small whole" }, states(one))));
     }
     next = page.next;
@@ -33,4 +33,22 @@ export async function show(root, _, signal) {
     el("table", { class: "folds audit" }, el("thead", {}, el("tr", {}, ["time", "actor", "action", "component", "object", "before and after"].map((one) => el("th", { scope: "col" }, one)))), body), older));
 }
 
-const states = ({ before, after }) => [before, after].filter((one) => one !== null).map((one) => JSON.stringify(one)).join(" → ");
+const DONE = { accept: "accepted", add: "added", append: "appended", cancel: "cancelled", edit: "edited", insert: "added", load: "loaded", priority: "priority changed", retry: "retried", revoke: "revoked", rewrite: "rewritten", rotate: "rotated", solve: "solved" };
+
+function actionOf(name) {
+  const [kind, verb] = name.split(".");
+  return verb ? `${kind} ${DONE[verb] || verb.replaceAll("_", " ")}` : name;
+}
+
+// A state as words: "status waiting, priority 0".
+function wordsOf(state) {
+  if (state === null || typeof state !== "object") return String(state);
+  return Object.entries(state).filter(([, value]) => value !== null).map(([name, value]) => (Array.isArray(state) ? wordsOf(value) : `${name.replaceAll("_", " ")} ${wordsOf(value)}`)).join(", ");
+}
+
+// Of two states what differs, else the one there is.
+function states({ before, after }) {
+  if (![before, after].every((one) => one && typeof one === "object")) return [before, after].filter((one) => one !== null).map(wordsOf).join(" → ");
+  const changed = [...new Set([...Object.keys(before), ...Object.keys(after)])].filter((name) => JSON.stringify(before[name]) !== JSON.stringify(after[name]));
+  return changed.map((name) => `${name.replaceAll("_", " ")} ${wordsOf(before[name] ?? "none")} → ${wordsOf(after[name] ?? "none")}`).join(", ");
+}

@@ -2,7 +2,7 @@
 
 import { get, of, send, trouble } from "./api.js";
 import { choice, el, field, note, put, save, select, table } from "./dom.js";
-import { emptyTable } from "./empty.js";
+import { empty, emptyTable, linkTo } from "./empty.js";
 import { LOADS, OUTPUTS, count, number, plain, prefixOf, quantity, symbol, unitOfLoad, unitOfOutput } from "./format.js";
 import { draw, faint } from "./plot.js";
 
@@ -33,8 +33,8 @@ export async function show(root, about, signal) {
       if (!first[1].includes(state.load)) [state.load] = first[1];
       const bar = (kind, text, list) => choice(kind, text, list.map((name) => [name, symbol(name)]), state[kind], (value) => { state[kind] = value; again(); });
       put(axes, state.reply.reason ? null : [bar("output", "Output", first[0]), bar("load", "Over", first[1])]);
-      put(facts, words(state.reply), state.reply.reason ? null : factors(state.reply));
-      places.forEach((one) => { one.hidden = Boolean(state.reply.reason); });
+      put(facts, words(state.reply, about), state.reply.reason ? null : factors(state.reply));
+      [...places, marks, saved].forEach((one) => { one.hidden = Boolean(state.reply.reason); });
       if (state.reply.reason) return;
       if (!state.drawings.length) for (const [k, place] of places.entries()) state.drawings.push(await draw(place, (shade) => picture(state, k, shade), signal, label(state, k)));
       again();
@@ -51,13 +51,14 @@ export async function show(root, about, signal) {
       save(await (await send("GET", `${of(about.name)}/comparison?${asked}`)).blob(), `${about.name}-comparison.csv`);
     } catch (error) { put(facts, trouble(error)); }
   };
+  const marks = key(), saved = el("div", {}, el("button", { type: "button", onclick: take }, "Rows as CSV"));
   const chosen = (kind, none) => select([["", none], ...names], state[kind], (value) => { state[kind] = value; load(); });
   const compared = chosen("number", "All measured rows"), reference = chosen("against", "The solves alone");
   compared.id = "compared";
   reference.id = "reference";
   put(root, el("section", { class: "card stack" },
     el("div", { class: "few" }, field("Measured", compared), field("Reference", reference)),
-    facts, axes, places, key(), el("div", {}, el("button", { type: "button", onclick: take }, "Rows as CSV"))));
+    facts, axes, places, marks, saved));
   await load();
 }
 
@@ -69,9 +70,9 @@ function varying(reply, kind) {
   return acting.length ? acting : LOADS;
 }
 
-function words(reply) {
+function words(reply, about) {
   const { reference, coverages } = reply, unanswered = Math.max(...Object.values(reply.outputs).map((one) => one.unanswered));
-  if (reply.reason) return note("", `Nothing is compared: ${reply.reason}.`);
+  if (reply.reason) return empty(`Nothing is compared: ${reply.reason}.`, linkTo(about, "table", "Import rows"));
   const by = reference.import === null ? "the answer of the solves alone" : `a ${reference.method} of the rows of import ${reference.import}`;
   const parts = [
     `${count(reply.compared)} of ${count(reply.measured)} measured rows${reply.compared < reply.measured - reply.beyond_range ? ", evenly chosen," : ""} beside ${by} (${count(reference.rows)}${reference.rows < reference.of ? ` of ${count(reference.of)}` : ""} rows).`,

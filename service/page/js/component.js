@@ -14,6 +14,7 @@ const TABS = [
   ["overview", "Overview", "overview.js"],
   ["query", "Query", "query.js"],
   ["shape", "Shape", "shape.js", "solved"],
+  ["faces", "Faces", "faces.js", "solved"],
   ["rows", "Rows", "rows.js"],
   ["response", "Response", "response.js"],
   ["checks", "Checks", "checks.js"],

@@ -83,6 +83,9 @@ export function time(text) {
   return when.toLocaleString(undefined, today ? { timeStyle: "medium" } : { dateStyle: "medium", timeStyle: "short" });
 }
 
+const ACTORS = { "(anonymous)": "no key", "(local)": "a command", "(server)": "the server" };
+export const actorOf = (name) => ACTORS[name] || name || "";
+
 export function wrench(force, moment) {
   const said = (values) => values.map((one) => number(one, 3)).join(", ");
   return `F (${said(force)}) N, M (${said(moment)}) N·m`;

@@ -4,7 +4,7 @@ import { get, post, send, trouble } from "./api.js";
 import { el, note, notify, pill, put, save } from "./dom.js";
 import { empty as emptyState } from "./empty.js";
 import { listen } from "./events.js";
-import { seconds, time } from "./format.js";
+import { actorOf, seconds, time } from "./format.js";
 import { said } from "./inputs.js";
 
 const SHOWN = 50, NEWEST = 20; // jobs: of a page; whose solve times are averaged
@@ -114,7 +114,7 @@ function change(list, row, job) {
   const running = job.status === "running";
   const fraction = job.progress?.fraction;
   put(row.root,
-    el("td", {}, el("a", { href: `#/jobs/${job.id}` }, String(job.id)), job.actor ? el("span", { class: "muted small" }, ` ${job.actor}`) : null),
+    el("td", {}, el("a", { href: `#/jobs/${job.id}` }, String(job.id)), job.actor && job.actor !== "(anonymous)" ? el("span", { class: "muted small" }, ` ${actorOf(job.actor)}`) : null),
     list.withName ? el("td", {}, el("a", { href: `#/c/${job.component}` }, job.component)) : null,
     el("td", { class: running || job.error ? "whole" : null }, el("div", { class: "stack" }, el("div", { class: "line" }, pill(job.status), running && job.progress ? el("span", { class: "small muted" }, job.progress.message) : null),
       running ? el("progress", { max: "1", value: fraction ?? 0, "aria-label": `Job ${job.id}` }) : null,
@@ -158,7 +158,7 @@ async function saveFiles(id) {
 
 export function jobFacts(job) {
   return [
-    ["Component", el("a", { href: `#/c/${job.component}` }, job.component)], ["Actor", job.actor || ""], ["Wrench", said(job)],
+    ["Component", el("a", { href: `#/c/${job.component}` }, job.component)], ["Actor", actorOf(job.actor)], ["Wrench", said(job)],
     ["Attempt", job.attempt ? String(job.attempt) : ""], ["Accepted", time(job.created)], ["Started", job.started ? time(job.started) : ""],
     ["Ended", job.finished ? time(job.finished) : ""], ["Took", job.seconds ? seconds(job.seconds) : ""], ["Row", job.row ? String(job.row) : ""],
     ["Waits", job.waiting ? job.waiting.reason || "" : ""],

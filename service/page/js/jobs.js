@@ -24,7 +24,7 @@ async function one(root, id, signal) {
       el("div", { class: "head" },
         el("div", {}, el("span", { class: "crumb" }, el("a", { href: "#/jobs" }, "Jobs"), " /"), el("h1", {}, `Job ${id}`)),
         el("div", { class: "line" }, pill(job.status), buttons(job, show_))),
-      job.status === "running" ? el("progress", { max: "1", value: job.progress?.fraction ?? 0 }) : null,
+      job.status === "running" ? el("div", { class: "stack tight" }, el("progress", { max: "1", value: job.progress?.fraction ?? 0, "aria-label": `Job ${id}` }), el("span", { class: "small muted" }, job.progress?.message || "")) : null,
       el("section", { class: "card" }, facts(jobFacts(job))));
     return job;
   };

@@ -7,6 +7,7 @@ import { listen } from "./events.js";
 import { count } from "./format.js";
 import { paint } from "./picture.js";
 import { wholeError } from "./shares.js";
+import { tour } from "./tour.js";
 
 const AT_ONCE = 4; // glances asked for at a time
 const BUILDING_MS = 3000; // between looks at a table that is being built
@@ -31,8 +32,9 @@ export async function show(root, _, signal, archived = false) {
       el("div", {}, el("h1", {}, "Library"),
         el("p", { class: "muted" }, "Deformable components, and the share of each load range whose whole error bar, interpolation and discretisation, is within the tolerance. An empty table is filled by its first query, or by an import of measured rows.")),
       el("div", { class: "line" }, el("div", { class: "search" }, search), away, el("a", { class: "button", href: "#/add" }, "Add a component"))),
-    broken.length ? note("outside", el("strong", {}, "Not usable"), broken.map((one) => el("span", {}, `${one.name}: ${one.reason}`))) : null,
+    broken.length ? note("outside", el("strong", {}, "Not usable"), broken.map((one) => el("span", {}, `${one.name}: ${one.reason}`)), el("span", {}, "Mend its files in the data directory, and reload this page; its rows and jobs are kept.")) : null,
     components.length ? list : empty("No components yet.", el("a", { class: "button first", href: "#/add" }, "Add a component")), none);
+  if (!archived) tour(components);
   listen(null, signal, (kind, body) => {
     if (kind === "table" && cards.has(body.component)) refresh(body.component, cards, signal, body.rows);
   });
@@ -59,14 +61,14 @@ function card(one) {
   return { root, rows, covered, picture, about: one, all: one.rows, has_fea: one.has_fea };
 }
 
-const rowsText = (rows) => (rows === 1 ? "1 row" : `${count(rows)} rows`);
+const rowsText = (rows) => (!rows ? "" : rows === 1 ? "1 row" : `${count(rows)} rows`);
 
 async function refresh(name, cards, signal, rows) {
   const shown = cards.get(name);
   if (rows !== undefined) { shown.rows.textContent = rowsText(rows); shown.all = rows; }
-  if (shown.about.space) { put(shown.covered, `${shown.about.space.inputs.length} inputs`); return; } // no drawing of their range
+  if (shown.about.space && shown.all) { put(shown.covered, `${shown.about.space.inputs.length} inputs`); return; } // no drawing of their range
   if (!shown.all) { // none, or none yet
-    put(shown.covered, shown.about.pending_rows ? `${beingBuilt(shown.about.pending_rows)} …` : "empty table");
+    put(shown.covered, shown.about.pending_rows ? `${beingBuilt(shown.about.pending_rows)} …` : `empty table: ${shown.has_fea ? "ask a query, or fill it" : "import rows"}`);
     return;
   }
   try {

@@ -31,7 +31,7 @@ async function show() {
     if (!signal.aborted) await view.show(main, found.map((one) => one && decodeURIComponent(one)), signal);
   } catch (error) {
     if (error.name === "AbortError" || signal.aborted) return;
-    put(main, trouble(error), el("p", {}, el("a", { href: "#/" }, "Go to the library")));
+    put(main, el("h1", {}, "This view cannot be shown"), trouble(error), el("p", {}, el("a", { href: "#/" }, "Go to the library")));
   }
 }
 
@@ -54,11 +54,11 @@ function markWhereWeAre(address) {
 async function tellState() {
   if (document.hidden) return;
   const place = document.getElementById("state");
-  const set = (text, kind) => { if (place.textContent !== text) place.textContent = text; place.className = `state ${kind}`; };
+  const set = (text, kind, more = "") => { if (place.textContent !== text + more) put(place, text, el("span", { class: "detail" }, more)); place.className = `state ${kind}`; };
   try {
     const state = await (await send("GET", "health/ready", { quiet: true })).json();
-    if (state.building.length) set(`building ${state.building.join(", ")}`, "ready");
-    else if (state.status === "degraded") set(`degraded: ${Object.keys(state.broken).join(", ")}`, "faulty");
+    if (state.building.length) set("building", "ready", ` ${state.building.join(", ")}`);
+    else if (state.status === "degraded") set("degraded", "faulty", `: ${Object.keys(state.broken).join(", ")}`);
     else set("ready", "ready");
     place.title = Object.entries(state.broken).map(([name, reason]) => `${name}: ${reason}`).join("\n");
   } catch (error) {

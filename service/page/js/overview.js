@@ -5,7 +5,7 @@ import { el, facts, field, note, notify, put, table } from "./dom.js";
 import { listenToTable } from "./events.js";
 import { beingBuilt } from "./empty.js";
 import { findingNote } from "./findings.js";
-import { count, number, quantity, percent } from "./format.js";
+import { count, number, quantity } from "./format.js";
 import { inputsOf, mark, spansOf } from "./inputs.js";
 import { sharesOf, wholeError } from "./shares.js";
 
@@ -43,10 +43,11 @@ function warnings(about, signal, done) {
       found.map((one) => el("div", { class: "stack" }, el("p", { class: "muted small" }, `Import ${one.import}${one.filename ? `, ${one.filename}` : ""}`),
         findingNote(about.name, one, one.import, signal, done)))) : null,
     ofRows.length ? note("thin", ofRows.map((one) => el("p", {}, textOf(one))), about.another_setup.wrenches ? resolve(about) : null) : null,
-    checked.length ? note("thin", el("strong", {}, "Warnings of the bundle check"), el("ul", {}, checked.map((one) => el("li", {}, textOf(one))))) : null,
+    checked.length ? note("thin", el("strong", {}, "Warnings of the bundle check"), el("ul", {}, checked.map((one) => el("li", {}, VERB.test(textOf(one)) ? `${one.where} ${textOf(one)}` : textOf(one))))) : null,
   ];
 }
 
+const VERB = /^(is|are|has|have|holds|keeps|counts|names|must) /; // of a message that goes on after its key
 const textOf = (one) => (typeof one === "string" ? one : one.message || one.msg || JSON.stringify(one));
 
 async function cover(place, about, signal, isLatest) {
@@ -89,23 +90,24 @@ function fill(about) {
     field("Largest number of solves", budget), el("button", { class: "first" }, "Fill the table"));
 }
 
+const SOURCES = { fea: "solved" };
+const pointOf = (point) => point.map((one) => quantity(Math.abs(one) < 1e-9 ? 0 : one, "m")).join(", "); // below a nanometre is roundoff
+
 function method(about) {
   const cover = about.coverage;
   const tolerance = about.tolerance
     ? `${quantity(about.tolerance.translation, "m")}, ${quantity(about.tolerance.rotation, "rad")}`
     : "1 % of each output's range";
-  const sources = Object.entries(about.sources).map(([name, rows]) => `${count(rows)} ${name}`).join("; ");
+  const sources = Object.entries(about.sources).map(([name, rows]) => `${count(rows)} ${SOURCES[name] || name}`).join("; ");
   const jobs = Object.entries(about.jobs).filter(([, n]) => n).map(([status, n]) => `${n} ${status}`).join(", ");
-  const errors = Object.entries(cover.errors_left_out || {}).map(([name, error]) => `${name} ${percent(error)}`).join(", ");
   return facts([
     ["Rows", sources || "none"],
     ["Method", cover.method],
     ["Why", cover.method_reason],
-    ["Cross-validation error", errors],
     ["Tolerance", tolerance],
-    ["Jobs", jobs || "none"],
-    ["Contradictions", cover.conflicting_wrenches ? `${cover.conflicting_wrenches} wrenches have rows that disagree` : ""],
-    ["Outside the range", cover.beyond_range ? `${cover.beyond_range} rows` : ""],
+    ["Jobs", jobs ? el("a", { href: `#/c/${encodeURIComponent(about.name)}/jobs` }, jobs) : "none"],
+    ["Contradictions", cover.conflicting_wrenches ? `${cover.conflicting_wrenches} ${cover.conflicting_wrenches === 1 ? "wrench has" : "wrenches have"} rows that disagree: withdraw the wrong import under Entry` : ""],
+    ["Outside the range", cover.beyond_range ? `${count(cover.beyond_range)} rows, which do not count` : ""],
     ["Version", String(about.table_version)],
     ["Notes", about.notes],
   ]);
@@ -128,9 +130,9 @@ function contract(about) {
     ["Moment", about.contract.moment],
     ["Sign", about.contract.sign],
     ["Section", held?.section],
-    ["Point", held?.point ? held.point.map((one) => quantity(one, "m")).join(", ") : ""],
+    ["Point", held?.point ? pointOf(held.point) : ""],
     ["Coupling", held?.coupling],
-    ...Object.entries(about.interfaces || {}).map(([name, one]) => [`Interface ${name}`, `${one.section}, ${one.coupling}${one.held ? ", held" : ""}${one.point ? `, at ${one.point.map((part) => quantity(part, "m")).join(", ")}` : ""}`]),
+    ...Object.entries(about.interfaces || {}).map(([name, one]) => [`Interface ${name}`, `${one.section}, ${one.coupling}${one.held ? ", held" : ""}${one.point ? `, at ${pointOf(one.point)}` : ""}`]),
     ["Locked", held?.locked?.join(", ")],
   ]);
 }

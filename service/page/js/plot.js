@@ -20,7 +20,7 @@ export function colours() {
   const probe = el("span", { class: "unseen" });
   document.body.append(probe);
   const found = {};
-  for (const name of ["ink", "muted", "line", "card", "paper", "accent", "covered", "thin", "outside", "query", "sunken"]) {
+  for (const name of ["ink", "muted", "line", "card", "paper", "accent", "covered", "thin", "outside", "query", "sunken", "part"]) {
     probe.style.color = `var(--${name})`;
     found[name] = getComputedStyle(probe).color;
   }

@@ -4,7 +4,7 @@ import { caughtUp, get, of, post, send, trouble } from "./api.js";
 import { choice, el, facts, field, note, pill, put, save, select } from "./dom.js";
 import { LOADS, number, quantity, stress, symbol } from "./format.js";
 import { draw } from "./plot.js";
-import { column, extent, lengths, lines, moved, outline } from "./surface.js";
+import { awayFrom, column, extent, lengths, lines, moved, outline } from "./surface.js";
 import { NARROW, figure } from "./view3d.js";
 import { lastWrench, wrenchForm } from "./wrench_form.js";
 
@@ -52,7 +52,7 @@ async function stageOf(stage, about, wrench, shape, signal) {
   const largest = sizes.reduce((a, b) => Math.max(a, b), 0);
   const natural = largest > 0 ? (SEEN * extent(shape.vertices)) / largest : 1;
   const state = { factor: round(natural), colour: "size", edges: outline(shape.vertices, shape.triangles) };
-  const place = el("div", { class: "plot", id: "shape", "data-away": 1.12 });
+  const place = el("div", { class: "plot", id: "shape", "data-away": awayFrom(moved(shape.vertices, shape.displacement, natural)) });
   const view = figure(place, `Deformed ${about.name}`);
   const magnification = el("output", { id: "factor" });
   const slider = el("input", { type: "range", min: 0, max: 100, step: 1, value: 50, id: "magnify", "aria-label": "Magnification" });

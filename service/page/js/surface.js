@@ -54,4 +54,8 @@ export function spansOf(vertices) {
   });
 }
 
+// How much farther than usual a part is looked at from: plotly scales it to a mean size of 1, and long ones would not fit.
+const FITS = 2.6; // extent over the mean size that fits from the usual distance
+export const awayFrom = (vertices) => Math.max(1.12, extent(vertices) / Math.cbrt(spansOf(vertices).reduce((product, one) => product * one, 1)) / FITS);
+
 export const extent = (vertices) => Math.hypot(...spansOf(vertices));

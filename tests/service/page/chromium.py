@@ -73,6 +73,7 @@ class Browser:
         self.server = client.url
         self.visit("page/icon.svg")  # a file that all may have
         self.run("sessionStorage.clear(); localStorage.clear()")
+        self.run("localStorage.setItem('wrenchbook-tour', 'yes')")  # whoever is new sees a tour
         if key := getattr(client, "_key", None):
             self.run("sessionStorage.setItem('wrenchbook-key', arguments[0])", key)
         self.mistakes()

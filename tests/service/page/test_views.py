@@ -6,6 +6,8 @@ from functools import partial
 
 import numpy as np
 import pytest
+from selenium.webdriver import ActionChains
+from selenium.webdriver.common.keys import Keys
 
 from tests.service.page.test_browser import LOADS, PLATE, ask
 from tests.service.test_import_findings import logs_of
@@ -131,6 +133,40 @@ def test_the_card_of_a_table_without_a_mesh_has_a_symbol(browser, rig):
     drawn = "getContext('2d').getImageData(0, 0, 320, 150).data.some((one) => one > 0)"
     assert browser.run(f"return arguments[0].querySelector('canvas').{drawn}", card)
     assert browser.mistakes() == []
+
+
+def test_a_click_on_a_face_gives_the_lines_that_select_it(browser, client):
+    browser.visit(f"{PLATE}/faces")
+    browser.drawn("#faces")
+    place = browser.one("#faces")
+    assert "NAME = {plane" in browser.one("pre").text
+
+    def pressed():  # again: the drawing finds the face under the mouse a frame later
+        mouse = ActionChains(browser.driver).move_to_element(place).move_by_offset(1, 1)
+        mouse.click().move_by_offset(-1, -1).perform()
+        return 'NAME = {plane = "z", at = 0.004}' in browser.one("pre").text
+
+    browser.until(pressed, "the lines of the upper face")
+    browser.run("document.querySelector('#face').selectedIndex = 1")
+    browser.run("document.querySelector('#face').dispatchEvent(new Event('change'))")
+    browser.type("#faces-name", "held")
+    assert "held = {plane" in browser.one("pre").text
+    assert browser.mistakes() == []
+
+
+def test_a_new_visitor_is_led_through_three_steps_by_keyboard_once(browser, plate):
+    browser.run("localStorage.clear()")
+    browser.visit("#/")
+    browser.named("dialog.tour h2", "New here?")
+    for step in ("1 of 3: Ask", "2 of 3: See the bar", "3 of 3: Fill"):
+        browser.press(Keys.ENTER)
+        browser.named("dialog.tour h2", step)
+        browser.one(".pointed")
+    browser.press(Keys.ESCAPE)
+    browser.until(lambda: not browser.all("dialog.tour, .pointed"), "the end of the tour")
+    browser.visit("#/")
+    browser.one("a.card")
+    assert not browser.all("dialog.tour")
 
 
 def test_the_band_of_a_response_is_split_by_cause(browser, plate):

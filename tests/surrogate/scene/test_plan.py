@@ -95,7 +95,7 @@ def test_the_solves_that_a_fill_asks_for_are_those_of_the_plan(kind: str) -> Non
 def test_without_rows_the_plan_says_what_one_solve_would_tell() -> None:
     plan = plan_of(empty(), need(PLANAR, tolerance=TIGHT))
     assert plan.decision == "table"
-    assert "one solve tells the tangent compliance" in plan.reason
+    assert "one solve gives the tangent compliance" in plan.reason
     assert np.isnan(plan.bound).all()
 
 
