@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 from docutils.nodes import SkipNode
@@ -82,13 +83,20 @@ def append_generated(app, docname, source):
 
 
 def start_server(app):
-    """Start a server with an empty data directory, and name it to the notebooks."""
+    """Start a server with an empty data directory; name it to the notebooks once it answers."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     app.data = tempfile.TemporaryDirectory()
     program = [sys.executable, "-m", "wrenchbook", "serve", "--port", str(port)]
     app.server = subprocess.Popen([*program, "--data", app.data.name], stdout=subprocess.DEVNULL)
     os.environ["WRENCHBOOK_SERVER"] = f"http://127.0.0.1:{port}"
+    while app.server.poll() is None:
+        try:
+            socket.create_connection(("127.0.0.1", port)).close()
+            return
+        except ConnectionRefusedError:
+            time.sleep(0.1)
+    raise RuntimeError(f"the server of the notebooks ended with status {app.server.returncode}")
 
 
 def end_server(app, error):
