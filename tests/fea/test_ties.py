@@ -117,7 +117,7 @@ def test_round_surfaces_are_tied_without_strain_by_rigid_motions(straight, swapp
 def test_secondary_nodes_beyond_the_main_surface_stay_loose():
     part = tied(pair(counts=((8, 8, 2), (4, 4, 2))), {"secondary": "a_z1", "main": "b_z0"})
     off = np.abs(part.mesh.points[part.ties[0].nodes, :2] - 0.5)
-    assert (off <= [0.3 + 1 / 16, 0.4 + 1 / 16]).all()
+    assert (off <= [0.3 + 1 / 12, 0.4 + 1 / 12]).all()  # two thirds of a facet
     assert part.ties[0].untied > 0
 
 
