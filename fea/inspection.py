@@ -291,11 +291,11 @@ def set_up_warnings(component: ComponentModel) -> list[BundleProblem]:
             problems.append(BundleProblem(f"{bolt.key}.force", message))
         angle, direction = shank_direction(component, bolt)
         if angle > _OBLIQUE:
+            axis = (np.round(direction, 4) + 0.0).tolist()
             message = (
-                f"is {np.degrees(angle):.2g} degrees off the shank, whose sides at the cut run along "
-                f"{point_text(direction)}: so {100 * np.sin(angle):.2g} % of the force pulls it "
-                f"sideways; write axis = {(np.round(direction, 4) + 0.0).tolist()}, or move the point to "
-                "where the shank is straight"
+                f"is {np.degrees(angle):.2g} degrees off the sides of the shank at the cut, so "
+                f"{100 * np.sin(angle):.2g} % of the force pulls it sideways; write axis = {axis}, "
+                "or move the point to where the shank is straight"
             )
             problems.append(BundleProblem(f"{bolt.key}.axis", message))
     for number, material in enumerate(component.bundle.materials if component.bundle else ()):
@@ -431,10 +431,12 @@ def tie_warnings(component: ComponentModel) -> list[BundleProblem]:
     """Return warnings on nodes that a tie leaves loose, gaps that it closes, and a coarse side."""
     texts, follow = [], component.mesh.dependents
     for i, tie in enumerate(component.ties if follow else ()):
-        count, loose = len(tie.nodes), f"{tie.untied} secondary nodes are loose: they are held, or "
-        if tie.untied:
-            little = "the main surface covers too little of their facets"
-            texts.append((i, f"{loose}{little}; if it ends within facets, split the surface there"))
+        count, loose = len(tie.nodes), f"{tie.untied} secondary nodes are loose"
+        if tie.cut:
+            ends = f"the main surface ends within {tie.cut} facets, and the tie at their edges"
+            texts.append((i, f"{ends}: {loose}; split the surface there, or swap the two groups"))
+        elif tie.untied:
+            texts.append((i, f"{loose}: they are held, or the main surface does not cover them"))
         if tie.gap > _CLOSED * tie.distance:
             texts.append((i, f"a gap of up to {tie.gap:.3g} m is closed by moving secondary nodes"))
         if follow and follow.map[tie.nodes].nnz > _FINER * count:

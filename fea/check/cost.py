@@ -39,8 +39,8 @@ _PROJECTED = 2.0  # times that where pressure is a separate unknown: more, and l
 def estimate(component: ComponentModel) -> dict[str, Any]:
     """Return the estimated seconds and bytes of one solve.
 
-    Result: ``unknowns`` (without nodes that are fixed or follow others), ``linear_seconds``, ``nonlinear_seconds``,
-    ``memory_bytes`` and ``basis``, a sentence.
+    Result: ``unknowns`` (without nodes that are fixed or follow others), ``linear_seconds``,
+    ``nonlinear_seconds``, ``memory_bytes`` and ``basis``, a sentence.
     """
     mesh, follow = component.mesh, component.mesh.dependents
     free = np.ones(len(mesh.points), dtype=bool)

@@ -31,8 +31,8 @@ Array = np.ndarray
 _DISTANCE = 0.1  # of the mean edge: straight edges, eight round a circle, are 0.097 off it
 _ALPHA = 0.2  # any in (0, 1/3) makes the integrals positive; Popp's choice
 _COVER = 1 / 3
-"""Of a facet: less is not tied. Of 24 plates and blocks that are lapped or stand on plates with cells
-as large as the block, half was up to 36 % too soft, a third 13 %; a quarter is stiffer than that."""
+"""Of a facet: less is not tied. Of 24 plates and blocks, lapped or on plates with cells as large as
+the block, half was up to 36 % too soft and a third 13 %; less makes most of them stiffer."""
 
 _NODE = 0.1  # of its integral over the tied facets: less is an extrapolation from a strip
 _EDGE = 0.02  # of a facet, covered or not: roundoff, and what curved facets leave uncovered
