@@ -432,7 +432,7 @@ def tie_warnings(component: ComponentModel) -> list[BundleProblem]:
     texts, follow = [], component.mesh.dependents
     for i, tie in enumerate(component.ties if follow else ()):
         count, loose = len(tie.nodes), f"{tie.untied} secondary nodes are loose"
-        if tie.cut:
+        if tie.cut and tie.untied:
             ends = f"the main surface ends within {tie.cut} facets, and the tie at their edges"
             texts.append((i, f"{ends}: {loose}; split the surface there, or swap the two groups"))
         elif tie.untied:
