@@ -33,7 +33,14 @@ from scipy.spatial import KDTree
 
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.mesh.bolts import BoltCut
-from wrenchbook.fea.mesh.facets import EDGES, FACES, corners_of, facets_within, outer_surface
+from wrenchbook.fea.mesh.facets import (
+    EDGES,
+    FACES,
+    TRIANGLES,
+    corners_of,
+    facets_within,
+    outer_surface,
+)
 from wrenchbook.fea.mesh.mapping import extreme_determinants
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh, row_numbers
 from wrenchbook.fea.mesh.reference_cell import node_coordinates
@@ -282,11 +289,44 @@ def set_up_warnings(component: ComponentModel) -> list[BundleProblem]:
                 f"its yield strength, {strength:.4g} Pa: materials here do not yield"
             )
             problems.append(BundleProblem(f"{bolt.key}.force", message))
+        angle, direction = shank_direction(component, bolt)
+        if angle > _OBLIQUE:
+            axis = (np.round(direction, 4) + 0.0).tolist()
+            message = (
+                f"is {np.degrees(angle):.2g} degrees off the sides of the shank at the cut, so "
+                f"{100 * np.sin(angle):.2g} % of the force pulls it sideways; write axis = {axis}, "
+                "or move the point to where the shank is straight"
+            )
+            problems.append(BundleProblem(f"{bolt.key}.axis", message))
     for number, material in enumerate(component.bundle.materials if component.bundle else ()):
         if material.thermal_expansion is not None and component.temperature is None:
             message = "counts for nothing without [inputs.temperature]"
             problems.append(BundleProblem(f"material[{number}].thermal_expansion", message))
     return problems
+
+
+_OBLIQUE = np.radians(3.0)  # 5 % of the force pulls across; straight facets of a round shank show 1
+
+_SIDEWAYS = 0.1
+"""Of the middle direction's area, that of free facets along the axis of a shank: 0.06 of a cone of
+20 degrees; more has no direction."""
+
+
+def shank_direction(component: ComponentModel, bolt: BoltCut) -> tuple[float, Array]:
+    """Return the angle from a bolt's axis to its shank, rad, and the shank's unit vector, (3,).
+
+    The shank's free facets at the cut run along it. Of others, as of a cone, the angle is 0.
+    """
+    mesh, squares = component.whole, np.zeros((3, 3))
+    for kind, nodes in outer_surface(mesh.blocks).blocks:
+        x = mesh.points[nodes[np.isin(nodes, bolt.nodes).any(axis=1)][:, TRIANGLES[kind]]]
+        normals = np.cross(x[:, :, 1] - x[:, :, 0], x[:, :, 2] - x[:, :, 0]).sum(axis=1)
+        squares += normals.T @ (normals / np.linalg.norm(normals, axis=1, keepdims=True))
+    sizes, axes = np.linalg.eigh(squares)
+    direction = axes[:, 0] * (-1.0 if axes[:, 0] @ bolt.axis < 0 else 1.0)
+    if sizes[0] > _SIDEWAYS * sizes[1]:
+        direction = bolt.axis
+    return float(np.arccos(np.clip(direction @ bolt.axis, -1.0, 1.0))), direction
 
 
 def strength_at(component: ComponentModel, bolt: BoltCut) -> float | None:
@@ -391,10 +431,12 @@ def tie_warnings(component: ComponentModel) -> list[BundleProblem]:
     """Return warnings on nodes that a tie leaves loose, gaps that it closes, and a coarse side."""
     texts, follow = [], component.mesh.dependents
     for i, tie in enumerate(component.ties if follow else ()):
-        count, loose = len(tie.nodes), f"{tie.untied} secondary nodes are loose: they are held, or "
-        if tie.untied:
-            little = "the main surface covers too little of their facets"
-            texts.append((i, f"{loose}{little}; if it ends within facets, split the surface there"))
+        count, loose = len(tie.nodes), f"{tie.untied} secondary nodes are loose"
+        if tie.cut and tie.untied:
+            ends = f"the main surface ends within {tie.cut} facets, and the tie at their edges"
+            texts.append((i, f"{ends}: {loose}; split the surface there, or swap the two groups"))
+        elif tie.untied:
+            texts.append((i, f"{loose}: they are held, or the main surface does not cover them"))
         if tie.gap > _CLOSED * tie.distance:
             texts.append((i, f"a gap of up to {tie.gap:.3g} m is closed by moving secondary nodes"))
         if follow and follow.map[tie.nodes].nnz > _FINER * count:

@@ -189,7 +189,20 @@ class Solver:
         """The state as bolts are tightened, nonlinear; None without."""
         if self._system.preload is None:
             return None
-        return hang(self._tightening, _turns_little, "the preload of bolts alone").balance.state
+        try:
+            return hang(self._tightening, _turns_little, "the preload of bolts alone").balance.state
+        except SolveFailed as failure:
+            if failure.last is None or failure.kind in ("mechanism", "ill_conditioned"):
+                raise
+            cuts, part = self.component.bolts, failure.last[0]
+            bolts = " and ".join(f"{cut.key}, {cut.bolt.force:.4g} N," for cut in cuts)
+            reached = " and ".join(f"{part * cut.bolt.force:.3g} N" for cut in cuts)
+            raise SolveFailed(
+                failure.kind,
+                f"The preload of {bolts} is more than the part carries: {reached} was reached. "
+                f"{failure.message}",
+                "Write a smaller force, or stiffen what the bolt clamps, and its seat.",
+            ) from None
 
     @cached_property
     def unloaded(self) -> Equilibrium:

@@ -25,7 +25,7 @@ _AT_A_TIME = 256
 _FIELDS_AT_A_TIME = 1024
 """Cells whose nodes' six fields are there at once: 1.5 to 3 MB; a flange's 8,100 took 23 MB."""
 
-_SINGLE_NUMBERS = 30e6
+SINGLE_NUMBERS = 30e6
 """Numbers from which on the undeformed body's factor is in single precision: 0.24 GB in double.
 
 A solve then takes 0.55 to 0.7 of the memory and 0.6 to 1.0 of the time; of less it takes as long.
@@ -305,7 +305,7 @@ class Tangent:
         self, body: ElasticBody, displacement: Array | None, step: tuple[Array, Array] | None
     ) -> None:
         self._body = body
-        self._single = displacement is None and body.dissection.numbers > _SINGLE_NUMBERS
+        self._single = displacement is None and body.dissection.numbers > SINGLE_NUMBERS
         self._displacement, self._step = displacement, step
         self._ready: dict[int, Array] = {}
 

@@ -2,17 +2,20 @@
 
 The factorisation's operations and the numbers it holds follow exactly from the tree of nested
 substructures (`fea.linalg.nested_dissection`): a front that eliminates m of m + b unknowns takes
-m^3/3 + m^2 b + m b^2 multiply-adds and holds m^2/2 + m b numbers. Time and memory of the solver's
-process are fitted to those, to the cells that are ordered and to the entries of their matrices, on
-the shipped components, finer plates and STEP parts (tet10) of 3,400 to 111,000 unknowns, one core
-of a server:
+m^3/3 + m^2 b + m b^2 multiply-adds and holds m^2/2 + m b numbers. Cells at ties and at bolts' cuts
+count with all nodes that move them. Time and memory of the solver's process are fitted to those, to
+the cells that are ordered and to the entries of their matrices, on the shipped components, plates,
+blocks (hex20, tet10) and tied slabs of 5,000 to 75,000 unknowns, one core of a server:
 
-    work [s]           = 7.2e-8 x entries + 1e-5 x cells x log2(cells) + operations / 19e9
+    work [s]           = 4.3e-8 x entries + 2.3e-6 x cells x log2(cells) + operations / 22e9
     linear solve       = 0.04 + work
     nonlinear solve    = 0.04 + 2.5 work (3 to 6 iterations; up to 20 by load and part),
                          5.0 work where cells project their volumetric strain
     memory             = 100e6 + 9 x numbers + 8 x entries, nonlinear solves too (one factor at a
                          time: 0.91 to 1.15 of the peaks of nine, 140 to 590 MB)
+
+Of over 30 million numbers a linear solve's factor is in single precision, with 4.5 bytes each and
+twice the operations a second.
 
 `make bench NAME=check` prints these against time and memory of a solve: within 1.5 on a like
 machine.
@@ -24,12 +27,10 @@ from typing import Any
 
 import numpy as np
 
+from wrenchbook.fea.assembly.body import SINGLE_NUMBERS
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.element.pressure_projection import NEARLY_INCOMPRESSIBLE
 from wrenchbook.fea.linalg.nested_dissection import dissect
-
-_MAX_CELLS = 100_000
-"""Beyond this many cells the operations are guessed from the unknowns, as of a cube."""
 
 _NONLINEAR = 2.5  # times the work of a linear solve
 _PROJECTED = 2.0  # times that where pressure is a separate unknown: more, and larger, matrices
@@ -38,27 +39,35 @@ _PROJECTED = 2.0  # times that where pressure is a separate unknown: more, and l
 def estimate(component: ComponentModel) -> dict[str, Any]:
     """Return the estimated seconds and bytes of one solve.
 
-    Result: ``unknowns`` (without fixed nodes), ``linear_seconds``, ``nonlinear_seconds``,
-    ``memory_bytes`` and ``basis``, a sentence.
+    Result: ``unknowns`` (without nodes that are fixed or follow others), ``linear_seconds``,
+    ``nonlinear_seconds``, ``memory_bytes`` and ``basis``, a sentence.
     """
-    mesh = component.whole
+    mesh, follow = component.mesh, component.mesh.dependents
     free = np.ones(len(mesh.points), dtype=bool)
     free[component.fixed_nodes] = False
+    for hold in (*component.interfaces, *component.frames):
+        if hold.coupling == "rigid":
+            free[hold.section.node_ids] = False
+    groups = [block.nodes for block in mesh.blocks]  # the nodes that move each cell, (m, s)
+    if follow is not None:
+        free[follow.nodes] = False
+        tied = [follow.among(nodes) for nodes in groups]
+        pairs = list(zip(groups, tied, strict=True))
+        moving = [follow.outer(nodes[at])[0] for nodes, at in pairs if at.any()]
+        groups = [nodes[~at] for nodes, at in pairs] + moving
     unknowns = 3 * int(free.sum())
-    entries = sum(len(block) * (3 * block.nodes.shape[1]) ** 2 for block in mesh.blocks)
-    if sum(len(block) for block in mesh.blocks) <= _MAX_CELLS:
-        cells = [nodes for block in mesh.blocks for nodes in block.nodes]
-        centres = np.concatenate([mesh.points[block.nodes].mean(axis=1) for block in mesh.blocks])
-        operations = numbers = 0.0
-        for part in dissect(cells, centres, free).substructures:
-            m, b = float(part.eliminated), float(part.boundary.size)
-            operations += m**3 / 3 + m * m * b + m * b * b
-            numbers += m * m / 2 + m * b
-    else:
-        operations, numbers = 37e9 * (unknowns / 34611) ** 2, 28e6 * (unknowns / 34611) ** (4 / 3)
-    count = sum(len(block) for block in mesh.blocks)
-    work = 7.2e-8 * entries + 1e-5 * count * np.log2(count + 1) + operations / 19e9
-    work *= 2 if component.bolts else 1  # they are tightened by a factor of its own
+    entries = sum(len(nodes) * (3 * nodes.shape[1]) ** 2 for nodes in groups)
+    cells = [nodes for group in groups for nodes in group]
+    centres = np.concatenate([mesh.points[group].mean(axis=1) for group in groups])
+    operations = numbers = 0.0
+    for part in dissect(cells, centres, free).substructures:
+        m, b = float(part.eliminated), float(part.boundary.size)
+        operations += m**3 / 3 + m * m * b + m * b * b
+        numbers += m * m / 2 + m * b
+    ready = 4.3e-8 * entries + 2.3e-6 * len(cells) * np.log2(len(cells) + 1)
+    halved = 0.5 if numbers > SINGLE_NUMBERS else 1.0  # by single precision
+    tightened = 2 if component.bolts else 1  # by a factor of its own
+    linear, work = (tightened * (ready + part * operations / 22e9) for part in (halved, 1.0))
     # Some cells take the pressure as a separate unknown.
     kinds = {"hex20", "hex27"} & set(mesh.cell_counts)
     ratios = [
@@ -66,10 +75,11 @@ def estimate(component: ComponentModel) -> dict[str, Any]:
     ]
     projects = kinds and any(np.max(ratio) > NEARLY_INCOMPRESSIBLE for ratio in ratios)
     times = _NONLINEAR * (_PROJECTED if projects else 1.0)
-    memory = 100e6 + 9 * numbers + 8 * entries
+    halved = 1.0 if component.analysis.nonlinear else halved
+    memory = 100e6 + 9 * halved * numbers + 8 * entries
     return {
         "unknowns": unknowns,
-        "linear_seconds": float(f"{0.04 + work:.2g}"),
+        "linear_seconds": float(f"{0.04 + linear:.2g}"),
         "nonlinear_seconds": float(f"{0.04 + times * work:.2g}"),
         "memory_bytes": int(float(f"{memory:.3g}")),
         "basis": "an estimate from the order of elimination, within 1.5 on a like machine",

@@ -274,12 +274,15 @@ def hang(
     assert system.weight is not None
     further = system.weight[:, :, None]
     growing = System(system.body, system.coupling, body_force=further, preload=system.preload)
+    unloaded = None if start is None else at_rest(growing, start)
+    path = LoadPath(growing, np.eye(growing.inputs)[-1], None, unloaded)
     try:
-        unloaded = None if start is None else at_rest(growing, start)
-        equilibrium = LoadPath(growing, np.eye(growing.inputs)[-1], None, unloaded).follow(check)
+        equilibrium = path.follow(check)
     except SolveFailed as failure:
         message = f"Under {cause}, which grows in place of a wrench: {failure.message}"
-        raise SolveFailed(failure.kind, message, failure.remedy) from None
+        other = SolveFailed(failure.kind, message, failure.remedy)
+        other.last = path.last_state()
+        raise other from None
     balance = system.balance(equilibrium.balance.state, np.zeros(system.inputs))
     stiffness = equilibrium.tangent.tangent
     tangent = Linearisation(system.body, system.coupling, balance, stiffness, system.body_force)

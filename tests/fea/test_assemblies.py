@@ -261,6 +261,25 @@ def test_a_motion_that_only_bolts_or_no_spring_hold_is_named_and_refused():
             Solver(own).solve(WRENCH)
 
 
+def test_an_axis_off_the_shank_is_named_with_its_angle_and_the_axis_to_write():
+    lean = np.radians(17)
+    for axis, degrees in ([0, 0, 1], None), ([np.sin(lean), 0, np.cos(lean)], 17):
+        part = clamped_bar(of_bolt={"axis": [float(x) for x in axis]})
+        found = [each.message for each in warnings_of(part) if each.where == "bolt[0].axis"]
+        assert bool(found) == bool(degrees)
+        assert all("17 degrees off" in text and "axis = [0.0, 0.0, 1.0]" in text for text in found)
+
+
+def test_a_preload_that_the_part_does_not_carry_is_named_with_the_force_reached():
+    part = assembly(frame(), bolt=[bolt(region="shank", force=1e7)], nonlinear=True)
+    words = (
+        r"The preload of bolt\[0\], 1e\+07 N, is more than the part carries: .*e\+05 N was reached"
+    )
+    with pytest.raises(SolveFailed, match=words) as failure:
+        Solver(part).solve(np.zeros(6))
+    assert failure.value.remedy.startswith("Write a smaller force")
+
+
 def test_a_group_of_facets_cuts_as_a_region_does_and_a_jagged_cut_too():
     cut = clamped_bar()
     (block,) = cut.uncut.blocks

@@ -94,7 +94,7 @@ def test_single_precision_gives_doubles_digits_or_way_to_it(length, steps, stays
     part = component(box("tet10", (3, 3, 8), (1.0, 1.0, length)), coupling="distributed")
     exact, single = Solver(part), Solver(part)
     scale = np.sqrt(np.diagonal(exact.compliance))
-    monkeypatch.setattr(body, "_SINGLE_NUMBERS", 0)
+    monkeypatch.setattr(body, "SINGLE_NUMBERS", 0)
     monkeypatch.setattr(body, "_SINGLE_STEPS", steps)
     apart = (single.compliance - exact.compliance) / np.outer(scale, scale)
     assert np.abs(apart).max() < 1e-12
