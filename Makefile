@@ -139,6 +139,17 @@ wheels: setup  ## wheels of five platforms into dist/, compiled by ziglang
 		KERNEL_PLATFORM=$$platform $(BIN)/python -m hatchling build -t wheel -d dist || exit 1; \
 	done
 
+# the wheel of this platform in an empty environment of each Python: demo, and a POSTed wrench
+PYTHONS ?=
+release-check: setup  ## install and try the wheel on Python 3.11 to 3.14
+	rm -rf build/release
+	$(BIN)/python -m hatchling build -t wheel -d build/release
+	$(BIN)/python -P tests/release.py build/release/*.whl $(PYTHONS)
+
+# data/docs/reference/licences.md, from the lock files and the installed packages
+licences: $(VENV)/.installed-dev $(VENV)/.installed-docs
+	$(BIN)/python -m data.docs.licences
+
 image:  ## build the container image (compose.yaml adds TLS and Dask workers)
 	docker build -t wrenchbook .
 

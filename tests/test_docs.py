@@ -1,7 +1,8 @@
 """README and documentation: links resolve, Python blocks run, commands exist, the site builds.
 
-A block below the line ``<!-- not run: REASON -->`` is left out. The Python blocks of a page or the
-cells of a notebook run in one namespace, against a server with solvers and an empty data directory.
+A block below the line ``<!-- not run: REASON -->`` or ``<!-- run by TEST -->`` is left out. The
+Python blocks of a page or the cells of a notebook run in one namespace, against a server with
+solvers and an empty data directory.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import pytest
 import typer
 
 import wrenchbook
+from data.docs import licences
 from tests.service.live import served
 from wrenchbook.service.cli.local import PROGRAMS
 from wrenchbook.service.cli.main import app
@@ -29,7 +31,7 @@ from wrenchbook.service.files.program import child_command
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "data/docs"
 PAGES = [
-    *(ROOT / name for name in ("README.md", "CHANGELOG.md")),
+    *(ROOT / name for name in ("README.md", "CHANGELOG.md", "SECURITY.md")),
     *(
         file
         for room in ("fea", "surrogate", "service")
@@ -37,7 +39,11 @@ PAGES = [
     ),
     *DOCS.glob("**/*.md"),
 ]
-RUN = [*sorted(DOCS.glob("tutorials/*.md")), *sorted(DOCS.glob("notebooks/*.ipynb"))]
+RUN = [
+    ROOT / "README.md",
+    *sorted(DOCS.glob("tutorials/*.md")),
+    *sorted(DOCS.glob("notebooks/*.ipynb")),
+]
 FENCE = re.compile(r"(?P<before>[^\n]*)\n+^```(?P<kind>\w*)[^\n]*\n(?P<text>.*?)^```", re.M | re.S)
 
 
@@ -49,7 +55,7 @@ def blocks(page: Path, *kinds: str) -> Iterator[tuple[int, str]]:
     """The line and the text of the page's code blocks, without those that are not run."""
     text = page.read_text()
     for found in FENCE.finditer("\n" + text):
-        if found["kind"] in kinds and not re.match(r"<!-- not run: \S", found["before"]):
+        if found["kind"] in kinds and not re.match(r"<!-- (not run:|run by) \S", found["before"]):
             yield text[: found.start("text") - 1].count("\n") + 1, found["text"]
 
 
@@ -139,6 +145,11 @@ def test_the_commands_of_a_page_exist_with_their_options(page):
             pytest.fail(f"{shown(page)}:{line}: wrenchbook {shlex.join(words)}: {error!r}")
 
 
+def test_every_other_python_block_says_why_it_is_not_run_here():
+    left = [shown(page) for page in PAGES if page not in RUN and [*blocks(page, "python")]]
+    assert left == []
+
+
 @pytest.mark.parametrize("page", RUN, ids=shown)
 def test_the_python_of_a_tutorial_or_notebook_runs_in_order(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -153,6 +164,21 @@ def test_the_python_of_a_tutorial_or_notebook_runs_in_order(page, tmp_path, monk
         for value in namespace.values():
             if isinstance(value, wrenchbook.Client):
                 value.close()
+
+
+@pytest.mark.parametrize("page", [*PAGES[2:], *DOCS.glob("notebooks/*.ipynb")], ids=shown)
+def test_the_first_line_of_a_page_says_for_whom_it_is(page):
+    text = page.read_text() if page.suffix == ".md" else next(cells(page, "markdown"))
+    assert text.split("\n\n")[1].startswith("For ")
+
+
+def test_the_licences_are_those_of_the_locked_packages():
+    before = licences.PAGE.read_text()
+    assert dict(licences.ROW.findall(before)).keys() == set().union(
+        *map(licences.locked, licences.LOCKS)
+    )
+    if sys.version_info[:2] == (3, 11):  # newer ones have other versions in the lock
+        assert licences.page(before) == before, "write the page anew: make licences"
 
 
 def test_the_reference_has_every_public_name():

@@ -28,7 +28,13 @@ release = version = wrenchbook.__version__
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 root_doc = "data/docs/index"
-include_patterns = ["data/docs/**.md", "data/docs/**.ipynb", "**README.md", "CHANGELOG.md"]
+include_patterns = [
+    "data/docs/**.md",
+    "data/docs/**.ipynb",
+    "**README.md",
+    "CHANGELOG.md",
+    "SECURITY.md",
+]
 exclude_patterns = [".*", "**/.*", "build", "dist", "src", "tests", "wrenchbook-data"]
 default_role = "code"
 suppress_warnings = ["misc.highlighting_failure"]  # replies with "..." in them

@@ -107,7 +107,7 @@ if TYPE_CHECKING:
     )
     from .service.client.mount.mujoco_mount import MujocoMount as MujocoMount
 
-__version__ = "0.3.0"
+__version__ = "0.4.0"
 
 _NAMES = {
     "service.client.async_client": "AsyncClient",

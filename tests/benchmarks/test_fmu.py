@@ -1,11 +1,13 @@
-"""Evaluations a second of an FMU, measured from C through its FMI functions, in processor time."""
+"""Evaluations a second of an FMU from C, in processor time, and from Python: FMPy and the table."""
 
 import subprocess
+import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from tests.service.fmu.made import need_compiler, opened, solved, wrenches_of
+from tests.service.fmu.made import answers, need_compiler, opened, packed, solved, wrenches_of
 
 DRIVER = Path(__file__).parents[1] / "service" / "fmu" / "rate.c"
 TARGET = 100_000  # a second
@@ -30,3 +32,18 @@ def test_an_fmu_makes_a_hundred_thousand_evaluations_a_second(tmp_path, name, me
         rates.append(count / seconds)
     print(f"\n{name}, {len(table.rows)} rows, {method}: {max(rates):,.0f} evaluations a second")
     assert max(rates) > TARGET
+
+
+def test_the_same_table_by_fmpy_and_in_process(tmp_path):
+    table = solved("plate_thin", 18, 20)
+    wrenches, here, seconds = wrenches_of(table, 5_000), packed(table), []
+    with opened(table, tmp_path).running() as fmu:
+        for _ in range(5):
+            started = time.process_time()
+            by_fmpy = answers(fmu, wrenches)
+            between = time.process_time()
+            by_table = [here.answer(wrench).outputs for wrench in wrenches.tolist()]
+            seconds.append((between - started, time.process_time() - between))
+    fmpy, own = 1e6 * np.min(seconds, axis=0) / len(wrenches)
+    print(f"\nby FMPy {fmpy:.1f} us, by Table.answer's kernel {own:.1f} us: {fmpy / own:.1f} times")
+    assert (by_fmpy[0] == np.array(by_table)).all()

@@ -1,7 +1,8 @@
 """Requests per second of the main call against an echo, and the client's time against http.client.
 
-Echo and tables are served by one process, and asked in turn, many short rounds each, so that a
-noisy machine slows all alike: on one keep-alive connection, and on eight that keep the server busy.
+Echo and tables, of 100 solves and of 3,000 measured rows, are served by one process, and asked in
+turn, many short rounds each, so that a noisy machine slows all alike: on one keep-alive connection,
+and on eight that keep the server busy.
 Printed, not asserted beyond sanity.
 """
 
@@ -29,7 +30,7 @@ SOLVED = "/v1/components/solved/displacement"
 WAYS = {
     "echo": (BARE, BODY),
     "kriging": (SOLVED, BODY),
-    "griddata": ("/v1/components/clean/displacement", CLEAN),
+    "kriging, 3,000 rows": ("/v1/components/clean/displacement", CLEAN),
 }
 
 
@@ -45,7 +46,7 @@ def _rows(wrenches: np.ndarray, *, tangents: bool) -> str:
 
 
 def _tables() -> dict[str, str]:
-    """1,000 rows an axis, which griddata answers from; 100 with tangents, which kriging does."""
+    """100 rows of solves with tangents; 3,000 measured rows, 1,000 of each axis."""
     rng = np.random.default_rng(1)
     wrenches = np.zeros((3000, 6))
     for axis, loads in enumerate(((0, 4, 5), (1, 5, 3), (2, 3, 4))):
@@ -128,7 +129,7 @@ def test_the_main_call_against_an_echo(port: int, count: int) -> None:
         if name != "echo":
             connections[0].sendall(_request(path, body))
             assert b'"coverage":"covered"' in (told := _receive(connections[0])), told
-            assert b'"method":"%b"' % name.encode() in told, told
+            assert b'"method":"%b"' % name.partition(",")[0].encode() in told, told
     for _ in range(ROUNDS):
         for name, (path, body) in WAYS.items():
             rates[name].append(_rate(connections, _request(path, body)))
@@ -138,7 +139,7 @@ def test_the_main_call_against_an_echo(port: int, count: int) -> None:
     for name, found in rates.items():
         ratios = [rate / echo for rate, echo in zip(found, rates["echo"], strict=True)]
         told = f"{statistics.median(found):8.0f} requests/s"
-        print(f"\n{name:>9}: {told}, {statistics.median(ratios):.2f} of the echo", end="")
+        print(f"\n{name:>19}: {told}, {statistics.median(ratios):.2f} of the echo", end="")
     print()
     assert min(map(min, rates.values())) > 0
 
