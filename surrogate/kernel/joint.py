@@ -14,27 +14,44 @@ if TYPE_CHECKING:
     from .binding import PackedTable
 
 FREEDOMS = 6  # of an interface: three translations, then three rotations
-OK, NOT_FINITE, SINGULAR, INDEFINITE, NO_MASS = 0, 1, 5, 7, 8  # of the statuses in wrenchbook.h
-REPLY = np.dtype(
-    [
-        *((name, float, 6) for name in ("wrench", "displacement", "still", "force")),
-        *((name, float, (6, 6)) for name in ("rate", "stiffness")),
-        ("spin", float, (3, 3)),
-        *((name, float, 6) for name in ("frequency", "pose_error", "wrench_error")),
-        ("ranges", float),
-        *((name, np.int32) for name in ("coverage", "status")),
-    ]
-)
+OK, NOT_FINITE, NOT_SQUARE, SINGULAR, INDEFINITE, NO_MASS = 0, 1, 4, 5, 7, 8  # of the statuses in wrenchbook.h
 
-_LARGEST = np.dtype([(name, float, 6) for name in ("value", "step", "time")])
-HISTORY = np.dtype(
-    [
-        *((name, float) for name in ("steps", "covered", "time")),
-        *((name, _LARGEST) for name in ("pose_error", "wrench_error")),
-        ("stored", float),
-        *((name, float, 6) for name in ("still", "displacement")),
-    ]
-)
+
+def shape_of(interfaces: int, *numbers: int) -> tuple[int, ...]:
+    """Return the shape of numbers of each interface: without a dimension for a single one."""
+    return numbers if interfaces == 1 else (interfaces, *numbers)
+
+
+def reply_type(k: int) -> np.dtype[np.void]:
+    """Return the reply of a step with k interfaces, named as ``wb_joint_reply`` has it."""
+    each, square = shape_of(k, 6), (6 * k, 6 * k)
+    return np.dtype(
+        [
+            *((name, float, each) for name in ("wrench", "displacement", "still", "force")),
+            *((name, float, square) for name in ("rate", "stiffness")),
+            ("spin", float, shape_of(k, 3, 3)),
+            *((name, float, each) for name in ("frequency", "pose_error", "wrench_error")),
+            ("ranges", float),
+            ("coverage", np.int32, shape_of(k)),
+            ("status", np.int32),
+            *([] if k % 2 else [("unused", np.int32)]),
+        ]
+    )
+
+
+def history_type(k: int) -> np.dtype[np.void]:
+    """Return the history of a joint with k interfaces, as the kernel's ``history`` has it."""
+    each = shape_of(k, 6)
+    largest = np.dtype([(name, float, each) for name in ("value", "step", "time")])
+    return np.dtype(
+        [
+            *((name, float) for name in ("steps", "covered", "time")),
+            *((name, largest) for name in ("pose_error", "wrench_error")),
+            ("stored", float),
+            *((name, float, each) for name in ("still", "displacement")),
+            *([] if k == 1 else [("covered_at", float, k)]),
+        ]
+    )
 
 
 class _Options(ctypes.Structure):
@@ -44,7 +61,7 @@ class _Options(ctypes.Structure):
         *(("method", ctypes.c_int), ("tolerance", ctypes.c_void_p), ("rows", ctypes.c_int)),
         *((name, ctypes.c_void_p) for name in ("inputs", "axes")),
         *((name, ctypes.c_double) for name in ("dt", "damping")),
-        *((name, ctypes.c_int) for name in ("first", "errors")),
+        ("errors", ctypes.c_int),
     )
 
 
@@ -53,16 +70,18 @@ class JointSteps:
 
     Attributes
     ----------
+    interfaces : int
+        The interfaces that move, k; arrays of a single one have no dimension k.
     inputs : ndarray
         Shape (n inputs of the table,), SI: the further inputs as they are.
     poses, velocities, inverse_masses : ndarray
-        Shapes (n, 7), (n, 6) and (n, 6, 6): write them, then call `step` or `law`.
+        Shapes (n, k, 7), (n, k, 6) and (n, 6 k, 6 k): write them, then call `step` or `law`.
     replies : structured ndarray
-        Shape (n,), of `REPLY`, named as ``wb_joint_reply`` has them.
+        Shape (n,), of `reply_type`.
     memory : ndarray
-        Shape (n, k): what joints keep from step to step; zeros forget it.
+        Shape (n, s): what joints keep from step to step; zeros forget it.
     history : structured ndarray
-        Shape (n,), of `HISTORY`: the end of the memory, as the kernel's ``history`` has it.
+        Shape (n,), of `history_type`: the end of the memory.
     """
 
     def __init__(
@@ -70,24 +89,25 @@ class JointSteps:
         table: PackedTable,
         call: Callable[..., int],
         count: int,
-        options: tuple[int, int, Floats | None],
-        sizes: tuple[int, int],
+        options: tuple[int, Floats | None],
+        sizes: tuple[int, int, int],
         arguments: tuple[Any, ...],
     ) -> None:
-        """Take the kernel's call, the first load, method and axes, and memory and scratch."""
-        first, method, self._axes = options
+        """Take the kernel's call, method and axes, and interfaces, memory and scratch."""
+        method, self._axes = options
         self._table, self._call, self.arguments = table, call, arguments
-        self.inputs = np.zeros(table.inputs)
-        self.poses, self.velocities = np.zeros((count, 7)), np.zeros((count, FREEDOMS))
-        self.poses[:, 3] = 1.0
-        self.inverse_masses = np.zeros((count, FREEDOMS, FREEDOMS))
-        self.memory, self.replies = np.zeros((count, sizes[0])), np.zeros(count, dtype=REPLY)
-        behind = sizes[0] - HISTORY.itemsize // 8
-        self.history = self.memory[:, behind:].view(HISTORY)[:, 0]
-        self._scratch = np.zeros(sizes[1] // 8 + 1)
+        self.inputs, self.interfaces = np.zeros(table.inputs), sizes[0]
+        k = self.interfaces
+        self.poses, self.velocities = (np.zeros((count, *shape_of(k, m))) for m in (7, FREEDOMS))
+        self.poses[..., 3] = 1.0
+        self.inverse_masses = np.zeros((count, FREEDOMS * k, FREEDOMS * k))
+        self.memory, self.replies = np.zeros((count, sizes[1])), np.zeros(count, reply_type(k))
+        history = history_type(k)
+        self.history = self.memory[:, -(history.itemsize // 8) :].view(history)[:, 0]
+        self._scratch = np.zeros(sizes[2] // 8 + 1)
         self._options = _Options(
             *(method, None, 0, self.inputs.ctypes.data),
-            *(None if self._axes is None else self._axes.ctypes.data, 0.0, 0.0, first, 1),
+            *(None if self._axes is None else self._axes.ctypes.data, 0.0, 0.0, 1),
         )
         places = (self.poses, self.velocities, self.inverse_masses, self.memory, self.replies)
         poses, velocities, masses, memory, replies = (array.ctypes.data for array in places)
@@ -121,5 +141,7 @@ class JointSteps:
         self._done(self._call(self._table.handle, *self._state, 1, self._at))
 
     def _done(self, wrong: int) -> None:
+        if wrong == NOT_SQUARE:
+            raise ValueError("a joint takes a table with 1 to 8 interfaces that move")
         if wrong:
             raise MemoryError("no memory for the joints")
