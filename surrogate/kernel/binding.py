@@ -434,8 +434,9 @@ class PackedTable:
     ) -> JointSteps:
         """Return the steps of joints of this table, with all its k interfaces that move.
 
-        `axes` (k, 3, 3) has the interface frame's axes, columns, in the tip's own axes if quaternions,
-        spins and moments have those. Many joints release the interpreter, a single one keeps it.
+        `axes` (k, 3, 3) has the interface frame's axes, columns, in the tip's own axes if
+        quaternions, spins and moments have those. Many joints release the interpreter, a single
+        one keeps it.
         """
         code, library = method_code(method or self.method), kernel()
         form = library.with_gil if count == 1 else library.without_gil

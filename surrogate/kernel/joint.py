@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from .binding import PackedTable
 
 FREEDOMS = 6  # of an interface: three translations, then three rotations
-OK, NOT_FINITE, NOT_SQUARE, SINGULAR, INDEFINITE, NO_MASS = 0, 1, 4, 5, 7, 8  # of the statuses in wrenchbook.h
+MAX_INTERFACES = 8  # as wb_joint.c has it
+OK, NOT_FINITE, SINGULAR, INDEFINITE, NO_MASS = 0, 1, 5, 7, 8  # of the statuses in wrenchbook.h
 
 
 def shape_of(interfaces: int, *numbers: int) -> tuple[int, ...]:
@@ -98,6 +99,8 @@ class JointSteps:
         self._table, self._call, self.arguments = table, call, arguments
         self.inputs, self.interfaces = np.zeros(table.inputs), sizes[0]
         k = self.interfaces
+        if not 1 <= k <= MAX_INTERFACES:
+            raise ValueError(f"a joint moves at 1 to {MAX_INTERFACES} interfaces, not at {k}")
         self.poses, self.velocities = (np.zeros((count, *shape_of(k, m))) for m in (7, FREEDOMS))
         self.poses[..., 3] = 1.0
         self.inverse_masses = np.zeros((count, FREEDOMS * k, FREEDOMS * k))
@@ -141,7 +144,5 @@ class JointSteps:
         self._done(self._call(self._table.handle, *self._state, 1, self._at))
 
     def _done(self, wrong: int) -> None:
-        if wrong == NOT_SQUARE:
-            raise ValueError("a joint takes a table with 1 to 8 interfaces that move")
         if wrong:
             raise MemoryError("no memory for the joints")

@@ -14,9 +14,9 @@ enum { MAX_INTERFACES = 8, FREEDOMS = SIX * MAX_INTERFACES };
 static const double EXPLICIT = 0.5;
 /* Of the largest diagonal: off-diagonal elements below it are rounding. */
 static const double ROUNDING = 1e-17;
-/* Of an inverse mass: single precision is that symmetric, one of mixed frames or an unfinished one
- * is not. */
-static const double ASYMMETRY = 1e-3;
+/* The square of the relative asymmetry of an inverse mass: single precision is better than 1e-3, a
+ * matrix of mixed frames or half of one is not. */
+static const double ASYMMETRY = 1e-6;
 
 /* a = l l^T in place, the lower triangle; 0 if a is not positive definite. */
 static int cholesky(double *a, int n) {
@@ -95,11 +95,13 @@ static void solve_transposed(const double *l, double *x, int n) {
 }
 
 static int is_symmetric(const double *a, int n) {
+    int wrong = 0;
     for (int i = 0; i < n; i++)
-        for (int j = 0; j < i; j++)
-            if (fabs(a[n * i + j] - a[n * j + i]) > ASYMMETRY * sqrt(fabs(a[n * i + i] * a[n * j + j])))
-                return 0;
-    return 1;
+        for (int j = 0; j < i; j++) {
+            double difference = a[n * i + j] - a[n * j + i];
+            wrong |= difference * difference > ASYMMETRY * fabs(a[n * i + i] * a[n * j + j]);
+        }
+    return !wrong;
 }
 
 /* wb_joint_rate, and the squares of the modes' frequencies (n). */
@@ -223,16 +225,19 @@ int wb_joint_interfaces(const wb_table *t) {
     return places_of(t, place) / SIX;
 }
 
-size_t wb_joint_memory(const wb_table *t) {
-    int k = wb_joint_interfaces(t), past = 4 + 8 * SIX * k + (k > 1 ? k : 0);
+static size_t memory_of(const wb_table *t, int k) {
+    int past = 4 + 8 * SIX * k + (k > 1 ? k : 0);
     return (size_t)(1 + t->inputs + t->outputs + t->inputs * t->outputs + past);
 }
 
-size_t wb_joint_reply_size(const wb_table *t) {
-    int k = wb_joint_interfaces(t), n = SIX * k;
-    size_t doubles = (size_t)(7 * n + 2 * n * n + 9 * k + 1);
+static size_t reply_size(int k) {
+    size_t doubles = (size_t)(7 * SIX * k + 2 * SIX * SIX * k * k + 9 * k + 1);
     return doubles * sizeof(double) + (size_t)(k / 2 + 1) * 2 * sizeof(int32_t);
 }
+
+size_t wb_joint_memory(const wb_table *t) { return memory_of(t, wb_joint_interfaces(t)); }
+
+size_t wb_joint_reply_size(const wb_table *t) { return reply_size(wb_joint_interfaces(t)); }
 
 static void loads_of(const search *s, const double *wrench, double *loads) {
     for (int k = 0; k < s->t->inputs; k++)
@@ -554,10 +559,10 @@ static int run(void *job, size_t first, size_t steps) {
     const wb_table *t = all->t;
     search s;
     members reply;
-    size_t memory = wb_joint_memory(t), size = wb_joint_reply_size(t);
     s.t = t, s.o = all->o, s.answer = all->o->answer, s.count = 0, s.scratch = all->scratch;
     if (!s.scratch && !(s.scratch = malloc(wb_scratch(t)))) return WB_NO_MEMORY;
     s.n = places_of(t, s.place), s.interfaces = s.n / SIX;
+    size_t memory = memory_of(t, s.interfaces), size = reply_size(s.interfaces);
     for (int k = 0; k < s.n; k++)
         if (!t->locked[s.place[k]]) s.free[s.count++] = k;
     for (size_t i = first; i < all->n; i += steps) {

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 from weakref import WeakKeyDictionary, WeakValueDictionary
 
 import numpy as np
@@ -28,10 +28,21 @@ Data: TypeAlias = Any
 engine: Any = required("mujoco", "MujocoJoint", "'wrenchbook[mujoco]'")
 _JOINT, _OBJECT, _PGS = engine.mjtJoint, engine.mjtObj, int(engine.mjtSolver.mjSOL_PGS)
 _SQUARE = 1e-5  # the axes of the slides are unit and orthogonal to the six digits of MuJoCo's XML
-# The joints of each MjData by the first freedom of their tips: a step is of all of them.
+# The joints of each MjData by the first freedom of each tip: a step is of all of them.
 _JOINTS: WeakKeyDictionary[Data, WeakValueDictionary[int, MujocoJoint]] = WeakKeyDictionary()
 _NO_CONTROL = int(engine.mjtDisableBit.mjDSBL_ACTUATION)
 _REMEDY = "make the scene with: wrenchbook joint NAME --base BODY --tip BODY scene.xml"
+
+
+class _Tip(NamedTuple):
+    """A tip's freedoms in the scene."""
+
+    dof: int  # its first
+    slides: list[tuple[int, int]]  # which translations, and their places in qpos
+    turn: int  # the place of ball or hinge in qpos
+    ball: bool
+    hinge: Vector | None  # its axis in the interface frame
+    axes: Vector  # the interface frame's in the tip
 
 
 class MujocoJoint(Joint):
@@ -40,7 +51,8 @@ class MujocoJoint(Joint):
     The tip's body is a child of the base's body and has three slides and a ball (of a part with
     locked freedoms those that are free) at the interface point, in this order: MuJoCo turns the
     axes of what follows a ball. The axes of the slides are those of the undeformed interface
-    frame. The joints have no stiffness, damping or limits: the part has these.
+    frame. The joints have no stiffness, damping or limits: the part has these. A part that moves at
+    several interfaces has a tip at each, all children of the base.
 
     Parameters
     ----------
@@ -48,6 +60,8 @@ class MujocoJoint(Joint):
     table : Table
     base, tip : str
         Names of the two bodies.
+    bodies : mapping of str, optional
+        In the place of `tip`: the tips by interface, ``{"left": "wheel_l", "right": "wheel_r"}``.
     damping : float
         Share of critical damping of each mode of the part between the two bodies.
     **options
@@ -68,7 +82,7 @@ class MujocoJoint(Joint):
     parts on MuJoCo's default contacts do not chatter. Where the base is fixed to the world and the
     tip's centre of mass is the interface point MuJoCo stores a diagonal mass matrix, and the
     contact forces of the last step stand for those of this one: an empty ``<body/>`` in the tip
-    avoids it.
+    avoids it. So they do for parts with several tips, which MuJoCo's mass matrix does not couple.
     """
 
     def __init__(
@@ -79,17 +93,21 @@ class MujocoJoint(Joint):
         base: str = "base",
         tip: str = "tip",
         damping: float = 0.02,
+        *,
+        bodies: Mapping[str, str] | None = None,
         **options: Any,
     ) -> None:
         super().__init__(table, damping, **options)
         _refuse_rk4(model)
         self._model, self._data = model, data
-        parent, body = _body(model, base), _body(model, tip)
-        if model.body_parentid[body] != parent:
-            raise JointError(f"body {tip!r} must be a child of body {base!r}; {_REMEDY}")
-        self._find(body, tip)
-        self._base, self._tip = base, tip
-        self._name = f"{table.name} at tip {tip!r}"
+        self._base, self._tips = base, self._bodies(tip, bodies)
+        named = ", ".join(map(repr, self._tips))
+        self._name = f"{table.name} at tip{'s' * self._several} {named}"
+        parent = _body(model, base)
+        for name in self._tips:
+            if model.body_parentid[_body(model, name)] != parent:
+                raise JointError(f"body {name!r} must be a child of body {base!r}; {_REMEDY}")
+        self._find()
         # The last body towards the base that no freedom moves: a mocap body, or the world.
         while model.body_dofnum[top := int(model.body_weldid[parent])]:
             parent = int(model.body_parentid[top])
@@ -105,12 +123,56 @@ class MujocoJoint(Joint):
         """
         step_joints(self)
 
-    def _find(self, body: int, name: str) -> None:
-        """Find the joints of the tip: axes, places in qpos and qvel."""
-        model, first = self._model, int(self._model.body_jntadr[body])
+    def _bodies(self, tip: str, bodies: Mapping[str, str] | None) -> tuple[str, ...]:
+        """Return the names of the tips in the order of the interfaces."""
+        if bodies is None:
+            bodies = {} if self._several else {self.interfaces[0]: tip}
+        wrong = [f"no body for {name!r}" for name in self.interfaces if name not in bodies]
+        wrong += [
+            f"no interface {name!r} that moves" for name in bodies if name not in self.interfaces
+        ]
+        if len(set(bodies.values())) < len(bodies):
+            wrong.append("one body at two interfaces")
+        if wrong:
+            expected = ", ".join(f"{name!r}: BODY" for name in self.interfaces)
+            raise JointError(f"{self._table.name}: {'; '.join(wrong)}. Give bodies={{{expected}}}")
+        return tuple(bodies[name] for name in self.interfaces)
+
+    def _find(self) -> None:
+        """Find the tips' freedoms in the scene."""
+        free = np.split(
+            self.free, np.searchsorted(self.free, FREEDOMS * np.arange(1, len(self._tips)))
+        )
+        self._at_tip = [
+            self._tip_of(name, at % FREEDOMS) for name, at in zip(self._tips, free, strict=True)
+        ]
+        first, count = self._at_tip[0].dof, len(free[0])
+        rows, columns, self._at_pairs = _places(self._model, np.arange(first, first + count))
+        self._pairs, self._diagonal = count * rows + columns, len(rows) == count > 1
+        self._dofs: Any = slice(first, first + count)
+        if self._several:
+            self._dofs = np.concatenate(
+                [tip.dof + np.arange(len(at)) for tip, at in zip(self._at_tip, free, strict=True)]
+            )
+            self._at_pairs, self._pairs, self._diagonal = *np.empty((2, 0), dtype=int), True
+        self._units = np.eye(self._model.nv)[self._dofs]
+        self._square, self._full = np.ix_(self.free, self.free), len(self.free) == self._size
+        self._spin_axes = (
+            None  # a tip without a ball has the frame's own: it turns about one of them
+        )
+        if any(tip.ball for tip in self._at_tip):
+            each = [tip.axes if tip.ball else np.eye(3) for tip in self._at_tip]
+            self._spin_axes = np.ascontiguousarray(np.array(each) if self._several else each[0])
+        self._begin(self._spin_axes)
+        self._watch(self._data, self._steps, 0)
+
+    def _tip_of(self, name: str, free: NDArray[np.intp]) -> _Tip:
+        """Return a tip with some free freedoms of six: its axes, its places in qpos and qvel."""
+        model, body = self._model, _body(self._model, name)
+        first = int(model.body_jntadr[body])
         joints = list(range(first, first + int(model.body_jntnum[body])))
         kinds = [int(model.jnt_type[joint]) for joint in joints]
-        moves, turns = self.free[self.free < 3], self.free[self.free >= 3]
+        moves, turns = free[free < 3], free[free >= 3]
         if len(turns) not in (0, 1, 3):
             raise JointError(
                 f"{self._table.name} locks one rotation of three: no MuJoCo joint does"
@@ -139,38 +201,23 @@ class MujocoJoint(Joint):
                     "own or its zero: remove it (a default class may set it)"
                 )
         # The interface frame's axes in the tip's body; of a part with locked freedoms the body's.
-        axis_of = {
-            int(at): axis for at, axis in zip(self.free, model.jnt_axis[joints], strict=False)
-        }
+        axis_of = {int(at): axis for at, axis in zip(free, model.jnt_axis[joints], strict=False)}
         straight = [axis_of[at] for at in range(3) if at in axis_of]
         left, _, right = np.linalg.svd(np.array(straight).T if len(straight) == 3 else np.eye(3))
-        self._axes = left @ right
+        axes = left @ right
         hinges = [] if len(turns) == 3 else turns.tolist()
         along = [at for at in range(3) if at in axis_of] + hinges
-        off = [np.abs(axis_of[at] - self._axes[:, at % 3]).max() for at in along]
-        if max(off, default=0.0) > _SQUARE or np.linalg.det(self._axes) < 0:
+        off = [np.abs(axis_of[at] - axes[:, at % 3]).max() for at in along]
+        if max(off, default=0.0) > _SQUARE or np.linalg.det(axes) < 0:
             raise JointError(
                 f"the joints of body {name!r} must have the interface frame's axes in the order x, "
                 "y, z: unit, orthogonal and right-handed; of a part with locked freedoms these are "
                 f"the body's own; {_REMEDY}"
             )
-        self._slides = np.array(
-            [model.jnt_qposadr[joint] for joint in joints[: len(moves)]], dtype=int
-        )
-        self._turn = int(model.jnt_qposadr[joints[-1]]) if turning else model.nq  # nq: none
-        start = int(model.jnt_dofadr[first]) if joints else 0
-        count = len(self.free)
-        self._dofs = slice(start, start + count)
-        self._units = np.eye(model.nv)[self._dofs]
-        self._square = np.ix_(self.free, self.free)
-        rows, columns, self._at_pairs = _places(model, np.arange(start, start + count))
-        self._pairs, self._diagonal = count * rows + columns, len(rows) == count > 1
-        self._turns, self._moves = len(turns) == 3, self.free[self.free < 3]
-        self._hinge = np.zeros(3)
-        self._hinge[turns[:1] - 3] = 1.0
-        self._spin_axes = np.ascontiguousarray(self._axes) if self._turns else None
-        self._begin(self._spin_axes)
-        self._watch(self._data, self._steps, 0)
+        places = model.jnt_qposadr[joints].tolist()
+        slides = list(zip(moves.tolist(), places, strict=False))
+        hinge = np.eye(3)[turns[0] - 3] if len(turns) == 1 else None
+        return _Tip(int(model.jnt_dofadr[first]), slides, places[-1], len(turns) == 3, hinge, axes)
 
     def _watch(self, data: Data, steps: JointSteps, at: int) -> None:
         """Take a joint of the kernel's arrays, and views of the data of its scene.
@@ -184,12 +231,18 @@ class MujocoJoint(Joint):
         self._solved = np.empty_like(self._units)
         self._pose_of_tip, self._inverse_mass = steps.poses[at], steps.inverse_masses[at]
         self._force, self._slope, self._spin = (reply[name] for name in ("force", "rate", "spin"))
-        turn, slides = self._turn, self._slides
-        self._turned = data.qpos[turn : turn + (4 if self._turns else 1)]
-        self._slid = data.qpos[slides[0] : slides[0] + 3] if len(slides) == 3 else None
+        self._copied, self._hinges = [], []  # views: where a pose is written, and where it is read
+        for tip, pose in zip(self._at_tip, self._pose_of_tip.reshape(-1, 7), strict=True):
+            slides = tip.slides
+            runs = [(0, slides[0][1], 3)] if len(slides) == 3 else [(*slide, 1) for slide in slides]
+            runs += [(3, tip.turn, 4)] if tip.ball else []
+            self._copied += [(pose[to : to + n], data.qpos[of : of + n]) for to, of, n in runs]
+            if tip.hinge is not None:
+                self._hinges.append((pose[3:], tip.hinge, data.qpos[tip.turn : tip.turn + 1]))
         self._velocity, self._applied = data.qvel[self._dofs], data.qfrc_applied[self._dofs]
         self._mass = data.M
-        _JOINTS.setdefault(data, WeakValueDictionary())[self._dofs.start] = self
+        for tip in self._at_tip:
+            _JOINTS.setdefault(data, WeakValueDictionary())[tip.dof] = self
 
     def __getstate__(self) -> dict[str, Any]:
         """All but MuJoCo's options, which it does not pickle: the model has them."""
@@ -199,25 +252,21 @@ class MujocoJoint(Joint):
         super().__setstate__(state)
         self._watch(self._data, self._steps, self._place)
 
-    def _read_pose(self, pose: Vector) -> None:
-        """Write the tip's translation and quaternion, (7,)."""
-        if self._turns:
-            pose[3:] = self._turned
-        elif self._turned.size:
-            pose[3:] = quaternion(self._hinge * self._turned)
-        if len(self._moves) == 3:
-            pose[:3] = self._slid
-        else:
-            pose[self._moves] = self._data.qpos[self._slides]
+    def _read_pose(self) -> None:
+        """Write the tips' translations and quaternions into the kernel's arrays."""
+        for pose, place in self._copied:
+            pose[:] = place
+        for pose, axis, angle in self._hinges:
+            pose[:] = quaternion(axis * angle)
 
     def _read(self) -> None:
         """Write the pose and the inverse mass of this step into the kernel's arrays."""
         if self._unmoved:
             self._watch_base()
-        self._read_pose(self._pose_of_tip)
+        self._read_pose()
         engine.mj_solveM(self._model, self._data, self._solved, self._units)
         # Accelerations of the freedoms by unit loads on them.
-        if len(self.free) == FREEDOMS:
+        if self._full:
             self._inverse_mass[:] = self._solved[:, self._dofs]
         else:
             self._inverse_mass[self._square] = self._solved[:, self._dofs]
@@ -228,10 +277,10 @@ class MujocoJoint(Joint):
         The rest depends on the velocity after the step, and enters the mass matrix.
         """
         dt, force, slope = self._scene.timestep, self._force, self._slope
-        if len(self.free) < FREEDOMS:
-            force, slope = force[self.free], slope[self._square]
+        if not self._full:
+            force, slope = self._law_of_free()
         if self._diagonal:  # nothing can be added to it: the last step's constraint forces stand
-            force, slope = self._with_last_contacts(force, slope, dt)
+            force, slope = _with_last_contacts([self], self._solved), np.zeros_like(slope)
         self._law = force.copy(), slope.copy(), self._velocity
         np.subtract(-force, slope @ self._velocity, out=self._applied)
         # What the velocity after the step changes.
@@ -239,25 +288,17 @@ class MujocoJoint(Joint):
         self._with_part = self._own_mass + dt * slope.take(self._pairs)
         self._mass[self._at_pairs] = self._with_part
 
+    def _law_of_free(self) -> tuple[Vector, Vector]:
+        """Return wrench and rate of the freedoms that move, (f,) and (f, f)."""
+        return self._force.ravel()[self.free], self._slope[self._square]
+
     def report(self) -> JointReport:
         """Return coverage, largest error bars and energy of all steps since `restart`."""
-        parts, began = list(_JOINTS[self._data].values()), self._began
+        parts, began = _joints_of(self._data), self._began
         time, energy = began or (0.0, np.nan)
         if began and all(part._began == began for part in parts) and self._data.time >= time:
             return report_of(self, time, _energy(parts) - energy)
         return report_of(self, time)
-
-    def _with_last_contacts(self, force: Vector, slope: Vector, dt: float) -> tuple[Vector, Vector]:
-        """Return the wrench by the constraint forces of the step before, and no slope."""
-        model, data, dofs = self._model, self._data, self._dofs
-        self._applied[:] = 0.0
-        engine.mj_fwdActuation(model, data)
-        engine.mj_fwdAcceleration(model, data)
-        pushed = np.empty((1, model.nv))
-        engine.mj_solveM(model, data, pushed, data.qfrc_constraint[None])
-        velocity = (data.qvel + dt * (data.qacc_smooth + pushed[0]))[dofs]
-        implicit = np.eye(len(slope)) + dt * slope @ self._solved[:, dofs]
-        return np.linalg.solve(implicit, force + slope @ velocity), np.zeros_like(slope)
 
     def restart(self) -> None:
         """Forget the state of the last step."""
@@ -273,9 +314,13 @@ class MujocoJoint(Joint):
     def _of_step(self) -> Vector:
         """Return the wrench of the last step, by the velocity after it."""
         force, slope, velocity = self._law
-        pulled = np.zeros(FREEDOMS)
+        pulled = np.zeros(self._size)
         pulled[self.free] = force + slope @ velocity
-        pulled[3:] = self._spin @ pulled[3:]
+        if self._several:
+            pulled = pulled.reshape(-1, FREEDOMS)
+            pulled[:, 3:] = np.einsum("kij,kj->ki", self._spin, pulled[:, 3:])
+        else:
+            pulled[3:] = self._spin @ pulled[3:]
         return pulled
 
     def _watch_base(self) -> None:
@@ -343,12 +388,18 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
     """Raise JointError if joints are not all those of one scene, or its step is not above zero."""
     if not joints or any(joint._data is not joints[0]._data for joint in joints):
         raise JointError("step_joints takes the joints of one scene: one or more of the same data")
-    stepped, of_scene = {joint._dofs.start for joint in joints}, _JOINTS[joints[0]._data]
-    if len(stepped) < len(joints):
+    stepped, of_scene = (
+        [tip.dof for joint in joints for tip in joint._at_tip],
+        _JOINTS[joints[0]._data],
+    )
+    if len(set(stepped)) < len(stepped):
         raise JointError("two joints have one tip, which would feel one of them: leave one out")
-    if len(of_scene) > len(joints):
-        others = [joint for at, joint in of_scene.items() if at not in stepped]
-        tips, missing = (", ".join(repr(joint._tip) for joint in some) for some in (joints, others))
+    if len(of_scene) > len(stepped):
+        others = dict.fromkeys(joint for at, joint in of_scene.items() if at not in stepped)
+        tips, missing = (
+            ", ".join(repr(tip) for joint in some for tip in joint._tips)
+            for some in (joints, others)
+        )
         raise JointError(
             f"the scene has joints at the tips {tips} and {missing}: a step of one "
             "advances all of the scene, and the others would not pull. Call step_joints(a, b) of "
@@ -385,12 +436,56 @@ def _pull(joints: Collection[MujocoJoint]) -> None:
 
 def push(joints: Collection[MujocoJoint]) -> None:
     """Add wrenches and rates that the kernel has found to the equation of motion of a scene."""
+    first, several = next(iter(joints)), []
     for joint in joints:
-        joint._push()
-    first = next(iter(joints))
+        if joint._several:
+            several.append(joint)
+        else:
+            joint._push()
     engine.mj_factorM(first._model, first._data)
+    if several:  # together, and with the others in the mass matrix
+        wrenches = _with_last_contacts(several)
+        for joint in several:
+            count = len(joint.free)
+            joint._law = wrenches[:count], np.zeros((count, count)), np.zeros(count)
+            first._data.qfrc_applied[joint._dofs] = -wrenches[:count]
+            joint._own_mass = joint._with_part = np.empty(0)
+            wrenches = wrenches[count:]
     if first._scene.solver == _PGS or first._scene.noslip_iterations:
         engine.mj_projectConstraint(first._model, first._data)
+
+
+def _with_last_contacts(joints: Sequence[MujocoJoint], solved: Vector | None = None) -> Vector:
+    """Return the wrenches (f,) of some joints' free freedoms by the constraint forces of last step.
+
+    `solved` (f, nv) are the accelerations by unit loads on these; w' is that of
+    (I + dt C A) w' = w + C v.
+    """
+    model, data, dt = joints[0]._model, joints[0]._data, joints[0]._scene.timestep
+    laws, dofs = [joint._law_of_free() for joint in joints], joints[0]._dofs
+    (force, slope), units = laws[0], joints[0]._units
+    if len(joints) > 1:
+        dofs = np.concatenate([joint._dofs for joint in joints])
+        force, units = np.concatenate([force for force, _ in laws]), np.eye(model.nv)[dofs]
+        slope, first = np.zeros((len(dofs), len(dofs))), 0
+        for _, rate in laws:
+            block = slice(first, first := first + len(rate))
+            slope[block, block] = rate
+    data.qfrc_applied[dofs] = 0.0
+    engine.mj_fwdActuation(model, data)
+    engine.mj_fwdAcceleration(model, data)
+    pushed = np.empty((1, model.nv))
+    engine.mj_solveM(model, data, pushed, data.qfrc_constraint[None])
+    if solved is None:
+        solved = np.empty_like(units)
+        engine.mj_solveM(model, data, solved, units)
+    velocity = (data.qvel + dt * (data.qacc_smooth + pushed[0]))[dofs]
+    implicit = np.eye(len(slope)) + dt * slope @ solved[:, dofs]
+    return np.asarray(np.linalg.solve(implicit, force + slope @ velocity), dtype=float)
+
+
+def _joints_of(data: Data) -> list[MujocoJoint]:
+    return list(dict.fromkeys(_JOINTS.get(data, {}).values()))
 
 
 def _energy(joints: Collection[MujocoJoint]) -> float:
@@ -411,7 +506,7 @@ def _energy(joints: Collection[MujocoJoint]) -> float:
     for joint in joints:
         steps = joint._steps
         memory, replies = steps.memory.copy(), steps.replies.copy()
-        joint._read_pose(joint._pose_of_tip)
+        joint._read_pose()
         steps.law(joint._scene.timestep, joint.damping)
         total += float(steps.history["stored"][0]) if not joint._status[0] else np.nan
         steps.memory[:], steps.replies[:] = memory, replies
@@ -436,7 +531,7 @@ def joints_in_mj_step() -> Iterator[None]:
     errors: list[Exception] = []
 
     def pull(model: Model, data: Data, passive: bool = False) -> None:
-        joints = list(_JOINTS.get(data, {}).values())
+        joints = _joints_of(data)
         if not joints or bool(model.opt.disableflags & _NO_CONTROL) != passive:
             return
         try:
