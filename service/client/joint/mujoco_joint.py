@@ -82,7 +82,8 @@ class MujocoJoint(Joint):
     parts on MuJoCo's default contacts do not chatter. Where the base is fixed to the world and the
     tip's centre of mass is the interface point MuJoCo stores a diagonal mass matrix, and the
     contact forces of the last step stand for those of this one: an empty ``<body/>`` in the tip
-    avoids it. So they do for parts with several tips, which MuJoCo's mass matrix does not couple.
+    avoids it. MuJoCo's mass matrix does not couple several tips of a part: each feels its own
+    contacts within the step, and those of the others with the step after.
     """
 
     def __init__(
@@ -146,15 +147,21 @@ class MujocoJoint(Joint):
         self._at_tip = [
             self._tip_of(name, at % FREEDOMS) for name, at in zip(self._tips, free, strict=True)
         ]
-        first, count = self._at_tip[0].dof, len(free[0])
-        rows, columns, self._at_pairs = _places(self._model, np.arange(first, first + count))
-        self._pairs, self._diagonal = count * rows + columns, len(rows) == count > 1
-        self._dofs: Any = slice(first, first + count)
-        if self._several:
-            self._dofs = np.concatenate(
-                [tip.dof + np.arange(len(at)) for tip, at in zip(self._at_tip, free, strict=True)]
-            )
-            self._at_pairs, self._pairs, self._diagonal = *np.empty((2, 0), dtype=int), True
+        count, first = len(self.free), 0
+        self._blocks, pairs, dofs = (
+            [],
+            [],
+            [],
+        )  # blocks: tips whose freedoms the mass matrix couples
+        for tip, at in zip(self._at_tip, free, strict=True):
+            own = tip.dof + np.arange(len(at))
+            rows, columns, places = _places(self._model, own)
+            if not len(rows) == len(at) > 1:
+                self._blocks.append(slice(first, first + len(at)))
+                pairs.append([count * (first + rows) + first + columns, places])
+            dofs, first = [*dofs, *own.tolist()], first + len(at)
+        self._pairs, self._at_pairs = np.hstack([np.empty((2, 0), dtype=int), *pairs])
+        self._dofs: Any = np.array(dofs) if self._several else slice(dofs[0], dofs[0] + count)
         self._units = np.eye(self._model.nv)[self._dofs]
         self._square, self._full = np.ix_(self.free, self.free), len(self.free) == self._size
         self._spin_axes = (
@@ -239,7 +246,7 @@ class MujocoJoint(Joint):
             self._copied += [(pose[to : to + n], data.qpos[of : of + n]) for to, of, n in runs]
             if tip.hinge is not None:
                 self._hinges.append((pose[3:], tip.hinge, data.qpos[tip.turn : tip.turn + 1]))
-        self._velocity, self._applied = data.qvel[self._dofs], data.qfrc_applied[self._dofs]
+        self._velocities, self._applied = data.qvel, data.qfrc_applied
         self._mass = data.M
         for tip in self._at_tip:
             _JOINTS.setdefault(data, WeakValueDictionary())[tip.dof] = self
@@ -279,10 +286,15 @@ class MujocoJoint(Joint):
         dt, force, slope = self._scene.timestep, self._force, self._slope
         if not self._full:
             force, slope = self._law_of_free()
-        if self._diagonal:  # nothing can be added to it: the last step's constraint forces stand
-            force, slope = _with_last_contacts([self], self._solved), np.zeros_like(slope)
-        self._law = force.copy(), slope.copy(), self._velocity
-        np.subtract(-force, slope @ self._velocity, out=self._applied)
+        if not self._blocks:  # nothing can be added to it: the last step's constraint forces stand
+            force, slope = _with_last_contacts([self], self._solved)[0], np.zeros_like(slope)
+        self._pull(force, slope, dt)
+
+    def _pull(self, force: Vector, slope: Vector, dt: float) -> None:
+        """Apply a wrench that changes with the velocity after the step."""
+        velocity = self._velocities[self._dofs]
+        self._law = force.copy(), slope.copy(), velocity
+        self._applied[self._dofs] = -force - slope @ velocity
         # What the velocity after the step changes.
         self._own_mass = self._mass.take(self._at_pairs)
         self._with_part = self._own_mass + dt * slope.take(self._pairs)
@@ -370,7 +382,7 @@ def advance(joints: Sequence[MujocoJoint]) -> None:
     engine.mj_step2(joints[0]._model, joints[0]._data)
     for joint in joints:
         force, slope, _ = joint._law
-        joint._law = force, slope, joint._velocity.copy()
+        joint._law = force, slope, joint._velocities[joint._dofs].copy()
         joint._mass[joint._at_pairs], joint._with_part = joint._own_mass, None
 
 
@@ -443,30 +455,48 @@ def push(joints: Collection[MujocoJoint]) -> None:
         else:
             joint._push()
     engine.mj_factorM(first._model, first._data)
-    if several:  # together, and with the others in the mass matrix
-        wrenches = _with_last_contacts(several)
-        for joint in several:
-            count = len(joint.free)
-            joint._law = wrenches[:count], np.zeros((count, count)), np.zeros(count)
-            first._data.qfrc_applied[joint._dofs] = -wrenches[:count]
-            joint._own_mass = joint._with_part = np.empty(0)
-            wrenches = wrenches[count:]
+    if several:
+        _push_together(several)
     if first._scene.solver == _PGS or first._scene.noslip_iterations:
         engine.mj_projectConstraint(first._model, first._data)
 
 
-def _with_last_contacts(joints: Sequence[MujocoJoint], solved: Vector | None = None) -> Vector:
-    """Return the wrenches (f,) of some joints' free freedoms by the constraint forces of last step.
+def _push_together(joints: Sequence[MujocoJoint]) -> None:
+    """Apply the wrenches of joints with several tips, of which the mass matrix has no pairs.
 
-    `solved` (f, nv) are the accelerations by unit loads on these; w' is that of
-    (I + dt C A) w' = w + C v.
+    With the constraint forces of the last step the wrench is w', by the coupled law. Of this step's
+    each tip by itself feels what the part gives it, A' = (A^-1 + dt C)^-1: D = (A'^-1 - A^-1) / dt
+    of the tip's block enters the mass matrix, and the wrench is w' + D (v' - v), v the velocity that
+    belongs to w'. Of what other tips meet in this step it feels nothing before the next.
+    """
+    dt = joints[0]._scene.timestep
+    wrench, velocity, mobility, pulled = _with_last_contacts(joints)
+    for joint in joints:
+        first, count = len(velocity) - len(wrench), len(joint.free)
+        slope = np.zeros((count, count))
+        for block in joint._blocks:
+            at = slice(first + block.start, first + block.stop)
+            rest = np.linalg.inv(pulled[at, at]) - np.linalg.inv(mobility[at, at])
+            slope[block, block] = (0.5 / dt) * (rest + rest.T)
+        joint._pull(wrench[:count] - slope @ velocity[first : first + count], slope, dt)
+        wrench = wrench[count:]
+    engine.mj_factorM(joints[0]._model, joints[0]._data)
+
+
+def _with_last_contacts(
+    joints: Sequence[MujocoJoint], solved: Vector | None = None
+) -> tuple[Vector, Vector, Vector, Vector]:
+    """Return wrenches by the constraint forces of the step before, and the velocity with them.
+
+    Of the free freedoms, (f,): w' of (I + dt C A) w' = w + C v, and v - dt A w'; and the inverse
+    masses (f, f), A, and with the parts, (A^-1 + dt C)^-1. `solved` (f, nv) has the rows of A.
     """
     model, data, dt = joints[0]._model, joints[0]._data, joints[0]._scene.timestep
     laws, dofs = [joint._law_of_free() for joint in joints], joints[0]._dofs
-    (force, slope), units = laws[0], joints[0]._units
+    force, slope = laws[0]
     if len(joints) > 1:
         dofs = np.concatenate([joint._dofs for joint in joints])
-        force, units = np.concatenate([force for force, _ in laws]), np.eye(model.nv)[dofs]
+        force = np.concatenate([force for force, _ in laws])
         slope, first = np.zeros((len(dofs), len(dofs))), 0
         for _, rate in laws:
             block = slice(first, first := first + len(rate))
@@ -477,11 +507,14 @@ def _with_last_contacts(joints: Sequence[MujocoJoint], solved: Vector | None = N
     pushed = np.empty((1, model.nv))
     engine.mj_solveM(model, data, pushed, data.qfrc_constraint[None])
     if solved is None:
+        units = np.eye(model.nv)[dofs]
         solved = np.empty_like(units)
         engine.mj_solveM(model, data, solved, units)
-    velocity = (data.qvel + dt * (data.qacc_smooth + pushed[0]))[dofs]
-    implicit = np.eye(len(slope)) + dt * slope @ solved[:, dofs]
-    return np.asarray(np.linalg.solve(implicit, force + slope @ velocity), dtype=float)
+    velocity, mobility = (data.qvel + dt * (data.qacc_smooth + pushed[0]))[dofs], solved[:, dofs]
+    implicit = np.eye(len(slope)) + dt * slope @ mobility
+    wrench = np.linalg.solve(implicit, force + slope @ velocity)
+    after = velocity - dt * mobility @ wrench
+    return wrench, after, mobility, np.linalg.solve(implicit.T, mobility)
 
 
 def _joints_of(data: Data) -> list[MujocoJoint]:
