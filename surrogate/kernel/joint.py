@@ -23,36 +23,28 @@ def shape_of(interfaces: int, *numbers: int) -> tuple[int, ...]:
     return numbers if interfaces == 1 else (interfaces, *numbers)
 
 
-def reply_type(k: int) -> np.dtype[np.void]:
-    """Return the reply of a step with k interfaces, named as ``wb_joint_reply`` has it."""
+def types_of(k: int) -> tuple[np.dtype[np.void], np.dtype[np.void]]:
+    """Return the types of ``wb_joint_reply`` and the kernel's ``history`` for k interfaces."""
     each, square = shape_of(k, 6), (6 * k, 6 * k)
-    return np.dtype(
-        [
-            *((name, float, each) for name in ("wrench", "displacement", "still", "force")),
-            *((name, float, square) for name in ("rate", "stiffness")),
-            ("spin", float, shape_of(k, 3, 3)),
-            *((name, float, each) for name in ("frequency", "pose_error", "wrench_error")),
-            ("ranges", float),
-            ("coverage", np.int32, shape_of(k)),
-            ("status", np.int32),
-            *([] if k % 2 else [("unused", np.int32)]),
-        ]
-    )
-
-
-def history_type(k: int) -> np.dtype[np.void]:
-    """Return the history of a joint with k interfaces, as the kernel's ``history`` has it."""
-    each = shape_of(k, 6)
     largest = np.dtype([(name, float, each) for name in ("value", "step", "time")])
-    return np.dtype(
-        [
-            *((name, float) for name in ("steps", "covered", "time")),
-            *((name, largest) for name in ("pose_error", "wrench_error")),
-            ("stored", float),
-            *((name, float, each) for name in ("still", "displacement")),
-            *([] if k == 1 else [("covered_at", float, k)]),
-        ]
-    )
+    reply = [
+        *((name, float, each) for name in ("wrench", "displacement", "still", "force")),
+        *(
+            ("rate", float, square),
+            ("stiffness", float, square),
+            ("spin", float, shape_of(k, 3, 3)),
+        ),
+        *((name, float, each) for name in ("frequency", "pose_error", "wrench_error")),
+        *(("ranges", float), ("coverage", np.int32, shape_of(k)), ("status", np.int32)),
+        *([] if k % 2 else [("unused", np.int32)]),
+    ]
+    history = [
+        *((name, float) for name in ("steps", "covered", "time")),
+        *(("pose_error", largest), ("wrench_error", largest), ("stored", float)),
+        *((name, float, each) for name in ("still", "displacement")),
+        *([] if k == 1 else [("covered_at", float, k)]),
+    ]
+    return np.dtype(reply), np.dtype(history)
 
 
 class _Options(ctypes.Structure):
@@ -78,11 +70,11 @@ class JointSteps:
     poses, velocities, inverse_masses : ndarray
         Shapes (n, k, 7), (n, k, 6) and (n, 6 k, 6 k): write them, then call `step` or `law`.
     replies : structured ndarray
-        Shape (n,), of `reply_type`.
+        Shape (n,), named as ``wb_joint_reply`` has them.
     memory : ndarray
         Shape (n, s): what joints keep from step to step; zeros forget it.
     history : structured ndarray
-        Shape (n,), of `history_type`: the end of the memory.
+        Shape (n,): the end of the memory, as the kernel's ``history`` has it.
     """
 
     def __init__(
@@ -104,8 +96,8 @@ class JointSteps:
         self.poses, self.velocities = (np.zeros((count, *shape_of(k, m))) for m in (7, FREEDOMS))
         self.poses[..., 3] = 1.0
         self.inverse_masses = np.zeros((count, FREEDOMS * k, FREEDOMS * k))
-        self.memory, self.replies = np.zeros((count, sizes[1])), np.zeros(count, reply_type(k))
-        history = history_type(k)
+        reply, history = types_of(k)
+        self.memory, self.replies = np.zeros((count, sizes[1])), np.zeros(count, reply)
         self.history = self.memory[:, -(history.itemsize // 8) :].view(history)[:, 0]
         self._scratch = np.zeros(sizes[2] // 8 + 1)
         self._options = _Options(

@@ -107,10 +107,8 @@ class Joint:
         self._table, self.damping, self._method = table, damping, method
         self._at, self.free, self.interfaces = moving(table, interface)
         self._several, self._size = len(self.interfaces) > 1, FREEDOMS * len(self.interfaces)
-        symbols: list[Any] = [SYMBOLS]
-        if self._several:
-            symbols = [[f"{name} {load}" for load in SYMBOLS] for name in self.interfaces]
-        self._symbols = np.ravel(symbols)
+        names = [f"{name} " * self._several for name in self.interfaces]
+        self._symbols = np.array([name + load for name in names for load in SYMBOLS])
         self._name = table.name
         self._further = further_inputs(table, inputs or {})
         self._warned = self._uncovered = False
@@ -226,10 +224,8 @@ class Joint:
             *(at, steps, steps.replies[at], steps.memory[at]),
         )
         self._history = steps.history[at]
-        self._status, self._ranges, self._coverage = (
-            steps.replies[name][at : at + 1].reshape(-1)
-            for name in ("status", "ranges", "coverage")
-        )
+        names, replies = ("status", "ranges", "coverage"), steps.replies[at : at + 1]
+        self._status, self._ranges, self._coverage = (replies[name].reshape(-1) for name in names)
         self._still, self._stiffness = self._reply["still"], self._reply["stiffness"]
 
     @property
@@ -471,9 +467,7 @@ class LinearPart:
             numbers; if a further input is unknown, missing or beyond its range; if the table's
             derivative there is not known or not that of springs.
         """
-        at, free, interfaces = moving(table, None)
-        if len(interfaces) > 1:
-            raise InvalidArgument(f"springs have one interface; {_moves_at(table, interfaces)}")
+        at, free, _ = moving(table, None, several=False)
         packed, places = table.packed, at[free]
         load = np.zeros(FREEDOMS) if wrench is None else np.asarray(wrench, dtype=float)
         if load.shape != (FREEDOMS,) or not np.isfinite(load).all():
@@ -589,25 +583,20 @@ def further_inputs(table: Table, by_name: Mapping[str, float]) -> tuple[float, .
 
 
 def moving(
-    table: Table, interface: str | None
+    table: Table, interface: str | None, several: bool = True
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], tuple[str, ...]]:
     """Return the places of the loads of interfaces that move, those not locked, and their names."""
     if not hasattr(table, "packed"):
         raise InvalidArgument(
             f"a joint takes a Table, from client.download(name) or Table.open(path), not {table!r}"
         )
-    space, locked = table.space, np.asarray(table.packed.arrays["space/locked"], dtype=bool)
-    places = np.arange(FREEDOMS * len(space.interfaces)).reshape(-1, FREEDOMS)
-    free = {name: ~locked[at] for name, at in zip(space.interfaces, places, strict=True)}
-    moves = np.array([freedoms.any() for freedoms in free.values()])
-    names = tuple(name for name, move in zip(free, moves, strict=True) if move)
-    if not names or interface not in (None, *(names if len(names) == 1 else ())):
+    places = np.arange(FREEDOMS * len(table.space.interfaces)).reshape(-1, FREEDOMS)
+    free = np.asarray(table.packed.arrays["space/locked"])[places] == 0
+    names = tuple(np.array(table.space.interfaces)[free.any(axis=1)].tolist())
+    single = interface is not None or not several
+    if not names or interface not in (None, *names) or (single and len(names) > 1):
         raise InvalidArgument(
-            "a joint of one interface needs one that moves and all others held; "
-            f"{_moves_at(table, names)}"
+            f"a joint or springs of one interface need one that moves and all others held; "
+            f"{table.name} moves at {', '.join(map(repr, names)) or 'none'}"
         )
-    return places[moves].ravel(), np.flatnonzero([free[name] for name in names]), names
-
-
-def _moves_at(table: Table, interfaces: tuple[str, ...]) -> str:
-    return f"{table.name} moves at {', '.join(map(repr, interfaces)) or 'none'}"
+    return places[free.any(axis=1)].ravel(), np.flatnonzero(free[free.any(axis=1)]), names

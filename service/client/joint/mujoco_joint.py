@@ -6,7 +6,7 @@ import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 from weakref import WeakKeyDictionary, WeakValueDictionary
 
 import numpy as np
@@ -32,17 +32,6 @@ _SQUARE = 1e-5  # the axes of the slides are unit and orthogonal to the six digi
 _JOINTS: WeakKeyDictionary[Data, WeakValueDictionary[int, MujocoJoint]] = WeakKeyDictionary()
 _NO_CONTROL = int(engine.mjtDisableBit.mjDSBL_ACTUATION)
 _REMEDY = "make the scene with: wrenchbook joint NAME --base BODY --tip BODY scene.xml"
-
-
-class _Tip(NamedTuple):
-    """A tip's freedoms in the scene."""
-
-    dof: int  # its first
-    slides: list[tuple[int, int]]  # which translations, and their places in qpos
-    turn: int  # the place of ball or hinge in qpos
-    ball: bool
-    hinge: Vector | None  # its axis in the interface frame
-    axes: Vector  # the interface frame's in the tip
 
 
 class MujocoJoint(Joint):
@@ -126,55 +115,49 @@ class MujocoJoint(Joint):
 
     def _bodies(self, tip: str, bodies: Mapping[str, str] | None) -> tuple[str, ...]:
         """Return the names of the tips in the order of the interfaces."""
+        names = self.interfaces
         if bodies is None:
-            bodies = {} if self._several else {self.interfaces[0]: tip}
-        wrong = [f"no body for {name!r}" for name in self.interfaces if name not in bodies]
-        wrong += [
-            f"no interface {name!r} that moves" for name in bodies if name not in self.interfaces
-        ]
-        if len(set(bodies.values())) < len(bodies):
-            wrong.append("one body at two interfaces")
+            bodies = {} if self._several else {names[0]: tip}
+        wrong = [f"no body for {name!r}" for name in names if name not in bodies]
+        wrong += [f"no interface {name!r} that moves" for name in bodies if name not in names]
+        wrong += ["one body at two interfaces"] * (len(set(bodies.values())) < len(bodies))
         if wrong:
-            expected = ", ".join(f"{name!r}: BODY" for name in self.interfaces)
+            expected = ", ".join(f"{name!r}: BODY" for name in names)
             raise JointError(f"{self._table.name}: {'; '.join(wrong)}. Give bodies={{{expected}}}")
-        return tuple(bodies[name] for name in self.interfaces)
+        return tuple(bodies[name] for name in names)
 
     def _find(self) -> None:
-        """Find the tips' freedoms in the scene."""
-        free = np.split(
-            self.free, np.searchsorted(self.free, FREEDOMS * np.arange(1, len(self._tips)))
+        """Find the tips' freedoms in the scene, and their pairs in its mass matrix."""
+        # Of a pose: tip, place in it, place in qpos and count; of a hinge tip, axis and place.
+        self._runs, self._hinges = (
+            list[tuple[int, int, int, int]](),
+            list[tuple[int, Vector, int]](),
         )
-        self._at_tip = [
-            self._tip_of(name, at % FREEDOMS) for name, at in zip(self._tips, free, strict=True)
-        ]
-        count, first = len(self.free), 0
-        self._blocks, pairs, dofs = (
-            [],
-            [],
-            [],
-        )  # blocks: tips whose freedoms the mass matrix couples
-        for tip, at in zip(self._at_tip, free, strict=True):
-            own = tip.dof + np.arange(len(at))
+        # Blocks are the freedoms of tips of which the matrix has pairs.
+        self._starts, self._blocks, pairs, dofs, axes = [], [], [], [], []
+        for k, name in enumerate(self._tips):
+            free, first = self.free[self.free // FREEDOMS == k] % FREEDOMS, len(dofs)
+            self._starts.append(self._find_tip(k, name, free, axes))
+            own = self._starts[k] + np.arange(len(free))
             rows, columns, places = _places(self._model, own)
-            if not len(rows) == len(at) > 1:
-                self._blocks.append(slice(first, first + len(at)))
-                pairs.append([count * (first + rows) + first + columns, places])
-            dofs, first = [*dofs, *own.tolist()], first + len(at)
+            if not len(rows) == len(own) > 1:
+                self._blocks.append(slice(first, first + len(own)))
+                pairs.append([len(self.free) * (first + rows) + first + columns, places])
+            dofs += own.tolist()
         self._pairs, self._at_pairs = np.hstack([np.empty((2, 0), dtype=int), *pairs])
-        self._dofs: Any = np.array(dofs) if self._several else slice(dofs[0], dofs[0] + count)
+        self._dofs: Any = np.array(dofs) if self._several else slice(dofs[0], dofs[-1] + 1)
         self._units = np.eye(self._model.nv)[self._dofs]
         self._square, self._full = np.ix_(self.free, self.free), len(self.free) == self._size
-        self._spin_axes = (
-            None  # a tip without a ball has the frame's own: it turns about one of them
-        )
-        if any(tip.ball for tip in self._at_tip):
-            each = [tip.axes if tip.ball else np.eye(3) for tip in self._at_tip]
-            self._spin_axes = np.ascontiguousarray(np.array(each) if self._several else each[0])
+        balls = np.array([np.eye(3) if turned is None else turned for turned in axes])
+        self._spin_axes = balls if self._several else None if axes[0] is None else balls[0]
         self._begin(self._spin_axes)
         self._watch(self._data, self._steps, 0)
 
-    def _tip_of(self, name: str, free: NDArray[np.intp]) -> _Tip:
-        """Return a tip with some free freedoms of six: its axes, its places in qpos and qvel."""
+    def _find_tip(self, k: int, name: str, free: NDArray[np.intp], spins: list[Any]) -> int:
+        """Find a tip's axes and places in qpos; return its first freedom.
+
+        `spins` get the interface frame's axes if it has a ball, else None: it turns about one.
+        """
         model, body = self._model, _body(self._model, name)
         first = int(model.body_jntadr[body])
         joints = list(range(first, first + int(model.body_jntnum[body])))
@@ -222,9 +205,14 @@ class MujocoJoint(Joint):
                 f"the body's own; {_REMEDY}"
             )
         places = model.jnt_qposadr[joints].tolist()
-        slides = list(zip(moves.tolist(), places, strict=False))
-        hinge = np.eye(3)[turns[0] - 3] if len(turns) == 1 else None
-        return _Tip(int(model.jnt_dofadr[first]), slides, places[-1], len(turns) == 3, hinge, axes)
+        slides = [(k, to, of, 1) for to, of in zip(moves.tolist(), places, strict=False)]
+        self._runs += [(k, 0, places[0], 3)] if len(slides) == 3 else slides
+        spins.append(axes if len(turns) == 3 else None)
+        if len(turns) == 3:
+            self._runs.append((k, 3, places[-1], 4))
+        elif len(turns):
+            self._hinges.append((k, np.eye(3)[turns[0] - 3], places[-1]))
+        return int(model.jnt_dofadr[first])
 
     def _watch(self, data: Data, steps: JointSteps, at: int) -> None:
         """Take a joint of the kernel's arrays, and views of the data of its scene.
@@ -238,18 +226,15 @@ class MujocoJoint(Joint):
         self._solved = np.empty_like(self._units)
         self._pose_of_tip, self._inverse_mass = steps.poses[at], steps.inverse_masses[at]
         self._force, self._slope, self._spin = (reply[name] for name in ("force", "rate", "spin"))
-        self._copied, self._hinges = [], []  # views: where a pose is written, and where it is read
-        for tip, pose in zip(self._at_tip, self._pose_of_tip.reshape(-1, 7), strict=True):
-            slides = tip.slides
-            runs = [(0, slides[0][1], 3)] if len(slides) == 3 else [(*slide, 1) for slide in slides]
-            runs += [(3, tip.turn, 4)] if tip.ball else []
-            self._copied += [(pose[to : to + n], data.qpos[of : of + n]) for to, of, n in runs]
-            if tip.hinge is not None:
-                self._hinges.append((pose[3:], tip.hinge, data.qpos[tip.turn : tip.turn + 1]))
+        poses, qpos = self._pose_of_tip.reshape(-1, 7), data.qpos
+        self._read_from = [
+            (poses[k, to : to + n], qpos[at : at + n]) for k, to, at, n in self._runs
+        ]
+        self._turned = [(poses[k, 3:], axis, qpos[at : at + 1]) for k, axis, at in self._hinges]
         self._velocities, self._applied = data.qvel, data.qfrc_applied
         self._mass = data.M
-        for tip in self._at_tip:
-            _JOINTS.setdefault(data, WeakValueDictionary())[tip.dof] = self
+        for start in self._starts:
+            _JOINTS.setdefault(data, WeakValueDictionary())[start] = self
 
     def __getstate__(self) -> dict[str, Any]:
         """All but MuJoCo's options, which it does not pickle: the model has them."""
@@ -261,9 +246,9 @@ class MujocoJoint(Joint):
 
     def _read_pose(self) -> None:
         """Write the tips' translations and quaternions into the kernel's arrays."""
-        for pose, place in self._copied:
+        for pose, place in self._read_from:
             pose[:] = place
-        for pose, axis, angle in self._hinges:
+        for pose, axis, angle in self._turned:
             pose[:] = quaternion(axis * angle)
 
     def _read(self) -> None:
@@ -328,12 +313,10 @@ class MujocoJoint(Joint):
         force, slope, velocity = self._law
         pulled = np.zeros(self._size)
         pulled[self.free] = force + slope @ velocity
-        if self._several:
-            pulled = pulled.reshape(-1, FREEDOMS)
-            pulled[:, 3:] = np.einsum("kij,kj->ki", self._spin, pulled[:, 3:])
-        else:
-            pulled[3:] = self._spin @ pulled[3:]
-        return pulled
+        each = pulled.reshape(-1, FREEDOMS)
+        for wrench, spin in zip(each, self._spin.reshape(-1, 3, 3), strict=True):
+            wrench[3:] = spin @ wrench[3:]
+        return each if self._several else pulled
 
     def _watch_base(self) -> None:
         """Warn once that the base has been put elsewhere by a body without velocity."""
@@ -400,18 +383,14 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
     """Raise JointError if joints are not all those of one scene, or its step is not above zero."""
     if not joints or any(joint._data is not joints[0]._data for joint in joints):
         raise JointError("step_joints takes the joints of one scene: one or more of the same data")
-    stepped, of_scene = (
-        [tip.dof for joint in joints for tip in joint._at_tip],
-        _JOINTS[joints[0]._data],
-    )
+    stepped = [start for joint in joints for start in joint._starts]
+    of_scene = _JOINTS[joints[0]._data]
     if len(set(stepped)) < len(stepped):
         raise JointError("two joints have one tip, which would feel one of them: leave one out")
     if len(of_scene) > len(stepped):
         others = dict.fromkeys(joint for at, joint in of_scene.items() if at not in stepped)
-        tips, missing = (
-            ", ".join(repr(tip) for joint in some for tip in joint._tips)
-            for some in (joints, others)
-        )
+        sides = [[tip for joint in some for tip in joint._tips] for some in (joints, others)]
+        tips, missing = (", ".join(map(repr, side)) for side in sides)
         raise JointError(
             f"the scene has joints at the tips {tips} and {missing}: a step of one "
             "advances all of the scene, and the others would not pull. Call step_joints(a, b) of "
@@ -466,11 +445,12 @@ def _push_together(joints: Sequence[MujocoJoint]) -> None:
 
     With the constraint forces of the last step the wrench is w', by the coupled law. Of this step's
     each tip by itself feels what the part gives it, A' = (A^-1 + dt C)^-1: D = (A'^-1 - A^-1) / dt
-    of the tip's block enters the mass matrix, and the wrench is w' + D (v' - v), v the velocity that
-    belongs to w'. Of what other tips meet in this step it feels nothing before the next.
+    of the tip's block enters the mass matrix, and the wrench is w' + D (v' - v), v the velocity of
+    w'. Of what other tips meet in this step it feels nothing before the next.
     """
     dt = joints[0]._scene.timestep
-    wrench, velocity, mobility, pulled = _with_last_contacts(joints)
+    wrench, velocity, mobility, implicit = _with_last_contacts(joints)
+    velocity, pulled = velocity - dt * mobility @ wrench, np.linalg.solve(implicit.T, mobility)
     for joint in joints:
         first, count = len(velocity) - len(wrench), len(joint.free)
         slope = np.zeros((count, count))
@@ -486,35 +466,28 @@ def _push_together(joints: Sequence[MujocoJoint]) -> None:
 def _with_last_contacts(
     joints: Sequence[MujocoJoint], solved: Vector | None = None
 ) -> tuple[Vector, Vector, Vector, Vector]:
-    """Return wrenches by the constraint forces of the step before, and the velocity with them.
+    """Return w', v, A and I + dt C A of free freedoms (f,), by the last step's constraint forces.
 
-    Of the free freedoms, (f,): w' of (I + dt C A) w' = w + C v, and v - dt A w'; and the inverse
-    masses (f, f), A, and with the parts, (A^-1 + dt C)^-1. `solved` (f, nv) has the rows of A.
+    `solved` (f, nv) has the rows of A, if they are known.
     """
     model, data, dt = joints[0]._model, joints[0]._data, joints[0]._scene.timestep
-    laws, dofs = [joint._law_of_free() for joint in joints], joints[0]._dofs
-    force, slope = laws[0]
-    if len(joints) > 1:
-        dofs = np.concatenate([joint._dofs for joint in joints])
-        force = np.concatenate([force for force, _ in laws])
-        slope, first = np.zeros((len(dofs), len(dofs))), 0
-        for _, rate in laws:
-            block = slice(first, first := first + len(rate))
-            slope[block, block] = rate
+    dofs = np.concatenate([np.arange(model.nv)[joint._dofs] for joint in joints])
+    force, slope, first = np.zeros(len(dofs)), np.zeros((len(dofs), len(dofs))), 0
+    for joint in joints:
+        block = slice(first, first := first + len(joint.free))
+        force[block], slope[block, block] = joint._law_of_free()
     data.qfrc_applied[dofs] = 0.0
     engine.mj_fwdActuation(model, data)
     engine.mj_fwdAcceleration(model, data)
     pushed = np.empty((1, model.nv))
     engine.mj_solveM(model, data, pushed, data.qfrc_constraint[None])
     if solved is None:
-        units = np.eye(model.nv)[dofs]
-        solved = np.empty_like(units)
-        engine.mj_solveM(model, data, solved, units)
+        engine.mj_solveM(
+            model, data, solved := np.empty((len(dofs), model.nv)), np.eye(model.nv)[dofs]
+        )
     velocity, mobility = (data.qvel + dt * (data.qacc_smooth + pushed[0]))[dofs], solved[:, dofs]
     implicit = np.eye(len(slope)) + dt * slope @ mobility
-    wrench = np.linalg.solve(implicit, force + slope @ velocity)
-    after = velocity - dt * mobility @ wrench
-    return wrench, after, mobility, np.linalg.solve(implicit.T, mobility)
+    return np.linalg.solve(implicit, force + slope @ velocity), velocity, mobility, implicit
 
 
 def _joints_of(data: Data) -> list[MujocoJoint]:
