@@ -65,7 +65,7 @@ class Joints:
 
     def __copy__(self) -> Joints:
         """Refuse: it would share arrays."""
-        raise InvalidArgument("a copy of Joints would share their states: take copy.deepcopy")
+        raise InvalidArgument("a copy of Joints would share their states: make others")
 
     @property
     def inputs(self) -> Mapping[str, float]:
