@@ -6,6 +6,7 @@ import copy
 import pickle
 import re
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -48,12 +49,12 @@ def link(moving: int = 2, heat: int = 0) -> Table:
     """The link as a table, other interfaces held; with heat it grows, and kriging answers."""
     space = space_of(tuple(TIPS), [Input("temperature", "degC", "scalar", zero=20.0)] * heat)
     ends = np.array([[*-HIGH, *[20.0] * heat], [*HIGH, *[120.0] * heat]])
-    rows = np.random.default_rng(3).uniform(*ends, (40, 12 + heat))
+    rows = np.random.default_rng(3).uniform(ends[0], ends[1], (40, 12 + heat))
     slope = np.hstack([C, np.full((12, heat), 1e-6)])
     moved, slopes = (rows - space.zero) @ slope.T, np.tile(slope, (40, 1, 1))
     solved = Rows.of(rows, moved, compliance=slopes, source=["fea"] * 40, space=space)
     locked = tuple(range(6 * moving, 12))
-    return packed_table(solved, LoadRange(*ends, space), linear=not heat, locked=locked)
+    return packed_table(solved, LoadRange(ends[0], ends[1], space), linear=not heat, locked=locked)
 
 
 def car(left: str, right: str, dt: float, base: str = FREE, gravity: float = 0.0, world: str = ""):
@@ -157,7 +158,7 @@ def test_feet_at_the_tips_rest_on_a_default_contact(right, dt):
     assert np.std(pressed, axis=0).max() < 0.5  # N; a bounce has 30
 
 
-def states(count: int):
+def states(count: int) -> Any:
     """Poses, velocities, inverse masses that couple the tips, and rotations."""
     rng = np.random.default_rng(5)
     moved = (rng.uniform(-0.3, 0.3, (count, 12)) * HIGH @ C).reshape(count, 2, 6)
