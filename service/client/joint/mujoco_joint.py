@@ -91,8 +91,7 @@ class MujocoJoint(Joint):
         _refuse_rk4(model)
         self._model, self._data = model, data
         self._base, self._tips = base, self._bodies(tip, bodies)
-        named = ", ".join(map(repr, self._tips))
-        self._name = f"{table.name} at tip{'s' * self._several} {named}"
+        self._name = f"{table.name} at tip{'s' * self._several} " + ", ".join(map(repr, self._tips))
         parent = _body(model, base)
         for name in self._tips:
             if model.body_parentid[_body(model, name)] != parent:
@@ -154,10 +153,7 @@ class MujocoJoint(Joint):
         self._watch(self._data, self._steps, 0)
 
     def _find_tip(self, k: int, name: str, free: NDArray[np.intp], spins: list[Any]) -> int:
-        """Find a tip's axes and places in qpos; return its first freedom.
-
-        `spins` get the interface frame's axes if it has a ball, else None: it turns about one.
-        """
+        """Return a tip's first freedom; `spins` get its axes, None without a ball."""
         model, body = self._model, _body(self._model, name)
         first = int(model.body_jntadr[body])
         joints = list(range(first, first + int(model.body_jntnum[body])))
@@ -443,10 +439,9 @@ def push(joints: Collection[MujocoJoint]) -> None:
 def _push_together(joints: Sequence[MujocoJoint]) -> None:
     """Apply the wrenches of joints with several tips, of which the mass matrix has no pairs.
 
-    With the constraint forces of the last step the wrench is w', by the coupled law. Of this step's
-    each tip by itself feels what the part gives it, A' = (A^-1 + dt C)^-1: D = (A'^-1 - A^-1) / dt
-    of the tip's block enters the mass matrix, and the wrench is w' + D (v' - v), v the velocity of
-    w'. Of what other tips meet in this step it feels nothing before the next.
+    By the last step's constraint forces the wrench is w', and the velocity after it v'. To those
+    of this step a tip answers by its block of A' = (A^-1 + dt C)^-1: D = (A'^-1 - A^-1) / dt enters
+    the mass matrix, and the wrench is w' + D (v - v').
     """
     dt = joints[0]._scene.timestep
     wrench, velocity, mobility, implicit = _with_last_contacts(joints)
