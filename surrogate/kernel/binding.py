@@ -469,7 +469,7 @@ class PackedTable:
         Parameters
         ----------
         stiffness, inverse_mass
-            Shape (n, n), n at most 48, contiguous: N/m to N·m/rad, 1/kg to 1/(kg·m^2).
+            Shape (n, n), n at most 24, contiguous: N/m to N·m/rad, 1/kg to 1/(kg·m^2).
 
         Returns
         -------

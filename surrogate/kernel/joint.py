@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from .binding import PackedTable
 
 FREEDOMS = 6  # of an interface: three translations, then three rotations
-MAX_INTERFACES = 8  # as wb_joint.c has it
+MAX_INTERFACES = 4  # as wb_joint.c has it
 OK, NOT_FINITE, SINGULAR, INDEFINITE, NO_MASS = 0, 1, 5, 7, 8  # of the statuses in wrenchbook.h
 
 

@@ -7,8 +7,8 @@
 #include <string.h>
 
 enum { SIX = 6, MAX_SWEEPS = 30 }; /* of Jacobi's method: it converges in about six */
-/* Of a joint: a step of 48 freedoms has 200 kB on its stack, and macOS gives a thread 512 kB. */
-enum { MAX_INTERFACES = 8, FREEDOMS = SIX * MAX_INTERFACES };
+/* Of a joint: a table's index of rows takes 24 inputs (surrogate/table/merging.py). */
+enum { MAX_INTERFACES = 4, FREEDOMS = SIX * MAX_INTERFACES };
 /* (omega dt)^2 up to which a mode is explicit: symplectic Euler is stable up to 4, and at 0.5 its
  * frequency is still within 2 %. */
 static const double EXPLICIT = 0.5;

@@ -153,7 +153,7 @@ WB_API int wb_derivative_many(const wb_table *table, const wb_options *options, 
  * and columns of locked inputs are zero, and rows of further inputs. */
 WB_API int wb_inverse(const wb_table *table, const wb_options *options, const double *outputs,
                       double *inputs, double *stiffness, void *scratch);
-/* The change of a joint's wrench with the relative velocity, C (n, n), n at most 48:
+/* The change of a joint's wrench with the relative velocity, C (n, n), n at most 24:
  * C = sum over the modes of stiffness (n, n) against inverse mass (n, n) of dt theta omega^2 +
  * 2 damping omega, theta = clip(1 - 0.5 / (omega dt)^2, 0, 1). The step is
  * (I + dt C A) w' = w + C v, v the velocity that the bodies would have without the joint.
@@ -192,7 +192,7 @@ typedef struct {
                              * WB_NO_MASS, or WB_INDEFINITE, which has all the same numbers */
 } wb_joint_reply;
 
-/* The number of a table's interfaces that move, k: a joint has 1 to 8. */
+/* The number of a table's interfaces that move, k: a joint has 1 to 4. */
 WB_API int wb_joint_interfaces(const wb_table *table);
 /* The doubles of memory that a joint keeps from step to step; zeros to begin with. */
 WB_API size_t wb_joint_memory(const wb_table *table);

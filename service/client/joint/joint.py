@@ -60,7 +60,7 @@ class Joint:
     Parameters
     ----------
     table : Table
-        A downloaded or opened table of a part with 1 to 8 interfaces that move.
+        A downloaded or opened table of a part with 1 to 4 interfaces that move.
     damping : float
         Share of critical damping of each mode of the part between the two bodies.
     interface : str, optional
