@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import InvalidArgument, required
-from .joint.joint import Joint
+from .joint.joint import Joint, shape_of
 from .joint.joints import status_of
 from .table import Table
 from .wrenches import Tolerance
@@ -249,6 +249,9 @@ class JointAnswers(NamedTuple):
     memory: Array
 
 
+REPLIED = "wrench", "displacement", "wrench_error", "force", "rate", "coverage"
+
+
 def jax_joint(
     table: Table, dt: float, damping: float = 0.02, *, axes: Array = None, **options: Any
 ) -> tuple[Callable[[Array, Array, Array, Array], JointAnswers], int]:
@@ -258,38 +261,42 @@ def jax_joint(
     zeros, and those of `Joints.step` for a step of `dt`, s. `jit`, `vmap` (one call of the kernel)
     and `lax.scan` work on it; it has no derivative. `axes` (3, 3), columns, are the interface
     frame's axes in the tip's own if quaternions, spins and moments of force and rate have those,
-    as MuJoCo's ball has. Options and errors are those of `Joint`.
+    as MuJoCo's ball has; (k, 3, 3) of k interfaces. Options and errors are those of `Joint`.
     """
     package = required("jax", "arrays.jax_joint", "'wrenchbook[jax]'")
     joint, turned = Joint(table, damping, **options), None if axes is None else np.array(axes) + 0.0
-    if not 0.0 < dt < np.inf or (turned is not None and turned.shape != (3, 3)):
-        raise InvalidArgument(f"a step is above zero, and axes are (3, 3), not {dt} s and {axes}")
-    size = joint.new_steps(1, turned).memory.shape[1]
+    first = joint.new_steps(1, None)
+    square = shape_of(first.interfaces, 3, 3)
+    if not 0.0 < dt < np.inf or (turned is not None and turned.shape != square):
+        raise InvalidArgument(f"a step is above zero, and axes are {square}, not {dt} s and {axes}")
+    size, shapes = first.memory.shape[1], {n: first.replies[n].shape[1:] for n in REPLIED}
+    places = first.memory, first.poses, first.velocities, first.inverse_masses
+    entered = [place.shape[1:] for place in places]
 
     def on_host(*arrays: Array) -> list[Array]:
-        lead = arrays[1].shape[:-1]
+        lead = arrays[0].shape[:-1]
         steps = joint.new_steps(int(np.prod(lead)), turned)
         places = steps.memory, steps.poses, steps.velocities, steps.inverse_masses
         for place, array in zip(places, arrays, strict=True):
             place[:] = np.asarray(array).reshape(place.shape)
         steps.step(dt, damping, os.cpu_count() or 1)
         codes, coverage = status_of(joint, steps), steps.replies["coverage"]
-        names = "wrench", "displacement", "wrench_error", "force", "rate"
-        floats = [steps.replies[name] for name in names]
+        floats = [steps.replies[name] for name in REPLIED[:-1]]
         found = *floats, np.where(coverage < 0, OUTSIDE, coverage), codes, steps.memory
         return [array.reshape((*lead, *array.shape[1:])) for array in found]
 
     def step(memory: Array, poses: Array, velocities: Array, inverse_masses: Array) -> JointAnswers:
         given = [package.numpy.asarray(a) for a in (memory, poses, velocities, inverse_masses)]
-        lead, kind = given[1].shape[:-1], given[1].dtype
-        expected = [(*lead, *shape) for shape in ((size,), (7,), (6,), (6, 6))]
+        lead, kind = given[0].shape[:-1], given[1].dtype
+        expected = [(*lead, *shape) for shape in entered]
         if [array.shape for array in given] != expected:
             raise InvalidArgument(
                 f"memory, poses, velocities and inverse_masses have the shapes {expected}, not "
                 f"{[array.shape for array in given]}"
             )
-        six, flag = ((*lead, 6), kind), (lead, np.int32)
-        results = [six, six, six, six, ((*lead, 6, 6), kind), flag, flag, ((*lead, size), kind)]
+        results = [((*lead, *shapes[name]), kind) for name in REPLIED[:-1]]
+        results += [((*lead, *shapes["coverage"]), np.int32), (lead, np.int32)]
+        results += [((*lead, size), kind)]
         return JointAnswers(*_jax_on_host(package, on_host, results, *given))
 
     return step, size

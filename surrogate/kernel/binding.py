@@ -71,6 +71,7 @@ def kernel() -> Kernel:
         "wb_derivative_many": (integer, [address, address, size, address, address, integer]),
         "wb_inverse": (integer, [address] * 6),
         "wb_joint_rate": (integer, [integer, address, address, real, real, address]),
+        "wb_joint_interfaces": (integer, [address]),
         "wb_joint_memory": (size, [address]),
         "wb_joint_step": (integer, [address, address, size, *[address] * 5, integer, address]),
         "wb_axis": (integer, [address, integer, integer, address, address]),
@@ -428,20 +429,21 @@ class PackedTable:
     def joints(
         self,
         count: int,
-        first: int,
         method: str | None = None,
         axes: Floats | None = None,
     ) -> JointSteps:
-        """Return the steps of joints of this table; `first` is the index of the tip's first load.
+        """Return the steps of joints of this table, with all its k interfaces that move.
 
-        `axes` (3, 3) has the interface frame's axes, columns, in the tip's own axes if quaternions,
-        spins and moments have those. Many joints release the interpreter, a single one keeps it.
+        `axes` (k, 3, 3) has the interface frame's axes, columns, in the tip's own axes if
+        quaternions, spins and moments have those. Many joints release the interpreter, a single
+        one keeps it.
         """
         code, library = method_code(method or self.method), kernel()
         form = library.with_gil if count == 1 else library.without_gil
-        size = form.wb_joint_memory(self.handle), self._scratch
-        options, arguments = (first, code, axes), (count, first, method, axes)
-        return JointSteps(self, form.wb_joint_step, count, options, size, arguments)
+        k, memory = form.wb_joint_interfaces(self.handle), form.wb_joint_memory(self.handle)
+        options, arguments = (code, axes), (count, method, axes)
+        sizes = k, memory, self._scratch
+        return JointSteps(self, form.wb_joint_step, count, options, sizes, arguments)
 
     @property
     def handle(self) -> int:
@@ -467,7 +469,7 @@ class PackedTable:
         Parameters
         ----------
         stiffness, inverse_mass
-            Shape (n, n), n at most 6, contiguous: N/m to N·m/rad, 1/kg to 1/(kg·m^2).
+            Shape (n, n), n at most 24, contiguous: N/m to N·m/rad, 1/kg to 1/(kg·m^2).
 
         Returns
         -------
@@ -477,7 +479,7 @@ class PackedTable:
         Raises
         ------
         ValueError
-            If the inverse mass is not positive definite, or a number is not finite.
+            If the inverse mass is not symmetric and positive definite, or a number is not finite.
         """
         rates = np.empty_like(stiffness)
         wrong = kernel().with_gil.wb_joint_rate(
@@ -486,8 +488,8 @@ class PackedTable:
         )
         if wrong:
             raise ValueError(
-                "the inverse effective mass of the joint is not positive definite: a freedom "
-                "between base and tip moves no mass"
+                "the inverse effective mass of the joint is not symmetric and positive definite: a "
+                "freedom between base and tip moves no mass"
             )
         return rates
 

@@ -14,27 +14,37 @@ if TYPE_CHECKING:
     from .binding import PackedTable
 
 FREEDOMS = 6  # of an interface: three translations, then three rotations
+MAX_INTERFACES = 4  # as wb_joint.c has it
 OK, NOT_FINITE, SINGULAR, INDEFINITE, NO_MASS = 0, 1, 5, 7, 8  # of the statuses in wrenchbook.h
-REPLY = np.dtype(
-    [
-        *((name, float, 6) for name in ("wrench", "displacement", "still", "force")),
-        *((name, float, (6, 6)) for name in ("rate", "stiffness")),
-        ("spin", float, (3, 3)),
-        *((name, float, 6) for name in ("frequency", "pose_error", "wrench_error")),
-        ("ranges", float),
-        *((name, np.int32) for name in ("coverage", "status")),
-    ]
-)
 
-_LARGEST = np.dtype([(name, float, 6) for name in ("value", "step", "time")])
-HISTORY = np.dtype(
-    [
-        *((name, float) for name in ("steps", "covered", "time")),
-        *((name, _LARGEST) for name in ("pose_error", "wrench_error")),
-        ("stored", float),
-        *((name, float, 6) for name in ("still", "displacement")),
+
+def shape_of(interfaces: int, *numbers: int) -> tuple[int, ...]:
+    """Return the shape of numbers of each interface: without a dimension for a single one."""
+    return numbers if interfaces == 1 else (interfaces, *numbers)
+
+
+def types_of(k: int) -> tuple[np.dtype[np.void], np.dtype[np.void]]:
+    """Return the types of ``wb_joint_reply`` and the kernel's ``history`` for k interfaces."""
+    each, square = shape_of(k, 6), (6 * k, 6 * k)
+    largest = np.dtype([(name, float, each) for name in ("value", "step", "time")])
+    reply = [
+        *((name, float, each) for name in ("wrench", "displacement", "still", "force")),
+        *(
+            ("rate", float, square),
+            ("stiffness", float, square),
+            ("spin", float, shape_of(k, 3, 3)),
+        ),
+        *((name, float, each) for name in ("frequency", "pose_error", "wrench_error")),
+        *(("ranges", float), ("coverage", np.int32, shape_of(k)), ("status", np.int32)),
+        *([] if k % 2 else [("unused", np.int32)]),
     ]
-)
+    history = [
+        *((name, float) for name in ("steps", "covered", "time")),
+        *(("pose_error", largest), ("wrench_error", largest), ("stored", float)),
+        *((name, float, each) for name in ("still", "displacement")),
+        *([] if k == 1 else [("covered_at", float, k)]),
+    ]
+    return np.dtype(reply), np.dtype(history)
 
 
 class _Options(ctypes.Structure):
@@ -44,7 +54,7 @@ class _Options(ctypes.Structure):
         *(("method", ctypes.c_int), ("tolerance", ctypes.c_void_p), ("rows", ctypes.c_int)),
         *((name, ctypes.c_void_p) for name in ("inputs", "axes")),
         *((name, ctypes.c_double) for name in ("dt", "damping")),
-        *((name, ctypes.c_int) for name in ("first", "errors")),
+        ("errors", ctypes.c_int),
     )
 
 
@@ -53,16 +63,18 @@ class JointSteps:
 
     Attributes
     ----------
+    interfaces : int
+        The interfaces that move, k; arrays of a single one have no dimension k.
     inputs : ndarray
         Shape (n inputs of the table,), SI: the further inputs as they are.
     poses, velocities, inverse_masses : ndarray
-        Shapes (n, 7), (n, 6) and (n, 6, 6): write them, then call `step` or `law`.
+        Shapes (n, k, 7), (n, k, 6) and (n, 6 k, 6 k): write them, then call `step` or `law`.
     replies : structured ndarray
-        Shape (n,), of `REPLY`, named as ``wb_joint_reply`` has them.
+        Shape (n,), named as ``wb_joint_reply`` has them.
     memory : ndarray
-        Shape (n, k): what joints keep from step to step; zeros forget it.
+        Shape (n, s): what joints keep from step to step; zeros forget it.
     history : structured ndarray
-        Shape (n,), of `HISTORY`: the end of the memory, as the kernel's ``history`` has it.
+        Shape (n,): the end of the memory, as the kernel's ``history`` has it.
     """
 
     def __init__(
@@ -70,24 +82,27 @@ class JointSteps:
         table: PackedTable,
         call: Callable[..., int],
         count: int,
-        options: tuple[int, int, Floats | None],
-        sizes: tuple[int, int],
+        options: tuple[int, Floats | None],
+        sizes: tuple[int, int, int],
         arguments: tuple[Any, ...],
     ) -> None:
-        """Take the kernel's call, the first load, method and axes, and memory and scratch."""
-        first, method, self._axes = options
+        """Take the kernel's call, method and axes, and interfaces, memory and scratch."""
+        method, self._axes = options
         self._table, self._call, self.arguments = table, call, arguments
-        self.inputs = np.zeros(table.inputs)
-        self.poses, self.velocities = np.zeros((count, 7)), np.zeros((count, FREEDOMS))
-        self.poses[:, 3] = 1.0
-        self.inverse_masses = np.zeros((count, FREEDOMS, FREEDOMS))
-        self.memory, self.replies = np.zeros((count, sizes[0])), np.zeros(count, dtype=REPLY)
-        behind = sizes[0] - HISTORY.itemsize // 8
-        self.history = self.memory[:, behind:].view(HISTORY)[:, 0]
-        self._scratch = np.zeros(sizes[1] // 8 + 1)
+        self.inputs, self.interfaces = np.zeros(table.inputs), sizes[0]
+        k = self.interfaces
+        if not 1 <= k <= MAX_INTERFACES:
+            raise ValueError(f"a joint moves at 1 to {MAX_INTERFACES} interfaces, not at {k}")
+        self.poses, self.velocities = (np.zeros((count, *shape_of(k, m))) for m in (7, FREEDOMS))
+        self.poses[..., 3] = 1.0
+        self.inverse_masses = np.zeros((count, FREEDOMS * k, FREEDOMS * k))
+        reply, history = types_of(k)
+        self.memory, self.replies = np.zeros((count, sizes[1])), np.zeros(count, reply)
+        self.history = self.memory[:, -(history.itemsize // 8) :].view(history)[:, 0]
+        self._scratch = np.zeros(sizes[2] // 8 + 1)
         self._options = _Options(
             *(method, None, 0, self.inputs.ctypes.data),
-            *(None if self._axes is None else self._axes.ctypes.data, 0.0, 0.0, first, 1),
+            *(None if self._axes is None else self._axes.ctypes.data, 0.0, 0.0, 1),
         )
         places = (self.poses, self.velocities, self.inverse_masses, self.memory, self.replies)
         poses, velocities, masses, memory, replies = (array.ctypes.data for array in places)

@@ -6,12 +6,17 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { FREEDOMS = 6, MAX_SWEEPS = 30 }; /* of Jacobi's method: it converges in about six */
+enum { SIX = 6, MAX_SWEEPS = 30 }; /* of Jacobi's method: it converges in about six */
+/* Of a joint: a table's index of rows takes 24 inputs (surrogate/table/merging.py). */
+enum { MAX_INTERFACES = 4, FREEDOMS = SIX * MAX_INTERFACES };
 /* (omega dt)^2 up to which a mode is explicit: symplectic Euler is stable up to 4, and at 0.5 its
  * frequency is still within 2 %. */
 static const double EXPLICIT = 0.5;
 /* Of the largest diagonal: off-diagonal elements below it are rounding. */
 static const double ROUNDING = 1e-17;
+/* The square of the relative asymmetry of an inverse mass: single precision is better than 1e-3, a
+ * matrix of mixed frames or half of one is not. */
+static const double ASYMMETRY = 1e-6;
 
 /* a = l l^T in place, the lower triangle; 0 if a is not positive definite. */
 static int cholesky(double *a, int n) {
@@ -89,6 +94,16 @@ static void solve_transposed(const double *l, double *x, int n) {
         }
 }
 
+static int is_symmetric(const double *a, int n) {
+    int wrong = 0;
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < i; j++) {
+            double difference = a[n * i + j] - a[n * j + i];
+            wrong |= difference * difference > ASYMMETRY * fabs(a[n * i + i] * a[n * j + j]);
+        }
+    return !wrong;
+}
+
 /* wb_joint_rate, and the squares of the modes' frequencies (n). */
 static int rate_of(int n, const double *stiffness, const double *inverse_mass, double dt,
                    double damping, double *rate, double *squares) {
@@ -97,7 +112,7 @@ static int rate_of(int n, const double *stiffness, const double *inverse_mass, d
     for (int i = 0; i < n * n; i++)
         if (!isfinite(stiffness[i]) || !isfinite(inverse_mass[i])) return WB_NOT_FINITE;
     memcpy(l, inverse_mass, (size_t)(n * n) * sizeof(double));
-    if (!cholesky(l, n)) return WB_SINGULAR;
+    if (!is_symmetric(l, n) || !cholesky(l, n)) return WB_SINGULAR;
     congruent(l, stiffness, b, n);
     diagonalise(b, modes, n);
     solve_transposed(l, modes, n);
@@ -131,41 +146,103 @@ static const double CLOSE = 1e-9;
 static const double SMALL_ANGLE = 1e-3;
 enum { TOWARDS_BOUNDARY = 8 }; /* steps to the boundary point; each gains some digits */
 
-/* The largest errors of all steps. */
+/* The largest errors of all steps, (n): in which step they were, from 1 on; 0: never known. And the
+ * time of the step's beginning, s. */
 typedef struct {
-    double value[FREEDOMS], step[FREEDOMS]; /* in which step it was, from 1 on; 0: never known */
-    double time[FREEDOMS]; /* of the step's beginning, s */
+    double *value, *step, *time;
 } largest;
 
-/* What a joint keeps behind the end of its last search: whether there was one, its loads (n),
- * displacement (m) and stiffness (n, m). */
+/* What a joint of k interfaces, n = 6 k freedoms, keeps behind the end of its last search: whether
+ * there was one, its loads (inputs), displacement (outputs) and stiffness (inputs, outputs). */
 typedef struct {
-    double steps, covered, time; /* numbers of steps, and the sum of all, s */
+    double *steps, *covered, *time; /* numbers of steps, and the sum of all, s */
     largest pose_error, wrench_error;
-    double stored; /* J: the work of the wrenches at the poses, by trapezoids */
-    double still[FREEDOMS], displacement[FREEDOMS]; /* of the last pose */
+    double *stored; /* J: the work of the wrenches at the poses, by trapezoids */
+    double *still, *displacement; /* (n) of the last pose */
+    double *covered_at; /* (k) numbers of steps; of several interfaces alone */
 } history;
+
+/* Where the members of a joint's reply are. */
+typedef struct {
+    double *wrench, *displacement, *still, *force, *rate, *stiffness, *spin, *frequency, *pose_error,
+        *wrench_error, *ranges;
+    int32_t *coverage, *status;
+} members;
 
 /* What a joint's step works with. */
 typedef struct {
     const wb_table *t;
     const wb_joint *o;
     wb_options answer;
+    int interfaces, n, place[FREEDOMS]; /* of its loads among those of the table */
     int count, free[FREEDOMS];
     void *scratch;
     double *memory, *loads, *moved, *near;
-    history *past;
+    history past;
 } search;
 
-size_t wb_joint_memory(const wb_table *t) {
-    return 1 + (size_t)(t->inputs + t->outputs + t->inputs * t->outputs) +
-           sizeof(history) / sizeof(double);
+static double *next(double **at, int count) { return (*at += count) - count; }
+
+static largest largest_at(double **at, int n) {
+    largest l;
+    l.value = next(at, n), l.step = next(at, n), l.time = next(at, n);
+    return l;
 }
+
+/* The history of n freedoms at a place. */
+static void history_at(double *at, int n, history *h) {
+    h->steps = next(&at, 1), h->covered = next(&at, 1), h->time = next(&at, 1);
+    h->pose_error = largest_at(&at, n), h->wrench_error = largest_at(&at, n);
+    h->stored = next(&at, 1), h->still = next(&at, n), h->displacement = next(&at, n);
+    h->covered_at = at;
+}
+
+/* The members of a reply of n freedoms, as wb_joint_reply has those of six. */
+static void members_at(double *at, int n, members *r) {
+    int k = n / SIX;
+    r->wrench = next(&at, n), r->displacement = next(&at, n);
+    r->still = next(&at, n), r->force = next(&at, n);
+    r->rate = next(&at, n * n), r->stiffness = next(&at, n * n), r->spin = next(&at, 9 * k);
+    r->frequency = next(&at, n), r->pose_error = next(&at, n), r->wrench_error = next(&at, n);
+    r->ranges = next(&at, 1);
+    r->coverage = (int32_t *)at, r->status = r->coverage + k;
+}
+
+/* The places of the loads of all interfaces that move, and their number. */
+static int places_of(const wb_table *t, int *place) {
+    int n = 0;
+    for (int first = 0; first + SIX <= t->outputs && t->inputs >= t->outputs; first += SIX) {
+        int moves = 0;
+        for (int k = first; k < first + SIX; k++) moves |= !t->locked[k];
+        for (int k = first; moves && k < first + SIX; k++, n++)
+            if (n < FREEDOMS) place[n] = k;
+    }
+    return n;
+}
+
+int wb_joint_interfaces(const wb_table *t) {
+    int place[FREEDOMS];
+    return places_of(t, place) / SIX;
+}
+
+static size_t memory_of(const wb_table *t, int k) {
+    int past = 4 + 8 * SIX * k + (k > 1 ? k : 0);
+    return (size_t)(1 + t->inputs + t->outputs + t->inputs * t->outputs + past);
+}
+
+static size_t reply_size(int k) {
+    size_t doubles = (size_t)(7 * SIX * k + 2 * SIX * SIX * k * k + 9 * k + 1);
+    return doubles * sizeof(double) + (size_t)(k / 2 + 1) * 2 * sizeof(int32_t);
+}
+
+size_t wb_joint_memory(const wb_table *t) { return memory_of(t, wb_joint_interfaces(t)); }
+
+size_t wb_joint_reply_size(const wb_table *t) { return reply_size(wb_joint_interfaces(t)); }
 
 static void loads_of(const search *s, const double *wrench, double *loads) {
     for (int k = 0; k < s->t->inputs; k++)
         loads[k] = k < s->t->outputs || !s->o->inputs ? 0.0 : s->o->inputs[k];
-    for (int k = 0; k < FREEDOMS; k++) loads[s->o->first + k] = wrench[k];
+    for (int k = 0; k < s->n; k++) loads[s->place[k]] = wrench[k];
 }
 
 /* How far out loads are, in half widths of the range; 1 at its boundary. */
@@ -179,7 +256,7 @@ static double ranges_of(const wb_table *t, const double *loads) {
 /* Loads on the boundary of the range, those that turn the part by 20 degrees at most. */
 static void to_edge(const search *s, const double *loads, double turn, double *edge) {
     double wrench[FREEDOMS];
-    for (int k = 0; k < FREEDOMS; k++) wrench[k] = loads[s->o->first + k] / fmax(turn, 1.0);
+    for (int k = 0; k < s->n; k++) wrench[k] = loads[s->place[k]] / fmax(turn, 1.0);
     loads_of(s, wrench, edge);
     for (int k = 0; k < s->t->inputs; k++)
         edge[k] = fmin(fmax(edge[k], s->t->ends[k]), s->t->ends[s->t->inputs + k]);
@@ -188,7 +265,7 @@ static void to_edge(const search *s, const double *loads, double turn, double *e
 /* The wrench of a displacement beyond the range, linearly from the boundary in the same ratio. */
 static int beyond(search *s, double *loads, const double *moved, double turn, double *stiffness) {
     const wb_table *t = s->t;
-    int n = t->inputs, count = s->count, first = s->o->first;
+    int inputs = t->inputs, n = s->n, count = s->count;
     double edge[WB_MAX], before[WB_MAX], slopes[WB_MAX * WB_MAX], wrench[FREEDOMS];
     double matrix[FREEDOMS * FREEDOMS], unit[FREEDOMS * FREEDOMS];
     wb_reply reply;
@@ -200,24 +277,24 @@ static int beyond(search *s, double *loads, const double *moved, double turn, do
             return WB_SINGULAR;
         for (int i = 0; i < count; i++)
             for (int j = 0; j < count; j++) {
-                matrix[count * i + j] = slopes[n * (first + s->free[i]) + first + s->free[j]];
+                matrix[count * i + j] = slopes[inputs * s->place[s->free[i]] + s->place[s->free[j]]];
                 unit[count * i + j] = i == j;
             }
         if (!wb_eliminate(matrix, unit, count, count)) return WB_SINGULAR;
-        memset(stiffness, 0, FREEDOMS * FREEDOMS * sizeof(double));
+        memset(stiffness, 0, (size_t)(n * n) * sizeof(double));
         for (int i = 0; i < count; i++)
             for (int j = 0; j < count; j++)
-                stiffness[FREEDOMS * s->free[i] + s->free[j]] = unit[count * i + j];
-        for (int i = 0; i < FREEDOMS; i++) {
-            wrench[i] = edge[first + i];
-            for (int j = 0; j < FREEDOMS; j++)
-                wrench[i] += stiffness[FREEDOMS * i + j] * (moved[j] - reply.outputs[first + j]);
+                stiffness[n * s->free[i] + s->free[j]] = unit[count * i + j];
+        for (int i = 0; i < n; i++) {
+            wrench[i] = edge[s->place[i]];
+            for (int j = 0; j < n; j++)
+                wrench[i] += stiffness[n * i + j] * (moved[j] - reply.outputs[s->place[j]]);
         }
         loads_of(s, wrench, loads);
-        memcpy(before, edge, (size_t)n * sizeof(double));
+        memcpy(before, edge, (size_t)inputs * sizeof(double));
         to_edge(s, loads, turn, edge);
         double change = 0;
-        for (int k = 0; k < n; k++) change = fmax(change, fabs(edge[k] - before[k]) / t->scale[k]);
+        for (int k = 0; k < inputs; k++) change = fmax(change, fabs(edge[k] - before[k]) / t->scale[k]);
         if (change <= CLOSE) break;
     }
     return WB_OK;
@@ -226,11 +303,12 @@ static int beyond(search *s, double *loads, const double *moved, double turn, do
 /* The loads of a displacement, the stiffness by the rotation vector, and how far out it is. */
 static int find(search *s, const double *moved, double *loads, double *stiffness, double *ranges) {
     const wb_table *t = s->t;
-    int m = t->outputs, first = s->o->first, wrong;
-    double target[WB_MAX] = {0}, slopes[WB_MAX * WB_MAX], none[FREEDOMS] = {0};
-    double turn = sqrt(moved[3] * moved[3] + moved[4] * moved[4] + moved[5] * moved[5]) / LARGEST_TURN;
+    int m = t->outputs, n = s->n, wrong;
+    double target[WB_MAX] = {0}, slopes[WB_MAX * WB_MAX], none[FREEDOMS] = {0}, turn = 0;
+    for (const double *r = moved + 3; r < moved + n; r += SIX)
+        turn = fmax(turn, sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2]) / LARGEST_TURN);
     size_t size = (size_t)(t->inputs * m) * sizeof(double);
-    memcpy(target + first, moved, FREEDOMS * sizeof(double));
+    for (int i = 0; i < n; i++) target[s->place[i]] = moved[i];
     loads_of(s, none, loads);
     memset(slopes, 0, size);
     if (s->memory[0] != 0.0) {
@@ -241,7 +319,7 @@ static int find(search *s, const double *moved, double *loads, double *stiffness
         memcpy(slopes, s->near, size);
     }
     wrong = wb_inverse(t, &s->answer, target, loads, slopes, s->scratch);
-    if (wrong) loads_of(s, s->past->still, loads); /* no such wrench: far beyond the range */
+    if (wrong) loads_of(s, s->past.still, loads); /* no such wrench: far beyond the range */
     *ranges = fmax(ranges_of(t, loads), turn);
     if (wrong || *ranges > 1.0) {
         wrong = beyond(s, loads, moved, turn, stiffness);
@@ -252,13 +330,13 @@ static int find(search *s, const double *moved, double *loads, double *stiffness
     memcpy(s->loads, loads, (size_t)t->inputs * sizeof(double));
     memcpy(s->moved, target, (size_t)m * sizeof(double));
     memcpy(s->near, slopes, size);
-    for (int i = 0; i < FREEDOMS; i++)
-        memcpy(stiffness + FREEDOMS * i, slopes + m * (first + i) + first, FREEDOMS * sizeof(double));
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) stiffness[n * i + j] = slopes[m * s->place[i] + s->place[j]];
     return WB_OK;
 }
 
-/* The displacement of a pose, and the matrix from the axes of the spin to the frame's. */
-static int displacement_of(const wb_joint *o, const double *pose, double *moved, double *spin) {
+/* The displacement of an interface's pose, and the matrix from the axes of the spin to the frame's. */
+static int displacement_of(const double *axes, const double *pose, double *moved, double *spin) {
     double q[4], along[3], length = 0, size;
     for (int i = 0; i < 7; i++)
         if (!isfinite(pose[i])) return WB_NOT_FINITE;
@@ -267,8 +345,8 @@ static int displacement_of(const wb_joint *o, const double *pose, double *moved,
     length = (pose[3] < 0 ? -1 : 1) * sqrt(length);
     for (int i = 0; i < 4; i++) q[i] = pose[3 + i] / length;
     for (int j = 0; j < 3; j++) {
-        along[j] = o->axes ? 0.0 : q[1 + j];
-        for (int i = 0; i < 3 && o->axes; i++) along[j] += q[1 + i] * o->axes[3 * i + j];
+        along[j] = axes ? 0.0 : q[1 + j];
+        for (int i = 0; i < 3 && axes; i++) along[j] += q[1 + i] * axes[3 * i + j];
     }
     size = sqrt(along[0] * along[0] + along[1] * along[1] + along[2] * along[2]);
     for (int i = 0; i < 3; i++) {
@@ -281,9 +359,9 @@ static int displacement_of(const wb_joint *o, const double *pose, double *moved,
                         2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)};
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++) {
-            spin[3 * i + j] = o->axes ? 0.0 : i == j;
-            for (int k = 0; k < 3 && o->axes; k++)
-                spin[3 * i + j] += turned[3 * i + k] * o->axes[3 * j + k];
+            spin[3 * i + j] = axes ? 0.0 : i == j;
+            for (int k = 0; k < 3 && axes; k++)
+                spin[3 * i + j] += turned[3 * i + k] * axes[3 * j + k];
         }
     return WB_OK;
 }
@@ -302,135 +380,168 @@ static void vector_per_spin(const double *r, double *out) {
 
 /* The stiffness by the angle about fixed axes; what turning the moment adds is antisymmetric, does no
  * work and is left out. Returns whether that of the free freedoms, by the vector, is positive. */
-static int symmetric(const search *s, const double *by_vector, const double *r, double *out) {
+static int symmetric(const search *s, const double *by_vector, const double *moved, double *out) {
+    int n = s->n;
     double turn[9], full[FREEDOMS * FREEDOMS], square[FREEDOMS * FREEDOMS];
-    vector_per_spin(r, turn);
-    for (int i = 0; i < FREEDOMS; i++)
-        for (int j = 0; j < FREEDOMS; j++) {
-            full[FREEDOMS * i + j] = j < 3 ? by_vector[FREEDOMS * i + j] : 0.0;
-            for (int k = 0; k < 3 && j >= 3; k++)
-                full[FREEDOMS * i + j] += by_vector[FREEDOMS * i + 3 + k] * turn[3 * k + j - 3];
+    for (int first = 0; first < n; first += SIX) {
+        vector_per_spin(moved + first + 3, turn);
+        for (int i = 0; i < n; i++) {
+            const double *row = by_vector + n * i + first;
+            for (int j = 0; j < SIX; j++) {
+                double sum = j < 3 ? row[j] : 0.0;
+                for (int k = 0; k < 3 && j >= 3; k++) sum += row[3 + k] * turn[3 * k + j - 3];
+                full[n * i + first + j] = sum;
+            }
         }
-    for (int i = 0; i < FREEDOMS; i++)
-        for (int j = 0; j < FREEDOMS; j++)
-            out[FREEDOMS * i + j] = 0.5 * (full[FREEDOMS * i + j] + full[FREEDOMS * j + i]);
+    }
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) out[n * i + j] = 0.5 * (full[n * i + j] + full[n * j + i]);
     for (int i = 0; i < s->count; i++)
         for (int j = 0; j < s->count; j++)
-            square[s->count * i + j] = by_vector[FREEDOMS * s->free[i] + s->free[j]] +
-                                       by_vector[FREEDOMS * s->free[j] + s->free[i]];
+            square[s->count * i + j] = by_vector[n * s->free[i] + s->free[j]] +
+                                       by_vector[n * s->free[j] + s->free[i]];
     return cholesky(square, s->count);
 }
 
-/* v (6) with its rotational part turned: by the matrix, or by its transposed. */
-static void turn_part(const double *matrix, int transposed, const double *v, double *out) {
-    for (int i = 0; i < 3; i++) {
-        out[i] = v[i], out[3 + i] = 0;
-        for (int k = 0; k < 3; k++)
-            out[3 + i] += matrix[transposed ? 3 * k + i : 3 * i + k] * v[3 + k];
-    }
+/* v (n) with its rotational parts turned: each by its matrix, or by its transposed. */
+static void turn_parts(const double *matrix, int transposed, const double *v, int n, double *out) {
+    for (int first = 0; first < n; first += SIX, matrix += 9)
+        for (int i = 0; i < 3; i++) {
+            out[first + i] = v[first + i], out[first + 3 + i] = 0;
+            for (int k = 0; k < 3; k++)
+                out[first + 3 + i] += matrix[transposed ? 3 * k + i : 3 * i + k] * v[first + 3 + k];
+        }
 }
 
-/* C in the axes of the spin, and the wrench of the step. */
+/* C in the axes of the spins, and the wrench of the step. */
 static int advance(const search *s, const double *velocity, const double *inverse_mass,
-                   wb_joint_reply *reply) {
-    int n = s->count, size = FREEDOMS * FREEDOMS;
+                   const members *reply) {
+    int n = s->n, count = s->count;
     double half[FREEDOMS * FREEDOMS], turned[FREEDOMS * FREEDOMS], stiffness[FREEDOMS * FREEDOMS];
     double mass[FREEDOMS * FREEDOMS], rate[FREEDOMS * FREEDOMS], matrix[FREEDOMS * FREEDOMS];
-    double right[FREEDOMS], wrench[FREEDOMS] = {0};
-    for (int i = 0; i < FREEDOMS; i++) /* B^T K B: K is symmetric, and B turns the spins */
-        turn_part(reply->spin, 1, reply->stiffness + FREEDOMS * i, half + FREEDOMS * i);
-    for (int j = 0; j < FREEDOMS; j++) {
+    double right[FREEDOMS], wrench[FREEDOMS] = {0}, squares[FREEDOMS];
+    for (int i = 0; i < n; i++) /* B^T K B: K is symmetric, and B turns the spins */
+        turn_parts(reply->spin, 1, reply->stiffness + n * i, n, half + n * i);
+    for (int j = 0; j < n; j++) {
         double column[FREEDOMS];
-        for (int k = 0; k < FREEDOMS; k++) column[k] = half[FREEDOMS * k + j];
-        turn_part(reply->spin, 1, column, turned + FREEDOMS * j);
+        for (int k = 0; k < n; k++) column[k] = half[n * k + j];
+        turn_parts(reply->spin, 1, column, n, turned + n * j);
     }
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j < n; j++) {
-            stiffness[n * i + j] = turned[FREEDOMS * s->free[i] + s->free[j]];
-            mass[n * i + j] = inverse_mass[FREEDOMS * s->free[i] + s->free[j]];
+    for (int i = 0; i < count; i++)
+        for (int j = 0; j < count; j++) {
+            stiffness[count * i + j] = turned[n * s->free[i] + s->free[j]];
+            mass[count * i + j] = inverse_mass[n * s->free[i] + s->free[j]];
         }
-    double squares[FREEDOMS];
-    int wrong = rate_of(n, stiffness, mass, s->o->dt, s->o->damping, rate, squares);
-    for (int k = 0; k < size; k++) reply->rate[k] = 0.0;
+    int wrong = rate_of(count, stiffness, mass, s->o->dt, s->o->damping, rate, squares);
+    for (int k = 0; k < n * n; k++) reply->rate[k] = 0.0;
     if (wrong) return wrong == WB_SINGULAR ? WB_NO_MASS : wrong;
-    for (int i = 0; i < n; i++) {
+    for (int i = 0; i < count; i++) {
         reply->frequency[s->free[i]] = sqrt(squares[i]);
-        for (int j = 0; j < n; j++) reply->rate[FREEDOMS * s->free[i] + s->free[j]] = rate[n * i + j];
+        for (int j = 0; j < count; j++)
+            reply->rate[n * s->free[i] + s->free[j]] = rate[count * i + j];
     }
     if (!velocity) return WB_OK;
-    for (int i = 0; i < n; i++) {
+    for (int i = 0; i < count; i++) {
         right[i] = reply->force[s->free[i]];
-        for (int j = 0; j < n; j++) right[i] += rate[n * i + j] * velocity[s->free[j]];
-        for (int j = 0; j < n; j++) {
-            matrix[n * i + j] = i == j;
-            for (int k = 0; k < n; k++)
-                matrix[n * i + j] += s->o->dt * rate[n * i + k] * mass[n * k + j];
+        for (int j = 0; j < count; j++) right[i] += rate[count * i + j] * velocity[s->free[j]];
+        for (int j = 0; j < count; j++) {
+            matrix[count * i + j] = i == j;
+            for (int k = 0; k < count; k++)
+                matrix[count * i + j] += s->o->dt * rate[count * i + k] * mass[count * k + j];
         }
     }
-    for (int i = 0; i < n; i++)
+    for (int i = 0; i < count; i++)
         if (!isfinite(right[i])) return WB_NOT_FINITE;
-    if (!wb_eliminate(matrix, right, n, 1)) return WB_NO_MASS;
-    for (int i = 0; i < n; i++) wrench[s->free[i]] = right[i];
-    turn_part(reply->spin, 0, wrench, reply->wrench);
+    if (!wb_eliminate(matrix, right, count, 1)) return WB_NO_MASS;
+    for (int i = 0; i < count; i++) wrench[s->free[i]] = right[i];
+    turn_parts(reply->spin, 0, wrench, n, reply->wrench);
     return WB_OK;
 }
 
-/* Coverage and errors of the wrench at the pose. */
-static void judge(const search *s, const double *loads, const double *stiffness, wb_joint_reply *reply) {
+/* Whether the error of an output of an interface is above what its group allows, or not known. */
+static int is_thin(const search *s, const wb_reply *answer, int interface) {
+    for (int i = SIX * interface; i < SIX * (interface + 1); i++)
+        for (int g = 0; g < s->t->groups; g++) {
+            int q = s->place[i];
+            if (!s->t->locked[q] && s->t->group[g].outputs[q] &&
+                !(answer->interpolation[q] <= wb_allowed(&s->t->group[g], &s->answer, q)))
+                return 1;
+        }
+    return 0;
+}
+
+/* Coverage, by interface, and errors of the wrench at the pose. */
+static void judge(const search *s, const double *loads, const double *stiffness, const members *reply) {
     wb_reply answer;
-    reply->coverage = WB_OUTSIDE;
-    if (reply->ranges > 1.0 || wb_answer(s->t, &s->answer, loads, &answer, s->scratch)) return;
-    reply->coverage = answer.coverage;
-    for (int i = 0; i < FREEDOMS; i++) {
-        reply->pose_error[i] = answer.error[s->o->first + i];
+    int any = 0;
+    for (int k = 0; k < s->interfaces; k++) reply->coverage[k] = WB_OUTSIDE;
+    if (*reply->ranges > 1.0 || wb_answer(s->t, &s->answer, loads, &answer, s->scratch)) return;
+    for (int k = 0; k < s->interfaces; k++) { /* loads beyond the rows concern all of the part */
+        int covers = s->interfaces > 1 && answer.coverage == WB_THIN && !is_thin(s, &answer, k);
+        reply->coverage[k] = covers ? WB_COVERED : answer.coverage, any |= !covers;
+    }
+    for (int k = 0; k < s->interfaces && !any; k++) reply->coverage[k] = answer.coverage;
+    for (int i = 0; i < s->n; i++) {
+        reply->pose_error[i] = answer.error[s->place[i]];
         reply->wrench_error[i] = 0;
     }
     for (int i = 0; i < s->count; i++)
         for (int j = 0; j < s->count; j++)
-            reply->wrench_error[s->free[i]] += fabs(stiffness[FREEDOMS * s->free[i] + s->free[j]]) *
-                                               answer.error[s->o->first + s->free[j]];
+            reply->wrench_error[s->free[i]] += fabs(stiffness[s->n * s->free[i] + s->free[j]]) *
+                                               answer.error[s->place[s->free[j]]];
 }
 
-static void keep_largest(const double *error, const history *h, largest *kept) {
-    for (int i = 0; i < FREEDOMS; i++)
+static void keep_largest(const double *error, int n, const history *h, const largest *kept) {
+    for (int i = 0; i < n; i++)
         if (error[i] > kept->value[i] || (kept->step[i] == 0 && !isnan(error[i])))
-            kept->value[i] = error[i], kept->step[i] = h->steps, kept->time[i] = h->time;
+            kept->value[i] = error[i], kept->step[i] = *h->steps, kept->time[i] = *h->time;
 }
 
 /* Go on with the history: errors, and the energy stored since the last pose. */
-static void remember(history *h, const wb_joint_reply *reply, double dt) {
-    double change[FREEDOMS], middle[3], turn[9];
-    for (int i = 0; i < FREEDOMS; i++) change[i] = reply->displacement[i] - h->displacement[i];
-    for (int i = 0; i < 3; i++) middle[i] = 0.5 * (reply->displacement[3 + i] + h->displacement[3 + i]);
-    vector_per_spin(middle, turn);
-    if (h->steps > 0 && wb_eliminate(turn, change + 3, 3, 1))
-        for (int i = 0; i < FREEDOMS; i++)
-            h->stored += 0.5 * (h->still[i] + reply->still[i]) * change[i];
-    h->steps++;
-    keep_largest(reply->pose_error, h, &h->pose_error);
-    keep_largest(reply->wrench_error, h, &h->wrench_error);
-    h->covered += reply->coverage == WB_COVERED;
-    h->time += dt;
-    memcpy(h->still, reply->still, sizeof h->still);
-    memcpy(h->displacement, reply->displacement, sizeof h->displacement);
+static void remember(const search *s, const members *reply) {
+    const history *h = &s->past;
+    int n = s->n, covered = 1;
+    for (int first = 0; first < n; first += SIX) {
+        const double *now = reply->displacement + first, *then = h->displacement + first;
+        double change[SIX], middle[3], turn[9];
+        for (int i = 0; i < SIX; i++) change[i] = now[i] - then[i];
+        for (int i = 0; i < 3; i++) middle[i] = 0.5 * (now[3 + i] + then[3 + i]);
+        vector_per_spin(middle, turn);
+        if (*h->steps > 0 && wb_eliminate(turn, change + 3, 3, 1))
+            for (int i = 0; i < SIX; i++)
+                *h->stored += 0.5 * (h->still[first + i] + reply->still[first + i]) * change[i];
+    }
+    ++*h->steps;
+    keep_largest(reply->pose_error, n, h, &h->pose_error);
+    keep_largest(reply->wrench_error, n, h, &h->wrench_error);
+    for (int k = 0; k < s->interfaces; k++) {
+        if (s->interfaces > 1) h->covered_at[k] += reply->coverage[k] == WB_COVERED;
+        covered &= reply->coverage[k] == WB_COVERED;
+    }
+    *h->covered += covered, *h->time += s->o->dt;
+    memcpy(h->still, reply->still, (size_t)n * sizeof(double));
+    memcpy(h->displacement, reply->displacement, (size_t)n * sizeof(double));
 }
 
 static void step(search *s, const double *pose, const double *velocity, const double *inverse_mass,
-                 wb_joint_reply *reply) {
-    double loads[WB_MAX], by_vector[FREEDOMS * FREEDOMS], *numbers = (double *)reply;
-    for (size_t k = 0; k < offsetof(wb_joint_reply, coverage) / sizeof(double); k++) numbers[k] = NAN;
-    memset(reply->frequency, 0, sizeof reply->frequency);
-    reply->coverage = -1;
-    if ((reply->status = displacement_of(s->o, pose, reply->displacement, reply->spin))) return;
-    if ((reply->status = find(s, reply->displacement, loads, by_vector, &reply->ranges))) return;
-    memcpy(reply->still, loads + s->o->first, sizeof reply->still);
-    memcpy(reply->wrench, reply->still, sizeof reply->wrench);
-    turn_part(reply->spin, 1, reply->wrench, reply->force);
-    int positive = symmetric(s, by_vector, reply->displacement + 3, reply->stiffness);
+                 const members *reply) {
+    double loads[WB_MAX], by_vector[FREEDOMS * FREEDOMS];
+    int status = WB_OK, n = s->n;
+    for (double *at = reply->wrench; at <= reply->ranges; at++) *at = NAN;
+    memset(reply->frequency, 0, (size_t)n * sizeof(double));
+    for (int k = 0; k < s->interfaces; k++) reply->coverage[k] = -1;
+    for (int k = 0; k < s->interfaces && !status; k++)
+        status = displacement_of(s->o->axes ? s->o->axes + 9 * k : NULL, pose + 7 * k,
+                                 reply->displacement + SIX * k, reply->spin + 9 * k);
+    if ((*reply->status = status)) return;
+    if ((*reply->status = find(s, reply->displacement, loads, by_vector, reply->ranges))) return;
+    for (int i = 0; i < n; i++) reply->still[i] = reply->wrench[i] = loads[s->place[i]];
+    turn_parts(reply->spin, 1, reply->wrench, n, reply->force);
+    int positive = symmetric(s, by_vector, reply->displacement, reply->stiffness);
     if (s->o->errors) judge(s, loads, by_vector, reply);
-    if (inverse_mass) reply->status = advance(s, velocity, inverse_mass, reply);
-    if (!reply->status && inverse_mass && reply->ranges <= MAX_RANGES) remember(s->past, reply, s->o->dt);
-    if (!reply->status && !positive) reply->status = WB_INDEFINITE;
+    if (inverse_mass) status = advance(s, velocity, inverse_mass, reply);
+    if (!status && inverse_mass && *reply->ranges <= MAX_RANGES) remember(s, reply);
+    *reply->status = !status && !positive ? WB_INDEFINITE : status;
 }
 
 typedef struct {
@@ -439,24 +550,28 @@ typedef struct {
     size_t n;
     const double *poses, *velocities, *inverse_masses;
     double *memory;
-    wb_joint_reply *replies;
+    char *replies;
     void *scratch;
 } joints;
 
 static int run(void *job, size_t first, size_t steps) {
     const joints *all = job;
     const wb_table *t = all->t;
-    search s = {t, all->o, all->o->answer, 0, {0}, all->scratch, NULL, NULL, NULL, NULL, NULL};
+    search s;
+    members reply;
+    s.t = t, s.o = all->o, s.answer = all->o->answer, s.count = 0, s.scratch = all->scratch;
     if (!s.scratch && !(s.scratch = malloc(wb_scratch(t)))) return WB_NO_MEMORY;
-    for (int k = 0; k < FREEDOMS; k++)
-        if (!t->locked[all->o->first + k]) s.free[s.count++] = k;
+    s.n = places_of(t, s.place), s.interfaces = s.n / SIX;
+    size_t memory = memory_of(t, s.interfaces), size = reply_size(s.interfaces);
+    for (int k = 0; k < s.n; k++)
+        if (!t->locked[s.place[k]]) s.free[s.count++] = k;
     for (size_t i = first; i < all->n; i += steps) {
-        s.memory = all->memory + i * wb_joint_memory(t);
+        s.memory = all->memory + i * memory;
         s.loads = s.memory + 1, s.moved = s.loads + t->inputs, s.near = s.moved + t->outputs;
-        s.past = (history *)(s.near + t->inputs * t->outputs);
-        step(&s, all->poses + 7 * i, all->velocities ? all->velocities + FREEDOMS * i : NULL,
-             all->inverse_masses ? all->inverse_masses + FREEDOMS * FREEDOMS * i : NULL,
-             all->replies + i);
+        history_at(s.near + t->inputs * t->outputs, s.n, &s.past);
+        members_at((double *)(all->replies + i * size), s.n, &reply);
+        step(&s, all->poses + 7 * s.interfaces * i, all->velocities ? all->velocities + s.n * i : NULL,
+             all->inverse_masses ? all->inverse_masses + s.n * s.n * i : NULL, &reply);
     }
     if (!all->scratch) free(s.scratch);
     return WB_OK;
@@ -464,10 +579,10 @@ static int run(void *job, size_t first, size_t steps) {
 
 int wb_joint_step(const wb_table *t, const wb_joint *joint, size_t n, const double *poses,
                   const double *velocities, const double *inverse_masses, double *memory,
-                  wb_joint_reply *replies, int threads, void *scratch) {
+                  void *replies, int threads, void *scratch) {
+    int interfaces = wb_joint_interfaces(t);
     joints all = {t, joint, n, poses, velocities, inverse_masses, memory, replies,
                   threads > 1 ? NULL : scratch};
-    if (joint->first < 0 || joint->first + FREEDOMS > t->outputs || t->inputs < t->outputs)
-        return WB_NOT_SQUARE;
+    if (interfaces < 1 || interfaces > MAX_INTERFACES) return WB_NOT_SQUARE;
     return n ? wb_share(run, &all, n, threads) : WB_OK;
 }

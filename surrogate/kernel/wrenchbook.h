@@ -39,7 +39,7 @@ enum {
     WB_SINGULAR = 5,     /* wb_inverse: du/dw has no inverse, or is not known */
     WB_NO_CONVERGENCE = 6, /* wb_inverse: `inputs` is the best wrench reached */
     WB_INDEFINITE = 7,     /* wb_joint_step: some motion of the part gives energy back */
-    WB_NO_MASS = 8         /* wb_joint_step: the inverse mass is not positive definite */
+    WB_NO_MASS = 8 /* wb_joint_step: the inverse mass is not symmetric and positive definite */
 };
 
 enum { WB_COVERED = 0, WB_THIN = 1, WB_OUTSIDE = 2 };
@@ -153,26 +153,28 @@ WB_API int wb_derivative_many(const wb_table *table, const wb_options *options, 
  * and columns of locked inputs are zero, and rows of further inputs. */
 WB_API int wb_inverse(const wb_table *table, const wb_options *options, const double *outputs,
                       double *inputs, double *stiffness, void *scratch);
-/* The change of a joint's wrench with the relative velocity, C (n, n), n at most 6:
+/* The change of a joint's wrench with the relative velocity, C (n, n), n at most 24:
  * C = sum over the modes of stiffness (n, n) against inverse mass (n, n) of dt theta omega^2 +
  * 2 damping omega, theta = clip(1 - 0.5 / (omega dt)^2, 0, 1). The step is
  * (I + dt C A) w' = w + C v, v the velocity that the bodies would have without the joint.
- * WB_SINGULAR if the inverse mass is not positive definite. */
+ * WB_SINGULAR if the inverse mass is not symmetric and positive definite. */
 WB_API int wb_joint_rate(int n, const double *stiffness, const double *inverse_mass, double dt,
                          double damping, double *rate);
-/* A joint: the part between two rigid bodies, as a force element. Its numbers are in the axes of
- * the undeformed interface frame, which moves with the base. */
+/* A joint: the part between a rigid body, its base, and one at each of the k interfaces that move,
+ * its tips, as a force element. Numbers of an interface are in the axes of its undeformed frame,
+ * which moves with the base. Interfaces of which all loads are locked have no tip. */
 typedef struct {
     wb_options answer;    /* as of wb_inverse */
     const double *inputs; /* (n): the further inputs as they are; loads in it count for nothing */
-    const double *axes;   /* (3, 3): interface frame's axes, its columns, in a tip whose quaternion,
+    const double *axes;   /* (k, 3, 3): interface frame's axes, its columns, in a tip whose quaternion,
                            * spin and moment have the tip's own axes; NULL: the frame's */
     double dt, damping;   /* s; share of critical of each mode of the part between the bodies */
-    int first;            /* index of the interface's first load */
     int errors;           /* not 0: coverage and errors too, which takes one more answer */
 } wb_joint;
 
-/* One step of a joint. NaN where unknown. */
+/* One step of a joint of one interface. NaN where unknown. That of k interfaces has the same members
+ * in the same order and n = 6 k freedoms: (k, 6) for each (6), (n, n) for each (6, 6), (k, 3, 3)
+ * spins and (k) coverages, and ends at a multiple of 8 bytes. */
 typedef struct {
     double wrench[6];       /* on the part, about the interface point where it is now */
     double displacement[6]; /* m; rotation vector, rad */
@@ -185,22 +187,26 @@ typedef struct {
     double pose_error[6];   /* of the displacement under this wrench */
     double wrench_error[6]; /* of the wrench of this pose: sum of |stiffness| times pose_error */
     double ranges;          /* how far out the pose is, in load ranges or 20 degrees; 1 is the end */
-    int32_t coverage;       /* of the wrench at the pose, or -1: not asked for */
+    int32_t coverage;       /* of the wrenches at the pose, or -1: not asked for */
     int32_t status;         /* WB_OK; WB_NOT_FINITE, WB_SINGULAR (no wrench belongs to the pose),
                              * WB_NO_MASS, or WB_INDEFINITE, which has all the same numbers */
 } wb_joint_reply;
 
+/* The number of a table's interfaces that move, k: a joint has 1 to 4. */
+WB_API int wb_joint_interfaces(const wb_table *table);
 /* The doubles of memory that a joint keeps from step to step; zeros to begin with. */
 WB_API size_t wb_joint_memory(const wb_table *table);
-/* One step of each of n joints: poses (n, 7), translation, m, and quaternion, w first, of the tip's
- * interface frame; velocities (n, 6), m/s and rad/s, which the interface would have after the step if
- * the part did not pull; inverse_masses (n, 6, 6), accelerations by unit loads on the tip and their
- * reaction on the base, 1/kg to 1/(kg·m^2). The wrench w' is the solution of
+WB_API size_t wb_joint_reply_size(const wb_table *table); /* bytes */
+/* One step of each of n joints: poses (n, k, 7), translation, m, and quaternion, w first, of the tips'
+ * interface frames; velocities (n, k, 6), m/s and rad/s, which the interfaces would have after the
+ * step if the part did not pull; inverse_masses (n, 6 k, 6 k), accelerations by unit loads on the tips
+ * and their reactions on the base, 1/kg to 1/(kg·m^2). The wrench w' is the solution of
  * (I + dt C A) w' = w + C v. Without velocities it is that of the pose, without masses C is NaN.
- * `scratch`: of one thread, or NULL. Returns WB_OK whatever the status of a joint is. */
+ * `scratch`: of one thread, or NULL. Returns WB_OK whatever the status of a joint is, and
+ * WB_NOT_SQUARE for a table that no joint takes. */
 WB_API int wb_joint_step(const wb_table *table, const wb_joint *joint, size_t n, const double *poses,
                          const double *velocities, const double *inverse_masses, double *memory,
-                         wb_joint_reply *replies, int threads, void *scratch);
+                         void *replies, int threads, void *scratch);
 /* What axis 0, 1 or 2 contributes to the answer of one group of outputs. */
 WB_API int wb_axis(const wb_table *table, int group, int axis, const double *inputs,
                    wb_axis_reply *reply);

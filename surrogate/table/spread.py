@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from .rows import Floats, LoadRange
 
 INSIDE = 448  # wrenches inside the range: with its 64 corners they are answered in 5 ms
+ALL_CORNERS = 12  # inputs: 4,096 corners; of more inputs so many corners, evenly spread
 # Of each load's half range: the error of a joint's wrench, stiffness times error bars, that a fill
 # for a joint allows. A stiff freedom asks more of its bar than the tolerance does.
 FORCE_ERROR = 0.05
@@ -38,12 +39,14 @@ def spread_wrenches(span: LoadRange, count: int, start: int = 1) -> Floats:
 
 
 def sample_of(ends: Floats, centre: Floats, indices: NDArray[np.intp]) -> Floats:
-    """Return the corners of a load range, shape (2, n), and wrenches within it, shape (m, n).
+    """Return corners of a load range, shape (2, n), and wrenches within it, shape (m, n).
 
     Inputs at other indices are those of `centre`, shape (n,).
     """
     (low, high), count = ends, len(indices)
-    corners = np.array(list(product((0.0, 1.0), repeat=count)))
+    corners = np.array(list(product((0.0, 1.0), repeat=min(count, ALL_CORNERS))))
+    if count > ALL_CORNERS:
+        corners = np.round(_spread(len(corners), count))
     loads = np.tile(centre, (len(corners) + INSIDE, 1))
     within = np.vstack([corners, _spread(INSIDE, count)])
     loads[:, indices] = low[indices] + within * (high - low)[indices]

@@ -43,7 +43,7 @@ def test_a_step_of_a_joint_beside_mj_step() -> None:
 
 
 def test_many_joints_in_one_call() -> None:
-    steps, rng, spent = known_table(40).packed.joints(MANY, 0), np.random.default_rng(1), []
+    steps, rng, spent = known_table(40).packed.joints(MANY), np.random.default_rng(1), []
     steps.inverse_masses[:] = np.diag([0.2, 0.2, 0.2, 50, 50, 50])
     wrenches = rng.uniform(-0.7, 0.7, (MANY, 6)) * HIGH
     for _ in range(ROUNDS // 10):

@@ -28,9 +28,10 @@ from wrenchbook.surrogate.kernel.joint import (
     NO_MASS,
     NOT_FINITE,
     JointSteps,
+    shape_of,
 )
 
-from ...contract import LOADS, OUTPUTS
+from ...contract import COVERAGE, LOADS, OUTPUTS
 from ..errors import Document, InvalidArgument, JointError, JointRangeError, JointWarning, warn
 from ..rotation import sinc
 from ..wrenches import Vector
@@ -39,27 +40,32 @@ from .report import JointReport, report_of
 if TYPE_CHECKING:
     from ..table import Table
 
+NOT_YET = -2  # beside the kernel's coverages: no step so far
+# By those codes, from the end too: -2 is NOT_YET, -1 a step without a wrench.
+COVERED_AS = np.array([*COVERAGE, None, COVERAGE[-1]], dtype=object)
 MAX_RANGES = 2.0  # of the range or of LARGEST_TURN: further out the pose is not that of the part
 SYMBOLS = ("F_x", "F_y", "F_z", "M_x", "M_y", "M_z")
 SHOWN = 0.05  # of the largest: messages leave out smaller loads of a direction
 
 
 class Joint:
-    """A part that pulls back on the two bodies that it connects.
+    """A part that pulls back on the bodies that it connects.
 
     The simulator has the relative motion of the tip, the interface's side, against the base, the
     support's side. Each step the joint returns the wrench on the part; the simulator applies its
     negative to the tip at the interface point, and the wrench itself to the base at the same point.
+    A part that moves at k interfaces has a tip at each: its numbers have the shapes below with k in
+    front, (k, 6) for (6,), in the order of `interfaces`, and its matrices are (6 k, 6 k).
 
     Parameters
     ----------
     table : Table
-        A downloaded or opened table of a part with one interface that moves.
+        A downloaded or opened table of a part with 1 to 4 interfaces that move.
     damping : float
         Share of critical damping of each mode of the part between the two bodies.
     interface : str, optional
-        Of several interfaces the one at the tip; all others must be held. The only one that moves
-        if it is not given.
+        Of several interfaces the one at the tip; all others must be held. If it is not given the
+        joint is at all that move.
     method : str, optional
         How the table answers; its own choice otherwise.
     inputs : mapping, optional
@@ -68,17 +74,19 @@ class Joint:
 
     Attributes
     ----------
+    interfaces : tuple of str
+        The names of the interfaces that move, k.
     free : numpy.ndarray of int
-        The freedoms that the part does not lock; others have no wrench.
+        The freedoms of the 6 k that the part does not lock; others have no wrench.
     inputs : mapping of float
         The further inputs; assign a mapping to change them.
 
     Raises
     ------
     InvalidArgument
-        If the table's part moves at several interfaces or at none; if the table has no rows, or
-        none that give a stiffness; if a further input is unknown, missing or beyond its range; if
-        the damping is negative.
+        If the table's part does not move, or elsewhere than at `interface` too; if the table has no
+        rows, or none that give a stiffness; if a further input is unknown, missing or beyond its
+        range; if the damping is negative.
 
     Warns
     -----
@@ -97,7 +105,10 @@ class Joint:
         inputs: Mapping[str, float] | None = None,
     ) -> None:
         self._table, self.damping, self._method = table, damping, method
-        self._at, self.free = moving(table, interface)
+        self._at, self.free, self.interfaces = moving(table, interface)
+        self._several, self._size = len(self.interfaces) > 1, FREEDOMS * len(self.interfaces)
+        names = [f"{name} " * self._several for name in self.interfaces]
+        self._symbols = np.array([name + load for name in names for load in SYMBOLS])
         self._name = table.name
         self._further = further_inputs(table, inputs or {})
         self._warned = self._uncovered = False
@@ -105,9 +116,9 @@ class Joint:
         self._begin(None)
         # A table without stiffness is refused; where in its range no joint can invert it, it warns.
         packed, at, free, method = self._table.packed, self._at, self.free, self._method
-        sample = packed.sample(self._inputs(np.zeros(FREEDOMS)), np.arange(packed.inputs)[at][free])
+        sample = packed.sample(self._inputs(np.zeros(self._size)), at[free])
         answers = packed.batch(sample, None, method)
-        slopes = packed.derivatives(sample, None, method)[:, at, at][:, free][:, :, free]
+        slopes = packed.derivatives(sample, None, method)[:, at[free]][:, :, at[free]]
         slopes[np.isnan(answers.outputs[:, at]).any(axis=1)] = np.nan  # beyond 20 degrees
         slopes[(slopes == 0.0).all(axis=(1, 2))] = np.nan  # of the nearest row: no spring
         least, loads = packed.weakest(slopes, packed.arrays["space/scale"][at][free])
@@ -146,7 +157,7 @@ class Joint:
     @inputs.setter
     def inputs(self, values: Mapping[str, float]) -> None:
         self._further = further_inputs(self._table, values)
-        self._steps.inputs[:] = self._inputs(np.zeros(FREEDOMS))
+        self._steps.inputs[:] = self._inputs(np.zeros(self._size))
 
     def restart(self) -> None:
         """Forget the state of the last step."""
@@ -155,6 +166,7 @@ class Joint:
             self._reply[name] = 0.0
         for name in ("wrench_error", "pose_error"):
             self._reply[name] = math.nan
+        self._reply["coverage"] = NOT_YET
 
     @property
     def wrench(self) -> Vector:
@@ -195,10 +207,10 @@ class Joint:
     def new_steps(self, count: int, axes: Vector | None) -> JointSteps:
         """Return the kernel's arrays for so many joints of these options; see `_begin`."""
         try:
-            steps = self._table.packed.joints(count, self._at.start, self._method, axes)
-        except ValueError as error:  # no such method
-            raise InvalidArgument(str(error)) from error
-        steps.inputs[:] = self._inputs(np.zeros(FREEDOMS))
+            steps = self._table.packed.joints(count, self._method, axes)
+        except ValueError as error:  # no such method, or too many interfaces
+            raise InvalidArgument(f"{self._name}: {error}") from error
+        steps.inputs[:] = self._inputs(np.zeros(self._size))
         return steps
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -212,14 +224,19 @@ class Joint:
             *(at, steps, steps.replies[at], steps.memory[at]),
         )
         self._history = steps.history[at]
-        self._status, self._ranges, self._coverage = (
-            steps.replies[name][at : at + 1] for name in ("status", "ranges", "coverage")
-        )
+        names, replies = ("status", "ranges", "coverage"), steps.replies[at : at + 1]
+        self._status, self._ranges, self._coverage = (replies[name].reshape(-1) for name in names)
         self._still, self._stiffness = self._reply["still"], self._reply["stiffness"]
 
     @property
-    def coverage(self) -> str:
-        """How the table covers the wrench: ``covered``, ``thin`` or ``outside``."""
+    def coverage(self) -> str | dict[str, str | None]:
+        """How the table covers the wrench: ``covered``, ``thin`` or ``outside``.
+
+        Of several interfaces, by their names: how it covers the wrenches of the last step's pose;
+        None before a step. Loads beyond the range are outside for all of them.
+        """
+        if self._several:
+            return dict(zip(self.interfaces, COVERED_AS[self._coverage].tolist(), strict=True))
         loads = self._inputs(self.wrench).tolist()
         return str(self._table.packed.answer(loads, None, self._method).coverage)
 
@@ -229,7 +246,7 @@ class Joint:
 
     def _indefinite(self, wrench: Vector, loads: Vector) -> str:
         """Say where the part moves against a load, (f,), in half widths of the range."""
-        shares = zip(loads, np.array(SYMBOLS)[self.free], strict=True)
+        shares = zip(loads, self._symbols[self.free], strict=True)
         shown = " ".join(f"{share:+.2g} {load}" for share, load in shares if abs(share) >= SHOWN)
         return (
             f"{self._name}, method {self._table.packed.answers_by(self._method)!r}: the part "
@@ -246,14 +263,14 @@ class Joint:
         Parameters
         ----------
         R, p : array_like
-            The tip's interface frame in its undeformed frame, which moves with the base: shape
-            (3, 3), dimensionless, and shape (3,), m.
+            Of each interface: the tip's interface frame in its undeformed frame, which moves with
+            the base: shape (3, 3), dimensionless, and shape (3,), m.
         velocity : array_like
             Shape (6,), m/s and rad/s, in the undeformed frame: how fast the interface point and
             frame would move against the base after the step if the part did not pull.
         inverse_mass : array_like
-            Shape (6, 6): the relative acceleration by a unit load on the tip and its reaction on
-            the base, 1/kg to 1/(kg·m^2).
+            Shape (6 k, 6 k): the relative accelerations by a unit load on a tip and its reaction on
+            the base, 1/kg to 1/(kg·m^2). Tips on a base that moves are coupled by it.
         dt : float
             The step, s.
 
@@ -264,14 +281,16 @@ class Joint:
         JointRangeError
             If the pose lies beyond twice the load range or 40 degrees.
         InvalidArgument
-            If the inverse mass is not positive definite, the step not above zero, R no rotation,
-            or a shape wrong or a number not finite.
+            If the inverse mass is not symmetric and positive definite, the step not above zero, R
+            no rotation, or a shape wrong or a number not finite.
         """
+        k, size = len(self.interfaces), self._size
         shapes = np.shape(p), np.shape(velocity), np.shape(inverse_mass)
-        if shapes != ((3,), (FREEDOMS,), (FREEDOMS, FREEDOMS)):
+        expected = shape_of(k, 3), shape_of(k, FREEDOMS), (size, size)
+        if shapes != expected or (self._several and np.shape(R) != (k, 3, 3)):
             raise InvalidArgument(
-                "p, velocity and inverse_mass have shapes (3,), (6,) and (6, 6), not {}, {} and {}"
-                "".format(*shapes)
+                "p, velocity and inverse_mass have shapes {}, {} and {}, not {}, {} and {}"
+                "{}".format(*expected, *shapes, f"; R has ({k}, 3, 3)" if self._several else "")
             )
         if not (
             math.isfinite(dt) and dt > 0 and np.isfinite(p).all() and np.isfinite(velocity).all()
@@ -281,14 +300,16 @@ class Joint:
                 f"{dt} s, {p}, {velocity}"
             )
         steps = self._steps
-        steps.poses[0, :3], steps.poses[0, 3:] = p, quaternion(rotation_vector(R))
+        rotations = list(np.asarray(R)) if self._several else [R]
+        turned = [quaternion(rotation_vector(matrix)) for matrix in rotations]
+        steps.poses[0, ..., :3], steps.poses[0, ..., 3:] = p, np.squeeze(turned)
         steps.velocities[0], steps.inverse_masses[0] = velocity, inverse_mass
         steps.step(dt, self.damping)
         self._heed()
         return self.wrench
 
     def state(self, translation: ArrayLike, rotation: ArrayLike) -> tuple[Vector, Vector]:
-        """Return the wrench of a displacement, shape (6,), and its stiffness, shape (6, 6).
+        """Return the wrench of a displacement, shape (6,), and its stiffness, shape (6 k, 6 k).
 
         Parameters
         ----------
@@ -309,7 +330,8 @@ class Joint:
             See `step`.
         """
         mine, place, steps = self._steps, self._place, self.new_steps(1, None)
-        steps.poses[0, :3], steps.poses[0, 3:] = translation, quaternion(rotation)
+        turned = [quaternion(vector) for vector in np.reshape(rotation, (-1, 3))]
+        steps.poses[0, ..., :3], steps.poses[0, ..., 3:] = translation, np.squeeze(turned)
         steps.memory[0] = self._memory
         steps.state()
         self._memory[:] = steps.memory[0]
@@ -325,7 +347,7 @@ class Joint:
         ranges = self._ranges[0]
         if self._status[0] or ranges > 1.0:
             self._refuse(int(self._status[0]), float(ranges))
-        elif self._coverage[0] > 0:
+        elif self._coverage[0] > 0 or (self._several and self._coverage.max() > 0):
             self._warn_uncovered(self._still)
 
     def _warn_uncovered(self, wrench: Vector) -> None:
@@ -345,11 +367,11 @@ class Joint:
         if status == INDEFINITE:
             least, loads = self._weakest(self._stiffness[None])
             if least[0] < 0.0:
-                raise JointError(self._indefinite(self._still, loads[0]))
+                raise JointError(self._indefinite(np.ravel(self._still), loads[0]))
         elif status == NO_MASS:
             raise InvalidArgument(
-                "the inverse effective mass of the joint is not positive definite: a freedom "
-                "between base and tip moves no mass"
+                "the inverse effective mass of the joint is not symmetric and positive definite: a "
+                "freedom between base and tip moves no mass, or the matrix is not that of one step"
             )
         elif status == NOT_FINITE:
             raise InvalidArgument(
@@ -388,7 +410,7 @@ class Joint:
         """Return the table's inputs with a wrench at the tip, shape (n,), SI."""
         packed = self._table.packed
         loads = np.concatenate([np.zeros(packed.inputs - len(self._further)), self._further])
-        loads[self._at] = wrench
+        loads[self._at] = np.ravel(wrench)
         return loads
 
 
@@ -445,8 +467,8 @@ class LinearPart:
             numbers; if a further input is unknown, missing or beyond its range; if the table's
             derivative there is not known or not that of springs.
         """
-        at, free = moving(table, None)
-        packed, places = table.packed, np.arange(table.packed.inputs)[at][free]
+        at, free, _ = moving(table, None, several=False)
+        packed, places = table.packed, at[free]
         load = np.zeros(FREEDOMS) if wrench is None else np.asarray(wrench, dtype=float)
         if load.shape != (FREEDOMS,) or not np.isfinite(load).all():
             raise InvalidArgument("a wrench has 6 finite numbers: force, N, and moment, N·m")
@@ -560,23 +582,21 @@ def further_inputs(table: Table, by_name: Mapping[str, float]) -> tuple[float, .
     return tuple(map(float, values))
 
 
-def moving(table: Table, interface: str | None) -> tuple[slice, NDArray[np.intp]]:
-    """Return the place of the interface that moves, and its freedoms that are not locked."""
+def moving(
+    table: Table, interface: str | None, several: bool = True
+) -> tuple[NDArray[np.intp], NDArray[np.intp], tuple[str, ...]]:
+    """Return the places of the loads of interfaces that move, those not locked, and their names."""
     if not hasattr(table, "packed"):
         raise InvalidArgument(
             f"a joint takes a Table, from client.download(name) or Table.open(path), not {table!r}"
         )
-    space, locked = table.space, np.asarray(table.packed.arrays["space/locked"], dtype=bool)
-    free = {
-        name: np.flatnonzero(~locked[FREEDOMS * k : FREEDOMS * (k + 1)])
-        for k, name in enumerate(space.interfaces)
-    }
-    move = [name for name, freedoms in free.items() if len(freedoms)]
-    if len(move) != 1 or interface not in (None, *move):
-        listed = ", ".join(map(repr, move)) or "none"
+    places = np.arange(FREEDOMS * len(table.space.interfaces)).reshape(-1, FREEDOMS)
+    free = np.asarray(table.packed.arrays["space/locked"])[places] == 0
+    names = tuple(np.array(table.space.interfaces)[free.any(axis=1)].tolist())
+    single = interface is not None or not several
+    if not names or interface not in (None, *names) or (single and len(names) > 1):
         raise InvalidArgument(
-            f"a joint needs one interface that moves and all others held; {table.name} moves at "
-            f"{listed}"
+            f"a joint or springs of one interface need one that moves and all others held; "
+            f"{table.name} moves at {', '.join(map(repr, names)) or 'none'}"
         )
-    k = space.interfaces.index(move[0])
-    return slice(FREEDOMS * k, FREEDOMS * (k + 1)), free[move[0]]
+    return places[free.any(axis=1)].ravel(), np.flatnonzero(free[free.any(axis=1)]), names

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from wrenchbook.surrogate.kernel.joint import INDEFINITE, NO_MASS, NOT_FINITE, OK, JointSteps
 
-from ...contract import COVERAGE
 from ..errors import InvalidArgument, JointWarning, warn
 from ..wrenches import Vector
-from .joint import MAX_RANGES, Joint
+from .joint import COVERED_AS, MAX_RANGES, NOT_YET, Joint
 
 if TYPE_CHECKING:
     from ..table import Table
@@ -42,9 +41,10 @@ def status_of(joint: Joint, steps: JointSteps) -> NDArray[np.int32]:
 class Joints:
     """Many parts of one table, each between two bodies of its own, in one call a step.
 
-    Each has the numbers of a `Joint`, bit by bit. A joint without a wrench does not stop the
-    others: its wrench is NaN, `status` says why, and one `JointWarning` counts them. Table,
-    damping, options and errors are those of `Joint`; `count` is the number of joints, n.
+    Each has the numbers of a `Joint`, bit by bit; those of k > 1 interfaces are (n, k, 6) for the
+    (n, 6) below. A joint without a wrench does not stop the others: its wrench is NaN, `status`
+    says why, and one `JointWarning` counts them. Table, damping, options and errors are those of
+    `Joint`; `count` is the number of joints, n.
     """
 
     joints: Sequence[Any] = ()  # of `MujocoJoints`
@@ -62,6 +62,10 @@ class Joints:
 
     def __len__(self) -> int:
         return len(self._codes)
+
+    def __copy__(self) -> Joints:
+        """Refuse: it would share arrays."""
+        raise InvalidArgument("a copy of Joints would share their states: make others")
 
     @property
     def inputs(self) -> Mapping[str, float]:
@@ -98,8 +102,11 @@ class Joints:
 
     @property
     def coverage(self) -> NDArray[Any]:
-        """How the table covers the wrench of each pose, (n,): outside too where there is none."""
-        return np.array(COVERAGE)[self._steps.replies["coverage"]]
+        """How the table covers the wrench of each pose, (n,), of several interfaces (n, k).
+
+        Outside too where there is none; None before a step.
+        """
+        return COVERED_AS[self._steps.replies["coverage"]]
 
     @property
     def failed(self) -> NDArray[np.bool_]:
@@ -117,6 +124,7 @@ class Joints:
             array[which] = 0
         for name in ("pose_error", "wrench_error"):
             self._steps.replies[name][which] = np.nan
+        self._steps.replies["coverage"][which] = NOT_YET
 
     def step(
         self, poses: Array, velocities: Array, inverse_masses: Array, dt: float, threads: int = 0
@@ -125,18 +133,20 @@ class Joints:
 
         `poses` (n, 7) are translations, m, and quaternions, w first, of the tips' interface frames
         in their undeformed frames; `velocities` (n, 6); `inverse_masses` (n, 6, 6), or (6, 6) for
-        all; `threads` 0 is one a processor. Tensors of PyTorch give a tensor of the poses' type and
-        device, without gradients: those of a GPU are copied to the host and back. InvalidArgument
-        if a shape is wrong or the step not above zero.
+        all; of several interfaces (n, k, 7), (n, k, 6) and (n, 6 k, 6 k). `threads` 0 is one a
+        processor. Tensors of PyTorch give a tensor of the poses' type and device, without
+        gradients: those of a GPU are copied to the host and back. InvalidArgument if a shape is
+        wrong or the step not above zero.
         """
         steps, n = self._steps, len(self)
         arrays = poses, velocities, inverse_masses
         given = [np.asarray(a.detach().cpu() if hasattr(a, "detach") else a) for a in arrays]
         shapes = tuple(array.shape for array in given)
-        if shapes not in (((n, 7), (n, 6), (n, 6, 6)), ((n, 7), (n, 6), (6, 6))):
+        each = tuple(a.shape for a in (steps.poses, steps.velocities, steps.inverse_masses))
+        if shapes not in (each, (*each[:2], each[2][1:])):
             raise InvalidArgument(
-                f"poses, velocities and inverse_masses of {n} joints have shapes ({n}, 7), "
-                "({0}, 6) and ({0}, 6, 6), not {1}, {2} and {3}".format(n, *shapes)
+                "poses, velocities and inverse_masses of {} joints have shapes {}, "
+                "{} and {}, not {}, {} and {}".format(n, *each, *shapes)
             )
         if not (math.isfinite(dt) and dt > 0):
             raise InvalidArgument(f"a step is above zero, not {dt} s")
@@ -160,6 +170,7 @@ class Joints:
             )
         if (~self.failed & ~within).any():
             self._joint._warn_beyond()
-        uncovered = np.flatnonzero(~self.failed & within & (replies["coverage"] > 0))
+        thin = (replies["coverage"].reshape(len(self), -1) > 0).any(axis=1)
+        uncovered = np.flatnonzero(~self.failed & within & thin)
         if len(uncovered):
             self._joint._warn_uncovered(replies["still"][uncovered[0]])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -28,7 +28,7 @@ Data: TypeAlias = Any
 engine: Any = required("mujoco", "MujocoJoint", "'wrenchbook[mujoco]'")
 _JOINT, _OBJECT, _PGS = engine.mjtJoint, engine.mjtObj, int(engine.mjtSolver.mjSOL_PGS)
 _SQUARE = 1e-5  # the axes of the slides are unit and orthogonal to the six digits of MuJoCo's XML
-# The joints of each MjData by the first freedom of their tips: a step is of all of them.
+# The joints of each MjData by the first freedom of each tip: a step is of all of them.
 _JOINTS: WeakKeyDictionary[Data, WeakValueDictionary[int, MujocoJoint]] = WeakKeyDictionary()
 _NO_CONTROL = int(engine.mjtDisableBit.mjDSBL_ACTUATION)
 _REMEDY = "make the scene with: wrenchbook joint NAME --base BODY --tip BODY scene.xml"
@@ -40,7 +40,8 @@ class MujocoJoint(Joint):
     The tip's body is a child of the base's body and has three slides and a ball (of a part with
     locked freedoms those that are free) at the interface point, in this order: MuJoCo turns the
     axes of what follows a ball. The axes of the slides are those of the undeformed interface
-    frame. The joints have no stiffness, damping or limits: the part has these.
+    frame. The joints have no stiffness, damping or limits: the part has these. A part that moves at
+    several interfaces has a tip at each, all children of the base.
 
     Parameters
     ----------
@@ -48,6 +49,8 @@ class MujocoJoint(Joint):
     table : Table
     base, tip : str
         Names of the two bodies.
+    bodies : mapping of str, optional
+        In the place of `tip`: the tips by interface, ``{"left": "wheel_l", "right": "wheel_r"}``.
     damping : float
         Share of critical damping of each mode of the part between the two bodies.
     **options
@@ -68,7 +71,8 @@ class MujocoJoint(Joint):
     parts on MuJoCo's default contacts do not chatter. Where the base is fixed to the world and the
     tip's centre of mass is the interface point MuJoCo stores a diagonal mass matrix, and the
     contact forces of the last step stand for those of this one: an empty ``<body/>`` in the tip
-    avoids it.
+    avoids it. MuJoCo's mass matrix does not couple several tips of a part: each feels its own
+    contacts within the step, and those of the others with the step after.
     """
 
     def __init__(
@@ -79,17 +83,20 @@ class MujocoJoint(Joint):
         base: str = "base",
         tip: str = "tip",
         damping: float = 0.02,
+        *,
+        bodies: Mapping[str, str] | None = None,
         **options: Any,
     ) -> None:
         super().__init__(table, damping, **options)
         _refuse_rk4(model)
         self._model, self._data = model, data
-        parent, body = _body(model, base), _body(model, tip)
-        if model.body_parentid[body] != parent:
-            raise JointError(f"body {tip!r} must be a child of body {base!r}; {_REMEDY}")
-        self._find(body, tip)
-        self._base, self._tip = base, tip
-        self._name = f"{table.name} at tip {tip!r}"
+        self._base, self._tips = base, self._bodies(tip, bodies)
+        self._name = f"{table.name} at tip{'s' * self._several} " + ", ".join(map(repr, self._tips))
+        parent = _body(model, base)
+        for name in self._tips:
+            if model.body_parentid[_body(model, name)] != parent:
+                raise JointError(f"body {name!r} must be a child of body {base!r}; {_REMEDY}")
+        self._find()
         # The last body towards the base that no freedom moves: a mocap body, or the world.
         while model.body_dofnum[top := int(model.body_weldid[parent])]:
             parent = int(model.body_parentid[top])
@@ -105,12 +112,53 @@ class MujocoJoint(Joint):
         """
         step_joints(self)
 
-    def _find(self, body: int, name: str) -> None:
-        """Find the joints of the tip: axes, places in qpos and qvel."""
-        model, first = self._model, int(self._model.body_jntadr[body])
+    def _bodies(self, tip: str, bodies: Mapping[str, str] | None) -> tuple[str, ...]:
+        """Return the names of the tips in the order of the interfaces."""
+        names = self.interfaces
+        if bodies is None:
+            bodies = {} if self._several else {names[0]: tip}
+        wrong = [f"no body for {name!r}" for name in names if name not in bodies]
+        wrong += [f"no interface {name!r} that moves" for name in bodies if name not in names]
+        wrong += ["one body at two interfaces"] * (len(set(bodies.values())) < len(bodies))
+        if wrong:
+            expected = ", ".join(f"{name!r}: BODY" for name in names)
+            raise JointError(f"{self._table.name}: {'; '.join(wrong)}. Give bodies={{{expected}}}")
+        return tuple(bodies[name] for name in names)
+
+    def _find(self) -> None:
+        """Find the tips' freedoms in the scene, and their pairs in its mass matrix."""
+        # Of a pose: tip, place in it, place in qpos and count; of a hinge tip, axis and place.
+        self._runs, self._hinges = (
+            list[tuple[int, int, int, int]](),
+            list[tuple[int, Vector, int]](),
+        )
+        # Blocks are the freedoms of tips of which the matrix has pairs.
+        self._starts, self._blocks, pairs, dofs, axes = [], [], [], [], []
+        for k, name in enumerate(self._tips):
+            free, first = self.free[self.free // FREEDOMS == k] % FREEDOMS, len(dofs)
+            self._starts.append(self._find_tip(k, name, free, axes))
+            own = self._starts[k] + np.arange(len(free))
+            rows, columns, places = _places(self._model, own)
+            if not len(rows) == len(own) > 1:
+                self._blocks.append(slice(first, first + len(own)))
+                pairs.append([len(self.free) * (first + rows) + first + columns, places])
+            dofs += own.tolist()
+        self._pairs, self._at_pairs = np.hstack([np.empty((2, 0), dtype=int), *pairs])
+        self._dofs: Any = np.array(dofs) if self._several else slice(dofs[0], dofs[-1] + 1)
+        self._units = np.eye(self._model.nv)[self._dofs]
+        self._square, self._full = np.ix_(self.free, self.free), len(self.free) == self._size
+        balls = np.array([np.eye(3) if turned is None else turned for turned in axes])
+        self._spin_axes = balls if self._several else None if axes[0] is None else balls[0]
+        self._begin(self._spin_axes)
+        self._watch(self._data, self._steps, 0)
+
+    def _find_tip(self, k: int, name: str, free: NDArray[np.intp], spins: list[Any]) -> int:
+        """Return a tip's first freedom; `spins` get its axes, None without a ball."""
+        model, body = self._model, _body(self._model, name)
+        first = int(model.body_jntadr[body])
         joints = list(range(first, first + int(model.body_jntnum[body])))
         kinds = [int(model.jnt_type[joint]) for joint in joints]
-        moves, turns = self.free[self.free < 3], self.free[self.free >= 3]
+        moves, turns = free[free < 3], free[free >= 3]
         if len(turns) not in (0, 1, 3):
             raise JointError(
                 f"{self._table.name} locks one rotation of three: no MuJoCo joint does"
@@ -139,38 +187,28 @@ class MujocoJoint(Joint):
                     "own or its zero: remove it (a default class may set it)"
                 )
         # The interface frame's axes in the tip's body; of a part with locked freedoms the body's.
-        axis_of = {
-            int(at): axis for at, axis in zip(self.free, model.jnt_axis[joints], strict=False)
-        }
+        axis_of = {int(at): axis for at, axis in zip(free, model.jnt_axis[joints], strict=False)}
         straight = [axis_of[at] for at in range(3) if at in axis_of]
         left, _, right = np.linalg.svd(np.array(straight).T if len(straight) == 3 else np.eye(3))
-        self._axes = left @ right
+        axes = left @ right
         hinges = [] if len(turns) == 3 else turns.tolist()
         along = [at for at in range(3) if at in axis_of] + hinges
-        off = [np.abs(axis_of[at] - self._axes[:, at % 3]).max() for at in along]
-        if max(off, default=0.0) > _SQUARE or np.linalg.det(self._axes) < 0:
+        off = [np.abs(axis_of[at] - axes[:, at % 3]).max() for at in along]
+        if max(off, default=0.0) > _SQUARE or np.linalg.det(axes) < 0:
             raise JointError(
                 f"the joints of body {name!r} must have the interface frame's axes in the order x, "
                 "y, z: unit, orthogonal and right-handed; of a part with locked freedoms these are "
                 f"the body's own; {_REMEDY}"
             )
-        self._slides = np.array(
-            [model.jnt_qposadr[joint] for joint in joints[: len(moves)]], dtype=int
-        )
-        self._turn = int(model.jnt_qposadr[joints[-1]]) if turning else model.nq  # nq: none
-        start = int(model.jnt_dofadr[first]) if joints else 0
-        count = len(self.free)
-        self._dofs = slice(start, start + count)
-        self._units = np.eye(model.nv)[self._dofs]
-        self._square = np.ix_(self.free, self.free)
-        rows, columns, self._at_pairs = _places(model, np.arange(start, start + count))
-        self._pairs, self._diagonal = count * rows + columns, len(rows) == count > 1
-        self._turns, self._moves = len(turns) == 3, self.free[self.free < 3]
-        self._hinge = np.zeros(3)
-        self._hinge[turns[:1] - 3] = 1.0
-        self._spin_axes = np.ascontiguousarray(self._axes) if self._turns else None
-        self._begin(self._spin_axes)
-        self._watch(self._data, self._steps, 0)
+        places = model.jnt_qposadr[joints].tolist()
+        slides = [(k, to, of, 1) for to, of in zip(moves.tolist(), places, strict=False)]
+        self._runs += [(k, 0, places[0], 3)] if len(slides) == 3 else slides
+        spins.append(axes if len(turns) == 3 else None)
+        if len(turns) == 3:
+            self._runs.append((k, 3, places[-1], 4))
+        elif len(turns):
+            self._hinges.append((k, np.eye(3)[turns[0] - 3], places[-1]))
+        return int(model.jnt_dofadr[first])
 
     def _watch(self, data: Data, steps: JointSteps, at: int) -> None:
         """Take a joint of the kernel's arrays, and views of the data of its scene.
@@ -184,12 +222,15 @@ class MujocoJoint(Joint):
         self._solved = np.empty_like(self._units)
         self._pose_of_tip, self._inverse_mass = steps.poses[at], steps.inverse_masses[at]
         self._force, self._slope, self._spin = (reply[name] for name in ("force", "rate", "spin"))
-        turn, slides = self._turn, self._slides
-        self._turned = data.qpos[turn : turn + (4 if self._turns else 1)]
-        self._slid = data.qpos[slides[0] : slides[0] + 3] if len(slides) == 3 else None
-        self._velocity, self._applied = data.qvel[self._dofs], data.qfrc_applied[self._dofs]
+        poses, qpos = self._pose_of_tip.reshape(-1, 7), data.qpos
+        self._read_from = [
+            (poses[k, to : to + n], qpos[at : at + n]) for k, to, at, n in self._runs
+        ]
+        self._turned = [(poses[k, 3:], axis, qpos[at : at + 1]) for k, axis, at in self._hinges]
+        self._velocities, self._applied = data.qvel, data.qfrc_applied
         self._mass = data.M
-        _JOINTS.setdefault(data, WeakValueDictionary())[self._dofs.start] = self
+        for start in self._starts:
+            _JOINTS.setdefault(data, WeakValueDictionary())[start] = self
 
     def __getstate__(self) -> dict[str, Any]:
         """All but MuJoCo's options, which it does not pickle: the model has them."""
@@ -199,25 +240,21 @@ class MujocoJoint(Joint):
         super().__setstate__(state)
         self._watch(self._data, self._steps, self._place)
 
-    def _read_pose(self, pose: Vector) -> None:
-        """Write the tip's translation and quaternion, (7,)."""
-        if self._turns:
-            pose[3:] = self._turned
-        elif self._turned.size:
-            pose[3:] = quaternion(self._hinge * self._turned)
-        if len(self._moves) == 3:
-            pose[:3] = self._slid
-        else:
-            pose[self._moves] = self._data.qpos[self._slides]
+    def _read_pose(self) -> None:
+        """Write the tips' translations and quaternions into the kernel's arrays."""
+        for pose, place in self._read_from:
+            pose[:] = place
+        for pose, axis, angle in self._turned:
+            pose[:] = quaternion(axis * angle)
 
     def _read(self) -> None:
         """Write the pose and the inverse mass of this step into the kernel's arrays."""
         if self._unmoved:
             self._watch_base()
-        self._read_pose(self._pose_of_tip)
+        self._read_pose()
         engine.mj_solveM(self._model, self._data, self._solved, self._units)
         # Accelerations of the freedoms by unit loads on them.
-        if len(self.free) == FREEDOMS:
+        if self._full:
             self._inverse_mass[:] = self._solved[:, self._dofs]
         else:
             self._inverse_mass[self._square] = self._solved[:, self._dofs]
@@ -228,36 +265,33 @@ class MujocoJoint(Joint):
         The rest depends on the velocity after the step, and enters the mass matrix.
         """
         dt, force, slope = self._scene.timestep, self._force, self._slope
-        if len(self.free) < FREEDOMS:
-            force, slope = force[self.free], slope[self._square]
-        if self._diagonal:  # nothing can be added to it: the last step's constraint forces stand
-            force, slope = self._with_last_contacts(force, slope, dt)
-        self._law = force.copy(), slope.copy(), self._velocity
-        np.subtract(-force, slope @ self._velocity, out=self._applied)
+        if not self._full:
+            force, slope = self._law_of_free()
+        if not self._blocks:  # nothing can be added to it: the last step's constraint forces stand
+            force, slope = _with_last_contacts([self], self._solved)[0], np.zeros_like(slope)
+        self._pull(force, slope, dt)
+
+    def _pull(self, force: Vector, slope: Vector, dt: float) -> None:
+        """Apply a wrench that changes with the velocity after the step."""
+        velocity = self._velocities[self._dofs]
+        self._law = force.copy(), slope.copy(), velocity
+        self._applied[self._dofs] = -force - slope @ velocity
         # What the velocity after the step changes.
         self._own_mass = self._mass.take(self._at_pairs)
         self._with_part = self._own_mass + dt * slope.take(self._pairs)
         self._mass[self._at_pairs] = self._with_part
 
+    def _law_of_free(self) -> tuple[Vector, Vector]:
+        """Return wrench and rate of the freedoms that move, (f,) and (f, f)."""
+        return self._force.ravel()[self.free], self._slope[self._square]
+
     def report(self) -> JointReport:
         """Return coverage, largest error bars and energy of all steps since `restart`."""
-        parts, began = list(_JOINTS[self._data].values()), self._began
+        parts, began = _joints_of(self._data), self._began
         time, energy = began or (0.0, np.nan)
         if began and all(part._began == began for part in parts) and self._data.time >= time:
             return report_of(self, time, _energy(parts) - energy)
         return report_of(self, time)
-
-    def _with_last_contacts(self, force: Vector, slope: Vector, dt: float) -> tuple[Vector, Vector]:
-        """Return the wrench by the constraint forces of the step before, and no slope."""
-        model, data, dofs = self._model, self._data, self._dofs
-        self._applied[:] = 0.0
-        engine.mj_fwdActuation(model, data)
-        engine.mj_fwdAcceleration(model, data)
-        pushed = np.empty((1, model.nv))
-        engine.mj_solveM(model, data, pushed, data.qfrc_constraint[None])
-        velocity = (data.qvel + dt * (data.qacc_smooth + pushed[0]))[dofs]
-        implicit = np.eye(len(slope)) + dt * slope @ self._solved[:, dofs]
-        return np.linalg.solve(implicit, force + slope @ velocity), np.zeros_like(slope)
 
     def restart(self) -> None:
         """Forget the state of the last step."""
@@ -273,10 +307,12 @@ class MujocoJoint(Joint):
     def _of_step(self) -> Vector:
         """Return the wrench of the last step, by the velocity after it."""
         force, slope, velocity = self._law
-        pulled = np.zeros(FREEDOMS)
+        pulled = np.zeros(self._size)
         pulled[self.free] = force + slope @ velocity
-        pulled[3:] = self._spin @ pulled[3:]
-        return pulled
+        each = pulled.reshape(-1, FREEDOMS)
+        for wrench, spin in zip(each, self._spin.reshape(-1, 3, 3), strict=True):
+            wrench[3:] = spin @ wrench[3:]
+        return each if self._several else pulled
 
     def _watch_base(self) -> None:
         """Warn once that the base has been put elsewhere by a body without velocity."""
@@ -325,7 +361,7 @@ def advance(joints: Sequence[MujocoJoint]) -> None:
     engine.mj_step2(joints[0]._model, joints[0]._data)
     for joint in joints:
         force, slope, _ = joint._law
-        joint._law = force, slope, joint._velocity.copy()
+        joint._law = force, slope, joint._velocities[joint._dofs].copy()
         joint._mass[joint._at_pairs], joint._with_part = joint._own_mass, None
 
 
@@ -343,12 +379,14 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
     """Raise JointError if joints are not all those of one scene, or its step is not above zero."""
     if not joints or any(joint._data is not joints[0]._data for joint in joints):
         raise JointError("step_joints takes the joints of one scene: one or more of the same data")
-    stepped, of_scene = {joint._dofs.start for joint in joints}, _JOINTS[joints[0]._data]
-    if len(stepped) < len(joints):
+    stepped = [start for joint in joints for start in joint._starts]
+    of_scene = _JOINTS[joints[0]._data]
+    if len(set(stepped)) < len(stepped):
         raise JointError("two joints have one tip, which would feel one of them: leave one out")
-    if len(of_scene) > len(joints):
-        others = [joint for at, joint in of_scene.items() if at not in stepped]
-        tips, missing = (", ".join(repr(joint._tip) for joint in some) for some in (joints, others))
+    if len(of_scene) > len(stepped):
+        others = dict.fromkeys(joint for at, joint in of_scene.items() if at not in stepped)
+        sides = [[tip for joint in some for tip in joint._tips] for some in (joints, others)]
+        tips, missing = (", ".join(map(repr, side)) for side in sides)
         raise JointError(
             f"the scene has joints at the tips {tips} and {missing}: a step of one "
             "advances all of the scene, and the others would not pull. Call step_joints(a, b) of "
@@ -385,12 +423,70 @@ def _pull(joints: Collection[MujocoJoint]) -> None:
 
 def push(joints: Collection[MujocoJoint]) -> None:
     """Add wrenches and rates that the kernel has found to the equation of motion of a scene."""
+    first, several = next(iter(joints)), []
     for joint in joints:
-        joint._push()
-    first = next(iter(joints))
+        if joint._several:
+            several.append(joint)
+        else:
+            joint._push()
     engine.mj_factorM(first._model, first._data)
+    if several:
+        _push_together(several)
     if first._scene.solver == _PGS or first._scene.noslip_iterations:
         engine.mj_projectConstraint(first._model, first._data)
+
+
+def _push_together(joints: Sequence[MujocoJoint]) -> None:
+    """Apply the wrenches of joints with several tips, of which the mass matrix has no pairs.
+
+    By the last step's constraint forces the wrench is w', and the velocity after it v'. To those
+    of this step a tip answers by its block of A' = (A^-1 + dt C)^-1: D = (A'^-1 - A^-1) / dt enters
+    the mass matrix, and the wrench is w' + D (v - v').
+    """
+    dt = joints[0]._scene.timestep
+    wrench, velocity, mobility, implicit = _with_last_contacts(joints)
+    velocity, pulled = velocity - dt * mobility @ wrench, np.linalg.solve(implicit.T, mobility)
+    for joint in joints:
+        first, count = len(velocity) - len(wrench), len(joint.free)
+        slope = np.zeros((count, count))
+        for block in joint._blocks:
+            at = slice(first + block.start, first + block.stop)
+            rest = np.linalg.inv(pulled[at, at]) - np.linalg.inv(mobility[at, at])
+            slope[block, block] = (0.5 / dt) * (rest + rest.T)
+        joint._pull(wrench[:count] - slope @ velocity[first : first + count], slope, dt)
+        wrench = wrench[count:]
+    engine.mj_factorM(joints[0]._model, joints[0]._data)
+
+
+def _with_last_contacts(
+    joints: Sequence[MujocoJoint], solved: Vector | None = None
+) -> tuple[Vector, Vector, Vector, Vector]:
+    """Return w', v, A and I + dt C A of free freedoms (f,), by the last step's constraint forces.
+
+    `solved` (f, nv) has the rows of A, if they are known.
+    """
+    model, data, dt = joints[0]._model, joints[0]._data, joints[0]._scene.timestep
+    dofs = np.concatenate([np.arange(model.nv)[joint._dofs] for joint in joints])
+    force, slope, first = np.zeros(len(dofs)), np.zeros((len(dofs), len(dofs))), 0
+    for joint in joints:
+        block = slice(first, first := first + len(joint.free))
+        force[block], slope[block, block] = joint._law_of_free()
+    data.qfrc_applied[dofs] = 0.0
+    engine.mj_fwdActuation(model, data)
+    engine.mj_fwdAcceleration(model, data)
+    pushed = np.empty((1, model.nv))
+    engine.mj_solveM(model, data, pushed, data.qfrc_constraint[None])
+    if solved is None:
+        engine.mj_solveM(
+            model, data, solved := np.empty((len(dofs), model.nv)), np.eye(model.nv)[dofs]
+        )
+    velocity, mobility = (data.qvel + dt * (data.qacc_smooth + pushed[0]))[dofs], solved[:, dofs]
+    implicit = np.eye(len(slope)) + dt * slope @ mobility
+    return np.linalg.solve(implicit, force + slope @ velocity), velocity, mobility, implicit
+
+
+def _joints_of(data: Data) -> list[MujocoJoint]:
+    return list(dict.fromkeys(_JOINTS.get(data, {}).values()))
 
 
 def _energy(joints: Collection[MujocoJoint]) -> float:
@@ -411,7 +507,7 @@ def _energy(joints: Collection[MujocoJoint]) -> float:
     for joint in joints:
         steps = joint._steps
         memory, replies = steps.memory.copy(), steps.replies.copy()
-        joint._read_pose(joint._pose_of_tip)
+        joint._read_pose()
         steps.law(joint._scene.timestep, joint.damping)
         total += float(steps.history["stored"][0]) if not joint._status[0] else np.nan
         steps.memory[:], steps.replies[:] = memory, replies
@@ -436,7 +532,7 @@ def joints_in_mj_step() -> Iterator[None]:
     errors: list[Exception] = []
 
     def pull(model: Model, data: Data, passive: bool = False) -> None:
-        joints = list(_JOINTS.get(data, {}).values())
+        joints = _joints_of(data)
         if not joints or bool(model.opt.disableflags & _NO_CONTROL) != passive:
             return
         try:

@@ -157,14 +157,10 @@ def fill(name: str, workspace: Opened, order: FillBody) -> Response:
     limit = Tolerance(**order.tolerance.model_dump()) if order.tolerance else None
     need, component = None, workspace.library[name]
     if order.for_joint:
-        moving = {
-            load.interface
-            for place, load in enumerate(component.space.inputs)
-            if load.kind != "scalar" and place not in component.idle
-        }
-        if len(moving) != 1 or order.range is not None or order.outputs is not None:
+        loads = sum(load.kind != "scalar" for load in component.space.inputs)
+        if len(component.idle) == loads or order.range is not None or order.outputs is not None:
             message = (
-                "a joint needs one interface that moves, all of the load range and all outputs: "
+                "a joint needs an interface that moves, all of the load range and all outputs: "
                 "leave out range and outputs"
             )
             raise bad_body([{"loc": "for_joint", "msg": message}])

@@ -23,7 +23,7 @@ from wrenchbook.service.client.rotation import rotation_matrix
 @pytest.mark.parametrize("seed", [11, 12, 13])
 def test_nine_of_ten_wrenches_at_a_pose_are_within_their_bars(seed: int):
     """Of 40 rows of a known law, at poses whose wrench the table covers."""
-    steps = known_table(40, seed).packed.joints(400, 0)
+    steps = known_table(40, seed).packed.joints(400)
     wrenches = np.random.default_rng(100 + seed).uniform(-0.9, 0.9, (400, 6)) * HIGH
     moved = known_law(wrenches)
     steps.poses[:, :3], steps.poses[:, 3:] = moved[:, :3], [quaternion(r) for r in moved[:, 3:]]

@@ -311,8 +311,8 @@ def test_an_argument_of_another_kind_is_refused(make, text: str):
 @pytest.mark.parametrize("threads", [1, 3])
 def test_many_joints_in_one_call_have_the_bits_of_each_alone(threads):
     table, rng = turning_table(), np.random.default_rng(5)
-    many = table.packed.joints(40, 0)
-    single = [table.packed.joints(1, 0) for _ in range(40)]
+    many = table.packed.joints(40)
+    single = [table.packed.joints(1) for _ in range(40)]
     for _ in range(3):
         moved = rng.uniform(-0.8, 0.8, (40, 6)) * [0.02, 0.02, 0.02, 0.2, 0.2, 0.2]
         many.poses[:, :3], many.poses[:, 3:] = moved[:, :3], [quaternion(r) for r in moved[:, 3:]]
