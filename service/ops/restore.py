@@ -6,6 +6,7 @@ import os
 import shutil
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
@@ -39,6 +40,7 @@ def restore(
     folder = folder.absolute()
     unpacked = _source(source, until)
     draft, aside, state = folder / _DRAFT, None, "Nothing was changed"
+    is_new = not folder.exists()
 
     def place(name: str):
         path = draft / name
@@ -75,6 +77,9 @@ def restore(
         raise BackupError(f"{folder} cannot be written: {error}. {state}") from error
     finally:
         shutil.rmtree(draft, ignore_errors=True)
+        if is_new:
+            with suppress(OSError):  # it has the restored files
+                folder.rmdir()
     return manifest, aside
 
 
