@@ -58,16 +58,15 @@ def restore(
         Ledger(draft / LEDGER).close()  # verifies it and updates its schema
         sync_tree(draft)
         present = _check_free(folder, overwrite=overwrite)  # a server may have started meanwhile
+        former = folder / f".before-restore-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}"
         if present:
-            aside = folder / f".before-restore-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}"
-            aside.mkdir(0o700)
-            state = f"The restore is not complete. The former files are in {aside}"
-            # The ledger and its log first.
-            for entry in sorted(present, key=lambda entry: not entry.name.startswith(LEDGER)):
-                if not entry.name.startswith(".before-restore-"):
-                    entry.rename(aside / entry.name)
-        if aside is None:
-            state = "The restore is not complete"
+            former.mkdir(0o700)
+            aside = former
+        state = "The restore is not complete" + f". The former files are in {aside}" * bool(aside)
+        # The ledger and its log first.
+        for entry in sorted(present, key=lambda entry: not entry.name.startswith(LEDGER)):
+            if not entry.name.startswith(".before-restore-"):
+                entry.rename(former / entry.name)
         for entry in sorted(draft.iterdir(), key=lambda entry: entry.name == LEDGER):
             entry.rename(folder / entry.name)
         sync(folder)
