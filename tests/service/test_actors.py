@@ -111,6 +111,11 @@ def test_a_key_of_some_components_sees_no_other(http, keys, place):
     assert http.post("/v1/scenes/plan", json=scene, headers=key).status_code == 404
     assert http.get("/v1/events", headers=key).status_code == 403
     assert http.get("/v1/events?component=plate", headers=key).status_code == 404
+    root = bearer(keys["all"])
+    http.post("/v1/components/plate/copy", json={"name": "rig_2"}, headers=root)
+    for caller, origin in ((root, "plate"), (key, None)):
+        copy = http.get("/v1/components/rig_2", headers=caller).json()
+        assert copy["copied_from"] == origin
     for new in ({"name": "spare"}, {"name": "rig"}):
         assert http.post("/v1/components/bar/copy", json=new, headers=key).status_code == 403
     made = http.post("/v1/components", json={**TABLE_ONLY, "name": "other"}, headers=key)
