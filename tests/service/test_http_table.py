@@ -263,6 +263,12 @@ def slow_build(monkeypatch):
     may_build.set()
 
 
+def test_a_file_that_is_no_table_is_not_said_to_have_good_rows(rig):
+    detail = load(rig, b"\0\0").json()["detail"]
+    assert "the first is in file: " in detail
+    assert "--partial" not in detail
+
+
 @pytest.mark.parametrize("wait_s", [0, 0.05])
 def test_an_import_is_answered_before_its_table_is_built_once_it_may_wait_no_longer(
     rig, slow_build, wait_s
