@@ -32,6 +32,10 @@ class Caller(NamedTuple):
         patterns = self.components
         return patterns == ANY or any(fnmatchcase(component, pattern) for pattern in patterns)
 
+    def visible(self, component: str | None) -> str | None:
+        """Return a component's name; None if the caller may not touch it."""
+        return component if component and self.touches(component) else None
+
 
 CALLER: ContextVar[Caller] = ContextVar("caller", default=Caller(LOCAL))  # noqa: B039 (a tuple)
 """The caller that this context works for; threads of a server have none, and are not limited."""

@@ -186,6 +186,8 @@ class Keyring:
                 key = _checked({**fields, "created": time.time(), **limits})
             except ValueError as error:
                 raise KeysError(str(error)) from None
+            if not key.is_valid():
+                raise KeysError("the key would have expired already; give an end that is to come")
             keys[key.digest] = key
         return secret
 
@@ -194,9 +196,12 @@ class Keyring:
         secret = PREFIX + secrets.token_urlsafe(32)
         with self._changing() as keys:
             known = [key for key in keys.values() if key.name == name and key.is_valid()]
-            if not known or not 0.0 <= overlap_s < 1e9 or len(keys) >= MAX_KEYS:
-                why = f"there is no key {name!r} that is valid, or there are {MAX_KEYS} keys"
-                raise KeysError(f"{why}, or the overlap is no number of hours from 0")
+            if not known:
+                raise KeysError(f"there is no key {name!r} that is valid; make one with: keys add")
+            if not 0.0 <= overlap_s < 1e9:
+                raise KeysError(f"the overlap is hours from 0, not {overlap_s / 3600.0:g}")
+            if len(keys) >= MAX_KEYS:
+                raise KeysError(f"there are {MAX_KEYS} keys already; revoke some")
             newest, now = max(known, key=lambda key: key.created), time.time()
             for old in known:
                 del keys[old.digest]

@@ -254,7 +254,7 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
             return _by_row(workspace, query, outcome, row)
     outcome.unsolved = True
     submission, beyond = workspace.submission, ""
-    component = submission.solvable(name)
+    component = submission.solvable(name, outcome.reply.reason)
     if not query.beyond_range and not component.load_range.holds(wrench)[0]:
         beyond = why_beyond(component.load_range, wrench[0])
     if query.on_thin != "queue":
@@ -292,7 +292,7 @@ def _uncovered(workspace: Workspace, component: Component, query: Query, outcome
     """
     table, reply = outcome.table, outcome.reply
     count, rows = workspace.unbuilt(component.name, table)
-    soon = _being_built(component, table, query.on_thin, count)
+    soon = _being_built(component, table, count)
     reason = _also(reply.reason if table.row_count or not soon else "", soon)
     span = component.load_range
     workspace.query_counts.note(component.name, span, query.wrench, reply.coverage)
@@ -405,14 +405,14 @@ def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query)
         return outcome
     component = workspace.library[name]
     count, new = workspace.unbuilt(name, table)
-    _being_built(component, table, query.on_thin, count)
+    soon = _being_built(component, table, count)
     acting = component.acting(wrenches)
     workspace.query_counts.note_batch(name, component.load_range, acting, coverage)
     if query.on_thin == "estimate":
         return outcome
     if query.on_thin == "reject":
         first = query._replace(wrench=tuple(wrenches[thin[0]].tolist()))
-        reason = answer(table, first).reason
+        reason = _also(answer(table, first).reason, soon)
         raise NotCoveredError(
             f"{len(thin)} of {len(wrenches)} wrenches are not covered, the first is number "
             f"{thin[0]}: {reason}. Ask with on_thin 'queue', 'wait' or 'estimate'.",
@@ -425,7 +425,7 @@ def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query)
         if row is not None:
             _take_row(workspace, acting, query, outcome, place, row)
     thin = thin[[row is None for row in rows]]
-    component = workspace.submission.solvable(name)
+    component = workspace.submission.solvable(name, soon)
     out = ~component.load_range.holds(acting[thin]) & (not query.beyond_range)
     if out.any() and query.on_thin == "wait":
         first = int(thin[out][0])
@@ -457,16 +457,16 @@ def _also(reason: str, more: str) -> str:
     return f"{reason}; {more}" if reason and more else reason or more
 
 
-def _being_built(component: Component, table: ServedTable, on_thin: Wanted, count: int) -> str:
+def _being_built(component: Component, table: ServedTable, count: int) -> str:
     """Return the number of rows that are being built into a table, as text; "" if none.
 
-    Raises TableBehindError if no solve can answer in their place, and the table has no rows or the
-    query takes no estimate.
+    Raises TableBehindError if the table has no rows, and no solve can answer in their place: one
+    with rows answers, or refuses, by its own version, however fast further rows come.
     """
     if not count:
         return ""
     rows = f"{count} row(s) are being built"
-    if not component.has_fea and not (table.row_count and on_thin == "estimate"):
+    if not (component.has_fea or table.row_count):
         raise TableBehindError.unbuilt(component.name, rows)
     return f"{rows}: the table answers from them soon"
 

@@ -170,9 +170,14 @@ def check_engine(name: str, scheduler: str | None) -> None:
 def check_copies(settings: Settings) -> None:
     """Raise SettingsError for a replica or backup that cannot be."""
     for name in ("replicate", "read_only"):
-        scheme, separator, _ = url = (getattr(settings, name) or "file://").partition("://")
-        if not separator or (scheme == "file" and url[2][:1] not in ("", "/")):
+        scheme, separator, path = (getattr(settings, name) or "file://").partition("://")
+        relative = scheme == "file" and path[:1] not in ("", "/")
+        if not separator or relative or scheme in ("http", "https"):  # of a server: no storage
             raise SettingsError(f"{name}: write file:///FOLDER, s3://BUCKET/FOLDER or sftp://...")
+        folder = Path(path).resolve()
+        inside = folder.is_relative_to(settings.data.resolve())
+        if scheme == "file" and path and (inside or (folder / "ledger.sqlite").exists()):
+            raise SettingsError(f"{name}: {folder} is of a data directory; name another folder")
     if settings.read_only and (settings.replicate or settings.backup_every):
         raise SettingsError("read_only: a replica's server makes no copies; its main server does")
 

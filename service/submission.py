@@ -150,13 +150,17 @@ class Submission:
         waiting = unpacked((job.wrench for job in open_jobs), inputs)
         return np.concatenate((waiting, np.array(failed).reshape(-1, inputs)))
 
-    def solvable(self, name: str) -> Component:
-        """Return a component that solves can be queued for; raises NoSetupError for any other."""
+    def solvable(self, name: str, why: str = "") -> Component:
+        """Return a component that solves can be queued for; raises NoSetupError for any other.
+
+        `why` a solve is asked for is part of its text.
+        """
         component = self._library[name]
         if not component.has_fea:
             raise NoSetupError(
                 f"{name!r} has rows loaded from outside and no finite-element setup, so nothing "
-                "can be solved for it. Load more rows, or ask with on_thin 'estimate'."
+                f"can be solved for it{why and f': {why}'}. Load rows there, or ask with on_thin "
+                "'estimate'."
             )
         return component
 

@@ -22,7 +22,8 @@ from wrenchbook.service.actors import ANY
 from wrenchbook.service.cli.connect import AsJson, in_folder
 from wrenchbook.service.cli.render import Screen, plain, print_json, show
 from wrenchbook.service.files.program import run_child, usable_cores
-from wrenchbook.service.keys import MEGABYTES, OVERLAP_HOURS, RATE, Keyring
+from wrenchbook.service.keys import FILE as KEYS
+from wrenchbook.service.keys import MEGABYTES, OVERLAP_HOURS, RATE, Keyring, KeysError, require_keys
 from wrenchbook.service.settings import (
     Settings,
     SettingsError,
@@ -49,7 +50,6 @@ def serve(
 ) -> None:
     """Serve the API and solve what is queued."""
     from wrenchbook.service.http.proxy import proxy_trust
-    from wrenchbook.service.keys import require_keys
     from wrenchbook.service.workers.supervisor import AddressError, supervise
 
     chosen = {name: value for name, value in options.items() if value is not None}
@@ -210,12 +210,13 @@ def restore(
     as_json: AsJson = False,
 ) -> None:
     """Make a data directory from a backup or a replica."""
-    from wrenchbook.service.keys import FILE as KEYS
     from wrenchbook.service.ops.restore import restore as restored
 
     source = file if "://" in file else Path(file)
     if isinstance(source, Path) and not source.is_file():
         raise typer.BadParameter(f"there is no file {file}")
+    if isinstance(source, Path) and at:
+        raise typer.BadParameter(f"--at chooses a state of a replica; {file} has one state")
     until = at.replace(tzinfo=UTC).timestamp() if at else float("inf")
     manifest, former = restored(source, data, overwrite=overwrite, until=until)
     skipped, state, option = manifest.skipped, manifest.state, _data_option(data)
@@ -304,6 +305,8 @@ def add(
     """Make a key and print it once."""
     fields = {"name": name, "scope": scope, "rate": rate, "megabytes": megabytes}
     fields["components"] = tuple(component or ANY)
+    if days is not None and not 0.0 < days < 36_500.0:
+        raise typer.BadParameter(f"--days is above 0, and below 36,500, not {days:g}")
     fields["expires"] = None if days is None else time.time() + 86_400.0 * days
     with _noted(data, "key.add", name, after=fields):
         key = Keyring(data).add(**fields)
@@ -352,6 +355,8 @@ def _noted(data: Path, action: str, name: str, after: Any = None) -> Iterator[No
     """Change a key with its entry in the audit of a data directory."""
     from wrenchbook.service.ledger import Ledger, noted
 
+    if action != "key.add" and not (data / KEYS).exists():  # a ledger would be made there
+        raise KeysError(f"{data} has no keys; say which data directory has with --data")
     with (
         closing(Ledger(data / "ledger.sqlite")) as ledger,
         noted(ledger, action, name, after=after),

@@ -57,6 +57,8 @@ def show(reply: Any, as_json: bool, shown: str | Callable[[], Iterable[Renderabl
         print_json(reply)
         return
     for part in [shown] if isinstance(shown, str) else shown():
+        for column in part.columns if isinstance(part, Table) else ():
+            column.overflow = "fold"  # no value is cut, however narrow the terminal
         plain(Screen(), part) if isinstance(part, str) else Screen().print(part)
 
 

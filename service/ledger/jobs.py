@@ -528,8 +528,8 @@ def _moved(db: Connection, job: JobRecord, event: str, **changes: Any) -> JobRec
     """Write and return a job after an event; raises InvalidTransitionError."""
     status = TRANSITIONS.get((job.status, event))
     if status is None:
-        allowed = sorted(name for before, name in TRANSITIONS if before == job.status)
-        possible = f"possible now: {', '.join(allowed)}"
+        calls = [name for name in ("cancel", "retry") if (job.status, name) in TRANSITIONS]
+        possible = f"possible now: {', '.join(calls)}"
         if job.status == "done":
             possible = "it is final unless its row is withdrawn"
         raise InvalidTransitionError(f"job {job.id} is {job.status}: cannot {event} it; {possible}")

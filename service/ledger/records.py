@@ -140,7 +140,7 @@ class TableAt:
     lots: Iterator[NotedRows]
 
 
-class LedgerError(Exception):
+class LedgerError(RuntimeError):
     """Base of all errors of the ledger."""
 
 

@@ -13,6 +13,7 @@ LogFormat = Literal["text", "json"]
 ABOUT: Final = ("job", "attempt", "component", "request_id", "actor")
 REQUEST_ID: ContextVar[str | None] = ContextVar("request_id", default=None)
 """The id of the HTTP request that this context answers; None outside of requests."""
+REPEAT_S = 60.0  # a fault that lasts, such as a full disk, is one line a minute
 _MOST_CHARACTERS = 20_000  # of a message or a traceback: log collectors limit lines
 
 
@@ -63,9 +64,28 @@ def add_request_id(record: logging.LogRecord) -> bool:
     return True
 
 
+class Repeats(logging.Filter):
+    """Drops a warning or error that was logged in the last `REPEAT_S` with the same text."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._logged: dict[str, float] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Return whether the record is logged."""
+        if record.levelno < logging.WARNING:
+            return True
+        now = time.monotonic()
+        self._logged = {text: at for text, at in self._logged.items() if now - at < REPEAT_S}
+        error = record.exc_info and record.exc_info[1]
+        text = f"{record.name} {record.getMessage()} {error} {REQUEST_ID.get()}"
+        return self._logged.setdefault(text, now) == now
+
+
 def set_up(level: str, form: LogFormat) -> None:
     """Log to standard error from `level` up."""
     shown = logging.StreamHandler()
     shown.addFilter(add_request_id)
+    shown.addFilter(Repeats())
     shown.setFormatter(JsonLines() if form == "json" else TextLines())
     logging.basicConfig(level=level.upper(), handlers=[shown], force=True)

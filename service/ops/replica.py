@@ -82,6 +82,8 @@ class Manifest:
 
 def place_of(url: str) -> Place:
     """Return the storage of a URL as a mapping; raises ReplicaError."""
+    if url.startswith(("http://", "https://")):
+        raise ReplicaError(f"{shown(url)} is no replica: write the URL of serve --replicate")
     try:
         import fsspec  # half a second that only servers with a replica wait
 

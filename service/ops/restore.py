@@ -6,6 +6,7 @@ import os
 import shutil
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
@@ -39,6 +40,7 @@ def restore(
     folder = folder.absolute()
     unpacked = _source(source, until)
     draft, aside, state = folder / _DRAFT, None, "Nothing was changed"
+    is_new = not folder.exists()
 
     def place(name: str):
         path = draft / name
@@ -56,16 +58,15 @@ def restore(
         Ledger(draft / LEDGER).close()  # verifies it and updates its schema
         sync_tree(draft)
         present = _check_free(folder, overwrite=overwrite)  # a server may have started meanwhile
+        former = folder / f".before-restore-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}"
         if present:
-            aside = folder / f".before-restore-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}"
-            aside.mkdir(0o700)
-            state = f"The restore is not complete. The former files are in {aside}"
-            # The ledger and its log first.
-            for entry in sorted(present, key=lambda entry: not entry.name.startswith(LEDGER)):
-                if not entry.name.startswith(".before-restore-"):
-                    entry.rename(aside / entry.name)
-        if aside is None:
-            state = "The restore is not complete"
+            former.mkdir(0o700)
+            aside = former
+        state = "The restore is not complete" + f". The former files are in {aside}" * bool(aside)
+        # The ledger and its log first.
+        for entry in sorted(present, key=lambda entry: not entry.name.startswith(LEDGER)):
+            if not entry.name.startswith(".before-restore-"):
+                entry.rename(former / entry.name)
         for entry in sorted(draft.iterdir(), key=lambda entry: entry.name == LEDGER):
             entry.rename(folder / entry.name)
         sync(folder)
@@ -75,6 +76,9 @@ def restore(
         raise BackupError(f"{folder} cannot be written: {error}. {state}") from error
     finally:
         shutil.rmtree(draft, ignore_errors=True)
+        if is_new:
+            with suppress(OSError):  # it has the restored files
+                folder.rmdir()
     return manifest, aside
 
 

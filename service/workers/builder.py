@@ -214,8 +214,8 @@ def note_settings(ledger: Ledger, settings: Settings) -> None:
     with suppress(LedgerError):  # tables answer without it
         known = ledger.audit(action="settings", limit=1)
         before, after = known[0].after if known else None, asdict(settings)
-        after = {key: shown(v) if isinstance(v, str) else v for key, v in after.items()}
-        after["data"] = str(settings.data)
+        texts = {k: shown(str(v)) for k, v in after.items() if isinstance(v, str | Path)}
+        after |= texts
         if before != after:
             with noted(ledger, "settings", "serve", before=before, after=after):
                 pass

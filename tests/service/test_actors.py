@@ -12,7 +12,7 @@ from wrenchbook.service.actors import CALLER, Caller, NotPermittedError, acting_
 from wrenchbook.service.http.access import SecuritySettings
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.proxy import proxy_trust
-from wrenchbook.service.keys import Keyring
+from wrenchbook.service.keys import Keyring, KeysError
 from wrenchbook.service.ledger import Ledger, Quota, QuotaError, noted
 from wrenchbook.service.settings import Settings, SettingsError
 from wrenchbook.service.workers.builder import note_settings
@@ -110,6 +110,11 @@ def test_a_key_of_some_components_sees_no_other(http, keys, place):
     scene = {"components": {"plate": {"force": [[0, 1]] * 3, "moment": [[0, 1]] * 3}}}
     assert http.post("/v1/scenes/plan", json=scene, headers=key).status_code == 404
     assert http.get("/v1/events?component=plate", headers=key).status_code == 404
+    root = bearer(keys["all"])
+    http.post("/v1/components/plate/copy", json={"name": "rig_2"}, headers=root)
+    for caller, origin in ((root, "plate"), (key, None)):
+        copy = http.get("/v1/components/rig_2", headers=caller).json()
+        assert copy["copied_from"] == origin
     for new in ({"name": "spare"}, {"name": "rig"}):
         assert http.post("/v1/components/bar/copy", json=new, headers=key).status_code == 403
     made = http.post("/v1/components", json={**TABLE_ONLY, "name": "other"}, headers=key)
@@ -246,6 +251,14 @@ def test_the_audit_of_settings_has_no_credentials(ledger, tmp_path):
     assert entry.after["replicate"] == "sftp://nas.example/replica"
 
 
+def test_settings_with_a_path_are_noted_once(ledger, tmp_path):
+    """A server with --backup-folder did not start."""
+    for _ in range(2):
+        note_settings(ledger, Settings(tmp_path, backup_folder=tmp_path))
+    (entry,) = ledger.audit(action="settings")
+    assert entry.after["backup_folder"] == str(tmp_path)
+
+
 def test_a_user_of_a_trusted_proxy_alone_is_named(http, keys):
     user = {"X-Forwarded-User": "ann@lab.example", "X-Groups": "lab, none"}
     for address in ("10.0.0.5", "10.1.2.3", "::ffff:10.0.0.5"):
@@ -292,8 +305,13 @@ def test_a_rotated_key_has_two_secrets_until_the_old_one_ends(tmp_path):
     newest = keyring.rotate("ann", 0.0)
     assert (keyring.find(old), keyring.find(new)) == (None, None)
     assert keyring.find(newest).expires is None
+    for overlap, name, why in ((-1.0, "ann", "hours from 0"), (0.0, "eve", "no key 'eve'")):
+        with pytest.raises(KeysError, match=why):
+            keyring.rotate(name, overlap)
     keyring.revoke("ann")
     assert len(keyring) == 0
+    with pytest.raises(KeysError, match="expired already"):
+        keyring.add("ann", "write", expires=time.time() - 1.0)
 
 
 def test_the_last_use_of_a_key_is_noted_at_most_once_a_minute(http, keys, place):

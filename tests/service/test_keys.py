@@ -26,6 +26,13 @@ def test_a_key_is_found_by_its_secret_and_by_nothing_else(keyring):
         assert keyring.find(wrong) is None
 
 
+def test_the_list_cuts_no_name_in_a_narrow_terminal(tmp_path):
+    Keyring(tmp_path).add("ann" * 20, "read")
+    words = ["keys", "list", "--data", str(tmp_path)]
+    listed = CliRunner().invoke(app, words, env={"COLUMNS": "60"}).output
+    assert "\N{HORIZONTAL ELLIPSIS}" not in listed
+
+
 def test_the_file_holds_no_secret_and_is_its_owners_alone(keyring, tmp_path):
     secret = keyring.add("ann", "admin")
     assert secret not in (tmp_path / FILE).read_text()

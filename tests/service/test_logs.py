@@ -9,7 +9,7 @@ from starlette.testclient import TestClient
 
 from wrenchbook.service.files.redact import redact, redact_values
 from wrenchbook.service.http.app import create_app
-from wrenchbook.service.ops.logs import JsonLines, TextLines, add_request_id
+from wrenchbook.service.ops.logs import JsonLines, Repeats, TextLines, add_request_id
 from wrenchbook.service.workspace import Settings
 
 CALL = "/v1/components/spring/displacement"
@@ -55,6 +55,24 @@ def test_an_id_that_no_log_line_should_carry_is_replaced(http, given):
     made = [http.get("/v1/jobs", headers=headers).headers["x-request-id"] for _ in range(2)]
     assert made[0] != made[1]
     assert all(len(one) == 16 and one.isalnum() for one in made)
+
+
+def test_a_fault_that_lasts_is_logged_once_a_minute(monkeypatch):
+    """A full disk was 14 lines a second."""
+    now, repeats = [0.0], Repeats()
+    monkeypatch.setattr("wrenchbook.service.ops.logs.time.monotonic", lambda: now[0])
+    lines = [
+        ("full", "WARNING", 0),
+        ("full", "WARNING", 1),
+        ("done", "INFO", 2),
+        ("done", "INFO", 3),
+    ]
+    lines += [("full", "ERROR", 59), ("full", "WARNING", 60)]
+    logged = []
+    for text, level, now[0] in lines:
+        record = logging.LogRecord("a", getattr(logging, level), "", 0, text, None, None)
+        logged += [now[0]] * repeats.filter(record)
+    assert logged == [0, 2, 3, 60]
 
 
 def test_a_500_and_the_lines_of_its_request_share_the_id(crashing, lines):

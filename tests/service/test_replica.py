@@ -104,7 +104,7 @@ def test_a_damaged_block_is_not_restored(shipped, tmp_path):
     path.write_bytes(b"\0" + path.read_bytes()[1:])
     with pytest.raises(ReplicaError, match="missing or damaged; restore an earlier time: --at"):
         restore(shipped.url, tmp_path / "again")
-    assert list((tmp_path / "again").iterdir()) == []
+    assert not (tmp_path / "again").exists()
 
 
 def test_a_file_that_no_replica_holds_is_not_restored(shipped, tmp_path):
@@ -133,7 +133,7 @@ def test_a_manifest_with_values_that_cannot_be_is_damaged(shipped, tmp_path, cha
     (tmp_path / "replica" / replica._name(1, content)).write_bytes(content)
     with pytest.raises(ReplicaError, match="is damaged"):
         restore(shipped.url, tmp_path / "again")
-    assert list((tmp_path / "again").iterdir()) == []
+    assert not (tmp_path / "again").exists()
 
 
 @pytest.mark.parametrize("entry", [7, [10**15, ["0" * 40]], [4, ["../x"]], [4, [5]], [[4], "a"]])

@@ -14,7 +14,7 @@ from tests.until import until
 from wrenchbook.service import workspace
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.http.app import create_app
-from wrenchbook.service.settings import OTHERS, PREFIX, Settings
+from wrenchbook.service.settings import OTHERS, PREFIX, Settings, SettingsError, check_copies
 
 
 @pytest.fixture
@@ -52,6 +52,20 @@ def test_a_data_directory_that_cannot_be_written_is_refused_at_the_start():
     assert found.exit_code == 2
     assert "/proc/sys cannot be read and written" in found.output
     assert len(found.output.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("url", "why"), [("http://x/y", "write file"), ("file://{}", "of a data directory")]
+)
+def test_a_replica_is_no_web_server_and_no_data_directory(tmp_path, url, why):
+    """A replica was shipped into the data directory of another server."""
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "ledger.sqlite").touch()
+    for folder in ("other", "data", "data/backups"):
+        replicate = url.format(tmp_path / folder)
+        with pytest.raises(SettingsError, match=why):
+            check_copies(Settings(tmp_path / "data", replicate=replicate))
+    check_copies(Settings(tmp_path / "data", replicate=f"file://{tmp_path}/replica"))
 
 
 def test_a_port_in_use_is_named(tmp_path):

@@ -12,6 +12,7 @@ from starlette.datastructures import UploadFile
 from starlette.responses import Response
 
 from wrenchbook.fea.accuracy.advice import WHERE, over_tolerance
+from wrenchbook.service.actors import CALLER
 from wrenchbook.service.contract import CONTRACT
 from wrenchbook.service.files.redact import redact
 from wrenchbook.service.http.access import permission_of
@@ -246,7 +247,7 @@ def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
         "another_setup": {"rows": table.other_rows, "wrenches": table.other_wrenches},
         "archived": card.archived,
         "notes": card.notes,
-        "renamed_to": card.renamed_to,
-        "copied_from": card.copied_from,
+        "renamed_to": CALLER.get().visible(card.renamed_to),
+        "copied_from": CALLER.get().visible(card.copied_from),
         "table_version": table.version,
     }

@@ -64,7 +64,7 @@ def add_key(request: Request, workspace: Opened, body: KeyBody) -> Response:
         with noted(workspace.ledger, "key.add", body.name, after=fields):
             secret = keyring.add(**fields)
     except KeysError as error:
-        raise bad_body([{"loc": "name", "msg": str(error)}]) from None
+        raise bad_body([{"loc": "body", "msg": str(error)}]) from None
     return json_reply({"name": body.name, "scope": body.scope, "key": secret}, 201)
 
 

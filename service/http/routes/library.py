@@ -12,6 +12,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 from typing_extensions import TypedDict
 
+from wrenchbook.service.actors import CALLER
 from wrenchbook.service.formats.cells import text_problem
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import CopyBody, NotesBody, RenameBody
@@ -301,6 +302,7 @@ def _copied(request: Request, name: str, body: CopyBody, renamed: bool = False) 
             f"{name!r} comes with the program. Copy it: POST /v1/components/{name}/copy.",
         )
     if renamed and (newer := workspace.catalogue[name].renamed_to):
+        newer = CALLER.get().visible(newer) or "(another name)"
         raise HttpProblemError(
             409,
             "renamed",

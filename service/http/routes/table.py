@@ -506,14 +506,16 @@ async def import_table(
             {**error, "loc": f"row {error['row']}.{error['field']}", "msg": error["message"]}
             for error in errors
         ]
-        sent = "block" if query.append else "complete file"
+        sent, cure = "block" if query.append else "complete file", ""
+        place = f"row {first['row']}, " * bool(first["row"])  # 0: of the file, or of a column
+        if all(error["row"] for error in errors) and not query.partial:
+            cure = ", or say --partial (over HTTP partial=true) to load the good rows"
         raise HttpProblemError(
             422,
             "bad-rows",
             "The table has mistakes",
-            f"Nothing was loaded. {len(errors)} mistake(s); the first is in row {first['row']}, "
-            f"{first['field']}: {first['message']}. Correct them and send the {sent} again, "
-            "or say --partial (over HTTP partial=true) to load the good rows.",
+            f"Nothing was loaded. {len(errors)} mistake(s); the first is in {place}"
+            f"{first['field']}: {first['message']}. Correct them and send the {sent} again{cure}.",
             **reply,
         )
     wait_s = query.wait_s if loaded and reply["inserted"] else 0.0
