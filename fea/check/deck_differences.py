@@ -18,7 +18,6 @@ from wrenchbook.fea.mesh.deck_content import (
     in_si,
 )
 from wrenchbook.fea.mesh.facets import group_nodes
-from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.spec.material import Cylinder, Orthotropic
 from wrenchbook.fea.spec.problems import BundleProblem
 
@@ -149,7 +148,7 @@ def _turned(
 
 
 def _freed(component: ComponentModel, group: HeldGroup) -> Iterator[str]:
-    nodes = _nodes(component.mesh, group.group)
+    nodes = group_nodes(component.mesh, "", group.group, [])  # none if the mesh has no such group
     nodes = np.setdiff1d(nodes, component.fixed_nodes)
     held_ones = [attached for attached in component.interfaces if len(attached.locked) == 6]
     for interface in (*held_ones, *(bushing for bushing, _ in component.bushings)):
@@ -168,7 +167,7 @@ def _freed(component: ComponentModel, group: HeldGroup) -> Iterator[str]:
 
 
 def _uncoupled(component: ComponentModel, group: CoupledGroup) -> Iterator[str]:
-    nodes = _nodes(component.mesh, group.group)
+    nodes = group_nodes(component.mesh, "", group.group, [])
     attached = [*component.interfaces, *component.frames]
     same = [
         interface for interface in attached if np.array_equal(interface.section.node_ids, nodes)
@@ -188,8 +187,3 @@ def _uncoupled(component: ComponentModel, group: CoupledGroup) -> Iterator[str]:
     if group.point and np.abs(point - same[0].point).max() > _NEAR * size:
         here, there = (", ".join(f"{x:.5g}" for x in p) for p in (point, same[0].point))
         yield f"{start} at ({here}) m; {same[0].key}.point is ({there}) m"
-
-
-def _nodes(mesh: Mesh, group: str) -> Array:
-    """Return the nodes of a group, shape (k,), indices; none if the mesh has none of it."""
-    return group_nodes(mesh, "", group, [])

@@ -244,10 +244,8 @@ class Coupling:
     def spring_energy(self, state: CoupledState) -> float:
         """Return the energy of the springs, J."""
         motions, _ = self._unknowns(state)
-        parts = [
-            (spring_motion.relative(motions[at])[0], spring) for at, _, spring in self._springs
-        ]
-        return float(sum(0.5 * q @ spring @ q for q, spring in parts))
+        parts = [(spring_motion.relative(motions[at])[0], k) for at, _, k in self._springs]
+        return float(sum(0.5 * q @ k @ q for q, k in parts))
 
     def spring_energies(self, border: Array) -> Array:
         """Return twice the springs' mutual energies, shape (k, k), J, of borders (border, k)."""

@@ -26,14 +26,7 @@ from .contract import (
     unit_findings,
 )
 from .origin import slopes_at_zero
-from .response import (
-    REMARKABLE,
-    Cause,
-    RigFinding,
-    response_of,
-    single_row_findings,
-    wrong_rows,
-)
+from .response import REMARKABLE, Cause, RigFinding, response_of, single_row_findings, wrong_rows
 
 MIN_ROWS = 7  # rows: six loads and a constant
 MAX_ROWS = 5_000  # rows that are looked at, some 0.5 s: every k-th of more
