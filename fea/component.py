@@ -327,7 +327,7 @@ def _fixed_nodes(mesh: Mesh, supports: Supports, problems: list[BundleProblem]) 
     names = [(f"supports.fixed[{i}]", name) for i, name in enumerate(supports.fixed)]
     groups = [group_nodes(mesh, key, name, problems) for key, name in names]
     nodes = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *groups]))
-    if not groups or supports.sliding or supports.bushings:  # `fea.check.findings` looks at all
+    if not groups or supports.sliding or supports.bushings:  # `fea.check.mechanisms` looks at all
         return nodes
     if all(len(ids) for ids in groups) and not _spans_a_plane(mesh.points[nodes]):
         message = "its nodes lie on one line, about which the component can turn; fix more"

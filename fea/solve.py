@@ -1,4 +1,4 @@
-"""Solve a component for wrenches: the front of this room."""
+"""The entry point of fea: `solve` once, or a `Solver` for many wrenches of a component."""
 
 from __future__ import annotations
 

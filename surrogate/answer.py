@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from .table.rows import Floats, Rows, Tolerance
 from .table.space import DEFAULT, Space
@@ -35,19 +36,20 @@ def allowed_by(tolerance: Tolerance, space: Space = DEFAULT) -> tuple[float, ...
     return tuple(limits[output.unit] for output in space.outputs)
 
 
-def within_tolerance_many(bars: Floats, tolerance: Tolerance | None) -> list[bool | None] | None:
-    """Return whether total error bars (n, m), m and rad, are within a tolerance, as the kernel.
+def bars_within(bars: Floats, allowed: ArrayLike) -> NDArray[np.bool_]:
+    """Return whether total error bars (n, m) are within the allowed ones (m,), m and rad: (n,).
 
-    An output without an error bar, NaN, counts for nothing; None where no output has an error
-    bar, and in place of the list without a tolerance.
+    The kernel's law: an output without an error bar, NaN, does not count; false where none has one.
     """
-    if tolerance is None:
-        return None
     unknown = np.isnan(bars)
-    within_all = np.all(unknown | (bars <= np.resize(allowed_by(tolerance), bars.shape[1])), axis=1)
-    none_known = np.all(unknown, axis=1)
-    pairs = zip(none_known.tolist(), within_all.tolist(), strict=True)
-    return [None if blank else within for blank, within in pairs]
+    return np.all(unknown | (bars <= np.asarray(allowed)), axis=1) & ~unknown.all(axis=1)
+
+
+def within_tolerance_many(bars: Floats, tolerance: Tolerance) -> list[bool | None]:
+    """Return `bars_within` a tolerance as JSON has it: None where no output has an error bar."""
+    within = bars_within(bars, np.resize(allowed_by(tolerance), bars.shape[1])).astype(object)
+    within[np.isnan(bars).all(axis=1)] = None
+    return within.tolist()
 
 
 def limits_of(rows: Rows, tolerance: Tolerance | None, outputs: Sequence[int]) -> Floats:

@@ -21,6 +21,9 @@ from wrenchbook.fea.spec.material import LAWS, AnyMaterial
 
 Array = np.ndarray
 
+# By law: the cells of materials with a Young's modulus and a Poisson's ratio.
+_OF_TWO_CONSTANTS = {"isotropic": Stiffness, "neo-hookean": NeoHookeanStiffness}
+
 
 def filled_cells(
     mesh: Mesh,
@@ -109,12 +112,11 @@ def _stiffness(
             if material.orthotropic is not None
         )
         return OrthotropicStiffness(gradients, elasticity, expansion=expansion)
-    kind = NeoHookeanStiffness if law == "neo-hookean" else Stiffness
     young = np.array([material.youngs_modulus for material in materials])
     poisson = np.array([material.poisson_ratio for material in materials])
     shear = young / (2 * (1 + poisson))
     first_lame = 2 * shear * poisson / (1 - 2 * poisson)
-    return kind(gradients, first_lame, shear, modes, expansion=expansion)
+    return _OF_TWO_CONSTANTS[law](gradients, first_lame, shear, modes, expansion=expansion)
 
 
 def _directions(

@@ -22,7 +22,7 @@ from wrenchbook.fea.readers import reader_named, reader_names
 from wrenchbook.fea.spec.deck_text import deck_text
 from wrenchbook.fea.spec.fingerprint import fingerprint
 from wrenchbook.fea.spec.keys import keys_of, kind_of, missing, shown, unknown, validated
-from wrenchbook.fea.spec.material import AnyMaterial
+from wrenchbook.fea.spec.material import EXPANDING, AnyMaterial
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem, MeshFileError, suggest
 from wrenchbook.fea.spec.schema import (
     ACCELERATIONS,
@@ -391,7 +391,7 @@ class _Reader:
             if material is not None and material.thermal_expansion is None:
                 message = "missing; with [inputs.temperature] every material needs it, in 1/K"
                 self.wrong(f"material[{i}].thermal_expansion", message)
-            if material is not None and material.law == "neo-hookean":
+            if material is not None and material.law not in EXPANDING:
                 message = 'takes no [inputs.temperature]; at small strains "isotropic" is the same'
                 self.wrong(f"material[{i}].law", message)
         if ACCELERATIONS[0] in names:

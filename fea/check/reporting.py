@@ -15,7 +15,8 @@ from wrenchbook.fea.accuracy.estimate import accuracy_or_why
 from wrenchbook.fea.bundle.read import FILE_NAME, Bundle, BundleError, read_bundle
 from wrenchbook.fea.bundle.tables import ComponentFile
 from wrenchbook.fea.check.cost import estimate
-from wrenchbook.fea.check.findings import contradictions, listing, motion_problems, parts
+from wrenchbook.fea.check.deck_differences import contradictions, listing
+from wrenchbook.fea.check.mechanisms import motion_problems, parts
 from wrenchbook.fea.check.trial import (
     deflection_warnings,
     frequency,
@@ -81,7 +82,7 @@ def report(
         ``has_fea``; ``faces`` and ``bodies`` of a geometry file (``faces``
         with ``toml`` of any surface); ``unknowns`` (three a node),
         ``nodes``, ``cells``, ``groups``, ``quality`` (see `fea.inspection`), ``parts``,
-        ``coincident_nodes``; of an input deck ``mesh_file`` (see `fea.check.findings`);
+        ``coincident_nodes``; of an input deck ``mesh_file`` (see `fea.check.deck_differences`);
         ``materials``, ``section`` (of several interfaces ``sections``, with
         their names), ``supports``, ``ties`` where there are any, ``temperature`` and
         ``acceleration`` where they are inputs, and

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wrenchbook.fea.coupling import relative
+from wrenchbook.fea.coupling import spring_motion
 from wrenchbook.fea.element.cell_state import symmetrised
 from wrenchbook.fea.spec.schema import FREEDOMS
 from wrenchbook.fea.tensors import (
@@ -171,7 +171,7 @@ class Coupling:
     Frames have no wrench; springs hold them to the ground or to each other. A bushing moves by q,
     translation and rotation vector, and stores q^T K q / 2: its force, and the moment that works on
     the rotation vector, are K q, and K is its tangent at any rotation. Two frames with a spring
-    between them have one point and the same axes: see `fea.coupling.relative`.
+    between them have one point and the same axes: see `fea.coupling.spring_motion`.
     A body that only multipliers hold has no definite stiffness. Three anchors, nodes of which the
     border moves all components, leave a stiffness that is.
 
@@ -244,14 +244,14 @@ class Coupling:
     def spring_energy(self, state: CoupledState) -> float:
         """Return the energy of the springs, J."""
         motions, _ = self._unknowns(state)
-        parts = [(relative.relative(motions[at])[0], spring) for at, _, spring in self._springs]
-        return float(sum(0.5 * q @ spring @ q for q, spring in parts))
+        parts = [(spring_motion.relative(motions[at])[0], k) for at, _, k in self._springs]
+        return float(sum(0.5 * q @ k @ q for q, k in parts))
 
     def spring_energies(self, border: Array) -> Array:
         """Return twice the springs' mutual energies, shape (k, k), J, of borders (border, k)."""
         total = np.zeros((border.shape[1],) * 2)
         for at, where, spring in self._springs:
-            motions = relative.relative(np.zeros(len(at)))[1] @ border[where]
+            motions = spring_motion.relative(np.zeros(len(at)))[1] @ border[where]
             total += motions.T @ spring @ motions
         return total
 
@@ -294,7 +294,7 @@ class Coupling:
             border[attached.border] = unbalanced[attached.chosen]
         motions, _ = self._unknowns(state)
         for at, where, spring in self._springs:
-            q, change = relative.relative(motions[at])
+            q, change = spring_motion.relative(motions[at])
             border[where] += change.T @ (spring @ q)
         border[self._anchored] = nodal[self._anchors].ravel()
         return nodal, border
@@ -322,7 +322,7 @@ class Coupling:
             ]
         motions, _ = self._unknowns(state)
         for at, where, spring in self._springs:
-            block[np.ix_(where, where)] += relative.tangent(motions[at], spring)
+            block[np.ix_(where, where)] += spring_motion.tangent(motions[at], spring)
         pushed = columns[self._anchors].reshape(len(self._anchored), self.border)
         block[self._anchored] += pushed
         block[:, self._anchored] += pushed.T
@@ -364,7 +364,7 @@ class Coupling:
         """
         total, (motions, _) = np.zeros((border.shape[1],) * 3), self._unknowns(state)
         for at, where, spring in self._springs:
-            tensor, moved = relative.third(motions[at], spring), border[where]
+            tensor, moved = spring_motion.third(motions[at], spring), border[where]
             total += np.einsum("ijk,ia,jb,kc->abc", tensor, moved, moved, moved, optimize=True)
         origins = np.append(origin, np.zeros(self._sprung))
         for attached, local in self._parts(state):

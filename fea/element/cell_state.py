@@ -64,9 +64,9 @@ class CellState(ABC):
     def weighted_change(self, strain: Array) -> Array:
         """Return the change of `wS`, Pa m^3, with E, both of shape (..., cells, points, 3, 3)."""
 
-    @abstractmethod
     def energy(self) -> float:
-        """Return the strain energy, J."""
+        """Return the strain energy, J; here of a law whose stress is linear in E."""
+        return 0.5 * float(np.vdot(self.wS, self.elastic(self.E)))
 
     @abstractmethod
     def tangent(self, out: Array) -> None:

@@ -88,9 +88,6 @@ class _State(CellState):
         shear = 2 * self.weights * self.shear
         return volumetric[..., None, None] * np.eye(3) + shear[..., None, None] * strain
 
-    def energy(self) -> float:
-        return 0.5 * float(np.vdot(self.wS, self.elastic(self.E)))
-
     def tangent(self, out: Array) -> None:
         cells, points, _, nodes = self.slopes.shape
         size = 3 * nodes
@@ -184,9 +181,6 @@ class _OrthotropicState(DenseState):
 
     def moduli(self) -> Array:
         return self._moduli
-
-    def energy(self) -> float:
-        return 0.5 * float(np.vdot(self.wS, self.elastic(self.E)))
 
 
 def turned_elasticity(elasticity: Array, directions: Array) -> Array:

@@ -16,6 +16,7 @@ import sys
 import tomllib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import assert_never
 
 import numpy as np
 
@@ -187,22 +188,19 @@ def _equation(terms: list[tuple[int, int, float]]) -> Iterator[str]:
 def _materials(component: ComponentModel) -> Iterator[str]:
     for i, material in enumerate(component.materials):
         yield f"*MATERIAL, NAME=M{i}"
-        orthotropic = material.orthotropic
-        if orthotropic is not None:
-            constants = [
-                *orthotropic.youngs_moduli,
-                *orthotropic.poisson_ratios,
-                *orthotropic.shear_moduli,
-            ]
+        if isinstance(material, Orthotropic):
+            constants = [*material.youngs_moduli, *material.poisson_ratios, *material.shear_moduli]
             yield "*ELASTIC, TYPE=ENGINEERING CONSTANTS"  # eight a line, the ninth on the next
             yield f"{_numbers(constants[:8])}\n{_numbers(constants[8:])}"
-        # A hyperelastic deck is never linear.
-        elif material.law == "neo-hookean" and component.analysis.nonlinear:
+        elif material.law == "isotropic" or not component.analysis.nonlinear:
+            # Of any law: CalculiX solves a hyperelastic deck as nonlinear.
+            yield f"*ELASTIC\n{_numbers([material.youngs_modulus, material.poisson_ratio])}"
+        elif material.law == "neo-hookean":
             shear = material.youngs_modulus / (2 * (1 + material.poisson_ratio))
             bulk = material.youngs_modulus / (3 * (1 - 2 * material.poisson_ratio))
             yield f"*HYPERELASTIC, NEO HOOKE\n{_numbers([shear / 2, 2 / bulk])}"
         else:
-            yield f"*ELASTIC\n{_numbers([material.youngs_modulus, material.poisson_ratio])}"
+            assert_never(material.law)
         heavy = component.accelerated or component.analysis.gravity is not None
         if heavy and material.density is not None:
             yield f"*DENSITY\n{_numbers([material.density])}"

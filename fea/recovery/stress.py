@@ -1,4 +1,4 @@
-"""Stresses at the integration points, in the first interface's frame; yielding; nodal masses."""
+"""Stresses at the integration points, in the first interface's frame; yielding; body forces."""
 
 from __future__ import annotations
 
@@ -32,10 +32,11 @@ def integration_points(component: ComponentModel, points: Array) -> tuple[Array,
 
 
 def small_stress(body: ElasticBody, fields: Array, loads: int | None = None) -> Array:
-    """Return the stresses of small displacement fields, shape (n, 3, k), m over some unit.
+    """Return the stresses of small displacement fields: xx, yy, zz, xy, xz, yz.
 
-    The one behind `loads` others is of one kelvin. Shape (p, 6, k), Pa over that unit: xx, yy, zz,
-    xy, xz, yz.
+    fields: shape (n, 3, k), m over some unit.
+    loads: the number of fields before that of one kelvin; None if there is none.
+    Result: shape (p, 6, k), Pa over that unit.
     """
     if body.expands and loads is not None:
         parts = np.split(fields, [loads, loads + 1], axis=2)
@@ -73,10 +74,11 @@ def cauchy_stress(
         stresses.append(_six(stress))
         changes.append(np.moveaxis(_six(slopes), 0, -1))
     stress_field, slopes = np.concatenate(stresses), np.concatenate(changes)
-    none = tangents[:, :, :0]
-    if body.expands and slopes.shape[2]:  # the temperature alone has a stress
+    if body.expands and slopes.shape[2]:  # what the temperature changes at this displacement
+        no_fields = tangents[:, :, :0]
         warmer, cooler = (
-            cauchy_stress(body, displacement, none, temperature + step)[0] for step in (0.5, -0.5)
+            cauchy_stress(body, displacement, no_fields, temperature + step)[0]
+            for step in (0.5, -0.5)
         )
         slopes[:, :, loads] += warmer - cooler
     return stress_field, slopes
@@ -92,14 +94,14 @@ def stress_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
 
 
 def _six(stress: Array) -> Array:
-    """Return six numbers of each point: (k, cells, points, 3, 3) or without k -> (.., p, 6)."""
+    """Return six numbers a point: (k, cells, points, 3, 3), or without k, to (k, p, 6)."""
     six = stress[..., ROWS, COLUMNS]
     *before, cells, points, _ = six.shape
     return six.reshape(*before, cells * points, 6)
 
 
 def most_used(component: ComponentModel, body: ElasticBody, fields: Array) -> Array:
-    """Return the largest fractions of the yield strength under unit loads (k,), each over it.
+    """Return the largest part of the yield strength that each unit load uses, shape (k,).
 
     `fields` has shape (n, 3, k), m over each unit, in the body's axes. The von Mises stress is a
     seminorm, so that of a sum of loads is at most the sum of theirs (triangle inequality).
@@ -117,10 +119,9 @@ def _strengths(component: ComponentModel) -> Array:
 
 
 def yielding(component: ComponentModel, body: ElasticBody, solution: Solution) -> str:
-    """Return which fraction of the part's volume yields, as text; none if nothing does.
+    """Return the share of the part's volume beyond its yield strength, as text; empty if none is.
 
-    By the von Mises stress at the integration points. Materials here do not yield, so the answer
-    is too stiff beyond that.
+    By the von Mises stress at the integration points.
     """
     strengths = _strengths(component)
     if not np.isfinite(strengths).any():

@@ -25,6 +25,7 @@ from wrenchbook.fea.spec.keys import (
 )
 
 LAWS = ("isotropic", "orthotropic", "neo-hookean")
+EXPANDING = ("isotropic", "orthotropic")  # the laws whose cells have a thermal strain
 
 MAX_ISOTROPIC_RATIO = 0.4
 """Of `Orthotropic.isotropic_ratio`: the least at which any kind of cells locks."""

@@ -1,4 +1,4 @@
-"""What commands print: tables of answers, jobs, plans and components, and texts as they are."""
+"""Output of the commands: tables of answers, jobs, plans and components, and plain text."""
 
 from __future__ import annotations
 
@@ -114,8 +114,8 @@ def comparison_shown(reply: dict[str, Any]) -> Iterator[RenderableType]:
     )
     if beyond := reply["beyond_range"]:
         yield f"{beyond} measured rows are outside the load range and are not compared."
-    if beyond := max(one["unanswered"] for one in reply["outputs"].values()):
-        yield f"{beyond} rows are outside the reference's rows and are not compared."
+    if unanswered := max(output["unanswered"] for output in reply["outputs"].values()):
+        yield f"{unanswered} rows are outside the reference's rows and are not compared."
     if reply["reason"]:
         yield f"Nothing is compared: {reply['reason']}."
         return
@@ -127,16 +127,15 @@ def comparison_shown(reply: dict[str, Any]) -> Iterator[RenderableType]:
         table.add_column(heading, justify="right" if heading else "left")
     campaigns = reply["campaigns"] if len(reply["campaigns"]) > 1 else []
     for part in ({"import": "all", **reply}, *campaigns):
-        for name, one in part["outputs"].items():
-            if not one["compared"]:
+        for name, output in part["outputs"].items():
+            if not output["compared"]:
                 continue
-            half = one["half_width"]
-            known = one["factor"] is not None
-            told = known and (half is None or half < abs(one["factor"]))
-            factor = f"{one['factor']:.5g}" if told else "not told"
-            parts = [half, one["of_reference"], one["mean"], one["rms"]]
-            numbers = ("unknown" if value is None else f"{value:.2g}" for value in parts)
-            beyond = f"{one['beyond_bars']} of {one['compared']}"
+            value, half = output["factor"], output["half_width"]
+            is_known = value is not None and (half is None or half < abs(value))
+            factor = f"{value:.5g}" if is_known else "not told"
+            parts = [half, output["of_reference"], output["mean"], output["rms"]]
+            numbers = ("unknown" if part is None else f"{part:.2g}" for part in parts)
+            beyond = f"{output['beyond_bars']} of {output['compared']}"
             table.add_row(str(part["import"] or "none"), name, factor, *numbers, beyond)
     yield table
     yield (

@@ -9,6 +9,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wrenchbook.surrogate.answer import bars_within
+
 from .. import messages
 from ..contract import COVERAGE
 from .errors import Document, InvalidArgument, Json
@@ -353,10 +355,3 @@ def _named(names: Sequence[str], block: Vector, word: str) -> Document:
     if block.shape[1] != len(names):
         names = [f"{word} {place}" for place in range(block.shape[1])]
     return named_columns(names, block)
-
-
-def bars_within(bars: Vector, allowed: ArrayLike) -> NDArray[np.bool_]:
-    """Return where error bars (n, m), m and rad, are known and within the allowed ones (m,)."""
-    unknown = np.isnan(bars)
-    within = np.all(unknown | (bars <= np.asarray(allowed, dtype=float)), axis=1)
-    return np.logical_and(within, ~np.all(unknown, axis=1))

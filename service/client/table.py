@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Any, Self, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wrenchbook.surrogate.answer import bars_within
 from wrenchbook.surrogate.kernel.binding import PackedTable, kernel
 from wrenchbook.surrogate.kernel.format import write_file
 
 from ..contract import COVERAGE, LOADS, Coverage
 from .errors import InvalidArgument, TableError, required
 from .notebook import html_table, named_columns
-from .replies import EXACT, ROUNDED, Displacement, Displacements, bars_within
+from .replies import EXACT, ROUNDED, Displacement, Displacements
 from .scene import ComponentPlan, Scene
 from .transport import Connection, component_path
 from .wrenches import (

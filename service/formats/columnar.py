@@ -139,42 +139,50 @@ def _stored_pieces(path: Path, columns: Columns) -> Iterator[Piece]:
 def read_mat(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
     """Yield the good rows of a MATLAB file (level 5): its vectors, or its only struct's."""
     try:
-        try:
-            try:
-                size = sum(8 * math.prod(shape) for _, shape, _ in whosmat(path))
-            except TypeError:  # an object of MATLAB has no shape and no name
-                name, _, kind, _ = loadmat(path, variable_names=["None"])["None"].item()
-                raise ValueError(matlab_object(name.decode(), kind.decode())) from None
-            if size > MAX_UNPACKED:
-                raise ValueError(f"it unpacks to more than {MAX_UNPACKED >> 20} MiB")
-            values = loadmat(path, squeeze_me=True)
-        except Exception as error:  # scipy raises many classes on damaged files
-            raise ValueError(f"is no readable MATLAB file: {error}") from error
-        values = {name: value for name, value in values.items() if not name.startswith("__")}
-        only = next(iter(values.values()), None) if len(values) == 1 else None
-        if isinstance(only, np.ndarray) and only.dtype.names:
-            values = {name: only[name].tolist() for name in only.dtype.names}
-            for name, column in values.items() if only.ndim else ():  # records
-                several = any(np.size(value) > 1 for value in column)
-                numbers = [value if np.size(value) else np.nan for value in column]
-                values[name] = np.array(numbers, dtype=object if several else None)
-        columns = {name: np.asarray(value) for name, value in values.items() if np.ndim(value)}
-        if not columns:  # of one row, or none
-            scalars = {n: v for n, v in values.items() if isinstance(v, int | float)}
-            columns = {name: np.array([value]) for name, value in scalars.items()}
-        wrong = [name for name, c in columns.items() if c.ndim != 1 or c.dtype.kind not in "iufb"]
-        lengths = {len(column) for column in columns.values()}
-        if wrong or len(lengths) != 1:
-            why = f"{wrong[0]} is none" if wrong else f"their lengths are {sorted(lengths)}"
-            raise ValueError(
-                "is no table of numeric vectors of one length, a variable or a field a column: "
-                f"{why}"
-            )
-        starts = range(0, lengths.pop(), PIECE)
+        columns = _vectors(_mat_variables(path))
+        starts = range(0, len(next(iter(columns.values()))), PIECE)
         parts = ([column[at : at + PIECE] for column in columns.values()] for at in starts)
         yield from read_columns(((list(columns), part) for part in parts), options, report)
     except ValueError as error:
         report.mistakes.ruin(0, "file", str(error))
+
+
+def _mat_variables(path: Path) -> dict[str, Any]:
+    """Return the variables of a MATLAB file by name; ValueError if they are no numbers."""
+    try:
+        try:
+            size = sum(8 * math.prod(shape) for _, shape, _ in whosmat(path))
+        except TypeError:  # an object of MATLAB has no shape and no name
+            name, _, kind, _ = loadmat(path, variable_names=["None"])["None"].item()
+            raise ValueError(matlab_object(name.decode(), kind.decode())) from None
+        if size > MAX_UNPACKED:
+            raise ValueError(f"it unpacks to more than {MAX_UNPACKED >> 20} MiB")
+        values = loadmat(path, squeeze_me=True)
+    except Exception as error:  # scipy raises many classes on damaged files
+        raise ValueError(f"is no readable MATLAB file: {error}") from error
+    return {name: value for name, value in values.items() if not name.startswith("__")}
+
+
+def _vectors(values: dict[str, Any]) -> dict[str, Array]:
+    """Return variables, or the fields of a single struct, as vectors of one length; ValueError."""
+    only = next(iter(values.values()), None) if len(values) == 1 else None
+    if isinstance(only, np.ndarray) and only.dtype.names:
+        values = {name: only[name].tolist() for name in only.dtype.names}
+        for name, column in values.items() if only.ndim else ():  # an array of records
+            several = any(np.size(value) > 1 for value in column)
+            numbers = [value if np.size(value) else np.nan for value in column]
+            values[name] = np.array(numbers, dtype=object if several else None)
+    columns = {name: np.asarray(value) for name, value in values.items() if np.ndim(value)}
+    if not columns:  # a single row, or none
+        scalars = {n: v for n, v in values.items() if isinstance(v, int | float)}
+        columns = {name: np.array([value]) for name, value in scalars.items()}
+    wrong = [name for name, c in columns.items() if c.ndim != 1 or c.dtype.kind not in "iufb"]
+    lengths = {len(column) for column in columns.values()}
+    if wrong or len(lengths) != 1:
+        why = f"{wrong[0]} is none" if wrong else f"their lengths are {sorted(lengths)}"
+        form = "is no table of numeric vectors of one length, a variable or a field a column"
+        raise ValueError(f"{form}: {why}")
+    return columns
 
 
 def read_tdms(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:

@@ -28,6 +28,7 @@ from wrenchbook.service.http.bodies import (
     Method,
     OnThin,
     Seconds,
+    query_of,
 )
 from wrenchbook.service.http.body import (
     Spooled,
@@ -206,9 +207,7 @@ def read_binary(
     """Return the wrenches and options of a binary batch, whose options are query parameters."""
     full: BinaryOptions = checked(BinaryOptions, options)
     wrenches = read_wrenches(body.read(), space=space)
-    limit = both_tolerances(full.translation, full.rotation)
-    flags = full.beyond_range, full.derivatives
-    return wrenches, Query((), full.on_thin, full.wait_s, limit, full.method, False, *flags)
+    return wrenches, query_of(full, both_tolerances(full.translation, full.rotation))
 
 
 def read_wrenches(

@@ -84,6 +84,18 @@ class ToleranceBody(Body):
     rotation: Positive
 
 
+def tolerance_of(body: ToleranceBody | None) -> Tolerance | None:
+    """Return the tolerance of a body, m and rad."""
+    return Tolerance(body.translation, body.rotation) if body else None
+
+
+def query_of(options: Body, tolerance: Tolerance | None) -> Query:
+    """Return the query without its wrench: each field that a body and a query have in common."""
+    common = type(options).model_fields.keys() & set(Query._fields) - {"tolerance"}
+    values = {name: getattr(options, name) for name in common}
+    return Query((), tolerance=tolerance, **values)
+
+
 class WrenchBody(Body):
     """One wrench: force in N and moment in N·m, shape (3,) each; at least one of them."""
 
@@ -135,9 +147,7 @@ class QueryOptions(Body):
 
     def query(self) -> Query:
         """Return the query without its wrench."""
-        limit = Tolerance(**self.tolerance.model_dump()) if self.tolerance else None
-        flags = self.beyond_range, self.derivatives
-        return Query((), self.on_thin, self.wait_s, limit, self.method, False, *flags)
+        return query_of(self, tolerance_of(self.tolerance))
 
 
 class DisplacementBody(QueryOptions, LoadsBody):

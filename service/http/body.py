@@ -31,7 +31,6 @@ from wrenchbook.service.http.bodies import (
     Body,
     DisplacementBody,
     LoadsBody,
-    ToleranceBody,
 )
 from wrenchbook.service.http.problems import HttpProblemError, bad_body, plain_errors
 from wrenchbook.service.query import Query, plain_query
@@ -195,7 +194,7 @@ def read_query(body: bytes, space: Space = DEFAULT) -> Query:
     if plain is not None:
         return plain
     full: DisplacementBody = checked(DisplacementBody, fields)
-    return full.query()._replace(wrench=loads_of(full, space), detail=full.detail)
+    return full.query()._replace(wrench=loads_of(full, space))
 
 
 def loads_of(body: LoadsBody, space: Space) -> tuple[float, ...]:
@@ -288,11 +287,6 @@ def plain_rows(rows: Any, inputs: int, largest: float = LARGEST_LOAD) -> np.ndar
     wrenches = wrenches.astype(float)
     fine = np.isfinite(wrenches) & (np.abs(wrenches) <= largest)
     return wrenches if fine.all() else None
-
-
-def tolerance_of(body: ToleranceBody | None) -> Tolerance | None:
-    """Return the tolerance of a body, m and rad."""
-    return Tolerance(body.translation, body.rotation) if body else None
 
 
 def refuse_query(query: QueryParams) -> None:

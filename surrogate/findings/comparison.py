@@ -1,4 +1,4 @@
-"""Measured rows against what a table answers at their wrenches: rows of before, or solves."""
+"""Measured rows beside the answers of a table at their wrenches: of earlier rows, or of solves."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ BLOCKS = 20  # of consecutive rows, whose errors may be common: drift, a loop, a
 
 
 def differences(moved: Floats, expected: Floats, bars: Floats) -> Floats:
-    """Return by which factor and offset each output differs, shape (2, 6): -, m and rad.
+    """Return factor less one and offset of each output, shape (2, 6): dimensionless, m and rad.
 
-    A factor is that of the expected displacement that is measured besides. Both are 0 where neither
-    is sure and worth a remark. Error bars of answers err together: no number of rows lowers them.
+    Of moved = factor expected + offset. Both are 0 where neither is certain and large enough for a
+    finding. Errors of answers are common to all rows: no number of rows lowers their error bars.
 
     Parameters
     ----------
     moved, expected, bars : ndarray, shape (n, 6), m and rad
-        What was measured, what another table answers, and its error bars; NaN where unknown.
+        Measured, the answers of another table, and their error bars; NaN where unknown.
     """
     known = np.isfinite(bars)
     size, pair, deviation, _ = _fitted(moved, np.where(known, expected, np.nan))
@@ -39,13 +39,14 @@ def differences(moved: Floats, expected: Floats, bars: Floats) -> Floats:
 def beyond_noise(moved: Floats, expected: Floats) -> Floats:
     """Return how far answers are from rows by a factor and an offset, shape (m,), m and rad.
 
-    Over the range of each output. Of a factor and an offset that noise may make, at the confidence
-    of error bars in all outputs, nothing counts; of larger ones what its square leaves.
+    At the ends of each output's range. A factor or offset within its noise, at the confidence of
+    error bars in all outputs, counts as 0; from the square of a larger one that of the noise is
+    subtracted.
 
     Parameters
     ----------
     moved, expected : ndarray, shape (n, m), m and rad
-        What was measured, and what a table answers; NaN where unknown.
+        Measured, and the answers of a table; NaN where unknown.
     """
     size, pair, deviation, freedom = _fitted(moved, expected)
     by_chance = stdtrit(freedom, 1 - (1 - CONFIDENCE) / (2 * pair.size)) * deviation
@@ -58,8 +59,8 @@ def factor_of(
     """Return the factor k of moved = k expected, its 95 % half width, and the answers' part of it.
 
     Least squares through zero, weighted by stated uncertainties where all rows have them. The half
-    width is the larger of that of independent rows and that of blocks of consecutive ones, and
-    the error that the answers may have in common. NaN where it is not known.
+    width is that of independent rows or of blocks of consecutive rows, the larger one, plus the
+    error that the answers may have in common. NaN where unknown.
 
     Parameters
     ----------
@@ -90,9 +91,10 @@ def factor_of(
 
 
 def _fitted(moved: Floats, expected: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return each output's range, factor and offset over it, their deviations, and freedom.
+    """Fit factor less one and offset of each output: range, the pair, deviations, freedom.
 
-    Shapes (m,), (2, m), (2, m) and (m,); all 0, and the freedom 1, of outputs of too few rows.
+    Shapes (m,), (2, m), (2, m) and (m,); offsets are over the range. An output with too few rows
+    has zeros, and 1 degree of freedom.
     """
     size, freedom = np.zeros(moved.shape[1]), np.ones(moved.shape[1])
     pair, deviation = np.zeros((2, 2, moved.shape[1]))
@@ -118,18 +120,17 @@ def comparison_findings(
 
     `solves`: the table has solved rows alone, and else measured ones.
     """
-    found = differences(moved, expected, bars)
     differ = {
         name: {"factor": 1 + float(factor), "offset": float(offset)}
-        for name, factor, offset in zip(OUTPUTS, *found, strict=True)
+        for name, factor, offset in zip(OUTPUTS, *differences(moved, expected, bars), strict=True)
         if factor or offset
     }
     if not differ:
         return []
-    words = ", ".join(
-        f"{name} is {one['factor']:.3g} times theirs {one['offset']:+.2g} "
+    listed = ", ".join(
+        f"{name} is {pair['factor']:.3g} times theirs {pair['offset']:+.2g} "
         f"{'m' if name[0] == 'u' else 'rad'}"
-        for name, one in differ.items()
+        for name, pair in differ.items()
     )
     others, remedy = (
         ("the solves", "the part, its material or its clamping are not those of the model")
@@ -137,7 +138,7 @@ def comparison_findings(
         else ("the rows of the table", "one of the two is wrong, or the part has changed")
     )
     message = (
-        f"these rows differ from {others} by more than noise and error bars ({words}): {remedy}. "
+        f"these rows differ from {others} by more than noise and error bars ({listed}): {remedy}. "
         "Answers of a table with both have bars that hold both"
     )
     return [RigFinding("solves" if solves else "campaign", message, (), {"differ": differ})]

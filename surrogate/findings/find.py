@@ -13,6 +13,7 @@ import numpy as np
 
 from ..kriging.effects import Effects, Indices, effects_of
 from ..table.rows import Floats, LoadRange, Rows
+from ..table.space import OUTPUTS
 from .channels import channel_findings
 from .contract import (
     clearance_findings,
@@ -25,11 +26,24 @@ from .contract import (
     unit_findings,
 )
 from .origin import slopes_at_zero
-from .response import RigFinding, response_of, single_row_findings, wrong_rows
-from .sequence import effect_findings
+from .response import REMARKABLE, Cause, RigFinding, response_of, single_row_findings, wrong_rows
 
 MIN_ROWS = 7  # rows: six loads and a constant
 MAX_ROWS = 5_000  # rows that are looked at, some 0.5 s: every k-th of more
+# What only the order of the rows shows.
+EFFECTS: dict[Cause, str] = {
+    "hysteresis": "loading and unloading differ by {part:.1%} of the range of {name}: hysteresis "
+    "of the rig (friction, joints), or loads and displacements shifted in time (lag of joined "
+    "logs). Answers are in the middle, and their error bars hold both branches",
+    "drift": "the displacements drift by {part:.1%} of the range of {name} from the first row to "
+    "the last, whatever the load: warm the rig up, or return to zero between runs and import with "
+    "a zero offset. Answers are those of the middle of the time",
+    "session": "sessions differ by up to {part:.1%} of the range of {name} from their mean, "
+    "whatever the load: return to zero before each, and import with a zero offset. Answers are "
+    "those of the mean",
+    "zero": "{name} is {part:.1%} of its range at no load: import with a zero offset, unless the "
+    "part is preloaded or the reference of its displacement is another one",
+}
 
 
 def find(
@@ -127,6 +141,28 @@ def _effects(rows: Rows, load_range: LoadRange) -> tuple[Indices, Effects | None
     shown = some.take(places)
     wrong = wrong_rows(shown, load_range, response_of(shown, load_range)).any(axis=1)
     return indices, effects_of(some, load_range, places[~wrong])
+
+
+def effect_findings(effects: Effects, displacement: Floats) -> list[RigFinding]:
+    """Return a finding of each remarkable effect in rows with displacements (n, 6), m and rad."""
+    ranges = np.fmax.reduce(displacement) - np.fmin.reduce(displacement)  # NaN: not measured
+    findings = list[RigFinding]()
+    causes: tuple[tuple[Cause, str, Floats], ...] = (
+        ("hysteresis", "loop", np.abs(effects.loop)[None]),
+        ("drift", "drift", effects.drift),
+        ("session", "offset", effects.session),
+        ("zero", "offset", effects.zero[None]),
+    )
+    for cause, entry, sizes in causes:
+        most = sizes[np.abs(sizes).argmax(axis=0), np.arange(len(ranges))]
+        remarkable = np.flatnonzero(np.abs(most) > REMARKABLE * ranges)
+        if not len(remarkable):
+            continue
+        parts = np.abs(most[remarkable]) / ranges[remarkable]
+        name, part = OUTPUTS[remarkable[parts.argmax()]], parts.max()
+        numbers = {entry: {OUTPUTS[output]: float(most[output]) for output in remarkable}}
+        findings.append(RigFinding(cause, EFFECTS[cause].format(part=part, name=name), (), numbers))
+    return findings
 
 
 def error_of_a_reading(error: Floats, interpolation: Floats, noise: Floats) -> Floats:

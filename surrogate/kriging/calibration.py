@@ -30,13 +30,9 @@ from .equations import DECIMALS, Equations, Scaling, farthest_first
 from .factor import Indices, KrigingFactor, LeftOutRows, Neighbourhoods, left_out
 from .settings import DEFAULTS, KrigingSettings
 
-QUERIES = 256  # random wrenches in place of queries: their median is known to a tenth of its size
 # Of the distance within which rows merge: what the span leaves on both sides of a load that no
 # row varies, and rounding.
 FIXED_WIDTH = 2.5
-# The quantile of neighbourhoods' deviations over those of the whole factor that stands for all: by
-# their median 4 of 59 tables of 30 to 120 rows held below 90 % in one output, by this 2.
-WIDER = 0.4
 
 
 @dataclass(frozen=True)
@@ -156,7 +152,7 @@ def kinds_of(x: Floats, scaling: Scaling, span: Floats, settings: KrigingSetting
     for rows, shown in kinds:
         if shown.any():
             together = most_together(x[shown], scaling, settings)
-            queries = query_points(span, together, x[rows & shown], scaling)
+            queries = query_points(span, together, x[rows & shown], scaling, settings.queries)
             kept_kinds.append(Kind(rows, queries, together))
     return kept_kinds
 
@@ -186,8 +182,8 @@ def most_together(x: Floats, scaling: Scaling, settings: KrigingSettings) -> Flo
     return besides(x, scaling).max(axis=0) * settings.beyond_rows ** (-1 / len(x)) + NEAR
 
 
-def query_points(span: Floats, together: Floats, x: Floats, scaling: Scaling) -> Floats:
-    """Return points like those of queries whose errors rows x (n, k) show, (m, k), half ranges.
+def query_points(span: Floats, together: Floats, x: Floats, scaling: Scaling, count: int) -> Floats:
+    """Return `count` points like queries whose errors rows x (n, k) show, (count, k), half ranges.
 
     They are spread over the span of the rows, (2, k), and have the loads at once that one of them
     has; besides the main load, and the main load group, no larger ones than rows have `together`,
@@ -198,10 +194,10 @@ def query_points(span: Floats, together: Floats, x: Floats, scaling: Scaling) ->
     # A load that no row varies stays as the rows have it: off that the mean is not determined.
     fixed = high - low <= FIXED_WIDTH * NEAR
     low, high = np.where(fixed, (low + high) / 2, [low, high])
-    queries = spread_wrenches(LoadRange(low, high, scaling.space), QUERIES)
+    queries = spread_wrenches(LoadRange(low, high, scaling.space), count)
     at_rest = scaling.loads(np.zeros((1, queries.shape[1])))
     loaded = np.abs(x - at_rest) > ZERO_LOAD
-    loaded = loaded[np.linspace(0, len(loaded) - 1, QUERIES).round().astype(np.intp)]
+    loaded = loaded[np.linspace(0, len(loaded) - 1, count).round().astype(np.intp)]
     apart = np.where(loaded | fixed, queries - at_rest, 0.0)
     for level, most in zip(load_groups(scaling), together, strict=True):
         beside = np.stack([np.where(group, 0.0, np.abs(apart)).max(axis=1) for group in level])
@@ -315,7 +311,7 @@ def calibrated(
         distant = settings.comparable * float(np.median(whole))
         far, near = left_out_as_far(factor, alone, rows, distant, settings)
         # Rows are left out of the whole factor; answers have the deviation of a neighbourhood.
-        wider = float(np.quantile(sigma / whole, WIDER))
+        wider = float(np.quantile(sigma / whole, settings.neighbourhood_quantile))
         if len(far.sigma) >= settings.min_left_out:
             factors = np.maximum(factors, factors_of(far, *numbers) / wider)
             # As far as left-out rows and their neighbourhoods can be, comparable both ways.

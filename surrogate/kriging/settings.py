@@ -1,4 +1,4 @@
-"""Every constant of the kriging, each with its reason."""
+"""The constants of a kriging and of the calibration of its error bars, each with its reason."""
 
 from __future__ import annotations
 
@@ -95,12 +95,17 @@ class KrigingSettings:
     like_noise: float = 2.0
     # Rows left out: enough for a 95 % quantile of six outputs, whose tail they share.
     left_out_rows: int = 200
+    # Random wrenches in place of queries: their median is known to a tenth of its size.
+    queries: int = 256
     # A left-out row is as far from the rest as queries are if its deviation is 0.6 of the median at
     # random wrenches: it lies a row distance from the others, they lie between rows. With 0.5 and
     # 0.8 as many bars hold, over nine made-up responses and three parts.
     comparable: float = 0.6
     # With fewer left-out rows errors are not known: with four a fifth more tables cover too much.
     min_left_out: int = 6
+    # The quantile of neighbourhoods' deviations over those of the whole factor that stands for all:
+    # by their median 4 of 59 tables of 30 to 120 rows held below 90 % in one output, by this 2.
+    neighbourhood_quantile: float = 0.4
     # With so many rows that load several axes these show the errors of wrenches like them; fewer
     # show no tail (of 4 to 10, 32 to 43 % of the covered are outside in one output; of 15, 11 %).
     full_rows: int = 15

@@ -12,10 +12,10 @@ from tests.fea.third_derivatives import unpacked
 from tests.fea.two_interfaces import rod_between_loads
 from tests.validation import calculix, second_opinion
 from wrenchbook.fea.bundle.read import bundle_of
-from wrenchbook.fea.check.findings import motion_problems
+from wrenchbook.fea.check.mechanisms import motion_problems
 from wrenchbook.fea.check.reporting import as_text, report
 from wrenchbook.fea.component import build
-from wrenchbook.fea.coupling import relative
+from wrenchbook.fea.coupling import spring_motion
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.inspection import bodies_of, coincident_nodes, warnings_of
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
@@ -197,7 +197,9 @@ def test_a_spring_between_groups_has_its_derivatives_at_finite_rotations(couplin
     assert slope < 1e-7
     assert bend < 1e-6
     motion = found.state.multipliers[-6:]
-    assert np.abs(relative.relative(np.tile(motion, 2))[0]).max() < 1e-15  # a rigid motion of both
+    assert (
+        np.abs(spring_motion.relative(np.tile(motion, 2))[0]).max() < 1e-15
+    )  # a rigid motion of both
 
 
 @pytest.mark.parametrize("coupling", ["rigid", "distributed"])

@@ -10,7 +10,7 @@ from tests.fea.calculix import require_ccx
 from tests.fea.supports import PLANES, TABLE, largest, part
 from tests.validation import calculix, second_opinion
 from wrenchbook.fea.bundle.read import bundle_of
-from wrenchbook.fea.check.findings import motion_problems
+from wrenchbook.fea.check.mechanisms import motion_problems
 from wrenchbook.fea.component import build
 from wrenchbook.fea.export.calculix import deck_of
 from wrenchbook.fea.failure import SolveFailed

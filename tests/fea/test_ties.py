@@ -14,7 +14,7 @@ from wrenchbook.fea.accuracy.estimate import accuracy_of
 from wrenchbook.fea.assembly.body import gather
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
 from wrenchbook.fea.check import as_text, report
-from wrenchbook.fea.check.findings import motion_problems
+from wrenchbook.fea.check.mechanisms import motion_problems
 from wrenchbook.fea.check.proposal import propose
 from wrenchbook.fea.component import build
 from wrenchbook.fea.export.calculix import PLACEHOLDERS, deck_of

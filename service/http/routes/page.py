@@ -49,22 +49,18 @@ class PageFile:
 
 @router.get("/")
 def page(request: Request, if_none_match: Annotated[str | None, Header()] = None) -> Response:
-    return _answer("index.html", request, if_none_match)
+    return page_file("index.html", request, if_none_match)
 
 
 @router.get("/docs")
 def docs(request: Request, if_none_match: Annotated[str | None, Header()] = None) -> Response:
-    return _answer("docs.html", request, if_none_match)
+    return page_file("docs.html", request, if_none_match)
 
 
 @router.get("/page/{name:path}")
 def page_file(
     name: str, request: Request, if_none_match: Annotated[str | None, Header()] = None
 ) -> Response:
-    return _answer(name, request, if_none_match)
-
-
-def _answer(name: str, request: Request, if_none_match: str | None) -> Response:
     path = _paths().get(name)
     if path is None:
         raise HttpProblemError(

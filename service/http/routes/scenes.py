@@ -20,8 +20,9 @@ from wrenchbook.service.http.bodies import (
     SceneComponent,
     SpaceSpan,
     ToleranceBody,
+    tolerance_of,
 )
-from wrenchbook.service.http.body import JsonRoute, read_body, tolerance_of
+from wrenchbook.service.http.body import JsonRoute, read_body
 from wrenchbook.service.http.openapi import BYTES, refused
 from wrenchbook.service.http.problems import bad_body
 from wrenchbook.service.http.routes import Newest, Opened, holds, json_reply, naming

@@ -28,12 +28,14 @@ from wrenchbook.service.http.bodies import (
     OutputVector,
     Seconds,
     ToleranceBody,
+    query_of,
+    tolerance_of,
 )
-from wrenchbook.service.http.body import parsed_json, read_limited, tolerance_of
+from wrenchbook.service.http.body import parsed_json, read_limited
 from wrenchbook.service.http.openapi import answers, takes
 from wrenchbook.service.http.problems import problem_of
 from wrenchbook.service.http.routes import DirectRoute, json_reply
-from wrenchbook.service.query import Outcome, Query, answer_or_submit
+from wrenchbook.service.query import Outcome, answer_or_submit
 from wrenchbook.service.tables.mapped import TableBehindError
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.table.space import Space
@@ -229,15 +231,9 @@ async def _outcome(request: Request, body: EvaluateBody, *, derivatives: bool = 
     """Return a solved or estimated answer; rows that are being built are waited for."""
     workspace: Workspace = request.app.state.workspace
     config = body.config or Config()
-    query = Query(
-        wrench=tuple(load + 0.0 for load in body.input[0]),  # 0 for -0
-        on_thin=config.on_thin,
-        wait_s=config.wait_s,
-        tolerance=tolerance_of(config.tolerance),
-        method=config.method,
-        beyond_range=config.beyond_range,
-        derivatives=derivatives,
-    )
+    wrench = tuple(load + 0.0 for load in body.input[0])  # 0 for -0
+    query = query_of(config, tolerance_of(config.tolerance))
+    query = query._replace(wrench=wrench, derivatives=derivatives)
     try:
         outcome = await answer_or_submit(workspace, body.name, query)
     except TableBehindError:

@@ -17,7 +17,7 @@ from tests.validation.laminate import strip
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.check import as_text, report
-from wrenchbook.fea.check.findings import describe, free_motions
+from wrenchbook.fea.check.mechanisms import describe, free_motions
 from wrenchbook.fea.check.trial import largest, strength
 from wrenchbook.fea.component import build
 from wrenchbook.fea.failure import SolveFailed

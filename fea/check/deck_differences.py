@@ -1,0 +1,189 @@
+"""Differences between a component and the input deck that its mesh comes from."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from wrenchbook.fea.component import ComponentModel
+from wrenchbook.fea.mesh.deck_content import (
+    CoupledGroup,
+    DeckContent,
+    HeldGroup,
+    SolidSection,
+    in_si,
+)
+from wrenchbook.fea.mesh.facets import group_nodes
+from wrenchbook.fea.spec.material import Cylinder, Orthotropic
+from wrenchbook.fea.spec.problems import BundleProblem
+
+Array = np.ndarray
+
+_SAME = 1e-3  # relative: decks write constants to three digits and more
+_NEAR = 1e-6  # of the mesh's size: two points coincide
+_SOLID = re.compile(r"(C3D\d+)([A-Z]*)")
+_COMPARED = (
+    "shear_modulus",
+    "youngs_modulus",
+    "poisson_ratio",
+    "density",
+    "thermal_expansion",
+    "yield_strength",
+)
+
+
+def listing(deck: DeckContent) -> dict[str, Any]:
+    """Return the lines of each keyword that is read or compared, and ignored, and the elements.
+
+    Result: ``read`` and ``ignored``: line numbers by keyword. ``elements``: by type, their number
+    and what else they are than in the deck, often nothing.
+    """
+    elements = {name: {"count": n, "instead": _instead(name)} for name, n in deck.elements.items()}
+    read, ignored = (
+        {word: sorted(set(lines)) for word, lines in lines_of.items()}  # of all instances of a part
+        for lines_of in (deck.taken, deck.ignored)
+    )
+    return {"read": read, "ignored": ignored, "elements": elements}
+
+
+def _instead(name: str) -> str:
+    """Name the element solved in place of a deck's; empty where it is the same."""
+    solid = _SOLID.fullmatch(name)
+    if solid is None:
+        return ""
+    if solid[1] in ("C3D4", "C3D6", "C3D8"):
+        return "solved with midside nodes (order = 2), else refused"
+    letters = solid[2].replace("R", "")
+    if letters != "H":
+        return f"solved as {solid[1]}" if letters else ""
+    projected = "their volumetric strain projected above a Poisson's ratio of 0.4"
+    locks = "refused where they would lock"
+    return f"displacements alone, {projected if solid[1] == 'C3D20' else locks}"
+
+
+def contradictions(component: ComponentModel) -> list[BundleProblem]:
+    """Return the contradictions of a component and its deck, and what of the deck it leaves out."""
+    deck = component.mesh.deck
+    if deck is None:
+        return []
+    messages = [f"{where} {text}" for where, text in deck.missing.items()]
+    integration = component.analysis.integration
+    messages += [
+        f'has {name}; [analysis] says integration = "{integration}" for it'
+        for name in deck.elements
+        if name.startswith("C3D20") and ("R" in name) != (integration == "reduced")
+    ]
+    messages += [
+        text for section in deck.sections for text in _other_material(component, deck, section)
+    ]
+    written = {(tie.secondary, tie.main) for tie in component.bundle.ties}
+    messages += [
+        f'{where} ties "{tie.secondary}" to "{tie.main}"; these are loose here: write [[tie]]'
+        for where, tie in deck.ties
+        if (tie.secondary, tie.main) not in written
+    ]
+    cases = [
+        [text for support in case.supports for text in _freed(component, support)]
+        + [text for coupled in case.couplings for text in _uncoupled(component, coupled)]
+        for case in deck.cases
+    ]
+    messages += min(cases, key=len)  # a component is of one case of its deck
+    return [BundleProblem("mesh.file", text) for text in messages]
+
+
+def _other_material(component: ComponentModel, deck: DeckContent, section: Any) -> Iterator[str]:
+    cells = component.mesh.regions.get(section.region, ())
+    numbers = [value[c] for value, c in zip(component.material_of_cells, cells, strict=False)]
+    unit = component.bundle.mesh.unit if component.bundle.mesh else "m"
+    constants = deck.materials.get(section.material, {})
+    for number in np.unique(np.concatenate([np.empty(0, dtype=int), *numbers])).tolist():
+        material = component.bundle.materials[number]
+        start = f'{section.where} gives "{section.region}" the material "{section.material}"'
+        orthotropic = isinstance(constants.get("youngs_modulus"), tuple)
+        if (material.law == "orthotropic") != orthotropic and "youngs_modulus" in constants:
+            law = "orthotropic" if orthotropic else "isotropic"
+            yield f'{start}, which is {law}; the component has law = "{material.law}"'
+            continue
+        if material.orthotropic is not None:
+            yield from _turned(component, section, material.orthotropic, start, unit)
+        for key in filter(constants.__contains__, _COMPARED):
+            three = key.replace("modulus", "moduli").replace("ratio", "ratios")
+            value = getattr(material, three if orthotropic else key)
+            other = np.multiply(constants[key], in_si(key, unit))
+            if value is None and key == "yield_strength":
+                continue  # named with *PLASTIC itself
+            if value is None or np.abs(value - other).max() > _SAME * np.abs(other).max():
+                there = (
+                    "none" if value is None else _listed(value if orthotropic else np.unique(value))
+                )
+                here = (
+                    f"{_listed(constants[key], 6)}, with lengths in {unit} {_listed(other)} in SI"
+                )
+                yield f"{start}: {key} {here}; the component has {there}"
+
+
+def _listed(values: Any, digits: int = 4) -> str:
+    return ", ".join(f"{value:.{digits}g}" for value in np.ravel(values))
+
+
+def _turned(
+    component: ComponentModel, section: SolidSection, material: Orthotropic, start: str, unit: str
+) -> Iterator[str]:
+    """Compare the directions of a material with those of the deck at the nodes of the section."""
+    mesh, axes = component.mesh, section.orientation or np.eye(3).ravel()
+    cells = zip(mesh.blocks, mesh.regions[section.region], strict=True)
+    points = mesh.points[np.unique(np.concatenate([b.nodes[c].ravel() for b, c in cells]))]
+    if len(axes) == 6:
+        (x, y, z), (a, b, c) = in_si("length", unit) * np.array(axes[:3]), axes[3:]
+        other = replace(material, cylinder=Cylinder((x, y, z), (a, b, c)))
+    else:
+        other = replace(material, axes=np.reshape(axes, (3, 3)), cylinder=None)
+    same = np.abs((material.directions(points) * other.directions(points)).sum(axis=-1))
+    if (same < 1 - _SAME).any(axis=-1).mean() > 0.5:  # on a cylinder's axis they are of no kind
+        yield f"{start} in other directions than the component: see its *ORIENTATION"
+
+
+def _freed(component: ComponentModel, group: HeldGroup) -> Iterator[str]:
+    nodes = group_nodes(component.mesh, "", group.group, [])  # none if the mesh has no such group
+    nodes = np.setdiff1d(nodes, component.fixed_nodes)
+    held_ones = [attached for attached in component.interfaces if len(attached.locked) == 6]
+    for interface in (*held_ones, *(bushing for bushing, _ in component.bushings)):
+        nodes = np.setdiff1d(nodes, interface.section.node_ids)
+    held = np.zeros((len(component.mesh.points), 3, 3))
+    sliding, projectors = component.sliding
+    held[sliding] = projectors
+    axes = np.reshape(group.axes or np.eye(3), (3, 3))
+    ways = axes[["xyz".index(letter) for letter in group.directions]]
+    free = int((np.einsum("di,nij,dj->nd", ways, held[nodes], ways) < 1 - _NEAR).any(axis=1).sum())
+    if free:
+        yield (
+            f'{group.where} holds "{group.group}" along {", ".join(group.directions)}; {free} of '
+            "its nodes are free in the component: name it under [supports]"
+        )
+
+
+def _uncoupled(component: ComponentModel, group: CoupledGroup) -> Iterator[str]:
+    nodes = group_nodes(component.mesh, "", group.group, [])
+    attached = [*component.interfaces, *component.frames]
+    same = [
+        interface for interface in attached if np.array_equal(interface.section.node_ids, nodes)
+    ]
+    start = f'{group.where} makes "{group.group}" follow a point'
+    if not same:
+        if np.setdiff1d(nodes, component.fixed_nodes).size:
+            yield f"{start}; no interface or bushing of the component has these nodes"
+        return
+    if same[0].coupling != group.kind:
+        yield f'{start} as a "{group.kind}" coupling; {same[0].key} says "{same[0].coupling}"'
+    elif group.weighted and same[0].weights != "deck":
+        yield f'{start} by weights of its own; {same[0].key} says weights = "{same[0].weights}"'
+    unit = component.bundle.mesh.unit if component.bundle.mesh else "m"
+    point = np.array(group.point) * in_si("length", unit)
+    size = np.ptp(component.mesh.points, axis=0).max()
+    if group.point and np.abs(point - same[0].point).max() > _NEAR * size:
+        here, there = (", ".join(f"{x:.5g}" for x in p) for p in (point, same[0].point))
+        yield f"{start} at ({here}) m; {same[0].key}.point is ({there}) m"
