@@ -44,7 +44,8 @@ CHANCE = 3e-4
 # polynomial of the loads can do what the effect does: slow loads are a function of time.
 MISFIT = 3e-4
 PRIOR = 0.3  # deviation of effects, spreads of the output: a tenth of its range
-# Half ranges: a response may have a kink at no load, and only readings there tell an offset.
+# Half ranges: beyond the last reading before no load a response may have a kink or a play, and only
+# readings on both sides of no load, or there, tell an offset.
 NO_LOAD = 0.01
 # Half ranges: loads that differ by less are at one place, whose readings tell no direction. Force
 # sensors scatter by 1e-4 to 5e-3 of their range.
@@ -330,7 +331,7 @@ def _estimated(
         half_width[:, output] = np.where(
             shown, -stdtrit(freedom, CHANCE / 2) * deviation[:, output], np.inf
         )
-    if np.abs(x).max(axis=1).min() > NO_LOAD:
+    if max(x.min(axis=0).max(), -x.max(axis=0).min()) > NO_LOAD:
         half_width[0] = np.inf
     return mean, deviation, half_width
 
