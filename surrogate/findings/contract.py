@@ -30,6 +30,8 @@ UNITS = {
     0.0254: "inches for metres",
     39.37: "inches for metres",
     9.807: "kilograms for newtons",
+    10.0: "millimetres for centimetres, or newtons for decanewtons",
+    17.45: "milliradians for degrees",
     57.3: "degrees for radians",
     8.851: "pound-inches for newton metres",
 }
@@ -213,11 +215,14 @@ def _common(first: Floats, second: Floats, least: float = FAR) -> float | None:
 
 def named_unit(factor: float) -> str:
     """Return " (probably ...)" for a factor near that of two units, else nothing."""
-    size = max(factor, 1 / factor)
-    for known, description in UNITS.items():
-        if abs(np.log(size / max(known, 1 / known))) < np.log(1.15):
-            return f" (a factor of {max(known, 1 / known):g}: {description}?)"
-    return ""
+    size = _above(factor)
+    known, description = min(UNITS.items(), key=lambda unit: abs(np.log(size / _above(unit[0]))))
+    is_near = abs(np.log(size / _above(known))) < np.log(1.15)
+    return f" (a factor of {_above(known):g}: {description}?)" if is_near else ""
+
+
+def _above(factor: float) -> float:
+    return max(factor, 1 / factor)
 
 
 def symmetry_findings(fit: Fit, load_range: LoadRange) -> list[RigFinding]:

@@ -506,17 +506,18 @@ async def import_table(
             {**error, "loc": f"row {error['row']}.{error['field']}", "msg": error["message"]}
             for error in errors
         ]
-        sent = "block" if query.append else "complete file"
+        sent, others = "block" if query.append else "complete file", reply["sheets"][1:]
+        sheet = f" of sheet {reply['sheet']} (--sheet reads another)" if others else ""
         raise HttpProblemError(
             422,
             "bad-rows",
             "The table has mistakes",
-            f"Nothing was loaded. {len(errors)} mistake(s); the first is in row {first['row']}, "
-            f"{first['field']}: {first['message']}. Correct them and send the {sent} again, "
-            "or say --partial (over HTTP partial=true) to load the good rows.",
+            f"Nothing was loaded. {len(errors)} mistake(s){sheet}; the first is in row "
+            f"{first['row']}, {first['field']}: {first['message']}. Correct them and send the "
+            f"{sent} again, or say --partial (over HTTP partial=true) to load the good rows.",
             **reply,
         )
-    wait_s = query.wait_s if loaded and reply["inserted"] else 0.0
+    wait_s = query.wait_s if loaded else 0.0  # rows that were there may wait for the next table
     if query.append and "wait_s" not in query.model_fields_set:
         wait_s = 0.0  # the next row comes soon
     caught_up = await workspace.caught_up(component.name, wait_s)
