@@ -34,12 +34,10 @@ MESSAGES: dict[Cause, str] = {
     "up to {off:.0%} of its range off: the channel was stuck. Withdraw these rows, or leave these "
     "cells empty",
 }
-OF_LOADS: dict[Cause, str] = {
-    "clipped": "{name} ends at {value:.6g} {unit} in {count} rows, where {own} goes on by up to "
-    "{off:.0%} of its range: the load cell was at the end of its range. Withdraw these rows",
-    "stuck": "{name} stays at {value:.6g} {unit} in {count} rows, where {own} goes on by up to "
-    "{off:.0%} of its range: the load cell was stuck. Withdraw these rows",
-}
+OF_LOADS = (
+    "{} stays at {:.6g} {} in {} rows, where {} goes on by up to {:.0%} of its range: the load "
+    "cell was {} there. Withdraw these rows"
+)
 
 
 def channel_findings(
@@ -70,15 +68,13 @@ def channel_findings(
             listed = () if len(at) == len(known) else tuple(rows.seq[at].tolist())
             findings.append(RigFinding(cause, message, listed, {"output": OUTPUTS[output]}))
             moved[at, output] = np.nan
-        load = rows.wrench[known, output]
+        load, unit = rows.wrench[known, output], "N" if output < 3 else "N*m"
         for cause, some, value, off in _held(load, terms[known], moved[known, output]):
-            at = known[some]
-            words = {"name": LOADS[output], "own": OUTPUTS[output], "off": off}
-            unit = "N" if output < 3 else "N*m"
-            message = OF_LOADS[cause].format(value=value, unit=unit, count=len(at), **words)
-            listed = tuple(rows.seq[at].tolist())
-            findings.append(RigFinding(cause, message, listed, {"load": LOADS[output]}))
-            moved[at] = np.nan
+            words = LOADS[output], value, unit, len(some), OUTPUTS[output], off, cause
+            listed = tuple(rows.seq[known[some]].tolist())
+            numbers = {"load": LOADS[output]}
+            findings.append(RigFinding(cause, OF_LOADS.format(*words), listed, numbers))
+            moved[known[some]] = np.nan
     some = np.isfinite(moved).any(axis=1)
     kept = Rows.of(rows.wrench[some], moved[some], seq=rows.seq[some], source=rows.source[some])
     return kept, findings
@@ -136,14 +132,13 @@ def _held(load: Floats, terms: Floats, y: Floats) -> list[Broken]:
     runs = np.split(np.arange(len(load)), 1 + np.flatnonzero(np.abs(np.diff(load)) > equal))
     high, low = (np.flatnonzero(np.abs(load - end) <= equal) for end in (load.max(), load.min()))
     run = np.setdiff1d(max(runs, key=len), np.concatenate((high, low)))
-    parts: tuple[tuple[Cause, NDArray[np.intp]], ...]
-    parts = ("clipped", high), ("clipped", low), ("stuck", run)
-    for cause, held in parts:
+    for is_end, held in ((True, high), (True, low), (False, run)):
         some, others = held[known[held]], np.setdiff1d(np.flatnonzero(known), held)
         if len(some) < MIN_EQUAL or len(others) < 2 * terms.shape[1]:
             continue
         spread, usual = (np.median(np.abs(off[at] - np.median(off[at]))) for at in (some, others))
         if spread > max(CONFIDENT * usual, REMARKABLE * size):
+            cause = "clipped" if is_end else "stuck"
             found.append((cause, some, float(load[some[0]]), np.abs(off[some]).max() / size))
     return found
 

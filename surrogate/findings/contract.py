@@ -27,7 +27,6 @@ UNITS = {
     1000.0: "millimetres for metres, or newtons for kilonewtons",
     4.448: "pounds for newtons",
     25.4: "inches for millimetres",
-    0.0254: "inches for metres",
     39.37: "inches for metres",
     9.807: "kilograms for newtons",
     10.0: "millimetres for centimetres, or newtons for decanewtons",
@@ -215,14 +214,10 @@ def _common(first: Floats, second: Floats, least: float = FAR) -> float | None:
 
 def named_unit(factor: float) -> str:
     """Return " (probably ...)" for a factor near that of two units, else nothing."""
-    size = _above(factor)
-    known, description = min(UNITS.items(), key=lambda unit: abs(np.log(size / _above(unit[0]))))
-    is_near = abs(np.log(size / _above(known))) < np.log(1.15)
-    return f" (a factor of {_above(known):g}: {description}?)" if is_near else ""
-
-
-def _above(factor: float) -> float:
-    return max(factor, 1 / factor)
+    size = max(factor, 1 / factor)
+    known, description = min(UNITS.items(), key=lambda unit: abs(np.log(size / unit[0])))
+    is_near = abs(np.log(size / known)) < np.log(1.15)
+    return f" (a factor of {known:g}: {description}?)" if is_near else ""
 
 
 def symmetry_findings(fit: Fit, load_range: LoadRange) -> list[RigFinding]:
