@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.surrogate.findings.rigs import CAUSES, DIRECTED, Rig
+from wrenchbook.surrogate.findings.contract import named_unit
 from wrenchbook.surrogate.findings.find import find
 from wrenchbook.surrogate.table.rows import Rows
 from wrenchbook.surrogate.table.space import LOADS
@@ -158,3 +159,10 @@ def test_an_offset_is_named_where_no_row_is_at_rest():
     assert causes_of(rows, rig) == ["zero"]
     one_sided = rows.take(rows.wrench[:, 2] < -0.05 * rig.high[2])
     assert "zero" not in causes_of(one_sided, rig)  # the force of the other side may have a play
+
+
+@pytest.mark.parametrize(("factor", "name"), [(10, "centimetres"), (9.8, "kilograms"), (3, "")])
+def test_a_factor_has_the_name_of_the_nearest_unit(factor, name):
+    said = named_unit(1 / factor)
+    assert name in said
+    assert bool(said) == bool(name)
