@@ -179,7 +179,9 @@ def _vectors(values: dict[str, Any]) -> dict[str, Array]:
     wrong = [name for name, c in columns.items() if c.ndim != 1 or c.dtype.kind not in "iufb"]
     lengths = {len(column) for column in columns.values()}
     if wrong or len(lengths) != 1:
-        why = f"{wrong[0]} is none" if wrong else f"their lengths are {sorted(lengths)}"
+        each = "save each column as a variable of its own, such as fx_N = A(:, 1)"
+        no_vector = f"{wrong[0]} is not such a vector; {each}" if wrong else ""
+        why = no_vector or f"their lengths are {sorted(lengths)}"
         form = "is no table of numeric vectors of one length, a variable or a field a column"
         raise ValueError(f"{form}: {why}")
     return columns

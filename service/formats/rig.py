@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wrenchbook.service.formats.cells import text_problem
 from wrenchbook.service.formats.options import (
@@ -420,6 +421,29 @@ def _applied_lag(
     return applied
 
 
+def loads_between(time: Array, wrench: Array, when: Array, after: NDArray[np.intp]) -> Array:
+    """Return the loads (k, n) at times `when` (k,) before the samples `after` (k,), from two on.
+
+    A straight line between two samples cuts off what a load that swings does between them, always
+    on the side of no load. Its bend is that of modified Akima slopes, which do not overshoot where
+    a load steps (Akima 1970). Beside either end of the log it is straight.
+    """
+    length = (time[after] - time[after - 1])[:, None]
+    part = (when - time[after - 1])[:, None] / length
+    line = (1.0 - part) * wrench[after - 1] + part * wrench[after]
+    inner = np.flatnonzero((after >= 3) & (after < len(time) - 2))
+    at = after[inner] + np.arange(-3, 3)[:, None]  # three samples on either side
+    slopes = np.diff(wrench[at], axis=0) / np.diff(time[at], axis=0)[:, :, None]
+    turns = np.abs(np.diff(slopes, axis=0)) + np.abs(slopes[1:] + slopes[:-1]) / 2
+    weight = turns[2:] + turns[:2]
+    at_samples = turns[2:] * slopes[1:3] + turns[:2] * slopes[2:4]
+    at_samples = np.divide(at_samples, weight, out=np.zeros_like(weight), where=weight > 0)
+    bend = at_samples - slopes[2]
+    part = part[inner]
+    line[inner] += length[inner] * part * (1 - part) * ((1 - part) * bend[0] - part * bend[1])
+    return line
+
+
 def with_loads(
     pieces: Sequence[ParsedTable], time: Array, wrench: Array, options: Options, report: ReadReport
 ) -> Iterator[ParsedTable]:
@@ -440,9 +464,7 @@ def with_loads(
         on_a_sample = (when == start) | (when == end)
         good = (when >= start) & (when <= end) & ((end - start <= longest) | on_a_sample)
         report.unmatched += int((~good).sum())
-        share = ((when - start) / (end - start))[:, None]
-        between = (1.0 - share) * wrench[after - 1] + share * wrench[after]
-        yield replace(piece, wrench=between, time=None).take(good)
+        yield replace(piece, wrench=loads_between(time, wrench, when, after), time=None).take(good)
     if report.read and report.unmatched == report.read and not report.mistakes:
         message = (
             f"no displacement lies between two loads, whose times are {time[0]:g} to {time[-1]:g} "

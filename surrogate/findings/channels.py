@@ -1,7 +1,8 @@
-"""Channels of displacements that do not measure: dead, stuck, at the end of their range, noise.
+"""Channels that do not measure: dead, stuck, at the end of their range, noise.
 
 What a load does on its own displacement is work, which is positive on every elastic part. So a
-channel whose own load varies and which does not move, or moves by noise alone, is broken.
+channel whose own load varies and which does not move, or moves by noise alone, is broken. A load
+cell is at the end of its range, or stuck, where displacements go on while its reading stays.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ MIN_ROWS = 12  # rows: with fewer the others do not show what one of them should
 MIN_EQUAL = 3  # rows of one value: two are equal by the digits that are written
 TAIL = 5  # per cent of the rows at either end, whose values count as the end: they may be wrong
 
+Broken = tuple[Cause, NDArray[np.intp], float, float]  # rows, the value, part of the range off
+
 MESSAGES: dict[Cause, str] = {
     "dead": "{name} reads {value:.6g} {unit} in all rows while {load} varies, which no elastic "
     "part does: look at its channel, and leave the cells empty if it was not measured",
@@ -31,6 +34,10 @@ MESSAGES: dict[Cause, str] = {
     "up to {off:.0%} of its range off: the channel was stuck. Withdraw these rows, or leave these "
     "cells empty",
 }
+OF_LOADS = (
+    "{} stays at {:.6g} {} in {} rows, where {} goes on by up to {:.0%} of its range: the load "
+    "cell was {} there. Withdraw these rows"
+)
 
 
 def channel_findings(
@@ -61,12 +68,19 @@ def channel_findings(
             listed = () if len(at) == len(known) else tuple(rows.seq[at].tolist())
             findings.append(RigFinding(cause, message, listed, {"output": OUTPUTS[output]}))
             moved[at, output] = np.nan
+        load, unit = rows.wrench[known, output], "N" if output < 3 else "N*m"
+        for cause, some, value, off in _held(load, terms[known], moved[known, output]):
+            words = LOADS[output], value, unit, len(some), OUTPUTS[output], off, cause
+            listed = tuple(rows.seq[known[some]].tolist())
+            numbers = {"load": LOADS[output]}
+            findings.append(RigFinding(cause, OF_LOADS.format(*words), listed, numbers))
+            moved[known[some]] = np.nan
     some = np.isfinite(moved).any(axis=1)
     kept = Rows.of(rows.wrench[some], moved[some], seq=rows.seq[some], source=rows.source[some])
     return kept, findings
 
 
-def _broken(terms: Floats, y: Floats) -> list[tuple[Cause, NDArray[np.intp], float, float]]:
+def _broken(terms: Floats, y: Floats) -> list[Broken]:
     """Return what is broken in readings (n,), their indices, the value, and parts of the range."""
     all_rows = np.arange(len(y))
     if len(y) < MIN_ROWS:
@@ -81,7 +95,7 @@ def _broken(terms: Floats, y: Floats) -> list[tuple[Cause, NDArray[np.intp], flo
     run = max(runs, key=len)
     steps = np.diff(np.sort(y))
     step = float(np.median(steps[steps > equal]))  # of the readings
-    found = []
+    found = list[Broken]()
     for end, some in ((1.0, high), (-1.0, low), (0.0, run)):
         others = np.delete(all_rows, some)
         if not end and (np.isin(run[0], high) or np.isin(run[0], low)):
@@ -101,6 +115,31 @@ def _broken(terms: Floats, y: Floats) -> list[tuple[Cause, NDArray[np.intp], flo
         if far > max(sure, REMARKABLE * size):
             cause = "clipped" if end else "stuck"
             found.append((cause, some, float(y[some[0]]), np.abs(off[some]).max() / size))
+    return found
+
+
+def _held(load: Floats, terms: Floats, y: Floats) -> list[Broken]:
+    """Return where a load (n,) keeps a value while its own displacement (n,) goes on.
+
+    Tests reach one load often: there displacements scatter about the response of all rows as they
+    do elsewhere, or are off it together where the response is no polynomial.
+    """
+    known, found = np.isfinite(y), list[Broken]()
+    equal = ROUNDING * float(np.abs(load).max(initial=0.0))
+    if known.sum() < MIN_ROWS or np.ptp(load) <= equal:
+        return []
+    off, size = y - fitted(terms, y), float(np.ptp(y[known]))
+    runs = np.split(np.arange(len(load)), 1 + np.flatnonzero(np.abs(np.diff(load)) > equal))
+    high, low = (np.flatnonzero(np.abs(load - end) <= equal) for end in (load.max(), load.min()))
+    run = np.setdiff1d(max(runs, key=len), np.concatenate((high, low)))
+    for is_end, held in ((True, high), (True, low), (False, run)):
+        some, others = held[known[held]], np.setdiff1d(np.flatnonzero(known), held)
+        if len(some) < MIN_EQUAL or len(others) < 2 * terms.shape[1]:
+            continue
+        spread, usual = (np.median(np.abs(off[at] - np.median(off[at]))) for at in (some, others))
+        if spread > max(CONFIDENT * usual, REMARKABLE * size):
+            cause = "clipped" if is_end else "stuck"
+            found.append((cause, some, float(load[some[0]]), np.abs(off[some]).max() / size))
     return found
 
 

@@ -27,9 +27,10 @@ UNITS = {
     1000.0: "millimetres for metres, or newtons for kilonewtons",
     4.448: "pounds for newtons",
     25.4: "inches for millimetres",
-    0.0254: "inches for metres",
     39.37: "inches for metres",
     9.807: "kilograms for newtons",
+    10.0: "millimetres for centimetres, or newtons for decanewtons",
+    17.45: "milliradians for degrees",
     57.3: "degrees for radians",
     8.851: "pound-inches for newton metres",
 }
@@ -214,10 +215,9 @@ def _common(first: Floats, second: Floats, least: float = FAR) -> float | None:
 def named_unit(factor: float) -> str:
     """Return " (probably ...)" for a factor near that of two units, else nothing."""
     size = max(factor, 1 / factor)
-    for known, description in UNITS.items():
-        if abs(np.log(size / max(known, 1 / known))) < np.log(1.15):
-            return f" (a factor of {max(known, 1 / known):g}: {description}?)"
-    return ""
+    known, description = min(UNITS.items(), key=lambda unit: abs(np.log(size / unit[0])))
+    is_near = abs(np.log(size / known)) < np.log(1.15)
+    return f" (a factor of {known:g}: {description}?)" if is_near else ""
 
 
 def symmetry_findings(fit: Fit, load_range: LoadRange) -> list[RigFinding]:

@@ -42,7 +42,7 @@ EFFECTS: dict[Cause, str] = {
     "whatever the load: return to zero before each, and import with a zero offset. Answers are "
     "those of the mean",
     "zero": "{name} is {part:.1%} of its range at no load: import with a zero offset, unless the "
-    "part is preloaded or the reference of its displacement is another one",
+    "part is preloaded, has a play, or the reference of its displacement is another one",
 }
 
 

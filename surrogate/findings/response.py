@@ -234,7 +234,7 @@ def _outliers(rows: Rows, response: RobustFit, flagged: NDArray[np.bool_]) -> li
     row, output = order[0], int(np.argmax(worst[order[0]]))
     message = (
         f"{len(at)} of {len(rows)} rows are far from those around them; the worst is row "
-        f"{rows.seq[row]}: {OUTPUTS[output]} is off by {residual[row, output]:.0%} of its range. "
+        f"{rows.seq[row]}: {OUTPUTS[output]} is off by {residual[row, output]:.1%} of its range. "
         "Look at these rows, and withdraw those that are wrong: each widens the error bars "
         "everywhere"
     )

@@ -44,7 +44,8 @@ CHANCE = 3e-4
 # polynomial of the loads can do what the effect does: slow loads are a function of time.
 MISFIT = 3e-4
 PRIOR = 0.3  # deviation of effects, spreads of the output: a tenth of its range
-# Half ranges: a response may have a kink at no load, and only readings there tell an offset.
+# Half ranges: a response may have a kink at no load. Readings there tell an offset, and else those
+# on both sides of it, where polynomials fit them far better than it is large.
 NO_LOAD = 0.01
 # Half ranges: loads that differ by less are at one place, whose readings tell no direction. Force
 # sensors scatter by 1e-4 to 5e-3 of their range.
@@ -141,8 +142,10 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
         shown[some] &= signs[good][:, some].T != 0
     size = np.where(np.abs(mean) > half_width, mean, 0.0)
     offset = size[2 + count :]
-    if offset.any():  # if they differ in one output they are not the same in any
-        offset[:] = mean[2 + count :]
+    # A rig that drifts in one output, or whose sessions differ in one, does so in all.
+    by_kind, means = (values[2:].reshape(2, count, outputs) for values in (size, mean))
+    is_shown = by_kind.any(axis=(1, 2))
+    by_kind[is_shown] = means[is_shown]
     most = np.where(size != 0, np.abs(size) + half_width, 0.0)
     zero, loop, drift, _ = np.split(size, [1, 2, 2 + count])
     for output in np.flatnonzero(loop).tolist():
@@ -313,6 +316,7 @@ def _estimated(
     mean *= size
     mean[0] += offset
     half_width, freedom = np.empty_like(deviation), np.full(len(deviation), float(free))
+    misfits = np.empty(len(outputs))
     for output in range(len(outputs)):
         b = np.column_stack((terms, np.ones(n), signs[:, output], columns))
         off_mean = np.eye(b.shape[1])[terms.shape[1] :]
@@ -320,6 +324,8 @@ def _estimated(
         left, sizes, right = np.linalg.svd(b, full_matrices=False)
         few = sizes > RANK * sizes[0]
         along = off_mean @ right[few].T
+        off = moved[:, output] - left[:, few] @ (left[:, few].T @ moved[:, output])
+        misfits[output] = np.linalg.norm(off) / np.sqrt(max(n - few.sum(), 1))
         worst = np.sqrt(n) * np.linalg.norm(along / sizes[few], axis=1)
         # A grid in the order of its loads is a straight function of time: nothing tells a drift.
         shown = np.linalg.norm(off_mean - along @ right[few], axis=1) < SAME
@@ -330,8 +336,9 @@ def _estimated(
         half_width[:, output] = np.where(
             shown, -stdtrit(freedom, CHANCE / 2) * deviation[:, output], np.inf
         )
-    if np.abs(x).max(axis=1).min() > NO_LOAD:
-        half_width[0] = np.inf
+    if np.abs(x).max(axis=1).min() > NO_LOAD:  # a kink may be hidden where polynomials misfit
+        one_sided = max(x.min(axis=0).max(), -x.max(axis=0).min()) > NO_LOAD
+        half_width[0] = np.inf if one_sided else np.maximum(half_width[0], SURE * misfits)
     return mean, deviation, half_width
 
 

@@ -92,6 +92,12 @@ def test_a_block_that_is_sent_again_adds_nothing_and_all_are_one_import(live):
     assert append(live, block(4), "run 18").json()["import"] > first["import"]
 
 
+def test_a_block_that_is_sent_again_waits_for_answers_from_its_rows(live):
+    append(live, block(1))
+    reply = append(live, block(1), wait_s=60).json()
+    assert (reply["inserted"], reply["in_use"]) == (0, True)
+
+
 def test_rows_of_arrays_and_a_single_one_are_taken_in_si(live):
     row = {"wrench": [0, 0, 5, 0, 0, 0], "displacement": [None, None, 5e-5, None, None, None]}
     other = row | {"wrench": [0, 0, 6, 0, 0, 0]}

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.refusals import assert_told, cases
-from wrenchbook.service.formats.rig import Rig, RigError, rig_text
+from wrenchbook.service.formats.rig import Rig, RigError, loads_between, rig_text
 
 LEFT = "x=-y,y=z,z=x"  # determinant -1
 SEEDS = range(20)
@@ -127,3 +127,26 @@ def test_a_rig_that_cannot_be_read_is_refused_with_what_to_write(case):
 def test_a_rig_of_3000_brackets_is_refused():
     with pytest.raises(RigError, match="is not TOML"):
         Rig.read("frame = " + "[" * 3000)
+
+
+def joined(load, when):
+    """Return a load sampled every 0.1 s, at other times; 0.41 Hz bend by 0.8 % between samples."""
+    time = np.arange(0, 60, 0.1)
+    after = np.searchsorted(time, when, side="right")
+    return loads_between(time, load(time)[:, None], when, after)[:, 0]
+
+
+def test_a_swinging_load_of_a_slow_log_is_not_cut_off_between_its_samples():
+    def load(time):
+        return np.sin(2 * np.pi * 0.41 * time)
+
+    when = np.arange(1, 59, 1 / 13)
+    true, found = load(when), joined(load, when)
+    assert abs(found @ true / (true @ true) - 1) < 2e-4  # straight lines: 5e-3 too small
+    assert np.abs(found - true).max() < 3e-3
+
+
+def test_a_load_that_steps_does_not_overshoot_between_its_samples():
+    found = joined(lambda time: np.floor(time + 0.01), when := np.arange(1, 58, 0.07))
+    assert (np.abs(found - when - 0.01) <= 1 + 1e-9).all()
+    np.testing.assert_allclose(found[when % 1 < 0.85], np.floor(when[when % 1 < 0.85] + 0.01))

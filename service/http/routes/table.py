@@ -506,19 +506,21 @@ async def import_table(
             {**error, "loc": f"row {error['row']}.{error['field']}", "msg": error["message"]}
             for error in errors
         ]
-        sent, cure = "block" if query.append else "complete file", ""
+        sent, others = "block" if query.append else "complete file", reply["sheets"][1:]
+        sheet = f" of sheet {reply['sheet']} (--sheet reads another)" if others else ""
         place = f"row {first['row']}, " * bool(first["row"])  # 0: of the file, or of a column
+        cure = ""
         if all(error["row"] for error in errors) and not query.partial:
             cure = ", or say --partial (over HTTP partial=true) to load the good rows"
         raise HttpProblemError(
             422,
             "bad-rows",
             "The table has mistakes",
-            f"Nothing was loaded. {len(errors)} mistake(s); the first is in {place}"
+            f"Nothing was loaded. {len(errors)} mistake(s){sheet}; the first is in {place}"
             f"{first['field']}: {first['message']}. Correct them and send the {sent} again{cure}.",
             **reply,
         )
-    wait_s = query.wait_s if loaded and reply["inserted"] else 0.0
+    wait_s = query.wait_s if loaded else 0.0  # rows that were there may wait for the next table
     if query.append and "wait_s" not in query.model_fields_set:
         wait_s = 0.0  # the next row comes soon
     caught_up = await workspace.caught_up(component.name, wait_s)

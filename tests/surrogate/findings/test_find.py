@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.surrogate.findings.rigs import CAUSES, DIRECTED, Rig
+from wrenchbook.surrogate.findings.contract import named_unit
 from wrenchbook.surrogate.findings.find import find
 from wrenchbook.surrogate.table.rows import Rows
 from wrenchbook.surrogate.table.space import LOADS
@@ -132,3 +133,36 @@ def test_loads_in_another_frame_than_displacements_are_an_asymmetry():
         rows.wrench[:] = rows.wrench @ np.kron(np.eye(2), turn).T
         named += [causes_of(rows, rig)]
     assert sum("asymmetry" in causes for causes in named) >= 9, named
+
+
+@pytest.mark.parametrize(("share", "cause"), [(0.8, "clipped"), (None, "stuck")])
+def test_a_load_cell_at_the_end_of_its_range_or_stuck_is_named_with_its_rows(share, cause):
+    rig = Rig(7, ("random",), rows=(200, 300), noises=(0.001,))
+    rows = rig.measured()
+    load = rows.wrench[:, np.argmax(np.diag(rig.compliance) * rig.high / rig.size)]
+    true, held = load.copy(), slice(0, len(load) // 4)
+    if share:
+        load.clip(share * load.min(), share * load.max(), out=load)
+    else:
+        load[held] = load[0]
+    found = [one for one in find(rows, rig.range) if one.cause == cause]
+    named = np.isin(rows.seq, np.concatenate([one.rows for one in found]))
+    assert named[load != true].all()
+    assert named[load == true].sum() <= 2  # the first of those held, and the largest within
+
+
+def test_an_offset_is_named_where_no_row_is_at_rest():
+    rig = Rig(12, ("random",), rows=(200, 300), noises=(0.001,))
+    rows = rig.measured()
+    assert np.abs(rows.wrench / rig.high).max(axis=1).min() > 0.05
+    rows.displacement[:] += 0.03 * rig.size
+    assert causes_of(rows, rig) == ["zero"]
+    one_sided = rows.take(rows.wrench[:, 2] < -0.05 * rig.high[2])
+    assert "zero" not in causes_of(one_sided, rig)  # the force of the other side may have a play
+
+
+@pytest.mark.parametrize(("factor", "name"), [(10, "centimetres"), (9.8, "kilograms"), (3, "")])
+def test_a_factor_has_the_name_of_the_nearest_unit(factor, name):
+    said = named_unit(1 / factor)
+    assert name in said
+    assert bool(said) == bool(name)

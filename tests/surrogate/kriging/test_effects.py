@@ -219,3 +219,18 @@ def test_sessions_are_imports_of_several_rows() -> None:
     assert len(set(sessions_of(rows)[:2])) == 1
     assert len(set(sessions_of(rows))) == 3
     assert set(sessions_of(rows.take([0, 2, 5]))) == {0}  # each by itself
+
+
+def test_a_drift_that_one_output_shows_leaves_them_all() -> None:
+    """Sweeps of one load after another are nearly functions of time, for some outputs more."""
+    sweep = np.concatenate((np.linspace(0, 1, 15), np.linspace(1, -1, 30), np.linspace(-1, 0, 15)))
+    wrench = np.kron(np.eye(6), sweep[:, None])
+    compliance = np.eye(6)
+    compliance[[0, 4, 1, 3], [4, 0, 3, 1]] = 0.2, 0.2, -0.2, -0.2
+    part = (wrench - 0.15 * wrench**3) @ compliance
+    noise = 1e-4 * np.random.default_rng(3).normal(size=part.shape)
+    drift = 0.01 * np.linspace(-0.5, 0.5, len(part))[:, None]
+    rows = Rows.of(wrench, part + drift + noise, source=["rig"] * len(part))
+    left, error = without_effects(rows, LoadRange(-np.ones(6), np.ones(6)))
+    assert (error > 0.004).all()
+    assert np.abs(left.displacement - part).max() < 1e-3
