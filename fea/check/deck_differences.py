@@ -13,6 +13,7 @@ from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.mesh.deck_content import (
     CoupledGroup,
     DeckContent,
+    DeckSpring,
     HeldGroup,
     SolidSection,
     in_si,
@@ -89,6 +90,7 @@ def contradictions(component: ComponentModel) -> list[BundleProblem]:
     cases = [
         [text for support in case.supports for text in _freed(component, support)]
         + [text for coupled in case.couplings for text in _uncoupled(component, coupled)]
+        + [text for spring in case.springs for text in _unsprung(component, spring)]
         for case in deck.cases
     ]
     messages += min(cases, key=len)  # a component is of one case of its deck
@@ -187,3 +189,21 @@ def _uncoupled(component: ComponentModel, group: CoupledGroup) -> Iterator[str]:
     if group.point and np.abs(point - same[0].point).max() > _NEAR * size:
         here, there = (", ".join(f"{x:.5g}" for x in p) for p in (point, same[0].point))
         yield f"{start} at ({here}) m; {same[0].key}.point is ({there}) m"
+
+
+def _unsprung(component: ComponentModel, spring: DeckSpring) -> Iterator[str]:
+    ends = [replace(end, point=spring.ends[0].point) for end in spring.ends]
+    yield from (text for end in ends for text in _uncoupled(component, end))
+    groups = {group_nodes(component.mesh, "", end.group, []).tobytes() for end in ends}
+    expected = spring.in_si(component.bundle.mesh.unit if component.bundle.mesh else "m")
+    there = np.zeros((6, 6))
+    for numbers, stiffness in component.springs:
+        frames = [component.frames[i] for i in numbers]
+        if {frame.section.node_ids.tobytes() for frame in frames} == groups:
+            turn = np.kron(np.eye(2), frames[0].axes)
+            there = turn.T @ stiffness @ turn
+    sizes = np.sqrt(np.maximum(*map(np.diagonal, (there, expected))))
+    if (np.abs(there - expected) > _SAME * np.outer(sizes, sizes)).any():
+        here, other = (_listed(np.diagonal(matrix)) for matrix in (expected, there))
+        name = ends[0].group
+        yield f'{spring.where} has "{name}" on springs of {here} in SI; the component has {other}'
