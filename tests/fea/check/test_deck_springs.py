@@ -19,6 +19,7 @@ from tests.fea.check.test_load_cases import (
 )
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.check import report as check
+from wrenchbook.fea.check.commands import main
 from wrenchbook.fea.component import build
 from wrenchbook.fea.export.calculix import PLACEHOLDERS, deck_of
 from wrenchbook.fea.solve import Solver
@@ -114,11 +115,23 @@ def test_springs_of_nastran_along_own_axes_are_those_of_abaqus(tmp_path, kind):
     assert tip(tmp_path) == pytest.approx(tip(tmp_path / "b"), rel=1e-6)
 
 
+def test_lines_of_the_deck_that_is_written_of_another_name_it_and_are_printed_once(
+    tmp_path, capsys
+):
+    lines = ["GRID,9100,,45.,5.,5.", *cards.card("RBE2", 81, 9100, 13, *ROOT)]
+    lines += ["CELAS2,90,5.,,0,9100,1", "ENDDATA"]
+    (tmp_path / "a.bdf").write_text(bulk().replace("ENDDATA", "\n".join(lines)))
+    main(["new", str(tmp_path / "a.bdf"), str(tmp_path / "new")])
+    printed = [line for line in capsys.readouterr().out.splitlines() if "*SPRING" in line]
+    assert [line[:24] for line in printed] == ["not taken over: a.inp, l"]
+
+
 LOADED = PULL + "9100, 1, 5.\n"
 REFUSED = {
     "a node of no coupling": ("9201, 9100", "9201, 1", "node 1 is no coupling's point, nor held"),
     "no node": ("9201, 9100", "9201, 77777", "node 77777 is no coupling's point"),
     "a negative stiffness": ("3000.0", "-1.", "its stiffness is -1"),
+    "no stiffness": ("3000.0", "0.", "its stiffness is 0"),
     "no number": ("3000.0", "nan", "its stiffness is nan"),
     "a table": (
         "ELSET=K1\n1\n3000.0",
