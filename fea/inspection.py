@@ -461,12 +461,10 @@ def unit_warnings(component: ComponentModel) -> list[BundleProblem]:
     """Return warnings on numbers that are rather written in another unit than SI."""
     problems = []
     for number, material in enumerate(component.materials):
-        for key, (low, high, unit, kind, other) in _USUAL.items():
+        for key, (low, high, si, kind, unit) in _USUAL.items():
             if (value := getattr(material, key)) is not None and not low <= value <= high:
-                message = (
-                    f"is {value:.4g} {unit}, {kind}; if it was meant in {other}, write it in {unit}"
-                )
-                problems.append(BundleProblem(f"material[{number}].{key}", message))
+                text = f"is {value:.4g} {si}, {kind}; if it was meant in {unit}, write it in {si}"
+                problems.append(BundleProblem(f"material[{number}].{key}", text))
     points = component.mesh.points
     low_corner, high_corner = points.min(axis=0), points.max(axis=0)
     size = float(np.linalg.norm(high_corner - low_corner))

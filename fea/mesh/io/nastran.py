@@ -410,10 +410,9 @@ def _take_springs(data: _Bulk) -> None:
         ends = [(fields[2], "1"), (fields[3], "1")] if bush else [fields[2:4], fields[4:6]]
         try:
             ends = [(node, int(way or 0)) for node, way in ends if node.strip("0")]
-            if not texts or not ends or not data.grids.keys() >= {node for node, _ in ends}:
-                raise ValueError("without its property, or on no GRID")
-            if not any(sizes := [_real(text) for text in texts]):
-                raise ValueError("its stiffness is 0")
+            sizes = [_real(text) for text in texts]
+            if not any(sizes) or not ends or not data.grids.keys() >= {node for node, _ in ends}:
+                raise ValueError("without its property, of stiffness 0, or on no GRID")
             axes = _spring_axes(data, fields if bush else [], [node for node, _ in ends], sizes)
         except (ValueError, LookupError) as error:
             data.skipped[f"{name} ({error}): write [[supports.bushing]] or [[spring]]"] += 1
