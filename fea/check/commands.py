@@ -95,8 +95,7 @@ def new(options: argparse.Namespace) -> Reply:
     lines += [f"not taken over: {text}" for text in proposal["left"]]
     lines += [f"decide: {text}" for text in proposal["decide"]]
     for kind, entries in (("warning", summary["warnings"]), ("error", summary["problems"])):
-        new = [entry for entry in entries if entry["message"] not in "\n".join(proposal["left"])]
-        lines += [f"{kind}: {entry['where']}: {entry['message']}" for entry in new]
+        lines += [f"{kind}: {entry['where']}: {entry['message']}" for entry in entries]
     lines.append("ready to solve" if summary["ok"] else f"then: wrenchbook check {folder}")
     return int(not summary["ok"]), proposal, "\n".join(lines)
 

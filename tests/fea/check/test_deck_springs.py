@@ -19,7 +19,6 @@ from tests.fea.check.test_load_cases import (
 )
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.check import report as check
-from wrenchbook.fea.check.commands import main
 from wrenchbook.fea.component import build
 from wrenchbook.fea.export.calculix import PLACEHOLDERS, deck_of
 from wrenchbook.fea.solve import Solver
@@ -115,15 +114,12 @@ def test_springs_of_nastran_along_own_axes_are_those_of_abaqus(tmp_path, kind):
     assert tip(tmp_path) == pytest.approx(tip(tmp_path / "b"), rel=1e-6)
 
 
-def test_lines_of_the_deck_that_is_written_of_another_name_it_and_are_printed_once(
-    tmp_path, capsys
-):
+def test_lines_of_the_deck_that_is_written_of_another_name_it(tmp_path):
     lines = ["GRID,9100,,45.,5.,5.", *cards.card("RBE2", 81, 9100, 13, *ROOT)]
     lines += ["CELAS2,90,5.,,0,9100,1", "ENDDATA"]
-    (tmp_path / "a.bdf").write_text(bulk().replace("ENDDATA", "\n".join(lines)))
-    main(["new", str(tmp_path / "a.bdf"), str(tmp_path / "new")])
-    printed = [line for line in capsys.readouterr().out.splitlines() if "*SPRING" in line]
-    assert [line[:24] for line in printed] == ["not taken over: a.inp, l"]
+    text = bulk().replace("ENDDATA", "\n".join(lines))
+    left = proposal(tmp_path, text, name="a.bdf")["left"]
+    assert [line[:12] for line in left if "*SPRING" in line] == ["a.inp, line "]
 
 
 LOADED = PULL + "9100, 1, 5.\n"
