@@ -216,7 +216,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     holds = [*interfaces, *springs, *(end for joint in joints for end in joint.ends)]
     for hold in holds:
         sliding = _free_sliding(mesh, sliding, hold, problems)
-    attached = {hold.where: hold.section.node_ids for hold in holds}
+    attached = [(hold.where, hold.section.node_ids) for hold in holds]  # of a joint two
     spans[fixed], spans[sliding[0]] = np.eye(3), sliding[1]
     mesh, ties = joined(mesh, bundle.ties, spans, attached, problems)
     alone = ~np.isin(sliding[0], np.concatenate([sliding[0][:0], *(tie.nodes for tie in ties)]))

@@ -107,7 +107,7 @@ def locking_material(message: str) -> SolveFailed:
         "locking_material",
         message,
         "Mesh that region with 27-node hexahedra (hex27; in gmsh Mesh.SecondOrderIncomplete = 0), "
-        "which are right up to 0.4999.",
+        "which are right up to 0.4999; write that for a higher ratio.",
     )
 
 

@@ -258,8 +258,12 @@ def gap(mesh: Mesh, nodes: Array, others: Array) -> float:
 
 
 _MAX_REPORTED = 5
-# Pa. From soft rubber to nearly diamond (1.1e12); steel written in MPa or GPa is far below.
-_USUAL_YOUNGS_MODULUS = (1e6, 1e12)
+# Pa: soft rubber to nearly diamond (1.1e12). kg/m^3: light foam (15) to more than osmium (22,600);
+# steel in MPa, GPa or g/cm^3 (7.85) is far below.
+_USUAL = {
+    "youngs_modulus": (1e6, 1e12, "Pa", "softer than rubber or stiffer than diamond", "MPa or GPa"),
+    "density": (10, 3e4, "kg/m^3", "lighter than foam or heavier than osmium", "g/cm^3 or t/mm^3"),
+}
 # Of the mesh's diagonal. Longer levers than this are millimetres written where metres belong.
 _LONGEST_LEVER = 3.0
 
@@ -283,6 +287,13 @@ def set_up_warnings(component: ComponentModel) -> list[BundleProblem]:
     problems += tie_warnings(component)
     for bolt in component.bolts:
         strength = strength_at(component, bolt)
+        stiffest = max(material.youngs_modulus for material in component.materials)
+        if (strain := bolt.bolt.force / bolt.area / stiffest) > _STRAINED:
+            message = (
+                f"is a strain of {strain:.2g} or more in the shank, which no bolt carries; write a "
+                "smaller force, or mend a unit: force in N, lengths by the mesh's unit"
+            )
+            problems.append(BundleProblem(f"{bolt.key}.force", message))
         if strength is not None and bolt.bolt.force > strength * bolt.area:
             message = (
                 f"is a mean stress of {bolt.bolt.force / bolt.area:.4g} Pa in the shank, more than "
@@ -305,6 +316,7 @@ def set_up_warnings(component: ComponentModel) -> list[BundleProblem]:
     return problems
 
 
+_STRAINED = 0.1  # bolts of steel and titanium yield at 0.01 at most, those of nylon at 0.05
 _OBLIQUE = np.radians(3.0)  # 5 % of the force pulls across; straight facets of a round shank show 1
 
 _SIDEWAYS = 0.1
@@ -448,14 +460,11 @@ def tie_warnings(component: ComponentModel) -> list[BundleProblem]:
 def unit_warnings(component: ComponentModel) -> list[BundleProblem]:
     """Return warnings on numbers that are rather written in another unit than SI."""
     problems = []
-    low, high = _USUAL_YOUNGS_MODULUS
     for number, material in enumerate(component.materials):
-        if not low <= material.youngs_modulus <= high:
-            message = (
-                f"is {material.youngs_modulus:.4g} Pa, softer than rubber or stiffer than "
-                "diamond; if it was meant in MPa or GPa, write it in Pa"
-            )
-            problems.append(BundleProblem(f"material[{number}].youngs_modulus", message))
+        for key, (low, high, si, kind, unit) in _USUAL.items():
+            if (value := getattr(material, key)) is not None and not low <= value <= high:
+                text = f"is {value:.4g} {si}, {kind}; if it was meant in {unit}, write it in {si}"
+                problems.append(BundleProblem(f"material[{number}].{key}", text))
     points = component.mesh.points
     low_corner, high_corner = points.min(axis=0), points.max(axis=0)
     size = float(np.linalg.norm(high_corner - low_corner))

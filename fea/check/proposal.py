@@ -308,8 +308,9 @@ def propose(
         proposal.decide.append(f"unit: a deck names none{why}{pounds} (--unit)")
         proposal.unit = unit
     lines = proposal.lines(_name(file.stem), deck.name)
+    at = f"{deck.name}, " * (deck.name != file.name)  # whose lines these are
     skipped += proposal.skipped + [
-        f"{where} {note}" for where, note in proposal.deck.missing.items()
+        f"{at}{where} {note}" for where, note in proposal.deck.missing.items()
     ]
     notes = [f"# DECIDE: {note}" for note in proposal.decide]
     notes += [f"# not taken over: {note}" for note in skipped]

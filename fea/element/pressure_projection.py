@@ -67,7 +67,7 @@ def locking(block: CellBlock, poisson: Array) -> str:
         return ""
     return (
         f"{int(bad.sum())} {block.kind} cells are of a material with Poisson's ratio "
-        f"{poisson.max():.6g}; such cells lock (are far too stiff) above {limit:g}."
+        f"{poisson.max():.12g}; such cells lock (are far too stiff) above {limit:g}."
     )
 
 

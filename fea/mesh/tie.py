@@ -10,7 +10,7 @@ plane of the secondary facet.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -60,7 +60,7 @@ def joined(
     mesh: Mesh,
     ties: Sequence[Tie],
     held: Array,
-    sections: Mapping[str, Array],
+    sections: Sequence[tuple[str, Array]],
     problems: list[BundleProblem],
 ) -> tuple[Mesh, tuple[TiedNodes, ...]]:
     """Return a mesh whose tied nodes follow others, and lie where these put them, and the ties.
@@ -70,17 +70,17 @@ def joined(
     symmetry, which was ten times as exact there as to leave them out; else they stay held.
 
     held: projectors on the directions in which nodes are held, (n, 3, 3).
-    sections: nodes that follow a frame, by the key of the bundle.
+    sections: keys of the bundle, and nodes that follow a frame of each.
     """
     entries, done, free = [], [], np.trace(held, axis1=1, axis2=2) < 3 - _SAME
     if mesh.dependents is not None:
         entries.append(mesh.dependents.entries)
         free[mesh.dependents.nodes] = False
         do = "take them out of the deck's constraint, or name fewer nodes"
-        others = {"[supports]": np.flatnonzero(held.any(axis=(1, 2))), **sections}
+        others = [("[supports]", np.flatnonzero(held.any(axis=(1, 2)))), *sections]
         problems += [
             BundleProblem("mesh", f"{count} nodes of {where} follow others by *EQUATION; {do}")
-            for where, nodes in others.items()
+            for where, nodes in others
             if (count := np.isin(nodes, mesh.dependents.nodes).sum())
         ]
     for i, pair in enumerate(ties):
@@ -110,7 +110,7 @@ def joined(
                     f'"{pair.main}", or follow others already. Leave the tie out, or name others'
                 )
             problems.append(BundleProblem(key, message))
-        for where, attached in sections.items():
+        for where, attached in sections:
             if (shared := np.intersect1d(tied.nodes, attached)).size:
                 message = (
                     f"{len(shared)} secondary nodes, such as the one at "

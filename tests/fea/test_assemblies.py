@@ -209,6 +209,15 @@ def test_blocks_joined_by_a_spring_have_the_compliance_of_all_in_series(coupling
     assert solver.linear.energy_gap < 1e-12
 
 
+def test_the_groups_of_a_spring_move_by_its_weights():
+    joint = {"stiffness": SPRING, "coupling": "distributed"}
+    equal, by_area = (
+        joined(joint | {"weights": name}).joints[0].ends for name in ("equal", "area")
+    )
+    assert [np.ptp(end.section.weights) for end in equal] == [0, 0]
+    assert all(np.ptp(end.section.weights) > 0 for end in by_area)
+
+
 def test_the_check_reports_a_bolt_and_what_only_it_holds(tmp_path):
     """A rod that is fixed in its middle, so that its end is loose as the bolt is tightened."""
     folder = rod_between_loads(tmp_path)
@@ -280,6 +289,8 @@ def test_a_preload_that_the_part_does_not_carry_is_named_with_the_force_reached(
     with pytest.raises(SolveFailed, match=words) as failure:
         Solver(part).solve(np.zeros(6))
     assert failure.value.remedy.startswith("Write a smaller force")
+    stretched = assembly(frame(), bolt=[bolt(region="shank", force=0.2 * YOUNG * AREA)])
+    assert "is a strain of 0." in str(warnings_of(stretched))
 
 
 def test_a_group_of_facets_cuts_as_a_region_does_and_a_jagged_cut_too():

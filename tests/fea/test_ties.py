@@ -168,6 +168,7 @@ def test_secondary_nodes_on_a_plane_of_symmetry_follow_what_is_held_there_too():
 
 
 BUSHING = {"group": "b_x0", "coupling": "rigid", "stiffness": [1, 1, 1, 1, 1, 1]}
+SPRING = {"groups": ["b_x0", "a_x1"], "coupling": "distributed", "stiffness": [1, 1, 1, 1, 1, 1]}
 
 
 @pytest.mark.parametrize(
@@ -178,6 +179,7 @@ BUSHING = {"group": "b_x0", "coupling": "rigid", "stiffness": [1, 1, 1, 1, 1, 1]
         ({"distance": -1}, {}, r"tie\[0\].distance: must be above 0"),
         ({}, {"section": "b_x0"}, "are of interface.section: a node can follow one only. Swap"),
         ({}, {"supports": {"bushing": [BUSHING]}}, r"are of supports.bushing\[0\].group: a node"),
+        ({}, {"spring": [SPRING]}, r"are of spring\[0\].groups: a node"),
         ({}, {"fixed": "b_z0"}, 'no node of "b_z0" is free to follow'),
     ],
 )

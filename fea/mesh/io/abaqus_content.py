@@ -85,7 +85,7 @@ _LOOSE = (
 
 _PARTLY = (
     "couples some directions only; here all three are: couple 1 to 3, or hold all freedoms of its "
-    "point, which makes the group a support"
+    "point, which makes the group a support if its nodes have the mesh's axes"
 )
 
 _QUIET = {"", "HEADING", "PREPRINT", "ASSEMBLY", "END ASSEMBLY", "PART", "END PART", "END STEP"}
@@ -368,6 +368,8 @@ def _take_tie(reader: Reader, deck: Deck, keyword: Keyword) -> None:
         raise ValueError("a part of a circle")
     distance = float(keyword.options.get("POSITION TOLERANCE", 0.0)) or None
     for row in keyword.rows:
+        if nodal := deck.node_sets.keys() - deck.surfaces & {*map(keyword.frame.key, row[:2])}:
+            raise ValueError(f"{', '.join(nodal)} is of nodes; name a surface of faces")
         first, second = (set_key(deck, deck.surfaces, name, keyword.frame) for name in row[:2])
         reader.ties.append((keyword.where, first, second, distance))
 
@@ -505,12 +507,16 @@ def _supports(
     of_couplings: list[set[int]] = [set() for _ in range(count)]
     by_set: dict[tuple[str, tuple[float, ...]], tuple[str, set[int]]] = {}
     by_node: dict[int, tuple[str, set[int]]] = {}
+    askew = reader.points.keys() & reader.turned.keys()
+    every = {n: set().union(*(row[3] for row in step.motions if n in row[2])) for n in askew}
     for where, key, labels, freedoms in step.motions:
-        for number, first in (reader.points[label] for label in labels if label in reader.points):
-            of_couplings[number] |= {first + i for i in freedoms if first + i < 6}
-        partly = any(0 < len(freedoms & part) < 3 for part in ({0, 1, 2}, {3, 4, 5}))
-        if partly and any(label in reader.points and label in reader.turned for label in labels):
-            reader.content.missing[where] = "holds a coupled node along turned axes"
+        for label in reader.points.keys() & labels:
+            (number, first), held = reader.points[label], every.get(label, set())
+            ways = {i for i in freedoms if sum(i // 3 == j // 3 for j in held) in (0, 3)}
+            if ways != freedoms:  # `locked` would hold them along other axes
+                message = "holds a coupled node along turned axes: write axes and locked for it"
+                reader.content.missing[where] = message
+            of_couplings[number] |= {first + i for i in ways if first + i < 6}
         plain = [label for label in labels if label not in reader.points]
         turned = list({reader.turned.get(label, _GLOBAL) for label in plain})
         if key and len(turned) == 1:

@@ -70,12 +70,15 @@ class _Bulk(Translated):
             if number not in self.cards:
                 raise ValueError(f"the coordinate system {number} is not defined, or by itself")
             name, fields = self.cards.pop(number)
-            if name[4] == "1":
-                points = np.array([self.point(self.grids[node]) for node in fields[1:4]])
-            else:
-                numbers = np.array([_real(each) for each in fields[2:11]]).reshape(3, 3)
-                points = np.array([self.placed(fields[1], each) for each in numbers])
-            z, x, y = axes_through(*points)  # its second point is on z, its third in xz
+            try:
+                if name[4] == "1":
+                    points = np.array([self.point(self.grids[node]) for node in fields[1:4]])
+                else:
+                    numbers = np.array([_real(each) for each in fields[2:11]]).reshape(3, 3)
+                    points = np.array([self.placed(fields[1], each) for each in numbers])
+                z, x, y = axes_through(*points)  # its second point is on z, its third in xz
+            except (ValueError, LookupError) as error:  # the card that is read names the system
+                raise ValueError(f"{name} {number}: {error}") from None
             self.systems[number] = name[5], np.array([x, y, z]), points[0]
         return self.systems[number]
 
@@ -297,7 +300,7 @@ def _orthotropic(data: _Bulk, name: str, fields: list[str]) -> None:
     values, stiffness = [_real(each) for each in (*fields, *[""] * 29)[:29]], np.zeros((6, 6))
     stiffness[np.triu_indices(6)] = values[1:22]
     if np.triu(stiffness, 1)[:, 3:].any():
-        data.skipped[f"{name} that is not orthotropic"] += 1
+        data.skipped[f"{name} {fields[0]} that is not orthotropic, with constants beyond nine"] += 1
         return
     rows = [*stiffness.T[:3, :3][np.tril_indices(3)], *np.diag(stiffness)[[3, 5, 4]]]
     row = ", ".join(f"{each:.12g}" for each in rows)
@@ -407,9 +410,9 @@ def _take_springs(data: _Bulk) -> None:
         ends = [(fields[2], "1"), (fields[3], "1")] if bush else [fields[2:4], fields[4:6]]
         try:
             ends = [(node, int(way or 0)) for node, way in ends if node.strip("0")]
-            if not texts or not ends or not data.grids.keys() >= {node for node, _ in ends}:
-                raise ValueError("without its property, or on no GRID")
             sizes = [_real(text) for text in texts]
+            if not any(sizes) or not ends or not data.grids.keys() >= {node for node, _ in ends}:
+                raise ValueError("without its property, of stiffness 0, or on no GRID")
             axes = _spring_axes(data, fields if bush else [], [node for node, _ in ends], sizes)
         except (ValueError, LookupError) as error:
             data.skipped[f"{name} ({error}): write [[supports.bushing]] or [[spring]]"] += 1

@@ -53,7 +53,7 @@ def join_springs(reader: Reader, deck: Deck, step: Step, case: LoadCase) -> None
         except (ValueError, LookupError) as error:
             _refuse(reader, keyword, error)
             continue
-        for ends, stiffness in (spring for spring in springs if spring[0] and spring[1].any()):
+        for ends, stiffness in (spring for spring in springs if spring[0]):
             joined.setdefault(ends, (keyword, np.zeros((6, 6))))[1][:] += stiffness
     for keyword, _ in left.values():
         _refuse(reader, keyword, "an element has no *SPRING")
@@ -108,7 +108,7 @@ def _constants(
     if keyword.options.keys() - {"ELSET", "ORIENTATION"} or len(rows) != 2:
         raise ValueError("not of one constant stiffness")
     freedoms = [int(each) - 1 for each in rows[0] if each]
-    if not 0 <= (size := float(rows[1][0])) < math.inf:
+    if not 0 < (size := float(rows[1][0])) < math.inf:
         raise ValueError(f"its stiffness is {size:g}")
     if len(freedoms) != len(nodes) or not {*freedoms} <= {*range(6)}:
         raise ValueError(f"freedoms {', '.join(rows[0])}, not one of 1 to 6 for each node")

@@ -269,10 +269,12 @@ def test_steel_in_megapascals_and_a_point_in_millimetres_are_warnings(tmp_path):
     folder = write_inp(tmp_path, box("hex20", (4, 2, 2), (0.4, 0.1, 0.1)), young="2.1e5")
     setup = folder / "component.toml"
     text = setup.read_text()
+    text = text.replace("poisson_ratio", "density = 7.85e-9\npoisson_ratio")
     setup.write_text(text.replace("[interface]", "[interface]\npoint = [400, 50, 50]"))
     told = report(folder)
     assert told["ok"]
-    modulus, point, turned = messages(told, "warnings")
+    modulus, density, point, turned = messages(told, "warnings")
+    assert "write it in kg/m^3" in density
     assert "degrees at the full range" in turned
     assert "write it in Pa" in modulus
     assert "write it in m" in point

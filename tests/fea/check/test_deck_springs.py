@@ -114,11 +114,20 @@ def test_springs_of_nastran_along_own_axes_are_those_of_abaqus(tmp_path, kind):
     assert tip(tmp_path) == pytest.approx(tip(tmp_path / "b"), rel=1e-6)
 
 
+def test_lines_of_the_deck_that_is_written_of_another_name_it(tmp_path):
+    lines = ["GRID,9100,,45.,5.,5.", *cards.card("RBE2", 81, 9100, 13, *ROOT)]
+    lines += ["CELAS2,90,5.,,0,9100,1", "ENDDATA"]
+    text = bulk().replace("ENDDATA", "\n".join(lines))
+    left = proposal(tmp_path, text, name="a.bdf")["left"]
+    assert [line[:12] for line in left if "*SPRING" in line] == ["a.inp, line "]
+
+
 LOADED = PULL + "9100, 1, 5.\n"
 REFUSED = {
     "a node of no coupling": ("9201, 9100", "9201, 1", "node 1 is no coupling's point, nor held"),
     "no node": ("9201, 9100", "9201, 77777", "node 77777 is no coupling's point"),
     "a negative stiffness": ("3000.0", "-1.", "its stiffness is -1"),
+    "no stiffness": ("3000.0", "0.", "its stiffness is 0"),
     "no number": ("3000.0", "nan", "its stiffness is nan"),
     "a table": (
         "ELSET=K1\n1\n3000.0",

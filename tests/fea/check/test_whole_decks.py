@@ -188,6 +188,17 @@ def test_nodes_of_turned_axes_are_held_along_these_as_in_calculix(tmp_path):
     assert tip(tmp_path) < 0.5 * ROOT_HELD
 
 
+@pytest.mark.parametrize(
+    ("rows", "locked"), [("9000, 1", ()), ("9000, 1\n9000, 2\n9000, 3", ("ux", "uy", "uz"))]
+)
+def test_a_point_that_is_held_along_turned_axes_is_not_locked_along_others(tmp_path, rows, locked):
+    turned = "*NSET, NSET=P\n9000\n*TRANSFORM, NSET=P\n0.6, 0.8, 0., -0.8, 0.6, 0.\n"
+    text = HEAD + RIGID + turned + step(f"{HOLD}{rows}\n*CLOAD\n9001, 1, 100.\n")
+    left = proposal(tmp_path, text)["left"]
+    assert read_bundle(tmp_path / "new").interface.locked == locked
+    assert any("write axes and locked" in line for line in left) == (not locked)
+
+
 def test_nodes_by_local_coordinates_of_abaqus_are_the_same_nodes(tmp_path):
     x, y, z = (BAR.points - [7.0, 5.0, -2.0]).T  # 1 along y, 2 along z
     cylinder = [np.hypot(y, z), np.degrees(np.arctan2(z, y)), x]
