@@ -121,9 +121,9 @@ reference: $(VENV)/.installed-dev  ## write the reference of component.toml into
 paper: $(VENV)/.installed-dev  ## reproduce the coupling paper with MuJoCo: build/paper/paper.html
 	$(BIN)/python -m data.paper build/paper
 
-# the same, and write its tables into fea/README.md
+# the same, and write its tables into data/docs/reference/validation.md
 validate-table: $(VENV)/.installed-dev
-	$(BIN)/python -m tests.validation all --update fea/README.md
+	$(BIN)/python -m tests.validation all --update data/docs/reference/validation.md
 
 # same mesh as CalculiX: the slow cases, about ten minutes
 validate-ccx: $(VENV)/.installed-dev

@@ -107,8 +107,8 @@ def _fields(classes: list[type]) -> dict[str, list[FieldInfo]]:
 
 
 def rows(classes: list[type]) -> Iterator[str]:
-    """Yield the lines of a table's reference: key, unit, default, example and what it is."""
-    yield "| key | unit | default | example | what it is |"
+    """Yield the lines of a table's reference: key, unit, default, example and meaning."""
+    yield "| key | unit | default | example | meaning |"
     yield "| --- | --- | --- | --- | --- |"
     for key, infos in _fields(classes).items():
         extra = extra_of(infos[0])

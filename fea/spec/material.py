@@ -84,7 +84,7 @@ class Solid:
     """What every material has."""
 
     region: Text = key("", '"all"')
-    """a cell group of the mesh; `all` is what no other material fills"""
+    """a cell group of the mesh; `all` is the cells without another material"""
     density: Positive | None = key("kg/m^3", "2700.0", default=None, kw_only=True)
     """for mass and natural frequency; a must with `gravity` and `[inputs.acceleration]`"""
     yield_strength: Positive | None = key("Pa", "240e6", default=None, kw_only=True)

@@ -183,7 +183,7 @@ class MeshFile:
     file: BundleFile = key(
         "", '"bracket.msh"', absent="none", write='the name of a mesh "file", or a "generator"'
     )
-    """gmsh, Abaqus/CalculiX .inp, VTK and what else meshio reads, or STEP (.step, .stp)"""
+    """gmsh, Abaqus/CalculiX .inp, VTK and the other formats of meshio, or STEP (.step, .stp)"""
     unit: LengthUnit = key("", '"mm"')
     """the mesh file's length unit: m, dm, cm, mm, um, in, ft; a STEP file has its own"""
     order: Order | None = key("", "2", default=None)
@@ -699,7 +699,7 @@ class Deck:
     output: Mapping[str, Text] = key(
         "", '{reader = "calculix-dat", point = "REF", rotation = "ROT"}'
     )
-    """what reads the answer: `[deck.output]`"""
+    """the reader of the answer: `[deck.output]`"""
     files: Annotated[tuple[FileBeside, ...], AfterValidator(different)] = key(
         "", '["mesh.inp"]', default=()
     )

@@ -4,7 +4,7 @@
 
 #include "wb_internal.h"
 
-#define WB_FORMAT 6u /* the only one that is read */
+#define WB_FORMAT 6u /* other formats are refused */
 enum { WB_NAME = 64 };
 
 typedef struct {
@@ -20,7 +20,7 @@ typedef struct {
     uint64_t shape[4], offset, bytes, unused;
 } wb_entry;
 
-/* Check bytes, or map a file that has been checked; 0 or NULL, and a reason in `why`. */
+/* Check bytes, or check and map a file. On failure return 0 or NULL and write a reason into `why`. */
 int wb_check_bytes(const unsigned char *bytes, size_t count, char *why, size_t room);
 const unsigned char *wb_map(const char *path, size_t *count, char *why, size_t room);
 

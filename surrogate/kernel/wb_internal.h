@@ -1,4 +1,4 @@
-/* What the files of the kernel weight. MIT license, as all of wrenchbook.
+/* Structures and functions that the files of the kernel share. MIT license, as all of wrenchbook.
  *
  * Arrays point into the mapped file; surrogate/packed/arrays.py names their shapes and units. The
  * order of all sums is fixed, so that one wrench, a batch and any number of threads give the same
@@ -11,26 +11,27 @@
 
 #include <math.h>
 
-/* Of the range, in each load: a smaller load is none, a load so little beyond an end is on it, and
- * closer wrenches are the same. Of an answer's size: what its computation loses. And how much
- * more than in proportion a response may move. As in Python (tests/surrogate/kernel). */
+/* As in Python (tests/surrogate/kernel). Fractions of the load range: WB_ZERO_LOAD, a smaller load
+ * is zero; WB_NEAR, closer wrenches are equal, and a load this close beyond an end is on it.
+ * WB_ROUNDING: rounding error of an answer over its size. WB_STEEPER: largest growth of a response
+ * over a proportional one. */
 #define WB_ZERO_LOAD 1e-9
 #define WB_NEAR 1e-6
 #define WB_ROUNDING 1e-12
 #define WB_STEEPER 2.0
 
 enum { WB_F8 = 1, WB_I4 = 2, WB_I8 = 3, WB_U1 = 4 }; /* types of arrays */
-/* What an axis' part of an answer depends on, from the best to the worst. */
+/* State of an axis' part of an answer, from the best to the worst. */
 enum { WB_INSIDE = 0, WB_OFF_HULL = 9, WB_NO_ROWS = 10 };
 enum { WB_PANEL = 16, WB_LANES = 8 }; /* rows of a triangle at once; partial sums of a product */
 
-/* 128 bytes, two cache lines: all that a step of a walk reads. */
+/* 128 bytes, two cache lines: the data of one step of a walk through the triangulation. */
 typedef struct {
     int32_t vertex[4], neighbour[4];
     double map[9], anchor[3]; /* slopes of the barycentric coordinates, position of the last vertex */
 } wb_simplex;
 
-/* All that an answer reads of a point. */
+/* The data of a point for an answer. */
 typedef struct {
     double position[3], value[6];
 } wb_vertex;
@@ -43,7 +44,7 @@ typedef struct {
     double scale[3], origin[3], basis[9], slack, corner[3], density[3];
 } wb_axis_floats;
 
-/* The answers to one moment alone: piecewise polynomials of the scaled moment. */
+/* Answers of a single moment: piecewise polynomials of the scaled moment. */
 typedef struct {
     int present, stretches;
     int64_t buckets;
@@ -96,7 +97,7 @@ typedef struct {
     const int64_t *seq;
 } wb_rows;
 
-/* The outputs that the same rows hold. */
+/* A group: outputs with the same rows. */
 typedef struct {
     int method, exact_fit, used, has_rows, has_composition, has_kriging;
     const int32_t *flags, *outputs, *held; /* held: NULL where it has those outputs alone */
@@ -112,7 +113,7 @@ typedef struct {
     int by_tangent, mesh_known, linear, linearity_known, whole, none;
     const int32_t *flags;
     const double *mesh, *linearity, *one_over, *stiffness;
-    const double *zero; /* (n) from where inputs count, NULL for none */
+    const double *zero; /* (n): origin of the inputs, NULL for zeros */
 } wb_solver;
 
 struct wb_table {
@@ -133,10 +134,10 @@ struct wb_table {
     wb_factor *factor;
 };
 
-/* Where one answer works; pointers into a scratch. */
+/* Working memory of one answer; pointers into a scratch. */
 typedef struct {
     double *apart, *flat, *first, *second, *chosen, *reduced, *wide;
-    const wb_factor *of; /* whose covariances with the present wrench `wide` has, or NULL */
+    const wb_factor *of; /* the factor whose covariances with the wrench are in `wide`, or NULL */
     double moved[WB_MAX]; /* outputs of the answer, those too that a scene does not read */
 } wb_work;
 
@@ -155,20 +156,20 @@ typedef struct {
     int state, simplex;
 } wb_part;
 
-/* Where an axis is read for a wrench: scaled loads, the point that is read, its barycentric weights. */
+/* The point of an axis for a wrench: scaled loads, the point in use, its barycentric weights. */
 typedef struct {
     double x[3], at[3], weights[4];
     int simplex, inside;
 } wb_location;
 
-/* Three axes together: `moved` adds all axes up, `griddata` has
- * each translation of its axis alone. `times`: how many parts there are, less those taken away. */
+/* Three axes together: `moved` is the sum of all axes, `griddata` has each translation from its axis
+ * alone. `times`: number of added parts less that of subtracted parts. */
 typedef struct {
     double moved[6], griddata[3], times;
     int states[3], state;
 } wb_composed;
 
-/* numpy's maximum: what is not a number wins. */
+/* numpy's maximum: NaN if either is NaN. */
 static inline double wb_larger(double a, double b) { return isnan(a) || a > b ? a : b; }
 
 /* A matrix (rows, columns) times a vector. */
@@ -187,8 +188,8 @@ static inline int64_t wb_bucket(double value, const double *bucket, int64_t buck
     return index >= (double)(buckets - 1) ? buckets - 1 : (int64_t)index;
 }
 
-/* Each file calls those above it alone (tests/surrogate/kernel/test_layers.py); wb_joint.c comes
- * last. */
+/* Each file calls functions of the files above it only (tests/surrogate/kernel/test_layers.py);
+ * wb_joint.c is the last. */
 
 /* wb_file.c */
 void wb_unmap(wb_table *t);
@@ -268,7 +269,7 @@ void wb_answer_slopes(const wb_table *t, const wb_options *o, wb_work *work, con
 int wb_check(const wb_table *t, const wb_options *o, const double *inputs);
 
 /* wb_many.c */
-/* Work on the blocks first, first + step, ... of a job; what the call returns. */
+/* Work on the blocks first, first + step, ... of a job; returns WB_OK or an error. */
 typedef int (*wb_run)(void *job, size_t first, size_t step);
 /* Share the blocks of a job among threads; the calling one is the first of them. */
 int wb_share(wb_run run, void *job, size_t blocks, int threads);
