@@ -227,8 +227,9 @@ class Solver:
         lost = self._system.condition * ROUNDOFF
         if lost > _ROUNDOFF_WORTH_TELLING:
             notes += (
-                f"Scaled condition about {self._system.condition:.0e}: a single solution of the "
-                f"equations would be right to {lost:.0e}; it was corrected from its stresses.",
+                f"Scaled condition about {self._system.condition:.0e}: rounding alone would leave "
+                f"a relative error of {lost:.0e}. The answer is corrected for it by its stresses: "
+                "there is nothing to do.",
             )
         return notes
 

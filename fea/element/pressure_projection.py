@@ -95,8 +95,9 @@ def pressure_notes(parts: Sequence[CellStiffness]) -> tuple[str, ...]:
     if not cells:
         return ()
     return (
-        f"{cells} cells of a nearly incompressible material (Poisson's ratio over "
-        f"{NEARLY_INCOMPRESSIBLE:g}) have a separate linear pressure.",
+        f"{cells} cells have a nearly incompressible material (Poisson's ratio over "
+        f"{NEARLY_INCOMPRESSIBLE:g}), for which ordinary cells are too stiff. They are solved with "
+        "a pressure of their own, which is not: there is nothing to do.",
     )
 
 

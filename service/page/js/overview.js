@@ -43,11 +43,12 @@ function warnings(about, signal, done) {
       found.map((one) => el("div", { class: "stack" }, el("p", { class: "muted small" }, `Import ${one.import}${one.filename ? `, ${one.filename}` : ""}`),
         findingNote(about.name, one, one.import, signal, done)))) : null,
     ofRows.length ? note("thin", ofRows.map((one) => el("p", {}, textOf(one))), about.another_setup.wrenches ? resolve(about) : null) : null,
-    checked.length ? note("thin", el("strong", {}, "Warnings of the bundle check"), el("ul", {}, checked.map((one) => el("li", {}, VERB.test(textOf(one)) ? `${one.where} ${textOf(one)}` : textOf(one))))) : null,
+    checked.length ? note("thin", el("strong", {}, "Warnings of the bundle check"), el("ul", {}, checked.map((one) => el("li", {}, VERB.test(textOf(one)) ? `${one.where} ${textOf(one)}` : sentence(textOf(one)))))) : null,
   ];
 }
 
 const VERB = /^(is|are|has|have|holds|keeps|counts|names|must) /; // of a message that goes on after its key
+const sentence = (text) => text[0].toUpperCase() + text.slice(1);
 const textOf = (one) => (typeof one === "string" ? one : one.message || one.msg || JSON.stringify(one));
 
 async function cover(place, about, signal, isLatest) {

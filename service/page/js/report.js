@@ -61,8 +61,7 @@ async function latest(body, about, signal) {
     page(body, about, await get(`${of(about.name)}/report`, signal));
   } catch (error) {
     if (signal.aborted) return;
-    if (error instanceof Problem && error.status === 404) put(body, empty("No report yet. It compares the table, in error and run time, with solves on three meshes.",
-      el("button", { type: "button", id: "first-report", onclick: () => body.parentElement.querySelector("form").requestSubmit() }, "Make the first report")));
+    if (error instanceof Problem && error.status === 404) put(body, empty("No report yet. It compares the table, in error and run time, with solves on three meshes."));
     else put(body, trouble(error));
   }
 }
