@@ -215,7 +215,8 @@ def surface(folder: Path) -> Iterator[Part]:
     reader = importlib.import_module("wrenchbook.fea.mesh.io.read")
     bundle = read_bundle(folder)
     source, deck = bundle.mesh, bundle.deck
-    mesh = reader.read_mesh(deck.file, deck.unit) if deck else component.mesh_of(source)
+    unit = deck and deck.unit
+    mesh = component.mesh_of(source) if source else reader.read_mesh(deck and deck.file, unit)
     outside = recovery.surface_of(mesh, PICTURE_VERTICES)
     points = np.round(mesh.points[outside.nodes], 6)  # µm: short JSON
     yield Part({}, {"vertices": points, "triangles": outside.triangles})

@@ -2,7 +2,7 @@
 
 import { get } from "./api.js";
 import { el, field, put, select } from "./dom.js";
-import { actorOf, time } from "./format.js";
+import { actorOf, sentence, time } from "./format.js";
 
 const SHOWN = 50;
 // Each action the service writes, by its object.
@@ -16,8 +16,8 @@ export async function show(root, _, signal) {
   document.title = "Audit · wrenchbook";
   const action = select([["", "all"]], "");
   action.name = "action";
-  action.append(...Object.entries(ACTIONS).map(([kind, verbs]) => el("optgroup", { label: `${capital(kind)}s` }, verbs.length > 1 ? el("option", { value: `${kind}.*` }, `${capital(kind)}s: all`) : null,
-    verbs.map((verb) => el("option", { value: `${kind}.${verb}` }, capital(actionOf(`${kind}.${verb}`)))))), el("option", { value: "settings" }, "Settings"));
+  action.append(...Object.entries(ACTIONS).map(([kind, verbs]) => el("optgroup", { label: `${sentence(kind)}s` }, verbs.length > 1 ? el("option", { value: `${kind}.*` }, `${sentence(kind)}s: all`) : null,
+    verbs.map((verb) => el("option", { value: `${kind}.${verb}` }, sentence(actionOf(`${kind}.${verb}`)))))), el("option", { value: "settings" }, "Settings"));
   action.addEventListener("change", () => fresh());
   const inputs = [...["actor", "component"].map((name) => el("input", { name, placeholder: "all" })), action];
   const body = el("tbody", {}), older = el("button", { type: "button", hidden: true }, "Older entries");
@@ -38,13 +38,11 @@ export async function show(root, _, signal) {
   };
   older.addEventListener("click", () => load(next.replace(/^\//, ""), false));
   const form = el("form", { class: "few", onsubmit: (event) => { event.preventDefault(); fresh(); } },
-    inputs.map((input) => field(capital(input.name), input)), el("div", {}, el("button", {}, "Show")));
+    inputs.map((input) => field(sentence(input.name), input)), el("div", {}, el("button", {}, "Show")));
   await fresh();
   put(root, el("h1", {}, "Audit"), el("section", { class: "card" }, form,
     el("table", { class: "folds audit" }, el("thead", {}, el("tr", {}, ["time", "actor", "action", "component", "object", "before and after"].map((one) => el("th", { scope: "col" }, one)))), body), older));
 }
-
-const capital = (text) => text[0].toUpperCase() + text.slice(1);
 
 const DONE = { accept: "accepted", add: "added", append: "appended", cancel: "cancelled", clear: "cleared", edit: "edited", insert: "added", load: "loaded", priority: "priority changed", reopen: "reopened", remove: "removed", restore: "restored", retry: "retried", revoke: "revoked", rewrite: "rewritten", rotate: "rotated", solve: "solved", store: "stored", withdraw: "withdrawn" };
 
@@ -56,7 +54,7 @@ function actionOf(name) {
 // A state as words: "status waiting, priority 0".
 function wordsOf(state) {
   if (state === null || typeof state !== "object") return String(state);
-  return Object.entries(state).filter(([, value]) => value !== null).map(([name, value]) => (Array.isArray(state) ? wordsOf(value) : `${name.replaceAll("_", " ")} ${wordsOf(value)}`)).join(", ");
+  return Object.entries(state).filter(([, value]) => value !== null && value !== "").map(([name, value]) => (Array.isArray(state) ? wordsOf(value) : `${name.replaceAll("_", " ")} ${wordsOf(value)}`)).join(", ");
 }
 
 // Of two states what differs, else the one there is.

@@ -5,7 +5,7 @@ import { el, facts, field, note, notify, put, table } from "./dom.js";
 import { listenToTable } from "./events.js";
 import { beingBuilt } from "./empty.js";
 import { findingNote } from "./findings.js";
-import { count, number, quantity } from "./format.js";
+import { count, number, quantity, sentence } from "./format.js";
 import { inputsOf, mark, spansOf } from "./inputs.js";
 import { sharesOf, wholeError } from "./shares.js";
 
@@ -48,7 +48,6 @@ function warnings(about, signal, done) {
 }
 
 const VERB = /^(is|are|has|have|holds|keeps|counts|names|must) /; // of a message that goes on after its key
-const sentence = (text) => text[0].toUpperCase() + text.slice(1);
 const textOf = (one) => (typeof one === "string" ? one : one.message || one.msg || JSON.stringify(one));
 
 async function cover(place, about, signal, isLatest) {

@@ -45,7 +45,7 @@ async function follow(about, state, signal) {
   make.disabled = ran;
   if (ran) put(state, bar, el("div", { class: "line ends" }, message, cancel));
   while (now.state === "running") {
-    bar.value = now.fraction;
+    if (now.fraction) bar.value = now.fraction; // until then it moves
     message.textContent = cancel.disabled ? "cancelling" : now.message;
     await new Promise((done) => setTimeout(done, LOOK_MS));
     if (signal.aborted) return false;
