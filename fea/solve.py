@@ -228,8 +228,7 @@ class Solver:
         if lost > _ROUNDOFF_WORTH_TELLING:
             notes += (
                 f"Scaled condition about {self._system.condition:.0e}: rounding alone would leave "
-                f"a relative error of {lost:.0e}. The answer is corrected for it by its stresses: "
-                "there is nothing to do.",
+                f"an error of {lost:.0e} of it. The answer is corrected for that: nothing to do.",
             )
         return notes
 

@@ -96,8 +96,7 @@ def pressure_notes(parts: Sequence[CellStiffness]) -> tuple[str, ...]:
         return ()
     return (
         f"{cells} cells have a nearly incompressible material (Poisson's ratio over "
-        f"{NEARLY_INCOMPRESSIBLE:g}), for which ordinary cells are too stiff. They are solved with "
-        "a pressure of their own, which is not: there is nothing to do.",
+        f"{NEARLY_INCOMPRESSIBLE:g}). A separate pressure keeps them from locking: nothing to do.",
     )
 
 

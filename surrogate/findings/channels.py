@@ -22,9 +22,8 @@ TAIL = 5  # per cent of the rows at either end, whose values count as the end: t
 Broken = tuple[Cause, NDArray[np.intp], float, float]  # rows, the value, part of the range off
 
 MESSAGES: dict[Cause, str] = {
-    "dead": "{name} reads {value:.6g} {unit} in all rows while {load} varies, which no elastic "
-    "part does: answers of {name} would be this constant. Check the channel; if {name} was not "
-    "measured, leave its cells empty",
+    "dead": "{name} reads {value:.6g} {unit} in all rows while {load} varies, and so would its "
+    "answers. Check the channel; if {name} was not measured, leave its cells empty",
     "noise": "{name} does not follow the loads, though {load} varies: its readings are noise of "
     "{value:.3g} {unit}, and so would be answers of {name}. Check the channel; if {name} was not "
     "measured, leave its cells empty",

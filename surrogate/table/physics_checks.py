@@ -29,12 +29,6 @@ TANGENT = 0.5  # part of the step between neighbours that their mean tangent may
 NEAR = 1.0  # half load ranges: over longer steps a tangent changes by more than `TANGENT`
 NEGLIGIBLE = 1e-2  # of the largest translation or rotation: outputs below it are not judged
 MAX_LISTED = 50
-# Why a check has no verdict, and what gives it one.
-_NO_ZERO = "no row is at zero load, so an offset would not show; add a row of the unloaded part"
-_NO_FIT = "the rows do not determine a compliance; add rows that vary each load"
-_OTHER_WORK = "temperature and acceleration are inputs and do work too, so the law does not apply"
-_ONE_TANGENT = "fewer than two rows have a tangent; solved rows have one"
-_FAR_TANGENTS = "rows with a tangent are over half a load range apart; solve wrenches between them"
 
 
 def check_physics(
@@ -83,7 +77,11 @@ def _zero(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, Any]:
     space = load_range.space
     unloaded = (np.abs(rows.wrench - space.zero) <= ZERO_LOAD * load_range.scale).all(axis=1)
     if not unloaded.any():
-        return {"ok": None, "reason": _NO_ZERO, "rows": []}
+        return {
+            "ok": None,
+            "reason": "no row at zero load: add one of the unloaded part",
+            "rows": [],
+        }
     over = (np.abs(rows.displacement) > ZERO * _sizes(rows, space) + stored).any(axis=1)
     wrong = np.asarray(unloaded & over)
     worst = np.abs(rows.displacement[unloaded]).max(axis=0).tolist()
@@ -171,7 +169,11 @@ def _linear(rows: Rows, space: Space, fit: ComplianceFit) -> dict[str, Any]:
     """Return how far the rows are from one matrix, and name the farthest."""
     known = ((rows.wrench == space.zero) | fit.known).all(axis=1)
     if not known.any() or fit.origin == "none":
-        return {"ok": None, "reason": _NO_FIT, "rows": []}
+        return {
+            "ok": None,
+            "reason": "the rows determine no compliance: vary each load",
+            "rows": [],
+        }
     residual = np.abs(rows.displacement - rows.wrench @ fit.matrix.T - fit.offset) / _sizes(
         rows, space
     )
@@ -196,7 +198,7 @@ def _linear(rows: Rows, space: Space, fit: ComplianceFit) -> dict[str, Any]:
 def _work(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, Any]:
     """Check that loads do positive work, alone and on the way to the nearest other row."""
     if load_range.space.scalars:
-        return {"ok": None, "reason": _OTHER_WORK, "rows": []}
+        return {"ok": None, "reason": "temperature and acceleration do work too", "rows": []}
     uncertainty = stored + NEGATIVE * _sizes(rows, load_range.space)
     work = (rows.wrench * rows.displacement).sum(axis=1)
     wrong = work < -(np.abs(rows.wrench) * uncertainty).sum(axis=1)
@@ -227,11 +229,19 @@ def _tangents(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, An
     some = rows.take(there)
     pairs = _neighbours(some, load_range) if len(there) > 1 else np.empty((0, 2), dtype=int)
     if not len(pairs):
-        return {"ok": None, "reason": _ONE_TANGENT, "rows": []}
+        return {
+            "ok": None,
+            "reason": "under two rows have a tangent: solved rows have one",
+            "rows": [],
+        }
     steps = some.wrench[pairs[:, 1]] - some.wrench[pairs[:, 0]]
     near = np.linalg.norm(steps / load_range.scale, axis=1) <= NEAR
     if not near.any():
-        return {"ok": None, "reason": _FAR_TANGENTS, "rows": []}
+        return {
+            "ok": None,
+            "reason": "tangents are too far apart: solve wrenches between",
+            "rows": [],
+        }
     (first, second), step = pairs[near].T, steps[near]
     mean = (some.compliance[first] + some.compliance[second]) / 2
     moved = some.displacement[second] - some.displacement[first]
