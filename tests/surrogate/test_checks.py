@@ -107,7 +107,7 @@ def test_rows_too_far_apart_for_their_tangents_are_not_called_broken() -> None:
     rows = Rows.of(far, far @ MATRIX.T, compliance=stiff)
     told = check_physics(rows, RANGE, fit_compliance(rows, RANGE, linear=False))
     assert told["checks"]["tangents"]["ok"] is None
-    assert told["checks"]["tangents"]["reason"].endswith("solve wrenches between")
+    assert told["checks"]["tangents"]["reason"].endswith("solve rows between")
 
 
 def test_noise_of_a_thousandth_of_the_largest_displacement_breaks_no_law() -> None:
