@@ -9,14 +9,14 @@ const SHOWN = 50;
 const ACTIONS = {
   job: ["accept", "cancel", "retry", "reopen", "priority"], row: ["solve", "insert", "rewrite", "withdraw", "restore"],
   import: ["load", "append", "withdraw", "restore"], component: ["add", "edit"], key: ["add", "rotate", "revoke"],
-  rig: ["store", "remove"], recording: ["clear"], envelope: ["clear"],
+  rig: ["store", "remove"], demand: ["forget"], recording: ["clear"], envelope: ["clear"],
 };
 
 export async function show(root, _, signal) {
   document.title = "Audit · wrenchbook";
   const action = select([["", "all"]], "");
   action.name = "action";
-  action.append(...Object.entries(ACTIONS).map(([kind, verbs]) => el("optgroup", { label: `${sentence(kind)}s` }, verbs.length > 1 ? el("option", { value: `${kind}.*` }, `${sentence(kind)}s: all`) : null,
+  action.append(...Object.entries(ACTIONS).map(([kind, verbs]) => el("optgroup", { label: sentence(kind) }, verbs.length > 1 ? el("option", { value: `${kind}.*` }, `${sentence(kind)}s: all`) : null,
     verbs.map((verb) => el("option", { value: `${kind}.${verb}` }, sentence(actionOf(`${kind}.${verb}`)))))), el("option", { value: "settings" }, "Settings"));
   action.addEventListener("change", () => fresh());
   const inputs = [...["actor", "component"].map((name) => el("input", { name, placeholder: "all" })), action];
@@ -44,7 +44,7 @@ export async function show(root, _, signal) {
     el("table", { class: "folds audit" }, el("thead", {}, el("tr", {}, ["time", "actor", "action", "component", "object", "before and after"].map((one) => el("th", { scope: "col" }, one)))), body), older));
 }
 
-const DONE = { accept: "accepted", add: "added", append: "appended", cancel: "cancelled", clear: "cleared", edit: "edited", insert: "added", load: "loaded", priority: "priority changed", reopen: "reopened", remove: "removed", restore: "restored", retry: "retried", revoke: "revoked", rewrite: "rewritten", rotate: "rotated", solve: "solved", store: "stored", withdraw: "withdrawn" };
+const DONE = { accept: "accepted", add: "added", append: "appended", cancel: "cancelled", clear: "cleared", edit: "edited", forget: "forgotten", insert: "added", load: "loaded", priority: "priority changed", reopen: "reopened", remove: "removed", restore: "restored", retry: "retried", revoke: "revoked", rewrite: "rewritten", rotate: "rotated", solve: "solved", store: "stored", withdraw: "withdrawn" };
 
 function actionOf(name) {
   const [kind, verb] = name.split(".");
