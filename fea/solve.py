@@ -227,8 +227,8 @@ class Solver:
         lost = self._system.condition * ROUNDOFF
         if lost > _ROUNDOFF_WORTH_TELLING:
             notes += (
-                f"Scaled condition about {self._system.condition:.0e}: a single solution of the "
-                f"equations would be right to {lost:.0e}; it was corrected from its stresses.",
+                f"Scaled condition about {self._system.condition:.0e}: rounding alone would leave "
+                f"an error of {lost:.0e} of it. The answer is corrected for that: nothing to do.",
             )
         return notes
 

@@ -52,29 +52,31 @@ def over_tolerance(
                 size = cell_size / finer
                 sized = f", about {1e3 * size:.2g} mm" if size < 1.0 else f", about {size:.2g} m"
                 sized += " each"
-            remedy = f"make cells about {finer:.2g} times smaller{sized}"
+            remedy = f"Make cells about {finer:.2g} times smaller{sized}"
             if finer > _WORTH_A_MESH:
-                remedy = "make cells much smaller"
+                remedy = "Make cells much smaller"
             message = (
-                f"the mesh alone may be wrong by {excess} at the full range: more solves do not "
-                f"lower that. To be within the tolerance {remedy}, or widen [tolerance] or narrow "
-                "[range]"
+                f"the mesh is too coarse for the tolerance: at the full range its error may be "
+                f"{excess}, and more solves do not lower it. {remedy}, widen [tolerance], or "
+                "narrow [range]"
             )
             problems += [BundleProblem(WHERE, message)]
     if solver_error.get("linearity") is not None:
         worst, excess = _worst(np.array(solver_error["linearity"]), allowed)
         if worst > 1.0:
             message = (
-                f"nonlinear = false alone may be wrong by {excess} at the full range: more solves "
-                "do not lower that. Set nonlinear = true, or narrow [range]"
+                "the linear solver (nonlinear = false) leaves out the effect of large "
+                f"displacements: at the full range that may be {excess}, and more solves do not "
+                "lower it. Set nonlinear = true in [analysis], or narrow [range]"
             )
             problems += [BundleProblem(WHERE, message)]
     factor = solver_error.get("buckling")
     if factor is not None and factor < 1.0:
         message = (
-            f"the part buckles at {factor:.3g} of the loads at a corner of the range, which "
-            "nonlinear = false does not see: answers beyond that are wrong. Narrow [range], or set "
-            "nonlinear = true, whose solves end there by name"
+            f"the part buckles at {factor:.3g} of the loads at a corner of the range, and the "
+            "linear solver (nonlinear = false) does not see it: answers beyond that load are "
+            "wrong. Narrow [range], or set nonlinear = true in [analysis]: solves then end there "
+            "with an error"
         )
         problems += [BundleProblem(WHERE, message)]
     return problems

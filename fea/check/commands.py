@@ -59,12 +59,15 @@ def check(options: argparse.Namespace) -> Reply:
     return int(not summary["ok"]), summary, as_text(summary)
 
 
-_CLICK = """const line = document.createElement("pre");
+# A module of the service's page, which plotly puts into a plain script.
+_PRESSED = Path(__file__).with_name("pressed.js").read_text("utf-8").removeprefix("export ")
+_CLICK = f"""{_PRESSED}
+const line = document.createElement("pre");
 line.textContent = "Click a face: its lines for component.toml";
 document.body.prepend(line);
-document.getElementById("{plot_id}").on("plotly_click", event => {
-  line.textContent = "[mesh.groups]\\nNAME = " + event.points[0].data.meta;
-});"""
+pressed(document.getElementById("{{plot_id}}"), trace => {{
+  line.textContent = "[mesh.groups]\\nNAME = " + trace.meta;
+}});"""
 
 
 def faces_figure(surface: Surface, faces: list[dict[str, Any]]) -> go.Figure:

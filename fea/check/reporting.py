@@ -126,9 +126,11 @@ def report(
 
 
 def surface_in(folder: Path) -> Surface | None:
-    """Return the surface of a bundle's mesh; None where its [mesh] or file will not do."""
+    """Return the surface of a bundle's mesh, or its deck's; None if [mesh] or file will not do."""
     try:
-        table = tomllib.loads((folder / FILE_NAME).read_text("utf-8"))["mesh"]
+        content = tomllib.loads((folder / FILE_NAME).read_text("utf-8"))
+        deck = content.get("deck", {})
+        table = content.get("mesh") or {"unit": deck.get("unit", "m"), "file": deck["file"]}
         keys = {key: value for key, value in table.items() if key not in ("groups", "regions")}
         source = validated(kind_of(keys_of(ComponentFile)["mesh"]), keys, "mesh", [], folder)
         return None if source is None else surface_of(source)

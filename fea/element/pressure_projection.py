@@ -95,8 +95,8 @@ def pressure_notes(parts: Sequence[CellStiffness]) -> tuple[str, ...]:
     if not cells:
         return ()
     return (
-        f"{cells} cells of a nearly incompressible material (Poisson's ratio over "
-        f"{NEARLY_INCOMPRESSIBLE:g}) have a separate linear pressure.",
+        f"{cells} cells have a nearly incompressible material (Poisson's ratio over "
+        f"{NEARLY_INCOMPRESSIBLE:g}). A separate pressure keeps them from locking: nothing to do.",
     )
 
 

@@ -137,7 +137,8 @@ def yielding(component: ComponentModel, body: ElasticBody, solution: Solution) -
     return (
         f"{percent:.2g} % of the part's volume is beyond its yield strength at this wrench, up to "
         f"{used[worst]:.3g} times that of {material.region} ({material.yield_strength:.4g} Pa): "
-        "materials here do not yield, so the answer is too stiff."
+        "the solver's materials do not yield, so this answer is too stiff. Narrow [range] or "
+        "strengthen the part."
     )
 
 

@@ -215,7 +215,8 @@ def surface(folder: Path) -> Iterator[Part]:
     reader = importlib.import_module("wrenchbook.fea.mesh.io.read")
     bundle = read_bundle(folder)
     source, deck = bundle.mesh, bundle.deck
-    mesh = component.mesh_of(source) if source else reader.read_mesh(deck and deck.file, "m")
+    unit = deck and deck.unit
+    mesh = component.mesh_of(source) if source else reader.read_mesh(deck and deck.file, unit)
     outside = recovery.surface_of(mesh, PICTURE_VERTICES)
     points = np.round(mesh.points[outside.nodes], 6)  # µm: short JSON
     yield Part({}, {"vertices": points, "triangles": outside.triangles})
@@ -228,7 +229,7 @@ def faces(folder: Path) -> Iterator[Part]:
     if (surface := reporting.surface_in(folder)) is None:
         problems = reporting.report(folder)["problems"]
         texts = [f"{p['where']}: {p['message']}" for p in problems if p["where"][:4] == "mesh"]
-        raise ValueError("; ".join(texts) or "no [mesh], so no faces for [mesh.groups]")
+        raise ValueError("; ".join(texts) or "no [mesh] and no .inp deck with solid cells")
     if (count := len(surface.triangles)) > MAX_FACE_TRIANGLES:
         raise ValueError(f"{count} triangles are too many here; use wrenchbook check --plot")
     listed = [reporting.listed(surface, face) for face in surface.faces]

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,8 @@ class Component:
 
     Its fingerprint was read from `files` when they had the `stamp` (see `file_stamp`). `idle` are
     the loads that act on a locked freedom of an interface. `yield_strengths`, Pa, are by a
-    material's region, of those whose bundle has one.
+    material's region, of those whose bundle has one. `mesh` is the table of component.toml whose
+    file has the mesh; of decks those that the mesh reader knows.
     """
 
     name: str
@@ -56,6 +57,7 @@ class Component:
     stamp: FileStamp = ()
     idle: tuple[int, ...] = ()
     yield_strengths: Mapping[str, float] = field(default_factory=dict)
+    mesh: Literal["mesh", "deck"] | None = None
 
     def acting(self, wrenches: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return wrenches, shape (..., 6), N and N·m, without the loads on locked freedoms.
@@ -167,6 +169,7 @@ def component_of(bundle: Bundle, *, shipped: bool) -> Component:
     named += [entry.field for entry in further]
     named += [bundle.deck.file, *bundle.deck.files] if bundle.deck else []
     files = (bundle.folder / FILE_NAME, *(path for path in named if path))
+    readable = bundle.deck is not None and bundle.deck.file.suffix.lower() == ".inp"
     scalars = [Input(entry.name, entry.unit, "scalar", zero=entry.reference) for entry in further]
     space = space_of([interface.name for interface in bundle.interfaces] or [""], scalars)
     low = np.append(bundle.range.low, [entry.low for entry in further])
@@ -194,6 +197,7 @@ def component_of(bundle: Bundle, *, shipped: bool) -> Component:
             for material in bundle.materials
             if material.yield_strength is not None
         },
+        mesh="mesh" if bundle.mesh else "deck" if readable else None,
     )
 
 

@@ -22,21 +22,21 @@ TAIL = 5  # per cent of the rows at either end, whose values count as the end: t
 Broken = tuple[Cause, NDArray[np.intp], float, float]  # rows, the value, part of the range off
 
 MESSAGES: dict[Cause, str] = {
-    "dead": "{name} reads {value:.6g} {unit} in all rows while {load} varies, which no elastic "
-    "part does: look at its channel, and leave the cells empty if it was not measured",
-    "noise": "nothing of {name} is explained by the loads, though {load} varies: its readings are "
-    "noise of {value:.3g} {unit}. Look at its channel, and leave the cells empty if it was not "
-    "measured",
-    "clipped": "{name} ends at {value:.6g} {unit} in {count} rows, where the other rows tell up to "
-    "{off:.0%} of its range more: the channel was at the end of its range. Withdraw these rows, or "
-    "leave these cells empty",
-    "stuck": "{name} stays at {value:.6g} {unit} in {count} rows, which the other rows tell to be "
-    "up to {off:.0%} of its range off: the channel was stuck. Withdraw these rows, or leave these "
-    "cells empty",
+    "dead": "{name} reads {value:.6g} {unit} in all rows while {load} varies, and so would its "
+    "answers. Check the channel; if {name} was not measured, leave its cells empty",
+    "noise": "{name} does not follow the loads, though {load} varies: its readings are noise of "
+    "{value:.3g} {unit}, and so would be answers of {name}. Check the channel; if {name} was not "
+    "measured, leave its cells empty",
+    "clipped": "{name} stops at {value:.6g} {unit} in {count} rows; by the other rows it goes on "
+    "by up to {off:.0%} of its range. The channel was at its limit, and answers near these rows "
+    "would be too small. Withdraw these rows, or leave these cells empty",
+    "stuck": "{name} stays at {value:.6g} {unit} in {count} rows, up to {off:.0%} of its range "
+    "away from the other rows. The channel was stuck, and answers near these rows would be wrong. "
+    "Withdraw these rows, or leave these cells empty",
 }
 OF_LOADS = (
     "{} stays at {:.6g} {} in {} rows, where {} goes on by up to {:.0%} of its range: the load "
-    "cell was {} there. Withdraw these rows"
+    "cell was {} there, and answers would be by a wrong load. Withdraw these rows"
 )
 
 

@@ -133,12 +133,12 @@ def comparison_findings(
         for name, pair in differ.items()
     )
     others, remedy = (
-        ("the solves", "the part, its material or its clamping are not those of the model")
+        ("the solves", "The part, its material or its clamping differ from the model: correct it")
         if solves
-        else ("the rows of the table", "one of the two is wrong, or the part has changed")
+        else ("the table's rows", "One of the two is wrong, or the part has changed: look at both")
     )
     message = (
-        f"these rows differ from {others} by more than noise and error bars ({listed}): {remedy}. "
-        "Answers of a table with both have bars that hold both"
+        f"these rows differ from {others} by more than noise and error bars ({listed}). {remedy}, "
+        "or withdraw an import. While the table has both, its error bars are wide enough for both"
     )
     return [RigFinding("solves" if solves else "campaign", message, (), {"differ": differ})]

@@ -246,21 +246,23 @@ def symmetry_findings(fit: Fit, load_range: LoadRange) -> list[RigFinding]:
     if is_sure and (np.diag(fit.matrix @ moved) > 0).all():
         load_point, moved_point = (",".join(f"{x:.4g}" for x in by * lever) for by in (-1, 1))
         message = (
-            f"the compliance is unsymmetric by {size:.0%}; it is symmetric to {after.size:.1%} if "
-            f"the point that the moments are about is {np.linalg.norm(lever):.4g} m from the one "
-            f"whose displacement was measured: import with --load-point {load_point} (m) if the "
-            "displacements are those of the interface's point, or with --displacement-point "
-            f"{moved_point} if the moments are about it (add it to a point given before)"
+            "the moments are about another point than the one whose displacement was measured, "
+            f"about {np.linalg.norm(lever):.4g} m away: the compliance is unsymmetric by "
+            f"{size:.0%}, and with one point by {after.size:.1%}. Answers would be wrong by this "
+            f"lever. Import with --load-point {load_point} (m) if the displacements are those of "
+            f"the interface's point, or with --displacement-point {moved_point} if the moments are "
+            "about it (add it to a point given before)"
         )
         return [RigFinding("lever", message, (), {"lever": lever.tolist(), "asymmetry": size})]
     at = int(np.argmax(np.abs(before.values) * before.sure))
     first, second = int(PAIRS[0][at]), int(PAIRS[1][at])
-    remedy = "and no lever explains it: " if complete else "which another point may explain: "
+    other = "No other" if complete else "Perhaps another"
     message = (
-        f"the compliance is unsymmetric by {size:.0%}, most of all {OUTPUTS[first]} by "
-        f"{LOADS[second]} and {OUTPUTS[second]} by {LOADS[first]}, {remedy}check that loads and "
-        "displacements are in one frame, the load cell's crosstalk, and that the displacement of "
-        "the rig itself is not measured"
+        f"the compliance is unsymmetric by {size:.0%}, which that of an elastic part is not: most "
+        f"of all {OUTPUTS[first]} by {LOADS[second]} against {OUTPUTS[second]} by {LOADS[first]}, "
+        f"whose answers would be wrong. {other} reference point explains it. Check that loads and "
+        "displacements are in one frame, that the load cell has no crosstalk, and that the rig "
+        "itself does not move"
     )
     return [RigFinding("asymmetry", message, (), {"asymmetry": size})]
 

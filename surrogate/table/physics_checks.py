@@ -77,7 +77,7 @@ def _zero(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, Any]:
     space = load_range.space
     unloaded = (np.abs(rows.wrench - space.zero) <= ZERO_LOAD * load_range.scale).all(axis=1)
     if not unloaded.any():
-        return {"ok": None, "reason": "no row at zero load", "rows": []}
+        return {"ok": None, "reason": "no row at zero load: add the unloaded part's", "rows": []}
     over = (np.abs(rows.displacement) > ZERO * _sizes(rows, space) + stored).any(axis=1)
     wrong = np.asarray(unloaded & over)
     worst = np.abs(rows.displacement[unloaded]).max(axis=0).tolist()
@@ -165,7 +165,7 @@ def _linear(rows: Rows, space: Space, fit: ComplianceFit) -> dict[str, Any]:
     """Return how far the rows are from one matrix, and name the farthest."""
     known = ((rows.wrench == space.zero) | fit.known).all(axis=1)
     if not known.any() or fit.origin == "none":
-        return {"ok": None, "reason": "no compliance fits the rows", "rows": []}
+        return {"ok": None, "reason": "the rows fix no compliance: vary each load", "rows": []}
     residual = np.abs(rows.displacement - rows.wrench @ fit.matrix.T - fit.offset) / _sizes(
         rows, space
     )
@@ -173,13 +173,16 @@ def _linear(rows: Rows, space: Space, fit: ComplianceFit) -> dict[str, Any]:
     index = float(residual.max())
     farthest = np.argsort(-residual.max(axis=1))[:5]
     ok = index <= LINEAR
-    matrix = "a 6x6" if space.is_default else "one matrix"
-    word = "suffices" if ok else "does not suffice"
+    matrix = "one 6x6 compliance" if space.is_default else "one compliance"
+    says = f"{matrix} describes all rows within {index:.2%} of each output's largest value"
+    if not ok:
+        says = f"the rows deviate from {matrix} by up to {index:.2%} of an output's largest value"
+        says += "; use the table's answers in place of the matrix"
     return {
         "ok": ok,
         "index": index,
         "per_output": dict(zip(space.output_names, residual.max(axis=0).tolist(), strict=True)),
-        "says": f"{matrix} {word} for this component: max nonlinearity {index:.2%}",
+        "says": says,
         "rows": [] if ok else rows.seq[farthest].tolist(),
     }
 
@@ -187,7 +190,7 @@ def _linear(rows: Rows, space: Space, fit: ComplianceFit) -> dict[str, Any]:
 def _work(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, Any]:
     """Check that loads do positive work, alone and on the way to the nearest other row."""
     if load_range.space.scalars:
-        return {"ok": None, "reason": "heat and weight do work as well as the loads", "rows": []}
+        return {"ok": None, "reason": "temperature and acceleration do work too", "rows": []}
     uncertainty = stored + NEGATIVE * _sizes(rows, load_range.space)
     work = (rows.wrench * rows.displacement).sum(axis=1)
     wrong = work < -(np.abs(rows.wrench) * uncertainty).sum(axis=1)
@@ -218,11 +221,11 @@ def _tangents(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, An
     some = rows.take(there)
     pairs = _neighbours(some, load_range) if len(there) > 1 else np.empty((0, 2), dtype=int)
     if not len(pairs):
-        return {"ok": None, "reason": "fewer than two rows have a tangent", "rows": []}
+        return {"ok": None, "reason": "fewer than two tangents: solved rows have one", "rows": []}
     steps = some.wrench[pairs[:, 1]] - some.wrench[pairs[:, 0]]
     near = np.linalg.norm(steps / load_range.scale, axis=1) <= NEAR
     if not near.any():
-        return {"ok": None, "reason": "no two rows with a tangent are neighbours", "rows": []}
+        return {"ok": None, "reason": "tangents too far apart: solve rows between", "rows": []}
     (first, second), step = pairs[near].T, steps[near]
     mean = (some.compliance[first] + some.compliance[second]) / 2
     moved = some.displacement[second] - some.displacement[first]

@@ -30,7 +30,7 @@ def test_compliance_is_the_6x6_with_its_checks(http):
     body = http.get(f"{CALL}/compliance").json()
     assert np.allclose(body["matrix"], 1e-6 * np.eye(6))
     assert body["ok"] is True
-    assert body["checks"]["linear"]["says"].startswith("a 6x6 suffices")
+    assert body["checks"]["linear"]["says"].startswith("one 6x6 compliance describes")
     assert body["checks"]["symmetric"]["asymmetry"] < 1e-9
     assert body["known_loads"] == ["fx", "fy", "fz", "mx", "my", "mz"]
 

@@ -41,7 +41,7 @@ def test_a_linear_elastic_table_passes_and_a_6x6_suffices() -> None:
     told = checks(LINEAR, compliance=TANGENTS)
     assert told["ok"]
     assert all(check["ok"] for check in told["checks"].values())
-    assert told["checks"]["linear"]["says"].startswith("a 6x6 suffices for this component: max")
+    assert told["checks"]["linear"]["says"].startswith("one 6x6 compliance describes")
     assert told["checks"]["linear"]["index"] < 1e-9
 
 
@@ -107,7 +107,7 @@ def test_rows_too_far_apart_for_their_tangents_are_not_called_broken() -> None:
     rows = Rows.of(far, far @ MATRIX.T, compliance=stiff)
     told = check_physics(rows, RANGE, fit_compliance(rows, RANGE, linear=False))
     assert told["checks"]["tangents"]["ok"] is None
-    assert told["checks"]["tangents"]["reason"] == "no two rows with a tangent are neighbours"
+    assert told["checks"]["tangents"]["reason"].endswith("solve rows between")
 
 
 def test_noise_of_a_thousandth_of_the_largest_displacement_breaks_no_law() -> None:

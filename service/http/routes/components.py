@@ -234,6 +234,7 @@ def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
         "name": component.name,
         "title": component.title,
         "has_fea": component.has_fea,
+        "mesh": component.mesh,
         "linear": component.linear,
         "shipped": component.shipped,
         "range": load_range,

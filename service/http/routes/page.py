@@ -32,6 +32,7 @@ MEDIA_TYPES: Final = {
 }
 # Package and file in it, by the name it is served under.
 BORROWED: Final = {
+    "js/pressed.js": ("wrenchbook.fea", "check/pressed.js"),  # `check --plot` has it too
     "plotly.min.js": ("plotly", "package_data/plotly.min.js"),
     "swagger-ui-bundle.js": ("fastapi_offline", "static/swagger-ui-bundle.js"),
     "swagger-ui.css": ("fastapi_offline", "static/swagger-ui.css"),

@@ -1,7 +1,7 @@
 // Add a component: a bundle's zip, or a table without finite elements.
 
 import { post, send, trouble } from "./api.js";
-import { el, field, put } from "./dom.js";
+import { el, field, put, working } from "./dom.js";
 import { facesIn } from "./faces.js";
 
 export async function show(root, _, signal) {
@@ -26,7 +26,7 @@ function bundle(root, signal) {
     body.append("bundle", input.files[0]);
     put(faces);
     try {
-      put(state, el("p", { class: "muted" }, looks ? "Reading the mesh …" : "Checking the bundle …"));
+      put(state, working(looks ? "The mesh is read and its faces are numbered …" : "The bundle is checked: mesh, groups, supports …"));
       const reply = await (await send("POST", `v1/components${looks ? "?faces=true" : ""}`, { body, signal })).json();
       put(state);
       if (!looks) { goTo(reply.name); return; }

@@ -1,14 +1,25 @@
 // The audit: writes with their actors, newest first, a page at a time.
 
 import { get } from "./api.js";
-import { el, field, put } from "./dom.js";
-import { actorOf, time } from "./format.js";
+import { el, field, put, select } from "./dom.js";
+import { actorOf, sentence, time } from "./format.js";
 
-const SHOWN = 50, FIELDS = ["actor", "component", "action"];
+const SHOWN = 50;
+// Each action the service writes, by its object.
+const ACTIONS = {
+  job: ["accept", "cancel", "retry", "reopen", "priority"], row: ["solve", "insert", "rewrite", "withdraw", "restore"],
+  import: ["load", "append", "withdraw", "restore"], component: ["add", "edit"], key: ["add", "rotate", "revoke"],
+  rig: ["store", "remove"], demand: ["forget"], recording: ["clear"], envelope: ["clear"],
+};
 
 export async function show(root, _, signal) {
   document.title = "Audit · wrenchbook";
-  const inputs = FIELDS.map((name) => el("input", { name, placeholder: name === "action" ? "job.*" : "all" }));
+  const action = select([["", "all"]], "");
+  action.name = "action";
+  action.append(...Object.entries(ACTIONS).map(([kind, verbs]) => el("optgroup", { label: sentence(kind) }, verbs.length > 1 ? el("option", { value: `${kind}.*` }, `${sentence(kind)}s: all`) : null,
+    verbs.map((verb) => el("option", { value: `${kind}.${verb}` }, sentence(actionOf(`${kind}.${verb}`)))))), el("option", { value: "settings" }, "Settings"));
+  action.addEventListener("change", () => fresh());
+  const inputs = [...["actor", "component"].map((name) => el("input", { name, placeholder: "all" })), action];
   const body = el("tbody", {}), older = el("button", { type: "button", hidden: true }, "Older entries");
   let next = null;
   const load = async (path, fresh) => {
@@ -26,14 +37,14 @@ export async function show(root, _, signal) {
     return load(`v1/audit?${new URLSearchParams([...chosen, ["limit", SHOWN]])}`, true);
   };
   older.addEventListener("click", () => load(next.replace(/^\//, ""), false));
-  const form = el("form", { class: "line", onsubmit: (event) => { event.preventDefault(); fresh(); } },
-    inputs.map((input) => field(input.name, input)), el("button", {}, "Show"));
+  const form = el("form", { class: "few", onsubmit: (event) => { event.preventDefault(); fresh(); } },
+    inputs.map((input) => field(sentence(input.name), input)), el("div", {}, el("button", {}, "Show")));
   await fresh();
   put(root, el("h1", {}, "Audit"), el("section", { class: "card" }, form,
     el("table", { class: "folds audit" }, el("thead", {}, el("tr", {}, ["time", "actor", "action", "component", "object", "before and after"].map((one) => el("th", { scope: "col" }, one)))), body), older));
 }
 
-const DONE = { accept: "accepted", add: "added", append: "appended", cancel: "cancelled", edit: "edited", insert: "added", load: "loaded", priority: "priority changed", retry: "retried", revoke: "revoked", rewrite: "rewritten", rotate: "rotated", solve: "solved" };
+const DONE = { accept: "accepted", add: "added", append: "appended", cancel: "cancelled", clear: "cleared", edit: "edited", forget: "forgotten", insert: "added", load: "loaded", priority: "priority changed", reopen: "reopened", remove: "removed", restore: "restored", retry: "retried", revoke: "revoked", rewrite: "rewritten", rotate: "rotated", solve: "solved", store: "stored", withdraw: "withdrawn" };
 
 function actionOf(name) {
   const [kind, verb] = name.split(".");
@@ -43,7 +54,7 @@ function actionOf(name) {
 // A state as words: "status waiting, priority 0".
 function wordsOf(state) {
   if (state === null || typeof state !== "object") return String(state);
-  return Object.entries(state).filter(([, value]) => value !== null).map(([name, value]) => (Array.isArray(state) ? wordsOf(value) : `${name.replaceAll("_", " ")} ${wordsOf(value)}`)).join(", ");
+  return Object.entries(state).filter(([, value]) => value !== null && value !== "").map(([name, value]) => (Array.isArray(state) ? wordsOf(value) : `${name.replaceAll("_", " ")} ${wordsOf(value)}`)).join(", ");
 }
 
 // Of two states what differs, else the one there is.

@@ -7,7 +7,7 @@ import { LOADS, OUTPUTS, count, number, percent, symbol } from "./format.js";
 
 const CHECKS = {
   zero_at_zero_load: ["The displacement at zero load is zero", (one) => one.reason],
-  symmetric: ["The compliance is symmetric (Maxwell, Betti)", (one) => `asymmetry ${percent(one.asymmetry)} of ${percent(one.allowed)} allowed${one.asymmetry_of_solves == null ? "" : `; of solves, by the energy's loads, ${number(one.asymmetry_of_solves, 2)} of ${number(one.allowed_of_solves, 2)}`}`],
+  symmetric: ["The compliance is symmetric (Maxwell, Betti)", (one) => `asymmetry ${percent(one.asymmetry)}, allowed ${percent(one.allowed)}${one.asymmetry_of_solves == null ? "" : `; of solved tangents ${number(one.asymmetry_of_solves, 2)}, allowed ${number(one.allowed_of_solves, 2)}`}`],
   positive: ["Loads do positive work", (one) => `smallest over largest eigenvalue ${number(one.smallest_over_largest_eigenvalue, 3)}`],
   linear: ["The response is linear (one 6 × 6 compliance)", (one) => one.says || one.reason],
   work: ["Work does not decrease from row to row", (one) => `${count(one.pairs_that_give_work_back ?? 0)} pairs of rows lose work`],

@@ -1,4 +1,4 @@
-// One component: its heading, and a tab for each thing to do with it. Measured ones have no solves.
+// One component: its heading, its views in at most six groups, and the view. Measured ones have no solves.
 
 import { get, listed, of } from "./api.js";
 import { el, note, pill, put } from "./dom.js";
@@ -10,27 +10,28 @@ const BUILDING_MS = 3000; // between tries of a table that is being built
 const FOLLOW = ["shape", "rows", "response", "checks", "compare", "entry"];
 // Views of one wrench at one interface, without further inputs.
 const OF_ONE = ["shape", "rows", "response", "checks", "compare", "report", "demand"];
+// View, its name, file, group, and what the component needs for it.
 const TABS = [
   ["overview", "Overview", "overview.js"],
-  ["query", "Query", "query.js"],
-  ["shape", "Shape", "shape.js", "solved"],
-  ["faces", "Faces", "faces.js", "solved"],
-  ["rows", "Rows", "rows.js"],
-  ["response", "Response", "response.js"],
-  ["checks", "Checks", "checks.js"],
-  ["compare", "Compare", "compare.js"],
-  ["report", "Report", "report.js", "solved"],
-  ["jobs", "Jobs", "component_jobs.js", "solved"],
+  ["query", "Query", "query.js", "Ask"],
+  ["response", "Response", "response.js", "Ask"],
+  ["shape", "Shape", "shape.js", "Ask", "has_fea"],
+  ["rows", "Rows", "rows.js", "Table"],
+  ["checks", "Checks", "checks.js", "Table"],
+  ["compare", "Compare", "compare.js", "Table"],
+  ["report", "Report", "report.js", "Table", "has_fea"],
   ["table", "Import & export", "table.js"],
-  ["demand", "Demand", "demand.js"],
-  ["entry", "Entry", "entry.js"],
+  ["jobs", "Jobs", "component_jobs.js", "Jobs & demand", "has_fea"],
+  ["demand", "Demand", "demand.js", "Jobs & demand"],
+  ["faces", "Faces", "faces.js", "Part", "mesh"],
+  ["entry", "Entry", "entry.js", "Part"],
 ];
 
 export async function show(root, [name, tab = "overview"], signal) {
   // The library's entry is reply at once; all there is to say of a large table takes seconds.
   const { components } = await listed(signal);
   const about = components.find((one) => one.name === name) || await get(of(name), signal);
-  const there = TABS.filter(([view, , , needs]) => (!needs || about.has_fea) && !(about.space && OF_ONE.includes(view)));
+  const there = TABS.filter(([view, , , , needs]) => (!needs || about[needs]) && !(about.space && OF_ONE.includes(view)));
   const [chosenTab, text, file] = there.find(([one]) => one === tab) || there[0];
   document.title = `${name}: ${text} · wrenchbook`;
   const changed = el("div", { "aria-live": "polite" }), body = el("div", { class: "stack" }), byTab = document.activeElement?.closest(".tabs");
@@ -43,9 +44,7 @@ export async function show(root, [name, tab = "overview"], signal) {
       el("div", { class: "line" }, awayPill(about.archived), pill(about.has_fea ? (about.linear ? "linear" : "finite elements") : "measured", ""))),
     tabs(name, chosenTab, there),
     changed, body);
-  const chosen = document.querySelector(".tabs [aria-current]");
-  chosen?.scrollIntoView({ block: "nearest", inline: "center" });
-  if (byTab) chosen?.focus({ preventScroll: true });
+  if (byTab) document.querySelector(".tabs [aria-current=page]")?.focus({ preventScroll: true });
   const part = await import(`./${file}`);
   if (signal.aborted) return;
   const ended = new AbortController(), own = AbortSignal.any([signal, ended.signal]);
@@ -80,9 +79,15 @@ function awayPill(archived) {
   return made;
 }
 
+// The groups, and below them the views of the chosen one; a group of one view has that view's name.
 function tabs(name, chosen, there) {
-  const links = there.map(([one, text]) => el("a", {
-    href: `#/c/${encodeURIComponent(name)}/${one}`, "aria-current": one === chosen ? "page" : null,
-  }, text));
-  return el("nav", { class: "tabs", "aria-label": `Views of ${name}` }, links);
+  const groups = Map.groupBy(there, ([view, , , group]) => group || view);
+  const link = ([view], text, current) => el("a", { href: `#/c/${encodeURIComponent(name)}/${view}`, "aria-current": current }, text);
+  let row = null;
+  const heads = [...groups].map(([group, views]) => {
+    const here = views.some(([view]) => view === chosen), one = views.length === 1;
+    if (here && !one) row = el("div", { class: "views" }, views.map((view) => link(view, view[1], view[0] === chosen ? "page" : null)));
+    return link(views[0], one ? views[0][1] : group, here ? (one ? "page" : "true") : null);
+  });
+  return el("nav", { class: "tabs", "aria-label": `Views of ${name}` }, el("div", {}, heads), row);
 }

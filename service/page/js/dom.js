@@ -21,6 +21,9 @@ export function pill(text, kind = text) {
   return el("span", { class: `pill ${kind}` }, text);
 }
 
+// What takes seconds and does not say how far it is.
+export const working = (text) => el("div", { class: "working", role: "status" }, el("span", {}, text), el("progress", { "aria-label": text }));
+
 export function note(kind, ...children) {
   return el("div", { class: `note ${kind}` }, ...children);
 }

@@ -1,20 +1,21 @@
 // The numbered faces of a mesh, as `wrenchbook check --faces --plot` draws them: a click, or the list, gives a face's TOML.
 
 import { get, of } from "./api.js";
-import { el, field, put, select } from "./dom.js";
+import { el, field, put, select, working } from "./dom.js";
 import { number } from "./format.js";
 import { draw } from "./plot.js";
+import { pressed } from "./pressed.js";
 import { snippet } from "./snippet.js";
 import { awayFrom } from "./surface.js";
 import { figure as turning } from "./view3d.js";
 
 export async function show(root, about, signal) {
-  put(root, el("p", { class: "muted" }, "The faces are read from the mesh …"));
-  await facesIn(root, await get(`${of(about.name)}/faces`, signal), signal);
+  put(root, working("The mesh is read and its faces are numbered; this takes seconds …"));
+  await facesIn(root, await get(`${of(about.name)}/faces`, signal), signal, about.mesh === "deck");
 }
 
-// Shows a reply of `/faces` in a place.
-export async function facesIn(root, { faces, figure }, signal) {
+// Shows a reply of `/faces` in a place; the lines are for a component with [mesh], the faces may be a deck's.
+export async function facesIn(root, { faces, figure }, signal, ofDeck = false) {
   let chosen = 0;
   const bodies = figure.data.filter((trace) => trace.type === "mesh3d").map(({ x, y, z }) => [x, y, z].map(decoded));
   const place = el("div", { class: "plot", id: "faces", "data-away": 1.1 * awayFrom(bodies.flatMap(([x, y, z]) => Array.from(x, (one, k) => [one, y[k], z[k]]))) });
@@ -29,30 +30,18 @@ export async function facesIn(root, { faces, figure }, signal) {
     lines.say(`[mesh.groups]\n${group.value || "NAME"} = ${faces.find((one) => one.number === face).toml}`);
   };
   put(root, el("section", { class: "card" },
-    el("p", { class: "muted" }, "Click a face, or choose it in the list. Copy its lines into component.toml; supports and interfaces name the group. Lengths are in m."),
+    el("p", { class: "muted" }, ofDeck ? "Faces of the mesh in the deck, which solves this part with its own sets. The lines are for a component of the embedded solver with this mesh. Lengths are in m."
+      : "Click a face, or choose it in the list. Copy its lines into component.toml; supports and interfaces name the group. Lengths are in m."),
     view.root, el("div", { class: "halves" }, field(`Face, of ${faces.length}`, list), field("Name of the group", group)), lines.root));
   choose(faces[0].number);
   drawing = await draw(place, (shade) => ({ data: figure.data.map((trace) => painted(trace, chosen, shade)), layout: { scene: sceneOf(view) } }), signal, `${faces.length} numbered faces`);
   view.hold(drawing);
-  pressed(place, choose);
-}
-
-// Calls `choose` with the face under a press that does not turn the part. (plotly_click comes only if a frame falls into the press.)
-function pressed(place, choose) {
-  let over = null, from = null;
-  place.on("plotly_hover", ({ points }) => { over = numberOf(points[0].data); });
-  place.on("plotly_unhover", () => { over = null; });
-  place.addEventListener("pointerdown", ({ clientX, clientY }) => { from = [clientX, clientY]; }, true);
-  place.addEventListener("click", ({ clientX, clientY }) => {
-    if (from && Math.hypot(clientX - from[0], clientY - from[1]) < STILL) setTimeout(() => { if (over) choose(over); }, FRAME_MS);
-  }, true);
+  pressed(place, (trace) => choose(numberOf(trace)));
 }
 
 const decoded = ({ bdata }) => new Float64Array(Uint8Array.from(atob(bdata), (one) => one.charCodeAt(0)).buffer); // as plotly packs arrays
 const numberOf = (trace) => Number.parseInt(trace.name, 10);
 
-const STILL = 5; // px: a press that moves farther turns the part
-const FRAME_MS = 100; // after a touch plotly has found the face by then
 // The chosen face in the colour of links, the others pale; numbers in the colour of text.
 function painted(trace, chosen, shade) {
   const here = numberOf(trace) === chosen;

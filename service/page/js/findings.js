@@ -2,7 +2,7 @@
 
 import { of, send, trouble } from "./api.js";
 import { el, note, notify, put } from "./dom.js";
-import { count } from "./format.js";
+import { count, sentence } from "./format.js";
 
 const NAMED = 20; // rows that are named; the button withdraws all
 
@@ -22,7 +22,7 @@ export function findingNote(name, one, number, signal, done = () => {}) {
     }
   };
   const rows = one.rows?.length ? `${number ? "Rows of the table" : "Rows of the file"}: ${one.rows.slice(0, NAMED).join(", ")}${one.count > NAMED ? ` and ${count(one.count - NAMED)} more` : ""}.` : null;
-  const title = one.cause[0].toUpperCase() + one.cause.slice(1), words = one.message.replaceAll(/--(\w+)-point/g, "the $1 point");
-  return note("thin", el("strong", {}, title), el("span", {}, `${words[0].toUpperCase()}${words.slice(1)}.`), rows ? el("span", {}, rows) : null,
+  const words = one.message.replaceAll(/--(\w+)-point/g, "the $1 point");
+  return note("thin", el("strong", {}, sentence(one.cause)), el("span", {}, `${sentence(words)}.`), rows ? el("span", {}, rows) : null,
     number ? el("div", {}, el("button", { type: "button", class: "withdraw", onclick: withdraw }, one.count ? `Withdraw ${count(one.count)} ${one.count === 1 ? "row" : "rows"}` : "Withdraw this import")) : null, state);
 }

@@ -39,6 +39,9 @@ export function number(value, digits = 4) {
 const POWERS = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶", 7: "⁷", 8: "⁸", 9: "⁹" };
 const superscript = (power) => [...String(power)].map((one) => POWERS[one]).join("");
 
+// A text of the server as a sentence: a capital letter, and powers of ten in place of 1e-06.
+export const sentence = (text) => text[0].toUpperCase() + text.slice(1).replaceAll(/(\d)e([+-]\d+)/g, (_, digit, power) => `${digit}·10` + superscript(Number(power)));
+
 // A value and its bar: of the value as many digits as the bar leaves, three to seven.
 export function withBar(value, bar, unit) {
   if (value === null || value === undefined) return { value: "–", bar: "–" };

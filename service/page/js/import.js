@@ -2,7 +2,7 @@
 
 import { caughtUp, get, of, send, trouble } from "./api.js";
 import { isLines, lineOf, readText, withLine } from "./csv_text.js";
-import { el, note, put, table } from "./dom.js";
+import { el, note, put, table, working } from "./dom.js";
 import { findingNote } from "./findings.js";
 import { LOADS, OUTPUTS, count, number, plain, unitOfLoad, unitOfOutput } from "./format.js";
 import { importOptions } from "./import_options.js";
@@ -64,7 +64,7 @@ async function post(state, dry) {
 async function check(state) {
   state.check = (state.check || 0) + 1;
   const mine = state.check; // of two at once the later one counts
-  put(state.place, el("p", { class: "muted" }, `Checking ${state.file.name} …`));
+  put(state.place, working(`${state.file.name} is read and checked …`));
   let shown;
   try {
     const result = await post(state, true);
@@ -124,9 +124,10 @@ function preview(result) {
 }
 
 async function load(state) {
-  put(state.place, el("p", { class: "muted" }, "Importing …"));
+  put(state.place, working("1 of 2: the rows are written …"));
   try {
     const result = await post(state, false);
+    put(state.place, working(`2 of 2: ${count(result.inserted)} rows are saved; the table is built …`));
     await caughtUp(state.about.name, state.signal);
     const kept = result.import ? (await get(`${of(state.about.name)}/imports`, state.signal)).imports.find((one) => one.id === result.import) : null;
     const name = encodeURIComponent(state.about.name);

@@ -45,7 +45,7 @@ async function follow(about, state, signal) {
   make.disabled = ran;
   if (ran) put(state, bar, el("div", { class: "line ends" }, message, cancel));
   while (now.state === "running") {
-    bar.value = now.fraction;
+    if (now.fraction) bar.value = now.fraction; // until then it moves
     message.textContent = cancel.disabled ? "cancelling" : now.message;
     await new Promise((done) => setTimeout(done, LOOK_MS));
     if (signal.aborted) return false;
@@ -61,8 +61,7 @@ async function latest(body, about, signal) {
     page(body, about, await get(`${of(about.name)}/report`, signal));
   } catch (error) {
     if (signal.aborted) return;
-    if (error instanceof Problem && error.status === 404) put(body, empty("No report yet. It compares the table, in error and run time, with solves on three meshes.",
-      el("button", { type: "button", id: "first-report", onclick: () => body.parentElement.querySelector("form").requestSubmit() }, "Make the first report")));
+    if (error instanceof Problem && error.status === 404) put(body, empty("No report yet. It compares the table, in error and run time, with solves on three meshes."));
     else put(body, trouble(error));
   }
 }

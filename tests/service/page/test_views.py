@@ -3,6 +3,7 @@
 import json
 import re
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,10 +14,12 @@ from tests.service.page.test_browser import LOADS, PLATE, ask
 from tests.service.test_import_findings import logs_of
 from tests.surrogate.findings.rigs import Rig
 from tests.until import until
+from wrenchbook.fea.check.commands import main as check
 from wrenchbook.service.client.errors import ProblemError
 
 LIMIT_S = 1200
 pytestmark = pytest.mark.browser
+ROOT = Path(__file__).parents[3]
 REPORT = "/v1/components/plate_thin/report"
 
 
@@ -266,10 +269,58 @@ def test_an_empty_view_has_the_button_that_ends_it(browser, rig, view):
 
 
 def test_a_measured_component_has_no_tabs_of_solves(browser, rig):
-    browser.visit("#/c/unmeasured")
-    tabs = browser.one(".tabs").text.split("\n")
-    assert not {"Shape", "Report", "Jobs"} & set(tabs)
-    assert "Query" in tabs
+    seen = set()
+    for view in ("query", "rows", "demand", "entry"):
+        browser.visit(f"#/c/unmeasured/{view}")
+        seen |= set(browser.one(".tabs").text.split("\n"))
+    assert not {"Shape", "Report", "Jobs", "Faces"} & seen
+    assert {"Query", "Checks", "Demand", "Entry"} <= seen
+
+
+def test_a_component_has_at_most_six_groups_and_the_views_of_the_chosen_one(browser, client):
+    browser.visit(f"{PLATE}/checks")
+    browser.one(".views")
+    groups, views = (
+        [one.text for one in browser.all(f".tabs > {row} a")]
+        for row in ("div:first-child", ".views")
+    )
+    assert groups == ["Overview", "Ask", "Table", "Import & export", "Jobs & demand", "Part"]
+    assert views == ["Rows", "Checks", "Compare", "Report"]
+
+
+def test_the_faces_of_a_deck_are_those_of_its_mesh(browser, client):
+    browser.visit("#/c/plate_ccx/faces")
+    browser.drawn("#faces")
+    assert "mesh in the deck" in browser.one("main").text
+    assert len(browser.all("#face option")) == 6
+    assert browser.mistakes() == []
+
+
+def test_a_click_on_the_page_of_check_gives_the_lines_of_the_face(browser, client, tmp_path):
+    folder, page = ROOT / "data/components/plate_thin", tmp_path / "faces.html"
+    check(["check", str(folder), "--plot", str(page), "--json"])
+    browser.driver.get(page.as_uri())
+    place = browser.one(".plotly-graph-div")
+
+    def pressed():
+        mouse = ActionChains(browser.driver).move_to_element(place).move_by_offset(1, 1)
+        mouse.click().move_by_offset(-1, -1).perform()
+        return "NAME = {plane" in browser.one("pre").text
+
+    browser.until(pressed, "the lines of a face")
+
+
+def test_the_audit_offers_each_action_that_the_service_writes(browser, client):
+    browser.visit("#/audit")
+    browser.one("select[name=action]")
+    offered = {one.get_attribute("value") for one in browser.all("select option")}
+    source = "".join(file.read_text("utf-8") for file in (ROOT / "service").rglob("*.py"))
+    written = set(re.findall(r'(?:note|noted|_by_caller)\([^"()]*"([a-z]+\.[a-z]+)"', source))
+    events = re.findall(r'_by_caller\([^"]*"([a-z]+)"', source)
+    assert len(written) > 10
+    assert written | {f"job.{event}" for event in events} <= offered
+    browser.one("option[value='key.*']").click()  # no key was made
+    browser.until(lambda: not browser.all("tbody tr"), "the entries of keys")
 
 
 def test_two_logs_are_joined_and_the_lag_of_their_clocks_is_one_click(browser, client, tmp_path):
@@ -379,7 +430,7 @@ def test_a_shape_without_a_surface_is_solved_by_its_button(browser, client):
 def test_a_component_without_a_report_has_a_button_that_makes_one(browser, client):
     client.solve("bar", [0, 0, -50.0], [0, 0, 0], wait_s=120)
     browser.visit("#/c/bar/report")
-    browser.one("#first-report").click()
+    browser.named("form button", "Make the report").click()
     browser.one("#cancel-report").click()
     browser.until(lambda: not browser.all("#cancel-report"), "the end of the report")
 
