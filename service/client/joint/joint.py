@@ -371,7 +371,8 @@ class Joint:
         elif status == NO_MASS:
             raise InvalidArgument(
                 "the inverse effective mass of the joint is not symmetric and positive definite: a "
-                "freedom between base and tip moves no mass, or the matrix is not that of one step"
+                "freedom between base and tip moves no mass, the matrix is not that of one step, "
+                "or mj_step1 did not precede pull_joints"
             )
         elif status == NOT_FINITE:
             raise InvalidArgument(

@@ -11,10 +11,11 @@ from tests.service.client.joint_scenes import (
     known_law,
     known_table,
     linear_table,
+    mujoco,
     scene,
     sphere,
 )
-from wrenchbook.service.client.joint import Joint
+from wrenchbook.service.client.joint import Joint, JointWarning
 from wrenchbook.service.client.joint.joint import quaternion
 from wrenchbook.service.client.joint.mujoco_joint import MujocoJoint
 from wrenchbook.service.client.rotation import rotation_matrix
@@ -77,3 +78,24 @@ def test_a_minute_of_a_swing_without_damping_keeps_its_energy_within_half_a_per_
         if count % 997 == 0:
             drift.append(joint.report().energy_drift)
     assert np.abs(drift).max() < 5e-3 * swing
+
+
+def test_the_energy_of_a_scene_that_is_put_elsewhere_is_not_known():
+    model, data = scene(sphere(5, "0.02 0 0.03"))
+    joint = MujocoJoint(model, data, linear_table())
+    for _ in range(20):
+        joint.step()
+    assert joint.report().energy_drift is not None
+    mujoco.mj_resetData(model, data)
+    assert joint.report().energy_drift is None
+    joint.step()
+    assert joint.report().energy_drift is None
+
+
+def test_the_remedy_of_a_linear_part_beyond_its_range_is_not_more_solves():
+    joint = Joint(linear_table())
+    moved = bar_compliance() @ (1.5 * HIGH)
+    with pytest.warns(JointWarning, match="beyond the load range"):
+        joint.step(rotation_matrix(moved[3:]), moved[:3], np.zeros(6), 0.1 * np.eye(6), 1e-3)
+    assert "widen the load range" in joint.report().remedy
+    assert "fill" not in joint.report().remedy
