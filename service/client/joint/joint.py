@@ -112,7 +112,7 @@ class Joint:
         self._name = table.name
         self._further = further_inputs(table, inputs or {})
         self._warned = self._uncovered = False
-        self._remedy = "Check the masses, the step and the units of the scene, or widen the range"
+        self._remedy = "Check masses, units and steps (all with the joint), or widen the range"
         self._begin(None)
         # A table without stiffness is refused; where in its range no joint can invert it, it warns.
         packed, at, free, method = self._table.packed, self._at, self.free, self._method

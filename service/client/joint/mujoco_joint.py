@@ -377,6 +377,7 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
     """Raise JointError if joints are not all those of one scene, or its step is not above zero."""
     if not joints or any(joint._data is not joints[0]._data for joint in joints):
         raise JointError("step_joints takes the joints of one scene: one or more of the same data")
+    _refuse_rk4(joints[0]._model)  # it may have been chosen since
     stepped = [start for joint in joints for start in joint._starts]
     of_scene = _JOINTS[joints[0]._data]
     if len(set(stepped)) < len(stepped):
@@ -399,7 +400,7 @@ def _pull(joints: Collection[MujocoJoint]) -> None:
     """Add the joints to the equation of motion, once ``mj_step1`` has computed pose and motion."""
     first = next(iter(joints))
     model, data, dt = first._model, first._data, first._scene.timestep
-    _refuse_rk4(model)  # it may have been chosen since
+    _refuse_rk4(model)
     if any(len(joint._steps.replies) > 1 for joint in joints):
         raise JointError("a joint of MujocoJoints steps with all of them: call their step")
     for joint in joints:  # of a second call, unless MuJoCo has computed the matrix anew

@@ -128,10 +128,8 @@ def test_the_mass_of_a_link_is_that_of_the_end_that_moves():
 
 def test_each_of_several_interfaces_has_its_own_mass_and_must_be_named():
     matrix = np.diag(np.arange(12.0)).tolist()
-    ends = {"left": {"locked": ["rx"]}, "right": {"locked": []}}
-    facts = {"interfaces": ends, "vibration": {"condensed_mass": matrix}}
-    part, mass = _moving("beam", facts, "left")
-    assert (part, np.diag(mass).tolist()) == (ends["left"], [0.0, 1.0, 2.0, 3.0, 4.0, 5.0])
+    facts = {"interfaces": {"left": {}, "right": {}}, "vibration": {"condensed_mass": matrix}}
+    assert np.diag(_moving("beam", facts, "left")[1]).tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
     with pytest.raises(typer.BadParameter, match="moves at left, right"):
         _moving("beam", facts)
 
