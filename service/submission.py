@@ -139,16 +139,16 @@ class Submission:
 
     def pending_wrenches(self, name: str) -> Floats:
         """Return the wrenches (n, inputs) of open jobs and of failed ones: none is solved again."""
-        component = self._library[name]
-        open_jobs = self._ledger.open_jobs(name, component.fingerprint)
-        failed = [
-            job.wrench
-            for job in self._ledger.jobs(name, "failed", limit=MAX_FAILED)
-            if job.fingerprint == component.fingerprint
-        ]
-        inputs = len(component.space.inputs)
-        waiting = unpacked((job.wrench for job in open_jobs), inputs)
-        return np.concatenate((waiting, np.array(failed).reshape(-1, inputs)))
+        waiting, now = self.open_wrenches(name), self._library[name].fingerprint
+        jobs = self._ledger.jobs(name, "failed", limit=MAX_FAILED)
+        failed = [job.wrench for job in jobs if job.fingerprint == now]
+        return np.concatenate((waiting, np.array(failed).reshape(-1, waiting.shape[1])))
+
+    def open_wrenches(self, name: str) -> Floats:
+        """Return the wrenches (n, inputs) of open jobs."""
+        part = self._library[name]
+        waiting = (job.wrench for job in self._ledger.open_jobs(name, part.fingerprint))
+        return unpacked(waiting, len(part.space.inputs))
 
     def solvable(self, name: str, why: str = "") -> Component:
         """Return a component that solves can be queued for; raises NoSetupError for any other.

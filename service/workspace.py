@@ -303,7 +303,10 @@ class Workspace:
             design = next_wrenches(surrogate, budget, pending=pending, **options)
         else:
             design = design_of(surrogate, plan_of(surrogate, need), budget, pending)
-        jobs = self.submission.fill(name, design.wrenches)
+        wrenches = design.wrenches
+        if not len(wrenches) and design.stage != "met":  # an open solve is all it needs
+            wrenches = self.submission.open_wrenches(name)
+        jobs = self.submission.fill(name, wrenches)
         # A design separates by 1e-9 of the range, a queue by 1e-6: some may be known.
         return design, [job for job in jobs if job.status != "done"]
 

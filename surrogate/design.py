@@ -188,7 +188,7 @@ def next_wrenches(
         if len(known.pending) and not len(surrogate.rows):
             fresh = fresh[:0]
         return Design(
-            fresh[:budget], "first", "the compliance of a linear component needs no more solves"
+            fresh[:budget], "first", "one solve gives the compliance of a linear component"
         )
     if not (span.high > span.low).any():
         return _first(known.new(span.low[None])[:budget], "the scene has one wrench")

@@ -21,7 +21,6 @@ from wrenchbook.service.cli.connect import (
     in_folder,
 )
 from wrenchbook.service.cli.render import matrix_table, print_json, show, stiffness_lines
-from wrenchbook.service.client import Client
 from wrenchbook.service.client.joint import LinearPart
 from wrenchbook.service.client.joint.joint import FREEDOMS
 
@@ -40,6 +39,9 @@ def joint(
     scene: Annotated[Path, typer.Argument(help="the MJCF file", exists=True, dir_okay=False)],
     base: Annotated[str, typer.Option(help="body on the support's side")] = "base",
     tip: Annotated[str, typer.Option(help="body on the interface's side, its child")] = "tip",
+    interface: Annotated[
+        str | None, typer.Option(help="of a part that moves at several: the one at the tip")
+    ] = None,
     site: Annotated[
         str | None,
         typer.Option(help="site of the tip: interface point and frame; else the body's own"),
@@ -68,48 +70,42 @@ def joint(
 
     with connected(server, data) as client:
         facts = client.component(name)
-        springs = _springs(client, name, (*force, *moment), further) if linear else None
-    mass = None if massless else _mass_of(facts)
+        about = (*force, *moment), further_inputs(further)
+        springs = LinearPart.of(client.download(name), *about) if linear else None
+    part, mass = _moving(name, facts, interface)
+    mass, locked = None if massless else mass, part.get("locked", ())
     if springs is None:
-        locked = (facts.get("interface") or {}).get("locked", ())
         text = scene_with_joint(scene, base, tip, locked=locked, site=site, mass=mass)
     else:
         text = scene_with_springs(scene, base, tip, springs, damping=damping, site=site, mass=mass)
         sys.stderr.write(f"{springs.error}\n")
     if mass is not None:
         total, moving = facts["vibration"]["mass"], sum(mass[k][k] for k in range(3)) / 3
-        sys.stderr.write(
-            f"{moving:.4g} kg of the part's {total:.4g} kg move with the tip; give the base the "
-            "rest\n"
-        )
+        shares = f"{moving:.4g} kg of the part's {total:.4g} kg move with {tip!r}"
+        sys.stderr.write(f"{shares}; give the base what no tip takes\n")
     elif not massless:
         sys.stderr.write(f"{name} has no known mass: give its materials a density\n")
     if out is not None:
         out.write_text(text, encoding="utf-8")
+        if ' file="' in text and out.resolve().parent != scene.resolve().parent:
+            sys.stderr.write(f"its files are named from the folder {scene.parent}: move it there\n")
     if as_json:
         print_json({"component": name, "tip_mass": mass, "file": out, "mjcf": text})
     elif out is None:
         sys.stdout.write(text)
 
 
-def _springs(
-    client: Client, name: str, wrench: tuple[float, ...], further: list[str] | None
-) -> LinearPart:
-    """Return a component as springs about a wrench, N and N·m, from its newest table."""
-    return LinearPart.of(client.download(name), wrench, further_inputs(further))
-
-
-def _mass_of(facts: dict[str, Any]) -> list[list[float]] | None:
-    """Return a component's condensed mass, shape (6, 6), kg to kg·m^2; None if it is not known.
-
-    Of several interfaces that of the last one that is not held.
-    """
+def _moving(name: str, facts: dict[str, Any], interface: str | None = None) -> tuple[Any, Any]:
+    """Return the facts of an interface that moves, and its condensed mass, (6, 6) or None."""
+    parts = facts.get("interfaces") or {"": facts.get("interface") or {}}
+    moving = [end for end, part in parts.items() if not part.get("held")]
+    at = moving[0] if interface is None and len(moving) == 1 else interface
+    if at is None or at not in moving:
+        ends = ", ".join(moving) or "one interface without a name"
+        raise typer.BadParameter(f"{name} moves at {ends}; --interface names the one at the tip")
+    of = slice(first := FREEDOMS * [*parts].index(at), first + FREEDOMS)
     matrix = (facts.get("vibration") or {}).get("condensed_mass") or []
-    for last in range(len(matrix), 0, -FREEDOMS):
-        block = slice(last - FREEDOMS, last)
-        if any(matrix[k][k] for k in range(block.start, last)):
-            return [row[block] for row in matrix[block]]
-    return None
+    return parts[at], [row[of] for row in matrix[of]] or None
 
 
 def stiffness(
@@ -145,8 +141,9 @@ def stiffness(
             shown: list[Any] = list(stiffness_lines(body))
         else:
             facts = client.component(name)
-            part = _springs(client, name, (*force, *moment), further)
-            body = part.to_dict(_mass_of(facts))
+            about = (*force, *moment), further_inputs(further)
+            part = LinearPart.of(client.download(name), *about)
+            body = part.to_dict(_moving(name, facts)[1])
             loads, freedoms, mass = body["loads"], part.freedoms, body["mass"]
             shown = [
                 matrix_table("stiffness, N/m to N·m/rad", loads, freedoms, body["stiffness"]),

@@ -128,6 +128,14 @@ def test_a_linear_component_nobody_has_solved_solves_itself_when_first_asked(
         assert len(http.get("/v1/jobs").json()["jobs"]) == 1
 
 
+def test_a_fill_of_a_linear_component_joins_its_open_solve(http, stand_in):
+    stand_in("endless")
+    http.post("/v1/components/bar/displacement", json=ASKED)
+    (job,) = http.get("/v1/jobs").json()["jobs"]
+    (joined,) = http.post("/v1/components/bar/fill", json={}).json()["jobs"]
+    assert joined["id"] == job["id"]
+
+
 def test_a_linear_component_whose_solves_bring_no_compliance_asks_for_all_six(http):
     """As an expert's deck does: the first row does not tell the rest."""
     call = "/v1/components/bar"

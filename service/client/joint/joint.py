@@ -112,7 +112,7 @@ class Joint:
         self._name = table.name
         self._further = further_inputs(table, inputs or {})
         self._warned = self._uncovered = False
-        self._remedy = "Check the masses, the step and the units of the scene, or widen the range"
+        self._remedy = "Check masses, units and steps (all with the joint), or widen the range"
         self._begin(None)
         # A table without stiffness is refused; where in its range no joint can invert it, it warns.
         packed, at, free, method = self._table.packed, self._at, self.free, self._method
@@ -371,7 +371,8 @@ class Joint:
         elif status == NO_MASS:
             raise InvalidArgument(
                 "the inverse effective mass of the joint is not symmetric and positive definite: a "
-                "freedom between base and tip moves no mass, or the matrix is not that of one step"
+                "freedom between base and tip moves no mass, the matrix is not that of one step, "
+                "or mj_step1 did not precede pull_joints"
             )
         elif status == NOT_FINITE:
             raise InvalidArgument(

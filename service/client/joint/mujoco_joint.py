@@ -115,6 +115,8 @@ class MujocoJoint(Joint):
     def _bodies(self, tip: str, bodies: Mapping[str, str] | None) -> tuple[str, ...]:
         """Return the names of the tips in the order of the interfaces."""
         names = self.interfaces
+        if bodies is not None and names == ("",):
+            raise JointError(f"{self._table.name} has one interface: give tip=BODY, not bodies")
         if bodies is None:
             bodies = {} if self._several else {names[0]: tip}
         wrong = [f"no body for {name!r}" for name in names if name not in bodies]
@@ -128,10 +130,8 @@ class MujocoJoint(Joint):
     def _find(self) -> None:
         """Find the tips' freedoms in the scene, and their pairs in its mass matrix."""
         # Of a pose: tip, place in it, place in qpos and count; of a hinge tip, axis and place.
-        self._runs, self._hinges = (
-            list[tuple[int, int, int, int]](),
-            list[tuple[int, Vector, int]](),
-        )
+        self._runs: list[tuple[int, int, int, int]] = []
+        self._hinges: list[tuple[int, Vector, int]] = []
         # Blocks are the freedoms of tips of which the matrix has pairs.
         self._starts, self._blocks, pairs, dofs, axes = [], [], [], [], []
         for k, name in enumerate(self._tips):
@@ -289,18 +289,16 @@ class MujocoJoint(Joint):
         """Return coverage, largest error bars and energy of all steps since `restart`."""
         parts, began = _joints_of(self._data), self._began
         time, energy = began or (0.0, np.nan)
-        if began and all(part._began == began for part in parts) and self._data.time >= time:
+        if began and all(part._began == began for part in parts) and self._data.time in self._times:
             return report_of(self, time, _energy(parts) - energy)
         return report_of(self, time)
 
     def restart(self) -> None:
         """Forget the state of the last step."""
-        self._law = (
-            np.zeros(len(self.free)),
-            np.zeros((len(self.free),) * 2),
-            np.zeros(len(self.free)),
-        )
+        count = len(self.free)
+        self._law = np.zeros(count), np.zeros((count, count)), np.zeros(count)
         self._began: tuple[float, float] | None = None  # time, s, and energy, J, of the scene
+        self._times = (0.0, 0.0)  # of the scene before and after the last step, s
         self._with_part = None
         super().restart()
 
@@ -379,6 +377,7 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
     """Raise JointError if joints are not all those of one scene, or its step is not above zero."""
     if not joints or any(joint._data is not joints[0]._data for joint in joints):
         raise JointError("step_joints takes the joints of one scene: one or more of the same data")
+    _refuse_rk4(joints[0]._model)  # it may have been chosen since
     stepped = [start for joint in joints for start in joint._starts]
     of_scene = _JOINTS[joints[0]._data]
     if len(set(stepped)) < len(stepped):
@@ -401,7 +400,7 @@ def _pull(joints: Collection[MujocoJoint]) -> None:
     """Add the joints to the equation of motion, once ``mj_step1`` has computed pose and motion."""
     first = next(iter(joints))
     model, data, dt = first._model, first._data, first._scene.timestep
-    _refuse_rk4(model)  # it may have been chosen since
+    _refuse_rk4(model)
     if any(len(joint._steps.replies) > 1 for joint in joints):
         raise JointError("a joint of MujocoJoints steps with all of them: call their step")
     for joint in joints:  # of a second call, unless MuJoCo has computed the matrix anew
@@ -410,13 +409,17 @@ def _pull(joints: Collection[MujocoJoint]) -> None:
                 data.M[joint._at_pairs] = joint._own_mass
                 engine.mj_factorM(model, data)
             joint._with_part = None
+    now = float(data.time)
     for joint in joints:
         joint._read()
         joint._steps.law(dt, joint.damping)
         joint._heed()
+        if joint._began and now not in joint._times:  # put elsewhere: its energy there is unknown
+            joint._began = joint._began[0], np.nan
+        joint._times = now, now + dt
     push(joints)
     if new := [joint for joint in joints if joint._began is None]:
-        began = float(data.time), _energy(joints)
+        began = now, _energy(joints)
         for joint in new:
             joint._began = began
 
@@ -477,9 +480,8 @@ def _with_last_contacts(
     pushed = np.empty((1, model.nv))
     engine.mj_solveM(model, data, pushed, data.qfrc_constraint[None])
     if solved is None:
-        engine.mj_solveM(
-            model, data, solved := np.empty((len(dofs), model.nv)), np.eye(model.nv)[dofs]
-        )
+        solved = np.empty((len(dofs), model.nv))
+        engine.mj_solveM(model, data, solved, np.eye(model.nv)[dofs])
     velocity, mobility = (data.qvel + dt * (data.qacc_smooth + pushed[0]))[dofs], solved[:, dofs]
     implicit = np.eye(len(slope)) + dt * slope @ mobility
     return np.linalg.solve(implicit, force + slope @ velocity), velocity, mobility, implicit

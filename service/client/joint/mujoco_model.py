@@ -20,6 +20,7 @@ from .mujoco_joint import engine
 Spec: TypeAlias = Any  # mujoco.MjSpec, and its bodies
 
 ROUNDING = 1e-9  # of a freedom's largest coefficient: MuJoCo's XML has six digits
+DIGITS = 2e-5  # by which three such numbers may miss the inertia's triangle inequality
 _LEAST = 1e-9  # of the largest moment of inertia: MuJoCo takes no body without one
 
 
@@ -128,7 +129,7 @@ def _with_freedoms(
         number = engine.mj_name2id(model, engine.mjtObj.mjOBJ_SITE, site)
         engine.mju_quat2Mat(matrix, model.site_quat[number])
         at, axes = model.site_pos[number].copy(), matrix.reshape(3, 3)
-    kinds = engine.mjtJoint
+    kinds, before = engine.mjtJoint, spec.compile()
     joints = [  # a slide a free translation, then a ball or a hinge a free rotation
         (name, kinds.mjJNT_SLIDE if place < 3 else kinds.mjJNT_HINGE, axes[:, place % 3].tolist())
         for place, name in enumerate(OUTPUTS)
@@ -144,7 +145,18 @@ def _with_freedoms(
     inner = body.add_body(name=f"{tip}_part", pos=at, quat=_quaternion(axes))
     if mass is not None:
         _add_mass(inner, np.asarray(mass, dtype=float))
-    return _compiled(lambda: spec, scene)
+    return _with_keyframes(_compiled(lambda: spec, scene), tip, before)
+
+
+def _with_keyframes(spec: Spec, tip: str, before: Any) -> Spec:
+    """Put a tip's new freedoms at their place in keyframes; MuJoCo appends them at the end."""
+    after = spec.compile()
+    first = after.body_jntadr[after.body(tip).id]
+    q, v = int(after.jnt_qposadr[first]), int(after.jnt_dofadr[first])
+    for key, qpos, qvel in zip(spec.keys, before.key_qpos, before.key_qvel, strict=True):
+        key.qpos = np.insert(qpos, q, after.qpos0[q : q + after.nq - before.nq])
+        key.qvel = np.insert(qvel, v, [0.0] * (after.nv - before.nv))
+    return spec
 
 
 def _compiled(read: Callable[[], Spec], scene: str | Path) -> Spec:
@@ -174,7 +186,7 @@ def _add_mass(body: Spec, mass: Vector) -> None:
     )
     values, axes = np.linalg.eigh(mass[3:, 3:] + total * arm @ arm)
     values = np.maximum(values, _LEAST * max(float(values.max()), total * 1e-6))
-    values[2] = min(values[2], values[0] + values[1])  # no rigid body has more
+    values[2] = min(values[2], (1.0 - DIGITS) * (values[0] + values[1]))  # no rigid body has more
     if np.linalg.det(axes) < 0:
         axes[:, 0] *= -1.0
     body.mass, body.ipos, body.inertia = total, centre, values

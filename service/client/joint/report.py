@@ -104,12 +104,17 @@ def report_of(joint: Joint, began: float = 0.0, energy_drift: float = np.nan) ->
             stiff.append(StiffAxis(loads[load], float(error), float(allowed), *limits))
     covered = float(history["covered"]) / count if count else None
     uncovered = covered is not None and covered < 1.0
+    remedy, packed = joint._more_rows(), joint._table.packed
+    if joint._method is None and packed.answers_by() == "linear":
+        remedy = "no more solves help a linear component: a finer mesh or nonlinear = true does"
+    if joint._warned:
+        remedy = f"widen the load range, which a pose of the steps exceeds; {remedy}"
     return JointReport(
         *(joint._name, count, float(history["time"]), covered),
         *(largest("pose_error", outputs), largest("wrench_error", loads)),
         float(history["stored"]) if count else None,
         energy_drift if np.isfinite(energy_drift) else None,
         tuple(stiff),
-        remedy=joint._more_rows() if stiff or uncovered else "",
+        remedy=remedy if stiff or uncovered else "",
         covered_at=covered_at,
     )

@@ -305,6 +305,7 @@ def test_a_state_that_is_none_is_refused_by_name(changed, words):
         ({"joints": FREEDOMS.replace('"slide"', '"slide" ref="1"', 1)}, {}, "has a reference"),
         ({"option": 'integrator="RK4"'}, {}, "RK4"),
         ({}, {"tip": "hand"}, "no body 'hand'; it has 'base', 'tip'"),
+        ({}, {"bodies": {"end": "tip"}}, "has one interface: give tip=BODY"),
         ({}, {"damping": -0.1}, "damping"),
         ({}, {"damping": math.nan}, "damping"),
     ],

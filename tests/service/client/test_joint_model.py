@@ -6,12 +6,13 @@ import json
 
 import numpy as np
 import pytest
+import typer
 
 from tests import shipped_checks
 from tests.service.client.joint_scenes import linear_table, mujoco
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
-from wrenchbook.service.cli.joint import _mass_of
+from wrenchbook.service.cli.joint import _moving
 from wrenchbook.service.client.joint import JointError
 from wrenchbook.service.client.joint.mujoco_joint import MujocoJoint
 from wrenchbook.service.client.joint.mujoco_model import scene_with_joint
@@ -118,7 +119,31 @@ def test_the_shipped_bars_mass_and_frequency_are_those_of_its_check():
 
 def test_the_mass_of_a_link_is_that_of_the_end_that_moves():
     facts = json.loads((SHIPPED / "link" / "check.json").read_text())
-    mass = np.array(_mass_of(facts))
+    facts["interfaces"] = {"left": {"held": True}, "right": {"held": False}}
+    mass = np.array(_moving("link", facts)[1])
     assert mass.shape == (6, 6)
     assert (np.linalg.eigvalsh(mass) > 0).all()
     assert mass[0, 0] < facts["vibration"]["mass"]
+
+
+def test_each_of_several_interfaces_has_its_own_mass_and_must_be_named():
+    matrix = np.diag(np.arange(12.0)).tolist()
+    facts = {"interfaces": {"left": {}, "right": {}}, "vibration": {"condensed_mass": matrix}}
+    assert np.diag(_moving("beam", facts, "left")[1]).tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    with pytest.raises(typer.BadParameter, match="moves at left, right"):
+        _moving("beam", facts)
+
+
+def test_a_keyframe_has_the_new_freedoms_at_their_place(path):
+    arm = '<body><joint type="hinge"/><geom size=".01"/></body>'
+    key = '</worldbody><keyframe><key qpos="0 0 1 1 0 0 0 .7" qvel="1 2 3 4 5 6 7"/></keyframe>'
+    path.write_text(SCENE.format(turned="", inside=arm).replace("</worldbody>", key))
+    model, _ = compiled(scene_with_joint(path, "base", "tip"))
+    assert model.key_qpos[0, 7:].tolist() == [0, 0, 0, 1, 0, 0, 0, 0.7]
+    assert model.key_qvel[0].tolist() == [1, 2, 3, 4, 5, 6, 0, 0, 0, 0, 0, 0, 7]
+
+
+def test_mujoco_reads_the_written_inertia_of_a_flat_part(path):
+    for first, second in np.random.default_rng(0).uniform(1e-4, 1e-2, (20, 2)):
+        mass = np.diag([1.0, 1.0, 1.0, first, second, first + second])
+        compiled(scene_with_joint(path, "base", "tip", mass=mass))

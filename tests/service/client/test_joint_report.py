@@ -14,7 +14,7 @@ from tests.service.client.joint_scenes import (
     scene,
     sphere,
 )
-from wrenchbook.service.client.joint import Joint
+from wrenchbook.service.client.joint import Joint, JointWarning
 from wrenchbook.service.client.joint.joint import quaternion
 from wrenchbook.service.client.joint.mujoco_joint import MujocoJoint
 from wrenchbook.service.client.rotation import rotation_matrix
@@ -77,3 +77,23 @@ def test_a_minute_of_a_swing_without_damping_keeps_its_energy_within_half_a_per_
         if count % 997 == 0:
             drift.append(joint.report().energy_drift)
     assert np.abs(drift).max() < 5e-3 * swing
+
+
+def test_the_energy_of_a_scene_that_is_put_elsewhere_is_not_known():
+    model, data = scene(sphere(5, "0.02 0 0.03"))
+    joint = MujocoJoint(model, data, linear_table())
+    joint.step()
+    assert joint.report().energy_drift is not None
+    data.time = 7.0
+    joint.step()
+    assert joint.report().energy_drift is None
+
+
+def test_the_remedy_of_a_linear_part_beyond_its_range_is_not_more_solves():
+    joint = Joint(linear_table())
+    moved = bar_compliance() @ (1.5 * HIGH)
+    with pytest.warns(JointWarning, match="beyond the load range"):
+        joint.step(rotation_matrix(moved[3:]), moved[:3], np.zeros(6), 0.1 * np.eye(6), 1e-3)
+    assert (
+        "widen the load range, which a pose of the steps exceeds; no more" in joint.report().remedy
+    )

@@ -140,6 +140,14 @@ def test_a_batch_that_is_none_is_refused_by_name(changed, words):
         Joints(linear_table(), 0)
 
 
+def test_joints_of_many_scenes_refuse_rk4_that_is_chosen_later():
+    model, data = scene(sphere(3, "0.02 0 0.03"))
+    joints = MujocoJoints(model, [data], linear_table())
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    with pytest.raises(JointError, match="RK4"):
+        joints.step()
+
+
 @pytest.fixture
 def in_float64():
     """JAX with float64."""
