@@ -113,11 +113,11 @@ class QueryStatistics:
         """Count the wrenches of a batch, (k, n), N and N·m, that were not covered."""
         uncovered = np.flatnonzero(coverage)
         step = max(1, len(uncovered) // MAX_OF_A_BATCH)
-        places = uncovered[::step]
-        scaled = np.clip(np.rint(wrenches[places] / (CELL * span.scale)), -_BEYOND, _BEYOND)
-        key = np.column_stack((scaled, coverage[places]))
+        positions = uncovered[::step]
+        scaled = np.clip(np.rint(wrenches[positions] / (CELL * span.scale)), -_BEYOND, _BEYOND)
+        key = np.column_stack((scaled, coverage[positions]))
         _, first, counts = np.unique(key, axis=0, return_index=True, return_counts=True)
-        for place, count in zip(places[first].tolist(), counts.tolist(), strict=True):
+        for place, count in zip(positions[first].tolist(), counts.tolist(), strict=True):
             wrench = tuple(wrenches[place].tolist())
             self.note(name, span, wrench, COVERAGE[int(coverage[place])], count * step)
 

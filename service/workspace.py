@@ -113,7 +113,7 @@ class Watcher:
 
         def remove() -> None:
             with self._lock:
-                self._entries = tuple(kept for kept in self._entries if kept is not entry)
+                self._entries = tuple(other for other in self._entries if other is not entry)
 
         return remove
 

@@ -146,8 +146,8 @@ class _Trace:
 
     def run(self, wall_s: float) -> LoopRun:
         """Return all that was noted in a run of so many seconds."""
-        lines, seen = np.array(self._lines), self._mount.mount.coverage
-        counts = (seen.covered, seen.thin, seen.outside, seen.unknown)
+        lines, coverage = np.array(self._lines), self._mount.mount.coverage
+        counts = (coverage.covered, coverage.thin, coverage.outside, coverage.unknown)
         covered = np.array(self._covered)
         return LoopRun(lines[:, 0], lines[:, 1:7], lines[:, 7:], covered, counts, wall_s)
 

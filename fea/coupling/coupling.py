@@ -266,14 +266,14 @@ class Coupling:
         motions, multipliers = self._unknowns(state)
         motions[self._moving] += border[: len(self._moving)]
         multipliers[self._forced] += border[self.motions :]
-        placed = state.nodes + nodes
-        placed[self._anchors] += border[self._anchored].reshape(-1, 3)
+        node_motions = state.nodes + nodes
+        node_motions[self._anchors] += border[self._anchored].reshape(-1, 3)
         for attached in self._attachments:
             local = attached.section.placed(motions[attached.freedoms])
             if local is not None:
-                placed[attached.nodes] = attached.outwards(local)
+                node_motions[attached.nodes] = attached.outwards(local)
         interface, sprung = np.split(motions, [self.freedoms])
-        return CoupledState(placed, interface, np.append(multipliers, sprung))
+        return CoupledState(node_motions, interface, np.append(multipliers, sprung))
 
     def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
         """Return the forces out of balance.

@@ -322,12 +322,12 @@ class EventCalls(Connection):
         limit = float("inf") if timeout_s is None else timeout_s
         newest = time.monotonic()  # when the last event came
         while True:
-            if (left := newest + limit - time.monotonic()) <= 0:
+            if (remaining := newest + limit - time.monotonic()) <= 0:
                 return
             headers = {"Accept": "text/event-stream", **({"Last-Event-ID": last} if last else {})}
             try:
                 query = {"component": component}
-                stream = self._listen("/v1/events", query, headers, min(SILENCE_S, left))
+                stream = self._listen("/v1/events", query, headers, min(SILENCE_S, remaining))
                 try:
                     parser = EventParser()
                     while line := stream.readline():

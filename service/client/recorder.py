@@ -137,8 +137,8 @@ class Recorder:
         """
         shape, default = np.shape(wrench), self._width == 8 * len(LOADS)
         if shape != (self._width // 8,):
-            what = "six numbers, force then moment" if default else f"{self._width // 8} numbers"
-            raise InvalidArgument(f"a wrench is {what}; this has shape {shape}")
+            form = "six numbers, force then moment" if default else f"{self._width // 8} numbers"
+            raise InvalidArgument(f"a wrench is {form}; this has shape {shape}")
         checked = one_wrench(wrench) if default else many_wrenches(np.stack([wrench]), None)
         packed = checked.astype("<f8").tobytes()
         with self._changed:

@@ -205,9 +205,9 @@ class DeformedSurfaces:
             raise NoFieldsError(component, why)
         cells = np.rint(wrenches[having] / (2 * NEAR * component.load_range.scale))
         _, first = np.unique(cells, axis=0, return_index=True)
-        places = solved[having][np.sort(first)]
+        chosen = solved[having][np.sort(first)]
         with self._lock:  # one at a time: a new interpolation takes a processor and its memory
-            blend = self._blend(component, rows.take(places), wrench, hyperparameters)
+            blend = self._blend(component, rows.take(chosen), wrench, hyperparameters)
         fields = blend.at(wrench)
         error = fields.error
         if error is not None:

@@ -126,9 +126,9 @@ def _records(values: Iterator[Any]) -> Iterator[Record]:
         yield number, [row.get(name) or "" for name in names]
 
 
-def json_text(pieces: Iterable[WritableRows], about: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the text of a JSON table: the members `about`, then the rows without unknown values."""
-    head = json.dumps({**about, "units": "SI"}, allow_nan=False)
+def json_text(pieces: Iterable[WritableRows], members: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the text of a JSON table: the `members`, then the rows without unknown values."""
+    head = json.dumps({**members, "units": "SI"}, allow_nan=False)
     yield head[:-1] + ', "rows": ['
     between = ""
     for piece in pieces:

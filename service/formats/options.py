@@ -392,9 +392,9 @@ def _excesses(
     limit = largest_loads(load_range)
     for at, load in np.argwhere(np.abs(wrench) > limit).tolist():
         column = load_range.space.inputs[load]
-        unit, what = column.unit.replace("·", "*"), "input" if column.kind == "scalar" else "load"
+        unit, kind = column.unit.replace("·", "*"), "input" if column.kind == "scalar" else "load"
         message = (
-            f"the {what} is {wrench[at, load]:.6g} {unit}; the component's range is "
+            f"the {kind} is {wrench[at, load]:.6g} {unit}; the component's range is "
             f"{load_range.low[load]:g} to {load_range.high[load]:g} {unit}, and a table ends at "
             f"{limit[load]:g} (check the unit and the column)"
         )

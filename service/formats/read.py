@@ -318,9 +318,9 @@ def _format_of(path: Path) -> Format:
         return "hdf5"
     if head.startswith(b"PK\x03\x04"):
         return _format_of_zip(path)
-    for magic, what in _OTHER_FORMATS.items():
+    for magic, description in _OTHER_FORMATS.items():
         if head.startswith(magic):
-            raise ContentError(f"is {what}")
+            raise ContentError(f"is {description}")
     utf16 = head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     # A header in Latin letters has a zero in every second byte, or in three of four.
     start = head[: len(head) // 4 * 4]

@@ -105,14 +105,14 @@ class Rig:
     def read(cls, text: str) -> Rig:
         """Return the rig of a TOML text; RigError if a key or a value is wrong.
 
-        Values of its table ``import`` take the place of its own.
+        Values of its table ``import`` replace those of the top level.
         """
         try:
             values = tomllib.loads(text)
         except (tomllib.TOMLDecodeError, RecursionError) as error:
             raise RigError(f"the rig is not TOML: {error}") from None
-        own = values.pop(_OWN, {})
-        values |= own if isinstance(own, dict) else {_OWN: own}
+        table = values.pop(_OWN, {})
+        values |= table if isinstance(table, dict) else {_OWN: table}
         known = *_KEYS, *OPTIONS
         if unknown := [key for key in values if key not in known]:
             raise RigError(f"the rig has no {unknown[0][:100]!r}; it may have {', '.join(known)}")

@@ -481,14 +481,14 @@ def _check_kind(path: str, head: Mapping[bytes, bytes]) -> None:
         return
     if path.startswith(_UMBRIDGE) and b"origin" not in head:
         return
-    taken = (_JSON, _BYTES) if path.endswith(_BINARY) else (_JSON,)
-    if kind not in taken:
+    accepted = (_JSON, _BYTES) if path.endswith(_BINARY) else (_JSON,)
+    if kind not in accepted:
         raise HttpProblemError(
             415,
             "media-type",
             "Not a form this call takes",
             f"The content type is {kind.decode('latin-1')[:100] or 'missing'}. Send the header "
-            f"Content-Type: {b' or '.join(taken).decode()} (curl: --json, or -H).",
+            f"Content-Type: {b' or '.join(accepted).decode()} (curl: --json, or -H).",
         )
 
 

@@ -343,9 +343,9 @@ class FastPathProtocol(HttpToolsProtocol):
 
     def timeout_keep_alive_handler(self) -> None:
         """Close a connection that has been idle since the last answer."""
-        left = self._answered_at + self.timeout_keep_alive - self.loop.time()
-        if left > 0:
-            self._close_after(left)
+        remaining = self._answered_at + self.timeout_keep_alive - self.loop.time()
+        if remaining > 0:
+            self._close_after(remaining)
         else:
             self._close_if_idle()
 
@@ -463,9 +463,9 @@ class FastPathProtocol(HttpToolsProtocol):
     def _late(self, now: float) -> str:
         """Return what is overdue on the connection; an empty text if nothing is."""
         if self.flow.write_paused:
-            left = self.transport.get_write_buffer_size()
-            if left != self._unread:
-                self._unread, self._unread_since = left, now
+            unsent = self.transport.get_write_buffer_size()
+            if unsent != self._unread:
+                self._unread, self._unread_since = unsent, now
             return "an answer that is not read" if now - self._unread_since > READ_S else ""
         self._unread = 0
         self._since = now if self.flow.read_paused else self._since  # the caller waits for answers

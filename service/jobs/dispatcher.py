@@ -99,7 +99,7 @@ class Lease:
         self._lock = flock.take(self._file(self.name))
         self._seen: dict[str, tuple[int, float]] = {}
 
-    def is_lost(self, owner: str, engine: str, beat: Beat | None) -> bool:
+    def is_lost(self, owner: str, engine: str, heartbeat: Beat | None) -> bool:
         """Return whether an owner of attempts has died, or does not look after them any more.
 
         A file that is not locked proves it at once; all dispatchers of `local` have theirs here.
@@ -110,14 +110,14 @@ class Lease:
         there = file.exists()
         if there and not flock.is_locked(file):
             return True
-        if not there and (engine == "local" or beat is None):
+        if not there and (engine == "local" or heartbeat is None):
             return True
-        now, number = time.monotonic(), -1 if beat is None else beat.beat
-        seen = self._seen.get(owner)
-        if seen is None or seen[0] != number:
+        now, number = time.monotonic(), -1 if heartbeat is None else heartbeat.beat
+        known = self._seen.get(owner)
+        if known is None or known[0] != number:
             self._seen[owner] = number, now
             return False
-        return now - seen[1] > LEASE_SECONDS
+        return now - known[1] > LEASE_SECONDS
 
     def remove(self, owner: str) -> None:
         """Remove the lock file of a dispatcher that is dead; one that is merely late keeps it."""

@@ -40,20 +40,20 @@ def why_waiting(ledger: Ledger, job: JobRecord, slots: int, trouble: str | None)
     jobs from running.
     """
     now = time.time()
-    ahead, taken = ledger.ahead(job.id, job.priority, now), ledger.running()
-    queued = sum(run.is_queued for run in taken)
+    ahead, attempts = ledger.ahead(job.id, job.priority, now), ledger.running()
+    queued = sum(run.is_queued for run in attempts)
     before = sum(part.waiting for part in ahead) + queued
-    running = len(taken) - queued
+    running = len(attempts) - queued
     pause = max(0.0, (job.not_before or 0.0) - now)
     means = {part.component: part.seconds for part in ahead}
-    for name in {run.component for run in taken} - means.keys():
+    for name in {run.component for run in attempts} - means.keys():
         means[name] = ledger.solve_seconds(name)
     # Remaining time of those that run: 0 for one that takes longer than the mean.
     remaining = [
         max(0.0, mean - max(0.0, now - (now if run.is_queued else run.began or run.started or now)))
         if (mean := means[run.component]) is not None
         else None
-        for run in taken
+        for run in attempts
     ]
     work = [part.waiting * part.seconds if part.seconds is not None else None for part in ahead]
     known = [time for time in (*remaining, *work) if time is not None]

@@ -137,16 +137,16 @@ class Acknowledged:
         for line in lines:
             with suppress(ValueError, KeyError, TypeError):  # a line that was not written whole
                 loss = json.loads(line)
-                seen = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(loss["seen"]))
+                when = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(loss["seen"]))
                 parts = [
-                    f"{what} {first} to {last}"
-                    for what in ("jobs", "rows")
-                    for first, last in [loss[what]]
+                    f"{kind} {first} to {last}"
+                    for kind in ("jobs", "rows")
+                    for first, last in [loss[kind]]
                     if last >= first
                 ]
                 sentence = (
                     f"{' and '.join(parts)} were acknowledged and are not in the ledger any more "
-                    f"(seen {seen} UTC): its -wal file was cut off or removed, or an older copy "
+                    f"(seen {when} UTC): its -wal file was cut off or removed, or an older copy "
                     "was put back. Rows that are in a table's file come back by themselves; ask "
                     "for the other wrenches again"
                 )

@@ -69,7 +69,7 @@ class Library:
 
     def __init__(
         self,
-        own: Path,
+        local: Path,
         shipped: Path = SHIPPED,
         *,
         allow_decks: bool = False,
@@ -80,7 +80,7 @@ class Library:
             lambda _: contextlib.nullcontext()
         ),
     ) -> None:
-        self._own, self._shipped = own, shipped
+        self._own, self._shipped = local, shipped
         self._on_added, self._on_checked, self._on_copy = on_added, on_checked, on_copy
         self._allow_decks, self._noted = allow_decks, noted
         self._lock = threading.Lock()
@@ -88,10 +88,10 @@ class Library:
         self._components: dict[str, Component] = {}
         self._broken: dict[str, str] = {}
         with contextlib.suppress(OSError):  # the upload of a component reports it
-            own.mkdir(parents=True, exist_ok=True)
+            local.mkdir(parents=True, exist_ok=True)
         for folder in _bundle_folders(shipped):
             self._try(folder, shipped=True)
-        for folder in _bundle_folders(own):
+        for folder in _bundle_folders(local):
             self._try(folder, shipped=False)
 
     def names(self) -> list[str]:
@@ -211,7 +211,7 @@ class Library:
         with self._incoming() as incoming:
             folder = incoming / "bundle"
             copy_bundle(source, new, title, folder)
-            component = self._adopt(folder, lambda taken: self._on_copy(source, taken))
+            component = self._adopt(folder, lambda copied: self._on_copy(source, copied))
         self._on_added(component)
         return component
 

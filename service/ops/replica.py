@@ -216,7 +216,7 @@ class Shipper:
                 self._files = replica.files(newest)
                 entries = *self._files.values(), newest.files
                 self._known = present & {digest for _, blocks in entries for digest in blocks}
-        self._seen: object = None  # version of the ledger in the last manifest
+        self._manifest_version: object = None  # version of the ledger in the last manifest
         self._shipped: dict[str, object] = {}  # stamps of files that are there
         self._latest, self._surfaces_behind = "", False
         self.facts: dict[str, Any] = {"bytes": 0}
@@ -225,14 +225,14 @@ class Shipper:
         """Ship what has changed, and note it in `facts`."""
         deadline = time.monotonic() + FILES_PART * self._settings.replicate_interval
         self.facts["files_behind"] = 0
-        changed, seen = self._ship(backup.TABLES, deadline), self._ledger.version()
-        if seen != self._seen or self._surfaces_behind:  # a surface comes with a row
+        changed, version = self._ship(backup.TABLES, deadline), self._ledger.version()
+        if version != self._manifest_version or self._surfaces_behind:  # a surface comes with a row
             behind = self.facts["files_behind"]
             changed |= self._ship("fields", deadline)
             self._surfaces_behind = self.facts["files_behind"] > behind
         begun, settings = time.time(), self._settings
-        seen = self._ledger.version()
-        if changed or seen != self._seen:
+        version = self._ledger.version()
+        if changed or version != self._manifest_version:
             rows, last_row, jobs = self._ledger.copy(self._data / COPY, checked=False)
             self._ship("components")  # after the ledger: no row is without its component
             with (self._data / COPY).open("rb") as file:
@@ -246,7 +246,7 @@ class Shipper:
             self._check()
             self._latest = _name(manifest.number, content)
             self._write(self._latest, content)
-            self._number, self._seen = manifest.number, seen
+            self._number, self._manifest_version = manifest.number, version
             self.facts |= {"manifest": manifest.number, "created": begun, "rows": rows}
             if time.monotonic() > self._collect_at:
                 self.collect()
@@ -265,12 +265,12 @@ class Shipper:
 
     def collect(self) -> None:
         """Remove the manifests that need not stay, and the blocks that no manifest needs."""
-        kept, needed, place = list[float](), set[str](), self._replica.place
+        retained, needed, place = list[float](), set[str](), self._replica.place
         for name in self._replica.manifests():
             with suppress(ReplicaError):
                 manifest = self._replica.manifest(name)
-                if stays(manifest.created, kept):
-                    kept.append(manifest.created)
+                if stays(manifest.created, retained):
+                    retained.append(manifest.created)
                     entries = *self._replica.files(manifest).values(), manifest.files
                     needed.update(*(blocks for _, blocks in entries))
                     continue
@@ -333,12 +333,12 @@ class Shipper:
         self.facts["bytes"] += len(content)
 
 
-def stays(created: float, kept: list[float]) -> bool:
+def stays(created: float, retained: list[float]) -> bool:
     """Whether a manifest stays, by the times of the newer ones that do, the newest first; s."""
-    if not kept:
+    if not retained:
         return True
-    age = kept[0] - created
-    return next((kept[-1] - created >= apart for most, apart in KEEP_S if age <= most), False)
+    age = retained[0] - created
+    return next((retained[-1] - created >= apart for most, apart in KEEP_S if age <= most), False)
 
 
 def write_status(data: Path, **parts: Any) -> None:

@@ -141,8 +141,8 @@ class RecordingStore:
             if block is not None and _was_recorded(db, name, "recording", block, wrenches):
                 return BlockResult(before, True, outside)
             within, beyond = (
-                take(subset, points[places], [keys[place] for place in places.tolist()])
-                for subset, places in zip(
+                take(subset, points[indices], [keys[place] for place in indices.tolist()])
+                for subset, indices in zip(
                     self._subsets_of(component, before, db),
                     (np.flatnonzero(inside), np.flatnonzero(~inside)),
                     strict=True,
@@ -251,8 +251,8 @@ class RecordingStore:
         wrenches = unpacked(keys, len(scale))
         points, holds = scaled_loads(wrenches, scale), component.load_range.holds(wrenches)
         inside, outside = (
-            (points[places], [keys[place] for place in places.tolist()])
-            for places in (np.flatnonzero(holds), np.flatnonzero(~holds))
+            (points[indices], [keys[place] for place in indices.tolist()])
+            for indices in (np.flatnonzero(holds), np.flatnonzero(~holds))
         )
         beyond = tally.reach_outside, tally.within_outside * stretched, MAX_OUTSIDE
         return Subset(*inside, tally.reach, tally.within * stretched), Subset(*outside, *beyond)

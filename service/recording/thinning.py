@@ -99,15 +99,15 @@ def take(subset: Subset, points: Floats, keys: list[bytes]) -> Step:
     return Step(subset, added, dropped, all_merged, all_thinned)
 
 
-def spaced(points: Floats, reach: float) -> NDArray[np.bool_]:
+def spaced(points: Floats, radius: float) -> NDArray[np.bool_]:
     """Which points, shape (n, m), dimensionless, are kept, first come first, shape (n,).
 
-    No two of these are within reach of each other, and all others are of one of them.
+    No two of these are within `radius` of each other, and all others are of one of them.
     """
     keep = np.ones(len(points), dtype=bool)
     if len(points) < 2:
         return keep
-    tree, bound = _tree(points), reach * _EDGE
+    tree, bound = _tree(points), radius * _EDGE
     nearest = tree.query(points, k=2, p=np.inf, distance_upper_bound=bound)[0][:, 1]
     for place in np.flatnonzero(nearest < np.inf).tolist():
         if keep[place]:
@@ -137,17 +137,17 @@ def farthest_first(points: Floats, known: Floats, count: int) -> list[int]:
 
 
 def _coarser(subset: Subset) -> Subset:
-    """Return a subset of a larger reach with at most `TARGET` of the most points."""
-    points, keys, reach, within = subset.points, subset.keys, subset.reach, subset.within
+    """Return a subset of a larger radius with at most `TARGET` of the most points."""
+    points, keys, radius, within = subset.points, subset.keys, subset.reach, subset.within
     while len(keys) > TARGET * subset.limit:
         nearest = _tree(points).query(points, k=2, p=np.inf)[0][:, 1]
-        # Three of ten points have a neighbour within this reach: most of these are dropped.
-        reach = max(1.1 * reach, float(np.quantile(nearest, 0.3)))
-        keep = spaced(points, reach)
+        # Three of ten points have a neighbour within this radius: most of these are dropped.
+        radius = max(1.1 * radius, float(np.quantile(nearest, 0.3)))
+        keep = spaced(points, radius)
         if not keep.all():
-            points, within = points[keep], within + reach
-            keys = [key for key, kept in zip(keys, keep.tolist(), strict=True) if kept]
-    return Subset(points, keys, reach, within, subset.limit)
+            points, within = points[keep], within + radius
+            keys = [key for key, is_kept in zip(keys, keep.tolist(), strict=True) if is_kept]
+    return Subset(points, keys, radius, within, subset.limit)
 
 
 def _tree(points: Floats) -> KDTree:

@@ -357,9 +357,9 @@ class MappedTables:
 
     def _map(self, component: Component, file: PackedFile) -> bool:
         """Take a file up unless it is of anything else; return whether it is taken up."""
-        name, seen = component.name, (file, component)
-        if seen in (self._mapped.get(name), self._refused.get(file.path)):
-            return seen == self._mapped.get(name)
+        name, version = component.name, (file, component)
+        if version in (self._mapped.get(name), self._refused.get(file.path)):
+            return version == self._mapped.get(name)
         try:
             packed = PackedTable.open(file.path)
             if not is_of(packed, name, self._store.origin(component, file.version)):
@@ -369,7 +369,7 @@ class MappedTables:
         except (PackedTableError, KeyError) as error:
             if file.path.exists():
                 log.error("the table of %s stays as it is: %s", name, error)
-                self._unread[name], self._refused[file.path] = str(error), seen
+                self._unread[name], self._refused[file.path] = str(error), version
             return False
         with suppress(LedgerUnavailableError):
             others = self._ledger.of_other_setups(name, component.fingerprint)
@@ -379,7 +379,7 @@ class MappedTables:
                 table.other_wrenches = len(unsolved(component, others, table.rows.wrench))
         with self._changed:
             self._unread.pop(name, None)
-            self._tables[name], self._mapped[name] = table, seen
+            self._tables[name], self._mapped[name] = table, version
             self._changed.notify_all()
         return True
 

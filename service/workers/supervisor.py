@@ -229,8 +229,8 @@ def bind_to(host: str, port: int) -> tuple[socket.socket, str]:
         bound.bind((host, port))
     except OSError as error:
         bound.close()
-        what = f"{error.strerror}: {shown}:{port}; name another address with --host and --port"
-        raise AddressError(what) from error
+        problem = f"{error.strerror}: {shown}:{port}; name another address with --host and --port"
+        raise AddressError(problem) from error
     return bound, f"http://{shown}:{bound.getsockname()[1]}"
 
 

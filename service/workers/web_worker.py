@@ -92,21 +92,21 @@ class WebWorker(Server):
         """Take at most so many of the connections that wait."""
         for _ in range(most):
             try:
-                taken, _ = self._listening.accept()
+                accepted, _ = self._listening.accept()
             except OSError:
-                return  # another web worker has taken it, or its caller has gone
-            taken.setblocking(False)
-            taken.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            task = self._loop.create_task(self._begin(taken))
+                return  # another web worker has accepted it, or its caller has disconnected
+            accepted.setblocking(False)
+            accepted.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            task = self._loop.create_task(self._begin(accepted))
             self._begun.add(task)
             task.add_done_callback(self._begun.discard)
 
-    async def _begin(self, taken: socket.socket) -> None:
+    async def _begin(self, peer: socket.socket) -> None:
         arguments = self.config, self.server_state, self.lifespan.state, self._loop
         try:
-            await self._loop.connect_accepted_socket(lambda: FastPathProtocol(*arguments), taken)
+            await self._loop.connect_accepted_socket(lambda: FastPathProtocol(*arguments), peer)
         except OSError:
-            taken.close()
+            peer.close()
 
 
 def run(settings: Settings, started: threading.Event, bound: socket.socket) -> None:

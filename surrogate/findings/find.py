@@ -83,7 +83,7 @@ def find(
     units = units or unit_findings(fit, known, linear=linear)
     # A lever can make a load's work negative; a wrong sign or unit is no lever.
     skew = symmetry_findings(fit, load_range)
-    levers = [one for one in skew if one.cause == "lever"]
+    levers = [finding for finding in skew if finding.cause == "lever"]
     contract = units or turned_findings(fit, known) or levers or sign_findings(fit) or skew
     findings += [*contract, *clearance_findings(slopes, response)]
     effects = effects_of(rows, load_range, np.flatnonzero(~wrong.any(axis=1)))
@@ -137,10 +137,10 @@ def _effects(rows: Rows, load_range: LoadRange) -> tuple[Indices, Effects | None
     some = rows.take(indices)
     if len(some) < MIN_ROWS:
         return indices, None
-    places = np.arange(0, len(some), -(-len(some) // MAX_ROWS))
-    shown = some.take(places)
+    positions = np.arange(0, len(some), -(-len(some) // MAX_ROWS))
+    shown = some.take(positions)
     wrong = wrong_rows(shown, load_range, response_of(shown, load_range)).any(axis=1)
-    return indices, effects_of(some, load_range, places[~wrong])
+    return indices, effects_of(some, load_range, positions[~wrong])
 
 
 def effect_findings(effects: Effects, displacement: Floats) -> list[RigFinding]:

@@ -169,9 +169,9 @@ class RowIndex:
         self.rates = (roots / roots.sum()) / scale
         keys = wrenches @ self.rates
         order = np.argsort(keys, kind="stable")
-        placed = wrenches[order]
+        ordered = wrenches[order]
         first = np.ones(len(order), dtype=bool)
-        first[1:] = (placed[1:] != placed[:-1]).any(axis=1)
+        first[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
         self.order: NDArray[np.intp] = order[first]
         self.keys: Floats = keys[self.order]
 
@@ -260,9 +260,9 @@ def close_groups(points: Floats) -> NDArray[np.intp]:
     for direction in directions:
         along = distinct[remaining] @ direction
         order = np.argsort(along)
-        reach = NEAR * direction.sum() * ALONG
-        ends = np.searchsorted(along[order], along[order] + reach, side="right")
-        after = ends - np.arange(1, len(order) + 1)  # points within reach
+        extent = NEAR * direction.sum() * ALONG
+        ends = np.searchsorted(along[order], along[order] + extent, side="right")
+        after = ends - np.arange(1, len(order) + 1)  # points within the extent
         most = 2 * after.sum()
         is_close = np.zeros(len(remaining), dtype=bool)
         is_close[order[after > 0]] = True

@@ -310,11 +310,11 @@ def _floating(model: Model, division: _Division, gravcomp: str | None) -> Vector
     """
     if gravcomp is not None and gravcomp not in ("motors", "float"):
         raise InvalidArgument(f"gravcomp must be 'motors' or 'float', not {gravcomp!r}")
-    taken = np.where(_hangs_on(model, division.mounted), model.body_gravcomp * model.body_mass, 0.0)
-    if not taken.any() or gravcomp == "motors":
+    borne = np.where(_hangs_on(model, division.mounted), model.body_gravcomp * model.body_mass, 0.0)
+    if not borne.any() or gravcomp == "motors":
         return None
     if gravcomp is None:
-        names = ", ".join(repr(_name(model, body)) for body in np.flatnonzero(taken)[:5].tolist())
+        names = ", ".join(repr(_name(model, body)) for body in np.flatnonzero(borne)[:5].tolist())
         raise SensorError(
             f"gravcomp is set on {names}: the sensors read the full weight all the same. Say what "
             "it stands for: gravcomp='motors' (joints carry the weight, the mount feels it) or "
@@ -325,7 +325,7 @@ def _floating(model: Model, division: _Division, gravcomp: str | None) -> Vector
             "gravcomp='float' needs the positions that the sensors saw, which RK4 overwrites: use "
             "another integrator"
         )
-    return taken
+    return borne
 
 
 def _check_forces(model: Model, body: int, mounted: int) -> None:

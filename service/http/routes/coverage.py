@@ -217,11 +217,11 @@ def drawing(
     return json_reply(body)
 
 
-def _spread(places: Places, count: int) -> Places:
-    """At most `count` evenly spread places, the first and the last among them."""
-    if len(places) <= count:
-        return places
-    return places[np.linspace(0, len(places) - 1, count).astype(np.intp)]
+def _spread(positions: Places, count: int) -> Places:
+    """At most `count` evenly spread positions, the first and the last among them."""
+    if len(positions) <= count:
+        return positions
+    return positions[np.linspace(0, len(positions) - 1, count).astype(np.intp)]
 
 
 @router.get(

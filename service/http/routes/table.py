@@ -260,16 +260,16 @@ class ImportQuery(Body):
         if self.append is not None and others:
             names = ", ".join(sorted(others))
             raise RigError(f"append takes no {names}, as this profile has: a block is no file")
-        own, mapping = _pairs(self.mapping or "{}"), _pairs(profile.mapping or "{}")
-        ignore = set(profile.ignore) - own.keys()
+        mapped, mapping = _pairs(self.mapping or "{}"), _pairs(profile.mapping or "{}")
+        ignore = set(profile.ignore) - mapped.keys()
         query = profile.model_copy(update=self.model_dump(include=self.model_fields_set))
         same = query.model_dump(include={field.name for field in fields(Options)})
         return Options(
             **same
             | {
                 "ignore": (*self.ignore, *ignore),
-                "mapping": mapping | own,
-                "optional": [*(ignore | mapping.keys()) - own.keys() - set(self.ignore)],
+                "mapping": mapping | mapped,
+                "optional": [*(ignore | mapping.keys()) - mapped.keys() - set(self.ignore)],
                 "zero_rows": query.tare,
                 "rig": rig,
             }
@@ -477,13 +477,13 @@ async def import_table(
     most = _MAX_APPENDED_BYTES if query.append else MAX_TABLE_BYTES
     async with received(request, most) as sent:
         key = permission_of(request.scope).key
-        about = About(
+        origin = About(
             who=key.name if key else "",
             filename=query.append or query.filename or sent.filename,
             digest="" if query.append else sent.digest,
             note=query.note,
         )
-        caller = about.who or (request.client.host if request.client else "")
+        caller = origin.who or (request.client.host if request.client else "")
         async with nullcontext() if query.append else one_reader(caller):
             reply = await run_in_threadpool(
                 import_files,
@@ -491,7 +491,7 @@ async def import_table(
                 component,
                 sent.files,
                 options,
-                about,
+                origin,
                 dry_run=query.dry_run,
                 partial=query.partial,
                 preview=query.preview,
