@@ -172,7 +172,7 @@ class Group:
 
     @cached_property
     def ranges(self) -> Floats:
-        """What each output varies by over the rows and from zero, shape (m,), m and rad."""
+        """The variation of each output over the rows and from zero, shape (m,), m and rad."""
         moved = self.used.displacement
         return moved.max(axis=0, initial=0.0) - moved.min(axis=0, initial=0.0)
 

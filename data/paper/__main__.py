@@ -24,10 +24,10 @@ from threadpoolctl import threadpool_limits
 from data.paper.arm import arm
 from data.paper.bar import tip_load
 from data.paper.page import HEAD, as_page, lines_of
-from data.paper.part import PAPER, QUICK, WHOLE, Effort, Heard
+from data.paper.part import PAPER, QUICK, WHOLE, Effort, ProgressCallback
 from data.paper.spring import spring
 from wrenchbook.service.client import Client
-from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.files.durable import write_atomically
 from wrenchbook.service.workers.private import private_server
 
 PARTS = {"bar": tip_load, "spring": spring, "arm": arm}
@@ -35,7 +35,7 @@ SOLVERS = 2  # of the server, at once
 _COLOURS = {"pass": "green", "FAIL": "bold red"}
 
 
-def run(client: Client, effort: Effort, report: Heard) -> dict[str, Any]:
+def run(client: Client, effort: Effort, report: ProgressCallback) -> dict[str, Any]:
     """Run all parts on a server; return findings, numbers and plots as JSON-able values."""
     began, parts = time.monotonic(), {}
     for number, (name, part) in enumerate(PARTS.items()):
@@ -77,8 +77,8 @@ def main(folder: Path, quick: bool) -> int:
         )
         progress.update(task, completed=1.0, description="done")
     written = json.dumps(body, allow_nan=False).encode()
-    write_whole_bytes(folder / "paper.json", written)
-    write_whole_bytes(folder / "paper.html", as_page(body).encode())
+    write_atomically(folder / "paper.json", written)
+    write_atomically(folder / "paper.html", as_page(body).encode())
     _print(body, folder)
     return 1 if body["bands"]["missed"] else 0
 

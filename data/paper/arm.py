@@ -15,10 +15,10 @@ from data.paper.part import (
     OUTPUTS,
     Curve,
     Effort,
-    Heard,
     Mask,
     PaperPart,
     Plot,
+    ProgressCallback,
     Vector,
 )
 from data.paper.scenes import LoopRun, move_arm
@@ -85,7 +85,7 @@ class Check:
         return float(np.mean(self.error <= self.bars))
 
 
-def arm(client: Client, effort: Effort, report: Heard) -> PaperPart:
+def arm(client: Client, effort: Effort, report: ProgressCallback) -> PaperPart:
     """Move a six-joint arm on two plates, and compare its tables with direct solves."""
     part = PaperPart(
         "Robot on a plate (figure 10)",
@@ -110,7 +110,7 @@ def arm(client: Client, effort: Effort, report: Heard) -> PaperPart:
 
 
 def _filled(
-    client: Client, name: str, effort: Effort, report: Heard
+    client: Client, name: str, effort: Effort, report: ProgressCallback
 ) -> tuple[LoopRun, dict[str, Any]]:
     """Record the trajectory on the rigid component, and have the wrenches it met solved."""
     report(0.0, "recording")
@@ -152,7 +152,7 @@ def corners(wrenches: Vector) -> Vector:
     return np.unique(points, axis=0)
 
 
-def _checks(client: Client, name: str, effort: Effort, report: Heard) -> list[Check]:
+def _checks(client: Client, name: str, effort: Effort, report: ProgressCallback) -> list[Check]:
     """Run the trajectory by each method; solve moments of the first run directly, for both."""
     table = client.download(name)
     runs = [move_arm(table, name, effort.arm_seconds, method=method) for method in METHODS]

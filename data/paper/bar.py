@@ -8,9 +8,9 @@ from data.paper.part import (
     PAPER,
     Curve,
     Effort,
-    Heard,
     PaperPart,
     Plot,
+    ProgressCallback,
     Vector,
     apart,
 )
@@ -31,7 +31,7 @@ ROUNDS = 12  # of the lever that moves as the bar bends: each leaves some 1e-3 o
 _LEVELS: tuple[str, ...] = ("closed form", "finite elements", "MuJoCo and service")
 
 
-def tip_load(client: Client, effort: Effort, report: Heard) -> PaperPart:
+def tip_load(client: Client, effort: Effort, report: ProgressCallback) -> PaperPart:
     """Load the bar, and compare deflection and rotation of its tip on three levels."""
     part = PaperPart(
         "Bar with a load (figure 2)",

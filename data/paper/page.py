@@ -13,7 +13,7 @@ from wrenchbook.service.report.layout import STYLE, ReportSection, section_html
 LAYOUT = {"template": "plotly_white", "height": 460, "margin": {"t": 20, "r": 20}}
 # Colours that remain apart for the colour-blind (Okabe and Ito 2008).
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
-_LOOKS: dict[str, dict[str, Any]] = {
+_STYLES: dict[str, dict[str, Any]] = {
     "line": {"mode": "lines", "line": {"width": 2}},
     "dash": {"mode": "lines", "line": {"width": 2, "dash": "dash"}},
     "points": {"mode": "markers", "marker": {"size": 8, "symbol": "circle-open"}},
@@ -74,7 +74,7 @@ def _figure(plot: dict[str, Any]) -> go.Figure:
     for curve in plot["curves"]:
         group = curve["name"].split(",")[0]
         colour = shades.setdefault(group, _COLOURS[len(shades) % len(_COLOURS)])
-        style = _LOOKS[curve["look"]]
+        style = _STYLES[curve["style"]]
         figure.add_scatter(
             x=curve["x"],
             y=curve["y"],

@@ -13,7 +13,7 @@ from tests.validation.finding import Finding
 
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Heard = Callable[[float, str], None]
+ProgressCallback = Callable[[float, str], None]
 """Called with the fraction done of a part, 0 to 1, and what is being done."""
 
 OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
@@ -77,12 +77,12 @@ class Curve:
     name: str
     x: list[float]
     y: list[float]
-    look: str = "line"
+    style: str = "line"
 
     @classmethod
-    def of(cls, name: str, x: Any, y: Any, look: str = "line") -> Curve:
+    def of(cls, name: str, x: Any, y: Any, style: str = "line") -> Curve:
         """Return a curve from two arrays."""
-        return cls(name, np.asarray(x).tolist(), np.asarray(y).tolist(), look)
+        return cls(name, np.asarray(x).tolist(), np.asarray(y).tolist(), style)
 
 
 @dataclass(frozen=True)

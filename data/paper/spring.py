@@ -13,10 +13,10 @@ from data.paper.part import (
     PAPER,
     Curve,
     Effort,
-    Heard,
     Mask,
     PaperPart,
     Plot,
+    ProgressCallback,
     Vector,
     apart,
 )
@@ -96,7 +96,7 @@ SOLVE_S = 300.0
 _LEVELS: tuple[str, ...] = ("closed form", "finite elements", "MuJoCo and service")
 
 
-def spring(client: Client, effort: Effort, report: Heard) -> PaperPart:
+def spring(client: Client, effort: Effort, report: ProgressCallback) -> PaperPart:
     """Press the spring on three levels, and compare stiffness and turn."""
     part = PaperPart(
         "Spring on three levels (section 6, figures 8, 11 and 12)",

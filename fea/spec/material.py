@@ -81,7 +81,7 @@ Direction = Annotated[Three, AfterValidator(_direction)]
 
 @table
 class Solid:
-    """What every material has."""
+    """Keys of every material."""
 
     region: Text = key("", '"all"')
     """a cell group of the mesh; `all` is what no other material fills"""

@@ -24,7 +24,7 @@ from wrenchbook.service.cli.connect import (
 from wrenchbook.service.cli.render import Screen, comparison_shown, plain, print_json, show
 from wrenchbook.service.client.errors import mistake_line
 from wrenchbook.service.client.library import RIG_NAME, check_readable, table_format
-from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.files.durable import write_atomically
 
 _Unit = Annotated[str | None, typer.Option(help="unit in a CSV or XLSX file; SI by default")]
 _Point = Annotated[
@@ -248,7 +248,7 @@ def export_table(
     message = f"{file} written."
     if ending in (".fmu", ".zip"):
         content, message = _compiled(file, name, content, method, targets)
-    write_whole_bytes(file, content)
+    write_atomically(file, content)
     show({"file": file, "bytes": len(content), "message": message}, as_json, message)
 
 
@@ -328,7 +328,7 @@ def compare(
         reply = client.comparison(name, number, against)
         text = client.comparison(name, number, against, "csv") if csv else ""
     if csv:
-        write_whole_bytes(csv, text.encode())
+        write_atomically(csv, text.encode())
     show(reply, as_json, lambda: comparison_shown(reply))
 
 

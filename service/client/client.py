@@ -21,7 +21,7 @@ from .recording import RecordingCalls
 from .replies import Displacement, Displacements
 from .table import DownloadCalls
 from .transport import BINARY, Connection, component_path
-from .wrenches import Load, Tolerance, loads_body, many_wrenches, one_wrench, options, wrench_of
+from .wrenches import Load, Tolerance, loads_body, many_wrenches, options, single_wrench, wrench_of
 
 BINARY_FROM = 1000  # wrenches from which a batch is sent as float64, if not given
 FORMATS = {".glb": "gltf", ".vtu": "vtu", ".json": "json"}
@@ -258,7 +258,7 @@ class SurfaceCalls(Connection):
 
 
 def _path(name: str, force: ArrayLike, moment: ArrayLike | None, form: str) -> str:
-    loads = one_wrench(force, moment).tolist()
+    loads = single_wrench(force, moment).tolist()
     query = {load: repr(value) for load, value in zip(LOADS, loads, strict=True)}
     return f"{component_path(name, 'deformed')}?{urlencode({**query, 'format': form})}"
 

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..contract import LOADS, MAX_BLOCK
 from .errors import Document, InvalidArgument, ProblemError, ServerTimeout, WrenchbookError
 from .recording import KINDS, Kind, Started
-from .wrenches import many_wrenches, one_wrench
+from .wrenches import many_wrenches, single_wrench
 
 if TYPE_CHECKING:
     from . import Client
@@ -139,7 +139,7 @@ class Recorder:
         if shape != (self._width // 8,):
             form = "six numbers, force then moment" if default else f"{self._width // 8} numbers"
             raise InvalidArgument(f"a wrench is {form}; this has shape {shape}")
-        checked = one_wrench(wrench) if default else many_wrenches(np.stack([wrench]), None)
+        checked = single_wrench(wrench) if default else many_wrenches(np.stack([wrench]), None)
         packed = checked.astype("<f8").tobytes()
         with self._changed:
             if self._closing:

@@ -50,7 +50,7 @@ def with_cycles(
             if report.read > MAX_CYCLE_ROWS:
                 message = f"has more than {MAX_CYCLE_ROWS:,} rows, too many for options of cycles"
                 raise _CycleError("file", f"{message}; send it in parts")
-        if any(map(len, parts)) and not report.mistakes.whole:
+        if any(map(len, parts)) and not report.mistakes.of_file:
             rows = _retained_rows(_joined(parts), options, report)
             for start in range(0, len(rows), _BLOCK):
                 yield rows.take(np.arange(start, min(start + _BLOCK, len(rows))))
@@ -76,7 +76,7 @@ def _retained_rows(rows: ParsedTable, options: Options, report: ReadReport) -> P
     if (count := int(passes.number[-1]) // 2) < options.skip_cycles:
         message = f"the main load {name} comes back to its first branch {count} times; give less"
         raise _CycleError("skip_cycles", message)
-    retained, left_out = passes.number >= 2 * options.skip_cycles, report.left_out
+    retained, omitted = passes.number >= 2 * options.skip_cycles, report.omitted
     load = rows.wrench[:, main]
     first, margin = load[0], TURN * np.ptp(load)
     if options.skip_cycles and load.min() + margin < first < load.max() - margin:
@@ -86,15 +86,15 @@ def _retained_rows(rows: ParsedTable, options: Options, report: ReadReport) -> P
         if not retained.any():
             message = f"the test has {count} cycles of the main load {name}; give less"
             raise _CycleError("skip_cycles", message)
-    left_out["skipped"] = int((~retained).sum())
+    omitted["skipped"] = int((~retained).sum())
     if options.branch:
         retained &= (passes.loading == (options.branch == "loading")) & passes.sure
-        left_out["branch"] = int((~retained).sum()) - left_out["skipped"]
+        omitted["branch"] = int((~retained).sum()) - omitted["skipped"]
         if not retained.any():
             message = f"the main load {name} has no {options.branch} branch; leave branch out"
             raise _CycleError("branch", message)
     rows, passes = rows.take(retained), passes.take(retained)
-    left_out["averaged"] = len(rows)
+    omitted["averaged"] = len(rows)
     if options.thin is not None:
         rows, passes = _thinned(rows, passes, options.thin * size)
     if options.mean_cycles:
@@ -104,7 +104,7 @@ def _retained_rows(rows: ParsedTable, options: Options, report: ReadReport) -> P
         branches = [_mean(rows, passes, way, main, size) for way in (True, False)]
         branches = sorted((part for part in branches if len(part)), key=lambda part: part.seq[0])
         rows = _joined(branches)
-    left_out["averaged"] -= len(rows)
+    omitted["averaged"] -= len(rows)
     return rows
 
 

@@ -375,7 +375,7 @@ def joined_loads(pieces: Iterator[ParsedTable], report: ReadReport) -> tuple[Arr
     """Return times (n,), s, and wrenches of a log of loads; None if it has a mistake."""
     parts, mistakes = list(pieces), report.mistakes
     if mistakes:
-        mistakes.whole = True
+        mistakes.of_file = True
         return None
     time = np.concatenate([np.empty(0), *(part.time for part in parts if part.time is not None)])
     steps = np.diff(time)
@@ -392,7 +392,7 @@ def _applied_lag(
     pieces: Sequence[ParsedTable], time: Array, wrench: Array, options: Options, report: ReadReport
 ) -> float | None:
     """Return the seconds to add to the displacements' times; None after a mistake."""
-    if report.mistakes.whole:
+    if report.mistakes.of_file:
         return None
     auto = options.time_offset_s == "auto"
     applied = 0.0 if options.time_offset_s == "auto" else options.time_offset_s

@@ -185,7 +185,7 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
             for wake, stamp in (
                 (workspace.polls.notify, None),
                 (events.wake, None),
-                (access.refresh, access.keyring.look),
+                (access.refresh, access.keyring.refresh),
             ):
                 listener = partial(loop.call_soon_threadsafe, wake)
                 workspace.watcher.on_change(listener, stamp)

@@ -103,7 +103,7 @@ class WrenchBody(Body):
     moment: Vector | None = None
 
     @model_validator(mode="after")
-    def _one_is_given(self) -> WrenchBody:
+    def _require_loads(self) -> WrenchBody:
         if self.is_empty():
             raise ValueError("give 'force', 'moment' or both, each a list of three numbers")
         return self

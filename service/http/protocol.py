@@ -38,7 +38,7 @@ HEAD_S: Final = 10.0  # for a head, from its first byte or from the connection's
 BODY_S: Final = 30.0  # for a body, and the time that it takes at this rate:
 SLOWEST: Final = 16 * 1024  # bytes a second; a bad mobile connection has more
 READ_S: Final = 60.0  # in which the caller must read some of an answer that waits
-LOOK_S: Final = 5.0  # between two checks of a connection's timeouts
+POLL_S: Final = 5.0  # between two checks of a connection's timeouts
 LAST_S: Final = 0.25  # for a last request of an idle connection when the server stops
 REFUSALS_S: Final = 60.0  # between two lines of the log: input that is not HTTP needs no key
 _SIZES: Final = {b"content-length", b"transfer-encoding"}
@@ -256,7 +256,7 @@ class FastPathProtocol(HttpToolsProtocol):
         if len(self.connections) > MAX_CONNECTIONS:
             transport.close()
             return
-        self._timer = self.loop.call_later(LOOK_S, self._check_timeouts)
+        self._timer = self.loop.call_later(POLL_S, self._check_timeouts)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """End a connection."""
@@ -458,10 +458,10 @@ class FastPathProtocol(HttpToolsProtocol):
             log.debug("closed a connection: %s", late)
             self.transport.abort()
         else:
-            self._timer = self.loop.call_later(LOOK_S, self._check_timeouts)
+            self._timer = self.loop.call_later(POLL_S, self._check_timeouts)
 
     def _late(self, now: float) -> str:
-        """Return what is overdue on the connection; an empty text if nothing is."""
+        """Return the timeout that the connection exceeds; an empty text if none."""
         if self.flow.write_paused:
             unsent = self.transport.get_write_buffer_size()
             if unsent != self._unread:

@@ -43,8 +43,8 @@ from wrenchbook.service.jobs.attempt import (
     Outcome,
     Progress,
     read_attempt,
+    write_json,
     write_outcome,
-    write_whole,
 )
 
 SOLVE_VARIABLE = "WRENCHBOOK_SOLVE"
@@ -298,7 +298,7 @@ class _Reporter:
         self._next = now + 0.2
         fraction = min(max(float(fraction), 0.0), 1.0) if math.isfinite(fraction) else 0.0
         try:
-            write_whole(self._path, asdict(Progress(fraction, str(message))))
+            write_json(self._path, asdict(Progress(fraction, str(message))))
         except OSError as error:
             print(f"progress not written: {error}", file=sys.stderr)
 

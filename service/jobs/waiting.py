@@ -104,7 +104,7 @@ class Polls:
         self._ledger = ledger
         self._waiters: set[_Waiter] = set()
         self._changed = asyncio.Event()
-        self._looking: asyncio.Task[None] | None = None
+        self._polling: asyncio.Task[None] | None = None
         self._stopping = False
 
     async def wait_all(self, job_ids: Sequence[int], seconds: float) -> list[JobRecord]:
@@ -124,8 +124,8 @@ class Polls:
                     f"{MAX_WAITERS} callers wait for jobs already. Ask again in some seconds, or "
                     "follow all jobs at once with GET /v1/events"
                 )
-            if self._looking is None or self._looking.done():
-                self._looking = asyncio.create_task(self._look())
+            if self._polling is None or self._polling.done():
+                self._polling = asyncio.create_task(self._poll())
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(waiter.ended.wait(), seconds)
         finally:
@@ -133,7 +133,7 @@ class Polls:
         return await run_in_threadpool(self._read, job_ids)
 
     def notify(self) -> None:
-        """Look for ended jobs: something was committed. For the loop."""
+        """Poll for ended jobs: something was committed. For the loop."""
         self._changed.set()
 
     def stop(self) -> None:
@@ -145,8 +145,8 @@ class Polls:
     def _read(self, job_ids: Sequence[int]) -> list[JobRecord]:
         return [self._ledger.job(number) for number in job_ids]
 
-    async def _look(self) -> None:
-        """Look for jobs that have ended after each commit, for as long as a caller waits."""
+    async def _poll(self) -> None:
+        """Poll for jobs that have ended after each commit, for as long as a caller waits."""
         while self._waiters:
             self._changed.clear()
             open_jobs = list(set[int]().union(*(waiter.open_jobs for waiter in self._waiters)))

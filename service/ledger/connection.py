@@ -112,7 +112,7 @@ def connect(path: Path, *, frozen: bool = False) -> Connection:
 
 
 def _key_hash(key: object) -> int:
-    """Return what `row_keys` has of a row's key; of a damaged one zero."""
+    """Return the hash of a row's key in `row_keys`; 0 for a damaged key."""
     if not isinstance(key, bytes) or len(key) != KEY_BYTES:
         return 0
     return int(key_hashes(key)[0])
@@ -166,7 +166,7 @@ def open_file(path: Path) -> Connection:
         connection = connect(path)
         try:
             _check_schema(connection, path)
-            check_whole(connection, path)
+            check_integrity(connection, path)
             _use_wal(connection)
             _upgrade(connection)
             _take_over(connection, path.parent)
@@ -209,7 +209,7 @@ def _check_schema(connection: Connection, path: Path) -> int:
     return version
 
 
-def check_whole(connection: Connection, path: Path) -> None:
+def check_integrity(connection: Connection, path: Path) -> None:
     """Refuse a damaged file: what is written into one may be gone at the next start.
 
     Of 300 ledgers with one to six random bytes changed, ``quick_check`` let 11 pass that lost what

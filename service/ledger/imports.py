@@ -47,7 +47,7 @@ _PARTS = "FROM import_parts JOIN imports ON imports.id = import WHERE"
 
 
 @dataclass(frozen=True)
-class About:
+class ImportOrigin:
     """The origin of an import's rows, as its sender states it."""
 
     who: str = ""  # the key, or the user
@@ -76,7 +76,7 @@ class ImportRecord:
 
 
 def import_rows(
-    ledger: Ledger, component: str, blocks: Iterable[NotedRows], origin: About
+    ledger: Ledger, component: str, blocks: Iterable[NotedRows], origin: ImportOrigin
 ) -> tuple[int, int, int | None]:
     """Insert the rows of a file, all or none.
 
@@ -104,11 +104,11 @@ def import_rows(
 
 
 def _import(
-    ledger: Ledger, component: str, blocks: Iterable[NotedRows], origin: About
+    ledger: Ledger, component: str, blocks: Iterable[NotedRows], origin: ImportOrigin
 ) -> tuple[int, int, int | None]:
     number: int | None = None
     count, now = 0, time.time()
-    known_keys: set[bytes] = set()
+    import_keys: set[bytes] = set()
     parts: list[tuple[int, bytes]] = []  # the first seq and the keys of rows inserted at once
     with ledger.reading() as db:
         start = sequences(db).get("rows", 0)
@@ -117,13 +117,13 @@ def _import(
         count += len(keys)
         with ledger.reading() as db:
             known = rows.stored(db, keys) if rows.last_seq(db, component) else {}
-        positions = rows.new_places(keys, known.keys())
-        if not known_keys.isdisjoint(keys):
-            positions = [at for at in positions if keys[at] not in known_keys]
-        known_keys.update(keys)
+        positions = rows.new_positions(keys, known.keys())
+        if not import_keys.isdisjoint(keys):
+            positions = [at for at in positions if keys[at] not in import_keys]
+        import_keys.update(keys)
         for begin in range(0, len(positions), ROWS_AT_ONCE):
             some = positions[begin : begin + ROWS_AT_ONCE]
-            lot, named = rows.taken(block, some), [keys[at] for at in some]
+            lot, named = rows.rows_at(block, some), [keys[at] for at in some]
             with ledger.writing(durable=False) as db:
                 if number is None:
                     number = db.execute(_INSERT, (component, now, *astuple(origin))).lastrowid
@@ -158,7 +158,7 @@ def _import(
 
 
 def append_rows(
-    db: Connection, component: str, blocks: Iterable[NotedRows], origin: About
+    db: Connection, component: str, blocks: Iterable[NotedRows], origin: ImportOrigin
 ) -> tuple[int, int, int | None]:
     """Append rows to the import of this sender, component and file name; the first call makes it.
 
@@ -306,7 +306,7 @@ def edit_import(
 
 
 def _note(
-    db: Connection, action: str, number: int | None, component: str, new: int, origin: About
+    db: Connection, action: str, number: int | None, component: str, new: int, origin: ImportOrigin
 ) -> None:
     after = {"rows": new, "filename": origin.filename, "sha256": origin.digest}
     note(db, action, number, component, after=after)

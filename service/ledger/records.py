@@ -65,14 +65,14 @@ class Quota(NamedTuple):
     solver_seconds: float | None = None
 
 
-class Beat(NamedTuple):
-    """The heartbeat of an owner of attempts: its engine, how many beats, the time of the last, s.
+class Heartbeat(NamedTuple):
+    """The heartbeat of an owner of attempts: its engine, their number, the time of the last, s.
 
     An owner lives as long as the number grows. The time is for display: clocks can be set.
     """
 
     engine: str
-    beat: int
+    number: int
     at: float
 
 
@@ -128,7 +128,7 @@ class RowChanges:
     rows: Rows  # to add: new ones, and old ones that were restored
     gone: frozenset[int]  # to remove before: those withdrawn, or restored and so in `rows`
     last_seq: int  # up to here the changes are complete
-    whole: bool = True  # whether these are all changes; else read on from `last_seq`
+    complete: bool = True  # whether these are all changes; else read on from `last_seq`
 
 
 @dataclass(frozen=True)

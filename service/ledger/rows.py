@@ -97,10 +97,10 @@ def insert(
     """
     if above:
         _skip(db, least=above)
-    positions = new_places(keys, stored(db, keys).keys())
+    positions = new_positions(keys, stored(db, keys).keys())
     known = len(keys) - len(positions)
     if positions:
-        block, keys = taken(block, positions), [keys[at] for at in positions]
+        block, keys = rows_at(block, positions), [keys[at] for at in positions]
         first = number(db, component, block, keys, now, job)
         hashes = key_hashes(b"".join(keys)).tolist()
         enter(db, sorted(zip(hashes, range(first, first + len(keys)), strict=True)))
@@ -137,7 +137,7 @@ def stored(db: Connection, keys: Sequence[bytes], *, hidden: bool = False) -> di
     return numbers
 
 
-def new_places(keys: Sequence[bytes], known: Set[bytes]) -> Sequence[int]:
+def new_positions(keys: Sequence[bytes], known: Set[bytes]) -> Sequence[int]:
     """Return the position of the first of each key that is not known."""
     if len(set(keys)) == len(keys) and known.isdisjoint(keys):
         return range(len(keys))
@@ -148,7 +148,7 @@ def new_places(keys: Sequence[bytes], known: Set[bytes]) -> Sequence[int]:
     return list(positions.values())
 
 
-def taken(block: NotedRows, positions: Sequence[int]) -> NotedRows:
+def rows_at(block: NotedRows, positions: Sequence[int]) -> NotedRows:
     """Return the rows at some positions."""
     if len(positions) == len(block.rows):
         return block
@@ -397,7 +397,7 @@ def row_changes(
     old = _noted(db, records, np.isin(_numbers(records), back), space, fingerprint)
     new, last = _read(db, component, after, newest, hidden, most, space, fingerprint)
     cut = last is not None
-    return RowChanges(joined((old.rows, new.rows)), gone, last if cut else newest, whole=not cut)
+    return RowChanges(joined((old.rows, new.rows)), gone, last if cut else newest, complete=not cut)
 
 
 def table_at(

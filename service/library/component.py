@@ -150,7 +150,7 @@ class OneWrenchError(ValueError):
         )
 
 
-def require_one_wrench(name: str, space: Space) -> None:
+def require_single_wrench(name: str, space: Space) -> None:
     """Raise a OneWrenchError for a component of several interfaces or further inputs."""
     if not space.is_default:
         raise OneWrenchError(name, space)

@@ -32,7 +32,7 @@ class DataFinding:
     """One finding of a check."""
 
     kind: Literal["fault", "repaired", "note"]  # needs repair, was repaired, needs nothing
-    what: str
+    problem: str
     remedy: str = ""
 
 
@@ -51,7 +51,7 @@ def is_full(folder: Path) -> bool:
 
 
 def not_writable(folder: Path) -> list[Path]:
-    """Return what of a data directory this user cannot read and write."""
+    """Return the files of a data directory that this user cannot read and write."""
     ledger = [folder / f"{LEDGER}{end}" for end in ("", "-wal", "-shm")]
     paths = (folder, *ledger, folder / "tables", folder / "components", folder / "jobs")
     return [path for path in paths if path.exists() and not os.access(path, os.R_OK | os.W_OK)]
@@ -108,7 +108,7 @@ def find_leftovers(folder: Path, ledger: Ledger) -> Iterator[DataFinding]:
         *(folder / "components").glob(".incoming-*"),
         *folder.glob(".restoring"),
     ]
-    for path in folder.glob(".*.*.*"):  # of `write_whole_bytes`: .name.process.thread
+    for path in folder.glob(".*.*.*"):  # of `write_atomically`: .name.process.thread
         process = path.name.split(".")[-2]
         if process.isdecimal() and not Path(f"/proc/{process}").exists():
             unfinished.append(path)

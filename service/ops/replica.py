@@ -20,7 +20,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import IO, Any
 
-from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.files.durable import write_atomically
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.ledger.schema import VERSION
 from wrenchbook.service.ops import backup
@@ -187,7 +187,7 @@ class Shipper:
             self._origin = (settings.data / ORIGIN).read_text()
         except FileNotFoundError:
             self._origin = secrets.token_hex(16)
-            write_whole_bytes(settings.data / ORIGIN, self._origin.encode())
+            write_atomically(settings.data / ORIGIN, self._origin.encode())
         self._files: dict[str, Entry] = {}
         self._known: set[str] = set()  # blocks that are there
         self._number, self._collect_at = 0, time.monotonic() + COLLECT_S
@@ -343,7 +343,7 @@ def stays(created: float, retained: list[float]) -> bool:
 
 def write_status(data: Path, **parts: Any) -> None:
     """Write `replica`, `backup` or `followed`, by which health and doctor judge the copies."""
-    write_whole_bytes(data / STATUS, json.dumps(read_status(data) | parts).encode(), durable=False)
+    write_atomically(data / STATUS, json.dumps(read_status(data) | parts).encode(), durable=False)
 
 
 def read_status(data: Path) -> dict[str, Any]:
@@ -355,7 +355,7 @@ def read_status(data: Path) -> dict[str, Any]:
 
 
 def trouble_of(status: Mapping[str, Any], settings: Settings | None = None) -> str | None:
-    """Return what is wrong with copies; with a running server's settings also silence."""
+    """Return the problems of copies; with a running server's settings also silence."""
     parts = []
     for name, part in status.items():
         silent = time.time() - part["seen"] if settings else 0.0

@@ -97,7 +97,7 @@ def in_use(folder: Path) -> bool:
 
 
 def _check_free(folder: Path, *, overwrite: bool) -> list[Path]:
-    """Return what the directory has besides what stays; refuse one in use, or not empty."""
+    """Return the directory's files that a restore replaces; refuse one in use, or not empty."""
     present = sorted(entry for entry in folder.iterdir() if entry.name not in _STAYS)
     if in_use(folder):
         raise BackupError(f"a server or worker uses {folder}; stop it first. Nothing was changed")

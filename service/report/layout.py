@@ -48,7 +48,7 @@ class ReportSection:
 
 
 def summary_of(report: dict[str, Any]) -> str:
-    """Return what was compared with what."""
+    """Return the two sides of the comparison."""
     wrenches = report["wrenches"]
     return (
         f"{wrenches['compared']} of {wrenches['asked']} random full wrenches (seed "
@@ -182,7 +182,7 @@ def sections_of(report: dict[str, Any]) -> list[ReportSection]:
 
 
 def _failures_in(level: dict[str, Any]) -> str:
-    """Say how many solves on a mesh failed, and why; "" if none did."""
+    """Return a note of the solves that failed on a mesh, with their causes; "" if none did."""
     failures = level["failures"]
     kinds = Counter(failure["kind"] for failure in failures)
     first = {failure["kind"]: failure for failure in reversed(failures)}

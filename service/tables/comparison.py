@@ -65,12 +65,12 @@ def comparison(
         If the table has no measured rows of an import, or the two are the same.
     """
     of_import, measured = _imports(rows.seq, spans), rows.source != SOLVED
-    for one in (number, against):
-        if one is not None and not (measured & (of_import == one)).any():
+    for each in (number, against):
+        if each is not None and not (measured & (of_import == each)).any():
             listed = np.unique(of_import[measured & (of_import > 0)])[-10:].tolist()
             known = ", ".join(map(str, listed)) or "none yet"
             raise UncomparableError(
-                f"the table has no measured rows of import {one}; its last are {known}"
+                f"the table has no measured rows of import {each}; its last are {known}"
             )
     if number is not None and number == against:
         raise UncomparableError(f"import {number} is its own reference; name two imports")
@@ -125,14 +125,14 @@ def comparison(
         "outputs": summaries(campaign >= 0),
         "campaigns": [
             {
-                "import": one or None,
-                "rows": int((campaign == one).sum()),
-                "outputs": summaries(campaign == one),
+                "import": each or None,
+                "rows": int((campaign == each).sum()),
+                "outputs": summaries(campaign == each),
             }
-            for one in np.unique(campaign).tolist()
+            for each in np.unique(campaign).tolist()
         ],
         "row": some.seq.tolist(),
-        "campaign": [one or None for one in campaign.tolist()],
+        "campaign": [each or None for each in campaign.tolist()],
         "coverage": [NAMES[code] for code in coverage.tolist()],
         "wrench": some.wrench,
         "displacement": some.displacement,

@@ -13,7 +13,7 @@ import numpy as np
 from wrenchbook.service.formats.options import Options, ParsedTable
 from wrenchbook.service.formats.read import ReadResult, read_block, read_untrusted
 from wrenchbook.service.formats.rig import Rig
-from wrenchbook.service.ledger import About, Ledger, NotedRows, row_keys
+from wrenchbook.service.ledger import ImportOrigin, Ledger, NotedRows, row_keys
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.surrogate.findings.comparison import MAX_ROWS as MAX_COMPARED
@@ -33,7 +33,7 @@ def import_files(
     component: Component,
     files: Sequence[Path],
     options: Options,
-    origin: About,
+    origin: ImportOrigin,
     *,
     dry_run: bool = False,
     partial: bool = False,
@@ -59,7 +59,7 @@ def import_files(
     else:
         read = read_untrusted(files, component_options, preview)
     report = dict(read.report)
-    refused = report.pop("whole") or bool(report["errors"] and not partial)
+    refused = report.pop("of_file") or bool(report["errors"] and not partial)
     report.pop("converted")
     inserted, existing, number = 0, 0, None
 
@@ -192,7 +192,7 @@ def _sums(numbers: np.ndarray, inputs: int) -> tuple[np.ndarray, np.ndarray]:
     return np.nansum(parts, axis=1), np.nansum(np.abs(parts), axis=1)
 
 
-def copy_rows(ledger: Ledger, source: Component, target: Component, origin: About) -> int:
+def copy_rows(ledger: Ledger, source: Component, target: Component, origin: ImportOrigin) -> int:
     """Copy the rows of a component's present setup, all or none; return their number.
 
     Raises ImportRunningError or LedgerUnavailableError if they cannot be written now.

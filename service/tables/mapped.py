@@ -262,7 +262,7 @@ class MappedTables:
 
     def trouble(self) -> str | None:
         """Why no job runs, as far as it is known here."""
-        if not self._state.is_taken():
+        if not self._state.is_locked_by_builder():
             return "the process that runs them has ended; it is started again"
         return self._status.trouble
 
@@ -303,7 +303,7 @@ class MappedTables:
         if self.catch_up(name, timeout):
             return self.surrogate(name)
         why = self.faults().get(name, f"its newest rows are not in it after {timeout:g} s")
-        if not self._state.is_taken():
+        if not self._state.is_locked_by_builder():
             why += "; the process that builds tables has ended and is started again"
         raise TableBehindError(
             f"the table of {name!r} is older than the ledger: {why}. No solve was queued; ask "

@@ -191,7 +191,7 @@ class Triangulation:
 
     @cached_property
     def _by_size(self) -> list[tuple[float, Indices, KDTree]]:
-        """Group simplices that are not flat by the distance of their farthest corner, to a power of 2.
+        """Group simplices that are not flat by a power of 2 of the farthest corner's distance.
 
         A point in a simplex is nearer to its middle than that: few of a size are.
         """
@@ -249,7 +249,7 @@ class Triangulation:
 
 
 def _span(points: Floats) -> tuple[int, Floats]:
-    """Return what dimension the points span and an orthonormal basis of it, shape (d, 3).
+    """Return the dimension that the points span and an orthonormal basis of it, shape (d, 3).
 
     Coordinates that do not vary are dropped rather than rotated away, so that a planar table is
     triangulated in the coordinates that vary.

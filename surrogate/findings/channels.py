@@ -81,7 +81,7 @@ def channel_findings(
 
 
 def _broken(terms: Floats, y: Floats) -> list[Broken]:
-    """Return what is broken in readings (n,), their indices, the value, and parts of the range."""
+    """Return the faults of readings (n,): indices, the value, and parts of the range."""
     all_rows = np.arange(len(y))
     if len(y) < MIN_ROWS:
         return []

@@ -52,7 +52,7 @@ class Logs(NamedTuple):
 
 
 class Lag(NamedTuple):
-    """What the displacements' times lack to the clock of the loads.
+    """The lag of the displacements' times behind the clock of the loads.
 
     Attributes
     ----------

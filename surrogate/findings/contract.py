@@ -269,7 +269,7 @@ PAIRS = np.triu_indices(6, 1)
 
 
 class _Skew(NamedTuple):
-    """What a compliance lacks in symmetry, (15,), over its largest energy, and its covariance."""
+    """The asymmetry of a compliance, (15,), over its largest energy, and its covariance."""
 
     values: Floats
     covariance: Floats
@@ -300,7 +300,7 @@ class _Skew(NamedTuple):
 
 
 def _skew(matrix: Floats, load_range: LoadRange) -> Floats:
-    """Return what a compliance (6, 6) lacks in symmetry, in units of energy, (15,)."""
+    """Return the asymmetry of a compliance (6, 6), in units of energy, (15,)."""
     energies = matrix * np.outer(load_range.scale, load_range.scale)
     return (energies - energies.T)[PAIRS]
 

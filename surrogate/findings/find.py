@@ -1,4 +1,4 @@
-"""What rows show of the errors of their measurement: findings of an import, and `without_effects`.
+"""Errors of measurement that rows show: findings of an import, and `without_effects`.
 
 Hysteresis, drift and sessions are hidden by their mean: more rows do not lower them, and a mean of
 both branches lies on neither. So they are taken out of the rows, error bars have a separate part

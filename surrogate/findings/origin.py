@@ -32,7 +32,7 @@ PRIOR = 1e3  # deviations of the readings: of coefficients of the mean; wide, an
 
 
 class Slopes(NamedTuple):
-    """What rows tell at no load.
+    """Slopes and jumps of rows at no load.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What each axis contributes to an answer of a packed table, as JSON-able values."""
+"""The contribution of each axis to an answer of a packed table, as JSON-able values."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ TINY = 1e-30  # variance, spreads squared, below any rounding
 
 
 class Estimate(NamedTuple):
-    """What the likelihood determines, of each output.
+    """The quantities that the likelihood determines, of each output.
 
     Attributes
     ----------
@@ -146,7 +146,7 @@ def _with_noise(equations: Equations, scaling: Scaling) -> NDArray[np.bool_]:
 
 
 class Spectrum(NamedTuple):
-    """What makes every noise diagonal: T s^2 (K + r D) T' = s^2 diag(values + r noisy).
+    """The transform that diagonalises every noise: T s^2 (K + r D) T' = s^2 diag(values + r noisy).
 
     Attributes
     ----------
@@ -293,7 +293,7 @@ def _contracted_values(
     kernel: Hyperparameters,
     nugget: float,
 ) -> Floats:
-    """Return what `contracted` does, of values alone."""
+    """Return the result of `contracted` for values alone."""
     first, second = np.triu_indices(len(sensitivity))
     pairs = sensitivity[first, second] * np.where(first == second, 1 + nugget, 2.0)
     rates, weights = kernel.terms
@@ -346,7 +346,7 @@ def estimate_noise(
     arrays = variance, noise, widening, noise_widening
     kernels: list[Hyperparameters | None] = [None] * len(scaling.spread)
     for some, all_rows in sets:
-        kernel = _of_one_kernel(some, all_rows, points, settings, arrays)
+        kernel = _fitted_kernel(some, all_rows, points, settings, arrays)
         for rows in all_rows:
             for output in rows.outputs:
                 kernels[output] = kernel
@@ -355,7 +355,7 @@ def estimate_noise(
     return Estimate(tuple(kernel or first for kernel in kernels), *arrays)
 
 
-def _of_one_kernel(
+def _fitted_kernel(
     few: list[NoisyRows],
     many: list[NoisyRows],
     points: Floats,

@@ -74,7 +74,7 @@ class KrigingSettings:
     deviation_solves: int = 20
     # Up to so many measured rows sigma is that of all of them: a triangle of 4 MB an output. By the
     # 40 nearest of 800 rows with 1 % noise bars were 7 to 9 times the errors, by all 3 to 4 times.
-    whole_rows: int = 1000
+    global_rows: int = 1000
     # More measured rows than this go through inducing wrenches, if so many or fewer leave little of
     # the response beside the noise: of 900 and 100,000 rows with 0.3 % noise 75 and 252.
     many_rows: int = 400

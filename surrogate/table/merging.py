@@ -198,7 +198,7 @@ def repeated(rows: Rows, load_range: LoadRange) -> list[NDArray[np.intp]]:
 
 
 def row_conflicts(rows: Rows, load_range: LoadRange) -> dict[str, Any]:
-    """Return what a coverage summary says of repeated wrenches: how many, and which disagree.
+    """Return repeated wrenches for a coverage summary: their count, and those that disagree.
 
     Rows of a wrench disagree if an output's spread is over twice the largest stored uncertainty
     plus a millionth of the output's range: no two of such rows can both be right.

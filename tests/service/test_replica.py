@@ -365,5 +365,5 @@ def test_health_and_doctor_say_that_nothing_is_shipped(shipped, tmp_path):
     silent = {"replica": part | {"trouble": None}}
     assert "has not reported for" in replica.trouble_of(silent, settings)
     assert replica.trouble_of(silent, Settings(shipped.folder)) is None
-    faults = [finding.what for finding in examine(shipped.folder) if finding.kind == "fault"]
+    faults = [finding.problem for finding in examine(shipped.folder) if finding.kind == "fault"]
     assert any("no route to host" in fault for fault in faults)

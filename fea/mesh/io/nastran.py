@@ -74,12 +74,12 @@ class _Bulk(Translated):
                 points = np.array([self.point(self.grids[node]) for node in fields[1:4]])
             else:
                 numbers = np.array([_real(each) for each in fields[2:11]]).reshape(3, 3)
-                points = np.array([self.placed(fields[1], each) for each in numbers])
+                points = np.array([self.in_basic_axes(fields[1], each) for each in numbers])
             z, x, y = axes_through(*points)  # its second point is on z, its third in xz
             self.systems[number] = name[5], np.array([x, y, z]), points[0]
         return self.systems[number]
 
-    def placed(self, number: str, point: Array) -> Array:
+    def in_basic_axes(self, number: str, point: Array) -> Array:
         """Return a point of a coordinate system, its angles in degrees, in basic axes: (3,)."""
         if number in ("", "0"):
             return point
@@ -88,7 +88,7 @@ class _Bulk(Translated):
 
     def point(self, fields: list[str]) -> Array:
         """Return where the node of a GRID is, in basic axes, shape (3,)."""
-        return self.placed(fields[1], np.array([_real(each) for each in fields[2:5]]))
+        return self.in_basic_axes(fields[1], np.array([_real(each) for each in fields[2:5]]))
 
     def oriented(self, name: str, axes: Array, kind: str = "R") -> str:
         """Add an orientation unless it is the basic one; return the option that names it."""

@@ -27,7 +27,7 @@ from ..recorder import Recorder
 from ..recording import Started
 from ..replies import Displacement
 from ..rotation import rotation_matrix
-from ..wrenches import ON_THIN, OnThin, Tolerance, Vector, one_wrench, tolerance_body
+from ..wrenches import ON_THIN, OnThin, Tolerance, Vector, single_wrench, tolerance_body
 from .coupling import (
     BEYOND,
     CycleWatch,
@@ -582,7 +582,7 @@ def require_server(source: Table | Client, mode: str) -> Client:
 def checked_reading(force: ArrayLike, moment: ArrayLike | None) -> Vector:
     """Return a reading as a wrench (6,), N and N·m; SensorError if a number is not finite."""
     try:
-        return one_wrench(force, moment)
+        return single_wrench(force, moment)
     except ValueError as error:
         if "not finite" not in str(error):
             raise

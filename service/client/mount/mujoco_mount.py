@@ -303,7 +303,7 @@ def _division(model: Model, mocap: str, force: str, torque: str) -> _Division:
 
 
 def _floating(model: Model, division: _Division, gravcomp: str | None) -> Vector | None:
-    """Return what gravity compensation takes off each body: kg, shape (bodies,); None if nothing.
+    """Return the mass of bodies that gravity compensation carries, kg, (bodies,); None if nothing.
 
     SensorError if a body is compensated and `gravcomp` is not given; InvalidArgument if it is not
     valid, or cannot be taken off with this integrator.

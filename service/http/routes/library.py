@@ -22,7 +22,7 @@ from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.routes import Opened, json_reply
 from wrenchbook.service.http.routes.components import component_body
 from wrenchbook.service.http.routes.rows import file_fields
-from wrenchbook.service.ledger import About, UnknownImportError
+from wrenchbook.service.ledger import ImportOrigin, UnknownImportError
 from wrenchbook.service.messages import Card, Comparison, Demand, Disagreement, Import, Imports
 from wrenchbook.service.tables.comparison import (
     UncomparableError,
@@ -314,7 +314,7 @@ def _copied(request: Request, name: str, body: CopyBody, renamed: bool = False) 
     workspace.catalogue.change(copy.name, notes=card.notes, copied_from=name)
     if body.rows:
         key = permission_of(request.scope).key
-        origin = About(who=key.name if key else "", format="copy", note=f"copied from {name}")
+        origin = ImportOrigin(key.name if key else "", format="copy", note=f"copied from {name}")
         copy_rows(workspace.ledger, source, copy, origin)
     if renamed:
         workspace.catalogue.change(name, archived=True, renamed_to=copy.name)

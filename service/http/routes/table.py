@@ -32,7 +32,7 @@ from wrenchbook.service.http.body import PIECE, content_type, form_of, spooled
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.routes import Opened, holds, json_reply, naming
-from wrenchbook.service.ledger import About
+from wrenchbook.service.ledger import ImportOrigin
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.rigs import rig_of
 from wrenchbook.service.messages import (
@@ -244,7 +244,7 @@ class ImportQuery(Body):
 
     @field_validator("note", "filename", "rig", "append")
     @classmethod
-    def _can_be_kept(cls, text: str) -> str:
+    def _check_text(cls, text: str) -> str:
         try:
             text.encode()
         except UnicodeEncodeError:
@@ -477,14 +477,14 @@ async def import_table(
     most = _MAX_APPENDED_BYTES if query.append else MAX_TABLE_BYTES
     async with received(request, most) as sent:
         key = permission_of(request.scope).key
-        origin = About(
+        origin = ImportOrigin(
             who=key.name if key else "",
             filename=query.append or query.filename or sent.filename,
             digest="" if query.append else sent.digest,
             note=query.note,
         )
         caller = origin.who or (request.client.host if request.client else "")
-        async with nullcontext() if query.append else one_reader(caller):
+        async with nullcontext() if query.append else reader_slot(caller):
             reply = await run_in_threadpool(
                 import_files,
                 workspace.ledger,
@@ -583,7 +583,7 @@ def _digest(files: Sequence[Path]) -> str:
 
 
 @asynccontextmanager
-async def one_reader(caller: str) -> AsyncIterator[None]:
+async def reader_slot(caller: str) -> AsyncIterator[None]:
     """Wait until no other table of a caller (a key, or an address without keys) is being read.
 
     Raises SandboxBusyError after `_READER_WAIT_S` seconds.
