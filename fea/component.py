@@ -224,7 +224,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     problems = cell_problems(mesh) + problems
     _check_disjoint(mesh, fixed, holds, problems)
     occupied = [fixed, *(hold.section.node_ids for hold in holds)]
-    if mesh.dependents is not None:  # what is tied, and what that follows
+    if mesh.dependents is not None:  # dependent nodes and their masters
         occupied += [
             group for tie in ties for group in (tie.nodes, mesh.dependents.map[tie.nodes].indices)
         ]

@@ -127,7 +127,7 @@ class Keyring:
 
     def find(self, secret: str) -> Key | None:
         """Return the key of a secret; None if there is none that is valid."""
-        # Looked up by digest: the time it takes reveals nothing about the secrets.
+        # Searched by digest: the time it takes reveals nothing about the secrets.
         key = self._keys.get(digest_of(secret))
         return key if key is not None and key.is_valid() else None
 

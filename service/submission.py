@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 GRAINS = 1e6  # to a load's scale: two wrenches that round to the same grains are one job
 REACH = 0.05  # of a load's scale: an open job as near as this is joined
 MAX_FAILED = 100_000  # failed jobs that a fill leaves out: more than anyone lets happen
-BLOCK = 65_536  # differences of wrenches looked at in one go, 3 MB
+BLOCK = 65_536  # differences of wrenches computed at once, 3 MB
 
 
 class NoSetupError(ValueError):
@@ -121,7 +121,7 @@ class Submission:
 
         Each is rounded to whole grains, takes the job there is for it, else joins the open job
         within `REACH`, else becomes a job unless `queue_limit` of them are open. A linear
-        component's open job is within reach of every wrench: any solve gives its compliance.
+        component's open job serves every wrench: any solve gives its compliance.
         """
         component = self.solvable(name)
         # Divided at the end, not multiplied: a decimal wrench then stays the decimal it is.

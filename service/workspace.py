@@ -52,7 +52,7 @@ from wrenchbook.surrogate.table.rows import Rows, Tolerance
 
 log = logging.getLogger(__name__)
 
-MAX_UNBUILT = 500  # rows looked through for a wrench: a loop reads them at each uncovered query
+MAX_UNBUILT = 500  # rows searched for a wrench: a loop reads them at each uncovered query
 CATCH_UP_S = 25.0  # below the patience of clients and proxies, usually 30 s
 
 POLL_S = 0.02  # between polls: PRAGMA data_version, or the date of a file, takes microseconds
@@ -293,7 +293,7 @@ class Workspace:
         all rows yet: a design on an older one would pay for what is known.
         """
         self.submission.solvable(name)
-        # First what is open, then what is known: a solve that ends between the two is in both.
+        # First open jobs, then known rows: a solve that ends between the two is in both.
         # The other way round it would be in neither, and be solved twice.
         pending = self.submission.pending_wrenches(name)
         surrogate = self.tables.caught_up(name, CATCH_UP_S).surrogate()

@@ -211,7 +211,7 @@ def softest_energy(body: ElasticBody, tangent: Tangent) -> float:
     motion = np.zeros((factor.unknowns, 1))
     motion[factor.weakest] = 1.0
     for _ in range(_POWER_STEPS):
-        with np.errstate(over="ignore", invalid="ignore"):  # looked at below
+        with np.errstate(over="ignore", invalid="ignore"):  # checked below
             motion = factor.solve(motion)
         if not np.isfinite(motion).all() or not motion.any():
             return 0.0

@@ -54,7 +54,7 @@ FILE_NAME = "component.toml"
 
 _LINE = re.compile(r"\(at line (\d+), column (\d+)\)")
 _MAX_BYTES = 256 * 1024  # hundreds of faces chosen by number, of a geometry file
-# Begins where a word does, so that a long word is looked at once.
+# Begins where a word does, so that a long word is scanned once.
 _LONG_KEY = re.compile(rb"""(?<![\w"'-])(?:[\w"'-]+[ \t]*\.[ \t]*){32}""")
 _OR_HELD = ", or held = true in one [[interface]]: its reaction then balances the loads"
 _SOLVER_TABLES = ("material", "supports", "interface", "analysis")

@@ -26,7 +26,7 @@ BLOCK = 256
 MAX_PENDING = 100_000  # wrenches in memory, 4.8 MB: 100 s at 1 kHz
 FLUSH_S = 1.0  # a block that is not full is sent after this long: a slow loop is recorded too
 BACKOFF_S = (0.1, 5.0)  # between attempts while the server is away: doubled from, up to
-AT_EXIT_S = 5.0  # how long the end of the program waits for what is not sent
+AT_EXIT_S = 5.0  # that the end of the program waits for unsent wrenches
 _AGAIN = (408, 425, 429)  # statuses besides 5xx after which the same block may be taken
 
 

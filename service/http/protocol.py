@@ -114,7 +114,7 @@ class _Fields:
         self.is_whole = True
 
     def on_body(self, _: bytes) -> None:
-        self.is_whole = False  # the parser has seen the end of the head earlier
+        self.is_whole = False  # the parser has read the end of the head earlier
 
 
 class FastPath:

@@ -93,13 +93,13 @@ class Attempt:
     # factor of two); None if no check has been stored.
     memory: int | None = None
     cores: int = 1  # of a solver; its libraries use as many threads
-    # Of the dispatcher that looks after it
+    # Of the dispatcher that owns it
     accepted: bool = field(default=False, compare=False)  # by an engine
     witnessed: bool = field(default=True, compare=False)  # its solver has lived in its time
     adopted: bool = field(default=False, compare=False)  # another dispatcher started it
     leaving: bool = field(default=False, compare=False)  # its answer is not needed any more
-    began: bool = field(default=False, compare=False)  # a solver was seen at it
-    died: float | None = field(default=None, compare=False)  # first seen dead, monotonic s
+    began: bool = field(default=False, compare=False)  # a solver has reported its begin
+    died: float | None = field(default=None, compare=False)  # first detected as dead, monotonic s
 
     @classmethod
     def of(cls, job: JobRecord, folder: Path) -> Attempt:
@@ -281,7 +281,7 @@ def zipped(folder: Path) -> IO[bytes]:
                 continue
             name = path.relative_to(folder).as_posix()
             try:
-                # Opened first and looked at then: between the two it could become a link.
+                # Opened first and checked then: between the two it could become a link.
                 descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
             except OSError:
                 missing.append(name)

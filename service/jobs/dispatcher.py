@@ -74,8 +74,8 @@ ORPHANS = 200  # cancelled jobs examined at start-up for solvers that still run
 # A dispatcher never takes over attempts of another engine: it cannot see whether they live. But
 # if no dispatcher of that engine comes back within a minute, the job waits again, for any engine.
 ABANDONED_SECONDS = 60.0
-HEARTBEAT_SECONDS = 2.0  # between the heartbeats of a dispatcher that has attempts to look after
-# Four heartbeats missed. With a check a second, a lease that is lost is found within ten seconds.
+HEARTBEAT_SECONDS = 2.0  # between the heartbeats of a dispatcher that has attempts
+# Four heartbeats missed. With a check a second, a lost lease is detected within ten seconds.
 LEASE_SECONDS = 8.0
 
 # Times the estimated seconds: a load may take 4 times the iterations of a usual one, the estimate
@@ -100,7 +100,7 @@ class Lease:
         self._known: dict[str, tuple[int, float]] = {}
 
     def is_lost(self, owner: str, engine: str, heartbeat: Heartbeat | None) -> bool:
-        """Return whether an owner of attempts has died, or does not look after them any more.
+        """Return whether an owner of attempts has died, or has abandoned them.
 
         A file that is not locked proves it at once; all dispatchers of `local` have theirs here.
         Otherwise the heartbeat does, by whether it has changed while this dispatcher ran: no
@@ -323,7 +323,7 @@ class Dispatcher:
                 continue
             job = self._ledger.job(attempt.job)
             if job.status == "running" and job.attempt == attempt.attempt:
-                _log.warning("job %d is looked after by %s: this one was late", job.id, job.owner)
+                _log.warning("job %d belongs to %s: this one was late", job.id, job.owner)
                 self._drop(attempt)
             else:
                 attempt.leaving = True
@@ -351,7 +351,7 @@ class Dispatcher:
             elif adopted := self._ledger.adopt(job.id, job.attempt, job.owner, lease.name):
                 _log.info("job %d attempt %d taken over from %s", job.id, job.attempt, job.owner)
                 attempt = self._attempt_of(adopted)
-                with contextlib.suppress(Exception):  # without it the attempt may still be found
+                with contextlib.suppress(Exception):  # without it the attempt may still be adopted
                     self._complete(attempt, self._bundles(job.component))
                 self._engine.attach(attempt)
                 attempt.accepted = attempt.adopted = True

@@ -376,7 +376,7 @@ def _block_sigterm() -> None:
         raise Cancelled
 
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # discards what is pending
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # discards a pending signal
     signal.signal(signal.SIGTERM, cancel)
 
 
@@ -398,7 +398,7 @@ def serve(line: socket.socket, lives: int) -> None:
     """Solve what comes over the line until there is nothing, or it is time to be renewed."""
     line.settimeout(IDLE_SECONDS)
     solver = ComponentSolver()
-    component, usual = object(), 0  # what is kept, and the memory after its first attempt
+    component, usual = object(), 0  # the cached component, and the memory after its first attempt
     stays = True
     while stays:
         try:

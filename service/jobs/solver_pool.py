@@ -160,7 +160,7 @@ class LocalEngine(Listeners):
         if flock.is_locked(folder / LOCK):
             self._end_if_due(attempt)
             return "running" if solver_began(folder) else "submitted"
-        # The solver may have ended well between the two looks.
+        # The solver may have ended well between the two polls.
         if (folder / OUTCOME).exists():
             return "finished"
         if folder in self._overdue:

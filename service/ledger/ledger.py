@@ -109,7 +109,7 @@ class Ledger:
         self._inode = (0, 0)
         self._refused: LedgerFileError | None = None
         self._acknowledged = Acknowledged(self.path)
-        self._frozen = False  # refused for writing, but whole enough to be read as it is
+        self._frozen = False  # refused for writing, but still readable
         self._logged = ""  # the error logged last
         self._listeners: tuple[Listener, ...] = ()
         self._listeners_lock = threading.Lock()

@@ -36,7 +36,7 @@ class JobRecord:
     asked_by: str = ""  # which call it comes from, such as `query` or `fill`
     engine: str | None = None  # that has the latest attempt
     task: str | None = None  # the engine's key of it
-    began: float | None = None  # when a solver was first seen at it; until then it is submitted
+    began: float | None = None  # when a solver reported its begin; until then it is submitted
     actor: str = ""  # that asked for it; empty if it was accepted before the ledger knew actors
 
     @property

@@ -75,7 +75,7 @@ class Acknowledged:
         with suppress(OSError):
             descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o600)
             try:
-                # The numbers only grow, so the text never gets shorter; one write is whole or not.
+                # The numbers only grow, so the text never gets shorter; one write is atomic.
                 os.pwrite(descriptor, content, 0)
             finally:
                 os.close(descriptor)
@@ -135,7 +135,7 @@ class Acknowledged:
             return []
         losses = []
         for line in lines:
-            with suppress(ValueError, KeyError, TypeError):  # a line that was not written whole
+            with suppress(ValueError, KeyError, TypeError):  # a line that was cut short
                 loss = json.loads(line)
                 when = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(loss["seen"]))
                 parts = [

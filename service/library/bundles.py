@@ -57,7 +57,7 @@ def problem_at(where: str, message: str) -> BundleError:
 def unpack(archive: BinaryIO, incoming: Path, *, complete: bool = True) -> tuple[Path, bool]:
     """Unpack a bundle's zip below `incoming`; return its folder, and whether it has a deck.
 
-    Without `complete` its component.toml may lack entries, and the deck is not looked for.
+    Without `complete` its component.toml may lack entries, and the deck is not required.
 
     Raises BundleError if the archive or its component.toml has mistakes or takes too much to be
     read, SandboxBusyError if too many others are being read, OSError if the disk is full.

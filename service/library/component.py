@@ -197,7 +197,7 @@ def component_of(bundle: Bundle, *, shipped: bool) -> Component:
     )
 
 
-CHECK_FILE = "check.json"  # in a bundle: what its check found at the upload
+CHECK_FILE = "check.json"  # in a bundle: findings of its check at the upload
 
 
 def interface_of(component: Component) -> dict[str, Any] | None:

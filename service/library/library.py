@@ -102,7 +102,7 @@ class Library:
     def version(self) -> int:
         """Return a number that differs after a component was added, changed or broken.
 
-        Files that no request reads are looked at once in `POLL_SECONDS`, what other processes
+        Files that no request reads are checked once in `POLL_SECONDS`, what other processes
         have added at once.
         """
         with contextlib.suppress(OSError):

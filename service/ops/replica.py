@@ -191,7 +191,7 @@ class Shipper:
         self._files: dict[str, Entry] = {}
         self._known: set[str] = set()  # blocks that are there
         self._number, self._collect_at = 0, time.monotonic() + COLLECT_S
-        self._pointer = replica.place.get(LATEST, b"")  # as this shipper has seen or written it
+        self._pointer = replica.place.get(LATEST, b"")  # as this shipper has read or written it
         names, newest = replica.manifests(), None
         if again and not names:
             raise ReplicaError(

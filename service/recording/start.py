@@ -106,7 +106,7 @@ def _start(
         holds = load_range.holds(wrenches)
     if component.linear:
         return _start_linear(workspace, component, holds)
-    # First what is queued, then what is known: see `Workspace.fill`.
+    # First queued wrenches, then known rows: see `Workspace.fill`.
     pending = workspace.submission.pending_wrenches(name)
     table = workspace.tables.caught_up(name, CATCH_UP_S)
     rows = set(packed(component.acting(table.rows.wrench)))

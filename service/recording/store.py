@@ -392,7 +392,7 @@ def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance |
         largest = over_box + answers.errors.max(axis=0)
         largest = largest + np.abs(table.packed.batch(np.zeros((1, len(low)))).outputs[0])
     else:
-        # NaN stays: what is not known at one point is no estimate of the largest.
+        # NaN stays: with an unknown value at one point the largest is unknown.
         largest = (np.abs(answers.outputs) + answers.errors).max(axis=0)
     kind = "unknown" if np.isnan(largest).any() else "bound" if exact else "estimate"
     negligible, reason = True, "" if kind == "bound" else "an estimate by the table, see formula"

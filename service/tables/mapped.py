@@ -33,10 +33,10 @@ from wrenchbook.surrogate.table.space import Space
 
 log = logging.getLogger(__name__)
 
-POLL_S = 0.005  # between looks at what other web workers answer from, while a caller waits
-MEMORY_S = 0.1  # between looks at the memory of tables
+POLL_S = 0.005  # between polls of other web workers' versions, while a caller waits
+MEMORY_S = 0.1  # between checks of the memory of tables
 # A folder's time goes on in steps of up to 10 ms (a kernel's tick): what came within the step of
-# the last check is seen by the checks of this long after a change.
+# the last check is detected by the checks of this long after a change.
 SETTLED_NS = 100_000_000
 START_S = 30.0  # for a start to wait for the builder: a table that comes later answers 503
 # How long a thread that computes may keep the interpreter from another that answers: about what an

@@ -29,7 +29,7 @@ from .origin import slopes_at_zero
 from .response import REMARKABLE, Cause, RigFinding, response_of, single_row_findings, wrong_rows
 
 MIN_ROWS = 7  # rows: six loads and a constant
-MAX_ROWS = 5_000  # rows that are looked at, some 0.5 s: every k-th of more
+MAX_ROWS = 5_000  # rows examined, some 0.5 s: every k-th of more
 # What only the order of the rows shows.
 EFFECTS: dict[Cause, str] = {
     "hysteresis": "loading and unloading differ by {part:.1%} of the range of {name}: hysteresis "
@@ -91,7 +91,7 @@ def find(
 
 
 def sampled(rows: Rows) -> Rows:
-    """Return the rows that are looked at, in their order."""
+    """Return the examined rows, in their order."""
     return rows.take(np.arange(0, len(rows), -(-len(rows) // MAX_ROWS)))
 
 

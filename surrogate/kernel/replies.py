@@ -151,7 +151,7 @@ class ReplyReader:
                 None,
                 (),
             )
-        # Any reply: what is unknown is None, reasons are words.
+        # Any reply: unknown values are None, reasons are texts.
         coverage, within, method, exact, count, group, unknown = raw[:7]
         row, index, missing = raw[8:VALUES]
         m, values = self.outputs, raw[VALUES:]

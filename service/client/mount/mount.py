@@ -482,7 +482,7 @@ class Mount:
             target = np.where(missing, 0.0, target)
         self.coverage.add(answer, known=target is not None)
         if unprimed and self._stiffness is not None and answer.derivative is not None:
-            # Half of what is still stable stops the stiffest direction in one step: 1/(1 + G).
+            # Half of the stability limit stops the stiffest direction in one step: 1/(1 + G).
             factor = 0.5 * stable_factor(np.nan_to_num(answer.derivative), self._stiffness)
             self._relaxation.begin_at(factor)
             self._primed = True

@@ -108,7 +108,7 @@ class MujocoMount:
             raise InvalidArgument(f"sync, {sync:g} s, must not be shorter than a step, {step:g} s")
         self._model, self._data, self._sync = model, data, sync or 0.0
         cut = _division(model, mocap, force, torque)
-        # Views of what is read and written: MjData's arrays stay where they are.
+        # Views of the arrays read and written: MjData's arrays stay where they are.
         self._axes: Vector = data.site_xmat[cut.site].reshape(3, 3)
         self._point: Vector = data.site_xpos[cut.site]
         self._body_axes: Vector = data.xmat[cut.body].reshape(3, 3)
