@@ -128,7 +128,7 @@ def test_a_job_starts_and_is_committed_without_a_look_that_comes_round(bench, mo
     for name in ("POLL_SECONDS", "RECOVER_SECONDS"):
         monkeypatch.setattr(f"wrenchbook.service.jobs.dispatcher.{name}", 3600.0)
     dispatcher = bench.start()
-    until(lambda: dispatcher._next_look)  # the first one
+    until(lambda: dispatcher._next_poll)  # the first one
     for load in range(5):
         assert bench.end(bench.accept(load, 1, 0, 0, 0, 0).id).status == "done"
 

@@ -261,7 +261,7 @@ class Jobs:
 
 async def entered(waiting, count):
     """Let the loop go on until so many have come and one of them waits."""
-    while len(waiting._waiters) < count or waiting._looking is None:  # noqa: ASYNC110 (there is nothing that tells)
+    while len(waiting._waiters) < count or waiting._polling is None:  # noqa: ASYNC110 (there is nothing that tells)
         await asyncio.sleep(0)
 
 
