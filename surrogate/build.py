@@ -112,7 +112,7 @@ class Group:
         self.build_s = thread_time() - started
 
     def _noise_of_a_reading(self) -> Floats:
-        """Return the noise of one reading, 95 %, (m,), m and rad; NaN where nothing tells it.
+        """Return the noise of one reading, 95 %, (m,), m and rad; NaN where unknown.
 
         That of the kriging; else what all repeated readings scatter by, with Student's t.
         """

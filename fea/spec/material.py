@@ -181,7 +181,7 @@ class Orthotropic(Solid):
 
     @property
     def poisson_ratio(self) -> float:
-        """`isotropic_ratio`, which tells cells that would lock."""
+        """`isotropic_ratio`, which identifies cells that would lock."""
         return self.isotropic_ratio
 
     def directions(self, points: Array) -> Array:

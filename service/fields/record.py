@@ -178,7 +178,7 @@ class RowFields(NamedTuple):
 
 
 def leave(folder: Path, wrench: tuple[float, ...], fields: Any) -> None:
-    """Write the two files into an attempt's folder, each whole or not at all, on disk for good.
+    """Write the two files into an attempt's folder, each atomically and durably.
 
     `fields` is a `fea.recovery.fields.SolveFields`, not imported: readers of the files import no
     finite elements. Raises OSError if they cannot be written, ValueError unless all are finite.

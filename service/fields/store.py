@@ -41,7 +41,7 @@ _log = logging.getLogger(__name__)
 class FieldStore:
     """The kept fields of all components of a data directory, at most `most_bytes` of one component.
 
-    Several processes may use it: files appear whole and are never changed.
+    Several processes may use it: files appear complete and are never changed.
     """
 
     def __init__(self, folder: Path, most_bytes: int = MOST_BYTES) -> None:

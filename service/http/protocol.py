@@ -105,16 +105,16 @@ class _Fields:
 
     def __init__(self) -> None:
         self.fields: list[tuple[bytes, bytes]] = []
-        self.is_whole = False
+        self.is_complete = False
 
     def on_header(self, name: bytes, value: bytes) -> None:
         self.fields.append((name.lower(), value))
 
     def on_headers_complete(self) -> None:
-        self.is_whole = True
+        self.is_complete = True
 
     def on_body(self, _: bytes) -> None:
-        self.is_whole = False  # the parser has read the end of the head earlier
+        self.is_complete = False  # the parser has read the end of the head earlier
 
 
 class FastPath:
@@ -174,7 +174,7 @@ class FastPath:
         named = dict(head.fields)
         length, request_id = named.get(b"content-length", b""), id_of(head.fields)
         if (
-            not head.is_whole
+            not head.is_complete
             or not parser.should_keep_alive()
             or named.keys() & _UNUSUAL
             or [name for name, _ in head.fields].count(b"host") > 1

@@ -256,7 +256,7 @@ def write_json(path: Path, content: Mapping[str, Any], *, durable: bool = False)
 
 
 def _digest(content: Mapping[str, Any]) -> str:
-    """Return a digest that survives writing as JSON and reading again: floats come back whole."""
+    """Return a digest that survives writing as JSON and reading again: floats come back exactly."""
     text = json.dumps(content, allow_nan=False, sort_keys=True)
     return blake2b(text.encode(), digest_size=16).hexdigest()
 

@@ -336,11 +336,11 @@ class Dispatcher:
         What is not adopted because the ledger cannot be written now is found again.
         """
         others = [job for job in self._ledger.running() if job.owner != lease.name]
-        beats = self._ledger.leases() if others else {}
+        leases = self._ledger.leases() if others else {}
         lost = {
             job.owner
             for job in others
-            if job.owner and lease.is_lost(job.owner, job.engine or "local", beats.get(job.owner))
+            if job.owner and lease.is_lost(job.owner, job.engine or "local", leases.get(job.owner))
         }
         foreign: list[JobRecord] = []
         for job in others:

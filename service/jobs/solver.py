@@ -95,7 +95,7 @@ class ComponentSolver:
     that nothing a broken-off solve has touched is used again.
 
     `ready` is the `fea.solve.Solver` that is kept, or None, `estimated` the bytes a solve of it
-    takes by the check's estimate, 0 without a component. `spoiled` tells whether memory ran out:
+    takes by the check's estimate, 0 without a component. `spoiled`: whether memory ran out:
     its state is then undefined.
     """
 

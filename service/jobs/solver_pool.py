@@ -150,7 +150,7 @@ class LocalEngine(Listeners):
             os.close(lock)
 
     def attach(self, attempt: Attempt) -> None:
-        """Do nothing: lock and files hold the whole state."""
+        """Do nothing: lock and files hold the complete state."""
 
     def poll(self, attempt: Attempt) -> State:
         """Return the attempt's state; see `service.jobs.dispatcher`."""

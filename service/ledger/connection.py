@@ -140,7 +140,7 @@ def begin(connection: Connection) -> None:
 
 
 def open_file(path: Path) -> Connection:
-    """Open a ledger that is whole, or a new one, and upgrade its schema.
+    """Open an intact ledger, or a new one, and upgrade its schema.
 
     Raises LedgerFileError if it is foreign, damaged or of a newer schema, or cannot be written.
     """
@@ -278,7 +278,7 @@ def _entries(connection: Connection) -> Iterator[tuple[np.ndarray, np.ndarray]]:
 
 
 def _write_keys(connection: Connection) -> None:
-    """Write the keys of damaged records, where the seal tells them, and `row_keys` anew."""
+    """Write the keys of damaged records, where the seal confirms them, and `row_keys` anew."""
     records = map(Record._make, connection.execute(f"SELECT {', '.join(Record._fields)} FROM rows"))
     pairs = ((record, record.rekeyed()) for record in records)
     damaged = [(sound.key, sound.seq) for record, sound in pairs if sound is not record]

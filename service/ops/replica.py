@@ -2,7 +2,7 @@
 
 A file is a list of blocks, so that a changed ledger ships the blocks that differ. A manifest is
 written once all its blocks are there, under a name with its own digest; ``latest.json`` names the
-newest one. Nothing that an interrupted write left is taken for whole.
+newest one. An interrupted write never counts as complete.
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ class Replica:
             raise ReplicaError(f"{name} of {self.url} is damaged: {error!r}") from error
 
     def newest(self, until: float = float("inf")) -> Manifest:
-        """Return the newest whole manifest that was created `until` then; raises BackupError."""
+        """Return the newest complete manifest that was created `until` then; raises BackupError."""
         why = ReplicaError(f"{self.url} has no manifest{' of that time' * (until < 1e99)}")
         for name in self.manifests():
             try:

@@ -34,7 +34,7 @@ def restore(
     The backup is verified first, and the restored files before they replace others. Keys and
     settings of the directory stay. Restored files are their owner's alone to read. With
     `overwrite` the directory may have more than keys and settings: it is moved aside, into the
-    folder that is returned with the manifest. Raises BackupError if the backup is not whole or too
+    folder that is returned with the manifest. Raises BackupError if the backup is incomplete or too
     new, or the directory not empty, in use or not writable.
     """
     folder = folder.absolute()

@@ -27,7 +27,7 @@ def explain(
     list of dict
         ``axis``, ``inputs``, ``outputs``, ``error``, ``coverage``, ``reason`` and ``rows``, the
         numbers of the rows used. They are the compliance's if that answers, the axes' otherwise,
-        whose errors are known of whole answers alone: ``error`` is None.
+        whose errors are known of complete answers alone: ``error`` is None.
     """
     explanations = []
     for number, group in enumerate(table.meta["groups"]):

@@ -40,7 +40,7 @@ ROUNDS = 3  # of directions and response in turn
 # Probability that an effect of nothing counts: of six outputs and some four effects each, one file
 # in a hundred has one.
 CHANCE = 3e-4
-# Of an output's range: what a response may do that no kernel tells. It counts as far as a
+# Of an output's range: a response that no kernel describes. It counts as far as a
 # polynomial of the loads can do what the effect does: slow loads are a function of time.
 MISFIT = 3e-4
 PRIOR = 0.3  # deviation of effects, spreads of the output: a tenth of its range
@@ -122,7 +122,7 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     evidence: dict[int, tuple[Floats, Floats]] = {}
     for output in np.flatnonzero(shown.any(axis=1)).tolist():
         known = shown[output]
-        # The loop itself bends the response that tells the directions: settled after a round.
+        # The loop itself bends the response that determines the directions: settled after a round.
         for _ in range(ROUNDS):
             beside = np.column_stack((terms, signs[good, output]))[known]
             evidence[output] = beside, moved[good, output][known]
@@ -327,7 +327,7 @@ def _estimated(
         off = moved[:, output] - left[:, few] @ (left[:, few].T @ moved[:, output])
         misfits[output] = np.linalg.norm(off) / np.sqrt(max(n - few.sum(), 1))
         worst = np.sqrt(n) * np.linalg.norm(along / sizes[few], axis=1)
-        # A grid in the order of its loads is a straight function of time: nothing tells a drift.
+        # A grid in the order of its loads is a straight function of time: no drift is identifiable.
         shown = np.linalg.norm(off_mean - along @ right[few], axis=1) < SAME
         misfit = MISFIT * np.ptp(moved[:, output]) * worst
         deviation[:, output] = np.hypot(deviation[:, output], misfit)

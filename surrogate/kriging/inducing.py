@@ -218,7 +218,7 @@ def induced(equations: Equations, estimate: Estimate, settings: KrigingSettings)
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         for group, base, sums in pool.map(summed, groups):
             ratios, variances = likely_noise(sums, settings)
-            # An output that does not vary has no noise that tells anything of the others'.
+            # An output that does not vary has no noise that informs about the others'.
             varying = estimate.noise[group.outputs] > 0
             if varying.any():
                 ratios[~varying] = np.exp(np.log(ratios[varying]).mean())
