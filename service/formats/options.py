@@ -282,7 +282,7 @@ class ReadReport:
             "sheet": self.sheet,
             "errors": [mistake.as_dict() for mistake in self.mistakes.listed()],
             "causes": self.mistakes.causes(),
-            "of_file": self.mistakes.of_file,
+            "whole": self.mistakes.of_file,
             "converted": self.converted,
             "preview": preview,
         }

@@ -59,7 +59,7 @@ def import_files(
     else:
         read = read_untrusted(files, component_options, preview)
     report = dict(read.report)
-    refused = report.pop("of_file") or bool(report["errors"] and not partial)
+    refused = report.pop("whole") or bool(report["errors"] and not partial)
     report.pop("converted")
     inserted, existing, number = 0, 0, None
 
