@@ -223,12 +223,12 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     sliding = sliding[0][alone], sliding[1][alone]
     problems = cell_problems(mesh) + problems
     _check_disjoint(mesh, fixed, holds, problems)
-    taken = [fixed, *(hold.section.node_ids for hold in holds)]
-    if mesh.dependents is not None:  # what is tied, and what that follows
-        taken += [
+    occupied = [fixed, *(hold.section.node_ids for hold in holds)]
+    if mesh.dependents is not None:  # dependent nodes and their masters
+        occupied += [
             group for tie in ties for group in (tie.nodes, mesh.dependents.map[tie.nodes].indices)
         ]
-    _check_bolts(mesh, bolts, np.concatenate(taken), sliding, problems)
+    _check_bolts(mesh, bolts, np.concatenate(occupied), sliding, problems)
     _check_locked(bundle, interfaces, problems)
     if problems:
         raise BundleError(problems)
@@ -379,14 +379,14 @@ def _join(mesh: Mesh, key: str, joint: Joint, problems: list[BundleProblem]) -> 
 def _check_bolts(
     mesh: Mesh,
     bolts: tuple[BoltCut, ...],
-    taken: Array,
+    occupied: Array,
     sliding: tuple[Array, Array],
     problems: list[BundleProblem],
 ) -> None:
-    """Note cuts with nodes that are taken by something else, or do not slide along their axis."""
+    """Note cuts whose nodes are in another set, or do not slide along the cut's axis."""
     for bolt in bolts:
         along = np.abs(sliding[1] @ bolt.axis).max(axis=1, initial=0.0) > _ZERO
-        shared = np.intersect1d(bolt.nodes, np.append(taken, sliding[0][along]))
+        shared = np.intersect1d(bolt.nodes, np.append(occupied, sliding[0][along]))
         if shared.size:
             message = (
                 f"{shared.size} nodes of its cut are held along its axis by [supports], or belong "

@@ -16,7 +16,7 @@ class SolveFailed(Exception):  # noqa: N818 - an outcome with a name, not a prog
     """
 
     history: tuple = ()  # the iterations up to the failure (`fea.solution.Iteration`)
-    # The part of the wrench at which the part snaps through or buckles, where it was found
+    # The part of the wrench at which the part snaps through or buckles, if known
     load_factor: float | None = None
     # The last converged state: its load factor, and the displacement of each mesh point in the
     # mesh's axes, shape (n, 3), m; None if there is none.

@@ -384,11 +384,11 @@ def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> list[Bundl
         here = pairs[(between == [first, second]).all(axis=1)]
         where = point_text(mesh.points[here[0, 0]])
         if first == second:
-            what = f"inside part {first + 1}, which makes a slit there"
+            kind = f"inside part {first + 1}, which makes a slit there"
         else:
-            what = f"of part {first + 1} and part {second + 1}, which touch without being joined"
+            kind = f"of part {first + 1} and part {second + 1}, which touch without being joined"
         message = (
-            f"{len(here)} pairs of nodes {what} (one near {where} m): each pair is in one place "
+            f"{len(here)} pairs of nodes {kind} (one near {where} m): each pair is in one place "
             "but not one node; merge them in the mesher (gmsh: Coherence Mesh or "
             "removeDuplicateNodes; Abaqus: merge nodes) if the material is to hold together there"
         )

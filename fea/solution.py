@@ -53,7 +53,7 @@ class Solution:
     # Shape (n, 3), m: displacement of each mesh point, in the mesh's axes; none for a deck. It
     # counts from the mesh, before bolts are tightened; at the slip of a bolt it is the slip.
     nodes: Array
-    notes: tuple[str, ...] = ()  # what an engineer should know about how the answer was found
+    notes: tuple[str, ...] = ()  # remarks for the engineer on the way of solving
     # Shape (n, 3, k), m per unit of each input: change of `nodes` with them; None for a deck
     tangents: Array | None = None
     # Shape (p,), p = k (k + 1) (k + 2) / 6: third derivatives of the complementary energy by the

@@ -403,8 +403,8 @@ class Solver:
     ) -> Solution:
         unloaded, tight = self.unloaded if self._hangs else None, self._tight
         if start is not None and tight is not None:  # of another solver, with its own roundoff
-            nodes, kept = start.nodes.copy(), self.body.slips & ~self.body.free
-            nodes[kept] = tight.nodes[kept]
+            nodes, held = start.nodes.copy(), self.body.slips & ~self.body.free
+            nodes[held] = tight.nodes[held]
             start = replace(start, nodes=nodes)
         if unloaded is not None and not acting.any():
             return self._solution(wrench, unloaded, unloaded.balance.energy, ())

@@ -27,7 +27,7 @@ log = logging.getLogger(__name__)
 MAX_COMPONENTS: Final = 500
 MAX_CELLS: Final = 2000  # of a component; a query that finds none is counted as `elsewhere`
 MAX_LATEST: Final = 200
-MAX_OF_A_BATCH: Final = 10_000  # wrenches looked at; of more, every k-th counts k times
+MAX_OF_A_BATCH: Final = 10_000  # wrenches counted; of more, every k-th counts k times
 CELL: Final = 0.2  # of half a load's range: five cells to each side of zero
 _BEYOND: Final = 10  # cells; what lies farther off is in the outermost one
 SAVE_S: Final = 1.0  # between two additions of a process' counts to the database
@@ -113,11 +113,11 @@ class QueryStatistics:
         """Count the wrenches of a batch, (k, n), N and N·m, that were not covered."""
         uncovered = np.flatnonzero(coverage)
         step = max(1, len(uncovered) // MAX_OF_A_BATCH)
-        places = uncovered[::step]
-        scaled = np.clip(np.rint(wrenches[places] / (CELL * span.scale)), -_BEYOND, _BEYOND)
-        key = np.column_stack((scaled, coverage[places]))
+        positions = uncovered[::step]
+        scaled = np.clip(np.rint(wrenches[positions] / (CELL * span.scale)), -_BEYOND, _BEYOND)
+        key = np.column_stack((scaled, coverage[positions]))
         _, first, counts = np.unique(key, axis=0, return_index=True, return_counts=True)
-        for place, count in zip(places[first].tolist(), counts.tolist(), strict=True):
+        for place, count in zip(positions[first].tolist(), counts.tolist(), strict=True):
             wrench = tuple(wrenches[place].tolist())
             self.note(name, span, wrench, COVERAGE[int(coverage[place])], count * step)
 

@@ -1,6 +1,6 @@
 """Server-sent events: changes of jobs and tables, whichever process made them.
 
-`Events` compares the state with that of its last look while somebody listens, and `Feed` keeps the
+`Events` compares the state with that of its last poll while it has listeners, and `Feed` keeps the
 events for a while and gives them to its listeners. Both are used on one event loop.
 """
 
@@ -27,12 +27,12 @@ from wrenchbook.service.workspace import Workspace
 
 _log = logging.getLogger(__name__)
 
-KEPT = 2_000  # events held for listeners that are behind or come back: 0.6 MB
+MAX_EVENTS = 2_000  # events held for listeners that are behind or come back: 0.6 MB
 MAX_LISTENERS = 64  # each is a connection
 
-LOOK_S = 0.25  # between looks at progress and tables, which no commit announces
-FIRST_LOOK_S = 10.0  # as long as a ledger may be busy; later the caller must retry
-LINGER_S = 300.0  # looked on after the last listener left: it may only be connecting again
+POLL_S = 0.25  # between polls of progress and tables, which no commit announces
+FIRST_POLL_S = 10.0  # as long as a ledger may be busy; later the caller must retry
+LINGER_S = 300.0  # polled after the last listener left: it may only be connecting again
 ONE_BY_ONE = 50  # changed jobs reported one by one; more are reported as a number
 
 Notice = tuple[str, str | None, dict[str, Any]]  # kind, component (None for all), data
@@ -93,7 +93,7 @@ class Feed:
     def __init__(self) -> None:
         self._mark = secrets.token_hex(4)
         self._number = 0
-        self._kept: deque[_Event] = deque(maxlen=KEPT)
+        self._events: deque[_Event] = deque(maxlen=MAX_EVENTS)
         self._listeners: set[Listener] = set()
         self.closed = False
 
@@ -106,7 +106,7 @@ class Feed:
         """Keep an event, and wake its listeners."""
         self._number += 1
         event = _Event(self._number, component, _wire(kind, body, self._newest()))
-        self._kept.append(event)
+        self._events.append(event)
         for listener in self._listeners:
             if listener.hears(component):
                 listener.wake()
@@ -124,7 +124,7 @@ class Feed:
         mark, _, number = (last_id or self._newest()).partition(".")
         known = mark == self._mark and number.isdecimal()
         last = int(number) if known else -1
-        known = self._number - len(self._kept) <= last <= self._number
+        known = self._number - len(self._events) <= last <= self._number
         all_read = not known or last == self._number
         greeting = b"retry: 2000\n" + _wire("hello", hello, self._newest() if all_read else None)
         if not known:
@@ -140,15 +140,15 @@ class Feed:
         """Return the lines of a listener's further events; a listener too far behind ends."""
         count = self._number - listener.number
         listener.number = self._number
-        if count > len(self._kept):
+        if count > len(self._events):
             self._listeners.discard(listener)
             listener.end()
             reason = (
-                f"this listener was more than {len(self._kept)} events behind; connect again with "
+                f"the listener is more than {len(self._events)} events behind; connect again with "
                 "the id of the last one you have read"
             )
             return _wire("dropped", {"reason": reason}, None)
-        events = islice(self._kept, len(self._kept) - count, None)
+        events = islice(self._events, len(self._events) - count, None)
         return b"".join(event.wire for event in events if listener.hears(event.component))
 
     def leave(self, listener: Listener) -> None:
@@ -158,7 +158,7 @@ class Feed:
     def forget(self) -> None:
         """Take another mark: nobody has listened for long, and what has happened is not known."""
         self._mark = secrets.token_hex(4)
-        self._kept.clear()
+        self._events.clear()
 
     def close(self) -> None:
         """End all listeners: the server stops."""
@@ -180,7 +180,7 @@ def _wire(kind: str, body: dict[str, Any], number: str | None) -> bytes:
 
 @dataclass
 class Snapshot:
-    """The state at a look: open jobs (status, attempt, progress) and versions of tables."""
+    """The state at a poll: open jobs (status, attempt, progress) and versions of tables."""
 
     ledger: int | None = None
     newest_job: int = 0
@@ -189,19 +189,19 @@ class Snapshot:
 
 
 class Events:
-    """Looks at a workspace for as long as its feed has listeners."""
+    """Polls a workspace for as long as its feed has listeners."""
 
     def __init__(self, workspace: Workspace) -> None:
         self.feed = Feed()
         self._workspace = workspace
         self._task: asyncio.Task[None] | None = None
-        self._seen: Snapshot | None = None
-        self._looked = asyncio.Event()
+        self._last: Snapshot | None = None
+        self._polled = asyncio.Event()
         self._wake = asyncio.Event()
-        self.wake = self._wake.set  # look soon: something was committed; for the loop
+        self.wake = self._wake.set  # poll soon: something was committed; for the loop
 
     async def stop(self) -> None:
-        """End the listeners and look no more."""
+        """End the listeners and stop polling."""
         self.feed.close()
         if self._task is not None:
             self._task.cancel()
@@ -211,67 +211,67 @@ class Events:
     async def listen(self, component: str | None, last_id: str | None) -> Listener:
         """Return a listener that receives all changes after its greeting.
 
-        A first look comes before the greeting, so that no change between the two is lost. Raises
+        A first poll comes before the greeting, so that no change between the two is lost. Raises
         LedgerUnavailableError if the ledger cannot be read, TooManyListenersError.
         """
         if self._task is None or self._task.done():
-            self._looked.clear()
+            self._polled.clear()
             everything = contextvars.Context()  # not that of the first listener's caller
-            self._task = asyncio.get_running_loop().create_task(self._look_on(), context=everything)
+            self._task = asyncio.get_running_loop().create_task(self._poll(), context=everything)
         try:
-            await asyncio.wait_for(self._looked.wait(), FIRST_LOOK_S)
+            await asyncio.wait_for(self._polled.wait(), FIRST_POLL_S)
         except TimeoutError:
             raise LedgerUnavailableError(
-                "the ledger could not be read for a first look; try again in a moment"
+                "the ledger could not be read for a first poll; try again in a moment"
             ) from None
-        versions: dict[str, int | None] = {**self._seen.versions} if self._seen else {}
+        versions: dict[str, int | None] = {**self._last.versions} if self._last else {}
         if component is not None:
             versions = {component: versions.get(component)}
         versions = {name: versions[name] for name in filter(CALLER.get().touches, versions)}
         return self.feed.listen(component, last_id, {"tables": versions})
 
-    async def _look_on(self) -> None:
+    async def _poll(self) -> None:
         loop = asyncio.get_running_loop()
-        self._seen, used = None, loop.time()
+        self._last, used = None, loop.time()
         while self.feed.listeners or loop.time() - used < LINGER_S:
             self._wake.clear()
             try:
-                self._seen, notices = await run_in_threadpool(look, self._workspace, self._seen)
+                self._last, notices = await run_in_threadpool(poll, self._workspace, self._last)
                 for notice in notices:
                     self.feed.publish(*notice)
-                self._looked.set()
+                self._polled.set()
             except LedgerError:
                 await asyncio.sleep(1.0)  # the ledger itself reports it
             except Exception:
-                _log.exception("looking for events failed; trying again")
+                _log.exception("polling for events failed; trying again")
                 await asyncio.sleep(1.0)
             if self.feed.listeners:
                 used = loop.time()
-            await asyncio.sleep(LOOK_S / 5)  # changes that come together are sent together
+            await asyncio.sleep(POLL_S / 5)  # changes that come together are sent together
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._wake.wait(), LOOK_S)
+                await asyncio.wait_for(self._wake.wait(), POLL_S)
         self.feed.forget()
         self._task = None
 
 
-def look(workspace: Workspace, seen: Snapshot | None) -> tuple[Snapshot, list[Notice]]:
-    """Return the state now, and the events that lead to it from the state seen before."""
-    ledger, before = workspace.ledger, seen or Snapshot()
+def poll(workspace: Workspace, last: Snapshot | None) -> tuple[Snapshot, list[Notice]]:
+    """Return the state now, and the events that lead to it from the last state."""
+    ledger, before = workspace.ledger, last or Snapshot()
     now = Snapshot(ledger.version(), before.newest_job, before.jobs)
     tables: list[Notice] = []
     for name in workspace.library.names():
         with contextlib.suppress(TableBehindError, LookupError):
             table = workspace.tables.surrogate(name)
             now.versions[name] = table.version
-            if seen and table.version != before.versions.get(name):
+            if last and table.version != before.versions.get(name):
                 body = {"table_version": table.version, "rows": table.row_count}
                 tables.append(("table", name, {"component": name, **body}))
     changed: list[JobRecord] = []
     if now.ledger != before.ledger:
-        jobs = ledger.unfinished(before.newest_job if seen else None)
-        newest = jobs if seen else ledger.jobs(limit=1)
+        jobs = ledger.unfinished(before.newest_job if last else None)
+        newest = jobs if last else ledger.jobs(limit=1)
         now.newest_job = max([before.newest_job, *(job.id for job in newest)])
-        if seen:
+        if last:
             ended = before.jobs.keys() - {job.id for job in jobs}
             changed = [ledger.job(number) for number in ended]
             changed += [

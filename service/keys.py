@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
 from wrenchbook.service.actors import ANY
-from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.files.durable import write_atomically
 from wrenchbook.service.files.lock import take
 
 log = logging.getLogger(__name__)
@@ -35,7 +35,7 @@ SCOPES: Final[tuple[Scope, ...]] = get_args(Scope)
 FILE: Final = "keys.json"
 USED: Final = "keys-used"  # folder: a file a key, whose date is that of its last use
 OVERLAP_HOURS: Final = 24.0  # that the old secret of a rotated key is valid: a day's deployments
-LOOK_S: Final = 0.5  # between checks of the file: a revoked key is valid at most so long
+POLL_S: Final = 0.5  # between checks of the file: a revoked key is valid at most so long
 MAX_KEYS: Final = 1000
 OWN_KEY: Final = "WRENCHBOOK_OWN_KEY"  # a private server's, in its environment
 PREFIX: Final = "wb_"  # marks a key as one of this program, for secret scanners
@@ -113,7 +113,7 @@ class Keyring:
         self._lock = threading.Lock()
         self._stamp: tuple[int, int, int] | None = None
         self._keys: dict[str, Key] = {}
-        self._next_look, self._next_end = 0.0, 0.0
+        self._next_poll, self._next_end = 0.0, 0.0
         self.version = 0
         self._read()
 
@@ -122,12 +122,12 @@ class Keyring:
 
     def listed(self) -> list[Key]:
         """Return all keys, by name."""
-        self.look(0.0)
+        self.refresh(0.0)
         return sorted(self._keys.values(), key=lambda key: key.name)
 
     def find(self, secret: str) -> Key | None:
         """Return the key of a secret; None if there is none that is valid."""
-        # Looked up by digest: the time it takes reveals nothing about the secrets.
+        # Searched by digest: the time it takes reveals nothing about the secrets.
         key = self._keys.get(digest_of(secret))
         return key if key is not None and key.is_valid() else None
 
@@ -152,12 +152,12 @@ class Keyring:
         """Return all keys by name, without their digests, with their `last_used`."""
         return [key.public() | {"last_used": self.last_use(key)} for key in self.listed()]
 
-    def look(self, patience: float = LOOK_S) -> int:
+    def refresh(self, patience: float = POLL_S) -> int:
         """Read the file if it was changed; return a number that differs then, or at an expiry."""
         now = time.monotonic()
-        if now < self._next_look and patience:
+        if now < self._next_poll and patience:
             return self.version
-        self._next_look = now + patience
+        self._next_poll = now + patience
         with self._lock:
             if self._file_stamp() != self._stamp:
                 try:
@@ -236,7 +236,7 @@ class Keyring:
                 yield keys
                 content = json.dumps({"keys": [asdict(key) for key in keys.values()]}, indent=1)
                 try:
-                    write_whole_bytes(self._path, content.encode(), mode=0o600)
+                    write_atomically(self._path, content.encode(), mode=0o600)
                 except OSError as error:
                     raise KeysError(
                         f"{self._path} cannot be written: {error}. The keys stay"

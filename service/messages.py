@@ -166,7 +166,7 @@ def _readers(kind: type[Message]) -> dict[str, Callable[[Any], Any]]:
 
 
 def _reader(hint: Any) -> Callable[[Any], Any]:
-    """Return what turns the JSON of a field into its value."""
+    """Return the function that converts the JSON of a field to its value."""
     inner, marks = get_args(hint), getattr(hint, "__metadata__", ())
     if marks:
         numbers = [mark for mark in marks if isinstance(mark, FloatArray)]

@@ -143,7 +143,7 @@ class BatchOutcome:
     @property
     def unsolved(self) -> bool:
         """Whether a solve that was requested has not answered."""
-        return any(placed.job is None or not placed.job.is_final for placed in self.jobs.values())
+        return any(queued.job is None or not queued.job.is_final for queued in self.jobs.values())
 
 
 _NOTHING = Reply(None, None, None, None, None, None, "thin", "", None, "", None, False, None, ())
@@ -266,23 +266,23 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
             )
         asked_by, urgent = query.on_thin, query.wait_s > 0
         job = submission.accept(name, query.wrench, urgent=urgent, asked_by=asked_by)
-        placed, why = Placement(job, exact=True), ""
+        placement, why = Placement(job, exact=True), ""
     elif beyond:
-        placed = Placement(None, exact=False)
+        placement = Placement(None, exact=False)
         why = (
             "no solve is queued beyond the load range unless beyond_range (--beyond-range): "
             f"{beyond}"
         )
     else:
-        (placed,), limit = submission.queue(name, wrench), submission.queue_limit
+        (placement,), limit = submission.queue(name, wrench), submission.queue_limit
         why = f"no solve is queued: {limit} jobs of queries are open already (serve --queue-limit)"
         why += ", or the caller's quota is used up"
-    outcome.job = placed.job
-    if placed.job is None:
+    outcome.job = placement.job
+    if placement.job is None:
         reason = "" if outcome.reply.reason == beyond else outcome.reply.reason
         outcome.reply = outcome.reply._replace(reason=_also(reason, why))
         return outcome
-    return _ended(workspace, query, outcome) if placed.exact else outcome
+    return _ended(workspace, query, outcome) if placement.exact else outcome
 
 
 def _uncovered(workspace: Workspace, component: Component, query: Query, outcome: Outcome) -> Rows:
@@ -383,7 +383,7 @@ async def answer_or_submit_many(
     does.
     """
     outcome = await run_in_threadpool(submit_many, workspace, name, wrenches, query)
-    open_jobs = {placed.job.id for placed in outcome.jobs.values() if placed.job}
+    open_jobs = {queued.job.id for queued in outcome.jobs.values() if queued.job}
     if query.on_thin == "wait" and outcome.unsolved and open_jobs:
         await workspace.polls.wait_all(sorted(open_jobs), query.wait_s)
         await run_in_threadpool(_take_rows, workspace, wrenches, query, outcome, anew=True)
@@ -438,9 +438,9 @@ def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query)
     place_jobs = workspace.submission.queue
     if query.on_thin == "wait":
         place_jobs = workspace.submission.each
-    placed = iter(place_jobs(name, acting[thin[~out]]))
+    placements = iter(place_jobs(name, acting[thin[~out]]))
     outcome.jobs = {
-        place: Placement(None, exact=False, reason="beyond-range") if is_out else next(placed)
+        place: Placement(None, exact=False, reason="beyond-range") if is_out else next(placements)
         for place, is_out in zip(thin.tolist(), out.tolist(), strict=True)
     }
     _take_rows(workspace, acting, query, outcome)
@@ -475,8 +475,8 @@ def _rows_at(component: Component, rows: Rows, wrenches: Floats) -> list[Rows | 
     """Return the row at each wrench (k, inputs), within 1e-6 of the range in each load."""
     if not len(rows):
         return [None] * len(wrenches)
-    places = RowIndex(rows.wrench, component.load_range.scale).indices(wrenches)
-    return [None if place < 0 else rows.take([place]) for place in places.tolist()]
+    positions = RowIndex(rows.wrench, component.load_range.scale).indices(wrenches)
+    return [None if place < 0 else rows.take([place]) for place in positions.tolist()]
 
 
 def _table_of_row(workspace: Workspace, name: str, row: Rows | int) -> ServedTable:
@@ -570,15 +570,15 @@ def _take_rows(
     The jobs are read `anew` where they have been waited for.
     """
     wrenches = workspace.library[outcome.component].acting(wrenches)
-    jobs = {placed.job.id: placed.job for placed in outcome.jobs.values() if placed.job}
+    jobs = {placement.job.id: placement.job for placement in outcome.jobs.values() if placement.job}
     if anew:
         jobs = {number: workspace.ledger.job(number) for number in jobs}
-    for place, placed in outcome.jobs.items():
-        if placed.job is None:
+    for place, placement in outcome.jobs.items():
+        if placement.job is None:
             continue
-        job = jobs[placed.job.id]
-        outcome.jobs[place] = Placement(job, placed.exact)
-        if job.row is not None and placed.exact:
+        job = jobs[placement.job.id]
+        outcome.jobs[place] = Placement(job, placement.exact)
+        if job.row is not None and placement.exact:
             _take_row(workspace, wrenches, query, outcome, place, job.row)
 
 

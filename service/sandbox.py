@@ -379,14 +379,14 @@ def set_limits(limits: Limits) -> None:
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _KINDS)
 
 
-def _lower(what: int, to: int) -> None:
+def _lower(limit: int, to: int) -> None:
     """Lower the soft and the hard limit."""
-    hard = resource.getrlimit(what)[1]
+    hard = resource.getrlimit(limit)[1]
     if hard != resource.RLIM_INFINITY:
         to = min(to, hard)
     # macOS refuses some limits; time, files and the deadline hold there all the same.
     with contextlib.suppress(*((ValueError, OSError) if sys.platform == "darwin" else ())):
-        resource.setrlimit(what, (to, to))
+        resource.setrlimit(limit, (to, to))
 
 
 _default: Final = Sandbox()

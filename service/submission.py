@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 GRAINS = 1e6  # to a load's scale: two wrenches that round to the same grains are one job
 REACH = 0.05  # of a load's scale: an open job as near as this is joined
 MAX_FAILED = 100_000  # failed jobs that a fill leaves out: more than anyone lets happen
-BLOCK = 65_536  # differences of wrenches looked at in one go, 3 MB
+BLOCK = 65_536  # differences of wrenches computed at once, 3 MB
 
 
 class NoSetupError(ValueError):
@@ -56,12 +56,12 @@ class _Open:
     def _tree(self) -> KDTree:
         return KDTree(self._scaled)
 
-    def near(self, scaled: Floats, reach: float) -> NDArray[np.intp]:
-        """Return the place of the open job within reach of each point (n, inputs); -1 for none."""
-        if not self.jobs or not reach:
+    def near(self, scaled: Floats, radius: float) -> NDArray[np.intp]:
+        """Return the open job's index within `radius` of each point (n, inputs); -1 for none."""
+        if not self.jobs or not radius:
             return np.full(len(scaled), -1)
-        # The bound is exclusive; a job at just the reach is joined.
-        bound = reach * (1 + 1e-12)
+        # The bound is exclusive; a job at just the radius is joined.
+        bound = radius * (1 + 1e-12)
         _, place = self._tree.query(scaled, p=np.inf, distance_upper_bound=bound)
         return np.where(place < len(self.jobs), place, -1)
 
@@ -121,7 +121,7 @@ class Submission:
 
         Each is rounded to whole grains, takes the job there is for it, else joins the open job
         within `REACH`, else becomes a job unless `queue_limit` of them are open. A linear
-        component's open job is within reach of every wrench: any solve gives its compliance.
+        component's open job serves every wrench: any solve gives its compliance.
         """
         component = self.solvable(name)
         # Divided at the end, not multiplied: a decimal wrench then stays the decimal it is.
@@ -164,8 +164,8 @@ class Submission:
             )
         return component
 
-    def _place(self, component: Component, wrenches: Floats, reach: float) -> list[Placement]:
-        """Place wrenches as they are: their jobs, open ones within reach, new ones.
+    def _place(self, component: Component, wrenches: Floats, radius: float) -> list[Placement]:
+        """Place wrenches as they are: their jobs, open ones within `radius`, new ones.
 
         What is new is chosen in the transaction that accepts it, so that the limit holds however
         many processes queue at once.
@@ -182,14 +182,14 @@ class Submission:
         if not rest:
             return [Placement(jobs[key], exact=True) for key in keys]
         scaled, near_by = wrenches[rest] / scale, self._open(*setup, scale)
-        if (near_by.near(scaled, reach) < 0).any() and near_by.queries < self.queue_limit:
+        if (near_by.near(scaled, radius) < 0).any() and near_by.queries < self.queue_limit:
 
             def choose(open_jobs: list[OpenJob]) -> list[bytes]:
                 nonlocal near_by
                 near_by = _Open(0, open_jobs, scale)
-                free = near_by.near(scaled, reach) < 0
+                free = near_by.near(scaled, radius) < 0
                 room = self.queue_limit - near_by.queries
-                return packed(wrenches[rest][free][spread(scaled[free], reach, room)])
+                return packed(wrenches[rest][free][spread(scaled[free], radius, room)])
 
             more = {"asked_by": "query", "quota": self._quota}
             accepted = self._ledger.accept_chosen(*setup, choose, **more)
@@ -199,21 +199,21 @@ class Submission:
             near_by = _Open(0, near_by.jobs + opened, scale)
         records = {job.id: job for job in jobs.values()}
         joined: dict[int, OpenJob] = {}
-        for place, near in zip(rest, near_by.near(scaled, reach).tolist(), strict=True):
+        for place, near in zip(rest, near_by.near(scaled, radius).tolist(), strict=True):
             if near >= 0:
                 joined[place] = job = near_by.jobs[near]
                 if job.id not in records:
                     records[job.id] = self._ledger.job(job.id)
-        placed = []
+        placements = []
         for place, key in enumerate(keys):
             if key in jobs:
-                placed.append(Placement(jobs[key], exact=True))
+                placements.append(Placement(jobs[key], exact=True))
             elif place in joined:
                 job = joined[place]
-                placed.append(Placement(records[job.id], exact=job.wrench == key))
+                placements.append(Placement(records[job.id], exact=job.wrench == key))
             else:
-                placed.append(Placement(None, exact=False, reason="queue-limit"))
-        return placed
+                placements.append(Placement(None, exact=False, reason="queue-limit"))
+        return placements
 
     def _open(self, name: str, fingerprint: str, scale: Floats) -> _Open:
         """Return the open jobs, read again only when something was committed."""
@@ -225,10 +225,10 @@ class Submission:
             return known
 
 
-def spread(scaled: Floats, reach: float, count: int) -> list[int]:
-    """Places of at most `count` points (n, inputs), first come first, none within reach of another.
+def spread(scaled: Floats, radius: float, count: int) -> list[int]:
+    """Return at most `count` indices of points (n, inputs), none within `radius` of another.
 
-    Every point is within reach of one of them unless `count` were picked.
+    Every point is within `radius` of one of them unless `count` were picked.
     """
     picked: list[int] = []
     start = 0
@@ -238,9 +238,9 @@ def spread(scaled: Floats, reach: float, count: int) -> list[int]:
         free = np.arange(start, min(stop, len(scaled)))
         if picked:
             apart = np.abs(scaled[free, None] - scaled[picked]).max(axis=2)
-            free = free[(apart > reach).all(axis=1)]
+            free = free[(apart > radius).all(axis=1)]
         while len(free) and len(picked) < count:
             picked.append(int(free[0]))
-            free = free[np.abs(scaled[free] - scaled[free[0]]).max(axis=1) > reach]
+            free = free[np.abs(scaled[free] - scaled[free[0]]).max(axis=1) > radius]
         start = stop
     return picked

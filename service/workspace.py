@@ -52,10 +52,10 @@ from wrenchbook.surrogate.table.rows import Rows, Tolerance
 
 log = logging.getLogger(__name__)
 
-MAX_UNBUILT = 500  # rows looked through for a wrench: a loop reads them at each uncovered query
+MAX_UNBUILT = 500  # rows searched for a wrench: a loop reads them at each uncovered query
 CATCH_UP_S = 25.0  # below the patience of clients and proxies, usually 30 s
 
-LOOK_S = 0.02  # between looks: PRAGMA data_version, or the date of a file, takes microseconds
+POLL_S = 0.02  # between polls: PRAGMA data_version, or the date of a file, takes microseconds
 TROUBLE_S = 1.0  # before a listener that failed is called again
 
 Stamp = Callable[[], object]
@@ -113,7 +113,7 @@ class Watcher:
 
         def remove() -> None:
             with self._lock:
-                self._entries = tuple(kept for kept in self._entries if kept is not entry)
+                self._entries = tuple(other for other in self._entries if other is not entry)
 
         return remove
 
@@ -126,7 +126,7 @@ class Watcher:
 
     def _run(self) -> None:
         while not self._stopping.is_set():
-            self._wake.wait(LOOK_S)
+            self._wake.wait(POLL_S)
             self._wake.clear()
             stamps: dict[Stamp, object] = {}
             for entry in self._entries:
@@ -221,7 +221,7 @@ class Workspace:
         return table
 
     def solver_error(self, name: str) -> SolverError | None:
-        """Return what a component's solver may be wrong by, as a row that came just now needs it.
+        """Return the solver error of a component, for a row that was added just now.
 
         The estimate is kept before the row is; the table's version with both may still be built.
         """
@@ -237,7 +237,7 @@ class Workspace:
         setup = {"space": component.space, "fingerprint": component.fingerprint}
         with suppress(LedgerUnavailableError):
             changes = self.ledger.row_changes(name, table.version, MAX_UNBUILT, **setup)
-            if changes.whole:
+            if changes.complete:
                 return len(changes.rows), changes.rows
             count = self.ledger.count_new(name, component.fingerprint, table.version)
             return count, changes.rows
@@ -293,7 +293,7 @@ class Workspace:
         all rows yet: a design on an older one would pay for what is known.
         """
         self.submission.solvable(name)
-        # First what is open, then what is known: a solve that ends between the two is in both.
+        # First open jobs, then known rows: a solve that ends between the two is in both.
         # The other way round it would be in neither, and be solved twice.
         pending = self.submission.pending_wrenches(name)
         surrogate = self.tables.caught_up(name, CATCH_UP_S).surrogate()
@@ -321,7 +321,7 @@ class Workspace:
         return attempt_folder(self._jobs_folder, job.id, job.attempt)
 
     def faults(self) -> list[str]:
-        """Return what keeps this workspace from doing its work; empty if nothing does."""
+        """Return the problems that keep this workspace from working; empty if there are none."""
         trouble = self.ledger.trouble()
         if trouble:
             return [f"nothing is accepted: {trouble}"]
@@ -331,7 +331,7 @@ class Workspace:
         return [f"jobs do not run: {trouble}"] if trouble else []
 
     def broken(self) -> dict[str, str]:
-        """Return what is wrong with single components, by name; the others answer."""
+        """Return the problems of single components, by name; the others answer."""
         damaged: dict[str, str] = {}
         if losses := self.ledger.losses():
             damaged["(ledger)"] = f"{'; '.join(losses)}. Note it with: wrenchbook doctor --repair"

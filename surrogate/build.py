@@ -112,7 +112,7 @@ class Group:
         self.build_s = thread_time() - started
 
     def _noise_of_a_reading(self) -> Floats:
-        """Return the noise of one reading, 95 %, (m,), m and rad; NaN where nothing tells it.
+        """Return the noise of one reading, 95 %, (m,), m and rad; NaN where unknown.
 
         That of the kriging; else what all repeated readings scatter by, with Student's t.
         """
@@ -172,7 +172,7 @@ class Group:
 
     @cached_property
     def ranges(self) -> Floats:
-        """What each output varies by over the rows and from zero, shape (m,), m and rad."""
+        """The variation of each output over the rows and from zero, shape (m,), m and rad."""
         moved = self.used.displacement
         return moved.max(axis=0, initial=0.0) - moved.min(axis=0, initial=0.0)
 

@@ -71,7 +71,7 @@ class FieldWeights:
         return cls(np.array(wrenches, dtype=float), load_range, factor)
 
     def at(self, wrench: Floats) -> tuple[Floats, float]:
-        """Return what rows' values and slopes are multiplied by for a wrench (6,), N and N·m.
+        """Return the weights of rows' values and slopes for a wrench (6,), N and N·m.
 
         Shape (k, 7): of values, then of slopes, N and N·m; and the posterior deviation over the
         process deviation.

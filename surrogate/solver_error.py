@@ -96,12 +96,12 @@ class SolverError:
         not known.
         """
         sizes = np.abs(np.array(wrench, dtype=float) - self.zero)
-        found = {"mesh": None if self.mesh is None else (self.mesh @ sizes).tolist()}
+        components = {"mesh": None if self.mesh is None else (self.mesh @ sizes).tolist()}
         if "linearity" in self.values:
             most = np.max(sizes * self.packed["one_over"], initial=0.0)
             of = self.linearity
-            found["linearity"] = None if of is None else (of * most**2).tolist()
-        return found
+            components["linearity"] = None if of is None else (of * most**2).tolist()
+        return components
 
     def at_full_range(self) -> dict[str, list[float] | None]:
         """Return `parts` at the largest loads of the range, all at once."""

@@ -19,12 +19,12 @@ def cli() -> str:
     """Return the commands, their arguments and options."""
     command = typer.main.get_command(program)
     context = typer.Context(command, info_name="wrenchbook")
-    for one in command.commands.values():
-        one.short_help = (one.help or "").partition("\n\n")[0]  # not cut at 45 characters
+    for group in command.commands.values():
+        group.short_help = (group.help or "").partition("\n\n")[0]  # not cut at 45 characters
     text = typer.cli.get_docs_for_click(obj=command, ctx=context, name="wrenchbook")
     for name in PROGRAMS:  # typer does not know their arguments
-        words = [sys.executable, "-m", "wrenchbook.fea.check.commands", name, "--help"]
-        shown = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+        arguments = [sys.executable, "-m", "wrenchbook.fea.check.commands", name, "--help"]
+        shown = subprocess.run(arguments, capture_output=True, text=True, check=True).stdout
         heading = f"## `wrenchbook {name}`"
         text = text.replace(f"{heading}\n", f"{heading}\n\n```text\n{shown}```\n", 1)
     return "\n" + text.partition("\n")[2]
@@ -59,8 +59,8 @@ def _call(method: str, path: str, call: dict) -> str:
         lines += _table(
             ("parameter", "in", "type", ""),
             [
-                (f"`{one['name']}`", one["in"], _type(one["schema"]), _text(one))
-                for one in call["parameters"]
+                (f"`{item['name']}`", item["in"], _type(item["schema"]), _text(item))
+                for item in call["parameters"]
             ],
         )
     for kind, body in call.get("requestBody", {}).get("content", {}).items():
@@ -76,8 +76,8 @@ def _call(method: str, path: str, call: dict) -> str:
 def _content(content: tuple[str, dict]) -> str:
     """Return a content type, and the type of its body where the document names one."""
     kind, body = content
-    words = _type(body["schema"]) if body.get("schema") else ""
-    return f"`{kind}`" + (f": {words}" if words not in ("", "any") else "")
+    text = _type(body["schema"]) if body.get("schema") else ""
+    return f"`{kind}`" + (f": {text}" if text not in ("", "any") else "")
 
 
 def _schema(name: str, schema: dict) -> str:
@@ -88,8 +88,8 @@ def _schema(name: str, schema: dict) -> str:
 def _fields(schema: dict) -> list[str]:
     needed = schema.get("required", ())
     rows = [
-        (f"`{name}`", _type(one), "required" if name in needed else _default(one), _text(one))
-        for name, one in schema.get("properties", {}).items()
+        (f"`{name}`", _type(field), "required" if name in needed else _default(field), _text(field))
+        for name, field in schema.get("properties", {}).items()
     ]
     return _table(("field", "type", "default", ""), rows) if rows else []
 
@@ -103,7 +103,7 @@ def _type(schema: dict) -> str:
         return " or ".join(dict.fromkeys(map(_type, several)))
     if "enum" in schema or "const" in schema:
         return ", ".join(
-            f"`{json.dumps(one)}`" for one in schema.get("enum", [schema.get("const")])
+            f"`{json.dumps(value)}`" for value in schema.get("enum", [schema.get("const")])
         )
     if schema.get("type") == "array":
         return f"array of {_type(schema.get('items', {}))}"

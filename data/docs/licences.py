@@ -50,10 +50,10 @@ def licence(name: str) -> str | None:
 
 def page(before: str) -> str:
     """Return the page; a package that is not installed, as of another platform, keeps its line."""
-    known, seen, lines = dict(ROW.findall(before)), set(), [HEAD]
+    known, listed, lines = dict(ROW.findall(before)), set(), [HEAD]
     for lock, title in LOCKS.items():
-        names = locked(lock) - seen
-        seen |= names
+        names = locked(lock) - listed
+        listed |= names
         lines += [f"## {title}", "", "| package | licence |", "|---|---|"]
         unknown = "installs on other platforms: see the package"
         lines += [

@@ -24,10 +24,10 @@ from threadpoolctl import threadpool_limits
 from data.paper.arm import arm
 from data.paper.bar import tip_load
 from data.paper.page import HEAD, as_page, lines_of
-from data.paper.part import PAPER, QUICK, WHOLE, Effort, Heard
+from data.paper.part import PAPER, QUICK, WHOLE, Effort, ProgressCallback
 from data.paper.spring import spring
 from wrenchbook.service.client import Client
-from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.files.durable import write_atomically
 from wrenchbook.service.workers.private import private_server
 
 PARTS = {"bar": tip_load, "spring": spring, "arm": arm}
@@ -35,16 +35,16 @@ SOLVERS = 2  # of the server, at once
 _COLOURS = {"pass": "green", "FAIL": "bold red"}
 
 
-def run(client: Client, effort: Effort, heard: Heard) -> dict[str, Any]:
+def run(client: Client, effort: Effort, report: ProgressCallback) -> dict[str, Any]:
     """Run all parts on a server; return findings, numbers and plots as JSON-able values."""
     began, parts = time.monotonic(), {}
     for number, (name, part) in enumerate(PARTS.items()):
 
         def progress(fraction: float, message: str, number: int = number) -> None:
-            heard((number + fraction) / len(PARTS), message)
+            report((number + fraction) / len(PARTS), message)
 
         parts[name] = part(client, effort, progress).as_body()
-    verdicts = [one["verdict"] for part in parts.values() for one in part["findings"]]
+    verdicts = [finding["verdict"] for part in parts.values() for finding in part["findings"]]
     passed, missed = verdicts.count("pass"), verdicts.count("FAIL")
     seconds = time.monotonic() - began
     return {
@@ -73,12 +73,12 @@ def main(folder: Path, quick: bool) -> int:
         body = run(
             client,
             QUICK if quick else WHOLE,
-            lambda part, words: progress.update(task, completed=part, description=words),
+            lambda part, text: progress.update(task, completed=part, description=text),
         )
         progress.update(task, completed=1.0, description="done")
     written = json.dumps(body, allow_nan=False).encode()
-    write_whole_bytes(folder / "paper.json", written)
-    write_whole_bytes(folder / "paper.html", as_page(body).encode())
+    write_atomically(folder / "paper.json", written)
+    write_atomically(folder / "paper.html", as_page(body).encode())
     _print(body, folder)
     return 1 if body["bands"]["missed"] else 0
 
@@ -91,8 +91,8 @@ def _print(body: dict[str, Any], folder: Path) -> None:
     for name in HEAD:
         table.add_column(name, overflow="fold")
     for part in body["parts"].values():
-        for *words, verdict in lines_of(part["findings"]):
-            table.add_row(*words, verdict, style=_COLOURS.get(verdict, ""))
+        for *cells, verdict in lines_of(part["findings"]):
+            table.add_row(*cells, verdict, style=_COLOURS.get(verdict, ""))
         table.add_section()
     out.print(table)
     out.print(
@@ -104,5 +104,5 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--quick", action="store_true")
-    given = parser.parse_args()
-    sys.exit(main(given.folder, given.quick))
+    options = parser.parse_args()
+    sys.exit(main(options.folder, options.quick))

@@ -15,10 +15,10 @@ from data.paper.part import (
     OUTPUTS,
     Curve,
     Effort,
-    Heard,
     Mask,
     PaperPart,
     Plot,
+    ProgressCallback,
     Vector,
 )
 from data.paper.scenes import LoopRun, move_arm
@@ -85,7 +85,7 @@ class Check:
         return float(np.mean(self.error <= self.bars))
 
 
-def arm(client: Client, effort: Effort, heard: Heard) -> PaperPart:
+def arm(client: Client, effort: Effort, report: ProgressCallback) -> PaperPart:
     """Move a six-joint arm on two plates, and compare its tables with direct solves."""
     part = PaperPart(
         "Robot on a plate (figure 10)",
@@ -98,7 +98,7 @@ def arm(client: Client, effort: Effort, heard: Heard) -> PaperPart:
     for number, name in enumerate(effort.plates):
 
         def progress(fraction: float, message: str, number: int = number, name: str = name) -> None:
-            heard((number + fraction) / len(effort.plates), f"arm on {name}, {message}")
+            report((number + fraction) / len(effort.plates), f"arm on {name}, {message}")
 
         recorded, facts = _filled(client, name, effort, progress)
         checks = _checks(client, name, effort, progress)
@@ -110,16 +110,16 @@ def arm(client: Client, effort: Effort, heard: Heard) -> PaperPart:
 
 
 def _filled(
-    client: Client, name: str, effort: Effort, heard: Heard
+    client: Client, name: str, effort: Effort, report: ProgressCallback
 ) -> tuple[LoopRun, dict[str, Any]]:
     """Record the trajectory on the rigid component, and have the wrenches it met solved."""
-    heard(0.0, "recording")
+    report(0.0, "recording")
     recorded = move_arm(client, name, effort.arm_seconds, mode="record")
     started = client.start_recording(name, effort.arm_solves)
     at_corners = [client.solve(name, wrench).job for wrench in corners(recorded.wrenches)]
     jobs = [*started.jobs, *(job for job in at_corners if job is not None)]
     for number, job in enumerate(jobs):
-        heard(0.7 * number / len(jobs), f"solve {number + 1} of {len(jobs)}")
+        report(0.7 * number / len(jobs), f"solve {number + 1} of {len(jobs)}")
         client.wait(job, SOLVE_S)
     rows = client.component(name)["rows"]  # which waits for them
     return recorded, {"wrenches": len(recorded.times), "solves": len(jobs), "rows": rows}
@@ -142,17 +142,17 @@ def corners(wrenches: Vector) -> Vector:
     low, high = np.minimum(wrenches.min(axis=0), 0.0), np.maximum(wrenches.max(axis=0), 0.0)
     wider = WIDER * (high - low)
     ends = np.array([low - wider, high + wider])
-    found = []
+    points = []
     for axis in range(3):
         loads = [axis, 3 + (axis + 1) % 3, 3 + (axis + 2) % 3]
         for chosen in product((0, 1), repeat=3):
             corner = np.zeros(6)
             corner[loads] = ends[np.array(chosen), np.array(loads)]
-            found.append(corner)
-    return np.unique(found, axis=0)
+            points.append(corner)
+    return np.unique(points, axis=0)
 
 
-def _checks(client: Client, name: str, effort: Effort, heard: Heard) -> list[Check]:
+def _checks(client: Client, name: str, effort: Effort, report: ProgressCallback) -> list[Check]:
     """Run the trajectory by each method; solve moments of the first run directly, for both."""
     table = client.download(name)
     runs = [move_arm(table, name, effort.arm_seconds, method=method) for method in METHODS]
@@ -162,7 +162,7 @@ def _checks(client: Client, name: str, effort: Effort, heard: Heard) -> list[Che
     wrenches = runs[0].wrenches[chosen]
     solver, seconds, solved = Solver(shipped(name)), [], np.empty((len(chosen), 6))
     for number, wrench in enumerate(wrenches):
-        heard(0.7 + 0.3 * number / len(chosen), f"direct solve {number + 1} of {len(chosen)}")
+        report(0.7 + 0.3 * number / len(chosen), f"direct solve {number + 1} of {len(chosen)}")
         began = perf_counter()
         solved[number] = solver.solve(wrench).displacement
         seconds.append(perf_counter() - began)
@@ -172,12 +172,12 @@ def _checks(client: Client, name: str, effort: Effort, heard: Heard) -> list[Che
 
     checks = []
     for method, run in zip(METHODS, runs, strict=True):
-        found = table.batch(wrenches, method=method)
+        batch = table.batch(wrenches, method=method)
         here = [_seconds_of(table.answer, wrench, method) for wrench in run.wrenches]
         there = [_seconds_of(over_http, wrench, method) for wrench in run.wrenches]
-        times = (float(np.median(one)) for one in (here, there, seconds))
-        answers = found.displacements, found.errors
-        checks.append(Check(run, str(found.method), chosen, *answers, solved, *times))
+        times = (float(np.median(times_s)) for times_s in (here, there, seconds))
+        answers = batch.displacements, batch.errors
+        checks.append(Check(run, str(batch.method), chosen, *answers, solved, *times))
     return checks
 
 
@@ -190,12 +190,12 @@ def _seconds_of(ask: Any, wrench: Vector, method: str | None) -> float:
 
 def _findings(name: str, checks: list[Check], limits: Vector) -> list[Finding]:
     """Compare the default method with its bands; report griddata's. Limits: (6,), m and rad."""
-    found = []
+    findings = []
     for check, is_band in zip(checks, (True, False), strict=True):
         worst = int(np.argmax(check.relative))
         label = f"arm on {name}, {check.method}"
         over = float((check.error / limits).max())
-        for words, value, most in (
+        for title, value, most in (
             (
                 f"RMS error over range, worst output ({OUTPUTS[worst]})",
                 check.relative[worst],
@@ -204,14 +204,14 @@ def _findings(name: str, checks: list[Check], limits: Vector) -> list[Finding]:
             ("largest error over tolerance", over, 1.0),
         ):
             limit = most if is_band else None
-            words = f"{label}: {words}"
-            found.append(Finding(words, "direct solves", 0.0, float(value), limit, "absolute"))
-        words = f"{label}: part of the errors inside their error bars"
-        found.append(Finding(words, "95 % error bars", INSIDE, check.inside, 0.0, "at least"))
-        words = f"{label}: a solve over an answer of the table, time"
+            title = f"{label}: {title}"
+            findings.append(Finding(title, "direct solves", 0.0, float(value), limit, "absolute"))
+        title = f"{label}: part of the errors inside their error bars"
+        findings.append(Finding(title, "95 % error bars", INSIDE, check.inside, 0.0, "at least"))
+        title = f"{label}: a solve over an answer of the table, time"
         ratio = check.solve_s / check.answer_s
-        found.append(Finding(words, "run time", 1.0, ratio))
-    return found
+        findings.append(Finding(title, "run time", 1.0, ratio))
+    return findings
 
 
 def _numbers(checks: list[Check], limits: Vector) -> dict[str, Any]:
@@ -260,8 +260,8 @@ def _trace(run: LoopRun) -> dict[str, Any]:
 def _wrench_plots(name: str, run: LoopRun) -> list[Plot]:
     """Draw figure 10a: forces and moments of the recorded run."""
     drawn = []
-    for kind, unit, places in (("forces", "N", range(3)), ("moments", "N·m", range(3, 6))):
-        curves = tuple(Curve.of(LOADS[k], run.times, run.wrenches[:, k]) for k in places)
+    for kind, unit, indices in (("forces", "N", range(3)), ("moments", "N·m", range(3, 6))):
+        curves = tuple(Curve.of(LOADS[k], run.times, run.wrenches[:, k]) for k in indices)
         drawn.append(Plot(f"Figure 10a: {kind} on {name}", "time, s", f"{kind}, {unit}", curves))
     return drawn
 
@@ -283,10 +283,10 @@ def _displacement_plots(name: str, checks: list[Check]) -> list[Plot]:
             f"Figure 10b: {kind} of {name}, interpolated and solved directly",
             "time, s",
             f"{kind}, {unit}",
-            tuple(curve for k in places for curve in _against_solves(shown, int(k), factor)),
+            tuple(curve for k in indices for curve in _against_solves(shown, int(k), factor)),
         )
-        for kind, unit, factor, places, shown in groups
-        if len(places)
+        for kind, unit, factor, indices, shown in groups
+        if len(indices)
     ]
 
 

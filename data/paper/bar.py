@@ -8,9 +8,9 @@ from data.paper.part import (
     PAPER,
     Curve,
     Effort,
-    Heard,
     PaperPart,
     Plot,
+    ProgressCallback,
     Vector,
     apart,
 )
@@ -31,7 +31,7 @@ ROUNDS = 12  # of the lever that moves as the bar bends: each leaves some 1e-3 o
 _LEVELS: tuple[str, ...] = ("closed form", "finite elements", "MuJoCo and service")
 
 
-def tip_load(client: Client, effort: Effort, heard: Heard) -> PaperPart:
+def tip_load(client: Client, effort: Effort, report: ProgressCallback) -> PaperPart:
     """Load the bar, and compare deflection and rotation of its tip on three levels."""
     part = PaperPart(
         "Bar with a load (figure 2)",
@@ -44,16 +44,16 @@ def tip_load(client: Client, effort: Effort, heard: Heard) -> PaperPart:
     client.displacement("bar", [0, 0, -50.0], on_thin="wait", wait_s=120)  # its one solve
     client.component("bar")  # which waits for the row
     for number, lever in enumerate(LEVERS):
-        heard(number / len(LEVERS), f"bar, lever {lever:g} m")
+        report(number / len(LEVERS), f"bar, lever {lever:g} m")
         loads = np.array(effort.tip_loads)
-        closed, solved = (coupled(one, loads, lever) for one in compliances)
+        closed, solved = (coupled(matrix, loads, lever) for matrix in compliances)
         run = press(client, "bar", loads, lever)
         levels = dict(zip(_LEVELS, (closed, solved, run.displacements), strict=True))
         part.findings += _findings(lever, levels)
         part.numbers[f"lever {lever:g} m"] = {
             "load_N": loads.tolist(),
             "answers_not_covered": sum(run.coverage[1:]),
-            **{name: one[:, [2, 4]].tolist() for name, one in levels.items()},
+            **{name: matrix[:, [2, 4]].tolist() for name, matrix in levels.items()},
         }
         part.plots += _plots(lever, loads, levels)
     return part
@@ -103,30 +103,30 @@ def _findings(lever: float, levels: dict[str, Vector]) -> list[Finding]:
     """Compare the levels, shapes (n, 6), m and rad, from the ground up."""
     closed, solved, looped = levels.values()
     at = f"lever {lever:g} m"
-    found = []
+    findings = []
     for output, name, unit in ((2, "u_z", "m"), (4, "r_y", "rad")):
         last = float(closed[-1, output]), float(solved[-1, output])
         source = f"closed form, {PAPER}, figure 2"
-        found.append(
+        findings.append(
             Finding(f"bar, {at}: {name} by finite elements, {unit}", source, *last, CLOSED_FORM)
         )
     largest = max(apart(looped[:, output], solved[:, output]) for output in (2, 4))
-    words = f"bar, {at}: MuJoCo and service, worst relative"
-    found.append(Finding(words, "finite elements", 0.0, largest, LOOP, "absolute"))
-    return found
+    quantity = f"bar, {at}: MuJoCo and service, worst relative"
+    findings.append(Finding(quantity, "finite elements", 0.0, largest, LOOP, "absolute"))
+    return findings
 
 
 def _plots(lever: float, loads: Vector, levels: dict[str, Vector]) -> list[Plot]:
     """Draw deflection and turn against load; loads have shape (n,), N, levels (n, 6), m and rad."""
-    looks = ("line", "points", "crosses")
+    styles = ("line", "points", "crosses")
     drawn = []
     for output, name, unit, factor in (
         (2, "deflection -u_z", "mm", -1e3),
         (4, "turn r_y", "mrad", 1e3),
     ):
         curves = tuple(
-            Curve.of(level, loads, factor * one[:, output], look)
-            for (level, one), look in zip(levels.items(), looks, strict=True)
+            Curve.of(level, loads, factor * displacements[:, output], style)
+            for (level, displacements), style in zip(levels.items(), styles, strict=True)
         )
         title = f"Figure 2: {name} of the bar, lever {lever:g} m"
         drawn.append(Plot(title, "load, N", f"{name}, {unit}", curves))

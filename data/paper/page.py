@@ -13,7 +13,7 @@ from wrenchbook.service.report.layout import STYLE, ReportSection, section_html
 LAYOUT = {"template": "plotly_white", "height": 460, "margin": {"t": 20, "r": 20}}
 # Colours that remain apart for the colour-blind (Okabe and Ito 2008).
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
-_LOOKS: dict[str, dict[str, Any]] = {
+_STYLES: dict[str, dict[str, Any]] = {
     "line": {"mode": "lines", "line": {"width": 2}},
     "dash": {"mode": "lines", "line": {"width": 2, "dash": "dash"}},
     "points": {"mode": "markers", "marker": {"size": 8, "symbol": "circle-open"}},
@@ -33,7 +33,7 @@ def as_page(body: dict[str, Any]) -> str:
             drawn = _figure(plot).to_html(full_html=False, include_plotlyjs=first)
             parts.append(f"<h3>{html.escape(plot['title'])}</h3>{drawn}")
             first = False
-        parts += [section_html(one) for one in _components(part["numbers"])]
+        parts += [section_html(table) for table in _components(part["numbers"])]
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{heading}</title>'
         f"<style>{STYLE}td:nth-child(2){{white-space:normal}}</style></head><body><h1>{heading}</h1>"
@@ -45,15 +45,15 @@ def lines_of(findings: list[dict[str, Any]]) -> tuple[tuple[str, ...], ...]:
     """Return findings as words, in the order of `HEAD`."""
     return tuple(
         (
-            one["quantity"],
-            one["source"],
-            f"{one['reference']:.5g}",
-            f"{one['computed']:.6g}",
-            f"{one['error']:.2g}",
-            _band(one),
-            one["verdict"],
+            finding["quantity"],
+            finding["source"],
+            f"{finding['reference']:.5g}",
+            f"{finding['computed']:.6g}",
+            f"{finding['error']:.2g}",
+            _band(finding),
+            finding["verdict"],
         )
-        for one in findings
+        for finding in findings
     )
 
 
@@ -74,14 +74,14 @@ def _figure(plot: dict[str, Any]) -> go.Figure:
     for curve in plot["curves"]:
         group = curve["name"].split(",")[0]
         colour = shades.setdefault(group, _COLOURS[len(shades) % len(_COLOURS)])
-        look = _LOOKS[curve["look"]]
+        style = _STYLES[curve["style"]]
         figure.add_scatter(
             x=curve["x"],
             y=curve["y"],
             name=curve["name"],
-            mode=look["mode"],
-            line={"color": colour, **look.get("line", {})},
-            marker={"color": colour, **look.get("marker", {})},
+            mode=style["mode"],
+            line={"color": colour, **style.get("line", {})},
+            marker={"color": colour, **style.get("marker", {})},
         )
     figure.update_xaxes(title=plot["x"])
     figure.update_yaxes(title=plot["y"], exponentformat="power")
@@ -90,16 +90,16 @@ def _figure(plot: dict[str, Any]) -> go.Figure:
 
 def _components(numbers: dict[str, Any]) -> list[ReportSection]:
     """Return each component's errors, output by output, the small ones named."""
-    found = []
-    for name, one in numbers.items():
-        if not isinstance(one, dict) or "methods" not in one:
+    sections = []
+    for name, part in numbers.items():
+        if not isinstance(part, dict) or "methods" not in part:
             continue
         lines = []
-        for figures in one["methods"].values():
+        for figures in part["methods"].values():
             for place, output in enumerate(OUTPUTS):
                 lines.append(_component_line(figures, place, output))
         note = (
-            f"{one['rows']} rows for {one['wrenches']} wrenches. Ranges, errors, error bars in m "
+            f"{part['rows']} rows for {part['wrenches']} wrenches. Ranges, errors, error bars in m "
             "and rad; small: below a tenth of the largest output of its kind."
         )
         head = (
@@ -112,9 +112,9 @@ def _components(numbers: dict[str, Any]) -> list[ReportSection]:
             "inside",
             "",
         )
-        found.append(ReportSection(f"Error of each output on {name}", note, head, tuple(lines)))
-        found.append(_times(name, one))
-    return found
+        sections.append(ReportSection(f"Error of each output on {name}", note, head, tuple(lines)))
+        sections.append(_times(name, part))
+    return sections
 
 
 def _component_line(figures: dict[str, Any], place: int, output: str) -> tuple[str, ...]:
@@ -130,7 +130,7 @@ def _component_line(figures: dict[str, Any], place: int, output: str) -> tuple[s
     )
 
 
-def _times(name: str, one: dict[str, Any]) -> ReportSection:
+def _times(name: str, part: dict[str, Any]) -> ReportSection:
     head = ("method", "covered", "one answer", "over HTTP", "one solve", "the whole loop")
     lines = tuple(
         (
@@ -141,7 +141,7 @@ def _times(name: str, one: dict[str, Any]) -> ReportSection:
             f"{figures['solve_s']:.2f} s",
             f"{figures['loop_s']:.2f} s",
         )
-        for figures in one["methods"].values()
+        for figures in part["methods"].values()
     )
     note = "Medians of wall time; other programs on the machine stretch them."
     return ReportSection(f"Run time on {name}", note, head, lines)

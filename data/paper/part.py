@@ -13,7 +13,7 @@ from tests.validation.finding import Finding
 
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Heard = Callable[[float, str], None]
+ProgressCallback = Callable[[float, str], None]
 """Called with the fraction done of a part, 0 to 1, and what is being done."""
 
 OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
@@ -77,12 +77,12 @@ class Curve:
     name: str
     x: list[float]
     y: list[float]
-    look: str = "line"
+    style: str = "line"
 
     @classmethod
-    def of(cls, name: str, x: Any, y: Any, look: str = "line") -> Curve:
+    def of(cls, name: str, x: Any, y: Any, style: str = "line") -> Curve:
         """Return a curve from two arrays."""
-        return cls(name, np.asarray(x).tolist(), np.asarray(y).tolist(), look)
+        return cls(name, np.asarray(x).tolist(), np.asarray(y).tolist(), style)
 
 
 @dataclass(frozen=True)
@@ -122,22 +122,23 @@ class PaperPart:
             "title": self.title,
             "note": self.note,
             "findings": [
-                asdict(one) | {"error": one.error, "verdict": one.verdict} for one in self.findings
+                asdict(finding) | {"error": finding.error, "verdict": finding.verdict}
+                for finding in self.findings
             ],
             "numbers": self.numbers,
             "plots": [asdict(plot) for plot in self.plots],
         }
 
 
-def apart(found: Vector, expected: Vector) -> float:
+def apart(computed: Vector, expected: Vector) -> float:
     """Return the largest relative error of numbers, dimensionless; those expected to be 0 apart.
 
     Parameters
     ----------
-    found, expected : numpy.ndarray
+    computed, expected : numpy.ndarray
         Shape (n,), of one unit such as m or rad.
     """
     known = expected != 0.0
     if not known.any():
         raise ValueError("nothing to compare with")
-    return float(np.abs(found[known] / expected[known] - 1.0).max())
+    return float(np.abs(computed[known] / expected[known] - 1.0).max())

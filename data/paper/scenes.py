@@ -97,7 +97,7 @@ def press(source: Any, component: str, loads: Any, lever: float = 0.0, **options
         for _ in range(HOLD):
             engine.mj_step(model, data)
             mount.step()
-        trace.look()
+        trace.record()
     mount.close()
     return trace.run(perf_counter() - began)
 
@@ -119,7 +119,7 @@ def move_arm(source: Any, component: str, seconds: float, **options: Any) -> Loo
         data.ctrl[:] = _between_waypoints(data.time / seconds)
         engine.mj_step(model, data)
         if mount.step():
-            trace.look()
+            trace.record()
     mount.close()
     return trace.run(perf_counter() - began)
 
@@ -133,7 +133,7 @@ class _Trace:
         self._lines: list[Vector] = []
         self._covered: list[bool] = []
 
-    def look(self) -> None:
+    def record(self) -> None:
         """Note time, reading and pose."""
         rotation = np.empty(3)
         engine.mju_quat2Vel(rotation, self._data.mocap_quat[0], 1.0)  # rad: its rotation vector
@@ -146,8 +146,8 @@ class _Trace:
 
     def run(self, wall_s: float) -> LoopRun:
         """Return all that was noted in a run of so many seconds."""
-        lines, seen = np.array(self._lines), self._mount.mount.coverage
-        counts = (seen.covered, seen.thin, seen.outside, seen.unknown)
+        lines, coverage = np.array(self._lines), self._mount.mount.coverage
+        counts = (coverage.covered, coverage.thin, coverage.outside, coverage.unknown)
         covered = np.array(self._covered)
         return LoopRun(lines[:, 0], lines[:, 1:7], lines[:, 7:], covered, counts, wall_s)
 

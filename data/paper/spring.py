@@ -13,10 +13,10 @@ from data.paper.part import (
     PAPER,
     Curve,
     Effort,
-    Heard,
     Mask,
     PaperPart,
     Plot,
+    ProgressCallback,
     Vector,
     apart,
 )
@@ -96,7 +96,7 @@ SOLVE_S = 300.0
 _LEVELS: tuple[str, ...] = ("closed form", "finite elements", "MuJoCo and service")
 
 
-def spring(client: Client, effort: Effort, heard: Heard) -> PaperPart:
+def spring(client: Client, effort: Effort, report: ProgressCallback) -> PaperPart:
     """Press the spring on three levels, and compare stiffness and turn."""
     part = PaperPart(
         "Spring on three levels (section 6, figures 8, 11 and 12)",
@@ -107,14 +107,14 @@ def spring(client: Client, effort: Effort, heard: Heard) -> PaperPart:
     )
     component = shipped("spring")
     rod, solver = rod_of(component), Solver(component)
-    heard(0.0, "spring, recording")
+    report(0.0, "spring, recording")
     _record(client, effort)
-    heard(0.3, "spring, the loop on its table")
+    report(0.3, "spring, the loop on its table")
     run = press(client, "spring", effort.spring_loads)
     loads, looped = -run.wrenches[:, 2], _pressed(run.displacements)
     solved = np.empty((len(loads), 2))
     for number, wrench in enumerate(run.wrenches):
-        heard(0.3 + 0.7 * number / len(loads), f"spring, {loads[number]:.1f} N by finite elements")
+        report(0.3 + 0.7 * number / len(loads), f"spring, {loads[number]:.1f} N by finite elements")
         solved[number] = _pressed(solver.solve(wrench).displacement[None])[0]
     closed = np.array([_rod_under(rod, load) for load in loads])
     levels = dict(zip(_LEVELS, (closed, solved, looped), strict=True))
@@ -168,8 +168,8 @@ def _rod_under(rod: Rod, load: float) -> tuple[float, float]:
         return 0.0, 0.0
     limit = 0.5 * rod.height
     solved: Any = brentq(lambda short: rod.pressed(short)[0] - load, 0.0, limit, xtol=1e-14)
-    found = float(solved)
-    return 1e3 * found, float(np.degrees(rod.pressed(found)[1]))
+    shortening = float(solved)
+    return 1e3 * shortening, float(np.degrees(rod.pressed(shortening)[1]))
 
 
 def _tangent(rod: Rod) -> float:
@@ -190,7 +190,7 @@ def _stiffness(rod: Rod, fits: dict[str, dict[str, Line]], tangent: float) -> li
     """Compare each level's stiffness, N/mm, with the paper's."""
     formula = rod.young / (2 * (1 + rod.poisson)) * rod.wire**4 / (8 * rod.turns * rod.mean**3)
     band = f"{PAPER}: {BAND} ± {BAND_WIDTH} by finite elements"
-    found = [
+    findings = [
         Finding(
             "spring: k by formula 13, N/mm", PAPER, FORMULA_13, 1e-3 * formula, 5e-3, "absolute"
         ),
@@ -205,20 +205,20 @@ def _stiffness(rod: Rod, fits: dict[str, dict[str, Line]], tangent: float) -> li
     ]
     for level, spans in fits.items():
         for span, line in spans.items():
-            words = f"spring: k, {level}, {span}, N/mm (standard error {line.error:.1g})"
+            quantity = f"spring: k, {level}, {span}, N/mm (standard error {line.error:.1g})"
             is_band = level != "closed form" and span != "0 to 10 N"
             width = BAND_WIDTH if is_band else None
-            found.append(Finding(words, band, BAND, line.slope, width, "absolute"))
+            findings.append(Finding(quantity, band, BAND, line.slope, width, "absolute"))
     for span, line in fits[_LEVELS[2]].items():
-        words = f"spring: k, MuJoCo and service over finite elements, {span}"
+        quantity = f"spring: k, MuJoCo and service over finite elements, {span}"
         off = line.slope / fits[_LEVELS[1]][span].slope
-        found.append(Finding(words, _LEVELS[1], 1.0, off, LOOP))
-    whole = fits[_LEVELS[2]]["0 to 10 N"]
+        findings.append(Finding(quantity, _LEVELS[1], 1.0, off, LOOP))
+    loop = fits[_LEVELS[2]]["0 to 10 N"]
     source = f"{PAPER}: 0.585 ± 0.003, whole loop"
-    found.append(
-        Finding("spring: k, MuJoCo and service, 0 to 10 N, N/mm", source, PAPER_LOOP, whole.slope)
+    findings.append(
+        Finding("spring: k, MuJoCo and service, 0 to 10 N, N/mm", source, PAPER_LOOP, loop.slope)
     )
-    return found
+    return findings
 
 
 def _between(levels: dict[str, Vector], covered: Mask) -> list[Finding]:
@@ -229,21 +229,21 @@ def _between(levels: dict[str, Vector], covered: Mask) -> list[Finding]:
     So is the rotation of answers that are not covered: those are estimates with error bars.
     """
     _, solved, looped = levels.values()
-    found = []
-    for words, chosen in (("where covered", covered), ("where not covered", ~covered)):
+    findings = []
+    for region, chosen in (("where covered", covered), ("where not covered", ~covered)):
         if not solved[chosen].any():
             continue
         shortening = apart(looped[chosen, 0], solved[chosen, 0])
         rotation = float(np.abs(looped[chosen, 1] - solved[chosen, 1]).max() / solved[:, 1].max())
-        own = apart(looped[chosen, 1], solved[chosen, 1])
+        relative = apart(looped[chosen, 1], solved[chosen, 1])
         for quantity, off, most in (
             ("shortening, worst relative", shortening, LOOP),
             ("turn, worst over the largest turn", rotation, LOOP if chosen is covered else None),
-            ("turn, worst relative", own, None),
+            ("turn, worst relative", relative, None),
         ):
-            name = f"spring: {quantity}, MuJoCo and service {words}"
-            found.append(Finding(name, _LEVELS[1], 0.0, off, most, "absolute"))
-    return found
+            name = f"spring: {quantity}, MuJoCo and service {region}"
+            findings.append(Finding(name, _LEVELS[1], 0.0, off, most, "absolute"))
+    return findings
 
 
 def _direct(stopped: Vector, solved: Vector) -> Finding:
@@ -276,15 +276,15 @@ def _plots(
     loads: Vector, levels: dict[str, Vector], fits: dict[str, dict[str, Line]]
 ) -> list[Plot]:
     """Draw figures 8, 11 and 12: loads have shape (n,), N, levels (n, 2), mm and degrees."""
-    looks = dict(zip(_LEVELS, ("line", "points", "crosses"), strict=True))
+    styles = dict(zip(_LEVELS, ("line", "points", "crosses"), strict=True))
     force = {
-        name: Curve.of(name, moved[:, 0], loads, looks[name]) for name, moved in levels.items()
+        name: Curve.of(name, moved[:, 0], loads, styles[name]) for name, moved in levels.items()
     }
     line = fits[_LEVELS[2]]["0 to 10 N"]
     ends = np.array([0.0, levels[_LEVELS[2]][-1, 0]])
-    words = f"k = {line.slope:.4f} ± {line.error:.1g} N/mm"
-    fitted = Curve.of(words, ends, line.slope * ends + line.intercept, "dash")
-    turns = [Curve.of(name, loads, moved[:, 1], looks[name]) for name, moved in levels.items()]
+    label = f"k = {line.slope:.4f} ± {line.error:.1g} N/mm"
+    fitted = Curve.of(label, ends, line.slope * ends + line.intercept, "dash")
+    turns = [Curve.of(name, loads, moved[:, 1], styles[name]) for name, moved in levels.items()]
     shown = levels[_LEVELS[0]]
     forces_14 = np.interp(PRINTED_14[0], shown[:, 0], loads)
     printed = Curve.of("formula 14 as printed", forces_14, PRINTED_14[1], "dash")

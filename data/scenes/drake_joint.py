@@ -157,5 +157,5 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("table", help="a packed table, .wbt")
     parser.add_argument("--seconds", type=float, default=1.0)
-    given = parser.parse_args()
-    main(Table.open(given.table), given.seconds)
+    arguments = parser.parse_args()
+    main(Table.open(arguments.table), arguments.seconds)

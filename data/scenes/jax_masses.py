@@ -48,9 +48,9 @@ def drop(answers: Any, masses: Any, feet: Any, steps: int) -> tuple[Any, Any]:
 
     def step(state: Any, _: Any) -> Any:
         z, speed, _, moved = state
-        found = heights(moved, feet)
-        squeezed = STIFFNESS * (found - z) - DAMPING * speed
-        push = jnp.where(found > z, jnp.maximum(squeezed, 0.0), 0.0)
+        height = heights(moved, feet)
+        squeezed = STIFFNESS * (height - z) - DAMPING * speed
+        push = jnp.where(height > z, jnp.maximum(squeezed, 0.0), 0.0)
         speed = speed + STEP * (push / masses - GRAVITY)
         moved = answers.displacement(wrenches(push, feet))
         return (z + STEP * speed, speed, push, moved), None
@@ -91,6 +91,6 @@ if __name__ == "__main__":
     parser.add_argument("table", help="a packed table, .wbt")
     parser.add_argument("--count", type=int, default=4096)
     parser.add_argument("--steps", type=int, default=1000)
-    given = parser.parse_args()
+    options = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
-    main(Table.open(given.table), given.count, given.steps)
+    main(Table.open(options.table), options.count, options.steps)

@@ -105,6 +105,6 @@ if __name__ == "__main__":
     parser.add_argument("table", help="a packed table, .wbt")
     parser.add_argument("--count", type=int, default=256)
     parser.add_argument("--steps", type=int, default=200)
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
-    main(Table.open(given.table), given.count, given.steps)
+    main(Table.open(arguments.table), arguments.count, arguments.steps)

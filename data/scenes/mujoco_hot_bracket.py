@@ -49,13 +49,13 @@ def main(server: str, seconds: float) -> float:
             mujoco.mj_forward(model, data)
             wrench = conventions.from_mujoco(*data.sensordata.reshape(2, 3), "parent")
             warm = {"temperature": COLD + (HOT - COLD) * float(part)}
-            found = client.displacement(
+            answer = client.displacement(
                 "hot_bracket", wrench[:3], wrench[3:], inputs=warm, on_thin="wait", wait_s=100
             )
-            moved = found.translation
+            moved = answer.translation
             assert moved is not None  # it waited for the solve
             print(f"{data.time:.2f} s: {wrench[:3].round(1)} N at {warm['temperature']:.0f} degC:")
-            print(f"  the seat moves by {(1e3 * moved).round(3)} mm ({found.source})")
+            print(f"  the seat moves by {(1e3 * moved).round(3)} mm ({answer.source})")
             largest = max(largest, float(np.linalg.norm(moved)))
     print(f"largest translation: {1e3 * largest:.3f} mm")
     return largest
@@ -66,5 +66,5 @@ if __name__ == "__main__":
     server = os.environ.get("WRENCHBOOK_SERVER", "http://127.0.0.1:8000")
     parser.add_argument("--server", default=server)
     parser.add_argument("--seconds", type=float, default=1.0)
-    given = parser.parse_args()
-    main(given.server, given.seconds)
+    options = parser.parse_args()
+    main(options.server, options.seconds)

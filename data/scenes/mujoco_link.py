@@ -72,12 +72,12 @@ def main(server: str, seconds: float) -> float:
                 mujoco.mj_step(model, data)
             mujoco.mj_forward(model, data)
             ends = loads(data)
-            found = client.displacement("link", loads=ends, on_thin="wait", wait_s=100)
-            moved = found.interfaces["right"].translation
+            answer = client.displacement("link", loads=ends, on_thin="wait", wait_s=100)
+            moved = answer.interfaces["right"].translation
             assert moved is not None  # it waited for the solve
             force, moment = ends["right"][:3].round(1), ends["right"][3:].round(2)
             print(f"{data.time:.2f} s: {force} N and {moment} N·m at the right end, ", end="")
-            print(f"which moves by {(1e3 * moved).round(3)} mm ({found.source})")
+            print(f"which moves by {(1e3 * moved).round(3)} mm ({answer.source})")
             largest = max(largest, float(np.linalg.norm(moved)))
     print(f"largest translation: {1e3 * largest:.3f} mm")
     return largest
@@ -88,5 +88,5 @@ if __name__ == "__main__":
     server = os.environ.get("WRENCHBOOK_SERVER", "http://127.0.0.1:8000")
     parser.add_argument("--server", default=server)
     parser.add_argument("--seconds", type=float, default=1.0)
-    given = parser.parse_args()
-    main(given.server, given.seconds)
+    options = parser.parse_args()
+    main(options.server, options.seconds)

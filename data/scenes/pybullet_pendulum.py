@@ -69,8 +69,8 @@ def _quaternion(R: np.ndarray) -> np.ndarray:
     K[:3, :3] = R + R.T - np.trace(R) * np.eye(3)
     K[:3, 3] = K[3, :3] = [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]
     K[3, 3] = np.trace(R)
-    found = np.linalg.eigh(K)[1][:, -1]
-    return found if found[3] >= 0 else -found
+    quaternion = np.linalg.eigh(K)[1][:, -1]
+    return quaternion if quaternion[3] >= 0 else -quaternion
 
 
 def scene(mount: Mount, angle: float = 0.5) -> tuple[PybulletMount, int]:
@@ -120,5 +120,5 @@ if __name__ == "__main__":
     server = os.environ.get("WRENCHBOOK_SERVER", "http://127.0.0.1:8000")
     parser.add_argument("--server", default=server)
     parser.add_argument("--seconds", type=float, default=1.0)
-    given = parser.parse_args()
-    main(given.server, given.seconds)
+    options = parser.parse_args()
+    main(options.server, options.seconds)

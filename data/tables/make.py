@@ -87,9 +87,9 @@ def mistakes() -> None:
     text("two_bad_rows_partial.csv", bad)
     text(
         "extra_columns.csv",
-        [good[0] + ",Temp [C],Operator", *(f"{one},21.5,KL" for one in good[1:])],
+        [good[0] + ",Temp [C],Operator", *(f"{row},21.5,KL" for row in good[1:])],
     )
-    text("extra_columns_named.csv", [good[0] + ",Temp", *(f"{one},21.5" for one in good[1:])])
+    text("extra_columns_named.csv", [good[0] + ",Temp", *(f"{row},21.5" for row in good[1:])])
     short = [",".join(line.split(",")[:3] + line.split(",")[6:]) for line in good]
     text("no_moments.csv", short)
     text("no_moments_zero.csv", short)
@@ -102,8 +102,8 @@ def tests_and_logs() -> None:
     """Uncertainties, notes, a tare, and two logs of one test."""
     rows = measured().tolist()
     labels = [*SI, "uz_err [um]", "ux_std [um]", "source", "note"]
-    told = [[*row, 0.5, 0.1, "measured", f"run {at}"] for at, row in enumerate(rows)]
-    text("uncertainty.csv", lines(labels, told))
+    stated = [[*row, 0.5, 0.1, "measured", f"run {at}"] for at, row in enumerate(rows)]
+    text("uncertainty.csv", lines(labels, stated))
     notes = [[*row, "'=HYPERLINK(0)" if at % 2 else "-"] for at, row in enumerate(rows)]
     text("formula_notes.csv", lines([*SI, "note"], notes))
     offset = np.array([12.0, -7.0, 30.0, 0.5, 0.2, -0.1] + [1e-5] * 6)

@@ -25,7 +25,7 @@ class Balance:
     forces: Array  # shape (n, 3), N: internal nodal forces, less those of weight and acceleration
     energy: float  # Strain energy, J
     least_stretch: float  # Smallest determinant of the deformation gradient
-    # nodal, border: what is out of balance: shape (n, 3), N, at the free nodes, zero at others; and
+    # nodal, border: the residuals: shape (n, 3), N, at the free nodes, zero at others; and
     # shape (border,), N and N·m for interface freedoms, m and m^2 for constraints.
     nodal: Array
     border: Array

@@ -211,7 +211,7 @@ def softest_energy(body: ElasticBody, tangent: Tangent) -> float:
     motion = np.zeros((factor.unknowns, 1))
     motion[factor.weakest] = 1.0
     for _ in range(_POWER_STEPS):
-        with np.errstate(over="ignore", invalid="ignore"):  # looked at below
+        with np.errstate(over="ignore", invalid="ignore"):  # checked below
             motion = factor.solve(motion)
         if not np.isfinite(motion).all() or not motion.any():
             return 0.0
@@ -221,15 +221,15 @@ def softest_energy(body: ElasticBody, tangent: Tangent) -> float:
     return float(body.strain_energy_products(field)[0, 0] / (factor.diagonal @ motion[:, 0] ** 2))
 
 
-def unheld(what: str, energy: float) -> SolveFailed:
-    """Name what is wrong if elimination leaves a motion no stiffness.
+def unheld(subject: str, energy: float) -> SolveFailed:
+    """Return the error of a motion that elimination leaves without stiffness.
 
-    what: what moves.
+    subject: the part that moves.
     energy: relative strain energy of that motion.
     """
     if energy < MECHANISM:
-        return mechanism(f"{what} can move without any resistance.")
+        return mechanism(f"{subject} can move without any resistance.")
     return ill_conditioned(
-        f"{what} can move so easily that what resists is lost in roundoff: {energy:.0e} of the "
+        f"{subject} can move so easily that what resists is lost in roundoff: {energy:.0e} of the "
         "stiffness around it."
     )

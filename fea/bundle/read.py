@@ -54,7 +54,7 @@ FILE_NAME = "component.toml"
 
 _LINE = re.compile(r"\(at line (\d+), column (\d+)\)")
 _MAX_BYTES = 256 * 1024  # hundreds of faces chosen by number, of a geometry file
-# Begins where a word does, so that a long word is looked at once.
+# Begins where a word does, so that a long word is scanned once.
 _LONG_KEY = re.compile(rb"""(?<![\w"'-])(?:[\w"'-]+[ \t]*\.[ \t]*){32}""")
 _OR_HELD = ", or held = true in one [[interface]]: its reaction then balances the loads"
 _SOLVER_TABLES = ("material", "supports", "interface", "analysis")
@@ -354,7 +354,7 @@ class _Reader:
                 self.wrong(key, message)
 
     def check_deck(self, analysis: Analysis | None, interfaces: list[Interface | None]) -> None:
-        """Note what the other tables say that a deck would not heed."""
+        """Note entries of the other tables that do not apply to a deck."""
         if len(interfaces) > 1:
             message = "a [deck] has one interface; several are the embedded solver's"
             self.wrong("interface", message)
@@ -375,7 +375,7 @@ class _Reader:
         materials: list[AnyMaterial | None],
         interfaces: list[Interface | None],
     ) -> None:
-        """Note what a component with further inputs lacks, or cannot have."""
+        """Note entries that a component with further inputs lacks or cannot have."""
         names = [scalar.name for scalar in further]
         if further and "deck" in self.table:
             message = "a [deck] takes none; the embedded solver and measured tables do"

@@ -58,7 +58,7 @@ def _tidy(part: Any) -> Any:
 
 @cache
 def descriptions(cls: type) -> dict[str, str]:
-    """Return what each key of a model is: the texts below its fields in the source."""
+    """Return the description of each key of a model: the texts below its fields in the source."""
     texts: dict[str, str] = {}
     for each in reversed(cls.__mro__[:-1]):
         (source,) = ast.parse(inspect.getsource(each)).body

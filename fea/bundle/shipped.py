@@ -2,5 +2,5 @@
 
 from pathlib import Path
 
-# In a checkout a link to data/components, where an engineer looks for them.
+# In a checkout a link to data/components, where an engineer expects them.
 SHIPPED = (Path(__file__).parents[2] / "components").resolve()

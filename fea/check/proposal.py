@@ -320,7 +320,7 @@ def propose(
 
 
 def _deck_text(file: Path) -> tuple[str, list[str], list[str]]:
-    """Return an Abaqus deck, what of the file is not in it, and what the file leaves open."""
+    """Return an Abaqus deck, the file's contents that it lacks, and values the file leaves open."""
     try:
         text = deck_text(file)
         if (translate := _TRANSLATORS.get(file.suffix.lower())) is not None:
@@ -328,7 +328,7 @@ def _deck_text(file: Path) -> tuple[str, list[str], list[str]]:
                 where = f"line {text.count(chr(10), 0, include.start()) + 1}: {include[0].strip()}"
                 raise MeshFileError(f"{where} is not read; paste that file's lines in its place")
             translated = translate(text)
-            skipped = [f"{what} ({count})" for what, count in translated.skipped.items() if count]
+            skipped = [f"{name} ({count})" for name, count in translated.skipped.items() if count]
             return "\n".join(translated.lines()), skipped, translated.decide
         if file.suffix.lower() != ".inp":
             raise MeshFileError(

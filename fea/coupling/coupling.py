@@ -93,7 +93,7 @@ class SectionCoupling(ABC):
     def __init__(self, points: Array) -> None:
         self.points = points
 
-    def placed(self, interface: Array) -> Array | None:
+    def node_positions(self, interface: Array) -> Array | None:
         """Return where an interface at (6,), m and rad, puts the nodes, (s, 3), m; or None."""
         return None
 
@@ -232,7 +232,7 @@ class Coupling:
         following = [
             attached.nodes
             for attached in self._attachments
-            if attached.section.placed(zero) is not None
+            if attached.section.node_positions(zero) is not None
         ]
         return np.concatenate([self._anchors, *following])
 
@@ -266,14 +266,14 @@ class Coupling:
         motions, multipliers = self._unknowns(state)
         motions[self._moving] += border[: len(self._moving)]
         multipliers[self._forced] += border[self.motions :]
-        placed = state.nodes + nodes
-        placed[self._anchors] += border[self._anchored].reshape(-1, 3)
+        node_motions = state.nodes + nodes
+        node_motions[self._anchors] += border[self._anchored].reshape(-1, 3)
         for attached in self._attachments:
-            local = attached.section.placed(motions[attached.freedoms])
+            local = attached.section.node_positions(motions[attached.freedoms])
             if local is not None:
-                placed[attached.nodes] = attached.outwards(local)
+                node_motions[attached.nodes] = attached.outwards(local)
         interface, sprung = np.split(motions, [self.freedoms])
-        return CoupledState(placed, interface, np.append(multipliers, sprung))
+        return CoupledState(node_motions, interface, np.append(multipliers, sprung))
 
     def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
         """Return the forces out of balance.

@@ -27,7 +27,7 @@ class Rigid(SectionCoupling):
     guide holds are simply left out.
     """
 
-    def placed(self, interface: Array) -> Array:
+    def node_positions(self, interface: Array) -> Array:
         """Return where an interface at (6,), m and rad, puts the nodes, (s, 3), m."""
         R_minus_I = rotation_less_identity(interface[3:])
         return interface[:3] + self.points @ R_minus_I.T

@@ -194,7 +194,7 @@ def run_command(
                 if watch is not None:
                     watch()
     finally:
-        # End what is left of the child's process group.
+        # End the remaining processes of the child's group.
         if child.poll() is None:
             _signal(child.pid, signal.SIGTERM)
             with contextlib.suppress(subprocess.TimeoutExpired):

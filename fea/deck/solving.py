@@ -73,7 +73,7 @@ def solve_deck(
         raise ValueError("the bundle has no deck")
     report = progress or (lambda fraction, message: None)
     with _work_folder(folder) as work_folder:
-        # Run the deck as often as it takes, and gather what is known.
+        # Run the deck as often as it takes, and gather its results.
         runs = _Runs(bundle.deck, work_folder, report, accept)
         if bundle.analysis.nonlinear:
             displacement, compliance = _nonlinear(runs, loads), np.full((6, 6), np.nan)

@@ -110,7 +110,7 @@ class CellState(ABC):
         return symmetrised(np.stack(products, axis=2)) + self.third_of_law(fields, dE)
 
     def third_of_law(self, fields: Array, strain: Array) -> Array:
-        """Return what C's change adds to `third`, J: shape (k, k, k), or 0 of a constant C.
+        """Return the addition of C's change to `third`, J: shape (k, k, k), or 0 of a constant C.
 
         `strain` has shape (k, cells, points, 3, 3), dimensionless: that of the fields.
         """

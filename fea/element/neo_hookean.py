@@ -138,7 +138,7 @@ class _State(DenseState):
         strains = np.broadcast_to(UNIT_STRAINS[:, None, None], (6, *self.E.shape))
         if self.modes is None:
             changes = self.weighted_change(strains)
-        else:  # what is projected has no modulus at a point: see `tangent`
+        else:  # a projected pressure has no modulus at a point: see `tangent`
             growth = self.J * np.sum(self.inverse * strains, axis=(-2, -1))
             pressed = _times(self._local_pressure(growth) * self.J, self.inverse)
             changes = self._at_pressure(strains) + pressed

@@ -278,8 +278,8 @@ def _step(component: ComponentModel) -> Iterator[str]:
             yield f"{bolt.slip + 1}, {axis + 1}, {_numbers([load])}"
         yield "*END STEP"
         yield from start
-        kept = [f"{b.slip + 1}, {a + 1}, {a + 1}" for b, a in slips if b.bolt.keeps == "length"]
-        yield from ("*BOUNDARY, FIXED", *kept) if kept else ()
+        fixed = [f"{b.slip + 1}, {a + 1}, {a + 1}" for b, a in slips if b.bolt.keeps == "length"]
+        yield from ("*BOUNDARY, FIXED", *fixed) if fixed else ()
     else:
         yield from start
     yield from _pulls(component)

@@ -292,9 +292,9 @@ class _LUFront:
         self.W = _getrs(self.lu, self.swaps, B)[0] if B.size else B
 
     def products(self, boundary: int) -> Condensed:
-        taken = products(self.B, self.W, None)
+        product = products(self.B, self.W, None)
         del self.B  # of no further use: about a quarter of what the front holds
-        return taken
+        return product
 
     @property
     def pivots(self) -> Array:

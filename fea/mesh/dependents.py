@@ -53,14 +53,14 @@ class Dependents:
         rows, columns = np.append(nodes, free), np.append(masters, free)
         values = np.append(weights, np.ones(len(free)))
         direct = csr_array(coo_array((values, (rows, columns)), (size, size)))
-        follow, left = direct, dependent
+        follow, remaining = direct, dependent
         for _ in range(_DEEPEST):
-            left = follow.indices[np.isin(follow.indices, dependent)]
-            if not left.size:
+            remaining = follow.indices[np.isin(follow.indices, dependent)]
+            if not remaining.size:
                 return cls(dependent, follow)
             follow = csr_array(direct @ follow)
             follow.eliminate_zeros()
-        raise CircularError(int(left[0]))
+        raise CircularError(int(remaining[0]))
 
     @property
     def entries(self) -> tuple[Array, Array, Array]:
@@ -71,9 +71,9 @@ class Dependents:
     def of_first(self, size: int) -> Dependents | None:
         """Return the dependents among the first nodes that follow such nodes alone, if any."""
         nodes, masters, weights = self.entries
-        kept = ~np.isin(nodes, nodes[masters >= size]) & (nodes < size)
-        entries = nodes[kept], masters[kept], weights[kept]
-        return Dependents.of(size, entries) if kept.any() else None
+        valid = ~np.isin(nodes, nodes[masters >= size]) & (nodes < size)
+        entries = nodes[valid], masters[valid], weights[valid]
+        return Dependents.of(size, entries) if valid.any() else None
 
     def expanded(self, fields: Array) -> Array:
         """Return displacement fields (n, 3, ...), m, with those of the dependent nodes set."""

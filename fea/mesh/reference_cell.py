@@ -162,25 +162,25 @@ def _products(kind: str, points: Array) -> tuple[Array, Array]:
     slopes are those on the line p = r = 1/2.
     """
     x, y, h = points.T
-    factors, one = {"d": 1 - h, "h": h}, np.ones_like(h)
-    slopes = {"d": (0, 0, -one), "h": (0, 0, one)}
+    factors, ones = {"d": 1 - h, "h": h}, np.ones_like(h)
+    slopes = {"d": (0, 0, -ones), "h": (0, 0, ones)}
     if kind == "wedge15":
         factors |= {"a": 1 - x - y, "b": x, "c": y}
-        slopes |= {"a": (-one, -one, 0), "b": (one, 0, 0), "c": (0, one, 0)}
+        slopes |= {"a": (-ones, -ones, 0), "b": (ones, 0, 0), "c": (0, ones, 0)}
     else:
         d = factors["d"] = np.maximum(1 - h, 1e-30)
         p, r = (np.where(h < 1, each / d, 0.5) for each in (x, y))
         factors |= {"p": p, "q": 1 - p, "r": r, "s": 1 - r}
         slopes |= {"p": (1 / d, 0, p / d), "q": (-1 / d, 0, -p / d)}
         slopes |= {"r": (0, 1 / d, r / d), "s": (0, -1 / d, -r / d)}
-    words = _PRODUCTS[kind].split()
-    N, dN = np.zeros((len(words), len(h))), np.zeros((len(words), len(h), 3))
-    for word, value, slope in zip(words, N, dN, strict=True):
+    products = _PRODUCTS[kind].split()
+    N, dN = np.zeros((len(products), len(h))), np.zeros((len(products), len(h), 3))
+    for word, value, slope in zip(products, N, dN, strict=True):
         value[:] = np.prod([factors[letter] for letter in word], axis=0)
         for i, letter in enumerate(word):
-            others = np.prod([one, *(factors[each] for each in word[:i] + word[i + 1 :])], axis=0)
+            others = np.prod([ones, *(factors[each] for each in word[:i] + word[i + 1 :])], axis=0)
             slope += others[:, None] * np.stack(np.broadcast_arrays(*slopes[letter]), axis=1)
-    corners = len(words) if len(words) < 10 else int(np.max(EDGES[kind])) + 1
+    corners = len(products) if len(products) < 10 else int(np.max(EDGES[kind])) + 1
     for table in (N, dN):
         table[corners:] *= 4
         for edge, middle in zip(EDGES[kind], table[corners:], strict=False):

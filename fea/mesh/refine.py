@@ -122,7 +122,7 @@ def halved(mesh: Mesh) -> Mesh:
     if any(block.kind.startswith("pyramid") for block in mesh.blocks):
         message = "pyramids are not halved; give finer meshes: wrenchbook converge --finer FILE"
         raise BundleError([BundleProblem("mesh", message)])
-    # A sum of random 64-bit numbers of the corners names a point, whichever cell it is seen from:
+    # A sum of random 64-bit numbers of the corners names a point, whichever cell it belongs to:
     # of a million points two share a number with a probability of 3e-8.
     names = np.random.default_rng(0).integers(2**64, size=len(mesh.points), dtype=np.uint64)
     parents = [(block.nodes, _pattern(block.kind)) for block in mesh.blocks]

@@ -94,9 +94,9 @@ class Surface:
         order = np.lexsort(edges.T)
         same = np.concatenate([[False], (np.diff(edges[order], axis=0) == 0).all(axis=1), [False]])
         at = np.flatnonzero(same[1:-1] & ~same[:-2] & ~same[2:])  # edges of two triangles
-        one, two = order[at] // 3, order[at + 1] // 3
-        smooth = np.einsum("ij,ij->i", normals[one], normals[two]) > _SMOOTH
-        first, second = self.owners[one[smooth]], self.owners[two[smooth]]
+        facet, neighbour = order[at] // 3, order[at + 1] // 3
+        smooth = np.einsum("ij,ij->i", normals[facet], normals[neighbour]) > _SMOOTH
+        first, second = self.owners[facet[smooth]], self.owners[neighbour[smooth]]
 
         def parts(joined: Array) -> Array:
             pair = first[joined], second[joined]
@@ -104,29 +104,29 @@ class Surface:
             return connected_components(graph, directed=False)[1]
 
         turn = np.linalg.norm(np.cross(self.normals[first], self.normals[second]), axis=1)
-        whole, flat = parts(turn < 2), parts(turn < _FLAT)
+        smooth_parts, flat = parts(turn < 2), parts(turn < _FLAT)
         # A plane in a smooth part has a node of two facets or more, all of them in that plane; a
         # strip of a round face has none.
         nodes = len(self.mesh.points)
         keys = np.unique(np.arange(count).repeat(4) * nodes + self.corners.ravel())
         facets = keys // nodes
-        keys = whole[facets].astype(np.int64) * nodes + keys % nodes
+        keys = smooth_parts[facets].astype(np.int64) * nodes + keys % nodes
         _, index, times = np.unique(keys, return_inverse=True, return_counts=True)
         low, high = np.full(len(times), count), np.zeros(len(times), dtype=np.int64)
         np.minimum.at(low, index, flat[facets])
         np.maximum.at(high, index, flat[facets])
         plane = np.isin(flat, low[(low == high) & (times > 1)])
         split = np.zeros(count, dtype=bool)
-        for part in _members(whole):
+        for part in _members(smooth_parts):
             mixed = plane[part].any() and len(np.unique(flat[part])) > 1
             split[part] = mixed and self.cylinder(part) is None
         alike = (plane[first] == plane[second]) & (~plane[first] | (turn < _FLAT))
         members = _members(parts(alike | ~split[first]))
         faces = [self._face(part) for part in members]
         # Numbered by place, so that another mesh of the part has the same numbers.
-        places = np.array([face.centre for face in faces])
-        places = np.round(places / (_NEAR * np.ptp(self.mesh.points, axis=0).max()))
-        ranked, numbers = np.lexsort(places.T[::-1]).tolist(), np.zeros(count, dtype=np.int64)
+        centres = np.array([face.centre for face in faces])
+        centres = np.round(centres / (_NEAR * np.ptp(self.mesh.points, axis=0).max()))
+        ranked, numbers = np.lexsort(centres.T[::-1]).tolist(), np.zeros(count, dtype=np.int64)
         for number, i in enumerate(ranked, 1):
             numbers[members[i]] = number
         return numbers, tuple(replace(faces[i], number=n) for n, i in enumerate(ranked, 1))
@@ -237,8 +237,8 @@ class Surface:
         if inside is not None:
             apart = np.linalg.norm(self.middles - self.middles[inside].mean(axis=0), axis=1)
             keeps["inside"] = inside, apart, f"m from the middle of {choice.inside}"
-        for key, (kept, excess, unit) in keeps.items():
-            if not (chosen & kept).any():
+        for key, (allowed, excess, unit) in keeps.items():
+            if not (chosen & allowed).any():
                 index = np.flatnonzero(chosen)[excess[chosen].argmin()]
                 message = (
                     f"keeps none of the {chosen.sum()} facets that the other keys select; the "
@@ -246,7 +246,7 @@ class Surface:
                     f"{unit}; change one of the keys"
                 )
                 _refuse(f"{where}.{key}", message)
-            chosen &= kept
+            chosen &= allowed
         if choice.box is not None and choice.normal is None and not adding:
             self._check_sides(chosen, f"{where}.box")
         return chosen
@@ -254,8 +254,8 @@ class Surface:
     def _nearest(self, point: Point, where: str) -> int:
         """Return the number of the face nearest to a point; of several, or none near, refuse."""
         off = np.linalg.norm(self.middles - np.array(point), axis=1)
-        reach = (off + self.sizes).min() + _EDGE * self.sizes.max()
-        close = (off - self.sizes <= reach)[self.owners]
+        limit = (off + self.sizes).min() + _EDGE * self.sizes.max()
+        close = (off - self.sizes <= limit)[self.owners]
         owners, normals = self.owners[close], _unit(self._vectors[close])
         x = self.mesh.points[self.triangles[close]] - np.array(point)
         edges = np.roll(x, -1, axis=1) - x
@@ -283,8 +283,8 @@ class Surface:
         level &= np.isin(self.numbers, even)
         if not level.any():
             square = [f for f in self.faces if f.normal and abs(normal @ f.normal) > 1 - 1e-6]
-            places = sorted({round(float(normal @ face.centre), 9) for face in square})
-            listed = ", ".join(f"{place:g}" for place in places) or "none anywhere"
+            positions = sorted({round(float(normal @ face.centre), 9) for face in square})
+            listed = ", ".join(f"{place:g}" for place in positions) or "none anywhere"
             along = plane if isinstance(plane, str) else f"x . {point_text(normal)}"
             _refuse(where, f"no plane face at {along} = {at:g} m (there are at: {listed})")
         return level

@@ -142,8 +142,8 @@ def surface_of(mesh: Mesh, max_vertices: int = MAX_VERTICES) -> Surface:
         few, many = 1, int(np.sqrt(max_vertices)) * 8  # boxes along the longest side
         while few + 1 < many:
             middle = (few + many) // 2
-            taken = np.unique(_boxes(points, span / middle), axis=0)
-            few, many = (middle, many) if len(taken) <= max_vertices else (few, middle)
+            boxes = np.unique(_boxes(points, span / middle), axis=0)
+            few, many = (middle, many) if len(boxes) <= max_vertices else (few, middle)
         _, first, box = np.unique(
             _boxes(points, span / few), axis=0, return_index=True, return_inverse=True
         )

@@ -35,10 +35,10 @@ class Ending(NamedTuple):
 
     # ``"reached"``: the full load, by stable states all along; ``"limit"``: the load has a maximum
     # on the path; ``"bifurcation"``: the states become unstable while the load still grows;
-    # ``"lost"``: no equilibrium was found further on.
+    # ``"lost"``: no equilibrium further on converged.
     kind: str
-    factor: float  # of the load: the greatest that was found to have a stable state on this path
-    equilibrium: Equilibrium  # the last state found, beyond the full load if it was reached
+    factor: float  # of the load: the greatest with a stable state on this path
+    equilibrium: Equilibrium  # the last state, beyond the full load if it was reached
 
 
 class _Point(NamedTuple):

@@ -32,7 +32,7 @@ class LinearResponse:
     # Shape (n, 3, k): nodal displacements per unit of each input, m per N, N·m, K and m/s^2
     fields: Array
     condition: float  # Estimated condition of the scaled stiffness matrix
-    # asymmetry, energy_gap: what was found before `compliance` was made symmetric, and its
+    # asymmetry, energy_gap: measured before `compliance` was made symmetric, and its
     # difference from `energies`: both relative to sqrt(C_ii C_jj).
     asymmetry: float
     energy_gap: float

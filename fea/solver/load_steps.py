@@ -146,13 +146,13 @@ class LoadPath:
         )
         ending = path.follow(accept)
         if ending.kind == "reached":
-            equilibrium = self._settle(ending.equilibrium)
+            equilibrium = self._return_to_load(ending.equilibrium)
             if equilibrium is not None:
                 check(equilibrium.balance)
                 return equilibrium
         raise gave_way(ending.kind, ending.factor) or refused
 
-    def _settle(self, beyond: Equilibrium) -> Equilibrium | None:
+    def _return_to_load(self, beyond: Equilibrium) -> Equilibrium | None:
         """Go back from a state just beyond the full load to the full load."""
         start = self._system.reload(beyond.balance, self._wrench)
         try:

@@ -1,1 +1,1 @@
-"""What a bundle says, read key by key and checked; knows no mesh."""
+"""The contents of a bundle, read key by key and checked, without its mesh."""

@@ -92,19 +92,19 @@ def deck_text(path: Path) -> DeckText:
         put(text[end:], name, line)
 
     take(path, (path.resolve(),))
-    whole = DeckText("".join(parts))
-    whole.included, whole.pieces = tuple(included), tuple(pieces)
-    return whole
+    joined = DeckText("".join(parts))
+    joined.included, joined.pieces = tuple(included), tuple(pieces)
+    return joined
 
 
 def _file_name(match: re.Match[str], text: str) -> str | None:
     """Return the file that a statement names; None if it has its own rows or is within a line."""
     if text[text.rfind("\n", 0, match.start()) + 1 : match.start()].strip():
         return None
-    given = _INPUT.search(match[2]) if match.re is _ABAQUS else match
-    if given is None and match[1].upper() != "INCLUDE":
+    named = _INPUT.search(match[2]) if match.re is _ABAQUS else match
+    if named is None and match[1].upper() != "INCLUDE":
         return None
-    name = "" if given is None else "".join(part.strip() for part in given[2].splitlines())
+    name = "" if named is None else "".join(part.strip() for part in named[2].splitlines())
     return name.strip(" \t\"'").replace("\\", "/")
 
 

@@ -313,7 +313,7 @@ def tables_in(kind: Any) -> Iterator[type]:
 
 
 def extra_of(info: FieldInfo | None) -> Mapping[str, Any]:
-    """Return what `key` notes besides the description."""
+    """Return the metadata of `key` besides the description."""
     extra = info.json_schema_extra if info is not None else None
     return extra if isinstance(extra, dict) else {}
 
@@ -369,7 +369,7 @@ _KINDS = {
 
 
 def _sentence(entry: Mapping[str, Any], info: FieldInfo | None) -> str:
-    """Return what is wrong and what to write, by the type of pydantic's error."""
+    """Return the mistake and its correction, by the type of pydantic's error."""
     error, value, context = entry["type"], entry["input"], entry.get("ctx", {})
     extra = extra_of(info)
     unit = extra.get("unit") or "no unit"
@@ -402,7 +402,7 @@ def missing(info: FieldInfo | None) -> str:
 
 
 def _noun(info: FieldInfo | None) -> str:
-    """Return what a key is to hold."""
+    """Return the expected value of a key."""
     if info is None:
         return "a value"
     extra, kind = extra_of(info), _adapter(kind_of(info)).json_schema()

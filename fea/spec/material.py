@@ -81,7 +81,7 @@ Direction = Annotated[Three, AfterValidator(_direction)]
 
 @table
 class Solid:
-    """What every material has."""
+    """Keys of every material."""
 
     region: Text = key("", '"all"')
     """a cell group of the mesh; `all` is the cells without another material"""
@@ -181,7 +181,7 @@ class Orthotropic(Solid):
 
     @property
     def poisson_ratio(self) -> float:
-        """`isotropic_ratio`, which tells cells that would lock."""
+        """`isotropic_ratio`, which identifies cells that would lock."""
         return self.isotropic_ratio
 
     def directions(self, points: Array) -> Array:

@@ -18,7 +18,7 @@ class BundleProblem:
 
     # The key (``material[0].youngs_modulus``), the line (``line 4``) or the file it is in
     where: str
-    message: str  # what is wrong and what to do about it
+    message: str  # the mistake and its correction
 
     def __post_init__(self) -> None:
         for name in ("where", "message"):

@@ -264,7 +264,7 @@ def doctor(
     else:
         for finding in findings:
             colour = {"fault": "red", "repaired": "yellow", "note": None}[finding.kind]
-            plain(Screen(), f"{finding.kind}: {finding.what}", style=colour)
+            plain(Screen(), f"{finding.kind}: {finding.problem}", style=colour)
             if finding.remedy:
                 remedy = finding.remedy.replace(COMMAND, COMMAND + _data_option(data))
                 plain(Screen(), f"  {remedy}")

@@ -31,9 +31,9 @@ class Pace:
         solves, seconds = self.ended + in_round, self._clock() - self._started
         if solves < 1 or seconds <= 0:
             return ""
-        left = max(0.0, self._budget - solves) * seconds / solves
-        text = f"{left / 60:.0f} min" if left < 5400 else f"{left / 3600:.1f} h"
-        text = f"{left:.0f} s" if left < 90 else text
+        remaining = max(0.0, self._budget - solves) * seconds / solves
+        text = f"{remaining / 60:.0f} min" if remaining < 5400 else f"{remaining / 3600:.1f} h"
+        text = f"{remaining:.0f} s" if remaining < 90 else text
         return f"{60 * solves / seconds:.0f} solves/min, at most {text} left"
 
 

@@ -24,7 +24,7 @@ from wrenchbook.service.cli.connect import (
 from wrenchbook.service.cli.render import Screen, comparison_shown, plain, print_json, show
 from wrenchbook.service.client.errors import mistake_line
 from wrenchbook.service.client.library import RIG_NAME, check_readable, table_format
-from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.files.durable import write_atomically
 
 _Unit = Annotated[str | None, typer.Option(help="unit in a CSV or XLSX file; SI by default")]
 _Point = Annotated[
@@ -248,7 +248,7 @@ def export_table(
     message = f"{file} written."
     if ending in (".fmu", ".zip"):
         content, message = _compiled(file, name, content, method, targets)
-    write_whole_bytes(file, content)
+    write_atomically(file, content)
     show({"file": file, "bytes": len(content), "message": message}, as_json, message)
 
 
@@ -328,7 +328,7 @@ def compare(
         reply = client.comparison(name, number, against)
         text = client.comparison(name, number, against, "csv") if csv else ""
     if csv:
-        write_whole_bytes(csv, text.encode())
+        write_atomically(csv, text.encode())
     show(reply, as_json, lambda: comparison_shown(reply))
 
 
@@ -386,8 +386,8 @@ def _print_import(name: str, reply: dict[str, Any]) -> None:
     reply = {**absent, "import": None, "sheets": [], **reply}
     lines = [mistake_line(cause) for cause in reply["causes"]]
     above = "; ".join(reply["above"])
-    left = {"Columns": ", ".join(reply["ignored"]), "Lines above the header": above}
-    lines += [f"{what} left out: {names}." for what, names in left.items() if names]
+    omitted = {"Columns": ", ".join(reply["ignored"]), "Lines above the header": above}
+    lines += [f"{subject} left out: {names}." for subject, names in omitted.items() if names]
     if len(sheets := reply["sheets"]) > 1:
         lines.append(f"Sheet {reply['sheet']} was read, of {', '.join(sheets)}.")
     verb = "would be inserted" if reply["dry_run"] else "inserted"
@@ -417,7 +417,7 @@ def _print_import(name: str, reply: dict[str, Any]) -> None:
     others = {"refused": "have mistakes", "tare": "are the tare", "unmatched": "have no load"}
     others |= {"skipped": "are of skipped cycles", "branch": "are off the branch"}
     others["averaged"] = "are in the mean of others"
-    parts = [f"{rows[state]} {what}" for state, what in others.items() if rows.get(state)]
+    parts = [f"{rows[state]} {subject}" for state, subject in others.items() if rows.get(state)]
     if parts:
         plain(Screen(), f"Of {rows['read']} rows read {', '.join(parts)}.")
     if not (reply["dry_run"] or reply["errors"] or reply["in_use"]):

@@ -270,34 +270,34 @@ def jax_joint(
     if not 0.0 < dt < np.inf or (turned is not None and turned.shape != square):
         raise InvalidArgument(f"a step is above zero, and axes are {square}, not {dt} s and {axes}")
     size, shapes = first.memory.shape[1], {n: first.replies[n].shape[1:] for n in REPLIED}
-    places = first.memory, first.poses, first.velocities, first.inverse_masses
-    entered = [place.shape[1:] for place in places]
+    buffers = first.memory, first.poses, first.velocities, first.inverse_masses
+    entered = [place.shape[1:] for place in buffers]
 
     def on_host(*arrays: Array) -> list[Array]:
         lead = arrays[0].shape[:-1]
         steps = joint.new_steps(int(np.prod(lead)), turned)
-        places = steps.memory, steps.poses, steps.velocities, steps.inverse_masses
-        for place, array in zip(places, arrays, strict=True):
+        inputs = steps.memory, steps.poses, steps.velocities, steps.inverse_masses
+        for place, array in zip(inputs, arrays, strict=True):
             place[:] = np.asarray(array).reshape(place.shape)
         steps.step(dt, damping, os.cpu_count() or 1)
         codes, coverage = status_of(joint, steps), steps.replies["coverage"]
         floats = [steps.replies[name] for name in REPLIED[:-1]]
-        found = *floats, np.where(coverage < 0, OUTSIDE, coverage), codes, steps.memory
-        return [array.reshape((*lead, *array.shape[1:])) for array in found]
+        results = *floats, np.where(coverage < 0, OUTSIDE, coverage), codes, steps.memory
+        return [array.reshape((*lead, *array.shape[1:])) for array in results]
 
     def step(memory: Array, poses: Array, velocities: Array, inverse_masses: Array) -> JointAnswers:
-        given = [package.numpy.asarray(a) for a in (memory, poses, velocities, inverse_masses)]
-        lead, kind = given[0].shape[:-1], given[1].dtype
+        inputs = [package.numpy.asarray(a) for a in (memory, poses, velocities, inverse_masses)]
+        lead, kind = inputs[0].shape[:-1], inputs[1].dtype
         expected = [(*lead, *shape) for shape in entered]
-        if [array.shape for array in given] != expected:
+        if [array.shape for array in inputs] != expected:
             raise InvalidArgument(
                 f"memory, poses, velocities and inverse_masses have the shapes {expected}, not "
-                f"{[array.shape for array in given]}"
+                f"{[array.shape for array in inputs]}"
             )
         results = [((*lead, *shapes[name]), kind) for name in REPLIED[:-1]]
         results += [((*lead, *shapes["coverage"]), np.int32), (lead, np.int32)]
         results += [((*lead, size), kind)]
-        return JointAnswers(*_jax_on_host(package, on_host, results, *given))
+        return JointAnswers(*_jax_on_host(package, on_host, results, *inputs))
 
     return step, size
 

@@ -21,7 +21,7 @@ from .recording import RecordingCalls
 from .replies import Displacement, Displacements
 from .table import DownloadCalls
 from .transport import BINARY, Connection, component_path
-from .wrenches import Load, Tolerance, loads_body, many_wrenches, one_wrench, options, wrench_of
+from .wrenches import Load, Tolerance, loads_body, many_wrenches, options, single_wrench, wrench_of
 
 BINARY_FROM = 1000  # wrenches from which a batch is sent as float64, if not given
 FORMATS = {".glb": "gltf", ".vtu": "vtu", ".json": "json"}
@@ -258,7 +258,7 @@ class SurfaceCalls(Connection):
 
 
 def _path(name: str, force: ArrayLike, moment: ArrayLike | None, form: str) -> str:
-    loads = one_wrench(force, moment).tolist()
+    loads = single_wrench(force, moment).tolist()
     query = {load: repr(value) for load, value in zip(LOADS, loads, strict=True)}
     return f"{component_path(name, 'deformed')}?{urlencode({**query, 'format': form})}"
 
@@ -322,12 +322,12 @@ class EventCalls(Connection):
         limit = float("inf") if timeout_s is None else timeout_s
         newest = time.monotonic()  # when the last event came
         while True:
-            if (left := newest + limit - time.monotonic()) <= 0:
+            if (remaining := newest + limit - time.monotonic()) <= 0:
                 return
             headers = {"Accept": "text/event-stream", **({"Last-Event-ID": last} if last else {})}
             try:
                 query = {"component": component}
-                stream = self._listen("/v1/events", query, headers, min(SILENCE_S, left))
+                stream = self._listen("/v1/events", query, headers, min(SILENCE_S, remaining))
                 try:
                     parser = EventParser()
                     while line := stream.readline():

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 
 from .errors import InvalidArgument
 from .rotation import sinc
-from .wrenches import Vector, one_wrench
+from .wrenches import Vector, single_wrench
 
 Message: TypeAlias = Any  # an object of another program
 Side = Literal["parent", "child"]
@@ -54,7 +54,7 @@ def moved(
     numpy.ndarray
         Shape (6,): F = R f and M = R m + p x F.
     """
-    checked = one_wrench(wrench)
+    checked = single_wrench(wrench)
     force, moment = checked[:3], checked[3:]
     if rotation is not None:
         axes = np.asarray(rotation, dtype=float)
@@ -93,12 +93,12 @@ def from_ros(message: Message) -> Vector:
     parts = [
         float(_field(_field(message, name), axis)) for name in ("force", "torque") for axis in "xyz"
     ]
-    return one_wrench(parts)
+    return single_wrench(parts)
 
 
 def to_ros(wrench: ArrayLike) -> dict[str, dict[str, float]]:
     """Return a wrench, shape (6,), N and N·m, as the fields of a ROS ``geometry_msgs/Wrench``."""
-    numbers = one_wrench(wrench).tolist()
+    numbers = single_wrench(wrench).tolist()
     return {
         "force": dict(zip("xyz", numbers[:3], strict=True)),
         "torque": dict(zip("xyz", numbers[3:], strict=True)),
@@ -127,14 +127,14 @@ def from_drake(spatial_force: Message, component: Side | None = None) -> Vector:
         spatial_force = np.concatenate(
             [np.ravel(spatial_force.rotational()), np.ravel(spatial_force.translational())]
         )
-    swapped = one_wrench(np.ravel(spatial_force))
+    swapped = single_wrench(np.ravel(spatial_force))
     wrench = np.concatenate([swapped[3:], swapped[:3]])
     return wrench if component is None else _on(component, wrench)
 
 
 def to_drake(wrench: ArrayLike) -> Vector:
     """Return a wrench in Drake's order, shape (6,): torque, N·m, then force, N."""
-    checked = one_wrench(wrench)
+    checked = single_wrench(wrench)
     return np.concatenate([checked[3:], checked[:3]])
 
 
@@ -154,7 +154,7 @@ def from_mujoco(force: ArrayLike, torque: ArrayLike, component: Side) -> Vector:
     "points from the child towards the parent"; what is measured is the parent holding the child
     (see the head of this file).
     """
-    return _on(component, one_wrench(force, torque))
+    return _on(component, single_wrench(force, torque))
 
 
 def to_mujoco(wrench: ArrayLike, component: Side) -> tuple[Vector, Vector]:
@@ -162,7 +162,7 @@ def to_mujoco(wrench: ArrayLike, component: Side) -> tuple[Vector, Vector]:
 
     The wrench has shape (6,), the readings shape (3,) each, N and N·m.
     """
-    reading = _on(component, one_wrench(wrench))
+    reading = _on(component, single_wrench(wrench))
     return reading[:3], reading[3:]
 
 
@@ -184,12 +184,12 @@ def from_pybullet(reaction: ArrayLike, component: Side) -> Vector:
     mass (measured: zero for the arm above): give that point to `moved`. Axes are the child's, or
     the world's with JOINT_FEEDBACK_IN_WORLD_SPACE.
     """
-    return _on(component, one_wrench(reaction))
+    return _on(component, single_wrench(reaction))
 
 
 def to_pybullet(wrench: ArrayLike, component: Side) -> Vector:
     """Return PyBullet's joint reaction for a wrench, both of shape (6,), N and N·m."""
-    return _on(component, one_wrench(wrench))
+    return _on(component, single_wrench(wrench))
 
 
 def quaternion_wxyz(rotation: ArrayLike) -> Vector:

@@ -83,7 +83,7 @@ class ProblemError(WrenchbookError):
 class ServerUnreachable(WrenchbookError, ConnectionError):  # noqa: N818 (a state of the world, and a public name)
     """Nothing answers at the address, or the server ended the connection before its reply."""
 
-    refused = False  # whether the connection was refused: the server has not seen the request
+    refused = False  # whether the connection was refused: the server has not received the request
 
 
 class ServerTimeout(WrenchbookError, TimeoutError):  # noqa: N818 (as above)

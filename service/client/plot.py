@@ -38,7 +38,7 @@ from .errors import InvalidArgument, required
 from .notebook import DISPLACEMENT_COLUMNS, WRENCH_COLUMNS
 from .replies import Displacements, Vector
 from .table import Table
-from .wrenches import one_wrench
+from .wrenches import single_wrench
 
 if TYPE_CHECKING:
     from . import Client
@@ -202,7 +202,7 @@ def _answers(
 ) -> Displacements:
     """Return the answers to a wrench in which some loads, by number, take many values."""
     count = len(next(iter(loads.values())))
-    wrenches = np.tile(np.zeros(6) if wrench is None else one_wrench(wrench), (count, 1))
+    wrenches = np.tile(np.zeros(6) if wrench is None else single_wrench(wrench), (count, 1))
     for load, values in loads.items():
         wrenches[:, load] = values
     if isinstance(source, Table):

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..contract import LOADS, MAX_BLOCK
 from .errors import Document, InvalidArgument, ProblemError, ServerTimeout, WrenchbookError
 from .recording import KINDS, Kind, Started
-from .wrenches import many_wrenches, one_wrench
+from .wrenches import many_wrenches, single_wrench
 
 if TYPE_CHECKING:
     from . import Client
@@ -26,7 +26,7 @@ BLOCK = 256
 MAX_PENDING = 100_000  # wrenches in memory, 4.8 MB: 100 s at 1 kHz
 FLUSH_S = 1.0  # a block that is not full is sent after this long: a slow loop is recorded too
 BACKOFF_S = (0.1, 5.0)  # between attempts while the server is away: doubled from, up to
-AT_EXIT_S = 5.0  # how long the end of the program waits for what is not sent
+AT_EXIT_S = 5.0  # that the end of the program waits for unsent wrenches
 _AGAIN = (408, 425, 429)  # statuses besides 5xx after which the same block may be taken
 
 
@@ -137,9 +137,9 @@ class Recorder:
         """
         shape, default = np.shape(wrench), self._width == 8 * len(LOADS)
         if shape != (self._width // 8,):
-            what = "six numbers, force then moment" if default else f"{self._width // 8} numbers"
-            raise InvalidArgument(f"a wrench is {what}; this has shape {shape}")
-        checked = one_wrench(wrench) if default else many_wrenches(np.stack([wrench]), None)
+            form = "six numbers, force then moment" if default else f"{self._width // 8} numbers"
+            raise InvalidArgument(f"a wrench is {form}; this has shape {shape}")
+        checked = single_wrench(wrench) if default else many_wrenches(np.stack([wrench]), None)
         packed = checked.astype("<f8").tobytes()
         with self._changed:
             if self._closing:

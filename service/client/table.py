@@ -29,7 +29,7 @@ from .wrenches import (
     Vector,
     loads_body,
     many_wrenches,
-    one_wrench,
+    single_wrench,
     tolerance_body,
     wrench_of,
 )
@@ -256,7 +256,7 @@ class Table:
             and inputs is None
             and packed.inputs == _PER_INTERFACE
         ):
-            wrench = one_wrench(force, moment)
+            wrench = single_wrench(force, moment)
             return (wrench + 0.0).tolist(), {"": wrench}
         body, space = loads_body(force, moment, loads, inputs), packed.space
         if "force" in body and space.several:

@@ -37,7 +37,7 @@ Tolerance = Mapping[str, float] | Sequence[float] | TolerancePair
 Load = ArrayLike | Mapping[str, ArrayLike]  # (6,), or force and moment (3,), N and N·m
 
 
-def one_wrench(force: ArrayLike, moment: ArrayLike | None = None) -> Vector:
+def single_wrench(force: ArrayLike, moment: ArrayLike | None = None) -> Vector:
     """Return a checked wrench (6,), N and N·m, of a force and a moment (3,), zero if not given.
 
     The force alone may be the whole wrench (6,). InvalidArgument names the number that is NaN or
@@ -85,14 +85,14 @@ def loads_body(
     if is_wrench and loads is not None:
         raise InvalidArgument("give either force and moment, or loads by interface")
     if is_wrench:
-        body = _parts(one_wrench(np.zeros(3) if force is None else force, moment))
+        body = _parts(single_wrench(np.zeros(3) if force is None else force, moment))
     elif loads is not None:
         body["loads"] = {}
         for name, load in _mapping("loads", loads).items():
             parts = load if isinstance(load, Mapping) else {"force": load}
             if unknown := ", ".join(parts.keys() - {"force", "moment"}):
                 raise InvalidArgument(f"a load has force and moment, not {unknown}")
-            wrench = one_wrench(parts.get("force", np.zeros(3)), parts.get("moment"))
+            wrench = single_wrench(parts.get("force", np.zeros(3)), parts.get("moment"))
             body["loads"][name] = _parts(wrench)
     elif inputs is None:
         raise InvalidArgument("give a force, a moment or loads")

@@ -110,14 +110,14 @@ class DeformedSurfaces:
         if component.linear:
             shape = self._linear(component, rows, acting)
         else:
-            shape = self._own(component, rows, acting) or self._between(
+            shape = self._solved(component, rows, acting) or self._between(
                 component, rows, acting, hyperparameters
             )
         if shape.error is not None:  # coverage stays the table's
             wrench = np.array(shape.wrench)
             parts = error_parts(shape.error, shape.follows, solver, wrench, shares)
             limit, total, within = component.tolerance, parts.total, None
-            if limit is not None and parts.are_whole:
+            if limit is not None and parts.are_complete:
                 within = bool(total.max(initial=0.0) <= limit.translation)
             shape = replace(shape, error=total, parts=parts, within_tolerance=within)
         if beyond and shape.source != "row":
@@ -154,7 +154,7 @@ class DeformedSurfaces:
             follows=vertex_modes(row.displacement_slopes, compliance),
         )
 
-    def _own(self, component: Component, rows: Rows, wrench: Floats) -> Deformed | None:
+    def _solved(self, component: Component, rows: Rows, wrench: Floats) -> Deformed | None:
         """Return the surface of this wrench's own solve; None if there is none with fields."""
         apart = np.abs(rows.wrench - wrench) / component.load_range.scale
         near = apart.max(axis=1, initial=0.0) <= NEAR
@@ -205,9 +205,9 @@ class DeformedSurfaces:
             raise NoFieldsError(component, why)
         cells = np.rint(wrenches[having] / (2 * NEAR * component.load_range.scale))
         _, first = np.unique(cells, axis=0, return_index=True)
-        places = solved[having][np.sort(first)]
+        chosen = solved[having][np.sort(first)]
         with self._lock:  # one at a time: a new interpolation takes a processor and its memory
-            blend = self._blend(component, rows.take(places), wrench, hyperparameters)
+            blend = self._blend(component, rows.take(chosen), wrench, hyperparameters)
         fields = blend.at(wrench)
         error = fields.error
         if error is not None:

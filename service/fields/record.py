@@ -1,4 +1,4 @@
-"""What is kept of one solve's fields: files of arrays, exact or rounded, with a digest.
+"""The stored fields of one solve: files of arrays, exact or rounded, with a digest.
 
 A solver leaves two files in the attempt's folder: the geometry, which all rows of a component
 share, and the row's fields. The displacement is kept to 2^-44 of its largest number, stresses to
@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.files.durable import write_atomically
 
 GEOMETRY, ROW = "geometry.fields", "row.fields"  # as the solver names them
 FINE, STRESS, SLOPES = 44, 24, 20  # bits
@@ -178,7 +178,7 @@ class RowFields(NamedTuple):
 
 
 def leave(folder: Path, wrench: tuple[float, ...], fields: Any) -> None:
-    """Write the two files into an attempt's folder, each whole or not at all, on disk for good.
+    """Write the two files into an attempt's folder, each atomically and durably.
 
     `fields` is a `fea.recovery.fields.SolveFields`, not imported: readers of the files import no
     finite elements. Raises OSError if they cannot be written, ValueError unless all are finite.
@@ -206,8 +206,8 @@ def leave(folder: Path, wrench: tuple[float, ...], fields: Any) -> None:
         "stress_slopes": Column(fields.stress_slopes, slopes),
     }
     row = pack(meta, columns)
-    write_whole_bytes(folder / GEOMETRY, geometry)
-    write_whole_bytes(folder / ROW, row)
+    write_atomically(folder / GEOMETRY, geometry)
+    write_atomically(folder / ROW, row)
 
 
 def digest_of(geometry: bytes) -> str:

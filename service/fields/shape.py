@@ -57,7 +57,7 @@ class ErrorParts(NamedTuple):
         return np.sum([share for share in self.shares.values() if share is not None], axis=0)
 
     @property
-    def are_whole(self) -> bool:
+    def are_complete(self) -> bool:
         """Whether the discretisation error is known: else only the interpolation error is."""
         return self.shares.get("mesh") is not None
 

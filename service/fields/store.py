@@ -33,7 +33,7 @@ from wrenchbook.service.files.durable import sync
 # Of one component, some thousand rows of 1,000 vertices; later rows have no fields.
 MOST_BYTES = 1 << 30
 _LINEAR = "linear"
-_HEADER_BYTES = 1 << 20  # what is read for a file's header, which is far shorter
+_HEADER_BYTES = 1 << 20  # read for a file's header, which is far shorter
 
 _log = logging.getLogger(__name__)
 
@@ -41,7 +41,7 @@ _log = logging.getLogger(__name__)
 class FieldStore:
     """The kept fields of all components of a data directory, at most `most_bytes` of one component.
 
-    Several processes may use it: files appear whole and are never changed.
+    Several processes may use it: files appear complete and are never changed.
     """
 
     def __init__(self, folder: Path, most_bytes: int = MOST_BYTES) -> None:

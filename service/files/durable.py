@@ -23,7 +23,7 @@ def sync_tree(folder: Path) -> None:
     sync(folder)
 
 
-def write_whole_bytes(
+def write_atomically(
     path: Path, content: bytes, *, durable: bool = True, mode: int = 0o666
 ) -> None:
     """Write a file such that readers see all of it, or what was there before.

@@ -9,7 +9,7 @@ import os
 import time
 from pathlib import Path
 
-# How long `take` puts up with the short shared lock that `is_locked` looks with.
+# How long `take` tolerates the short shared lock that `is_locked` tests with.
 _PATIENCE_SECONDS = 0.5
 
 

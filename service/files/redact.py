@@ -22,7 +22,7 @@ def redact(text: str) -> str:
     """
     if "/" not in text:
         return text
-    return _paths().sub(lambda found: f".../{found[1]}", _TRACEBACK.sub("", text))
+    return _paths().sub(lambda match: f".../{match[1]}", _TRACEBACK.sub("", text))
 
 
 def redact_values(value: Any) -> Any:

@@ -64,12 +64,10 @@ def identifier_of(component: str) -> str:
     return word if word[:1].isalpha() else f"fmu_{word}"
 
 
-def describe(
-    component: str, guid: str, made_by: str, summary: str, space: Space = DEFAULT
-) -> bytes:
+def describe(component: str, guid: str, tool: str, summary: str, space: Space = DEFAULT) -> bytes:
     """Return modelDescription.xml.
 
-    `made_by` is program and version, `summary` the table's version, its rows and its method.
+    `tool` is program and version, `summary` the table's version, its rows and its method.
     """
     root = ElementTree.Element(
         "fmiModelDescription",
@@ -77,7 +75,7 @@ def describe(
         modelName=component,
         guid=guid,
         description=f"{summary}; {_CONTRACT}",
-        generationTool=made_by,
+        generationTool=tool,
         variableNamingConvention="flat",
         numberOfEventIndicators="0",
     )
@@ -270,12 +268,12 @@ def make_fmu(
     digest = hashlib.blake2b(named + table.content, digest_size=16).hexdigest()
     guid = "{" + "-".join(digest[a:b] for a, b in pairwise((0, 8, 12, 16, 20, 32))) + "}"
     try:
-        made_by = f"wrenchbook {version('wrenchbook')}"
+        tool = f"wrenchbook {version('wrenchbook')}"
     except PackageNotFoundError:  # a checkout that is not installed
-        made_by = "wrenchbook"
+        tool = "wrenchbook"
     cmake = _CMAKE.format(name=identifier, sources=" ".join(SOURCES), options=OPTIONS)
     parts = {
-        "modelDescription.xml": describe(component, guid, made_by, summary, space),
+        "modelDescription.xml": describe(component, guid, tool, summary, space),
         "resources/table.wbt": table.content,
         "resources/model.txt": f"{guid}\n{number}\n{zeros}\n".encode(),
         **{f"sources/{path.name}": path.read_bytes() for path in _source_paths()},

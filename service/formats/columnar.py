@@ -49,8 +49,8 @@ def read_parquet(path: Path, options: Options, report: ReadReport) -> Iterator[P
         texts = [field.name for field in schema if any(is_(field.type) for is_ in strings)]
         labels = []
         for field in schema:  # its unit may stand in the metadata
-            about = field.metadata or {}
-            unit = about.get(b"unit") or about.get(b"units") or b""
+            tags = field.metadata or {}
+            unit = tags.get(b"unit") or tags.get(b"units") or b""
             labels.append(with_unit(field.name, unit.decode(errors="replace"), options.columns))
         # Equal texts of a batch are in memory once.
         with parquet.ParquetFile(path, read_dictionary=texts, pre_buffer=False) as file:
@@ -65,9 +65,9 @@ def read_parquet(path: Path, options: Options, report: ReadReport) -> Iterator[P
 
 
 def write_parquet(
-    path: Path, pieces: Iterable[WritableRows], layout: Layout, about: Mapping[str, str]
+    path: Path, pieces: Iterable[WritableRows], layout: Layout, metadata: Mapping[str, str]
 ) -> None:
-    """Write pieces of a table as row groups of float64 in SI; `about` becomes the metadata."""
+    """Write pieces of a table as row groups of float64 in SI; with metadata of the file."""
     import pyarrow as arrow
     import pyarrow.parquet as parquet
 
@@ -76,7 +76,7 @@ def write_parquet(
         for column in layout.numbers
     ]
     fields += [arrow.field(name, arrow.string()) for name in layout.texts]
-    schema = arrow.schema(fields, metadata={f"wrenchbook:{key}": v for key, v in about.items()})
+    schema = arrow.schema(fields, metadata={f"wrenchbook:{key}": v for key, v in metadata.items()})
     with parquet.ParquetWriter(path, schema, compression="zstd") as writer:
         for piece in pieces:
             columns = [

@@ -143,7 +143,7 @@ class Columns:
                 yield f"{front[1]}.{column}", written, factor
 
     def interface_problem(self, name: str) -> str:
-        """Say what is wrong with the interface in the name of a load or output, if anything."""
+        """Return the mistake in the interface of a load's or output's name, if there is one."""
         if not self._fronts or len(name) > MAX_LABEL:
             return ""
         front, _, rest = name.rpartition(".")

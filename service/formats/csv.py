@@ -395,7 +395,7 @@ def _blank_records(lines: Iterator[str], first: int, width: int) -> Iterator[Rec
 
 
 def _record_problem(cells: list[str], header: Header, delimiter: str) -> str:
-    """Return what is wrong with a record; an empty text if nothing is."""
+    """Return the mistake of a record; an empty text if it has none."""
     width, text = header.width, "".join(cells)
     broken = "\n" in text or "\r" in text
     if len(cells) != width:

@@ -50,8 +50,8 @@ def with_cycles(
             if report.read > MAX_CYCLE_ROWS:
                 message = f"has more than {MAX_CYCLE_ROWS:,} rows, too many for options of cycles"
                 raise _CycleError("file", f"{message}; send it in parts")
-        if any(map(len, parts)) and not report.mistakes.whole:
-            rows = _left_rows(_joined(parts), options, report)
+        if any(map(len, parts)) and not report.mistakes.of_file:
+            rows = _retained_rows(_joined(parts), options, report)
             for start in range(0, len(rows), _BLOCK):
                 yield rows.take(np.arange(start, min(start + _BLOCK, len(rows))))
     except _CycleError as error:
@@ -63,7 +63,7 @@ def _joined(parts: list[ParsedTable]) -> ParsedTable:
     return ParsedTable(**vars(joined(parts)) | {"note": note, "time": None})
 
 
-def _left_rows(rows: ParsedTable, options: Options, report: ReadReport) -> ParsedTable:
+def _retained_rows(rows: ParsedTable, options: Options, report: ReadReport) -> ParsedTable:
     """Return the rows that the cycle options leave; `report` counts the others."""
     if any(rows.compliance.strides) or ((rows.source == FEA) | (rows.fingerprint != "")).any():
         message = "has solves or slopes, and cycles are of measured rows; leave their options out"
@@ -76,25 +76,25 @@ def _left_rows(rows: ParsedTable, options: Options, report: ReadReport) -> Parse
     if (count := int(passes.number[-1]) // 2) < options.skip_cycles:
         message = f"the main load {name} comes back to its first branch {count} times; give less"
         raise _CycleError("skip_cycles", message)
-    kept, left_out = passes.number >= 2 * options.skip_cycles, report.left_out
+    retained, omitted = passes.number >= 2 * options.skip_cycles, report.omitted
     load = rows.wrench[:, main]
     first, margin = load[0], TURN * np.ptp(load)
     if options.skip_cycles and load.min() + margin < first < load.max() - margin:
         # A test to both sides begins within its range: its cycles end at the load of its first row.
         side = np.sign(load[passes.number == 0][-1] - first)
-        kept &= (passes.number > 2 * options.skip_cycles) | (side * (load - first) >= 0)
-        if not kept.any():
+        retained &= (passes.number > 2 * options.skip_cycles) | (side * (load - first) >= 0)
+        if not retained.any():
             message = f"the test has {count} cycles of the main load {name}; give less"
             raise _CycleError("skip_cycles", message)
-    left_out["skipped"] = int((~kept).sum())
+    omitted["skipped"] = int((~retained).sum())
     if options.branch:
-        kept &= (passes.loading == (options.branch == "loading")) & passes.sure
-        left_out["branch"] = int((~kept).sum()) - left_out["skipped"]
-        if not kept.any():
+        retained &= (passes.loading == (options.branch == "loading")) & passes.sure
+        omitted["branch"] = int((~retained).sum()) - omitted["skipped"]
+        if not retained.any():
             message = f"the main load {name} has no {options.branch} branch; leave branch out"
             raise _CycleError("branch", message)
-    rows, passes = rows.take(kept), passes.take(kept)
-    left_out["averaged"] = len(rows)
+    rows, passes = rows.take(retained), passes.take(retained)
+    omitted["averaged"] = len(rows)
     if options.thin is not None:
         rows, passes = _thinned(rows, passes, options.thin * size)
     if options.mean_cycles:
@@ -104,7 +104,7 @@ def _left_rows(rows: ParsedTable, options: Options, report: ReadReport) -> Parse
         branches = [_mean(rows, passes, way, main, size) for way in (True, False)]
         branches = sorted((part for part in branches if len(part)), key=lambda part: part.seq[0])
         rows = _joined(branches)
-    left_out["averaged"] -= len(rows)
+    omitted["averaged"] -= len(rows)
     return rows
 
 
@@ -124,14 +124,14 @@ def _thinned(rows: ParsedTable, passes: Passes, place: Array) -> tuple[ParsedTab
 
 
 def _mean(rows: ParsedTable, passes: Passes, loading: bool, main: int, size: Array) -> ParsedTable:
-    """Return the mean of the passes of a branch at the places of its widest one.
+    """Return the mean of the passes of a branch at the loads of its widest one.
 
     Each pass is interpolated along the main load. The 95 % half width of a mean is that of the
-    scatter about it, which all places have in common; a larger stated one stays.
+    scatter about it, which all loads have in common; a larger stated one stays.
     """
     chosen = np.flatnonzero(passes.sure & (passes.loading == loading))
     number, n = passes.number[chosen], rows.wrench.shape[1]
-    some = [at for one in np.unique(number) if len(at := chosen[number == one]) > 1]
+    some = [at for pass_number in np.unique(number) if len(at := chosen[number == pass_number]) > 1]
     if not some:
         return rows.take(chosen[:0])
     numbers = np.hstack((rows.wrench, rows.displacement))

@@ -315,9 +315,9 @@ def _meanings(labels: Sequence[str], mapping: Mapping[str, str]) -> list[str]:
     """
     keys = [(_key(label), _key(_parts(label)[0])) for label in labels]
     known = {_key(key): value for key, value in mapping.items() if key}
-    places = known.keys() - {key for names in keys for key in names}
+    positions = known.keys() - {key for names in keys for key in names}
     return [
-        known.get(names[0]) or known.get(names[1]) or (known[at] if at in places else "")
+        known.get(names[0]) or known.get(names[1]) or (known[at] if at in positions else "")
         for names, at in zip(keys, map(str, range(1, len(labels) + 1)), strict=True)
     ]
 
@@ -332,7 +332,7 @@ def readings_of(label: str, columns: Columns) -> list[tuple[str, str, float]]:
 
 def with_unit(name: str, unit: str, columns: Columns) -> str:
     """Return a label with the unit that the file has beside it, unless it names one itself."""
-    named = "[" in name or "(" in name or any(own for _, own, _ in readings_of(name, columns))
+    named = "[" in name or "(" in name or any(text for _, text, _ in readings_of(name, columns))
     return f"{name} [{unit}]" if unit and not named else name
 
 
@@ -496,12 +496,12 @@ def _missing_columns(header: Header, labels: list[str], options: Options) -> Ite
         needed.append(("displacement", columns.displacement))
     if options.role != "displacements":
         needed.append(("load", columns.loads))
-    for what, names in needed:
+    for quantity, names in needed:
         if not named & set(names):
             units = (columns.quantity(name).examples[0] for name in names)
             named_so = ", ".join(map("{} [{}]".format, names, units))
-            alone = _ALONE if what == "displacement" and options.role == "table" else ""
-            yield f"no {what} column; name at least one of {named_so}{alone}"
+            alone = _ALONE if quantity == "displacement" and options.role == "table" else ""
+            yield f"no {quantity} column; name at least one of {named_so}{alone}"
     absent = [name for name in columns.loads if name not in named]
     may_miss = options.missing_loads == "zero" or options.role == "displacements"
     if absent and len(absent) < len(columns.loads) and not may_miss:

@@ -126,9 +126,9 @@ def _records(values: Iterator[Any]) -> Iterator[Record]:
         yield number, [row.get(name) or "" for name in names]
 
 
-def json_text(pieces: Iterable[WritableRows], about: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the text of a JSON table: the members `about`, then the rows without unknown values."""
-    head = json.dumps({**about, "units": "SI"}, allow_nan=False)
+def json_text(pieces: Iterable[WritableRows], members: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the text of a JSON table: the `members`, then the rows without unknown values."""
+    head = json.dumps({**members, "units": "SI"}, allow_nan=False)
     yield head[:-1] + ', "rows": ['
     between = ""
     for piece in pieces:
@@ -183,7 +183,7 @@ def _no_table(columns: Columns) -> str:
 
 
 def _key_problem(key: str, value: Any, columns: Columns) -> str:
-    """Say what is wrong with a member of the table."""
+    """Return the mistake of a member of the table."""
     if key == "rows":
         return "" if isinstance(value, list) else _no_table(columns)
     if key == "units" and value != "SI":
@@ -229,7 +229,7 @@ def _row_cells(row: Any, columns: Columns) -> tuple[list[Any], list[tuple[str, s
 
 
 def _form(key: str, names: Sequence[str], width: int, *, is_missing: bool) -> str:
-    """Return what is wrong with the value of a key, and what to write."""
+    """Return the mistake of a key's value, and the correction."""
     lines, numbers = (
         "six" if count == PER_INTERFACE else str(count) for count in (len(names) // width, width)
     )

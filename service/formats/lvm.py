@@ -104,11 +104,11 @@ def _segment(
 
     def values(tag: str) -> dict[int, str]:
         """Return the value of each channel, which stands in its column."""
-        given = {at: cell.strip() for at, cell in enumerate(tags.get(tag, [])) if at}
-        given = {at: value for at, value in given.items() if value}
-        if not given.keys() <= channels:
+        texts = {at: cell.strip() for at, cell in enumerate(tags.get(tag, [])) if at}
+        texts = {at: value for at, value in texts.items() if value}
+        if not texts.keys() <= channels:
             raise ValueError(f"{tag} is not of the channels {', '.join(names)} below it")
-        return given
+        return texts
 
     units, kind = values("Y_Unit_Label"), set(values("X_Dimension").values())
     labels = [with_unit(name, units.get(at, ""), columns) for at, name in enumerate(names)]

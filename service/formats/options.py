@@ -1,4 +1,4 @@
-"""What a reader takes and returns: options, rows within limits, and the report with all mistakes.
+"""Arguments and results of a reader: options, rows within limits, and the report with all mistakes.
 
 A row beyond the limits is a mistake of a unit. Rows of different setups are never mixed: a solve of
 another fingerprint, or of none, would be a solve of another mesh. The sender can change the source.
@@ -149,13 +149,13 @@ class FileMistake:
 
 
 class Mistakes:
-    """The mistakes of a file; `whole`: one is of all of it, and no row is loaded."""
+    """The mistakes of a file; `of_file`: one concerns the file, and no row is loaded."""
 
     def __init__(self) -> None:
         self._first: list[FileMistake] = []
         self._causes: dict[str, MistakeCause] = {}
         self.count = 0
-        self.whole = False
+        self.of_file = False
 
     def __bool__(self) -> bool:
         return self.count > 0
@@ -173,7 +173,7 @@ class Mistakes:
     def ruin(self, row: int, field: str, message: str) -> None:
         """Add a mistake of the whole file."""
         self.add(row, field, message)
-        self.whole = True
+        self.of_file = True
 
     def trim(self) -> None:
         """Keep the first by row, at the end of a piece: later pieces have higher rows."""
@@ -230,7 +230,7 @@ class ReadReport:
     times, and the lag that the logs show. `sheets` are those of a workbook, or the groups of a
     TDMS file, and `sheet` is the one that was read. `read`, `zeroed` and `unmatched` count the rows
     of the file, those in the mean of the zero offset, and those with no load at their time;
-    `left_out` those of cycles by cause.
+    `omitted` those of cycles by cause.
     """
 
     mistakes: Mistakes = field(default_factory=Mistakes)
@@ -248,7 +248,7 @@ class ReadReport:
     read: int = 0
     zeroed: int = 0
     unmatched: int = 0
-    left_out: dict[str, int] = field(default_factory=dict)
+    omitted: dict[str, int] = field(default_factory=dict)
 
     def is_beyond_limits(self) -> bool:
         """Return whether reading ends here: with too many rows or mistakes, no row is loaded."""
@@ -257,22 +257,22 @@ class ReadReport:
             message = f"has more than {MAX_ROWS:,} rows; send it in parts"
             self.mistakes.ruin(0, "file", message)
         elif self.mistakes.count > MAX_MISTAKES:
-            self.mistakes.whole = True
-        return self.mistakes.whole
+            self.mistakes.of_file = True
+        return self.mistakes.of_file
 
     def as_json(self, good: int, preview: list[dict[str, Any]]) -> dict[str, Any]:
         """Return the report as in the HTTP reply, with the number of good rows and a preview."""
-        names, left_out = ("column", "name", "unit"), sum(self.left_out.values())
+        names, omitted = ("column", "name", "unit"), sum(self.omitted.values())
         return {
             "format": self.format,
             "gzip": self.gzip,
             "rows": {
                 "read": self.read,
                 "good": good,
-                "refused": self.read - good - self.zeroed - self.unmatched - left_out,
+                "refused": self.read - good - self.zeroed - self.unmatched - omitted,
                 "tare": self.zeroed,
                 "unmatched": self.unmatched,
-                **self.left_out,
+                **self.omitted,
             },
             "clock": self.clock,
             "columns": [dict(zip(names, column, strict=True)) for column in self.columns],
@@ -282,7 +282,7 @@ class ReadReport:
             "sheet": self.sheet,
             "errors": [mistake.as_dict() for mistake in self.mistakes.listed()],
             "causes": self.mistakes.causes(),
-            "whole": self.mistakes.whole,
+            "whole": self.mistakes.of_file,
             "converted": self.converted,
             "preview": preview,
         }
@@ -392,16 +392,16 @@ def _excesses(
     limit = largest_loads(load_range)
     for at, load in np.argwhere(np.abs(wrench) > limit).tolist():
         column = load_range.space.inputs[load]
-        unit, what = column.unit.replace("·", "*"), "input" if column.kind == "scalar" else "load"
+        unit, kind = column.unit.replace("·", "*"), "input" if column.kind == "scalar" else "load"
         message = (
-            f"the {what} is {wrench[at, load]:.6g} {unit}; the component's range is "
+            f"the {kind} is {wrench[at, load]:.6g} {unit}; the component's range is "
             f"{load_range.low[load]:g} to {load_range.high[load]:g} {unit}, and a table ends at "
             f"{limit[load]:g} (check the unit and the column)"
         )
         yield at, column.name, message
 
 
-def with_own_setup(
+def of_current_setup(
     pieces: Iterator[ParsedTable], options: Options, report: ReadReport
 ) -> Iterator[ParsedTable]:
     """Yield the rows that a table of the setup `options.fingerprint` may hold."""

@@ -32,7 +32,7 @@ from wrenchbook.service.formats.options import (
     ParsedTable,
     ReadReport,
     is_corrected,
-    with_own_setup,
+    of_current_setup,
     within_limits,
 )
 from wrenchbook.service.formats.rig import (
@@ -166,7 +166,7 @@ def table_parts(
         pieces = read_logs(file, Path(second), read_options, report)
     sample = FindingsSample()
     for piece in pieces:
-        if report.mistakes.whole:
+        if report.mistakes.of_file:
             break
         sample.add(piece)
         for at in range(min(preview, MAX_PREVIEW, good + len(piece)) - len(shown)):
@@ -176,7 +176,7 @@ def table_parts(
         good += len(piece)
         if len(piece):
             yield _part(piece)
-    findings = [] if report.mistakes.whole else sample.findings(read_options, report.findings)
+    findings = [] if report.mistakes.of_file else sample.findings(read_options, report.findings)
     yield Part({**report.as_json(good, shown), "findings": findings})
 
 
@@ -248,7 +248,7 @@ def _corrected(
     pieces = rigged(zeroed(pieces, options, report), options, report)
     if is_corrected(options):  # the readers check other rows, with the label of each column
         pieces = (within_limits(piece, options, report) for piece in pieces)
-    pieces = with_known_point(with_own_setup(pieces, options, report), options, report)
+    pieces = with_known_point(of_current_setup(pieces, options, report), options, report)
     yield from with_cycles(pieces, options, report)
 
 
@@ -318,9 +318,9 @@ def _format_of(path: Path) -> Format:
         return "hdf5"
     if head.startswith(b"PK\x03\x04"):
         return _format_of_zip(path)
-    for magic, what in _OTHER_FORMATS.items():
+    for magic, description in _OTHER_FORMATS.items():
         if head.startswith(magic):
-            raise ContentError(f"is {what}")
+            raise ContentError(f"is {description}")
     utf16 = head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     # A header in Latin letters has a zero in every second byte, or in three of four.
     start = head[: len(head) // 4 * 4]

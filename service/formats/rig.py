@@ -105,14 +105,14 @@ class Rig:
     def read(cls, text: str) -> Rig:
         """Return the rig of a TOML text; RigError if a key or a value is wrong.
 
-        Values of its table ``import`` take the place of its own.
+        Values of its table ``import`` replace those of the top level.
         """
         try:
             values = tomllib.loads(text)
         except (tomllib.TOMLDecodeError, RecursionError) as error:
             raise RigError(f"the rig is not TOML: {error}") from None
-        own = values.pop(_OWN, {})
-        values |= own if isinstance(own, dict) else {_OWN: own}
+        table = values.pop(_OWN, {})
+        values |= table if isinstance(table, dict) else {_OWN: table}
         known = *_KEYS, *OPTIONS
         if unknown := [key for key in values if key not in known]:
             raise RigError(f"the rig has no {unknown[0][:100]!r}; it may have {', '.join(known)}")
@@ -375,7 +375,7 @@ def joined_loads(pieces: Iterator[ParsedTable], report: ReadReport) -> tuple[Arr
     """Return times (n,), s, and wrenches of a log of loads; None if it has a mistake."""
     parts, mistakes = list(pieces), report.mistakes
     if mistakes:
-        mistakes.whole = True
+        mistakes.of_file = True
         return None
     time = np.concatenate([np.empty(0), *(part.time for part in parts if part.time is not None)])
     steps = np.diff(time)
@@ -392,7 +392,7 @@ def _applied_lag(
     pieces: Sequence[ParsedTable], time: Array, wrench: Array, options: Options, report: ReadReport
 ) -> float | None:
     """Return the seconds to add to the displacements' times; None after a mistake."""
-    if report.mistakes.whole:
+    if report.mistakes.of_file:
         return None
     auto = options.time_offset_s == "auto"
     applied = 0.0 if options.time_offset_s == "auto" else options.time_offset_s

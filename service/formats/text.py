@@ -154,7 +154,7 @@ def read_pieces(
     report.titles += header.titles
     for mistake in header.mistakes:
         mistakes.ruin(mistake.row, mistake.field, mistake.message)
-    if mistakes.whole:
+    if mistakes.of_file:
         return
     for piece in pieces:
         cell_format = cell_format or _stored_format(piece, header, options)
@@ -297,8 +297,8 @@ class _Conversion:
             for at in np.flatnonzero(unmeasured & self._good).tolist():
                 message = "no displacement is given; a row needs at least one"
                 self._refuse(at, labels[0] if labels else "displacement", message)
-        self._check_whole(compliance, names.compliance, "tangents")
-        self._check_whole(curvature, names.curvature, "third derivatives")
+        self._check_complete(compliance, names.compliance, "tangents")
+        self._check_complete(curvature, names.curvature, "third derivatives")
         source, note, fingerprint = (self._texts(name) for name in TEXTS)
         shape = len(self._row), len(names.displacement), len(names.wrench)
         piece = {
@@ -417,7 +417,7 @@ class _Conversion:
             self._refuse(at, column.label, message)
         return values / rate if column is sequence and rate else values
 
-    def _check_whole(self, block: Array, names: tuple[str, ...], kind: str) -> None:
+    def _check_complete(self, block: Array, names: tuple[str, ...], kind: str) -> None:
         if not any(block.strides):
             return
         missing = np.isnan(block)

@@ -69,9 +69,9 @@ def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
 
 
 def write_xlsx(
-    path: Path, pieces: Iterable[WritableRows], layout: Layout, about: Mapping[str, str]
+    path: Path, pieces: Iterable[WritableRows], layout: Layout, metadata: Mapping[str, str]
 ) -> None:
-    """Write pieces of a table to one sheet, and `about` to another; SheetFullError."""
+    """Write pieces of a table to one sheet, and `metadata` to another; SheetFullError."""
     from openpyxl import Workbook
 
     book = Workbook(write_only=True)
@@ -91,7 +91,7 @@ def write_xlsx(
         for cells in zip(*numbers, *texts, strict=True):
             sheet.append([_write_cell(sheet, *pair) for pair in zip(cells, kinds, strict=True)])
     notes = book.create_sheet(ABOUT_SHEET)
-    for name, meaning in about.items():
+    for name, meaning in metadata.items():
         notes.append([_write_cell(notes, name, "s"), _write_cell(notes, meaning, "s")])
     book.save(path)
 

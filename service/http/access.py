@@ -100,13 +100,13 @@ _PREFLIGHT: Final[Fields] = (
 class SecuritySettings:
     """Whether keys are needed; allowed hosts (all if None) and other sites; the server's own key.
 
-    A key is needed anyway once there is one. `own_key` permits all calls and is stored nowhere.
+    A key is needed anyway once there is one. `server_key` permits all calls and is stored nowhere.
     """
 
     keys_needed: bool = False
     hosts: frozenset[str] | None = None
     origins: frozenset[str] = field(default_factory=frozenset)
-    own_key: str | None = None
+    server_key: str | None = None
     proxy: ProxyTrust | None = None
 
 
@@ -238,8 +238,8 @@ class AccessControl:
         self.security = security
         self.keyring = keyring
         self._rates = rates or Rates()
-        digest = digest_of(security.own_key or "")
-        self._own = Key(LOCAL, "admin", digest, 0.0, _NO_LIMIT, int(_NO_LIMIT))
+        digest = digest_of(security.server_key or "")
+        self._server_key = Key(LOCAL, "admin", digest, 0.0, _NO_LIMIT, int(_NO_LIMIT))
         self._permissions: dict[str, Permission] = {}
         self._users: dict[tuple[str, Scope], Permission] = {}
         self._streams: weakref.WeakKeyDictionary[Listener, Permission] = weakref.WeakKeyDictionary()
@@ -406,18 +406,18 @@ class AccessControl:
             raise _no_key("This server needs a key, and the request has none.")
         permission = self._permissions.get(secret)
         if permission is None:
-            server_key = (self.security.own_key or "").encode()
-            is_own = bool(server_key) and compare_digest(secret.encode(), server_key)
-            key = self._own if is_own else self.keyring.find(secret)
+            server_key = (self.security.server_key or "").encode()
+            is_server_key = bool(server_key) and compare_digest(secret.encode(), server_key)
+            key = self._server_key if is_server_key else self.keyring.find(secret)
             if key is None:
                 raise _no_key("The request's key is none of this server's; revoked, or expired.")
-            stored = None if is_own else self.keyring
+            stored = None if is_server_key else self.keyring
             permission = self._permissions[secret] = Permission(key, self._rates, stored)
         return permission
 
     def refresh(self) -> None:
         """Once a key has changed, end its streams and drop cached permissions; for the loop."""
-        if self.keyring.look() == self._version:
+        if self.keyring.refresh() == self._version:
             return
         self._version = self.keyring.version
         self.heads.clear()
@@ -429,8 +429,8 @@ class AccessControl:
     def _holds(self, permission: Permission) -> bool:
         """Whether a request that was permitted would be so now."""
         key = permission.key
-        if key is None or key is self._own:
-            return key is self._own or not self.keys_needed
+        if key is None or key is self._server_key:
+            return key is self._server_key or not self.keys_needed
         return key.name.startswith(USER) or self.keyring.has(key)
 
 
@@ -481,14 +481,14 @@ def _check_kind(path: str, head: Mapping[bytes, bytes]) -> None:
         return
     if path.startswith(_UMBRIDGE) and b"origin" not in head:
         return
-    taken = (_JSON, _BYTES) if path.endswith(_BINARY) else (_JSON,)
-    if kind not in taken:
+    accepted = (_JSON, _BYTES) if path.endswith(_BINARY) else (_JSON,)
+    if kind not in accepted:
         raise HttpProblemError(
             415,
             "media-type",
             "Not a form this call takes",
             f"The content type is {kind.decode('latin-1')[:100] or 'missing'}. Send the header "
-            f"Content-Type: {b' or '.join(taken).decode()} (curl: --json, or -H).",
+            f"Content-Type: {b' or '.join(accepted).decode()} (curl: --json, or -H).",
         )
 
 

@@ -148,8 +148,8 @@ class Application(FastAPI):
                 target = scope["raw_path"].decode("latin-1").partition("?")[0]
                 target += "?" + query if query else ""
                 actor = CALLER.get().actor
-                told = host, actor, method, target, status, 1e3 * seconds
-                access_log.info('%s %s "%s %s" %d %.1f ms', *told, extra={"actor": actor})
+                record = host, actor, method, target, status, 1e3 * seconds
+                access_log.info('%s %s "%s %s" %d %.1f ms', *record, extra={"actor": actor})
 
 
 def _reads(scope: Scope) -> bool:
@@ -185,7 +185,7 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
             for wake, stamp in (
                 (workspace.polls.notify, None),
                 (events.wake, None),
-                (access.refresh, access.keyring.look),
+                (access.refresh, access.keyring.refresh),
             ):
                 listener = partial(loop.call_soon_threadsafe, wake)
                 workspace.watcher.on_change(listener, stamp)

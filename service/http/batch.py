@@ -57,7 +57,7 @@ _COLUMNS: Final = {"displacements", "errors", "coverage", "within_tolerance", "d
 _WRENCHES: Final = b'"wrenches"'
 LARGE: Final = 50_000  # wrenches: beyond it, an answer is tens of MB in several forms at once
 WAIT_S: Final = 60.0
-_places = asyncio.Semaphore(2)
+_slots = asyncio.Semaphore(2)
 
 BINARY_TYPE: Final = "application/octet-stream"
 _Bar = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -173,13 +173,13 @@ async def few_large(wrenches: int) -> AsyncIterator[None]:
         yield
         return
     try:
-        await asyncio.wait_for(_places.acquire(), WAIT_S)
+        await asyncio.wait_for(_slots.acquire(), WAIT_S)
     except TimeoutError:
         raise busy() from None
     try:
         yield
     finally:
-        _places.release()
+        _slots.release()
 
 
 class BinaryOptions(Body):
@@ -250,11 +250,11 @@ def write_batch(outcome: BatchOutcome) -> Response:
         component=outcome.component,
         jobs=[
             WrenchJob.of(
-                {"index": place, "id": None, "status": None, "url": None, "reason": placed.reason}
-                if placed.job is None
-                else {"index": place, **job_link(placed.job, outcome.began)}
+                {"index": place, "id": None, "status": None, "url": None, "reason": queued.reason}
+                if queued.job is None
+                else {"index": place, **job_link(queued.job, outcome.began)}
             )
-            for place, placed in outcome.jobs.items()
+            for place, queued in outcome.jobs.items()
         ],
         method=outcome.method,
         table_version=outcome.table.version,

@@ -103,7 +103,7 @@ class WrenchBody(Body):
     moment: Vector | None = None
 
     @model_validator(mode="after")
-    def _one_is_given(self) -> WrenchBody:
+    def _require_loads(self) -> WrenchBody:
         if self.is_empty():
             raise ValueError("give 'force', 'moment' or both, each a list of three numbers")
         return self
@@ -307,7 +307,7 @@ class BlockKey(Body):
 class BlockBody(BlockKey):
     """A block of wrenches that a loop has met, each force then moment."""
 
-    # Of any size: recorded is what a loop has met, and only a start looks at what can be solved.
+    # Of any size: a recording holds each wrench of a loop; only a start checks which can be solved.
     wrenches: Annotated[
         list[Annotated[list[Finite], Field(min_length=6, max_length=6)]],
         FailFast(),

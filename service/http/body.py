@@ -41,7 +41,7 @@ from wrenchbook.surrogate.table.space import DEFAULT, Space, SpaceError
 MAX_QUERY_BYTES: Final = 64 * 1024
 # A million wrenches, the most of a batch, at 17 digits a number and some blanks.
 MAX_BATCH_BYTES: Final = 256 * 1024 * 1024
-MAX_KEPT: Final = 4 << 30  # bytes of bodies in files at once
+MAX_SPOOLED: Final = 4 << 30  # bytes of bodies in files at once
 PIECE: Final = 1 << 20  # bytes in memory: parsed in a hundredth of a second; more go to a file
 
 
@@ -121,7 +121,7 @@ class JsonRoute(APIRoute):
 class Spooled:
     """A body that has arrived: `content` in memory, or a larger one in the file `path`."""
 
-    kept = 0  # bytes of all bodies that are in files now
+    stored = 0  # bytes of all bodies that are in files now
 
     def __init__(self, path: Path | None = None) -> None:
         self.content = b""
@@ -152,16 +152,16 @@ async def spooled(receive: Receive, most: int) -> AsyncIterator[Spooled]:
         async for piece in Request({"type": "http"}, counted(receive, most)).stream():
             buffer += piece
             if len(buffer) > PIECE or (body.path is not None and not piece):
-                Spooled.kept += len(buffer)
+                Spooled.stored += len(buffer)
                 size += len(buffer)
-                if Spooled.kept > MAX_KEPT:
+                if Spooled.stored > MAX_SPOOLED:
                     raise busy()
                 await run_in_threadpool(body.append, bytes(buffer))
                 buffer.clear()
         body.content = bytes(buffer)
         yield body
     finally:
-        Spooled.kept -= size
+        Spooled.stored -= size
         if body.path is not None:
             await run_in_threadpool(shutil.rmtree, body.path.parent, ignore_errors=True)
 

@@ -1,4 +1,4 @@
-"""What routes declare for the OpenAPI document, and the document itself at `/openapi.json`."""
+"""Declarations of routes for the OpenAPI document, and the document itself at `/openapi.json`."""
 
 from __future__ import annotations
 

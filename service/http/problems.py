@@ -158,8 +158,8 @@ def plain_errors(error: ValidationError | RequestValidationError) -> list[dict[s
         errors = error.errors(include_url=False, include_context=False, include_input=False)
     mistakes = []
     for mistake in islice(errors, MAX_ERRORS):
-        places = mistake["loc"][1:] if mistake["loc"][:1] == ("body",) else mistake["loc"]
-        loc = ".".join(map(str, places))[:MAX_TEXT] or "body"
+        path = mistake["loc"][1:] if mistake["loc"][:1] == ("body",) else mistake["loc"]
+        loc = ".".join(map(str, path))[:MAX_TEXT] or "body"
         mistakes.append({"loc": loc, "msg": mistake["msg"][:MAX_TEXT]})
     return mistakes
 

@@ -38,7 +38,7 @@ HEAD_S: Final = 10.0  # for a head, from its first byte or from the connection's
 BODY_S: Final = 30.0  # for a body, and the time that it takes at this rate:
 SLOWEST: Final = 16 * 1024  # bytes a second; a bad mobile connection has more
 READ_S: Final = 60.0  # in which the caller must read some of an answer that waits
-LOOK_S: Final = 5.0  # between two checks of a connection's timeouts
+POLL_S: Final = 5.0  # between two checks of a connection's timeouts
 LAST_S: Final = 0.25  # for a last request of an idle connection when the server stops
 REFUSALS_S: Final = 60.0  # between two lines of the log: input that is not HTTP needs no key
 _SIZES: Final = {b"content-length", b"transfer-encoding"}
@@ -105,16 +105,16 @@ class _Fields:
 
     def __init__(self) -> None:
         self.fields: list[tuple[bytes, bytes]] = []
-        self.is_whole = False
+        self.is_complete = False
 
     def on_header(self, name: bytes, value: bytes) -> None:
         self.fields.append((name.lower(), value))
 
     def on_headers_complete(self) -> None:
-        self.is_whole = True
+        self.is_complete = True
 
     def on_body(self, _: bytes) -> None:
-        self.is_whole = False  # the parser has seen the end of the head earlier
+        self.is_complete = False  # the parser has read the end of the head earlier
 
 
 class FastPath:
@@ -174,7 +174,7 @@ class FastPath:
         named = dict(head.fields)
         length, request_id = named.get(b"content-length", b""), id_of(head.fields)
         if (
-            not head.is_whole
+            not head.is_complete
             or not parser.should_keep_alive()
             or named.keys() & _UNUSUAL
             or [name for name, _ in head.fields].count(b"host") > 1
@@ -256,7 +256,7 @@ class FastPathProtocol(HttpToolsProtocol):
         if len(self.connections) > MAX_CONNECTIONS:
             transport.close()
             return
-        self._timer = self.loop.call_later(LOOK_S, self._check_timeouts)
+        self._timer = self.loop.call_later(POLL_S, self._check_timeouts)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """End a connection."""
@@ -343,9 +343,9 @@ class FastPathProtocol(HttpToolsProtocol):
 
     def timeout_keep_alive_handler(self) -> None:
         """Close a connection that has been idle since the last answer."""
-        left = self._answered_at + self.timeout_keep_alive - self.loop.time()
-        if left > 0:
-            self._close_after(left)
+        remaining = self._answered_at + self.timeout_keep_alive - self.loop.time()
+        if remaining > 0:
+            self._close_after(remaining)
         else:
             self._close_if_idle()
 
@@ -458,14 +458,14 @@ class FastPathProtocol(HttpToolsProtocol):
             log.debug("closed a connection: %s", late)
             self.transport.abort()
         else:
-            self._timer = self.loop.call_later(LOOK_S, self._check_timeouts)
+            self._timer = self.loop.call_later(POLL_S, self._check_timeouts)
 
     def _late(self, now: float) -> str:
-        """Return what is overdue on the connection; an empty text if nothing is."""
+        """Return the timeout that the connection exceeds; an empty text if none."""
         if self.flow.write_paused:
-            left = self.transport.get_write_buffer_size()
-            if left != self._unread:
-                self._unread, self._unread_since = left, now
+            unsent = self.transport.get_write_buffer_size()
+            if unsent != self._unread:
+                self._unread, self._unread_since = unsent, now
             return "an answer that is not read" if now - self._unread_since > READ_S else ""
         self._unread = 0
         self._since = now if self.flow.read_paused else self._since  # the caller waits for answers

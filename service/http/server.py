@@ -26,7 +26,7 @@ FINISH_S = 5  # for requests to end after SIGTERM
 # For requests to end once another process answers new ones. An import may wait a minute for its
 # turn and a minute for the sandbox, is parsed for a minute, and its body may come slowly.
 RETIRE_S = 600
-# Objects made before the young, the middle and the old are looked through. A look at the old takes
+# Objects made before the young, the middle and the old are collected. A collection of the old takes
 # as long as thousands of answers, which all wait for it: by Python's own (700, 10, 10) each build
 # of a large table brings about several.
 GARBAGE_AFTER = (10_000, 20, 50)

@@ -21,7 +21,7 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final, Literal
 
-from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.files.durable import write_atomically
 from wrenchbook.service.files.redact import redact
 
 if TYPE_CHECKING:  # solvers need no ledger
@@ -93,13 +93,13 @@ class Attempt:
     # factor of two); None if no check has been stored.
     memory: int | None = None
     cores: int = 1  # of a solver; its libraries use as many threads
-    # Of the dispatcher that looks after it
-    taken: bool = field(default=False, compare=False)  # by an engine
+    # Of the dispatcher that owns it
+    accepted: bool = field(default=False, compare=False)  # by an engine
     witnessed: bool = field(default=True, compare=False)  # its solver has lived in its time
     adopted: bool = field(default=False, compare=False)  # another dispatcher started it
     leaving: bool = field(default=False, compare=False)  # its answer is not needed any more
-    began: bool = field(default=False, compare=False)  # a solver was seen at it
-    died: float | None = field(default=None, compare=False)  # first seen dead, monotonic s
+    began: bool = field(default=False, compare=False)  # a solver has reported its begin
+    died: float | None = field(default=None, compare=False)  # first detected as dead, monotonic s
 
     @classmethod
     def of(cls, job: JobRecord, folder: Path) -> Attempt:
@@ -141,7 +141,7 @@ def prepare(attempt: Attempt) -> None:
     if folder.exists():
         folder.rename(folder.with_name(f"{folder.name}.old-{time.time_ns()}"))
     folder.mkdir(parents=True)
-    write_whole(folder / SPEC, {name: getattr(attempt, name) for name in _SOLVE})
+    write_json(folder / SPEC, {name: getattr(attempt, name) for name in _SOLVE})
 
 
 def read_attempt(folder: Path) -> Attempt:
@@ -183,7 +183,7 @@ def solver_seconds(folder: Path) -> float | None:
     return max(0.0, end - lock.st_mtime) if lock.st_size else None
 
 
-def last_words(folder: Path) -> str:
+def last_output(folder: Path) -> str:
     """Return the last line of what the attempt's solver printed; empty if it printed nothing."""
     try:
         lines = (folder / LOG).read_text(errors="replace").strip().splitlines()
@@ -200,7 +200,7 @@ def write_outcome(attempt: Attempt, outcome: Outcome, *, durable: bool = True) -
     known = {name: value for name in _OUTCOME if (value := getattr(outcome, name)) is not None}
     content = outcome.further | known | {"asked": attempt.question}
     signed = {**content, "digest": _digest(content)}
-    write_whole(attempt.folder / OUTCOME, signed, durable=durable)
+    write_json(attempt.folder / OUTCOME, signed, durable=durable)
 
 
 def read_outcome(attempt: Attempt) -> Outcome | None:
@@ -247,16 +247,16 @@ def tidy(folder: Path) -> None:
             entry.unlink(missing_ok=True)
 
 
-def write_whole(path: Path, content: Mapping[str, Any], *, durable: bool = False) -> None:
+def write_json(path: Path, content: Mapping[str, Any], *, durable: bool = False) -> None:
     """Write JSON such that readers see all of it or the file before; never NaN.
 
     With `durable` it also survives a power cut.
     """
-    write_whole_bytes(path, json.dumps(content, allow_nan=False).encode(), durable=durable)
+    write_atomically(path, json.dumps(content, allow_nan=False).encode(), durable=durable)
 
 
 def _digest(content: Mapping[str, Any]) -> str:
-    """Return a digest that survives writing as JSON and reading again: floats come back whole."""
+    """Return a digest that survives writing as JSON and reading again: floats come back exactly."""
     text = json.dumps(content, allow_nan=False, sort_keys=True)
     return blake2b(text.encode(), digest_size=16).hexdigest()
 
@@ -281,7 +281,7 @@ def zipped(folder: Path) -> IO[bytes]:
                 continue
             name = path.relative_to(folder).as_posix()
             try:
-                # Opened first and looked at then: between the two it could become a link.
+                # Opened first and checked then: between the two it could become a link.
                 descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
             except OSError:
                 missing.append(name)

@@ -29,7 +29,7 @@ import distributed
 from distributed import Client, Future, KilledWorker, Worker
 from distributed.client import ClosedClientError
 
-from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.files.durable import write_atomically
 from wrenchbook.service.files.program import solver_version
 from wrenchbook.service.jobs import attempt as attempts
 from wrenchbook.service.jobs.attempt import ALIVE, LOCK, LOG, OUTCOME, PROGRESS, SPEC, Attempt
@@ -51,11 +51,11 @@ AWAY_SECONDS = (0.2, 5.0)  # before the first reconnection, and at most
 ROSTER_SECONDS = 1.0  # between requests for the list of workers
 ROSTER_SECONDS_A_WORKER = 0.002  # a reply holds some kB of each
 ANSWER_SECONDS = 10.0  # a scheduler that takes longer does not answer
-# For a look at a worker, then it is repeated: the call to a worker that has only just registered
+# For a probe of a worker, then it is repeated: the call to a worker that has only just registered
 # may be lost, and what a slow one has imported stays imported.
-LOOK_SECONDS = 3.0
-LOOK_AGAIN_SECONDS = 20.0  # between looks at a worker that is not fit
-WAIT_SECONDS = 0.1  # between looks of an attempt for a worker that can have it
+PROBE_SECONDS = 3.0
+PROBE_AGAIN_SECONDS = 20.0  # between probes of a worker that is not fit
+WAIT_SECONDS = 0.1  # between searches of an attempt for a worker that fits it
 # An attempt that killed so many workers is treated as the cause and fails: KILLED_TIMES times the
 # `distributed.scheduler.allowed-failures` + 1 (4) after which Dask gives a task up.
 KILLED_TIMES = 5
@@ -74,7 +74,7 @@ MAX_NAMES = 20  # in the log, of files that are too large to be sent
 FREE_BYTES = 64 * 1024 * 1024  # a disk with less has no room for a solver's files
 BUNDLES = 50  # components that a worker keeps on its disk
 BUNDLE_SECONDS = 3600.0  # a solver has read its bundle long before
-POLL_SECONDS = 0.1  # between a worker's looks at a running solver
+POLL_SECONDS = 0.1  # between a worker's polls of a running solver
 REPORT_SECONDS = 1.0  # between two progress events of an attempt
 REPEAT_SECONDS = 30.0  # before the same progress is sent again
 # A kill of a solver and then its worker, or of a machine, is not the job's fault: the death of a
@@ -96,15 +96,15 @@ class BadPayloadError(Exception):
 
 @dataclass
 class _Worker:
-    """A worker: what it has (declared, else its memory limit and threads) and what `look` found."""
+    """A worker: its resources (declared, else its own) and the result of `probe`."""
 
     address: str
     threads: int
     resources: dict[str, float]
     memory: float
     cores: float
-    unfit: str | None = "it has not been looked at yet"  # why it gets no tasks
-    looked: float = -float("inf")
+    unfit: str | None = "it has not been probed yet"  # why it gets no tasks
+    probed: float = -float("inf")
 
     @classmethod
     def of(cls, address: str, entry: dict[str, Any]) -> _Worker:
@@ -156,7 +156,7 @@ class DaskEngine(attempts.Listeners):
 
     @property
     def trouble(self) -> str | None:
-        """What keeps attempts from being solved: no scheduler, no worker fit or large enough."""
+        """The obstacle to solving attempts: no scheduler, no worker fit or large enough."""
         waits = (task.waits for task in tuple(self._tasks.values()))
         return self._unreachable or next((why for why in waits if why), None)
 
@@ -298,18 +298,18 @@ class DaskEngine(attempts.Listeners):
                 for address, entry in roster["workers"].items()
             }
             now, unfit = time.monotonic(), [each for each in self._workers.values() if each.unfit]
-            due = [worker for worker in unfit if now > worker.looked + LOOK_AGAIN_SECONDS]
+            due = [worker for worker in unfit if now > worker.probed + PROBE_AGAIN_SECONDS]
             for worker in due:
-                worker.looked = now
+                worker.probed = now
             if due:
-                self._go(self._look_at(client, due))
+                self._go(self._probe(client, due))
             await asyncio.sleep(max(ROSTER_SECONDS, ROSTER_SECONDS_A_WORKER * len(self._workers)))
 
-    async def _look_at(self, client: Client, workers: list[_Worker]) -> None:
+    async def _probe(self, client: Client, workers: list[_Worker]) -> None:
         addresses = [worker.address for worker in workers]
         try:
-            looks = client.run(look, workers=addresses, on_error="return")
-            answers: dict[str, Any] = await asyncio.wait_for(looks, LOOK_SECONDS)
+            probes = client.run(probe, workers=addresses, on_error="return")
+            answers: dict[str, Any] = await asyncio.wait_for(probes, PROBE_SECONDS)
         except OSError as error:
             answers = dict.fromkeys(addresses, error)
         for worker in workers:
@@ -326,11 +326,11 @@ class DaskEngine(attempts.Listeners):
                 why = f"it does not answer as it should ({answer!r})"
             self._suspend(worker, why)
             if isinstance(answer, OSError):
-                worker.looked = -float("inf")
+                worker.probed = -float("inf")
 
     def _suspend(self, worker: _Worker, why: str | None) -> None:
-        """Send a worker no tasks until the next look at it, if there is a reason."""
-        worker.unfit, worker.looked = why and f"{worker.address}: {why}", time.monotonic()
+        """Send a worker no tasks until the next probe of it, if there is a reason."""
+        worker.unfit, worker.probed = why and f"{worker.address}: {why}", time.monotonic()
         if why:
             _log.warning("a Dask worker gets nothing to solve: %s", worker.unfit)
 
@@ -363,7 +363,7 @@ class DaskEngine(attempts.Listeners):
             with contextlib.suppress(OSError):
                 _mark_begun(task, report["seconds"])
                 if report["progress"]:
-                    attempts.write_whole(task.attempt.folder / PROGRESS, report["progress"])
+                    attempts.write_json(task.attempt.folder / PROGRESS, report["progress"])
             self._set(task, "running")
 
     def _set(self, task: _Task, state: attempts.State) -> None:
@@ -492,7 +492,7 @@ class DaskEngine(attempts.Listeners):
                 task.waits = waits
                 with contextlib.suppress(OSError):
                     progress = {"fraction": 0.0, "message": f"waits: {waits}"}
-                    attempts.write_whole(task.attempt.folder / PROGRESS, progress)
+                    attempts.write_json(task.attempt.folder / PROGRESS, progress)
             await asyncio.sleep(WAIT_SECONDS)
         task.waits = None
         needs = [(CORES, cores), (MEMORY, memory)]
@@ -533,14 +533,14 @@ def _store(task: _Task, payload: dict[str, Any]) -> None:
     write_files(payload["files"], folder)
     _mark_begun(task, payload["seconds"])
     if payload["outcome"] is not None:
-        write_whole_bytes(folder / OUTCOME, payload["outcome"])
+        write_atomically(folder / OUTCOME, payload["outcome"])
 
 
 def _mark_begun(task: _Task, seconds: float) -> None:
     """Write the lock as a solver does that began some seconds ago."""
     lock, now = task.attempt.folder / LOCK, time.time()
     if not lock.exists():
-        write_whole_bytes(lock, f"{task.worker}\n".encode(), durable=False)
+        write_atomically(lock, f"{task.worker}\n".encode(), durable=False)
         os.utime(lock, (now, now - seconds))
 
 
@@ -663,7 +663,7 @@ def solvers(worker: Worker) -> LocalEngine:
         return _solvers[0]
 
 
-def look(dask_worker: Worker) -> dict[str, Any]:
+def probe(dask_worker: Worker) -> dict[str, Any]:
     """Return version and trouble of this worker."""
     solvers(dask_worker)
     trouble = _no_room(dask_worker.local_directory)

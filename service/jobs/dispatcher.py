@@ -40,14 +40,14 @@ from wrenchbook.service.jobs.attempt import (
     Attempt,
     BadOutcomeError,
     attempt_folder,
-    last_words,
+    last_output,
     prepare,
     read_outcome,
     solver_began,
     solver_seconds,
     tidy,
 )
-from wrenchbook.service.ledger import Beat, JobRecord, Ledger, StaleAttemptError
+from wrenchbook.service.ledger import Heartbeat, JobRecord, Ledger, StaleAttemptError
 from wrenchbook.service.library.component import estimate_of
 from wrenchbook.service.tables.solver_errors import SolverErrors
 
@@ -59,10 +59,10 @@ if TYPE_CHECKING:  # only a server with a cluster has Dask, and waits for its im
 
 _log = logging.getLogger(__name__)
 
-# Between looks for what has no event: commits of other processes, the end of solvers that another
-# dispatcher started, and the grace of those that are to end.
-LOOK_SECONDS = 0.02
-RECOVER_SECONDS = 1.0  # between looks at all attempts, and for jobs whose dispatcher has died
+# Between polls for changes without an event: commits of other processes, the end of solvers that
+# another dispatcher started, and the grace of those that are to end.
+POLL_SECONDS = 0.02
+RECOVER_SECONDS = 1.0  # between checks of all attempts, and for jobs whose dispatcher has died
 TROUBLE_SECONDS = 1.0  # before trying again what failed: a full disk, no more processes
 # A death counts once its dispatcher has outlived it so long: what takes the solver and then the
 # server, one kill of both or a machine going down, is nothing the job has done.
@@ -74,8 +74,8 @@ ORPHANS = 200  # cancelled jobs examined at start-up for solvers that still run
 # A dispatcher never takes over attempts of another engine: it cannot see whether they live. But
 # if no dispatcher of that engine comes back within a minute, the job waits again, for any engine.
 ABANDONED_SECONDS = 60.0
-BEAT_SECONDS = 2.0  # between the heartbeats of a dispatcher that has attempts to look after
-# Four beats missed. With a look a second, a lease that is lost is found within ten seconds.
+HEARTBEAT_SECONDS = 2.0  # between the heartbeats of a dispatcher that has attempts
+# Four heartbeats missed. With a check a second, a lost lease is detected within ten seconds.
 LEASE_SECONDS = 8.0
 
 # Times the estimated seconds: a load may take 4 times the iterations of a usual one, the estimate
@@ -97,31 +97,31 @@ class Lease:
         self.name = f"{os.getpid()}-{secrets.token_hex(4)}"
         self._folder = folder
         self._lock = flock.take(self._file(self.name))
-        self._seen: dict[str, tuple[int, float]] = {}
+        self._known: dict[str, tuple[int, float]] = {}
 
-    def is_lost(self, owner: str, engine: str, beat: Beat | None) -> bool:
-        """Return whether an owner of attempts has died, or does not look after them any more.
+    def is_lost(self, owner: str, engine: str, heartbeat: Heartbeat | None) -> bool:
+        """Return whether an owner of attempts has died, or has abandoned them.
 
         A file that is not locked proves it at once; all dispatchers of `local` have theirs here.
-        Otherwise the heartbeat does, by whether it has changed while this dispatcher looked on: no
+        Otherwise the heartbeat does, by whether it has changed while this dispatcher ran: no
         clock of another one is trusted. An owner without a heartbeat has ended its lease.
         """
         file = self._file(owner)
         there = file.exists()
         if there and not flock.is_locked(file):
             return True
-        if not there and (engine == "local" or beat is None):
+        if not there and (engine == "local" or heartbeat is None):
             return True
-        now, number = time.monotonic(), -1 if beat is None else beat.beat
-        seen = self._seen.get(owner)
-        if seen is None or seen[0] != number:
-            self._seen[owner] = number, now
+        now, number = time.monotonic(), -1 if heartbeat is None else heartbeat.number
+        known = self._known.get(owner)
+        if known is None or known[0] != number:
+            self._known[owner] = number, now
             return False
-        return now - seen[1] > LEASE_SECONDS
+        return now - known[1] > LEASE_SECONDS
 
     def remove(self, owner: str) -> None:
         """Remove the lock file of a dispatcher that is dead; one that is merely late keeps it."""
-        self._seen.pop(owner, None)
+        self._known.pop(owner, None)
         if not flock.is_locked(self._file(owner)):
             self._file(owner).unlink(missing_ok=True)
 
@@ -184,7 +184,7 @@ class Dispatcher:
 
     @property
     def trouble(self) -> str | None:
-        """What keeps jobs from running at present, such as a full disk; None if nothing does."""
+        """The obstacle to running jobs at present, such as a full disk; None without one."""
         return self._failing or self._unstarted or self._engine.trouble
 
     # -- from other threads -----------------------------------------------------------------
@@ -194,8 +194,8 @@ class Dispatcher:
         if self._thread is not None:
             raise RuntimeError("the dispatcher runs already")
         self._stopping.clear()
-        self._seen, self._may_claim, self._changed = None, True, True
-        self._next_look = self._next_sweep = self._next_beat = 0.0
+        self._version, self._may_claim, self._changed = None, True, True
+        self._next_poll = self._next_sweep = self._next_heartbeat = 0.0
         self._orphans_stopped = False
         self._ends = self._ledger.on_change(self._on_change), self._engine.listen(self._on_end)
         self._thread = threading.Thread(target=self._loop, name="dispatcher", daemon=True)
@@ -221,7 +221,7 @@ class Dispatcher:
             for attempt in attempts:
                 while self._engine.poll(attempt) in ALIVE and time.monotonic() < deadline:
                     self._wake.clear()
-                    self._wake.wait(LOOK_SECONDS)
+                    self._wake.wait(POLL_SECONDS)
                 if not attempt.leaving and self._engine.poll(attempt) not in ALIVE:
                     with contextlib.suppress(StaleAttemptError):
                         record(self._ledger, attempt, None, self._fields, self._errors)
@@ -263,28 +263,28 @@ class Dispatcher:
                 self._may_claim, self._next_sweep = True, 0.0
                 self._stopping.wait(TROUBLE_SECONDS)
             else:
-                self._wake.wait(LOOK_SECONDS)
+                self._wake.wait(POLL_SECONDS)
 
     def _step(self, lease: Lease) -> None:
         now = time.monotonic()
         if now >= self._next_sweep:
             self._sweep(lease)
             self._next_sweep = now + RECOVER_SECONDS
-        if self._changed or now >= self._next_look:
+        if self._changed or now >= self._next_poll:
             self._changed = False
             version = self._ledger.version()
-            if version != self._seen:
-                self._seen, self._may_claim = version, True
+            if version != self._version:
+                self._version, self._may_claim = version, True
                 self._leave_unwanted(lease)
-            self._next_look = now + LOOK_SECONDS
+            self._next_poll = now + POLL_SECONDS
         while self._reported:
             attempt = self._attempts.get(self._reported.popleft())
             if attempt is not None:
-                self._look(attempt)
+                self._poll(attempt)
         for attempt in list(self._pressing.values()):
-            self._look(attempt)
+            self._poll(attempt)
         if self._begun:
-            self._beat(lease)
+            self._send_heartbeat(lease)
         while self._may_claim:
             busy = [each for each in self._attempts.values() if each.died is None]
             if (free := self._engine.slots - len(busy)) <= 0:
@@ -306,15 +306,15 @@ class Dispatcher:
             self._orphans_stopped = True
         self._adopt_lost(lease)
         for attempt in list(self._attempts.values()):
-            self._look(attempt)
-        if self._attempts and time.monotonic() >= self._next_beat:
-            self._beat(lease)
+            self._poll(attempt)
+        if self._attempts and time.monotonic() >= self._next_heartbeat:
+            self._send_heartbeat(lease)
         self._may_claim = True  # a job that had to wait may be due
 
-    def _beat(self, lease: Lease) -> None:
-        self._ledger.beat(lease.name, self._engine.name, self._begun)
+    def _send_heartbeat(self, lease: Lease) -> None:
+        self._ledger.send_heartbeat(lease.name, self._engine.name, self._begun)
         self._begun.clear()
-        self._next_beat = time.monotonic() + BEAT_SECONDS
+        self._next_heartbeat = time.monotonic() + HEARTBEAT_SECONDS
 
     def _leave_unwanted(self, lease: Lease) -> None:
         mine = self._ledger.attempts_of(lease.name) if self._attempts else {}
@@ -323,7 +323,7 @@ class Dispatcher:
                 continue
             job = self._ledger.job(attempt.job)
             if job.status == "running" and job.attempt == attempt.attempt:
-                _log.warning("job %d is looked after by %s: this one was late", job.id, job.owner)
+                _log.warning("job %d belongs to %s: this one was late", job.id, job.owner)
                 self._drop(attempt)
             else:
                 attempt.leaving = True
@@ -336,11 +336,11 @@ class Dispatcher:
         What is not adopted because the ledger cannot be written now is found again.
         """
         others = [job for job in self._ledger.running() if job.owner != lease.name]
-        beats = self._ledger.leases() if others else {}
+        leases = self._ledger.leases() if others else {}
         lost = {
             job.owner
             for job in others
-            if job.owner and lease.is_lost(job.owner, job.engine or "local", beats.get(job.owner))
+            if job.owner and lease.is_lost(job.owner, job.engine or "local", leases.get(job.owner))
         }
         foreign: list[JobRecord] = []
         for job in others:
@@ -351,10 +351,10 @@ class Dispatcher:
             elif adopted := self._ledger.adopt(job.id, job.attempt, job.owner, lease.name):
                 _log.info("job %d attempt %d taken over from %s", job.id, job.attempt, job.owner)
                 attempt = self._attempt_of(adopted)
-                with contextlib.suppress(Exception):  # without it the attempt may still be found
+                with contextlib.suppress(Exception):  # without it the attempt may still be adopted
                     self._complete(attempt, self._bundles(job.component))
                 self._engine.attach(attempt)
-                attempt.taken = attempt.adopted = True
+                attempt.accepted = attempt.adopted = True
                 attempt.witnessed = self._engine.poll(attempt) in ALIVE
                 self._add(attempt)
         now = time.monotonic()
@@ -399,7 +399,7 @@ class Dispatcher:
         self._begun.pop(attempt.key, None)
         self._may_claim = True
 
-    def _look(self, attempt: Attempt) -> None:
+    def _poll(self, attempt: Attempt) -> None:
         state = self._engine.poll(attempt)
         if state == "running" and not attempt.began:
             seconds = solver_seconds(attempt.folder) or 0.0
@@ -419,11 +419,11 @@ class Dispatcher:
                 return
             died = self._ledger.release
             if counts:
-                died = functools.partial(self._ledger.lose, cause=last_words(attempt.folder))
-            elif attempt.witnessed and attempt.taken:
+                died = functools.partial(self._ledger.lose, cause=last_output(attempt.folder))
+            elif attempt.witnessed and attempt.accepted:
                 died = functools.partial(self._ledger.release, delay=START_AGAIN_SECONDS)
                 if state == "lost":
-                    cause = last_words(attempt.folder) or "it printed nothing"
+                    cause = last_output(attempt.folder) or "it printed nothing"
                     log = attempt.folder / LOG
                     self._unstarted = f"solvers end before they begin: {cause}. See {log}"
                     _log.error("job %d: %s", attempt.job, self._unstarted)
@@ -434,7 +434,7 @@ class Dispatcher:
     def _claim(self, lease: Lease, limit: int) -> None:
         jobs = self._ledger.claim_many(lease.name, self._engine.name, limit)
         self._may_claim = len(jobs) == limit
-        # Known from here on: whatever fails below, the next look finds attempts without a
+        # Known from here on: whatever fails below, the next poll finds attempts without a
         # solver and gives them back.
         attempts = [self._attempt_of(job) for job in jobs]
         for attempt in attempts:
@@ -463,7 +463,7 @@ class Dispatcher:
             attempt.estimate = self._errors is not None and self._errors.claim(*setup)
             prepare(attempt)
             self._engine.submit(attempt)
-            attempt.taken = True
+            attempt.accepted = True
 
 
 def record(

@@ -43,8 +43,8 @@ from wrenchbook.service.jobs.attempt import (
     Outcome,
     Progress,
     read_attempt,
+    write_json,
     write_outcome,
-    write_whole,
 )
 
 SOLVE_VARIABLE = "WRENCHBOOK_SOLVE"
@@ -95,7 +95,7 @@ class ComponentSolver:
     that nothing a broken-off solve has touched is used again.
 
     `ready` is the `fea.solve.Solver` that is kept, or None, `estimated` the bytes a solve of it
-    takes by the check's estimate, 0 without a component. `spoiled` tells whether memory ran out:
+    takes by the check's estimate, 0 without a component. `spoiled`: whether memory ran out:
     its state is then undefined.
     """
 
@@ -298,7 +298,7 @@ class _Reporter:
         self._next = now + 0.2
         fraction = min(max(float(fraction), 0.0), 1.0) if math.isfinite(fraction) else 0.0
         try:
-            write_whole(self._path, asdict(Progress(fraction, str(message))))
+            write_json(self._path, asdict(Progress(fraction, str(message))))
         except OSError as error:
             print(f"progress not written: {error}", file=sys.stderr)
 
@@ -376,7 +376,7 @@ def _block_sigterm() -> None:
         raise Cancelled
 
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # discards what is pending
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # discards a pending signal
     signal.signal(signal.SIGTERM, cancel)
 
 
@@ -398,7 +398,7 @@ def serve(line: socket.socket, lives: int) -> None:
     """Solve what comes over the line until there is nothing, or it is time to be renewed."""
     line.settimeout(IDLE_SECONDS)
     solver = ComponentSolver()
-    component, usual = object(), 0  # what is kept, and the memory after its first attempt
+    component, usual = object(), 0  # the cached component, and the memory after its first attempt
     stays = True
     while stays:
         try:

@@ -150,7 +150,7 @@ class LocalEngine(Listeners):
             os.close(lock)
 
     def attach(self, attempt: Attempt) -> None:
-        """Do nothing: lock and files hold the whole state."""
+        """Do nothing: lock and files hold the complete state."""
 
     def poll(self, attempt: Attempt) -> State:
         """Return the attempt's state; see `service.jobs.dispatcher`."""
@@ -160,7 +160,7 @@ class LocalEngine(Listeners):
         if flock.is_locked(folder / LOCK):
             self._end_if_due(attempt)
             return "running" if solver_began(folder) else "submitted"
-        # The solver may have ended well between the two looks.
+        # The solver may have ended well between the two polls.
         if (folder / OUTCOME).exists():
             return "finished"
         if folder in self._overdue:

@@ -40,20 +40,20 @@ def why_waiting(ledger: Ledger, job: JobRecord, slots: int, trouble: str | None)
     jobs from running.
     """
     now = time.time()
-    ahead, taken = ledger.ahead(job.id, job.priority, now), ledger.running()
-    queued = sum(run.is_queued for run in taken)
+    ahead, attempts = ledger.ahead(job.id, job.priority, now), ledger.running()
+    queued = sum(run.is_queued for run in attempts)
     before = sum(part.waiting for part in ahead) + queued
-    running = len(taken) - queued
+    running = len(attempts) - queued
     pause = max(0.0, (job.not_before or 0.0) - now)
     means = {part.component: part.seconds for part in ahead}
-    for name in {run.component for run in taken} - means.keys():
+    for name in {run.component for run in attempts} - means.keys():
         means[name] = ledger.solve_seconds(name)
     # Remaining time of those that run: 0 for one that takes longer than the mean.
     remaining = [
         max(0.0, mean - max(0.0, now - (now if run.is_queued else run.began or run.started or now)))
         if (mean := means[run.component]) is not None
         else None
-        for run in taken
+        for run in attempts
     ]
     work = [part.waiting * part.seconds if part.seconds is not None else None for part in ahead]
     known = [time for time in (*remaining, *work) if time is not None]
@@ -104,7 +104,7 @@ class Polls:
         self._ledger = ledger
         self._waiters: set[_Waiter] = set()
         self._changed = asyncio.Event()
-        self._looking: asyncio.Task[None] | None = None
+        self._polling: asyncio.Task[None] | None = None
         self._stopping = False
 
     async def wait_all(self, job_ids: Sequence[int], seconds: float) -> list[JobRecord]:
@@ -124,8 +124,8 @@ class Polls:
                     f"{MAX_WAITERS} callers wait for jobs already. Ask again in some seconds, or "
                     "follow all jobs at once with GET /v1/events"
                 )
-            if self._looking is None or self._looking.done():
-                self._looking = asyncio.create_task(self._look())
+            if self._polling is None or self._polling.done():
+                self._polling = asyncio.create_task(self._poll())
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(waiter.ended.wait(), seconds)
         finally:
@@ -133,7 +133,7 @@ class Polls:
         return await run_in_threadpool(self._read, job_ids)
 
     def notify(self) -> None:
-        """Look for ended jobs: something was committed. For the loop."""
+        """Poll for ended jobs: something was committed. For the loop."""
         self._changed.set()
 
     def stop(self) -> None:
@@ -145,8 +145,8 @@ class Polls:
     def _read(self, job_ids: Sequence[int]) -> list[JobRecord]:
         return [self._ledger.job(number) for number in job_ids]
 
-    async def _look(self) -> None:
-        """Look for jobs that have ended after each commit, for as long as a caller waits."""
+    async def _poll(self) -> None:
+        """Poll for jobs that have ended after each commit, for as long as a caller waits."""
         while self._waiters:
             self._changed.clear()
             open_jobs = list(set[int]().union(*(waiter.open_jobs for waiter in self._waiters)))

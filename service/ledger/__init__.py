@@ -1,16 +1,16 @@
 """The durable record of jobs and rows; see `Ledger`."""
 
 from wrenchbook.service.ledger.audit import AuditEntry, noted
-from wrenchbook.service.ledger.imports import About, ImportRecord
+from wrenchbook.service.ledger.imports import ImportOrigin, ImportRecord
 from wrenchbook.service.ledger.ledger import Ledger
 from wrenchbook.service.ledger.packing import packed, row_keys, unpacked
 from wrenchbook.service.ledger.records import (
     FINAL,
     STATUSES,
     AppendError,
-    Beat,
     BlockKeyError,
     DamagedRowError,
+    Heartbeat,
     ImportRunningError,
     InvalidTransitionError,
     JobRecord,
@@ -40,12 +40,12 @@ from wrenchbook.service.ledger.records import (
 __all__ = [
     "FINAL",
     "STATUSES",
-    "About",
     "AppendError",
     "AuditEntry",
-    "Beat",
     "BlockKeyError",
     "DamagedRowError",
+    "Heartbeat",
+    "ImportOrigin",
     "ImportRecord",
     "ImportRunningError",
     "InvalidTransitionError",

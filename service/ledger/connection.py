@@ -112,7 +112,7 @@ def connect(path: Path, *, frozen: bool = False) -> Connection:
 
 
 def _key_hash(key: object) -> int:
-    """Return what `row_keys` has of a row's key; of a damaged one zero."""
+    """Return the hash of a row's key in `row_keys`; 0 for a damaged key."""
     if not isinstance(key, bytes) or len(key) != KEY_BYTES:
         return 0
     return int(key_hashes(key)[0])
@@ -140,7 +140,7 @@ def begin(connection: Connection) -> None:
 
 
 def open_file(path: Path) -> Connection:
-    """Open a ledger that is whole, or a new one, and upgrade its schema.
+    """Open an intact ledger, or a new one, and upgrade its schema.
 
     Raises LedgerFileError if it is foreign, damaged or of a newer schema, or cannot be written.
     """
@@ -166,7 +166,7 @@ def open_file(path: Path) -> Connection:
         connection = connect(path)
         try:
             _check_schema(connection, path)
-            check_whole(connection, path)
+            check_integrity(connection, path)
             _use_wal(connection)
             _upgrade(connection)
             _take_over(connection, path.parent)
@@ -209,7 +209,7 @@ def _check_schema(connection: Connection, path: Path) -> int:
     return version
 
 
-def check_whole(connection: Connection, path: Path) -> None:
+def check_integrity(connection: Connection, path: Path) -> None:
     """Refuse a damaged file: what is written into one may be gone at the next start.
 
     Of 300 ledgers with one to six random bytes changed, ``quick_check`` let 11 pass that lost what
@@ -278,7 +278,7 @@ def _entries(connection: Connection) -> Iterator[tuple[np.ndarray, np.ndarray]]:
 
 
 def _write_keys(connection: Connection) -> None:
-    """Write the keys of damaged records, where the seal tells them, and `row_keys` anew."""
+    """Write the keys of damaged records, where the seal confirms them, and `row_keys` anew."""
     records = map(Record._make, connection.execute(f"SELECT {', '.join(Record._fields)} FROM rows"))
     pairs = ((record, record.rekeyed()) for record in records)
     damaged = [(sound.key, sound.seq) for record, sound in pairs if sound is not record]

@@ -47,7 +47,7 @@ _PARTS = "FROM import_parts JOIN imports ON imports.id = import WHERE"
 
 
 @dataclass(frozen=True)
-class About:
+class ImportOrigin:
     """The origin of an import's rows, as its sender states it."""
 
     who: str = ""  # the key, or the user
@@ -76,7 +76,7 @@ class ImportRecord:
 
 
 def import_rows(
-    ledger: Ledger, component: str, blocks: Iterable[NotedRows], about: About
+    ledger: Ledger, component: str, blocks: Iterable[NotedRows], origin: ImportOrigin
 ) -> tuple[int, int, int | None]:
     """Insert the rows of a file, all or none.
 
@@ -95,7 +95,7 @@ def import_rows(
     try:
         _drop_hidden(ledger)  # of a killed process
         try:
-            return _import(ledger, component, blocks, about)
+            return _import(ledger, component, blocks, origin)
         except BaseException:
             _drop_hidden(ledger)
             raise
@@ -104,11 +104,11 @@ def import_rows(
 
 
 def _import(
-    ledger: Ledger, component: str, blocks: Iterable[NotedRows], about: About
+    ledger: Ledger, component: str, blocks: Iterable[NotedRows], origin: ImportOrigin
 ) -> tuple[int, int, int | None]:
     number: int | None = None
     count, now = 0, time.time()
-    seen: set[bytes] = set()
+    import_keys: set[bytes] = set()
     parts: list[tuple[int, bytes]] = []  # the first seq and the keys of rows inserted at once
     with ledger.reading() as db:
         start = sequences(db).get("rows", 0)
@@ -117,16 +117,16 @@ def _import(
         count += len(keys)
         with ledger.reading() as db:
             known = rows.stored(db, keys) if rows.last_seq(db, component) else {}
-        places = rows.new_places(keys, known.keys())
-        if not seen.isdisjoint(keys):
-            places = [at for at in places if keys[at] not in seen]
-        seen.update(keys)
-        for begin in range(0, len(places), ROWS_AT_ONCE):
-            some = places[begin : begin + ROWS_AT_ONCE]
-            lot, named = rows.taken(block, some), [keys[at] for at in some]
+        positions = rows.new_positions(keys, known.keys())
+        if not import_keys.isdisjoint(keys):
+            positions = [at for at in positions if keys[at] not in import_keys]
+        import_keys.update(keys)
+        for begin in range(0, len(positions), ROWS_AT_ONCE):
+            some = positions[begin : begin + ROWS_AT_ONCE]
+            lot, named = rows.rows_at(block, some), [keys[at] for at in some]
             with ledger.writing(durable=False) as db:
                 if number is None:
-                    number = db.execute(_INSERT, (component, now, *astuple(about))).lastrowid
+                    number = db.execute(_INSERT, (component, now, *astuple(origin))).lastrowid
                 first = rows.number(db, component, lot, named, now)
                 span = first, first + len(named) - 1, number, component
                 db.execute("INSERT INTO import_parts VALUES (?, ?, ?, ?, 1)", span)
@@ -149,7 +149,7 @@ def _import(
         db.execute("UPDATE imports SET rows = ? WHERE id = ?", (new, number))
         db.execute("UPDATE import_parts SET hidden = 0 WHERE import = ?", (number,))
         if new:
-            _note(db, "import.load", number, component, new, about)
+            _note(db, "import.load", number, component, new, origin)
         else:
             db.execute("DELETE FROM import_parts WHERE import = ?", (number,))
             db.execute("DELETE FROM imports WHERE id = ?", (number,))
@@ -158,28 +158,28 @@ def _import(
 
 
 def append_rows(
-    db: Connection, component: str, blocks: Iterable[NotedRows], about: About
+    db: Connection, component: str, blocks: Iterable[NotedRows], origin: ImportOrigin
 ) -> tuple[int, int, int | None]:
     """Append rows to the import of this sender, component and file name; the first call makes it.
 
     Returns as `import_rows`. A block that is sent again changes nothing. Raises AppendError if the
     import has readings of another rig, or all of its rows are withdrawn.
     """
-    about = replace(about, format=APPENDED)
+    origin = replace(origin, format=APPENDED)
     names = "component = ? AND format = ? AND filename = ? AND who = ?"
-    which = component, about.format, about.filename, about.who
+    which = component, origin.format, origin.filename, origin.who
     select = f"SELECT id, rig, created FROM imports WHERE {names} ORDER BY id DESC LIMIT 1"
     known = db.execute(select, which).fetchone()
     # Rows of one time are one session of the measurement.
-    number, rig, now = known or (None, about.rig, time.time())
-    if rig != about.rig:
+    number, rig, now = known or (None, origin.rig, time.time())
+    if rig != origin.rig:
         raise AppendError(
-            f"import {number}, {about.filename!r}, has readings of another rig, frame or point; "
+            f"import {number}, {origin.filename!r}, has readings of another rig, frame or point; "
             "append to another name"
         )
     if number and not _chosen(db, component, number, (), withdrawn=False, most=1):
         raise AppendError(
-            f"import {number}, {about.filename!r}, is withdrawn; restore it, or append to another "
+            f"import {number}, {origin.filename!r}, is withdrawn; restore it, or append to another "
             "name"
         )
     total = known = 0
@@ -188,7 +188,7 @@ def append_rows(
         total, known = total + new, known + old
         if not new:
             continue
-        number = number or db.execute(_INSERT, (component, now, *astuple(about))).lastrowid
+        number = number or db.execute(_INSERT, (component, now, *astuple(origin))).lastrowid
         db.execute("UPDATE imports SET rows = rows + ? WHERE id = ?", (new, number))
         last = sequences(db)["rows"]
         first = last - new + 1
@@ -197,7 +197,7 @@ def append_rows(
             part = first, last, number, component
             db.execute("INSERT INTO import_parts VALUES (?, ?, ?, ?, 0)", part)
     if total:
-        _note(db, "import.append", number, component, total, about)
+        _note(db, "import.append", number, component, total, origin)
     return total, known, number
 
 
@@ -306,9 +306,9 @@ def edit_import(
 
 
 def _note(
-    db: Connection, action: str, number: int | None, component: str, new: int, about: About
+    db: Connection, action: str, number: int | None, component: str, new: int, origin: ImportOrigin
 ) -> None:
-    after = {"rows": new, "filename": about.filename, "sha256": about.digest}
+    after = {"rows": new, "filename": origin.filename, "sha256": origin.digest}
     note(db, action, number, component, after=after)
 
 

@@ -16,7 +16,7 @@ from wrenchbook.service.ledger.packing import pack_vector, unpack_vector
 from wrenchbook.service.ledger.records import (
     FINAL,
     STATUSES,
-    Beat,
+    Heartbeat,
     InvalidTransitionError,
     JobRecord,
     LedgerRow,
@@ -207,8 +207,8 @@ def next_waiting(db: Connection, most: int) -> list[JobRecord]:
 def claim(db: Connection, owner: str, engine: str, most: int) -> list[JobRecord]:
     """Start the next attempts of the next waiting jobs.
 
-    Each gets a task key; it is submitted, not running, until `beat` reports its begin. The claim
-    counts as a heartbeat of the owner.
+    Each gets a task key; it is submitted, not running, until `send_heartbeat` reports its begin.
+    The claim counts as a heartbeat of the owner.
     """
     claimed = []
     new = {"owner": owner, "engine": engine, "started": time.time(), "began": None}
@@ -219,7 +219,7 @@ def claim(db: Connection, owner: str, engine: str, most: int) -> list[JobRecord]
         task = f"{job.id}-{attempt}-{secrets.token_hex(6)}"
         claimed.append(_moved(db, job, "claim", attempt=attempt, task=task, **new))
     if claimed:
-        _beat(db, owner, engine)
+        _write_heartbeat(db, owner, engine)
     return claimed
 
 
@@ -231,7 +231,7 @@ def adopt(db: Connection, job_id: int, attempt: int, previous: str, owner: str) 
     return _moved(db, job, "adopt", owner=owner)
 
 
-def beat(
+def send_heartbeat(
     db: Connection, owner: str, engine: str, began: Mapping[tuple[int, int], float] | None = None
 ) -> list[JobRecord]:
     """Write a heartbeat of `owner`, and return the jobs that are running rather than submitted now.
@@ -239,7 +239,7 @@ def beat(
     `began` has, by job and attempt, the time in seconds since the epoch at which a solver was seen
     at it; attempts that have ended, or have another owner now, are ignored.
     """
-    _beat(db, owner, engine)
+    _write_heartbeat(db, owner, engine)
     begun = []
     for (job_id, attempt), start in (began or {}).items():
         job = get(db, job_id)
@@ -459,10 +459,10 @@ def attempts_of(db: Connection, owner: str) -> set[tuple[int, int]]:
     return set(db.execute("SELECT id, attempt FROM jobs WHERE owner = ?", (owner,)))
 
 
-def leases(db: Connection) -> dict[str, Beat]:
+def leases(db: Connection) -> dict[str, Heartbeat]:
     """Return the heartbeat of each owner."""
     records = db.execute("SELECT owner, engine, beat, at FROM leases")
-    return {owner: Beat(*rest) for owner, *rest in records}
+    return {owner: Heartbeat(*rest) for owner, *rest in records}
 
 
 def counts(db: Connection, component: str | None = None) -> dict[str, int]:
@@ -600,7 +600,7 @@ def _lacks_its_row(db: Connection, job: JobRecord) -> bool:
     return job.row is not None and not rows.is_usable(db, job.row)
 
 
-def _beat(db: Connection, owner: str, engine: str) -> None:
+def _write_heartbeat(db: Connection, owner: str, engine: str) -> None:
     db.execute(
         "INSERT INTO leases (owner, engine, beat, at) VALUES (?, ?, 1, ?)"
         " ON CONFLICT (owner) DO UPDATE SET engine = excluded.engine, beat = beat + 1,"

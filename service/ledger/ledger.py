@@ -22,7 +22,7 @@ from wrenchbook.service.ledger.connection import (
     Connection,
     begin,
     can_be_read_frozen,
-    check_whole,
+    check_integrity,
     connect,
     damaged_file,
     inode,
@@ -109,7 +109,7 @@ class Ledger:
         self._inode = (0, 0)
         self._refused: LedgerFileError | None = None
         self._acknowledged = Acknowledged(self.path)
-        self._frozen = False  # refused for writing, but whole enough to be read as it is
+        self._frozen = False  # refused for writing, but still readable
         self._logged = ""  # the error logged last
         self._listeners: tuple[Listener, ...] = ()
         self._listeners_lock = threading.Lock()
@@ -124,7 +124,7 @@ class Ledger:
     accept_many = _writes(job_sql.accept_many)
     accept_chosen = _writes(job_sql.accept_chosen)
     adopt = _writes(job_sql.adopt)
-    beat = _writes(job_sql.beat)
+    send_heartbeat = _writes(job_sql.send_heartbeat)
     commit = _writes(job_sql.commit)
     fail = _writes(job_sql.fail)
     lose = _writes(job_sql.lose)
@@ -368,7 +368,7 @@ class Ledger:
                     copy.execute("PRAGMA synchronous = OFF")
                 source.backup(copy)
                 if checked:
-                    check_whole(copy, target)
+                    check_integrity(copy, target)
                 copy.execute("PRAGMA journal_mode = DELETE")  # one file; WAL again once opened
                 return copy.execute(
                     "SELECT coalesce(sum(count), 0), coalesce(max(seq + count - 1), 0),"

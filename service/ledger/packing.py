@@ -86,7 +86,7 @@ class Record(NamedTuple):
     def part(self, first: int, end: int) -> Record:
         """Return the rows of some places; a seal that does not fit stays so."""
         part = self._slice(first, end)
-        return part._replace(seal=part.own_seal()) if self.is_sealed() else part
+        return part._replace(seal=part.computed_seal()) if self.is_sealed() else part
 
     def _slice(self, first: int, end: int) -> Record:
         """Return the rows of some places under the seal of all."""
@@ -99,7 +99,7 @@ class Record(NamedTuple):
         columns = {name: cut(getattr(self, name)) for name in (*_COLUMNS, "key")}
         return self._replace(seq=self.seq + first, count=end - first, **columns)
 
-    def own_seal(self) -> bytes:
+    def computed_seal(self) -> bytes:
         """Return 16 bytes over the keys and what they leave out."""
         parts = self.key, self.compliance or b"", self.origin.encode()
         third = () if self.curvature is None else (self.curvature,)  # rows of 0.2 have none
@@ -108,7 +108,7 @@ class Record(NamedTuple):
     def is_sealed(self) -> bool:
         """Return whether keys, compliance, curvature and note are as they were written."""
         try:
-            return self.own_seal() == self.seal
+            return self.computed_seal() == self.seal
         except (ValueError, TypeError, AttributeError):  # of another type
             return False
 
@@ -117,12 +117,12 @@ class Record(NamedTuple):
         if self.is_sealed():
             return self
         try:
-            record = self._replace(key=b"".join(self._own_keys()))
+            record = self._replace(key=b"".join(self._computed_keys()))
         except (ValueError, TypeError, AttributeError, ArithmeticError):  # of another type, length
             return self
         return record if record.is_sealed() else self
 
-    def _own_keys(self) -> list[bytes]:
+    def _computed_keys(self) -> list[bytes]:
         texts = [(self.fingerprint, self.source)] * self.count
         return _keys(self.component, texts, self.wrench, self.displacement, self.uncertainty)
 
@@ -134,7 +134,7 @@ class Record(NamedTuple):
         """Return for each row whether it is as it was written."""
         try:
             if self.is_sealed():
-                pairs = zip(self._own_keys(), self.keys(), strict=True)
+                pairs = zip(self._computed_keys(), self.keys(), strict=True)
                 return [present == written for present, written in pairs]
         except (ValueError, TypeError, AttributeError):
             pass  # of another type or length
@@ -226,7 +226,7 @@ def records_of(
             b"".join(keys[at:end]),
             b"",
         )
-        yield record._replace(seal=record.own_seal())
+        yield record._replace(seal=record.computed_seal())
         at = end
 
 

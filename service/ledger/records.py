@@ -36,7 +36,7 @@ class JobRecord:
     asked_by: str = ""  # which call it comes from, such as `query` or `fill`
     engine: str | None = None  # that has the latest attempt
     task: str | None = None  # the engine's key of it
-    began: float | None = None  # when a solver was first seen at it; until then it is submitted
+    began: float | None = None  # when a solver reported its begin; until then it is submitted
     actor: str = ""  # that asked for it; empty if it was accepted before the ledger knew actors
 
     @property
@@ -65,14 +65,14 @@ class Quota(NamedTuple):
     solver_seconds: float | None = None
 
 
-class Beat(NamedTuple):
-    """The heartbeat of an owner of attempts: its engine, how many beats, the time of the last, s.
+class Heartbeat(NamedTuple):
+    """The heartbeat of an owner of attempts: its engine, their number, the time of the last, s.
 
     An owner lives as long as the number grows. The time is for display: clocks can be set.
     """
 
     engine: str
-    beat: int
+    number: int
     at: float
 
 
@@ -128,7 +128,7 @@ class RowChanges:
     rows: Rows  # to add: new ones, and old ones that were restored
     gone: frozenset[int]  # to remove before: those withdrawn, or restored and so in `rows`
     last_seq: int  # up to here the changes are complete
-    whole: bool = True  # whether these are all changes; else read on from `last_seq`
+    complete: bool = True  # whether these are all changes; else read on from `last_seq`
 
 
 @dataclass(frozen=True)

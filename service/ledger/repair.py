@@ -75,7 +75,7 @@ class Acknowledged:
         with suppress(OSError):
             descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o600)
             try:
-                # The numbers only grow, so the text never gets shorter; one write is whole or not.
+                # The numbers only grow, so the text never gets shorter; one write is atomic.
                 os.pwrite(descriptor, content, 0)
             finally:
                 os.close(descriptor)
@@ -135,18 +135,18 @@ class Acknowledged:
             return []
         losses = []
         for line in lines:
-            with suppress(ValueError, KeyError, TypeError):  # a line that was not written whole
+            with suppress(ValueError, KeyError, TypeError):  # a line that was cut short
                 loss = json.loads(line)
-                seen = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(loss["seen"]))
+                when = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(loss["seen"]))
                 parts = [
-                    f"{what} {first} to {last}"
-                    for what in ("jobs", "rows")
-                    for first, last in [loss[what]]
+                    f"{kind} {first} to {last}"
+                    for kind in ("jobs", "rows")
+                    for first, last in [loss[kind]]
                     if last >= first
                 ]
                 sentence = (
                     f"{' and '.join(parts)} were acknowledged and are not in the ledger any more "
-                    f"(seen {seen} UTC): its -wal file was cut off or removed, or an older copy "
+                    f"(seen {when} UTC): its -wal file was cut off or removed, or an older copy "
                     "was put back. Rows that are in a table's file come back by themselves; ask "
                     "for the other wrenches again"
                 )

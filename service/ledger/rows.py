@@ -97,15 +97,15 @@ def insert(
     """
     if above:
         _skip(db, least=above)
-    places = new_places(keys, stored(db, keys).keys())
-    known = len(keys) - len(places)
-    if places:
-        block, keys = taken(block, places), [keys[at] for at in places]
+    positions = new_positions(keys, stored(db, keys).keys())
+    known = len(keys) - len(positions)
+    if positions:
+        block, keys = rows_at(block, positions), [keys[at] for at in positions]
         first = number(db, component, block, keys, now, job)
         hashes = key_hashes(b"".join(keys)).tolist()
         enter(db, sorted(zip(hashes, range(first, first + len(keys)), strict=True)))
-        db.rows += len(places)
-    return len(places), known
+        db.rows += len(positions)
+    return len(positions), known
 
 
 def number(
@@ -137,22 +137,22 @@ def stored(db: Connection, keys: Sequence[bytes], *, hidden: bool = False) -> di
     return numbers
 
 
-def new_places(keys: Sequence[bytes], known: Set[bytes]) -> Sequence[int]:
-    """Return the places of the first of each of the keys that are not known."""
+def new_positions(keys: Sequence[bytes], known: Set[bytes]) -> Sequence[int]:
+    """Return the position of the first of each key that is not known."""
     if len(set(keys)) == len(keys) and known.isdisjoint(keys):
         return range(len(keys))
-    places: dict[bytes, int] = {}
+    positions: dict[bytes, int] = {}
     for at, key in enumerate(keys):
         if key not in known:
-            places.setdefault(key, at)
-    return list(places.values())
+            positions.setdefault(key, at)
+    return list(positions.values())
 
 
-def taken(block: NotedRows, places: Sequence[int]) -> NotedRows:
-    """Return the rows at some places."""
-    if len(places) == len(block.rows):
+def rows_at(block: NotedRows, positions: Sequence[int]) -> NotedRows:
+    """Return the rows at some positions."""
+    if len(positions) == len(block.rows):
         return block
-    return NotedRows(block.rows.take(np.array(places)), [block.note[at] for at in places])
+    return NotedRows(block.rows.take(np.array(positions)), [block.note[at] for at in positions])
 
 
 def cut(db: Connection, seq: int) -> None:
@@ -216,8 +216,8 @@ def restore_record(db: Connection, record: Record) -> int:
         record.seq + at not in used and key not in known
         for at, key in enumerate(keys[: record.count])
     ]
-    for same, places in groupby(range(len(free)), free.__getitem__):
-        some = list(places)
+    for same, positions in groupby(range(len(free)), free.__getitem__):
+        some = list(positions)
         if same:
             part = record if len(some) == record.count else record.part(some[0], some[-1] + 1)
             db.execute(INSERT, part)
@@ -397,7 +397,7 @@ def row_changes(
     old = _noted(db, records, np.isin(_numbers(records), back), space, fingerprint)
     new, last = _read(db, component, after, newest, hidden, most, space, fingerprint)
     cut = last is not None
-    return RowChanges(joined((old.rows, new.rows)), gone, last if cut else newest, whole=not cut)
+    return RowChanges(joined((old.rows, new.rows)), gone, last if cut else newest, complete=not cut)
 
 
 def table_at(
@@ -641,9 +641,9 @@ def _read(
     seqs = _numbers(records)
     live = (seqs > after) & (seqs <= until)
     live &= ~np.isin(seqs, list(gone))
-    places = np.flatnonzero(live)
-    live[places[most:]] = False
-    last = int(seqs[places[most - 1]]) if len(places) >= most else None
+    positions = np.flatnonzero(live)
+    live[positions[most:]] = False
+    last = int(seqs[positions[most - 1]]) if len(positions) >= most else None
     return _noted(db, records, live, space, fingerprint), last
 
 
@@ -669,10 +669,10 @@ def _noted(
     setup = [fingerprint is None or record.fingerprint in ("", fingerprint) for record in records]
     wanted = wanted & sound & np.repeat(np.array(setup, dtype=bool), counts)
     ends = np.cumsum(counts)
-    left = np.diff(np.concatenate(([0], np.cumsum(wanted)))[[0, *ends]]).tolist()
-    wanted = wanted[np.repeat(left, counts) > 0]
-    records = [record for record, number in zip(records, left, strict=True) if number]
-    left = [number for number in left if number]
+    remaining = np.diff(np.concatenate(([0], np.cumsum(wanted)))[[0, *ends]]).tolist()
+    wanted = wanted[np.repeat(remaining, counts) > 0]
+    records = [record for record, number in zip(records, remaining, strict=True) if number]
+    remaining = [number for number in remaining if number]
     inputs, outputs = len(space.inputs), len(space.outputs)
     for record in records:
         loads, moves = (
@@ -690,7 +690,7 @@ def _noted(
         return unpacked(columns, width)[wanted]
 
     def texts(name: str) -> list[Any]:
-        pairs = zip(records, left, strict=True)
+        pairs = zip(records, remaining, strict=True)
         return [*chain.from_iterable([getattr(record, name)] * count for record, count in pairs)]
 
     shapes = {

@@ -49,15 +49,15 @@ _NO_REPORT: Final = "The mesh check stopped without an answer ({why})."
 _checks: Final = Sandbox(keep=False)
 
 
-def one_problem(where: str, message: str) -> BundleError:
+def problem_at(where: str, message: str) -> BundleError:
     """Return the error of a bundle with one mistake."""
     return BundleError([BundleProblem(where, message)])
 
 
-def unpack(archive: BinaryIO, incoming: Path, *, whole: bool = True) -> tuple[Path, bool]:
+def unpack(archive: BinaryIO, incoming: Path, *, complete: bool = True) -> tuple[Path, bool]:
     """Unpack a bundle's zip below `incoming`; return its folder, and whether it has a deck.
 
-    Without `whole` its component.toml may lack entries, and the deck is not looked for.
+    Without `complete` its component.toml may lack entries, and the deck is not required.
 
     Raises BundleError if the archive or its component.toml has mistakes or takes too much to be
     read, SandboxBusyError if too many others are being read, OSError if the disk is full.
@@ -67,11 +67,11 @@ def unpack(archive: BinaryIO, incoming: Path, *, whole: bool = True) -> tuple[Pa
     archive.seek(0)
     with copy.open("wb") as file:
         shutil.copyfileobj(archive, file, _PIECE)
-    arguments = {"target": str(target), "whole": whole}
+    arguments = {"target": str(target), "complete": complete}
     try:
         (part,) = run("wrenchbook.service.library.bundles:unpacked", copy, arguments, UNPACK)
     except SandboxError as error:
-        raise one_problem("bundle", str(error)) from None
+        raise problem_at("bundle", str(error)) from None
     copy.unlink()
     if part.fields["problems"]:
         raise BundleError([BundleProblem(where, why) for where, why in part.fields["problems"]])
@@ -99,9 +99,9 @@ def check_mesh(folder: Path) -> dict[str, Any]:
             why = f"{error} A coarser mesh does."
         else:
             why = _NO_REPORT.format(why=redact(f"{error.kind}: {error}")[:300])
-        raise one_problem("mesh", why) from None
+        raise problem_at("mesh", why) from None
     except (ValueError, KeyError, TypeError) as error:
-        raise one_problem("mesh", _NO_REPORT.format(why=f"a malformed report: {error}")) from None
+        raise problem_at("mesh", _NO_REPORT.format(why=f"a malformed report: {error}")) from None
     raise BundleError(problems)
 
 
@@ -125,7 +125,7 @@ def faces_of(folder: Path, _fingerprint: str = "") -> bytes:
     try:
         (part,) = _checks.run("wrenchbook.service.library.bundles:faces", folder, None, CHECK)
     except SandboxError as error:
-        raise one_problem("mesh", redact(str(error))) from None
+        raise problem_at("mesh", redact(str(error))) from None
     return part.arrays["json"].tobytes()
 
 
@@ -173,8 +173,8 @@ def toml_text(text: str) -> str:
 # -- in the sandbox ---------------------------------------------------------------------------
 
 
-def unpacked(archive: Path, target: str, whole: bool) -> Iterator[Part]:
-    """Unpack a bundle's zip into an empty folder and, if it is to be `whole`, read it.
+def unpacked(archive: Path, target: str, complete: bool) -> Iterator[Part]:
+    """Unpack a bundle's zip into an empty folder and, if it is to be `complete`, read it.
 
     Yields a part with ``problems``, each ``[where, message]``; without any also ``folder``, which
     holds the bundle, relative to `target`, and ``deck``, whether it names a command.
@@ -185,11 +185,11 @@ def unpacked(archive: Path, target: str, whole: bool) -> Iterator[Part]:
             try:  # HDF5 files, as some meshes are, may have other files of this machine read
                 outside = leads_out(path)
             except TableFileError as error:
-                raise one_problem("bundle", f'"{path.name}" {error}') from None
+                raise problem_at("bundle", f'"{path.name}" {error}') from None
             if outside:
                 message = f'"{path.name}" has parts in other files; write it whole, without links'
-                raise one_problem("bundle", message)
-        has_deck = whole and read_bundle(folder).deck is not None
+                raise problem_at("bundle", message)
+        has_deck = complete and read_bundle(folder).deck is not None
     except BundleError as error:
         problems = [[each.where, each.message] for each in error.problems[:MAX_PROBLEMS]]
         yield Part({"problems": problems})
@@ -248,7 +248,7 @@ def extract(archive: Path, target: Path) -> Path:
         with zipfile.ZipFile(archive) as bundle:
             _unpack(bundle, target)
     except zipfile.BadZipFile as error:
-        raise one_problem(
+        raise problem_at(
             "bundle",
             f"This is not a zip file that can be read ({error}). Zip the folder that holds "
             "component.toml and send it.",
@@ -259,12 +259,12 @@ def extract(archive: Path, target: Path) -> Path:
         if error.errno in _OF_THE_DISK:
             raise
         why = error.strerror or "it is damaged"
-        raise one_problem("bundle", _CANNOT_UNPACK.format(why=why)) from None
+        raise problem_at("bundle", _CANNOT_UNPACK.format(why=why)) from None
     except (Exception, struct.error) as error:  # whatever zipfile comes to in a damaged archive
-        raise one_problem("bundle", _CANNOT_UNPACK.format(why=str(error)[:200])) from None
+        raise problem_at("bundle", _CANNOT_UNPACK.format(why=str(error)[:200])) from None
     folders = sorted(path.parent for path in target.rglob("component.toml"))
     if len(folders) != 1:
-        raise one_problem(
+        raise problem_at(
             "bundle", f"The zip holds {len(folders)} files named component.toml; it must hold one."
         )
     return folders[0]
@@ -275,18 +275,18 @@ def _unpack(bundle: zipfile.ZipFile, target: Path) -> None:
     entries = bundle.infolist()
     if len(entries) > MAX_FILES:
         message = f"The zip holds {len(entries)} files; at most {MAX_FILES} are accepted."
-        raise one_problem("bundle", message)
+        raise problem_at("bundle", message)
     if sum(info.file_size for info in entries) > MAX_BUNDLE_BYTES:
-        raise one_problem("bundle", _TOO_LARGE.format(MAX_BUNDLE_BYTES >> 20))
+        raise problem_at("bundle", _TOO_LARGE.format(MAX_BUNDLE_BYTES >> 20))
     for info in entries:
         name = info.filename[:200]
         parts = Path(info.filename).parts
         if info.filename.startswith(("/", "\\")) or ".." in parts or ":" in info.filename:
             message = f"The zip holds the path {name!r}, which leads out of the bundle."
-            raise one_problem("bundle", message)
+            raise problem_at("bundle", message)
         if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             why = f"{name!r} is compressed by method {info.compress_type}"
-            raise one_problem("bundle", _CANNOT_UNPACK.format(why=why))
+            raise problem_at("bundle", _CANNOT_UNPACK.format(why=why))
     remaining = MAX_BUNDLE_BYTES  # counted here: the size in a header may be wrong
     for info in entries:
         path = target.joinpath(*Path(info.filename).parts)
@@ -298,5 +298,5 @@ def _unpack(bundle: zipfile.ZipFile, target: Path) -> None:
             while piece := packed.read(_PIECE):
                 remaining -= len(piece)
                 if remaining < 0:
-                    raise one_problem("bundle", _TOO_LARGE.format(MAX_BUNDLE_BYTES >> 20))
+                    raise problem_at("bundle", _TOO_LARGE.format(MAX_BUNDLE_BYTES >> 20))
                 written.write(piece)

@@ -152,7 +152,7 @@ class OneWrenchError(ValueError):
         )
 
 
-def require_one_wrench(name: str, space: Space) -> None:
+def require_single_wrench(name: str, space: Space) -> None:
     """Raise a OneWrenchError for a component of several interfaces or further inputs."""
     if not space.is_default:
         raise OneWrenchError(name, space)
@@ -201,7 +201,7 @@ def component_of(bundle: Bundle, *, shipped: bool) -> Component:
     )
 
 
-CHECK_FILE = "check.json"  # in a bundle: what its check found at the upload
+CHECK_FILE = "check.json"  # in a bundle: findings of its check at the upload
 
 
 def interface_of(component: Component) -> dict[str, Any] | None:

@@ -24,7 +24,7 @@ from wrenchbook.service.library.bundles import (
     check_mesh,
     copy_bundle,
     faces_of,
-    one_problem,
+    problem_at,
     toml_value,
     unpack,
 )
@@ -40,7 +40,7 @@ from wrenchbook.service.library.component import (
 
 log = logging.getLogger(__name__)
 
-LOOK_SECONDS = 1.0  # between looks at files that were edited while no request reads them
+POLL_SECONDS = 1.0  # between polls of files that were edited while no request reads them
 _DECKS_REFUSED = (
     "A deck names a command that the server's solvers run, and this server takes none from "
     "outside. Ask its operator to start it with: wrenchbook serve --allow-decks; or to put the "
@@ -69,7 +69,7 @@ class Library:
 
     def __init__(
         self,
-        own: Path,
+        local: Path,
         shipped: Path = SHIPPED,
         *,
         allow_decks: bool = False,
@@ -80,18 +80,18 @@ class Library:
             lambda _: contextlib.nullcontext()
         ),
     ) -> None:
-        self._own, self._shipped = own, shipped
+        self._local, self._shipped = local, shipped
         self._on_added, self._on_checked, self._on_copy = on_added, on_checked, on_copy
         self._allow_decks, self._noted = allow_decks, noted
         self._lock = threading.Lock()
-        self._version, self._next_look, self._own_stamp = 0, 0.0, 0
+        self._version, self._next_poll, self._local_stamp = 0, 0.0, 0
         self._components: dict[str, Component] = {}
         self._broken: dict[str, str] = {}
         with contextlib.suppress(OSError):  # the upload of a component reports it
-            own.mkdir(parents=True, exist_ok=True)
+            local.mkdir(parents=True, exist_ok=True)
         for folder in _bundle_folders(shipped):
             self._try(folder, shipped=True)
-        for folder in _bundle_folders(own):
+        for folder in _bundle_folders(local):
             self._try(folder, shipped=False)
 
     def names(self) -> list[str]:
@@ -102,22 +102,22 @@ class Library:
     def version(self) -> int:
         """Return a number that differs after a component was added, changed or broken.
 
-        Files that no request reads are looked at once in `LOOK_SECONDS`, what other processes
+        Files that no request reads are checked once in `POLL_SECONDS`, what other processes
         have added at once.
         """
         with contextlib.suppress(OSError):
-            stamp = os.stat(self._own).st_mtime_ns  # noqa: PTH116 (fifty times a second)
+            stamp = os.stat(self._local).st_mtime_ns  # noqa: PTH116 (fifty times a second)
             # What came within a tick of the last look, 10 ms at most, has left the time as it was.
-            if stamp != self._own_stamp or time.time_ns() - stamp <= 1e8:
-                self._own_stamp = stamp
-                for folder in _bundle_folders(self._own):
+            if stamp != self._local_stamp or time.time_ns() - stamp <= 1e8:
+                self._local_stamp = stamp
+                for folder in _bundle_folders(self._local):
                     if folder.name not in self._components and folder.name not in self._broken:
-                        self._look_for(folder.name)
-        if time.monotonic() >= self._next_look:
-            self._next_look = time.monotonic() + LOOK_SECONDS
+                        self._reread(folder.name)
+        if time.monotonic() >= self._next_poll:
+            self._next_poll = time.monotonic() + POLL_SECONDS
             self.names()
             for name in list(self._broken):  # repaired, or readable again
-                self._look_for(name)
+                self._reread(name)
         return self._version
 
     def broken(self) -> dict[str, str]:
@@ -149,14 +149,14 @@ class Library:
         component = self._components.get(name)
         if component is not None and component.is_as_read():
             return component
-        return self._look_for(name)
+        return self._reread(name)
 
-    def _look_for(self, name: str) -> Component | None:
+    def _reread(self, name: str) -> Component | None:
         """Take up a component that was edited, or added by another process, on the disk."""
         before = self._components.get(name)
         folder = before.folder if before else None
         if folder is None and is_slug(name):
-            folders = (parent / name for parent in (self._shipped, self._own))
+            folders = (parent / name for parent in (self._shipped, self._local))
             folder = next((path for path in folders if (path / "component.toml").is_file()), None)
         if folder is not None:
             with self._lock:
@@ -174,7 +174,7 @@ class Library:
         with self._incoming() as incoming:
             folder, has_deck = unpack(archive, incoming)
             if has_deck and not (self._allow_decks and decks):
-                raise one_problem("deck", _NOT_BY_THIS_KEY if self._allow_decks else _DECKS_REFUSED)
+                raise problem_at("deck", _NOT_BY_THIS_KEY if self._allow_decks else _DECKS_REFUSED)
             report = check_mesh(folder)
             (folder / CHECK_FILE).write_text(json.dumps(report), encoding="utf-8")
             checked = component_of(read_bundle(folder), shipped=False)
@@ -185,7 +185,7 @@ class Library:
     def faces_of_zip(self, archive: BinaryIO) -> bytes:
         """Return `bundles.faces_of` a zip that needs no more than [mesh]; raises as `add_zip`."""
         with self._incoming() as incoming:
-            return faces_of(unpack(archive, incoming, whole=False)[0])
+            return faces_of(unpack(archive, incoming, complete=False)[0])
 
     def add_table_only(self, **entries: Any) -> Component:
         """Add a component that has no finite-element setup, only rows loaded from outside.
@@ -211,7 +211,7 @@ class Library:
         with self._incoming() as incoming:
             folder = incoming / "bundle"
             copy_bundle(source, new, title, folder)
-            component = self._adopt(folder, lambda taken: self._on_copy(source, taken))
+            component = self._adopt(folder, lambda copied: self._on_copy(source, copied))
         self._on_added(component)
         return component
 
@@ -219,12 +219,12 @@ class Library:
     def _incoming(self) -> Iterator[Path]:
         """Make a folder next to the library, so that a bundle can be moved in by one rename."""
         try:
-            self._own.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryDirectory(prefix=".incoming-", dir=self._own) as folder:
+            self._local.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryDirectory(prefix=".incoming-", dir=self._local) as folder:
                 yield Path(folder)
         except OSError as error:
             raise LibraryUnavailableError(
-                f"The component could not be written to {self._own}: {error.strerror or error}. "
+                f"The component could not be written to {self._local}: {error.strerror or error}. "
                 "Nothing was added; make room on the disk or make it writable, then send it again."
             ) from error
 
@@ -237,7 +237,7 @@ class Library:
         if not CALLER.get().touches(name):
             patterns = ", ".join(CALLER.get().components)
             raise NotPermittedError(f"the key may touch {patterns}, and not {name!r}")
-        final = self._own / name
+        final = self._local / name
         with self._lock:
             # On the disk too: another process may have added it, or its files may be damaged.
             if name in self._components or os.path.lexists(final):
@@ -251,7 +251,7 @@ class Library:
                     if error.errno in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
                         raise ComponentExistsError(_TAKEN.format(name=name)) from error
                     raise
-                sync(self._own)
+                sync(self._local)
             return self._register(final, shipped=False)
 
     def _try(self, folder: Path, *, shipped: bool) -> None:
@@ -277,9 +277,9 @@ class Library:
         name = component.name
         if not shipped and name != folder.name:  # it would answer in another component's place
             message = f'is "{name}" but the folder is "{folder.name}"; give both one name'
-            raise one_problem("name", message)
+            raise problem_at("name", message)
         if not shipped and name in self._components and self._components[name].shipped:
-            raise one_problem("name", f'"{name}" is a shipped component; take another name')
+            raise problem_at("name", f'"{name}" is a shipped component; take another name')
         self._components = {**self._components, name: component}
         self._version += 1
         return component

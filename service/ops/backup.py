@@ -101,10 +101,10 @@ def back_up(folder: Path, target: Path) -> Manifest:
         draft.replace(target)
         sync(target.parent)
     except OSError as error:
-        path, what = Path(str(error.filename)), f"{target} cannot be written: {error}"
+        path, problem = Path(str(error.filename)), f"{target} cannot be written: {error}"
         if path.is_relative_to(folder) and HELD.fullmatch(path.relative_to(folder).as_posix()):
-            what = f"{path} cannot be read: {error.strerror}"
-        raise BackupError(f"{what}. No backup was made") from error
+            problem = f"{path} cannot be read: {error.strerror}"
+        raise BackupError(f"{problem}. No backup was made") from error
     except LedgerError as error:
         raise BackupError(f"no backup was made: {error}") from error
     finally:
@@ -155,8 +155,8 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
                 with archive.open(name) as file, place(name) as target:
                     copied = _copied(file, target)
             except _UNREADABLE as error:
-                what = f"{name} in {source} cannot be read ({error}); {_DAMAGED}"
-                raise BackupError(what) from error
+                problem = f"{name} in {source} cannot be read ({error}); {_DAMAGED}"
+                raise BackupError(problem) from error
             if copied != expected:
                 raise BackupError(f"{name} in {source} is not what was written; {_DAMAGED}")
     return manifest

@@ -32,7 +32,7 @@ class DataFinding:
     """One finding of a check."""
 
     kind: Literal["fault", "repaired", "note"]  # needs repair, was repaired, needs nothing
-    what: str
+    problem: str
     remedy: str = ""
 
 
@@ -51,7 +51,7 @@ def is_full(folder: Path) -> bool:
 
 
 def not_writable(folder: Path) -> list[Path]:
-    """Return what of a data directory this user cannot read and write."""
+    """Return the files of a data directory that this user cannot read and write."""
     ledger = [folder / f"{LEDGER}{end}" for end in ("", "-wal", "-shm")]
     paths = (folder, *ledger, folder / "tables", folder / "components", folder / "jobs")
     return [path for path in paths if path.exists() and not os.access(path, os.R_OK | os.W_OK)]
@@ -93,12 +93,12 @@ def check_side_files(folder: Path, *, repair: bool) -> Iterator[DataFinding]:
         except FileNotFoundError:
             continue  # a running server has removed it
         except (DamagedFieldsError, OSError, ValueError, TypeError, AttributeError) as error:
-            what = f"{path.relative_to(folder)} cannot be used: {error}"
+            problem = f"{path.relative_to(folder)} cannot be used: {error}"
             if repair:
                 aside = move_aside(path).name
-                yield DataFinding("repaired", what, f"moved to {aside}; {remedy}")
+                yield DataFinding("repaired", problem, f"moved to {aside}; {remedy}")
             else:
-                yield DataFinding("fault", what, f"{remedy}, once it is moved away; {REPAIR}")
+                yield DataFinding("fault", problem, f"{remedy}, once it is moved away; {REPAIR}")
 
 
 def find_leftovers(folder: Path, ledger: Ledger) -> Iterator[DataFinding]:
@@ -108,7 +108,7 @@ def find_leftovers(folder: Path, ledger: Ledger) -> Iterator[DataFinding]:
         *(folder / "components").glob(".incoming-*"),
         *folder.glob(".restoring"),
     ]
-    for path in folder.glob(".*.*.*"):  # of `write_whole_bytes`: .name.process.thread
+    for path in folder.glob(".*.*.*"):  # of `write_atomically`: .name.process.thread
         process = path.name.split(".")[-2]
         if process.isdecimal() and not Path(f"/proc/{process}").exists():
             unfinished.append(path)
@@ -117,14 +117,14 @@ def find_leftovers(folder: Path, ledger: Ledger) -> Iterator[DataFinding]:
     known = ledger.attempts(numbers)
     orphans = [jobs / str(number) for number in sorted(numbers) if number not in known]
     aside = [path for pattern in _ASIDE for path in folder.glob(pattern)]
-    left = "left by an interrupted write; safe to remove while no server is running"
+    removal = "left by an interrupted write; safe to remove while no server is running"
     gone = "they are of a ledger that is gone; a result.json in them may be worth a look"
-    for what, paths, remedy in (
-        ("unfinished files", unfinished, left),
+    for subject, paths, remedy in (
+        ("unfinished files", unfinished, removal),
         ("copies moved aside", aside, "remove them once nothing in them is missed"),
         ("attempts of jobs that the ledger does not have", orphans, gone),
     ):
         names = ", ".join(str(path.relative_to(folder)) for path in paths[:_MAX_NAMED])
         more = f" and {len(paths) - _MAX_NAMED} more" if len(paths) > _MAX_NAMED else ""
         if paths:
-            yield DataFinding("note", f"{what}: {names}{more}", remedy)
+            yield DataFinding("note", f"{subject}: {names}{more}", remedy)

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wrenchbook.service.contract import COVERAGE
-from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.files.durable import write_atomically
 from wrenchbook.service.files.lock import take
 
 log = logging.getLogger(__name__)
@@ -135,8 +135,8 @@ class SharedCounts:
             # The lowest number that no other process has, locked until this process ends.
             numbers = count(1)
             number = next(n for n in numbers if take(folder / f"{n}.lock", 0.0) is not None)
-        self._folder, self._own = folder, folder / f"{number}.json"
-        counts.add_all(_read(self._own)[0])
+        self._folder, self._path = folder, folder / f"{number}.json"
+        counts.add_all(_read(self._path)[0])
         self._writing = threading.Lock()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._keep, name="counts", daemon=True)
@@ -172,7 +172,7 @@ class SharedCounts:
                 "pid": os.getpid(),
             }
             try:
-                write_whole_bytes(self._own, json.dumps(values).encode(), durable=False)
+                write_atomically(self._path, json.dumps(values).encode(), durable=False)
             except OSError as error:
                 log.debug("counts are not written: %s", error)
 

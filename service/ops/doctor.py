@@ -41,7 +41,7 @@ Tables = dict[str, tuple[Rows, TableMeta]]
 
 
 def examine(folder: Path, *, repair: bool = False) -> list[DataFinding]:
-    """Check a data directory; with `repair`, repair what another copy has.
+    """Check a data directory; with `repair`, repair parts that another copy has.
 
     A server may use the directory meanwhile, except for the repair of a damaged ledger file.
     """
@@ -71,8 +71,8 @@ def examine(folder: Path, *, repair: bool = False) -> list[DataFinding]:
             findings += _check_component(ledger, library[name], store, tables, repair=repair)
         remedy = "put its bundle into components/ again, or move the file away"
         for name in sorted(tables.keys() - set(library.names())):
-            what = f"tables/{name}.h5 is the table of a component that is not in the library"
-            findings.append(DataFinding("note", what, remedy))
+            text = f"tables/{name}.h5 is the table of a component that is not in the library"
+            findings.append(DataFinding("note", text, remedy))
         findings += find_leftovers(folder, ledger)
         findings += _losses(ledger, repair=repair)
     except LedgerError as error:
@@ -91,16 +91,16 @@ def _opened(folder: Path, *, repair: bool) -> tuple[Ledger | None, list[DataFind
     log = path.with_name(f"{LEDGER}-wal")
     findings = []
     if _has_bytes(log) and not _has_bytes(path):
-        what = f"there is {log.name} without {LEDGER}: what was newest is in it and not readable"
+        text = f"there is {log.name} without {LEDGER}: what was newest is in it and not readable"
         if not repair:
-            return None, [DataFinding("fault", what, f"put {LEDGER} back; if it is gone, {REPAIR}")]
-        findings.append(DataFinding("repaired", what, f"moved to {move_aside(log, 'orphan').name}"))
+            return None, [DataFinding("fault", text, f"put {LEDGER} back; if it is gone, {REPAIR}")]
+        findings.append(DataFinding("repaired", text, f"moved to {move_aside(log, 'orphan').name}"))
     if not _has_bytes(path):
-        what = f"{LEDGER} is empty" if path.exists() else f"there is no {LEDGER}"
+        text = f"{LEDGER} is empty" if path.exists() else f"there is no {LEDGER}"
         if not repair:
             remedy = f"put it back or restore a backup; tables/ has rows, but no jobs; {REPAIR}"
-            return None, [*findings, DataFinding("fault", what, remedy)]
-        findings.append(DataFinding("repaired", what, "a new one was made; see the tables below"))
+            return None, [*findings, DataFinding("fault", text, remedy)]
+        findings.append(DataFinding("repaired", text, "a new one was made; see the tables below"))
     try:
         return Ledger(path), findings
     except LedgerDamagedError as error:
@@ -124,7 +124,7 @@ def _has_bytes(path: Path) -> bool:
     return path.exists() and path.stat().st_size > 0
 
 
-def _rebuilt(folder: Path, what: str) -> list[DataFinding]:
+def _rebuilt(folder: Path, problem: str) -> list[DataFinding]:
     """Replace a damaged ledger by the readable part of it and of the table files."""
     path, tables = folder / LEDGER, folder / "tables"
     with tempfile.TemporaryDirectory(prefix=".repairing-", dir=folder) as scratch:
@@ -150,7 +150,7 @@ def _rebuilt(folder: Path, what: str) -> list[DataFinding]:
         text += f"; {salvaged.reopened} jobs wait again, their rows being lost"
     text += ". The damaged one was moved aside; a backup may have more"
     return [
-        DataFinding("repaired", what, text),
+        DataFinding("repaired", problem, text),
         *_gone(f"up to {salvaged.lost_rows} rows", salvaged.lost_rows),
     ]
 
@@ -168,11 +168,11 @@ def _losses(ledger: Ledger, *, repair: bool) -> list[DataFinding]:
     return findings + _gone(f"up to {gone.rows} rows and {gone.jobs} jobs", sum(gone))
 
 
-def _gone(what: str, count: int) -> list[DataFinding]:
+def _gone(subject: str, count: int) -> list[DataFinding]:
     if not count:
         return []
     remedy = "restore a backup, or load or solve them again; the next check does not repeat this"
-    return [DataFinding("fault", f"{what} that were acknowledged are gone", remedy)]
+    return [DataFinding("fault", f"{subject} that were acknowledged are gone", remedy)]
 
 
 def _read_all(
@@ -212,23 +212,23 @@ def _read_all(
 
 def _damaged_rows(ledger: Ledger, tables: Tables, *, repair: bool) -> Iterator[DataFinding]:
     for seq, named in ledger.damaged_rows().items():
-        what = f"row {seq} of {named} is damaged in the ledger"
+        text = f"row {seq} of {named} is damaged in the ledger"
         name = next((name for name, (rows, _) in tables.items() if seq in rows.seq), None)
         if name is None:
             remedy = (
                 "no whole table file has it: ask for its wrench again to have it solved or load it "
                 "again, or restore a backup"
             )
-            yield DataFinding("fault", what, remedy)
+            yield DataFinding("fault", text, remedy)
         elif not repair:
-            yield DataFinding("fault", what, f"tables/{name}.h5 has it; {REPAIR}")
+            yield DataFinding("fault", text, f"tables/{name}.h5 has it; {REPAIR}")
         else:
             rows = tables[name][0]
             if ledger.rewrite(name, seq, rows.take(np.flatnonzero(rows.seq == seq)[:1])):
-                yield DataFinding("repaired", what, f"written anew from tables/{name}.h5")
+                yield DataFinding("repaired", text, f"written anew from tables/{name}.h5")
             else:
                 remedy = "the same row is there under another number, which is used"
-                yield DataFinding("note", what, remedy)
+                yield DataFinding("note", text, remedy)
 
 
 def _check_component(
@@ -236,23 +236,23 @@ def _check_component(
 ) -> Iterator[DataFinding]:
     """Compare a component's table file with the ledger, and find rows of another setup of it."""
     name, count = component.name, ledger.count_rows(component.name)
-    what, known = "", tables.get(name)
+    text, known = "", tables.get(name)
     if known is None:
-        if count and store.written(name) is None:  # else `_read_all` has said what is wrong with it
-            what = f"tables/{name}.h5 is not there; the ledger has {count} rows of it"
+        if count and store.written(name) is None:  # else `_read_all` has reported the damage
+            text = f"tables/{name}.h5 is not there; the ledger has {count} rows of it"
     elif not known[1].ledger or known[1].ledger != ledger.digest(name, known[1].last_seq):
         last = known[1].last_seq
-        what = f"tables/{name}.h5 and the ledger do not have the same rows up to {last}"
-    if what and repair:
+        text = f"tables/{name}.h5 and the ledger do not have the same rows up to {last}"
+    if text and repair:
         store.load(component)  # puts rows that the file alone has back into the ledger
         rows, last_seq = followed(ledger, component, Rows.empty(component.space), 0)
         store.save(component, rows, last_seq)
         back = ledger.count_rows(name) - count
         remedy = f"{back} rows put back into the ledger; the file written anew with {len(rows)}"
-        yield DataFinding("repaired", what, f"{remedy} rows")
-    elif what:
+        yield DataFinding("repaired", text, f"{remedy} rows")
+    elif text:
         yield DataFinding(
-            "fault" if known else "note", what, f"a server's start writes it; or {REPAIR}"
+            "fault" if known else "note", text, f"a server's start writes it; or {REPAIR}"
         )
     others = ledger.of_other_setups(name, component.fingerprint)
     if not others:
@@ -262,7 +262,7 @@ def _check_component(
     wrenches = unsolved(component, others, rows.wrench)
     # One solve of a linear component determines its compliance.
     if not complete and len(wrenches):
-        what = f"{sum(others.values())} rows of {name} belong to another setup of it"
+        text = f"{sum(others.values())} rows of {name} belong to another setup of it"
         again = f"wrenchbook resolve {name} solves their {len(wrenches)} wrenches again; "
         back = "they come back if its files are as they were"
-        yield DataFinding("note", what, again * component.has_fea + back)
+        yield DataFinding("note", text, again * component.has_fea + back)

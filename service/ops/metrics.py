@@ -37,7 +37,7 @@ FRESH_S = 1.0  # age of cached ledger statistics: several scrapers cost one quer
 
 
 class MetricsSource(Protocol):
-    """What the metrics read of an opened data directory: `service.workspace.Workspace`."""
+    """The data that metrics read of an opened data directory: `service.workspace.Workspace`."""
 
     settings: Any
     ledger: Ledger

@@ -2,7 +2,7 @@
 
 A file is a list of blocks, so that a changed ledger ships the blocks that differ. A manifest is
 written once all its blocks are there, under a name with its own digest; ``latest.json`` names the
-newest one. Nothing that an interrupted write left is taken for whole.
+newest one. An interrupted write never counts as complete.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import IO, Any
 
-from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.files.durable import write_atomically
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.ledger.schema import VERSION
 from wrenchbook.service.ops import backup
@@ -126,7 +126,7 @@ class Replica:
             raise ReplicaError(f"{name} of {self.url} is damaged: {error!r}") from error
 
     def newest(self, until: float = float("inf")) -> Manifest:
-        """Return the newest whole manifest that was created `until` then; raises BackupError."""
+        """Return the newest complete manifest that was created `until` then; raises BackupError."""
         why = ReplicaError(f"{self.url} has no manifest{' of that time' * (until < 1e99)}")
         for name in self.manifests():
             try:
@@ -187,11 +187,11 @@ class Shipper:
             self._origin = (settings.data / ORIGIN).read_text()
         except FileNotFoundError:
             self._origin = secrets.token_hex(16)
-            write_whole_bytes(settings.data / ORIGIN, self._origin.encode())
+            write_atomically(settings.data / ORIGIN, self._origin.encode())
         self._files: dict[str, Entry] = {}
         self._known: set[str] = set()  # blocks that are there
         self._number, self._collect_at = 0, time.monotonic() + COLLECT_S
-        self._pointer = replica.place.get(LATEST, b"")  # as this shipper has seen or written it
+        self._pointer = replica.place.get(LATEST, b"")  # as this shipper has read or written it
         names, newest = replica.manifests(), None
         if again and not names:
             raise ReplicaError(
@@ -216,7 +216,7 @@ class Shipper:
                 self._files = replica.files(newest)
                 entries = *self._files.values(), newest.files
                 self._known = present & {digest for _, blocks in entries for digest in blocks}
-        self._seen: object = None  # version of the ledger in the last manifest
+        self._manifest_version: object = None  # version of the ledger in the last manifest
         self._shipped: dict[str, object] = {}  # stamps of files that are there
         self._latest, self._surfaces_behind = "", False
         self.facts: dict[str, Any] = {"bytes": 0}
@@ -225,14 +225,14 @@ class Shipper:
         """Ship what has changed, and note it in `facts`."""
         deadline = time.monotonic() + FILES_PART * self._settings.replicate_interval
         self.facts["files_behind"] = 0
-        changed, seen = self._ship(backup.TABLES, deadline), self._ledger.version()
-        if seen != self._seen or self._surfaces_behind:  # a surface comes with a row
+        changed, version = self._ship(backup.TABLES, deadline), self._ledger.version()
+        if version != self._manifest_version or self._surfaces_behind:  # a surface comes with a row
             behind = self.facts["files_behind"]
             changed |= self._ship("fields", deadline)
             self._surfaces_behind = self.facts["files_behind"] > behind
         begun, settings = time.time(), self._settings
-        seen = self._ledger.version()
-        if changed or seen != self._seen:
+        version = self._ledger.version()
+        if changed or version != self._manifest_version:
             rows, last_row, jobs = self._ledger.copy(self._data / COPY, checked=False)
             self._ship("components")  # after the ledger: no row is without its component
             with (self._data / COPY).open("rb") as file:
@@ -246,7 +246,7 @@ class Shipper:
             self._check()
             self._latest = _name(manifest.number, content)
             self._write(self._latest, content)
-            self._number, self._seen = manifest.number, seen
+            self._number, self._manifest_version = manifest.number, version
             self.facts |= {"manifest": manifest.number, "created": begun, "rows": rows}
             if time.monotonic() > self._collect_at:
                 self.collect()
@@ -265,12 +265,12 @@ class Shipper:
 
     def collect(self) -> None:
         """Remove the manifests that need not stay, and the blocks that no manifest needs."""
-        kept, needed, place = list[float](), set[str](), self._replica.place
+        retained, needed, place = list[float](), set[str](), self._replica.place
         for name in self._replica.manifests():
             with suppress(ReplicaError):
                 manifest = self._replica.manifest(name)
-                if stays(manifest.created, kept):
-                    kept.append(manifest.created)
+                if stays(manifest.created, retained):
+                    retained.append(manifest.created)
                     entries = *self._replica.files(manifest).values(), manifest.files
                     needed.update(*(blocks for _, blocks in entries))
                     continue
@@ -333,17 +333,17 @@ class Shipper:
         self.facts["bytes"] += len(content)
 
 
-def stays(created: float, kept: list[float]) -> bool:
+def stays(created: float, retained: list[float]) -> bool:
     """Whether a manifest stays, by the times of the newer ones that do, the newest first; s."""
-    if not kept:
+    if not retained:
         return True
-    age = kept[0] - created
-    return next((kept[-1] - created >= apart for most, apart in KEEP_S if age <= most), False)
+    age = retained[0] - created
+    return next((retained[-1] - created >= apart for most, apart in KEEP_S if age <= most), False)
 
 
 def write_status(data: Path, **parts: Any) -> None:
     """Write `replica`, `backup` or `followed`, by which health and doctor judge the copies."""
-    write_whole_bytes(data / STATUS, json.dumps(read_status(data) | parts).encode(), durable=False)
+    write_atomically(data / STATUS, json.dumps(read_status(data) | parts).encode(), durable=False)
 
 
 def read_status(data: Path) -> dict[str, Any]:
@@ -355,7 +355,7 @@ def read_status(data: Path) -> dict[str, Any]:
 
 
 def trouble_of(status: Mapping[str, Any], settings: Settings | None = None) -> str | None:
-    """Return what is wrong with copies; with a running server's settings also silence."""
+    """Return the problems of copies; with a running server's settings also silence."""
     parts = []
     for name, part in status.items():
         silent = time.time() - part["seen"] if settings else 0.0

@@ -34,7 +34,7 @@ def restore(
     The backup is verified first, and the restored files before they replace others. Keys and
     settings of the directory stay. Restored files are their owner's alone to read. With
     `overwrite` the directory may have more than keys and settings: it is moved aside, into the
-    folder that is returned with the manifest. Raises BackupError if the backup is not whole or too
+    folder that is returned with the manifest. Raises BackupError if the backup is incomplete or too
     new, or the directory not empty, in use or not writable.
     """
     folder = folder.absolute()
@@ -97,7 +97,7 @@ def in_use(folder: Path) -> bool:
 
 
 def _check_free(folder: Path, *, overwrite: bool) -> list[Path]:
-    """Return what the directory has besides what stays; refuse one in use, or not empty."""
+    """Return the directory's files that a restore replaces; refuse one in use, or not empty."""
     present = sorted(entry for entry in folder.iterdir() if entry.name not in _STAYS)
     if in_use(folder):
         raise BackupError(f"a server or worker uses {folder}; stop it first. Nothing was changed")

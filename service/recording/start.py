@@ -106,7 +106,7 @@ def _start(
         holds = load_range.holds(wrenches)
     if component.linear:
         return _start_linear(workspace, component, holds)
-    # First what is queued, then what is known: see `Workspace.fill`.
+    # First queued wrenches, then known rows: see `Workspace.fill`.
     pending = workspace.submission.pending_wrenches(name)
     table = workspace.tables.caught_up(name, CATCH_UP_S)
     rows = set(packed(component.acting(table.rows.wrench)))
@@ -126,10 +126,10 @@ def _start(
     accepted = workspace.submission.fill(name, fresh[order], asked_by=purpose)
     present = [jobs[key] for key in keys if key in jobs]
     queued = [job for job in present if job.status in ("waiting", "running")]
-    failed, left = status.count("failed"), len(fresh) - len(order)
+    failed, over_budget = status.count("failed"), len(fresh) - len(order)
     reasons = []
-    if left:
-        reasons.append(f"{left} are left by the budget: start again once these are solved")
+    if over_budget:
+        reasons.append(f"{over_budget} are left by the budget: start again once these are solved")
     if failed:
         reasons.append(
             f"{failed} have failed before: see GET /v1/jobs?status=failed and retry them"
@@ -148,7 +148,7 @@ def _start(
         int(covered.sum()),
         failed,
         beyond,
-        left,
+        over_budget,
         "; ".join(reasons),
     )
 

@@ -52,7 +52,7 @@ class Tally:
 
     `revision` grows with every change. Of the wrenches `offered` since it was cleared, `merged` are
     within 1e-6 of the range of a kept one, `thinned` are represented by one, `outside` lie outside
-    the load range. `reach` is the largest difference of a load, of its scale (beyond the range: of
+    the load range. `radius` is the largest difference of a load, of its scale (beyond the range: of
     itself), at which a wrench counts as a kept one; every wrench offered is `within` of one. Those
     outside the load range are thinned apart. `scale` has the scales of the loads, packed, N and
     N·m, that the distances are measured in.
@@ -63,9 +63,9 @@ class Tally:
     merged: int = 0
     thinned: int = 0
     outside: int = 0
-    reach: float = NEAR
+    radius: float = NEAR
     within: float = 0.0
-    reach_outside: float = NEAR
+    radius_outside: float = NEAR
     within_outside: float = 0.0
     scale: bytes | None = None
 
@@ -141,8 +141,8 @@ class RecordingStore:
             if block is not None and _was_recorded(db, name, "recording", block, wrenches):
                 return BlockResult(before, True, outside)
             within, beyond = (
-                take(subset, points[places], [keys[place] for place in places.tolist()])
-                for subset, places in zip(
+                take(subset, points[indices], [keys[place] for place in indices.tolist()])
+                for subset, indices in zip(
                     self._subsets_of(component, before, db),
                     (np.flatnonzero(inside), np.flatnonzero(~inside)),
                     strict=True,
@@ -154,9 +154,9 @@ class RecordingStore:
                 before.merged + within.merged + beyond.merged,
                 before.thinned + within.thinned + beyond.thinned,
                 before.outside + outside,
-                within.subset.reach,
+                within.subset.radius,
                 within.subset.within,
-                beyond.subset.reach,
+                beyond.subset.radius,
                 beyond.subset.within,
                 _packed_scale(scale),
             )
@@ -251,11 +251,11 @@ class RecordingStore:
         wrenches = unpacked(keys, len(scale))
         points, holds = scaled_loads(wrenches, scale), component.load_range.holds(wrenches)
         inside, outside = (
-            (points[places], [keys[place] for place in places.tolist()])
-            for places in (np.flatnonzero(holds), np.flatnonzero(~holds))
+            (points[indices], [keys[place] for place in indices.tolist()])
+            for indices in (np.flatnonzero(holds), np.flatnonzero(~holds))
         )
-        beyond = tally.reach_outside, tally.within_outside * stretched, MAX_OUTSIDE
-        return Subset(*inside, tally.reach, tally.within * stretched), Subset(*outside, *beyond)
+        beyond = tally.radius_outside, tally.within_outside * stretched, MAX_OUTSIDE
+        return Subset(*inside, tally.radius, tally.within * stretched), Subset(*outside, *beyond)
 
 
 def _tally(db: Connection, component: str, kind: Kind) -> Tally:
@@ -392,7 +392,7 @@ def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance |
         largest = over_box + answers.errors.max(axis=0)
         largest = largest + np.abs(table.packed.batch(np.zeros((1, len(low)))).outputs[0])
     else:
-        # NaN stays: what is not known at one point is no estimate of the largest.
+        # NaN stays: with an unknown value at one point the largest is unknown.
         largest = (np.abs(answers.outputs) + answers.errors).max(axis=0)
     kind = "unknown" if np.isnan(largest).any() else "bound" if exact else "estimate"
     negligible, reason = True, "" if kind == "bound" else "an estimate by the table, see formula"

@@ -1,7 +1,7 @@
 """Farthest-point thinning of a stream of wrenches, in bounded memory and little time.
 
-It keeps a subset of the wrenches: no two are within `reach` of each other, and every wrench lies
-within `within` of a kept one. When the subset is full, `reach` grows and some are dropped (the
+It keeps a subset of the wrenches: no two are within `radius` of each other, and every wrench lies
+within `within` of a kept one. When the subset is full, `radius` grows and some are dropped (the
 doubling algorithm: Charikar, Chekuri, Feder and Motwani 1997), so each wrench is examined once.
 """
 
@@ -24,12 +24,12 @@ MAX_OUTSIDE = 1_000  # beyond the range: impacts, counted apart from the others
 TARGET = 0.8
 CHUNK = 2_048  # wrenches at once: each chunk takes a tree of its own and one of the subset
 LARGEST = 1e300  # scaled loads beyond this count as this: all differences stay finite numbers
-_EDGE = 1 + 1e-12  # KDTree's bound is exclusive; a wrench at just the reach counts as near
+_EDGE = 1 + 1e-12  # KDTree's bound is exclusive; a wrench at just the radius counts as near
 
 
 @dataclass(frozen=True)
 class Subset:
-    """Points (m, n), dimensionless (see `scaled_loads`), no two of them within reach of each other.
+    """Points (m, n), dimensionless (see `scaled_loads`), no two within `radius` of each other.
 
     `keys` has the packed wrench of each; every wrench offered is `within` of one; there may be
     `limit` of them.
@@ -37,7 +37,7 @@ class Subset:
 
     points: Floats = field(default_factory=lambda: np.empty((0, len(DEFAULT.inputs))))
     keys: list[bytes] = field(default_factory=list)
-    reach: float = NEAR
+    radius: float = NEAR
     within: float = 0.0
     limit: int = MAX_INSIDE
 
@@ -74,19 +74,19 @@ def take(subset: Subset, points: Floats, keys: list[bytes]) -> Step:
         chunk = points[start : start + CHUNK]
         apart = np.full(len(chunk), np.inf)
         if subset.keys:
-            bound = subset.reach * _EDGE
+            bound = subset.radius * _EDGE
             apart = _tree(subset.points).query(chunk, p=np.inf, distance_upper_bound=bound)[0]
         fresh = np.flatnonzero(np.isinf(apart))
         chosen = different = fresh[spaced(chunk[fresh], NEAR)]
-        if subset.reach > NEAR:
-            chosen = different[spaced(chunk[different], subset.reach)]
+        if subset.radius > NEAR:
+            chosen = different[spaced(chunk[different], subset.radius)]
         merged = int((apart <= NEAR * _EDGE).sum()) + len(fresh) - len(different)
         thinned = len(chunk) - merged - len(chosen)
         subset = Subset(
             np.concatenate([subset.points, chunk[chosen]]),
             subset.keys + [keys[start + place] for place in chosen.tolist()],
-            subset.reach,
-            max(subset.within, subset.reach if thinned else NEAR if merged else 0.0),
+            subset.radius,
+            max(subset.within, subset.radius if thinned else NEAR if merged else 0.0),
             subset.limit,
         )
         if len(subset.keys) > subset.limit:
@@ -99,15 +99,15 @@ def take(subset: Subset, points: Floats, keys: list[bytes]) -> Step:
     return Step(subset, added, dropped, all_merged, all_thinned)
 
 
-def spaced(points: Floats, reach: float) -> NDArray[np.bool_]:
+def spaced(points: Floats, radius: float) -> NDArray[np.bool_]:
     """Which points, shape (n, m), dimensionless, are kept, first come first, shape (n,).
 
-    No two of these are within reach of each other, and all others are of one of them.
+    No two of these are within `radius` of each other, and all others are of one of them.
     """
     keep = np.ones(len(points), dtype=bool)
     if len(points) < 2:
         return keep
-    tree, bound = _tree(points), reach * _EDGE
+    tree, bound = _tree(points), radius * _EDGE
     nearest = tree.query(points, k=2, p=np.inf, distance_upper_bound=bound)[0][:, 1]
     for place in np.flatnonzero(nearest < np.inf).tolist():
         if keep[place]:
@@ -137,17 +137,17 @@ def farthest_first(points: Floats, known: Floats, count: int) -> list[int]:
 
 
 def _coarser(subset: Subset) -> Subset:
-    """Return a subset of a larger reach with at most `TARGET` of the most points."""
-    points, keys, reach, within = subset.points, subset.keys, subset.reach, subset.within
+    """Return a subset of a larger radius with at most `TARGET` of the most points."""
+    points, keys, radius, within = subset.points, subset.keys, subset.radius, subset.within
     while len(keys) > TARGET * subset.limit:
         nearest = _tree(points).query(points, k=2, p=np.inf)[0][:, 1]
-        # Three of ten points have a neighbour within this reach: most of these are dropped.
-        reach = max(1.1 * reach, float(np.quantile(nearest, 0.3)))
-        keep = spaced(points, reach)
+        # Three of ten points have a neighbour within this radius: most of these are dropped.
+        radius = max(1.1 * radius, float(np.quantile(nearest, 0.3)))
+        keep = spaced(points, radius)
         if not keep.all():
-            points, within = points[keep], within + reach
-            keys = [key for key, kept in zip(keys, keep.tolist(), strict=True) if kept]
-    return Subset(points, keys, reach, within, subset.limit)
+            points, within = points[keep], within + radius
+            keys = [key for key, is_far in zip(keys, keep.tolist(), strict=True) if is_far]
+    return Subset(points, keys, radius, within, subset.limit)
 
 
 def _tree(points: Floats) -> KDTree:

@@ -14,8 +14,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from wrenchbook.fea.bundle.read import read_bundle
-from wrenchbook.service.files.durable import write_whole_bytes
-from wrenchbook.service.jobs.attempt import PROGRESS, Progress, write_whole
+from wrenchbook.service.files.durable import write_atomically
+from wrenchbook.service.jobs.attempt import PROGRESS, Progress, write_json
 from wrenchbook.service.report.layout import (
     advice_of,
     as_markdown,
@@ -36,7 +36,7 @@ def main(folder: Path) -> int:
     def note(fraction: float, message: str) -> None:
         if (folder / CANCEL).exists():
             sys.exit(1)
-        write_whole(folder / PROGRESS, asdict(Progress(fraction, message)))
+        write_json(folder / PROGRESS, asdict(Progress(fraction, message)))
 
     (folder / FAILURE).unlink(missing_ok=True)
     try:
@@ -55,11 +55,11 @@ def main(folder: Path) -> int:
         report["made"] = datetime.now(UTC).isoformat(timespec="seconds")
         report["table_version"] = meta.last_seq
         for name, text in (("report.md", as_markdown(report)), ("report.html", as_page(report))):
-            write_whole_bytes(folder / name, text.encode(), durable=False)
-        write_whole(folder / "report.json", report, durable=True)
+            write_atomically(folder / name, text.encode(), durable=False)
+        write_json(folder / "report.json", report, durable=True)
     except Exception as error:
         traceback.print_exc()
-        write_whole(folder / FAILURE, {"message": f"{type(error).__name__}: {error}"})
+        write_json(folder / FAILURE, {"message": f"{type(error).__name__}: {error}"})
         return 1
     return 0
 

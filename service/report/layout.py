@@ -48,7 +48,7 @@ class ReportSection:
 
 
 def summary_of(report: dict[str, Any]) -> str:
-    """Return what was compared with what."""
+    """Return the two sides of the comparison."""
     wrenches = report["wrenches"]
     return (
         f"{wrenches['compared']} of {wrenches['asked']} random full wrenches (seed "
@@ -87,7 +87,7 @@ def sections_of(report: dict[str, Any]) -> list[ReportSection]:
     default, outputs, meshes = report["default"], tuple(report["outputs"]), report["fea"]
     complete = [entry for entry in report["tables"] if entry["rows"] == report["rows"]]
     star = dict.fromkeys(report["pareto"], STAR)
-    left_out = tuple((name, f"{error:.2e}") for name, error in default["errors_left_out"].items())
+    omitted = tuple((name, f"{error:.2e}") for name, error in default["errors_left_out"].items())
     fea = tuple(
         (
             entry["level"] + " (reference)" * (entry is meshes[-1]) + star.get(entry["name"], ""),
@@ -146,8 +146,8 @@ def sections_of(report: dict[str, Any]) -> list[ReportSection]:
             "Which method answers, and why",
             f"Without a choice of method {default['method']} answers: {default['reason']}. "
             f"{default['full_wrench_rows']} rows load more than one axis.",
-            ("at rows left out", "RMS error / range") if left_out else (),
-            left_out,
+            ("at rows left out", "RMS error / range") if omitted else (),
+            omitted,
         ),
         ReportSection(
             "Finite elements",
@@ -182,7 +182,7 @@ def sections_of(report: dict[str, Any]) -> list[ReportSection]:
 
 
 def _failures_in(level: dict[str, Any]) -> str:
-    """Say how many solves on a mesh failed, and why; "" if none did."""
+    """Return a note of the solves that failed on a mesh, with their causes; "" if none did."""
     failures = level["failures"]
     kinds = Counter(failure["kind"] for failure in failures)
     first = {failure["kind"]: failure for failure in reversed(failures)}

@@ -161,8 +161,8 @@ def _built(rows: Rows, load_range: LoadRange, linear: bool) -> tuple[dict[str, A
 def _method(
     surrogate: Table, method: str, wrenches: Array, references: tuple[Array, Array], scale: Array
 ) -> dict[str, Any] | None:
-    """Compare a method with solves on the finest mesh and on the table's own; None without it."""
-    table, (finest, own) = packed_of(surrogate), references
+    """Compare a method with solves on the finest mesh and on the table's mesh; None without it."""
+    table, (finest, meshed) = packed_of(surrogate), references
     try:
         answer = table.answer(wrenches[0].tolist(), None, method)
     except UnknownMethodError:  # several interfaces have no axes
@@ -170,7 +170,7 @@ def _method(
     if answer.method != method:  # few rows have no kriging: the axes answer instead
         return None
     answers = table.batch(wrenches, method=method)
-    error = np.abs(answers.outputs - own)
+    error = np.abs(answers.outputs - meshed)
     inside, ratios = [], []
     for bars, true in zip(answers.errors.T, error.T, strict=True):
         known = np.isfinite(bars)
@@ -180,7 +180,7 @@ def _method(
         # None where the error is nothing.
         ratios.append(float(np.median(bars)) / median if median > 0.0 else None)
     middle, late = answer_times(table, method, wrenches)
-    of_finest, of_own = errors(np.abs(answers.outputs - finest), scale), errors(error, scale)
+    of_finest, of_mesh = errors(np.abs(answers.outputs - finest), scale), errors(error, scale)
     return {
         "covered": float(np.mean(answers.coverage == 0)),
         "seconds": middle * 1e-6,
@@ -188,8 +188,8 @@ def _method(
         "query_us_p99": late,
         "error": of_finest,
         "largest_error": _largest(of_finest),
-        "lookup_error": of_own,
-        "largest_interpolation_error": _largest(of_own),
+        "lookup_error": of_mesh,
+        "largest_interpolation_error": _largest(of_mesh),
         "inside_error_bar": inside,
         "bar_over_error": ratios,
     }

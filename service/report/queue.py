@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from wrenchbook.service.files import lock
 from wrenchbook.service.files.program import child_command
-from wrenchbook.service.jobs.attempt import write_whole
+from wrenchbook.service.jobs.attempt import write_json
 from wrenchbook.service.library.component import Component
 
 FILES = {"json": "report.json", "md": "report.md", "html": "report.html"}
@@ -60,7 +60,7 @@ class Reports:
             if descriptor is None:
                 return
             order = {"bundle": str(component.folder), "table": str(table)}
-            write_whole(folder / "order.json", {**order, "wrenches": wrenches, "seed": seed})
+            write_json(folder / "order.json", {**order, "wrenches": wrenches, "seed": seed})
             for file in ("failure.json", CANCEL, "progress.json"):
                 (folder / file).unlink(missing_ok=True)
             environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}

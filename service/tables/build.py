@@ -152,7 +152,7 @@ class TableBuilder:
         return {**self._store.caveats, **self._unwritten, **self._faults}
 
     def _follow(self) -> None:
-        seen = None
+        version = None
         while not self._stopping.wait(POLL_S):
             # A table that changes while it is built is built once more, after that.
             for name in self._behind - self._running:
@@ -163,11 +163,11 @@ class TableBuilder:
             pause = 0.0
             try:
                 now = self._ledger.version(), self._library.version()
-                if now != seen:
+                if now != version:
                     self._behind |= {name for name in self._library.names() if self._lags(name)}
-                    seen = now
+                    version = now
             except LedgerUnavailableError:
-                seen, pause = None, RETRY_S  # the ledger reports it
+                version, pause = None, RETRY_S  # the ledger reports it
             except Exception:
                 log.exception("following the ledger failed; trying again")
                 pause = RETRY_S

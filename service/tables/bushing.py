@@ -64,7 +64,7 @@ def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
                 point = _Point(np.nan, np.nan, np.nan, np.nan, _OUTSIDE)
             width = abs(loop[axis]) * point.stiffness
             if not loop[axis] and not hidden[axis] <= point.moved:
-                width = np.nan  # no loop is seen, and rows would not show one as large as the bar
+                width = np.nan  # no loop shows, and rows would not show one as large as the bar
             numbers = (d, point.load, point.bar, width)
             cells = ["" if value != value else repr(float(value)) for value in numbers]
             lines.append(",".join([OUTPUTS[axis], *cells, NAMES[point.coverage]]) + "\n")

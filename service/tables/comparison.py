@@ -65,22 +65,22 @@ def comparison(
         If the table has no measured rows of an import, or the two are the same.
     """
     of_import, measured = _imports(rows.seq, spans), rows.source != SOLVED
-    for one in (number, against):
-        if one is not None and not (measured & (of_import == one)).any():
+    for each in (number, against):
+        if each is not None and not (measured & (of_import == each)).any():
             listed = np.unique(of_import[measured & (of_import > 0)])[-10:].tolist()
             known = ", ".join(map(str, listed)) or "none yet"
             raise UncomparableError(
-                f"the table has no measured rows of import {one}; its last are {known}"
+                f"the table has no measured rows of import {each}; its last are {known}"
             )
     if number is not None and number == against:
         raise UncomparableError(f"import {number} is its own reference; name two imports")
     reference = ~measured if against is None else measured & (of_import == against)
     chosen = measured & ~reference & (number is None or of_import == number)
     inside = np.asarray(component.load_range.holds(rows.wrench))
-    places, base = np.flatnonzero(chosen & inside), np.flatnonzero(reference)
-    places = places[:: -(-len(places) // MAX_COMPARED) or 1]
+    compared, base = np.flatnonzero(chosen & inside), np.flatnonzero(reference)
+    compared = compared[:: -(-len(compared) // MAX_COMPARED) or 1]
     used = base if against is None else base[:: -(-len(base) // MAX_REFERENCE)]
-    some, outputs, campaign = rows.take(places), component.space.output_names, of_import[places]
+    some, outputs, campaign = rows.take(compared), component.space.output_names, of_import[compared]
     reason, method, complete = "", "none", np.bool_(against is not None or error is not None)
     expected, bar = np.full((2, *some.displacement.shape), np.nan)
     noise, coverage = np.full(len(outputs), np.nan), np.full(len(some), _OUTSIDE)
@@ -101,8 +101,8 @@ def comparison(
         answered = (coverage != _OUTSIDE)[:, None] & (np.isfinite(replies.errors) | ~complete)
         expected = np.where(answered, replies.outputs, np.nan)
         bar = np.where(answered, replies.errors, np.nan)
-    own = np.ascontiguousarray(some.uncertainty)  # as the JSON writer needs it
-    columns = some.displacement, expected, bar, np.where(np.isfinite(own), own, noise)
+    stated = np.ascontiguousarray(some.uncertainty)  # as the JSON writer needs it
+    columns = some.displacement, expected, bar, np.where(np.isfinite(stated), stated, noise)
 
     def summaries(at: NDArray[np.bool_]) -> dict[str, Any]:
         numbers = zip(*(column[at].T for column in columns), strict=True)
@@ -125,21 +125,21 @@ def comparison(
         "outputs": summaries(campaign >= 0),
         "campaigns": [
             {
-                "import": one or None,
-                "rows": int((campaign == one).sum()),
-                "outputs": summaries(campaign == one),
+                "import": each or None,
+                "rows": int((campaign == each).sum()),
+                "outputs": summaries(campaign == each),
             }
-            for one in np.unique(campaign).tolist()
+            for each in np.unique(campaign).tolist()
         ],
         "row": some.seq.tolist(),
-        "campaign": [one or None for one in campaign.tolist()],
+        "campaign": [each or None for each in campaign.tolist()],
         "coverage": [NAMES[code] for code in coverage.tolist()],
         "wrench": some.wrench,
         "displacement": some.displacement,
         "expected": expected,
         "residual": some.displacement - expected,
         "bar": bar,
-        "uncertainty": own,
+        "uncertainty": stated,
     }
 
 
@@ -173,16 +173,16 @@ def _summary(measured: Floats, expected: Floats, bar: Floats, scatter: Floats) -
         "unanswered": int((np.isfinite(measured) & np.isnan(expected)).sum()),
         "beyond_bars": int((np.abs(residual) > bound).sum()),
         "bars_unknown": int((np.isfinite(residual) & np.isnan(bound)).sum()),
-        **{name: float(one) if np.isfinite(one) else None for name, one in numbers.items()},
+        **{name: float(value) if np.isfinite(value) else None for name, value in numbers.items()},
     }
 
 
 def comparison_csv(reply: Mapping[str, Any], space: Space) -> str:
     """Return the rows of a comparison as CSV, SI; empty where a number is not known."""
-    head = ["row", "import", "coverage", *(f"{one.name} [{one.unit}]" for one in space.inputs)]
+    head = ["row", "import", "coverage", *(f"{item.name} [{item.unit}]" for item in space.inputs)]
     for kind in _KINDS:
         more = "" if kind == "displacement" else f"_{kind}"
-        head += [f"{one.name}{more} [{one.unit}]" for one in space.outputs]
+        head += [f"{item.name}{more} [{item.unit}]" for item in space.outputs]
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow([name.replace("·", "*") for name in head])
@@ -202,8 +202,8 @@ def disagreement(component: Component, rows: Rows, error: SolverError | None) ->
     none = np.zeros((len(span.space.outputs), len(span.low)))
     known = error or SolverError({"mesh": none.tolist(), "loads": span.scale.tolist()})
     reply = comparison(component, rows, known)
-    own, residual = reply["uncertainty"], reply["residual"]
-    bound = _bound(reply["bar"], np.where(np.isfinite(own), own, reply["noise"]))
+    stated, residual = reply["uncertainty"], reply["residual"]
+    bound = _bound(reply["bar"], np.where(np.isfinite(stated), stated, reply["noise"]))
     compared = np.isfinite(residual) & np.isfinite(bound)
     ratio = np.where(compared, np.abs(residual) / np.maximum(bound, np.finfo(float).tiny), 0.0)
     inputs, outputs = component.space.input_names, component.space.output_names
@@ -227,11 +227,11 @@ def disagreement(component: Component, rows: Rows, error: SolverError | None) ->
         "not_told": int((~compared.any(axis=1)).sum()) if not reply["reason"] else None,
         "outputs": {
             name: {
-                "compared": one["compared"] - one["bars_unknown"],
-                "outside": one["beyond_bars"],
-                "mean_difference": one["mean"],
+                "compared": summary["compared"] - summary["bars_unknown"],
+                "outside": summary["beyond_bars"],
+                "mean_difference": summary["mean"],
             }
-            for name, one in reply["outputs"].items()
+            for name, summary in reply["outputs"].items()
             if not reply["reason"]
         },
         "rows": sorted(outliers, key=lambda row: -row["ratio"])[:MAX_LISTED],

@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.files.durable import write_atomically
 from wrenchbook.service.files.lock import is_locked, take
 
 FOLDER = "shared"  # in the data directory
@@ -23,7 +23,7 @@ LOCK, _STATUS = "lock", "status.json"
 
 @dataclass(frozen=True)
 class Status:
-    """What is wrong, as far as the builder knows.
+    """The problems that the builder knows.
 
     `trouble` says why no job runs, `faults` why a component's table is not what the ledger says;
     `failed` has the ledger's newest change of a component when its table could not be built. `pid`
@@ -56,7 +56,7 @@ class CoordinatorState:
             path.unlink(missing_ok=True)
         return True
 
-    def is_taken(self) -> bool:
+    def is_locked_by_builder(self) -> bool:
         """Return whether a process has the lock."""
         return is_locked(self._folder / LOCK)
 
@@ -71,7 +71,7 @@ class CoordinatorState:
         """Write the status for the other processes if it has changed; raises OSError."""
         path = self._folder / _STATUS
         if status != self._written or not path.exists():
-            write_whole_bytes(path, json.dumps(asdict(status)).encode(), durable=False)
+            write_atomically(path, json.dumps(asdict(status)).encode(), durable=False)
             self._written = status
 
     def read(self) -> Status:
@@ -83,7 +83,7 @@ class CoordinatorState:
 
     def publish(self, mapped: Mapped) -> None:
         """Write which tables this process answers from; see `unpublish`."""
-        write_whole_bytes(self._mapped, json.dumps(mapped).encode(), durable=False)
+        write_atomically(self._mapped, json.dumps(mapped).encode(), durable=False)
 
     def unpublish(self) -> None:
         """Remove what this process has published."""

@@ -13,7 +13,7 @@ import numpy as np
 from wrenchbook.service.formats.options import Options, ParsedTable
 from wrenchbook.service.formats.read import ReadResult, read_block, read_untrusted
 from wrenchbook.service.formats.rig import Rig
-from wrenchbook.service.ledger import About, Ledger, NotedRows, row_keys
+from wrenchbook.service.ledger import ImportOrigin, Ledger, NotedRows, row_keys
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.surrogate.findings.comparison import MAX_ROWS as MAX_COMPARED
@@ -33,7 +33,7 @@ def import_files(
     component: Component,
     files: Sequence[Path],
     options: Options,
-    about: About,
+    origin: ImportOrigin,
     *,
     dry_run: bool = False,
     partial: bool = False,
@@ -45,7 +45,7 @@ def import_files(
 
     Load range and fingerprint are the component's, not those of `options`. `dry_run` only counts;
     with `partial` the good rows are loaded though others have mistakes; the reply has the first
-    `preview` good rows. With `append` the rows of a JSON block go into the import of `about`,
+    `preview` good rows. With `append` the rows of a JSON block go into the import of `origin`,
     without findings. Findings say where measured rows differ from the answers of `table`. The reply
     has the members ``inserted``, ``existing``, ``errors``, ``rows`` and so on; ``loaded`` is
     whether rows were loaded. Raises SandboxBusyError, ImportRunningError, LedgerUnavailableError or
@@ -88,11 +88,11 @@ def import_files(
             {**finding, "rows": [], "keys": [key_of[row] for row in finding["rows"]]}
             for finding in findings
         ]
-        about = replace(about, format=report["format"], rig=options.rig)
-        about = replace(about, findings=json.dumps(stored))
+        origin = replace(origin, format=report["format"], rig=options.rig)
+        origin = replace(origin, findings=json.dumps(stored))
         blocks = (NotedRows(piece, piece.note) for piece in pieces())
         load = ledger.append_rows if append else ledger.import_rows
-        inserted, existing, number = load(component.name, blocks, about)
+        inserted, existing, number = load(component.name, blocks, origin)
     rows = report.pop("rows")
     good = rows.pop("good")
     return {
@@ -115,7 +115,7 @@ def _compared(
 
     A wrong unit, sign or clock is another error of the same rows.
     """
-    if not table.row_count or any(one["cause"] in ("unit", "sign", "clock") for one in known):
+    if not table.row_count or any(item["cause"] in ("unit", "sign", "clock") for item in known):
         return []
     stride = max(read.report["rows"]["good"] // MAX_COMPARED, 1)
     parts = [piece.take(np.arange(0, len(piece), stride)) for piece in read.pieces()]
@@ -126,8 +126,8 @@ def _compared(
     inside = table.load_range.holds(wrench)
     replies = table.packed.batch(wrench[inside], without_rows=True)
     solves = set(table.sources) == {"fea"}
-    given = moved[inside], replies.outputs, replies.errors
-    return [one.body() for one in comparison_findings(*given, solves=solves)]
+    answers = moved[inside], replies.outputs, replies.errors
+    return [item.body() for item in comparison_findings(*answers, solves=solves)]
 
 
 def solved_compliance(component: Component, table: ServedTable) -> list[list[float]] | None:
@@ -192,11 +192,11 @@ def _sums(numbers: np.ndarray, inputs: int) -> tuple[np.ndarray, np.ndarray]:
     return np.nansum(parts, axis=1), np.nansum(np.abs(parts), axis=1)
 
 
-def copy_rows(ledger: Ledger, source: Component, target: Component, about: About) -> int:
+def copy_rows(ledger: Ledger, source: Component, target: Component, origin: ImportOrigin) -> int:
     """Copy the rows of a component's present setup, all or none; return their number.
 
     Raises ImportRunningError or LedgerUnavailableError if they cannot be written now.
     """
     setup = {"space": source.space, "fingerprint": source.fingerprint}
     with ledger.table_at(source.name, **setup) as table:
-        return ledger.import_rows(target.name, table.lots, about)[0]
+        return ledger.import_rows(target.name, table.lots, origin)[0]

@@ -33,10 +33,10 @@ from wrenchbook.surrogate.table.space import Space
 
 log = logging.getLogger(__name__)
 
-POLL_S = 0.005  # between looks at what other web workers answer from, while a caller waits
-MEMORY_S = 0.1  # between looks at the memory of tables
+POLL_S = 0.005  # between polls of other web workers' versions, while a caller waits
+MEMORY_S = 0.1  # between checks of the memory of tables
 # A folder's time goes on in steps of up to 10 ms (a kernel's tick): what came within the step of
-# the last check is seen by the checks of this long after a change.
+# the last check is detected by the checks of this long after a change.
 SETTLED_NS = 100_000_000
 START_S = 30.0  # for a start to wait for the builder: a table that comes later answers 503
 # How long a thread that computes may keep the interpreter from another that answers: about what an
@@ -262,7 +262,7 @@ class MappedTables:
 
     def trouble(self) -> str | None:
         """Why no job runs, as far as it is known here."""
-        if not self._state.is_taken():
+        if not self._state.is_locked_by_builder():
             return "the process that runs them has ended; it is started again"
         return self._status.trouble
 
@@ -303,7 +303,7 @@ class MappedTables:
         if self.catch_up(name, timeout):
             return self.surrogate(name)
         why = self.faults().get(name, f"its newest rows are not in it after {timeout:g} s")
-        if not self._state.is_taken():
+        if not self._state.is_locked_by_builder():
             why += "; the process that builds tables has ended and is started again"
         raise TableBehindError(
             f"the table of {name!r} is older than the ledger: {why}. No solve was queued; ask "
@@ -357,9 +357,9 @@ class MappedTables:
 
     def _map(self, component: Component, file: PackedFile) -> bool:
         """Take a file up unless it is of anything else; return whether it is taken up."""
-        name, seen = component.name, (file, component)
-        if seen in (self._mapped.get(name), self._refused.get(file.path)):
-            return seen == self._mapped.get(name)
+        name, version = component.name, (file, component)
+        if version in (self._mapped.get(name), self._refused.get(file.path)):
+            return version == self._mapped.get(name)
         try:
             packed = PackedTable.open(file.path)
             if not is_of(packed, name, self._store.origin(component, file.version)):
@@ -369,7 +369,7 @@ class MappedTables:
         except (PackedTableError, KeyError) as error:
             if file.path.exists():
                 log.error("the table of %s stays as it is: %s", name, error)
-                self._unread[name], self._refused[file.path] = str(error), seen
+                self._unread[name], self._refused[file.path] = str(error), version
             return False
         with suppress(LedgerUnavailableError):
             others = self._ledger.of_other_setups(name, component.fingerprint)
@@ -379,7 +379,7 @@ class MappedTables:
                 table.other_wrenches = len(unsolved(component, others, table.rows.wrench))
         with self._changed:
             self._unread.pop(name, None)
-            self._tables[name], self._mapped[name] = table, seen
+            self._tables[name], self._mapped[name] = table, version
             self._changed.notify_all()
         return True
 

@@ -80,7 +80,7 @@ def followed(ledger: Ledger, component: Component, rows: Rows, after: int) -> tu
             fresh = [earlier.take(~np.isin(earlier.seq, list(changes.gone)))]
         fresh.append(changes.rows)
         after = changes.last_seq
-        if changes.whole:
+        if changes.complete:
             return joined(fresh), after
 
 

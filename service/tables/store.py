@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 
 from wrenchbook.service.contract import CONTRACT
-from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.files.durable import write_atomically
 from wrenchbook.service.files.program import code_digest
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError, RowEdit
 from wrenchbook.service.library.component import Component
@@ -100,7 +100,7 @@ class TableStore:
         It need not outlive a power failure: it can be built again.
         """
         self._folder.mkdir(parents=True, exist_ok=True)
-        write_whole_bytes(self._packed_path(name, version), content, durable=False)
+        write_atomically(self._packed_path(name, version), content, durable=False)
         self.remove_packed(name, but=version)
 
     def remove_packed(self, name: str, but: int | None = None) -> None:

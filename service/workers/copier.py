@@ -25,7 +25,7 @@ from wrenchbook.service.settings import Settings
 log = logging.getLogger(__name__)
 
 HOUR = 3600.0
-LOOK_S = 10.0  # between looks at whether a backup is due
+POLL_S = 10.0  # between checks whether a backup is due
 SLACK_S = 60.0  # without a report before health says so, and before a failed backup is repeated
 _PATTERN = "wrenchbook-*.wbb"  # of scheduled backups
 _status_lock = threading.Lock()  # of this process, whose two threads write one file
@@ -71,7 +71,7 @@ def keep(settings: Settings, stop: threading.Event) -> None:
     folder, period = settings.backup_folder or settings.data / "backups", settings.backup_every
     pause = 0.0
     while not stop.wait(pause):
-        pause = LOOK_S
+        pause = POLL_S
         newest = max((path.stat().st_mtime for path in folder.glob(_PATTERN)), default=0.0)
         if time.time() - newest >= period * HOUR:
             try:
@@ -96,7 +96,7 @@ def tested_backup(data: Path, folder: Path) -> dict[str, Any]:
     try:
         with tempfile.TemporaryDirectory(prefix=".tested-", dir=folder) as scratch:
             restore(file, Path(scratch) / "data")
-            faults = [f.what for f in examine(Path(scratch) / "data") if f.kind == "fault"]
+            faults = [f.problem for f in examine(Path(scratch) / "data") if f.kind == "fault"]
             if faults:
                 raise RuntimeError(f"its restore has {len(faults)} faults, first: {faults[0]}")
     except BaseException:

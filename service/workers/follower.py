@@ -17,7 +17,7 @@ from contextlib import closing
 
 from uvicorn.config import STARTUP_FAILURE
 
-from wrenchbook.service.files.durable import write_whole_bytes
+from wrenchbook.service.files.durable import write_atomically
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.ledger.schema import VERSION
 from wrenchbook.service.ops import replica
@@ -29,8 +29,8 @@ from wrenchbook.service.workers.supervisor import IN_USE
 
 log = logging.getLogger(__name__)
 
-LOOKS = 4  # at the pointer in an interval: what was shipped is seen within a quarter of it
-AGAIN_S = 5.0  # before the next look at a replica that could not be read
+POLLS = 4  # of the pointer in an interval: a shipped version is read within a quarter of it
+AGAIN_S = 5.0  # before the next poll of a replica that could not be read
 
 
 class Follower:
@@ -43,7 +43,7 @@ class Follower:
         self._manifest: Manifest | None = None
         self._name = ""
 
-    def look(self) -> tuple[Manifest, float]:
+    def follow(self) -> tuple[Manifest, float]:
         """Take the newest manifest over; return it, and when it had all that was committed, s."""
         if not (content := self._replica.place.get(replica.LATEST)):
             raise replica.ReplicaError(
@@ -66,7 +66,7 @@ class Follower:
                     (self._data / name).unlink(missing_ok=True)
             self._manifest, self._name, self._entries = manifest, pointer["manifest"], entries
             if manifest.ledger_schema != VERSION:
-                del entries[LEDGER]  # the copy was upgraded: the next one is taken as a whole
+                del entries[LEDGER]  # the copy was upgraded: the next one is copied completely
         return self._manifest, float(pointer["checked"])
 
     def _take_ledger(self, entry: Entry, *, upgrade: bool) -> None:
@@ -88,7 +88,7 @@ class Follower:
             return  # of the last start: its name has its version, and it has a checksum
         path.parent.mkdir(0o700, parents=True, exist_ok=True)
         content = b"".join(map(self._replica.block, entry[1]))
-        write_whole_bytes(path, content, durable=False, mode=0o600)
+        write_atomically(path, content, durable=False, mode=0o600)
 
 
 def run(settings: Settings, started: threading.Event) -> None:
@@ -109,8 +109,8 @@ def run(settings: Settings, started: threading.Event) -> None:
                 pause = AGAIN_S
                 try:
                     follower = follower or Follower(settings, ledger)
-                    manifest, checked = follower.look()
-                    pause = manifest.interval / LOOKS
+                    manifest, checked = follower.follow()
+                    pause = manifest.interval / POLLS
                     part |= {"checked": checked, "manifest": manifest.number, "trouble": None}
                     part |= {"server": manifest.server, "rows": manifest.rows}
                     started.set()

@@ -43,7 +43,7 @@ HEARTBEAT_S: Final = 0.25
 HEALTH_S: Final = 30.0
 RETIRE: Final = signal.SIGUSR1  # to a web worker that is replaced: see `Server.retire`
 STOP_S: Final = 30.0  # for a process to end after SIGTERM
-LOOK_S: Final = 0.1  # between two looks at signals and heartbeats; an end is seen at once
+POLL_S: Final = 0.1  # between two checks of signals and heartbeats; an end wakes it at once
 IN_USE: Final = "another server uses {}; stop it first, or serve another directory with --data"
 _ENDS: Final = frozenset({signal.SIGINT, signal.SIGTERM})
 # From SIGTERM until connections are refused: web workers take those that wait within 0.1 s.
@@ -148,8 +148,8 @@ class Supervisor:
         for number in (*_ENDS, signal.SIGHUP):
             signal.signal(number, lambda number, _: self._signals.append(number))
         while not self.failed and _ENDS.isdisjoint(self._signals):
-            self.look()
-            wait([child.process.sentinel for child in (self._builder, *self._web)], LOOK_S)
+            self.check()
+            wait([child.process.sentinel for child in (self._builder, *self._web)], POLL_S)
         for number in _ENDS:
             signal.signal(number, lambda number, _: os._exit(128 + number))
         web = [*self._web, *self._retired, *([self._successor] if self._successor else [])]
@@ -164,7 +164,7 @@ class Supervisor:
             child.send(signal.SIGTERM)
             child.join()
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Say once that all processes are ready; from then on replace those that ended."""
         children = self._builder, *self._web
         if not self._ready:
@@ -218,8 +218,8 @@ class Supervisor:
 def bind_to(host: str, port: int) -> tuple[socket.socket, str]:
     """Return a socket bound to an address, not listening yet, and its URL; port 0 takes a free one.
 
-    A server binds before it opens anything: a taken port changes nothing. Raises AddressError if
-    the address is taken or not this machine's.
+    A server binds before it opens anything: a port in use changes nothing. Raises AddressError if
+    the address is in use or not this machine's.
     """
     shown = f"[{host}]" if ":" in host else host
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -229,8 +229,8 @@ def bind_to(host: str, port: int) -> tuple[socket.socket, str]:
         bound.bind((host, port))
     except OSError as error:
         bound.close()
-        what = f"{error.strerror}: {shown}:{port}; name another address with --host and --port"
-        raise AddressError(what) from error
+        problem = f"{error.strerror}: {shown}:{port}; name another address with --host and --port"
+        raise AddressError(problem) from error
     return bound, f"http://{shown}:{bound.getsockname()[1]}"
 
 

@@ -24,7 +24,7 @@ from wrenchbook.service.workers.supervisor import RETIRE
 
 DELAY_S: Final = 0.001  # for each open connection, in which a worker with fewer takes the next one
 MAX_DELAY_S: Final = 0.01
-SHARE: Final = 8  # of the open connections, one in so many is taken at once: bursts of thousands
+SHARE: Final = 8  # of the open connections, one in so many is accepted at once: bursts of thousands
 PARSERS = (
     "wrenchbook.service.library.bundles",
     "wrenchbook.service.formats.read",
@@ -44,7 +44,7 @@ class WebWorker(Server):
         app = create_app(settings, security)
         super().__init__(server_config(app, settings.log_level, log_config=None))
         # The private server of a command ends before that pays; a process each takes 90 MB.
-        self._warms_up = security.own_key is None and settings.processes == 1
+        self._warms_up = security.server_key is None and settings.processes == 1
         self._shares = settings.processes > 1
         self._timer: asyncio.TimerHandle | None = None
         self._begun: set[asyncio.Task[None]] = set()
@@ -57,7 +57,7 @@ class WebWorker(Server):
             self._listening.setblocking(False)
             self._listening.listen(self.config.backlog)
             self._loop.add_signal_handler(RETIRE, self.retire)
-            self._loop.add_reader(self._listening, self._look)
+            self._loop.add_reader(self._listening, self._accept)
             self._ready.set()
             if self._warms_up:
                 warm_up(*PARSERS)
@@ -67,48 +67,48 @@ class WebWorker(Server):
         if self._timer is not None:
             self._timer.cancel()
         self._loop.remove_reader(self._listening)
-        self._take(self.config.backlog)
+        self._accept_up_to(self.config.backlog)
         self._listening.close()
         await asyncio.gather(*self._begun)
         await super().shutdown([])
         shutil.rmtree(self._scratch, ignore_errors=True)
 
-    def _look(self) -> None:
-        """Take connections that wait, after a delay in which other web workers can take them."""
+    def _accept(self) -> None:
+        """Accept waiting connections, after a delay in which other web workers can accept them."""
         count = len(self.server_state.connections) + len(self._begun)
         if not (self._shares and count):
-            self._take(1 + count // SHARE)
+            self._accept_up_to(1 + count // SHARE)
             return
         self._loop.remove_reader(self._listening)
 
-        def take() -> None:
+        def accept() -> None:
             self._timer = None
-            self._take(1 + count // SHARE)
-            self._loop.add_reader(self._listening, self._look)
+            self._accept_up_to(1 + count // SHARE)
+            self._loop.add_reader(self._listening, self._accept)
 
-        self._timer = self._loop.call_later(min(count * DELAY_S, MAX_DELAY_S), take)
+        self._timer = self._loop.call_later(min(count * DELAY_S, MAX_DELAY_S), accept)
 
-    def _take(self, most: int) -> None:
-        """Take at most so many of the connections that wait."""
+    def _accept_up_to(self, most: int) -> None:
+        """Accept at most `most` of the waiting connections."""
         for _ in range(most):
             try:
-                taken, _ = self._listening.accept()
+                accepted, _ = self._listening.accept()
             except OSError:
-                return  # another web worker has taken it, or its caller has gone
-            taken.setblocking(False)
-            taken.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            task = self._loop.create_task(self._begin(taken))
+                return  # another web worker has accepted it, or its caller has disconnected
+            accepted.setblocking(False)
+            accepted.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            task = self._loop.create_task(self._begin(accepted))
             self._begun.add(task)
             task.add_done_callback(self._begun.discard)
 
-    async def _begin(self, taken: socket.socket) -> None:
+    async def _begin(self, peer: socket.socket) -> None:
         arguments = self.config, self.server_state, self.lifespan.state, self._loop
         try:
-            await self._loop.connect_accepted_socket(lambda: FastPathProtocol(*arguments), taken)
+            await self._loop.connect_accepted_socket(lambda: FastPathProtocol(*arguments), peer)
         except OSError:
-            taken.close()
+            peer.close()
 
 
 def run(settings: Settings, started: threading.Event, bound: socket.socket) -> None:
-    """Answer requests until SIGTERM; `started` is set once connections are taken."""
+    """Answer requests until SIGTERM; `started` is set once connections are accepted."""
     WebWorker(settings, started).run([bound])

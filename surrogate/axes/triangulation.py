@@ -174,35 +174,35 @@ class Triangulation:
 
     def _compared(self, points: Floats) -> Indices:
         """Return the simplex, not flat, that holds each point (k, 3) best, of all; -1 if none."""
-        found, most = np.full(len(points), -1), np.full(len(points), -ROUNDED)
-        for reach, members, middles in self._by_size:
-            count = middles.query_ball_point(points, reach, return_length=True)
+        simplices, most = np.full(len(points), -1), np.full(len(points), -ROUNDED)
+        for radius, members, middles in self._by_size:
+            count = middles.query_ball_point(points, radius, return_length=True)
             held = np.flatnonzero(count)
             ends = np.flatnonzero(np.diff(np.cumsum(count[held]) // PAIRS)) + 1
             for some in np.split(held, ends) if len(held) else ():
-                near = middles.query_ball_point(points[some], reach)
+                near = middles.query_ball_point(points[some], radius)
                 of, every = np.repeat(some, count[some]), members[np.concatenate(near)]
                 least = self.barycentric(every, points[of]).min(axis=1)
                 order = np.lexsort((least, of))  # the last of each point is the best
                 order = order[np.diff(of[order], append=len(points)) > 0]
                 better = order[least[order] >= most[of[order]]]
-                found[of[better]], most[of[better]] = every[better], least[better]
-        return found
+                simplices[of[better]], most[of[better]] = every[better], least[better]
+        return simplices
 
     @cached_property
     def _by_size(self) -> list[tuple[float, Indices, KDTree]]:
-        """Simplices that are not flat, by the doubles of how far they reach from their middle.
+        """Group simplices that are not flat by a power of 2 of the farthest corner's distance.
 
-        A point that one holds is nearer to its middle than that: few of a size are.
+        A point in a simplex is nearer to its middle than that: few of a size are.
         """
         members = np.flatnonzero(~self.degenerate)
         corners = self.points[self.simplices[members]]
         middles = corners.mean(axis=1)
-        reach = np.sqrt(((corners - middles[:, None]) ** 2).sum(axis=2)).max(axis=1)
-        size = np.frexp(reach)[1]
+        radius = np.sqrt(((corners - middles[:, None]) ** 2).sum(axis=2)).max(axis=1)
+        size = np.frexp(radius)[1]
         return [
-            (float(np.ldexp(1 + ON_HULL, one)), members[size == one], KDTree(middles[size == one]))
-            for one in np.unique(size).tolist()
+            (float(np.ldexp(1 + ON_HULL, k)), members[size == k], KDTree(middles[size == k]))
+            for k in np.unique(size).tolist()
         ]
 
     @cached_property
@@ -249,7 +249,7 @@ class Triangulation:
 
 
 def _span(points: Floats) -> tuple[int, Floats]:
-    """Return what dimension the points span and an orthonormal basis of it, shape (d, 3).
+    """Return the dimension that the points span and an orthonormal basis of it, shape (d, 3).
 
     Coordinates that do not vary are dropped rather than rotated away, so that a planar table is
     triangulated in the coordinates that vary.

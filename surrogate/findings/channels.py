@@ -63,25 +63,25 @@ def channel_findings(
         unit = "m" if output < 3 else "rad"
         for cause, some, value, off in _broken(terms[known], moved[known, output]):
             at = known[some]
-            words = {"name": OUTPUTS[output], "load": LOADS[output], "unit": unit, "off": off}
-            message = MESSAGES[cause].format(value=value, count=len(at), **words)
+            fields = {"name": OUTPUTS[output], "load": LOADS[output], "unit": unit, "off": off}
+            message = MESSAGES[cause].format(value=value, count=len(at), **fields)
             listed = () if len(at) == len(known) else tuple(rows.seq[at].tolist())
             findings.append(RigFinding(cause, message, listed, {"output": OUTPUTS[output]}))
             moved[at, output] = np.nan
         load, unit = rows.wrench[known, output], "N" if output < 3 else "N*m"
         for cause, some, value, off in _held(load, terms[known], moved[known, output]):
-            words = LOADS[output], value, unit, len(some), OUTPUTS[output], off, cause
+            fields = LOADS[output], value, unit, len(some), OUTPUTS[output], off, cause
             listed = tuple(rows.seq[known[some]].tolist())
             numbers = {"load": LOADS[output]}
-            findings.append(RigFinding(cause, OF_LOADS.format(*words), listed, numbers))
+            findings.append(RigFinding(cause, OF_LOADS.format(*fields), listed, numbers))
             moved[known[some]] = np.nan
     some = np.isfinite(moved).any(axis=1)
-    kept = Rows.of(rows.wrench[some], moved[some], seq=rows.seq[some], source=rows.source[some])
-    return kept, findings
+    sound = Rows.of(rows.wrench[some], moved[some], seq=rows.seq[some], source=rows.source[some])
+    return sound, findings
 
 
 def _broken(terms: Floats, y: Floats) -> list[Broken]:
-    """Return what is broken in readings (n,), their indices, the value, and parts of the range."""
+    """Return the faults of readings (n,): indices, the value, and parts of the range."""
     all_rows = np.arange(len(y))
     if len(y) < MIN_ROWS:
         return []
@@ -95,7 +95,7 @@ def _broken(terms: Floats, y: Floats) -> list[Broken]:
     run = max(runs, key=len)
     steps = np.diff(np.sort(y))
     step = float(np.median(steps[steps > equal]))  # of the readings
-    found = list[Broken]()
+    broken = list[Broken]()
     for end, some in ((1.0, high), (-1.0, low), (0.0, run)):
         others = np.delete(all_rows, some)
         if not end and (np.isin(run[0], high) or np.isin(run[0], low)):
@@ -114,8 +114,8 @@ def _broken(terms: Floats, y: Floats) -> list[Broken]:
         sure = CONFIDENT * deviation / (np.sqrt(len(some)) if end else 1.0)
         if far > max(sure, REMARKABLE * size):
             cause = "clipped" if end else "stuck"
-            found.append((cause, some, float(y[some[0]]), np.abs(off[some]).max() / size))
-    return found
+            broken.append((cause, some, float(y[some[0]]), np.abs(off[some]).max() / size))
+    return broken
 
 
 def _held(load: Floats, terms: Floats, y: Floats) -> list[Broken]:
@@ -124,7 +124,7 @@ def _held(load: Floats, terms: Floats, y: Floats) -> list[Broken]:
     Tests reach one load often: there displacements scatter about the response of all rows as they
     do elsewhere, or are off it together where the response is no polynomial.
     """
-    known, found = np.isfinite(y), list[Broken]()
+    known, broken = np.isfinite(y), list[Broken]()
     equal = ROUNDING * float(np.abs(load).max(initial=0.0))
     if known.sum() < MIN_ROWS or np.ptp(load) <= equal:
         return []
@@ -139,14 +139,14 @@ def _held(load: Floats, terms: Floats, y: Floats) -> list[Broken]:
         spread, usual = (np.median(np.abs(off[at] - np.median(off[at]))) for at in (some, others))
         if spread > max(CONFIDENT * usual, REMARKABLE * size):
             cause = "clipped" if is_end else "stuck"
-            found.append((cause, some, float(load[some[0]]), np.abs(off[some]).max() / size))
-    return found
+            broken.append((cause, some, float(load[some[0]]), np.abs(off[some]).max() / size))
+    return broken
 
 
 def _is_explained(terms: Floats, y: Floats) -> bool:
     """Whether the response (n, t) explains more of values (n,) than it would of noise."""
     y = y.clip(*np.percentile(y, [TAIL, 100 - TAIL]))
     y, free = y - y.mean(), terms.shape[1] - 1
-    left = y - terms @ np.linalg.lstsq(terms, y, rcond=1e-9)[0]
+    residual = y - terms @ np.linalg.lstsq(terms, y, rcond=1e-9)[0]
     by_chance = (free + CONFIDENT * np.sqrt(2 * free)) / len(y)
-    return float(left @ left) < (1 - min(by_chance, 1.0)) * float(y @ y) or by_chance >= 1
+    return float(residual @ residual) < (1 - min(by_chance, 1.0)) * float(y @ y) or by_chance >= 1

@@ -18,7 +18,7 @@ from .response import RigFinding
 MIN_DISPLACEMENTS = 60  # displacements: with fewer a lag shows by chance
 MAX_DISPLACEMENTS = 2_000  # displacements that are fitted, some 5 ms a fit
 GRID = 1 << 15  # steps of the time grid, at most
-PART = 0.25  # of the displacements' duration: the largest lag that is looked for
+PART = 0.25  # of the displacements' duration: the largest lag of the search
 ROUNDING = 1e-9  # of the displacements' variance: smaller residuals are written digits
 PEAKS = 5  # of the correlation that are fitted: turned by half a period, a load correlates as well
 EXPLAINED = 0.5  # of the displacements' variance: with less the logs do not belong together
@@ -52,7 +52,7 @@ class Logs(NamedTuple):
 
 
 class Lag(NamedTuple):
-    """What the displacements' times lack to the clock of the loads.
+    """The lag of the displacements' times behind the clock of the loads.
 
     Attributes
     ----------

@@ -72,7 +72,7 @@ def sign_findings(fit: Fit) -> list[RigFinding]:
         return []
     names = ", ".join(f"{LOADS[k]} on {OUTPUTS[k]}" for k in wrong)
     all_wrong = len(wrong) == work.sum()
-    what = (
+    subject = (
         "all loads, or all displacements, have the wrong sign. The wrench acts ON the component: "
         "turn the signs of readings of the opposite wrench, with a mapping such as Fz=-fz [N]"
         if all_wrong and len(wrong) > 1
@@ -80,7 +80,7 @@ def sign_findings(fit: Fit) -> list[RigFinding]:
         "frame (turn one of the two with a mapping such as Fz=-fy [N]; --frame turns both), or "
         "another reference point (--load-point, --displacement-point)"
     )
-    message = f"the loads do negative work ({names}), which no elastic part does: {what}"
+    message = f"the loads do negative work ({names}), which no elastic part does: {subject}"
     return [RigFinding("sign", message, (), {"loads": [LOADS[k] for k in wrong]})]
 
 
@@ -97,9 +97,9 @@ def turned_findings(fit: Fit, solved: Fit | None) -> list[RigFinding]:
             continue
         wrong_names = [names[k] for k in np.flatnonzero(wrong)]
         all_wrong = wrong.sum() == both.any(axis=axis).sum()
-        what = "all loads, or all displacements," if all_wrong else ", ".join(wrong_names)
+        subject = "all loads, or all displacements," if all_wrong else ", ".join(wrong_names)
         message = (
-            f"{what} have the opposite sign of the solves: the wrench acts ON the component, in "
+            f"{subject} have the opposite sign of the solves: the wrench acts ON the component, in "
             "the interface's axes. Turn the sign with a mapping such as Fz=-fz [N]"
         )
         return [RigFinding("sign", message, (), {"quantities": wrong_names})]
@@ -189,7 +189,7 @@ def _against_solves(fit: Fit, solved: Fit, least: float) -> list[RigFinding]:
     size = float(abs(np.log(factor)))
     if size <= np.log(least) or residual > min(size / 3, np.log(FAR)):
         return []
-    what = "unit" if size > np.log(FAR) else "calibration"
+    cause_kind = "unit" if size > np.log(FAR) else "calibration"
     others = "".join(
         f", or the {name} {times:.3g} times"
         for far, name, times in best
@@ -197,7 +197,7 @@ def _against_solves(fit: Fit, solved: Fit, least: float) -> list[RigFinding]:
     )
     message = (
         f"the {quantity} are {factor:.3g} times those of the solves{others}: check their "
-        f"{what}{named_unit(factor)}"
+        f"{cause_kind}{named_unit(factor)}"
     )
     return [RigFinding("unit", message, (), {"quantity": quantity, "factor": factor})]
 
@@ -271,7 +271,7 @@ PAIRS = np.triu_indices(6, 1)
 
 
 class _Skew(NamedTuple):
-    """What a compliance lacks in symmetry, (15,), over its largest energy, and its covariance."""
+    """The asymmetry of a compliance, (15,), over its largest energy, and its covariance."""
 
     values: Floats
     covariance: Floats
@@ -302,7 +302,7 @@ class _Skew(NamedTuple):
 
 
 def _skew(matrix: Floats, load_range: LoadRange) -> Floats:
-    """Return what a compliance (6, 6) lacks in symmetry, in units of energy, (15,)."""
+    """Return the asymmetry of a compliance (6, 6), in units of energy, (15,)."""
     energies = matrix * np.outer(load_range.scale, load_range.scale)
     return (energies - energies.T)[PAIRS]
 

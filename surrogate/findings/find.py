@@ -1,4 +1,4 @@
-"""What rows show of the errors of their measurement: findings of an import, and `without_effects`.
+"""Errors of measurement that rows show: findings of an import, and `without_effects`.
 
 Hysteresis, drift and sessions are hidden by their mean: more rows do not lower them, and a mean of
 both branches lies on neither. So they are taken out of the rows, error bars have a separate part
@@ -29,7 +29,7 @@ from .origin import slopes_at_zero
 from .response import REMARKABLE, Cause, RigFinding, response_of, single_row_findings, wrong_rows
 
 MIN_ROWS = 7  # rows: six loads and a constant
-MAX_ROWS = 5_000  # rows that are looked at, some 0.5 s: every k-th of more
+MAX_ROWS = 5_000  # rows examined, some 0.5 s: every k-th of more
 # What only the order of the rows shows.
 EFFECTS: dict[Cause, str] = {
     "hysteresis": "loading and unloading differ by {part:.1%} of the range of {name}: hysteresis "
@@ -83,7 +83,7 @@ def find(
     units = units or unit_findings(fit, known, linear=linear)
     # A lever can make a load's work negative; a wrong sign or unit is no lever.
     skew = symmetry_findings(fit, load_range)
-    levers = [one for one in skew if one.cause == "lever"]
+    levers = [finding for finding in skew if finding.cause == "lever"]
     contract = units or turned_findings(fit, known) or levers or sign_findings(fit) or skew
     findings += [*contract, *clearance_findings(slopes, response)]
     effects = effects_of(rows, load_range, np.flatnonzero(~wrong.any(axis=1)))
@@ -91,7 +91,7 @@ def find(
 
 
 def sampled(rows: Rows) -> Rows:
-    """Return the rows that are looked at, in their order."""
+    """Return the examined rows, in their order."""
     return rows.take(np.arange(0, len(rows), -(-len(rows) // MAX_ROWS)))
 
 
@@ -137,10 +137,10 @@ def _effects(rows: Rows, load_range: LoadRange) -> tuple[Indices, Effects | None
     some = rows.take(indices)
     if len(some) < MIN_ROWS:
         return indices, None
-    places = np.arange(0, len(some), -(-len(some) // MAX_ROWS))
-    shown = some.take(places)
+    positions = np.arange(0, len(some), -(-len(some) // MAX_ROWS))
+    shown = some.take(positions)
     wrong = wrong_rows(shown, load_range, response_of(shown, load_range)).any(axis=1)
-    return indices, effects_of(some, load_range, places[~wrong])
+    return indices, effects_of(some, load_range, positions[~wrong])
 
 
 def effect_findings(effects: Effects, displacement: Floats) -> list[RigFinding]:

@@ -32,7 +32,7 @@ PRIOR = 1e3  # deviations of the readings: of coefficients of the mean; wide, an
 
 
 class Slopes(NamedTuple):
-    """What rows tell at no load.
+    """Slopes and jumps of rows at no load.
 
     Attributes
     ----------
@@ -66,18 +66,18 @@ def slopes_at_zero(rows: Rows, load_range: LoadRange, response: RobustFit) -> Sl
         columns = []
         for output in outputs:
             loop = _directions(response.expected[:, output])[chosen[pattern]]
-            own = x[:, output]  # a cubic response and one of 5th degree are no jump
-            beside = np.ones(len(x)), time[pattern], loop, own**3, own**5
+            load = x[:, output]  # a cubic response and one of 5th degree are no jump
+            beside = np.ones(len(x)), time[pattern], loop, load**3, load**5
             columns.append(np.column_stack((x, signs, *beside)))
         size = np.maximum(y.std(axis=0), np.finfo(float).tiny)
         mean, covariances = _averaged(x, (y - y.mean(axis=0)) / size, columns)
         estimate[outputs] = mean * size[:, None]
         spread[outputs] = covariances * size[:, None, None] ** 2
-    scale, own = load_range.scale, np.arange(6)
+    scale, diagonal = load_range.scale, np.arange(6)
     estimate[:, :6][:, ~(np.ptp(wrench, axis=0) > ZERO_LOAD)] = 0.0
-    deviation = 2 * np.sqrt(spread[own, 6 + own, 6 + own])
+    deviation = 2 * np.sqrt(spread[diagonal, 6 + diagonal, 6 + diagonal])
     matrix, covariances = estimate[:, :6] / scale, spread[:, :6, :6] / np.outer(scale, scale)
-    return Slopes(matrix, covariances, 2 * estimate[own, 6 + own], deviation)
+    return Slopes(matrix, covariances, 2 * estimate[diagonal, 6 + diagonal], deviation)
 
 
 def _directions(expected: Floats) -> Floats:

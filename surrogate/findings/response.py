@@ -20,7 +20,7 @@ from ..table.rows import Floats, LoadRange, Rows
 from ..table.space import OUTPUTS
 
 CONFIDENT = 8.0  # deviations of an estimate: a cause is said where its interval leaves none out
-REMARKABLE = 0.01  # of an output's range: what is smaller is within a usual tolerance
+REMARKABLE = 0.01  # of an output's range: smaller effects are within a usual tolerance
 
 ROUNDS = 30  # of reweighting: the weights are settled after 10 to 20
 BIWEIGHT = 4.685  # deviations: 95 % efficient for normal errors (Holland and Welsch 1977)

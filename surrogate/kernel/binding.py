@@ -227,7 +227,7 @@ class PackedTable:
             raise PackedTableError(f"the table's description is damaged: {error!r}") from error
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return what is pickled: the file's bytes, as one array."""
+        """Return the arguments for pickle: the file's bytes, as one array."""
         if isinstance(self._source, np.ndarray):
             return PackedTable._from_buffer, (self._source, self.size)
         return PackedTable.open, (self._source,)
@@ -494,7 +494,7 @@ class PackedTable:
         return rates
 
     def axis(self, group: int, axis: int, wrench: Sequence[float]) -> AxisPart | None:
-        """Return what axis 0, 1 or 2 contributes to the answer of a group of outputs.
+        """Return the contribution of axis 0, 1 or 2 to the answer of a group of outputs.
 
         None where the group has no rows to compose from. The wrench has n loads, N and N·m.
         """

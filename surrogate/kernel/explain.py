@@ -1,4 +1,4 @@
-"""What each axis contributes to an answer of a packed table, as JSON-able values."""
+"""The contribution of each axis to an answer of a packed table, as JSON-able values."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def explain(
     list of dict
         ``axis``, ``inputs``, ``outputs``, ``error``, ``coverage``, ``reason`` and ``rows``, the
         numbers of the rows used. They are the compliance's if that answers, the axes' otherwise,
-        whose errors are known of whole answers alone: ``error`` is None.
+        whose errors are known of complete answers alone: ``error`` is None.
     """
     explanations = []
     for number, group in enumerate(table.meta["groups"]):

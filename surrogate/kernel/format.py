@@ -62,7 +62,7 @@ class PackedTableError(ValueError):
 
 
 class Packed(NamedTuple):
-    """What a packed table holds.
+    """The contents of a packed table.
 
     Attributes
     ----------
@@ -150,7 +150,7 @@ def write_file(path: Path, content: list[bytes]) -> None:
 
 
 def read(content: bytes | bytearray | memoryview | mmap.mmap) -> Packed:
-    """Return what the bytes of a packed table hold.
+    """Return the contents of a packed table's bytes.
 
     Raises
     ------
@@ -163,7 +163,7 @@ def read(content: bytes | bytearray | memoryview | mmap.mmap) -> Packed:
 
 
 def map_file(path: str | os.PathLike[str]) -> Packed:
-    """Return what the file of a packed table holds, mapped: pages are read as they are used.
+    """Return the contents of a packed table's file, mapped: pages are read as they are used.
 
     Its checksum is computed from blocks of the very file that is mapped.
 

@@ -104,8 +104,8 @@ class JointSteps:
             *(method, None, 0, self.inputs.ctypes.data),
             *(None if self._axes is None else self._axes.ctypes.data, 0.0, 0.0, 1),
         )
-        places = (self.poses, self.velocities, self.inverse_masses, self.memory, self.replies)
-        poses, velocities, masses, memory, replies = (array.ctypes.data for array in places)
+        buffers = (self.poses, self.velocities, self.inverse_masses, self.memory, self.replies)
+        poses, velocities, masses, memory, replies = (array.ctypes.data for array in buffers)
         head = ctypes.addressof(self._options), count, poses
         self._step = *head, velocities, masses, memory, replies
         self._law = *head, None, masses, memory, replies

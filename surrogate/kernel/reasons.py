@@ -100,7 +100,7 @@ def _no_rows(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
 
 
 def _off_hull(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    """Say which loads leave the rows, and what the rows span."""
+    """Return the loads that leave the rows, and the range of the rows."""
     name, axes, sentences = "xyz"[reason.axis], f"g{reason.group}/axes/", []
     span = packed.arrays[axes + "span"][reason.axis]
     floats = packed.arrays[axes + "floats"][reason.axis]

@@ -1,4 +1,4 @@
-"""What the kernel replies, as Python reads it from wrenchbook.h's structs."""
+"""The kernel's replies, as Python reads them from wrenchbook.h's structs."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ class Replies(NamedTuple):
 
 
 class AxisPart(NamedTuple):
-    """What one axis contributes: all six outputs, m and rad.
+    """The contribution of one axis: all six outputs, m and rad.
 
     Attributes
     ----------
@@ -151,7 +151,7 @@ class ReplyReader:
                 None,
                 (),
             )
-        # Any reply: what is unknown is None, reasons are words.
+        # Any reply: unknown values are None, reasons are texts.
         coverage, within, method, exact, count, group, unknown = raw[:7]
         row, index, missing = raw[8:VALUES]
         m, values = self.outputs, raw[VALUES:]
@@ -220,7 +220,7 @@ def method_code(method: str | None) -> int:
 
 
 def mistake(code: int, method: str | None, packed: Packed) -> Exception:
-    """Return what a code other than WB_OK means: see wrenchbook.h."""
+    """Return the message of a code other than WB_OK: see wrenchbook.h."""
     if code == NO_METHOD and "scene" in packed.meta:
         default = packed.meta["summary"]["method"]
         return UnknownMethodError(

@@ -73,7 +73,7 @@ class Errors(NamedTuple):
     sigma: Floats
 
 
-def factors_of(found: Errors, n_derivatives: int, outputs: int) -> Floats:
+def factors_of(residuals: Errors, n_derivatives: int, outputs: int) -> Floats:
     """Return the factors (q,) that hold 95 % of errors at the confidence of `widening`.
 
     The ratios |error| / sigma have a size per output, and a tail of the same shape for all
@@ -84,12 +84,12 @@ def factors_of(found: Errors, n_derivatives: int, outputs: int) -> Floats:
     outputs : int
         Of the table, all of which the confidence is for.
     """
-    ratios = np.abs(found.errors) / found.sigma[:, None]
-    square = (found.sizes**2).mean(axis=0)
+    ratios = np.abs(residuals.errors) / residuals.sigma[:, None]
+    square = (residuals.sizes**2).mean(axis=0)
     # The degrees of freedom are those of a chi square whose variance is that of the mean square
     # (Satterthwaite 1946): as many as rows where each brings one normal number, up to seven times
     # that where values and slopes are alike, and few where a few rows make most of the size.
-    scatter = (found.sizes**4).mean(axis=0) / np.where(square > 0, square, 1.0) ** 2 - 1
+    scatter = (residuals.sizes**4).mean(axis=0) / np.where(square > 0, square, 1.0) ** 2 - 1
     freedom = 2 * len(ratios) / np.maximum(scatter, 2 / n_derivatives)
     size = np.sqrt(square)
     return common_quantile(ratios, size) * size * widening(freedom, outputs)
@@ -148,13 +148,13 @@ def kinds_of(x: Floats, scaling: Scaling, span: Floats, settings: KrigingSetting
         low, high = span_of(x[full], scaling, settings)
         if (low <= x.min(axis=0)).all() and (high >= x.max(axis=0)).all():
             kinds = kinds[:1]
-    kept_kinds = []
+    shown_kinds = []
     for rows, shown in kinds:
         if shown.any():
             together = most_together(x[shown], scaling, settings)
             queries = query_points(span, together, x[rows & shown], scaling, settings.queries)
-            kept_kinds.append(Kind(rows, queries, together))
-    return kept_kinds
+            shown_kinds.append(Kind(rows, queries, together))
+    return shown_kinds
 
 
 def span_of(x: Floats, scaling: Scaling, settings: KrigingSettings) -> Floats:
@@ -266,8 +266,8 @@ def left_out_as_far(
         passed[order[:size]] = True
         if out.variances[row] - noise[row] >= distant**2:
             far.append(row)
-            for kept, new in zip(apart, out, strict=True):
-                kept[row] = new[row]
+            for old, new in zip(apart, out, strict=True):
+                old[row] = new[row]
     return errors_of(factor, apart, np.array(far, dtype=np.intp)), errors_of(factor, alone, near)
 
 
@@ -302,20 +302,20 @@ def calibrated(
         value = np.zeros((len(kind.queries), equations.n_derivatives), dtype=np.bool_)
         value[:, 0] = True
         explained = factor.explained_at(kind.queries, value)
-        whole = np.sqrt(factor.variance_of(*explained, factor.mean_covariance))
+        deviations = np.sqrt(factor.variance_of(*explained, factor.mean_covariance))
         across = block(kind.queries, equations.x, factor.hyperparameters, 1, value.shape[1])
         sigma = neighbours.deviations(kind.queries, across.reshape(len(value), -1))
         rows = np.flatnonzero(kind.rows[factor.output_group.rows])
         chosen = np.linspace(0, len(rows) - 1, min(len(rows), settings.left_out_rows))
         rows = rows[chosen.round().astype(np.intp)]
-        distant = settings.comparable * float(np.median(whole))
+        distant = settings.comparable * float(np.median(deviations))
         far, near = left_out_as_far(factor, alone, rows, distant, settings)
-        # Rows are left out of the whole factor; answers have the deviation of a neighbourhood.
-        wider = float(np.quantile(sigma / whole, settings.neighbourhood_quantile))
+        # Rows are left out of the complete factor; answers have the deviation of a neighbourhood.
+        wider = float(np.quantile(sigma / deviations, settings.neighbourhood_quantile))
         if len(far.sigma) >= settings.min_left_out:
             factors = np.maximum(factors, factors_of(far, *numbers) / wider)
             # As far as left-out rows and their neighbourhoods can be, comparable both ways.
-            widest = float((sigma / whole).max())
+            widest = float((sigma / deviations).max())
             max_sigma = max(max_sigma, float(far.sigma.max()) * widest / settings.comparable)
         if len(near.sigma) > max(len(far.sigma), settings.min_left_out):  # few tell no tail
             factors = np.maximum(factors, factors_of(near, *numbers) / wider)

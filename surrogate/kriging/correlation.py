@@ -39,7 +39,7 @@ NUMBERS = 4_000_000  # of derivatives of pairs of rows at once: 32 MB
 
 @dataclass(frozen=True, eq=False)
 class Hyperparameters:
-    """What the likelihood determines, for all outputs of a table.
+    """The quantities that the likelihood determines, for all outputs of a table.
 
     Attributes
     ----------

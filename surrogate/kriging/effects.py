@@ -40,7 +40,7 @@ ROUNDS = 3  # of directions and response in turn
 # Probability that an effect of nothing counts: of six outputs and some four effects each, one file
 # in a hundred has one.
 CHANCE = 3e-4
-# Of an output's range: what a response may do that no kernel tells. It counts as far as a
+# Of an output's range: a response that no kernel describes. It counts as far as a
 # polynomial of the loads can do what the effect does: slow loads are a function of time.
 MISFIT = 3e-4
 PRIOR = 0.3  # deviation of effects, spreads of the output: a tenth of its range
@@ -97,22 +97,22 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     """
     outputs, session = rows.displacement.shape[1], sessions_of(rows)
     count = int(session.max(initial=0)) + 1
-    places = [np.flatnonzero(session == number) for number in range(count)]
+    members = [np.flatnonzero(session == number) for number in range(count)]
     signs, middle = np.zeros((len(rows), outputs)), np.zeros((len(rows), 2 * count))
-    for number, at in enumerate(places):
+    for number, at in enumerate(members):
         middle[at, number] = np.linspace(-0.5, 0.5, len(at))
         middle[at, count + number] = count > 1
     middle[:, count:] -= middle[:, count:].mean(axis=1, keepdims=True)
     loads = rows.wrench / load_range.scale
-    place = _places_of(loads, places)
-    good, loads, moved = _means_at_places(loads, rows.displacement, good, place)
+    place = _positions_of(loads, members)
+    good, loads, moved = _means_at_positions(loads, rows.displacement, good, place)
     rows = replace(rows, wrench=loads * load_range.scale, displacement=moved)
-    reach = _reach(moved, good, session)
+    extent = _extent(moved, good, session)
     if len(good) > SAMPLE:
         good = np.sort(np.random.default_rng(0).choice(good, SAMPLE, replace=False))
     steps = terms_of(loads, len(np.unique(place)))
     terms = steps[good]
-    for at in places:
+    for at in members:
         first = np.unique(place[at])
         steps[first[1:]] -= steps[first[:-1]]
         steps[first[:1]] = 0.0
@@ -122,12 +122,12 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     evidence: dict[int, tuple[Floats, Floats]] = {}
     for output in np.flatnonzero(shown.any(axis=1)).tolist():
         known = shown[output]
-        # The loop itself bends the response that tells the directions: settled after a round.
+        # The loop itself bends the response that determines the directions: settled after a round.
         for _ in range(ROUNDS):
             beside = np.column_stack((terms, signs[good, output]))[known]
             evidence[output] = beside, moved[good, output][known]
             sure = sure_directions(*evidence[output], steps[good])
-            signs[good, output] = reach[good, output] * sure
+            signs[good, output] = extent[good, output] * sure
     some = shown.any(axis=1)
     # A loop is in rows without a sure direction too, on a side that is not known: its size is that
     # of the others.
@@ -149,7 +149,7 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     most = np.where(size != 0, np.abs(size) + half_width, 0.0)
     zero, loop, drift, _ = np.split(size, [1, 2, 2 + count])
     for output in np.flatnonzero(loop).tolist():
-        signs[:, output] = reach[:, output] * sure_directions(*evidence[output], steps)
+        signs[:, output] = extent[:, output] * sure_directions(*evidence[output], steps)
     bar = most[1] + 0.5 * most[2 : 2 + count].max(axis=0) + most[2 + count :].max(axis=0)
     # Where sessions differ, what they have in common is no displacement of the part either.
     common = np.abs(mean[0]) + DEFAULTS.half_width * deviation[0]
@@ -159,7 +159,7 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     return Effects(zero[0], 2 * loop[0], drift, offset, bar, of_rows, hidden)
 
 
-def _reach(moved: Floats, good: Indices, session: Indices) -> Floats:
+def _extent(moved: Floats, good: Indices, session: Indices) -> Floats:
     """Return the range of each output in a row's session, (n, m), over that of its widest session.
 
     A loop is a part of it: friction of a test with a force along one axis moves an output by as
@@ -173,7 +173,7 @@ def _reach(moved: Floats, good: Indices, session: Indices) -> Floats:
     return (ranges / np.where(widest > 0.0, widest, 1.0))[session]
 
 
-def _places_of(loads: Floats, sessions: list[Indices]) -> Indices:
+def _positions_of(loads: Floats, sessions: list[Indices]) -> Indices:
     """Return the first row at the place of each row's load, (n,): loads (n, 6), scaled, in order.
 
     A load leaves its place where it is farther than `PLACE` from the first there. `sessions` are
@@ -181,16 +181,16 @@ def _places_of(loads: Floats, sessions: list[Indices]) -> Indices:
     """
     place = np.arange(len(loads))
     for rows in sessions:
-        left = np.abs(np.diff(loads[rows], axis=0)).max(axis=1, initial=0.0) > 2 * PLACE
+        moved_on = np.abs(np.diff(loads[rows], axis=0)).max(axis=1, initial=0.0) > 2 * PLACE
         points, first = loads[rows].tolist(), 0
-        for at, is_far in enumerate(left.tolist(), 1):
+        for at, is_far in enumerate(moved_on.tolist(), 1):
             if is_far or max(map(abs, map(sub, points[at], points[first]))) > PLACE:
                 first = at
             place[rows[at]] = rows[first]
     return place
 
 
-def _means_at_places(
+def _means_at_positions(
     loads: Floats, moved: Floats, good: Indices, place: Indices
 ) -> tuple[Indices, Floats, Floats]:
     """Return the first row of each place, and loads (n, 6) and displacements (n, m), there means.
@@ -327,7 +327,7 @@ def _estimated(
         off = moved[:, output] - left[:, few] @ (left[:, few].T @ moved[:, output])
         misfits[output] = np.linalg.norm(off) / np.sqrt(max(n - few.sum(), 1))
         worst = np.sqrt(n) * np.linalg.norm(along / sizes[few], axis=1)
-        # A grid in the order of its loads is a straight function of time: nothing tells a drift.
+        # A grid in the order of its loads is a straight function of time: no drift is identifiable.
         shown = np.linalg.norm(off_mean - along @ right[few], axis=1) < SAME
         misfit = MISFIT * np.ptp(moved[:, output]) * worst
         deviation[:, output] = np.hypot(deviation[:, output], misfit)

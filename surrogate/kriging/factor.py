@@ -170,7 +170,7 @@ class KrigingFactor(Factor):
     variance: Floats
 
     def explained_at(self, x: Floats, known: Mask) -> tuple[Floats, Floats]:
-        """Return what `explained` does, of the derivatives `known` (m, p) at points (m, 6)."""
+        """Return the result of `explained` for the derivatives `known` (m, p) at points (m, 6)."""
         v, known_v = self.equations.x, self.equations.known
         across = covariance(x, known, v, known_v, self.hyperparameters)
         return self.explained(across, mean_terms(x, known))
@@ -371,11 +371,11 @@ class Neighbourhoods:
         table: Floats,
         settings: KrigingSettings = DEFAULTS,
         *,
-        whole: bool = False,
+        of_all_rows: bool = False,
     ) -> None:
         """Take the table's equations, and `table` (a, a), the covariance of all a of them.
 
-        `whole`: sigma is that of all rows, however many.
+        `of_all_rows`: sigma is that of all rows, however many.
         """
         x, known = factor.equations.x, factor.equations.known
         self.factor, self.settings = factor, settings
@@ -387,7 +387,7 @@ class Neighbourhoods:
         self._numbers = numbers(equations.known)[factor.output_group.rows]
         self.number = np.arange(len(x))
         self.local_factors: tuple[LocalFactor, ...]
-        if whole or (len(x) <= settings.whole_rows and not known[:, 1:].any()):
+        if of_all_rows or (len(x) <= settings.global_rows and not known[:, 1:].any()):
             self.number = np.zeros(len(x), dtype=np.intp)
             columns = factor.output_group.rows * known.shape[1]
             parts = factor.hyperparameters, factor.nugget, factor.T, factor.TF
@@ -396,7 +396,7 @@ class Neighbourhoods:
             self.local_factors = tuple(self.local_factor(near, table) for near in self.members(x))
 
     @property
-    def whole(self) -> bool:
+    def is_global(self) -> bool:
         """Whether deviations are those of all rows."""
         return len(self.local_factors) == 1
 
@@ -460,7 +460,7 @@ class Neighbourhoods:
         """
         terms = np.concatenate((np.ones((len(x), 1)), x), axis=1)
         squared = np.empty(len(x))
-        number = np.zeros(len(x), dtype=np.intp) if self.whole else self.number[self.nearest(x)]
+        number = np.zeros(len(x), dtype=np.intp) if self.is_global else self.number[self.nearest(x)]
         for anchor in np.unique(number).tolist():
             queries, local = np.flatnonzero(number == anchor), self.local_factors[anchor]
             # Each point by itself: its digits do not depend on the other points.

@@ -79,21 +79,21 @@ def spread_points(
     known = np.ones((len(x), 1), dtype=bool)
     together = list(zip(kernels, shares / len(shares), strict=True))
     prior = sum(float(kernel.prior(1)[0]) * share for kernel, share in together)
-    left, chosen = np.full(len(x), prior), list[int]()
+    remaining, chosen = np.full(len(x), prior), list[int]()
     most = min(settings.inducing, len(x) // 2)  # with more one factor of all rows costs less
     reduced = np.empty((most, len(x)))
     while len(chosen) < most:
-        if left.mean() <= len(chosen) / count:
+        if remaining.mean() <= len(chosen) / count:
             return np.array(chosen, dtype=np.intp), True
-        pivot, size = int(np.argmax(np.round(left / prior, DECIMALS))), len(chosen)
-        if left[pivot] <= settings.nugget * prior:
+        pivot, size = int(np.argmax(np.round(remaining / prior, DECIMALS))), len(chosen)
+        if remaining[pivot] <= settings.nugget * prior:
             break
         column = -reduced[:size, pivot] @ reduced[:size]
         for kernel, share in together:
             column += share * covariance(x[[pivot]], known[:1], x, known, kernel)[0]
-        reduced[size] = column / np.sqrt(left[pivot])
-        left = np.maximum(left - reduced[size] ** 2, 0.0)
-        left[pivot] = 0.0
+        reduced[size] = column / np.sqrt(remaining[pivot])
+        remaining = np.maximum(remaining - reduced[size] ** 2, 0.0)
+        remaining[pivot] = 0.0
         chosen.append(pivot)
     return np.array(chosen, dtype=np.intp), False
 
@@ -218,7 +218,7 @@ def induced(equations: Equations, estimate: Estimate, settings: KrigingSettings)
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         for group, base, sums in pool.map(summed, groups):
             ratios, variances = likely_noise(sums, settings)
-            # An output that does not vary has no noise that tells anything of the others'.
+            # An output that does not vary has no noise that informs about the others'.
             varying = estimate.noise[group.outputs] > 0
             if varying.any():
                 ratios[~varying] = np.exp(np.log(ratios[varying]).mean())
@@ -277,8 +277,8 @@ def likely_noise(sums: Sums, settings: KrigingSettings) -> tuple[Floats, Floats]
     freedom = sums.rows - len(H) + sums.repeats
     logarithms = np.arange(*settings.ratio_bounds, STEP)
     ratios, values = np.exp(logarithms)[:, None], np.maximum(values, 0.0)
-    left = total + sums.scatter - (1 / (values + ratios)) @ squares
-    variance = np.maximum(left / ratios / freedom, ROUNDING)
+    residual = total + sums.scatter - (1 / (values + ratios)) @ squares
+    variance = np.maximum(residual / ratios / freedom, ROUNDING)
     unlikely = freedom * (np.log(variance) + logarithms[:, None])
     unlikely = 0.5 * (unlikely + np.log1p(values / ratios).sum(axis=1)[:, None])
     share = np.exp(unlikely.min(axis=0) - unlikely)

@@ -31,7 +31,7 @@ from .equations import (
 )
 from .factor import Neighbourhoods, OutputGroup, factorise, left_out, output_groups
 from .inducing import CANDIDATES, evenly, induced
-from .likelihood import estimated, within_one_factor
+from .likelihood import estimated, limited_to_factor
 from .settings import DEFAULTS, KrigingSettings
 
 try:
@@ -136,7 +136,7 @@ class Kriging:
         tangent = tangents.mean(axis=0) if len(tangents) else np.zeros(used.compliance.shape[1:])
         untold = (np.ptp(equations.x, axis=0) <= NEAR) & (len(tangents) == 0)
         tangent[:, untold] = np.nan
-        with one_thread():
+        with single_thread():
             span = span_of(equations.x, scaling, settings)
             kinds = kinds_of(equations.x, scaling, span, settings)
             # Slopes of a few rows show what several axes do together.
@@ -200,7 +200,7 @@ class Kriging:
                 alone = left_out(factor, np.arange(len(group.rows)))
                 errors[np.ix_(group.rows, outputs)] = alone.errors
                 neighbours = Neighbourhoods(
-                    equations, factor, table, settings, whole=through is not None
+                    equations, factor, table, settings, of_all_rows=through is not None
                 )
                 neighbourhoods.append(neighbours)
                 rest = scaling, kinds, estimate.widening[outputs], settings
@@ -221,7 +221,7 @@ class Kriging:
 
     @property
     def observation_noise(self) -> Floats:
-        """Noise of an observation, 95 %, (6,), m and rad; NaN where stated, zero or not told."""
+        """Noise of an observation, 95 %, (6,), m and rad; NaN where stated, zero or unknown."""
         noise = self.settings.half_width * np.sqrt(self.observation_variance) * self.scaling.spread
         return np.where(self.observation_variance > 0, noise, np.nan)
 
@@ -242,7 +242,7 @@ class Kriging:
         """Return displacements and 95 % error bars at wrenches (n, 6), each (n, 6), m and rad."""
         x, spread, offset = self.scaling.loads(wrenches), self.scaling.spread, self.scaling.offset
         displacement, error_bars = np.empty((2, len(x), len(spread)))
-        with one_thread():
+        with single_thread():
             for part in self._chunks(len(x)):
                 values, errors, known = self._scaled_answers(x[part])
                 error_bars[part] = np.where(known, np.hypot(errors * spread, self.floor), np.nan)
@@ -294,7 +294,7 @@ class Kriging:
         """
         others, x = self.scaling.loads(pending), self.scaling.loads(at)
         bars = np.empty((len(x), len(self.scaling.spread)))
-        with one_thread():
+        with single_thread():
             for part in self._chunks(len(x)):
                 bars[part] = self._scaled_answers(x[part])[1] * self.scaling.spread
             if not len(pending):
@@ -305,21 +305,21 @@ class Kriging:
             n_derivatives = self.equations.n_derivatives
             known = np.zeros((len(others), n_derivatives), dtype=bool)
             known[:, 0], known[:, 1:] = True, self.equations.known[:, 1:].any(axis=0)
-            new, new_left = factor.explained_at(others, known)
+            new, new_terms = factor.explained_at(others, known)
             within = covariance(others, known, others, known, hyperparameters) - new @ new.T
-            within += new_left @ mean_covariance @ new_left.T
+            within += new_terms @ mean_covariance @ new_terms.T
             prior = np.tile(hyperparameters.prior(n_derivatives), (len(others), 1))[known]
             within[np.diag_indices_from(within)] += factor.nugget * prior
             for part in self._chunks(len(x)):
                 value = np.zeros((len(x[part]), n_derivatives), dtype=bool)
                 value[:, 0] = True
-                explained, here_left = factor.explained_at(x[part], value)
+                explained, here_terms = factor.explained_at(x[part], value)
                 between = (
                     covariance(x[part], value, others, known, hyperparameters) - explained @ new.T
                 )
-                between += here_left @ mean_covariance @ new_left.T
+                between += here_terms @ mean_covariance @ new_terms.T
                 gain = np.einsum("mp,pm->m", between, np.linalg.solve(within, between.T))
-                before = factor.variance_of(explained, here_left, mean_covariance)
+                before = factor.variance_of(explained, here_terms, mean_covariance)
                 bars[part] *= np.sqrt(np.clip(1 - gain / before, 0.0, 1.0))[:, None]
         return np.hypot(bars, self.floor)
 
@@ -328,7 +328,7 @@ class Kriging:
         return self.errors * self.scaling.spread
 
 
-def one_thread() -> AbstractContextManager[object]:
+def single_thread() -> AbstractContextManager[object]:
     """Return a context in which linear algebra runs on one thread.
 
     A product of some hundred rows takes less time than the threads' meeting (0.5 against 37 ms).
@@ -356,4 +356,4 @@ def _usable(
             f"kriging needs {settings.min_rows} rows at different wrenches; there are "
             f"{len(equations)}: solve or import more"
         )
-    return within_one_factor(equations, settings), equations.count
+    return limited_to_factor(equations, settings), equations.count

@@ -110,7 +110,7 @@ def estimated(
     return Estimate((kernel,) * len(ones), ones, np.zeros_like(ones), ones, ones)
 
 
-def within_one_factor(equations: Equations, settings: KrigingSettings) -> Equations:
+def limited_to_factor(equations: Equations, settings: KrigingSettings) -> Equations:
     """Return the equations that a factor holds: as many rows as fit bring second derivatives.
 
     Where slopes alone are too many, only as many rows as fit count, with their slopes: of 1,500

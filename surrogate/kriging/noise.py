@@ -46,7 +46,7 @@ TINY = 1e-30  # variance, spreads squared, below any rounding
 
 
 class Estimate(NamedTuple):
-    """What the likelihood determines, of each output.
+    """The quantities that the likelihood determines, of each output.
 
     Attributes
     ----------
@@ -146,7 +146,7 @@ def _with_noise(equations: Equations, scaling: Scaling) -> NDArray[np.bool_]:
 
 
 class Spectrum(NamedTuple):
-    """What makes every noise diagonal: T s^2 (K + r D) T' = s^2 diag(values + r noisy).
+    """The transform that diagonalises every noise: T s^2 (K + r D) T' = s^2 diag(values + r noisy).
 
     Attributes
     ----------
@@ -232,14 +232,14 @@ class Posterior(NamedTuple):
     by_square: Floats
 
 
-def posterior(rows: NoisyRows, one: Spectrum, settings: KrigingSettings) -> Posterior:
+def posterior(rows: NoisyRows, eigen: Spectrum, settings: KrigingSettings) -> Posterior:
     """Return the posterior of the ratios of the settings, the process variance integrated out."""
     ratios = np.exp(np.arange(*settings.ratio_bounds, settings.ratio_step))[:, None]
-    inverse = 1 / (one.values + ratios * one.noisy)
+    inverse = 1 / (eigen.values + ratios * eigen.noisy)
     # 0 where the rows determine the mean alone.
-    freedom = np.maximum(len(one.values) + rows.repeats, 1.0)
-    variance = np.maximum((inverse @ one.data**2 + rows.scatter / ratios) / freedom, TINY)
-    values = 0.5 * (freedom * np.log(variance) + rows.repeats * np.log(ratios)) + one.logarithm
+    freedom = np.maximum(len(eigen.values) + rows.repeats, 1.0)
+    variance = np.maximum((inverse @ eigen.data**2 + rows.scatter / ratios) / freedom, TINY)
+    values = 0.5 * (freedom * np.log(variance) + rows.repeats * np.log(ratios)) + eigen.logarithm
     values -= 0.5 * np.log(inverse).sum(axis=1)[:, None]
     stated = not (rows.equations.observations > 0).any()
     centre, deviation = settings.stated_prior if stated else settings.noise_prior
@@ -264,23 +264,23 @@ def negative_log_posterior(
     total, gradient[: example.loads] = 0.5 * float(away @ away), away / deviation
     for rows in groups:
         try:
-            one = spectrum(rows, kernel, settings)
+            eigen = spectrum(rows, kernel, settings)
         except SingularCovarianceError:
             return REFUSED, np.zeros(len(logarithms))
-        found = posterior(rows, one, settings)
-        least = found.values.min(axis=0)
-        share = np.exp(least - found.values)
+        result = posterior(rows, eigen, settings)
+        least = result.values.min(axis=0)
+        share = np.exp(least - result.values)
         total += float((least - np.log(share.mean(axis=0))).sum())
         share /= share.sum(axis=0)
-        solved = (found.inverse[:, :, None] * one.data).transpose(1, 0, 2)
-        solved = solved.reshape(len(one.data), share.size)
-        weight = (share / found.variance * found.by_square).ravel()
-        middle = np.diag(share.sum(axis=1) @ found.inverse) - (solved * weight) @ solved.T
-        sensitivity = one.rotation.T @ middle @ one.rotation
-        if not one.terms:
+        solved = (result.inverse[:, :, None] * eigen.data).transpose(1, 0, 2)
+        solved = solved.reshape(len(eigen.data), share.size)
+        weight = (share / result.variance * result.by_square).ravel()
+        middle = np.diag(share.sum(axis=1) @ result.inverse) - (solved * weight) @ solved.T
+        sensitivity = eigen.rotation.T @ middle @ eigen.rotation
+        if not eigen.terms:
             by = contracted(sensitivity, rows.equations, kernel, settings.nugget)
         else:
-            by = _contracted_values(sensitivity, rows.squares, one.terms, kernel, settings.nugget)
+            by = _contracted_values(sensitivity, rows.squares, eigen.terms, kernel, settings.nugget)
         gradient += 0.5 * by
     count = sum(len(rows.outputs) for rows in groups)
     return total / count, gradient / count
@@ -293,7 +293,7 @@ def _contracted_values(
     kernel: Hyperparameters,
     nugget: float,
 ) -> Floats:
-    """Return what `contracted` does, of values alone."""
+    """Return the result of `contracted` for values alone."""
     first, second = np.triu_indices(len(sensitivity))
     pairs = sensitivity[first, second] * np.where(first == second, 1 + nugget, 2.0)
     rates, weights = kernel.terms
@@ -308,8 +308,8 @@ def _contracted_values(
 def _evenly(equations: Equations, rows: Indices, limit: int) -> Indices:
     """Return an even choice of some rows, of about so many equations, at least one."""
     count = int(np.searchsorted(np.cumsum(equations.known[rows].sum(axis=1)), limit))
-    places = np.linspace(0, len(rows) - 1, max(min(count, len(rows)), 1))
-    return rows[np.unique(places.round().astype(np.intp))]
+    positions = np.linspace(0, len(rows) - 1, max(min(count, len(rows)), 1))
+    return rows[np.unique(positions.round().astype(np.intp))]
 
 
 def estimate_noise(
@@ -329,8 +329,8 @@ def estimate_noise(
     for limit in (settings.search_equations, settings.likelihood_equations):
         chosen = _evenly(equations, every, limit)
         # Of few readings among many solves an even choice may have none.
-        if (left := noisy.any(axis=0) & ~noisy[chosen].any(axis=0)).any():
-            readings = np.flatnonzero(noisy[:, left].any(axis=1))
+        if (missed := noisy.any(axis=0) & ~noisy[chosen].any(axis=0)).any():
+            readings = np.flatnonzero(noisy[:, missed].any(axis=1))
             chosen = np.union1d(chosen, _evenly(equations, readings, limit // 2))
         parts.append(noisy_rows(equations.take(chosen), scaling, settings))
     few, many = parts
@@ -346,7 +346,7 @@ def estimate_noise(
     arrays = variance, noise, widening, noise_widening
     kernels: list[Hyperparameters | None] = [None] * len(scaling.spread)
     for some, all_rows in sets:
-        kernel = _of_one_kernel(some, all_rows, points, settings, arrays)
+        kernel = _fitted_kernel(some, all_rows, points, settings, arrays)
         for rows in all_rows:
             for output in rows.outputs:
                 kernels[output] = kernel
@@ -355,7 +355,7 @@ def estimate_noise(
     return Estimate(tuple(kernel or first for kernel in kernels), *arrays)
 
 
-def _of_one_kernel(
+def _fitted_kernel(
     few: list[NoisyRows],
     many: list[NoisyRows],
     points: Floats,
@@ -385,53 +385,53 @@ def _of_one_kernel(
     shifts = np.array(settings.length_shifts)
     logarithms = np.clip(best + shifts[:, None] * (np.arange(loads + weights) < loads), low, high)
     kernels = [
-        Hyperparameters.of_logarithms(one, example.groups, example.smoothness) for one in logarithms
+        Hyperparameters.of_logarithms(row, example.groups, example.smoothness) for row in logarithms
     ]
     centre, deviation = settings.length_prior
     prior = 0.5 * (((logarithms[:, :loads] - centre) / deviation) ** 2).sum(axis=1)
-    joint, found = -prior, []
+    joint, weighted = -prior, []
     for rows in many:
         each = [posterior(rows, spectrum(rows, kernel, settings), settings) for kernel in kernels]
-        values = np.array([one.values for one in each])  # (kernels, g, k)
+        values = np.array([item.values for item in each])  # (kernels, g, k)
         joint = joint + np.logaddexp.reduce(-values, axis=1).sum(axis=1)
         values += prior[:, None, None]
         share = np.exp(values.min(axis=(0, 1)) - values)
-        found.append((rows, each, share / share.sum(axis=(0, 1))))
+        weighted.append((rows, each, share / share.sum(axis=(0, 1))))
     chosen = int(np.argmax(joint))
-    for rows, each, share in found:
+    for rows, each, share in weighted:
         for index, output in enumerate(rows.outputs):
             shares = share[:, :, index].sum(axis=1)
-            given = [
-                float(part[:, index] @ one.noise[:, index] / max(part[:, index].sum(), TINY))
-                for part, one in zip(share, each, strict=True)
+            means = [
+                float(part[:, index] @ item.noise[:, index] / max(part[:, index].sum(), TINY))
+                for part, item in zip(share, each, strict=True)
             ]
-            mean_noise = float(shares @ given)
-            own = variance_of(each[chosen], index, mean_noise)
+            mean_noise = float(shares @ means)
+            size = variance_of(each[chosen], index, mean_noise)
             variance, noise, widening, noise_widening = arrays
-            variance[output], noise[output] = own, mean_noise / rows.scale[index]
+            variance[output], noise[output] = size, mean_noise / rows.scale[index]
             # Few rows leave open how much of what they differ by is noise: the mean of a wide
             # posterior, itself uncertain, was a third of the noise of 30 to 60 rows.
-            noises = np.concatenate([one.noise[:, index] for one in each])
+            noises = np.concatenate([item.noise[:, index] for item in each])
             order, weight = np.argsort(noises), share[:, :, index].ravel()
             below = np.cumsum(weight[order]) - weight[order] / 2
             level = 1 - (1 - CONFIDENCE) / len(noise)
             most = np.exp(np.interp(level, below, np.log(noises[order])))
             noise_widening[output] = np.sqrt(max(float(most) / mean_noise, 1.0))
-            mean, known = _answers(rows, index, kernels[chosen], mean_noise, own, points, settings)
+            mean, known = _answers(rows, index, kernels[chosen], mean_noise, size, points, settings)
             total = np.zeros(len(points))
             used = np.flatnonzero(shares > settings.least_share)
             for k in used:
-                own = variance_of(each[k], index, given[k])
-                answers = _answers(rows, index, kernels[k], given[k], own, points, settings)
+                size = variance_of(each[k], index, means[k])
+                answers = _answers(rows, index, kernels[k], means[k], size, points, settings)
                 total += shares[k] / shares[used].sum() * (answers[1] + (answers[0] - mean) ** 2)
             widening[output] = np.sqrt(max(float(total.mean() / known.mean()), 1.0))
     return kernels[chosen]
 
 
-def variance_of(found: Posterior, index: int, noise: float) -> float:
+def variance_of(result: Posterior, index: int, noise: float) -> float:
     """Return the process variance of an output, spreads squared, at a noise of D."""
-    rising = np.maximum.accumulate(np.log(found.noise[:, index]))  # but for rounding
-    return float(np.exp(np.interp(np.log(noise), rising, np.log(found.variance[:, index]))))
+    rising = np.maximum.accumulate(np.log(result.noise[:, index]))  # but for rounding
+    return float(np.exp(np.interp(np.log(noise), rising, np.log(result.variance[:, index]))))
 
 
 def _answers(

@@ -41,7 +41,7 @@ class KrigingSettings:
     # 100 rows leave of it.
     ratio_bounds: tuple[float, float] = (-23.0, 4.6)
     ratio_step: float = 0.75
-    # Before rows are seen: mean and deviation of the logarithm of an unknown noise's variance, over
+    # Prior: mean and deviation of the logarithm of an unknown noise's variance, over
     # the spread's (1 % of it, within a factor of 10), of the factor on a stated one (a factor of 3
     # on the uncertainty), and of inverse squared lengths (1.6 half ranges, within a factor of 2).
     # Without the last the most likely kernels are straight in most loads, and what they bend by is
@@ -74,7 +74,7 @@ class KrigingSettings:
     deviation_solves: int = 20
     # Up to so many measured rows sigma is that of all of them: a triangle of 4 MB an output. By the
     # 40 nearest of 800 rows with 1 % noise bars were 7 to 9 times the errors, by all 3 to 4 times.
-    whole_rows: int = 1000
+    global_rows: int = 1000
     # More measured rows than this go through inducing wrenches, if so many or fewer leave little of
     # the response beside the noise: of 900 and 100,000 rows with 0.3 % noise 75 and 252.
     many_rows: int = 400
@@ -103,7 +103,7 @@ class KrigingSettings:
     comparable: float = 0.6
     # With fewer left-out rows errors are not known: with four a fifth more tables cover too much.
     min_left_out: int = 6
-    # The quantile of neighbourhoods' deviations over those of the whole factor that stands for all:
+    # The quantile of neighbourhoods' deviations over those of the full factor that stands for all:
     # by their median 4 of 59 tables of 30 to 120 rows held below 90 % in one output, by this 2.
     neighbourhood_quantile: float = 0.4
     # With so many rows that load several axes these show the errors of wrenches like them; fewer

@@ -88,7 +88,7 @@ def packed_of(table: Table) -> PackedTable:
 
 
 def _plain(value: Any) -> Any:
-    """Return what JSON can hold: None for numbers that are not finite."""
+    """Return a value for JSON: None for numbers that are not finite."""
     if isinstance(value, Mapping):
         return {str(key): _plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple | np.ndarray):

@@ -1,1 +1,1 @@
-"""What one simulation needs of a component: the plan, and the table that holds no more than it."""
+"""The plan of one simulation's needs of a component, and the table that is cut to it."""

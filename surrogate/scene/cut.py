@@ -125,16 +125,16 @@ def _cut_kriging(group: Arrays, name: str, need: Need, needs_all: bool) -> Array
         key: array for key, array in group.items() if key.startswith(name) and "/factor" not in key
     }
     count = int(group[f"{name}factor_count"][0])
-    kept = [
+    numbers = [
         number
         for number in range(count)
         if needs_all or group[f"{name}factor{number}/outputs"][list(need.outputs)].any()
     ] or [0]
-    arrays[f"{name}factor_count"] = np.array([len(kept)], dtype=np.int32)
+    arrays[f"{name}factor_count"] = np.array([len(numbers)], dtype=np.int32)
     arrays[f"{name}terms"] = np.concatenate(
-        [np.split(group[f"{name}terms"], count)[number] for number in kept]
+        [np.split(group[f"{name}terms"], count)[number] for number in numbers]
     )
-    for number, before in enumerate(kept):
+    for number, before in enumerate(numbers):
         factor = f"{name}factor{before}/"
         arrays |= {
             f"{name}factor{number}/{key[len(factor) :]}": array

@@ -41,7 +41,7 @@ NO_LOAD = "no load can occur in the scene, so it stays as it is"
 
 @dataclass(frozen=True, eq=False)
 class Need:
-    """What a scene needs of one component.
+    """The requirements of a scene on one component.
 
     Attributes
     ----------
@@ -123,7 +123,7 @@ def need_of(
     tolerance: Tolerance | None = None,
     idle: Sequence[int] = (),
 ) -> Need:
-    """Return what a scene needs of a component.
+    """Return the requirements of a scene on a component.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def need_of(
 
 @dataclass(frozen=True)
 class ScenePlan:
-    """What a scene needs of a component.
+    """The requirements of a scene on a component.
 
     Attributes
     ----------
@@ -263,7 +263,7 @@ def first_solves(table: Table, span: LoadRange) -> int:
 
 
 def _bound(table: Table, need: Need) -> tuple[Floats, str]:
-    """Return what the displacement does not exceed, (m,), m and rad, and why it is not known.
+    """Return upper bounds of the displacement, (m,), m and rad, and the reason of unknown ones.
 
     The larger of two: the answers with their errors at corners and wrenches of the scene; and the
     compliance's sum over the loads with its error, which is one for the full load range, or what

@@ -1,4 +1,4 @@
-"""What a scene's plan saves, measured here and now on the table there is."""
+"""The savings of a scene's plan, measured on the current table."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ RUNS = 5  # of which the best counts: what interrupts a run only ever makes it l
 
 @dataclass(frozen=True)
 class Savings:
-    """What the scene's table needs less than the component's.
+    """The savings of the scene's table against the component's.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Savings:
 
 
 def measured(table: Table, plan: ScenePlan) -> Savings:
-    """Return what the scene's table saves against the component's.
+    """Return the savings of the scene's table against the component's.
 
     A component that is rigid in the scene needs no table: all is saved.
     """

@@ -159,8 +159,8 @@ def axis_rows(
     if joining.any():
         # At the points of single-axis rows these alone count.
         group = close_groups(scaled[indices])
-        kept = mine[indices] | ~np.isin(group, group[mine[indices]])
-        indices, displacement = indices[kept], displacement[kept]
+        chosen = mine[indices] | ~np.isin(group, group[mine[indices]])
+        indices, displacement = indices[chosen], displacement[chosen]
     if off_axis == "correct":
         loads = np.where(np.isin(np.arange(6), others), rows.wrench[indices], 0.0)
         displacement = np.where(

@@ -495,7 +495,7 @@ _VALID = ("valid_min", "valid_max", "valid_range")
 
 
 def _unpacking(dataset: h5py.Dataset, name: str, part: Any) -> Callable[[np.ndarray], np.ndarray]:
-    """Return what takes a field or a column `part` of a piece of a dataset, unpacked.
+    """Return the function that reads a field or a column `part` of a dataset's piece, unpacked.
 
     CF conventions 1.11, 2.5.1 and 8.1: a stored value that is ``_FillValue`` or ``missing_value``,
     or is beyond ``valid_range``, is missing (NaN); any other is times ``scale_factor`` plus

@@ -169,9 +169,9 @@ class RowIndex:
         self.rates = (roots / roots.sum()) / scale
         keys = wrenches @ self.rates
         order = np.argsort(keys, kind="stable")
-        placed = wrenches[order]
+        ordered = wrenches[order]
         first = np.ones(len(order), dtype=bool)
-        first[1:] = (placed[1:] != placed[:-1]).any(axis=1)
+        first[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
         self.order: NDArray[np.intp] = order[first]
         self.keys: Floats = keys[self.order]
 
@@ -198,7 +198,7 @@ def repeated(rows: Rows, load_range: LoadRange) -> list[NDArray[np.intp]]:
 
 
 def row_conflicts(rows: Rows, load_range: LoadRange) -> dict[str, Any]:
-    """Return what a coverage summary says of repeated wrenches: how many, and which disagree.
+    """Return repeated wrenches for a coverage summary: their count, and those that disagree.
 
     Rows of a wrench disagree if an output's spread is over twice the largest stored uncertainty
     plus a millionth of the output's range: no two of such rows can both be right.
@@ -260,9 +260,9 @@ def close_groups(points: Floats) -> NDArray[np.intp]:
     for direction in directions:
         along = distinct[remaining] @ direction
         order = np.argsort(along)
-        reach = NEAR * direction.sum() * ALONG
-        ends = np.searchsorted(along[order], along[order] + reach, side="right")
-        after = ends - np.arange(1, len(order) + 1)  # points within reach
+        extent = NEAR * direction.sum() * ALONG
+        ends = np.searchsorted(along[order], along[order] + extent, side="right")
+        after = ends - np.arange(1, len(order) + 1)  # points within the extent
         most = 2 * after.sum()
         is_close = np.zeros(len(remaining), dtype=bool)
         is_close[order[after > 0]] = True

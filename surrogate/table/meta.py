@@ -1,4 +1,4 @@
-"""What stands in a table file besides its rows: what it says about them, and its digest.
+"""The metadata of a table file besides its rows: their description, and its digest.
 
 HDF5 leaves the first 512 bytes, its user block, to others: there stands a digest of all the rest,
 so that one flipped bit is noticed before the file is read.
@@ -33,7 +33,7 @@ _HDF5_MARK = b"\x89HDF\r\n\x1a\n"
 
 @dataclass(frozen=True)
 class TableMeta:
-    """What a table file says about its rows.
+    """The metadata of a table file about its rows.
 
     Attributes
     ----------

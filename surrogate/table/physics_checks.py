@@ -1,4 +1,4 @@
-"""What physics asks of a table, whatever the component: rows that break it are named.
+"""Checks of a table against physics, for any component: rows that break it are named.
 
 Zero at zero load. A compliance that is symmetric (Maxwell and Betti) and positive. Work done by a
 load on its displacement that is positive, and grows from row to row along a ray and between

@@ -1,4 +1,4 @@
-"""What goes into a surrogate: rows, the load range they are scaled by, and a tolerance.
+"""The input of a surrogate: rows, the load range they are scaled by, and a tolerance.
 
 All quantities are SI: N, N·m, m, rad. A wrench holds the n inputs of a `Space` and a displacement
 its m outputs: of the default space six numbers, force then moment, translation then rotation.

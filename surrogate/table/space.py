@@ -150,8 +150,8 @@ class Space:
         else:
             pairs = combinations(by_interface, 2) if len(by_interface) > 2 else ()
             terms = [*by_interface, *(first | second for first, second in pairs)]
-        seen = [*(term | scalars for term in terms), set(range(len(self.inputs)))]
-        return np.array([[float(k in term) for k in range(len(self.inputs))] for term in seen])
+        groups = [*(term | scalars for term in terms), set(range(len(self.inputs)))]
+        return np.array([[float(k in term) for k in range(len(self.inputs))] for term in groups])
 
     def vector(
         self, loads: Mapping[str, Sequence[float]], further: Mapping[str, float]

@@ -17,7 +17,7 @@ import pytest
 
 from tests.benchmarks.test_live import as_csv, made_up
 from wrenchbook.service.formats.options import Options
-from wrenchbook.service.ledger import About, Ledger
+from wrenchbook.service.ledger import ImportOrigin, Ledger
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.importing import import_files
 from wrenchbook.surrogate.table.rows import LoadRange
@@ -33,7 +33,7 @@ def load(path: Path, folder: Path) -> None:
     ledger = Ledger(folder / "ledger.sqlite")
     for turn in range(1 + int(os.environ.get("AGAIN", "0"))):
         began = time.process_time()
-        reply = import_files(ledger, rig, [path], Options(), About())
+        reply = import_files(ledger, rig, [path], Options(), ImportOrigin())
         print(
             f"  import {turn + 1}: {reply['inserted']:,} new, {reply['existing']:,} known, "
             f"{time.process_time() - began:.1f} s of this process",

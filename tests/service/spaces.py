@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tests.surrogate.test_space import range_of, solved
-from wrenchbook.service.ledger import About, NotedRows
+from wrenchbook.service.ledger import ImportOrigin, NotedRows
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 from wrenchbook.surrogate.table.space import Input, space_of
 from wrenchbook.surrogate.table.spread import spread_wrenches
@@ -54,4 +54,4 @@ def add(workspace: Any, name: str, rows: Rows) -> None:
         source=["fea"] * len(rows),
     )
     block = NotedRows(plain, [""] * len(rows))
-    workspace.ledger.import_rows(name, [block], About("rows.json", "json", "", "", ""))
+    workspace.ledger.import_rows(name, [block], ImportOrigin("rows.json", "json", "", "", ""))

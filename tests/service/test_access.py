@@ -52,7 +52,7 @@ def secrets_(place):
 @pytest.fixture(scope="module")
 def locked(place, secrets_):
     security = SecuritySettings(
-        origins=frozenset({"https://lab.example"}), own_key="the-server's-own"
+        origins=frozenset({"https://lab.example"}), server_key="the-server's-own"
     )
     with TestClient(create_app(Settings(place, solvers=0, allow_decks=True), security)) as client:
         yield client
@@ -184,7 +184,7 @@ def test_a_private_servers_own_key_is_good_for_all(locked):
 
 def test_a_key_is_held_to_its_rate_and_told_when_to_come_again(place, locked):
     secret = Keyring(place).add("slow", "read", rate=1.0)
-    locked.app.state.access.keyring.look(0.0)
+    locked.app.state.access.keyring.refresh(0.0)
     statuses = [locked.get("/v1/jobs", headers=bearer(secret)).status_code for _ in range(4)]
     assert statuses[:2] == [200, 200]
     assert 429 in statuses
@@ -250,7 +250,7 @@ def test_a_thousand_keys_have_buckets_of_their_own(tmp_path, clock):
 
 def test_a_key_is_held_to_the_size_of_its_bodies_told_or_not(place, locked):
     secret = Keyring(place).add("small", "write", megabytes=1)
-    locked.app.state.access.keyring.look(0.0)
+    locked.app.state.access.keyring.refresh(0.0)
     headers = {**bearer(secret), "Content-Type": "text/csv"}
     url = "/v1/components/bar/table"
     assert locked.post(url, content=bytes(2 << 20), headers=headers).status_code == 413

@@ -128,8 +128,8 @@ def test_solved_rows_do_not_leave_the_table_in_silence(served, toml, folder):
         assert "3 rows belong to another setup of 'mine'" in reply["reason"]
     refused = served.post(f"{CALL}/displacement", json={**WRENCH, "on_thin": "reject"})
     assert "wrenchbook resolve mine" in refused.json()["detail"]
-    found = [one for one in examine(folder) if "another setup" in one.what]
-    assert [(one.kind, one.what) for one in found] == [
+    found = [one for one in examine(folder) if "another setup" in one.problem]
+    assert [(one.kind, one.problem) for one in found] == [
         ("note", "3 rows of mine belong to another setup of it")
     ]
     assert "wrenchbook resolve mine" in found[0].remedy
@@ -137,7 +137,7 @@ def test_solved_rows_do_not_leave_the_table_in_silence(served, toml, folder):
     about = settled(served, lambda one: one["rows"] == 3)
     assert about["another_setup"] == {"rows": 0, "wrenches": 0}
     assert not [one for one in about["warnings"] if one["where"] == "rows"]
-    assert not [one for one in examine(folder) if "another setup" in one.what]
+    assert not [one for one in examine(folder) if "another setup" in one.problem]
 
 
 def test_one_call_solves_them_again_each_once(served, toml):

@@ -19,7 +19,7 @@ from wrenchbook.service.formats.options import Options
 from wrenchbook.service.jobs import solver
 from wrenchbook.service.jobs.attempt import Attempt, Outcome, prepare, read_outcome, write_outcome
 from wrenchbook.service.jobs.dispatcher import record
-from wrenchbook.service.ledger import About, Ledger
+from wrenchbook.service.ledger import ImportOrigin, Ledger
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.exporting import ExportFormat, ExportRequest, export_table
 from wrenchbook.service.tables.importing import copy_rows, import_files
@@ -132,7 +132,7 @@ def test_an_exported_table_is_imported_with_it(ledger, tmp_path, form: ExportFor
     )
     export_table(ledger, plate, ExportRequest(form, {}), tmp_path / "table")
     options = Options(load_range=own)
-    reply = import_files(ledger, copy, [tmp_path / "table"], options, About())
+    reply = import_files(ledger, copy, [tmp_path / "table"], options, ImportOrigin())
     assert (reply["errors"], reply["inserted"]) == ([], 2)
     assert [one.curvature for one in stored(ledger, "copy", space=space)] == [thirds, None]
 
@@ -140,7 +140,7 @@ def test_an_exported_table_is_imported_with_it(ledger, tmp_path, form: ExportFor
 def test_rows_copied_to_another_component_keep_it(ledger, tmp_path):
     plate, copy = (component(name, tmp_path, RANGE) for name in ("plate", "copy"))
     insert(ledger, "plate", "", [ROW])
-    copy_rows(ledger, plate, copy, About())
+    copy_rows(ledger, plate, copy, ImportOrigin())
     assert [row.curvature for row in stored(ledger, "copy")] == [THIRDS]
 
 

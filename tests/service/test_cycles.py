@@ -106,7 +106,7 @@ def test_soft_preload_cycles_that_are_skipped_leave_the_rows_of_the_others(seed)
     rows, report = left(replace(clean, displacement=soft), skip_cycles=2)
     # The lowest row between two cycles is of the one before.
     assert (rows.displacement == clean.displacement[58 * 2 + 1 :]).all()
-    assert report.left_out["skipped"] + len(rows) == len(clean)
+    assert report.omitted["skipped"] + len(rows) == len(clean)
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -117,7 +117,7 @@ def test_skipped_cycles_of_a_test_to_both_sides_end_at_the_load_of_its_first_row
     rows, report = left(rows, skip_cycles=2)
     kept = phase > phase[0] + 4 * np.pi
     np.testing.assert_allclose(rows.wrench[:, 2], 500 * load[kept], rtol=1e-14)
-    assert report.left_out["skipped"] == (~kept).sum()
+    assert report.omitted["skipped"] == (~kept).sum()
 
 
 def test_the_mean_of_cycles_is_numpys_with_the_half_width_of_the_scatter():
@@ -129,7 +129,7 @@ def test_the_mean_of_cycles_is_numpys_with_the_half_width_of_the_scatter():
     scatter = np.sqrt(up.var(axis=0, ddof=1).mean(axis=0))
     half = student.ppf(0.975, 29 * 4) * scatter / np.sqrt(5)
     np.testing.assert_allclose(np.median(found.uncertainty[:30], axis=0), half, rtol=0.3)
-    assert report.left_out["averaged"] == len(rows) - len(found)
+    assert report.omitted["averaged"] == len(rows) - len(found)
 
 
 def test_rows_of_a_pass_within_one_place_become_their_mean():
@@ -139,7 +139,7 @@ def test_rows_of_a_pass_within_one_place_become_their_mean():
     found, report = left(Rows.of(wrench, moved), thin=0.05)
     np.testing.assert_allclose(found.wrench[:, 2], [0, 11, 20, 100, 10.5, 0])
     np.testing.assert_allclose(found.displacement, found.wrench / 1e6)
-    assert report.left_out["averaged"] == 3
+    assert report.omitted["averaged"] == 3
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -168,7 +168,7 @@ def other_load(rows):
 def test_cycles_that_do_not_allow_an_option_are_refused(change, options, words):
     rows, report = left(change(Loop(5, low=0.0).rows), **options)
     (mistake,) = report.mistakes.listed()
-    assert (len(rows), report.mistakes.whole, words in mistake.message) == (0, True, True)
+    assert (len(rows), report.mistakes.of_file, words in mistake.message) == (0, True, True)
 
 
 def test_a_file_of_more_rows_than_cycles_take_is_refused():

@@ -27,7 +27,7 @@ from wrenchbook.service.jobs.attempt import (
 )
 from wrenchbook.service.jobs.dispatcher import Dispatcher, Lease, record
 from wrenchbook.service.jobs.solver_pool import LocalEngine
-from wrenchbook.service.ledger import Beat, Ledger, LedgerUnavailableError, StaleAttemptError
+from wrenchbook.service.ledger import Heartbeat, Ledger, LedgerUnavailableError, StaleAttemptError
 
 WRENCH = (1.0, 2.0, 3.0, 0.0, 0.0, 0.5)
 
@@ -125,10 +125,10 @@ def test_jobs_that_waited_before_the_start_are_solved_with_no_more_solvers_than_
 
 
 def test_a_job_starts_and_is_committed_without_a_look_that_comes_round(bench, monkeypatch):
-    for name in ("LOOK_SECONDS", "RECOVER_SECONDS"):
+    for name in ("POLL_SECONDS", "RECOVER_SECONDS"):
         monkeypatch.setattr(f"wrenchbook.service.jobs.dispatcher.{name}", 3600.0)
     dispatcher = bench.start()
-    until(lambda: dispatcher._next_look)  # the first one
+    until(lambda: dispatcher._next_poll)  # the first one
     for load in range(5):
         assert bench.end(bench.accept(load, 1, 0, 0, 0, 0).id).status == "done"
 
@@ -434,15 +434,15 @@ def test_an_attempt_the_job_has_left_behind_is_refused(one_job, tmp_path):
 HERE = Path(__file__).parent
 
 
-def beat(number):
-    return Beat("far", number, 0.0)
+def heartbeat(number):
+    return Heartbeat("far", number, 0.0)
 
 
 def test_an_owner_whose_lock_is_free_is_lost_at_once_whatever_its_heartbeat(tmp_path):
     mine = Lease(tmp_path)
     os.close(flock.take(tmp_path / "dead.lock"))
-    assert mine.is_lost("dead", "far", beat(1))
-    assert mine.is_lost("dead", "far", beat(2))
+    assert mine.is_lost("dead", "far", heartbeat(1))
+    assert mine.is_lost("dead", "far", heartbeat(2))
     mine.close()
 
 
@@ -450,11 +450,11 @@ def test_a_lease_whose_heartbeat_stands_still_is_lost_within_ten_seconds(tmp_pat
     now = [0.0]
     monkeypatch.setattr("wrenchbook.service.jobs.dispatcher.time.monotonic", lambda: now[0])
     mine = Lease(tmp_path)
-    assert not mine.is_lost("elsewhere", "far", beat(1))
+    assert not mine.is_lost("elsewhere", "far", heartbeat(1))
     now[0] = 7.0
-    assert not mine.is_lost("elsewhere", "far", beat(1))
+    assert not mine.is_lost("elsewhere", "far", heartbeat(1))
     now[0] = 9.0  # and a look a second
-    assert mine.is_lost("elsewhere", "far", beat(1))
+    assert mine.is_lost("elsewhere", "far", heartbeat(1))
     mine.close()
 
 
@@ -464,14 +464,14 @@ def test_a_heartbeat_that_goes_on_is_life_whatever_the_clocks_say(tmp_path, monk
     mine = Lease(tmp_path)
     for number in range(1, 20):
         now[0] += 7.0
-        assert not mine.is_lost("elsewhere", "far", beat(number))
+        assert not mine.is_lost("elsewhere", "far", heartbeat(number))
     mine.close()
 
 
 def test_an_owner_that_ended_its_lease_is_lost_at_once(tmp_path):
     mine = Lease(tmp_path)
     assert mine.is_lost("elsewhere", "far", None)
-    assert mine.is_lost("never here", "local", beat(1))
+    assert mine.is_lost("never here", "local", heartbeat(1))
     mine.close()
 
 
@@ -479,9 +479,9 @@ def test_a_dispatcher_that_is_late_keeps_its_lock_file(tmp_path):
     """It is alive: without the file everything it claims later would be taken from it at once."""
     first, second = Lease(tmp_path), Lease(tmp_path)
     second.remove(first.name)
-    assert not second.is_lost(first.name, "local", beat(1))
+    assert not second.is_lost(first.name, "local", heartbeat(1))
     first.close()
-    assert second.is_lost(first.name, "local", beat(1))
+    assert second.is_lost(first.name, "local", heartbeat(1))
     second.close()
 
 
@@ -546,17 +546,17 @@ def test_a_dispatcher_that_was_late_lets_go_of_its_attempt_without_ending_it(ben
 
 
 def test_heartbeats_are_written_while_there_are_attempts_and_not_without(bench, monkeypatch):
-    monkeypatch.setattr("wrenchbook.service.jobs.dispatcher.BEAT_SECONDS", 0.1)
+    monkeypatch.setattr("wrenchbook.service.jobs.dispatcher.HEARTBEAT_SECONDS", 0.1)
     dispatcher, engine = bench.simulate("far", seconds=None)
     job = bench.accept()
     owner = bench.until(job, status="running").owner
-    until(lambda: bench.ledger.leases()[owner].beat >= 4)
+    until(lambda: bench.ledger.leases()[owner].number >= 4)
     engine.end_all()
     bench.until(job, status="done")
     wait_for_sweeps(dispatcher)
-    resting = bench.ledger.leases()[owner].beat
+    resting = bench.ledger.leases()[owner].number
     wait_for_sweeps(dispatcher, 5)
-    assert bench.ledger.leases()[owner].beat == resting
+    assert bench.ledger.leases()[owner].number == resting
 
 
 def test_a_job_cancelled_while_nobody_looked_is_cancelled_at_its_engine_by_its_task(bench):

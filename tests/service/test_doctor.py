@@ -52,7 +52,7 @@ def kinds(findings):
 
 
 def words(findings):
-    return " | ".join(f"{one.kind}: {one.what} {one.remedy}" for one in findings)
+    return " | ".join(f"{one.kind}: {one.problem} {one.remedy}" for one in findings)
 
 
 def edit(folder, statement):
@@ -130,7 +130,7 @@ def test_a_damaged_tables_file_is_moved_aside_and_written_anew_from_the_ledger(f
         path.write_bytes(path.read_bytes()[: 1000 * (damage == "cut")])
     broken = path.read_bytes()
     (found,) = examine(folder)  # it was called missing in the same breath
-    assert "tables/rig.h5 cannot be used" in found.what
+    assert "tables/rig.h5 cannot be used" in found.problem
     assert path.read_bytes() == broken
     assert "repaired" in kinds(examine(folder, repair=True))
     after = read_table(path)[0]
@@ -404,7 +404,7 @@ def test_rows_that_neither_copy_has_are_told_as_lost_and_not_as_mended(folder):
     (folder / "tables" / "rig.h5").write_bytes(b"")
     found = examine(folder, repair=True)
     lost, table = [one for one in found if one.kind == "fault"]
-    assert lost.what == "up to 60 rows that were acknowledged are gone"
-    assert "tables/rig.h5" in table.what
+    assert lost.problem == "up to 60 rows that were acknowledged are gone"
+    assert "tables/rig.h5" in table.problem
     assert all("restore a backup" in one.remedy for one in (lost, table))
     assert "jobs that were lost: 30" in words(found)

@@ -368,7 +368,7 @@ def test_a_full_disk_leaves_the_version_before_and_the_file_is_written_later(sit
     def full(*_, **__):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("wrenchbook.service.tables.store.write_whole_bytes", full)
+    monkeypatch.setattr("wrenchbook.service.tables.store.write_atomically", full)
     insert(site.ledger, "rig", "", new_rows(30))
     assert not site.tables.catch_up("rig", 20)
     assert site.tables.surrogate("rig").row_count == 0

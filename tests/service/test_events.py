@@ -60,7 +60,7 @@ def test_a_key_of_some_components_hears_of_these_alone():
 def test_a_key_of_some_components_that_listens_first_does_not_narrow_what_others_hear(monkeypatch):
     callers = []
 
-    def look(workspace, seen):
+    def poll(workspace, last):
         callers.append(CALLER.get())
         return feed_module.Snapshot(versions={"bar": 1, "plate": 2}), []
 
@@ -71,7 +71,7 @@ def test_a_key_of_some_components_that_listens_first_does_not_narrow_what_others
         await events.stop()
         return first
 
-    monkeypatch.setattr(feed_module, "look", look)
+    monkeypatch.setattr(feed_module, "poll", poll)
     hello = asyncio.run(run())
     assert b'{"tables":{"bar":1}}' in hello
     assert callers[0].touches("plate")
@@ -102,7 +102,7 @@ def test_an_id_that_is_not_known_is_told_and_not_passed_over(last):
 
 
 def test_events_no_longer_held_are_told_as_missed(monkeypatch):
-    monkeypatch.setattr(feed_module, "KEPT", 5)
+    monkeypatch.setattr(feed_module, "MAX_EVENTS", 5)
     feed = Feed()
     hello = heard(feed.listen(None, None, {}))[0]
     for number in range(6):
@@ -111,7 +111,7 @@ def test_events_no_longer_held_are_told_as_missed(monkeypatch):
 
 
 def test_a_slow_listener_is_let_go_with_the_reason_and_holds_no_more_memory(monkeypatch):
-    monkeypatch.setattr(feed_module, "KEPT", 200)
+    monkeypatch.setattr(feed_module, "MAX_EVENTS", 200)
     feed = Feed()
     slow, quick = feed.listen(None, None, {}), feed.listen(None, None, {})
     heard(slow)
@@ -194,23 +194,23 @@ def test_the_life_of_jobs_is_told_whoever_changes_them(tmp_path):
 
 
 def test_a_listener_is_greeted_after_the_first_look_so_that_nothing_between_is_lost(monkeypatch):
-    looks, may_end = threading.Event(), threading.Event()
+    polled, may_end = threading.Event(), threading.Event()
 
-    def look(workspace, seen):
-        looks.set()
+    def poll(workspace, last):
+        polled.set()
         assert may_end.wait(600)
         return feed_module.Snapshot(), []
 
     async def run():
         events = feed_module.Events(None)
         listening = asyncio.create_task(events.listen(None, None))
-        await asyncio.to_thread(looks.wait, 60)
+        await asyncio.to_thread(polled.wait, 60)
         assert not listening.done()
         may_end.set()
         await listening
         await events.stop()
 
-    monkeypatch.setattr(feed_module, "look", look)
+    monkeypatch.setattr(feed_module, "poll", poll)
     asyncio.run(run())
 
 
@@ -339,7 +339,7 @@ def test_a_key_revoked_while_its_stream_begins_is_seen(tmp_path):
 
 def test_a_private_servers_own_stream_outlives_a_change_of_keys(tmp_path):
     keyring = Keyring(tmp_path)
-    security = SecuritySettings(own_key="the-server's-own")
+    security = SecuritySettings(server_key="the-server's-own")
     access, listener = AccessControl(keyring, security), Feed().listen(None, None, {})
     request = ("GET", "/v1/events", {b"authorization": b"Bearer the-server's-own"})
     keyring.add("ops", "admin")

@@ -10,7 +10,7 @@ import pytest
 
 from tests.service.following import wait_for_version
 from tests.service.test_http_library import http  # noqa: F401 (a fixture)
-from wrenchbook.service.ledger import About, Ledger, NotedRows
+from wrenchbook.service.ledger import ImportOrigin, Ledger, NotedRows
 from wrenchbook.surrogate.table.rows import Rows
 
 ROOT = Path(__file__).parents[2]
@@ -152,7 +152,7 @@ def run(path):
     """Append blocks and print the number of each that is acknowledged, until it is killed."""
     ledger, seed = Ledger(path), 0
     while True:
-        ledger.append_rows("rig", rows_of(seed), About(filename="run 17"))
+        ledger.append_rows("rig", rows_of(seed), ImportOrigin(filename="run 17"))
         os.write(1, f"{seed}\n".encode())
         seed += 1
 
@@ -169,7 +169,7 @@ def test_a_kill_between_blocks_loses_none_that_was_acknowledged(tmp_path):
     (record,) = ledger.imports("rig")
     assert record.rows == ledger.count_rows("rig") >= 3 * len(seen)
     for seed in range(len(seen)):
-        again = ledger.append_rows("rig", rows_of(seed), About(filename="run 17"))
+        again = ledger.append_rows("rig", rows_of(seed), ImportOrigin(filename="run 17"))
         assert again == (0, 3, record.id)
     ledger.close()
 

@@ -384,11 +384,11 @@ def test_two_slow_tables_of_one_key_do_not_block_the_imports_of_others(monkeypat
     monkeypatch.setattr(table, "_READER_WAIT_S", 0.0)
 
     async def read(caller):
-        async with table.one_reader(caller):
+        async with table.reader_slot(caller):
             pass
 
     async def read_slowly():
-        async with table.one_reader("ann"):
+        async with table.reader_slot("ann"):
             await read("bob")
             with pytest.raises(SandboxBusyError, match="Another table of this key is being read"):
                 await read("ann")

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wrenchbook.service.ledger import About, Ledger, NotedRows
+from wrenchbook.service.ledger import ImportOrigin, Ledger, NotedRows
 from wrenchbook.service.ledger import imports as importing
 from wrenchbook.surrogate.table.rows import Rows
 
@@ -41,7 +41,7 @@ def run(path: str, seed: int) -> None:
     Ledger.sync = lambda ledger: (sync(ledger), print("written", flush=True))
     ledger = Ledger(path)
     print("started", flush=True)
-    ledger.import_rows("rig", blocks(seed), About())
+    ledger.import_rows("rig", blocks(seed), ImportOrigin())
     print("done", flush=True)
     ledger.close()
 
@@ -78,9 +78,9 @@ def test_a_killed_import_leaves_nothing_and_each_row_is_there_once(tmp_path):
             broken += 1
             at = np.array(chance.sample(range(ROWS), 7))
             assert ledger.insert_rows("rig", rows_of(seed).take(at), "other") == (7, 0)
-            assert ledger.import_rows("rig", blocks(seed), About())[:2] == (ROWS - 7, 7)
+            assert ledger.import_rows("rig", blocks(seed), ImportOrigin())[:2] == (ROWS - 7, 7)
         whole += 1
-        assert ledger.import_rows("rig", blocks(seed), About()) == (0, ROWS, None)
+        assert ledger.import_rows("rig", blocks(seed), ImportOrigin()) == (0, ROWS, None)
     print(f"\n{KILLS} kills, {broken} of them in an import")
     present = ledger.row_changes("rig", 0, 10**9).rows
     assert len(present) == len(np.unique(present.wrench, axis=0)) == whole * ROWS

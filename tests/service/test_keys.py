@@ -42,10 +42,10 @@ def test_the_file_holds_no_secret_and_is_its_owners_alone(keyring, tmp_path):
 def test_a_server_takes_up_what_a_command_changes(keyring, tmp_path):
     secret = Keyring(tmp_path).add("ann", "read")
     before = keyring.version
-    assert keyring.look(0.0) != before
+    assert keyring.refresh(0.0) != before
     assert keyring.find(secret) is not None
     Keyring(tmp_path).revoke("ann")
-    keyring.look(0.0)
+    keyring.refresh(0.0)
     assert keyring.find(secret) is None
     assert len(keyring) == 0
 
@@ -96,7 +96,7 @@ def test_damaged_keys_let_nobody_in_and_are_told_of(tmp_path, content):
 def test_keys_that_are_damaged_under_a_server_stay_as_they_were(keyring, tmp_path):
     secret = keyring.add("ann", "read")
     (tmp_path / FILE).write_text("{")
-    keyring.look(0.0)
+    keyring.refresh(0.0)
     assert keyring.find(secret) is not None
 
 

@@ -176,7 +176,7 @@ BEFORE = {
 }
 EVENTS = {
     "claim": lambda ledger: ledger.claim("me"),
-    "begin": lambda ledger: ledger.beat("me", "local", {(1, 1): 5.0}),
+    "begin": lambda ledger: ledger.send_heartbeat("me", "local", {(1, 1): 5.0}),
     "adopt": lambda ledger: ledger.adopt(1, 1, "me", "you"),
     "commit": lambda ledger: ledger.commit(1, 1, (1e-6,) * 6),
     "fail": lambda ledger: ledger.fail(1, 1, ERROR),
@@ -263,7 +263,7 @@ def test_a_running_attempt_is_adopted_by_one_only_and_keeps_its_first_beginning(
     job = accept(ledger)
     ledger.claim("dead")
     for start in (12.5, 99.0):
-        ledger.beat("dead", "local", {(job.id, 1): start})
+        ledger.send_heartbeat("dead", "local", {(job.id, 1): start})
     assert ledger.adopt(job.id, 1, "dead", "first").owner == "first"
     assert ledger.adopt(job.id, 1, "dead", "second") is None
     assert (ledger.job(job.id).attempt, ledger.job(job.id).began) == (1, 12.5)
@@ -273,9 +273,9 @@ def test_claims_and_beats_make_the_heartbeat_grow(ledger):
     accept(ledger)
     assert ledger.leases() == {}
     ledger.claim("me", "dask")
-    ledger.beat("me", "dask")
+    ledger.send_heartbeat("me", "dask")
     lease = ledger.leases()["me"]
-    assert (lease.engine, lease.beat) == ("dask", 2)
+    assert (lease.engine, lease.number) == ("dask", 2)
     ledger.end_lease("me")
     assert ledger.leases() == {}
 
@@ -283,7 +283,7 @@ def test_claims_and_beats_make_the_heartbeat_grow(ledger):
 def test_a_lease_left_by_a_kill_goes_after_a_day_unless_its_owner_has_a_job(ledger, monkeypatch):
     accept(ledger)
     ledger.claim("has a job")
-    ledger.beat("has none", "local")
+    ledger.send_heartbeat("has none", "local")
     later = time.time() + FORGOTTEN_SECONDS + 1
     monkeypatch.setattr("wrenchbook.service.ledger.jobs.time.time", lambda: later)
     ledger.end_lease("ends now")

@@ -7,7 +7,7 @@ import pytest
 
 from tests.service.ledger_rows import NewRow, insert, noted, stored
 from wrenchbook.service.ledger import (
-    About,
+    ImportOrigin,
     Ledger,
     NotedRows,
     UnknownRowError,
@@ -126,9 +126,9 @@ def test_each_version_during_an_import_is_one_that_the_table_had(ledger, monkeyp
     if killed:
         monkeypatch.setattr(imports, "RECORDS_DELETED", 1)
         with pytest.raises(KilledError):
-            ledger.import_rows("rig", blocks_and_others(), About())
+            ledger.import_rows("rig", blocks_and_others(), ImportOrigin())
     else:
-        ledger.import_rows("rig", blocks_and_others(), About())
+        ledger.import_rows("rig", blocks_and_others(), ImportOrigin())
     assert len(versions) > 9
     assert set(versions) == {5}
     live = {row.seq for row in stored(ledger, "rig")}
@@ -149,7 +149,7 @@ def test_an_import_that_runs_is_not_taken_for_abandoned(tmp_path, ledger):
             with pytest.raises(UnknownRowError):  # it is hidden until the end
                 ledger.row(20)
 
-    assert ledger.import_rows("rig", watched(), About())[:2] == (90, 0)
+    assert ledger.import_rows("rig", watched(), ImportOrigin())[:2] == (90, 0)
     assert other.count_rows("rig") == 90
     other.close()
 
@@ -165,7 +165,7 @@ def test_a_row_that_somebody_else_brings_meanwhile_stays_though_the_import_ends(
         raise KilledError
 
     with pytest.raises(KilledError):
-        ledger.import_rows("rig", broken(), About())
+        ledger.import_rows("rig", broken(), ImportOrigin())
     (left,) = stored(ledger, "rig")
     assert left.wrench == tuple(wrench[4])
 
@@ -191,11 +191,11 @@ def test_a_row_that_another_writer_brings_during_an_import_is_there_once(ledger,
             assert insert(ledger, "rig", "", [same]) == (1, 0)
 
     monkeypatch.setattr(rows, "enter", entered)
-    new, known, number = ledger.import_rows("rig", watched(), About())
+    new, known, number = ledger.import_rows("rig", watched(), ImportOrigin())
     assert (new, known, ledger.imports("rig")[0].rows) == (9, 1, 9)
     present = stored(ledger, "rig")
     assert sorted(row.wrench for row in present) == sorted(map(tuple, wrench.tolist()))
-    assert ledger.import_rows("rig", blocks(10, lots=1), About()) == (0, 10, None)
+    assert ledger.import_rows("rig", blocks(10, lots=1), ImportOrigin()) == (0, 10, None)
     assert ledger.count_rows("rig") == 10
     assert ledger.edit_import("rig", number, withdrawn=True) == 9
     assert [row.origin for row in stored(ledger, "rig")] == ["note"]
@@ -205,12 +205,12 @@ def test_numbers_of_rows_follow_the_file_and_no_number_is_used_by_known_rows(led
     wrench, moved, *_ = columns(2500)
     block = NotedRows(Rows.of(wrench, moved, source=["measured"] * 2500), ["note"] * 2500)
     wrench, moved = block.rows.wrench, block.rows.displacement
-    ledger.import_rows("rig", [block], About())
+    ledger.import_rows("rig", [block], ImportOrigin())
     present = stored(ledger, "rig")
     assert [row.seq for row in present] == list(range(1, 2501))
     assert [row.wrench for row in present] == list(map(tuple, wrench.tolist()))
     for _ in range(3):
-        assert ledger.import_rows("rig", [block], About()) == (0, 2500, None)
+        assert ledger.import_rows("rig", [block], ImportOrigin()) == (0, 2500, None)
         assert insert(ledger, "rig", "", [NewRow(wrench[7], moved[7], origin="x")]) == (0, 1)
     assert ledger.last_seq("rig") == 2500
     assert insert(ledger, "rig", "", [NewRow((9.0,) * 6, (0.0,) * 6)]) == (1, 0)
@@ -221,7 +221,7 @@ def test_two_imports_at_once_come_one_after_the_other(ledger):
     done = []
 
     def run(seed):
-        done.append(ledger.import_rows("rig", blocks(40, seed=seed), About(str(seed)))[0])
+        done.append(ledger.import_rows("rig", blocks(40, seed=seed), ImportOrigin(str(seed)))[0])
 
     threads = [threading.Thread(target=run, args=(seed,)) for seed in (1, 2, 3)]
     for thread in threads:
@@ -234,7 +234,7 @@ def test_two_imports_at_once_come_one_after_the_other(ledger):
 
 
 def test_a_row_tells_who_brought_it(ledger):
-    ledger.import_rows("rig", blocks(5), About("kl", "a.csv", "csv", "ab12", "run 3"))
+    ledger.import_rows("rig", blocks(5), ImportOrigin("kl", "a.csv", "csv", "ab12", "run 3"))
     first = stored(ledger, "rig")[0]
     told = ledger.import_of(first.seq)
     assert (told.who, told.filename, told.digest, told.note, told.rows) == (
@@ -249,7 +249,7 @@ def test_a_row_tells_who_brought_it(ledger):
 
 def test_known_rows_are_those_in_the_ledger_by_their_keys(ledger):
     first, second, third = blocks(5)
-    ledger.import_rows("rig", [first], About())
+    ledger.import_rows("rig", [first], ImportOrigin())
     keys = [key for block in (first, second, second, third) for key in row_keys("rig", block)]
     assert ledger.known_rows(keys) == set(row_keys("rig", first))
 
@@ -264,5 +264,5 @@ def test_each_part_of_an_import_is_on_the_disk_before_the_next_begins(ledger, mo
         sync(self)
 
     monkeypatch.setattr(Ledger, "sync", heard)
-    assert ledger.import_rows("rig", blocks(5), About())[:2] == (15, 0)
+    assert ledger.import_rows("rig", blocks(5), ImportOrigin())[:2] == (15, 0)
     assert len(told) == 4  # three blocks, and the keys

@@ -127,7 +127,7 @@ class LedgerAgainstReference(RuleBasedStateMachine):
     def begin(self, pick, owner, start):
         number = self.some_job(pick)
         expected = self.jobs[number]
-        begun = self.ledger.beat(owner, "local", {(number, expected.attempt): start})
+        begun = self.ledger.send_heartbeat(owner, "local", {(number, expected.attempt): start})
         own = (expected.status, expected.owner) == ("running", owner)
         assert [job.id for job in begun] == [number] * own
         if own and expected.began is None:
@@ -254,7 +254,7 @@ class LedgerAgainstReference(RuleBasedStateMachine):
             assert self.followed.isdisjoint(changes.rows.seq.tolist())
             self.followed |= set(changes.rows.seq.tolist())
             self.after = changes.last_seq
-            if changes.whole:
+            if changes.complete:
                 break
         assert self.followed == {row.seq for row in stored(self.ledger, "bar")}
         assert self.after == self.ledger.last_seq("bar")

@@ -13,8 +13,8 @@ from starlette.testclient import TestClient
 from tests.service.ledger_rows import NewRow, insert, noted, stored
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.ledger import (
-    About,
     DamagedRowError,
+    ImportOrigin,
     Ledger,
     LedgerDamagedError,
     LedgerFileError,
@@ -381,7 +381,7 @@ def test_keys_are_left_to_an_import_that_runs(path):
         database(path, "DELETE FROM row_keys WHERE seq = 3")
         Ledger(path).close()
 
-    assert ledger.import_rows("rig", blocks(), About())[:2] == (10, 0)
+    assert ledger.import_rows("rig", blocks(), ImportOrigin())[:2] == (10, 0)
     ledger.close()
     ledger = Ledger(path)
     assert insert(ledger, "rig", "", [*new_rows(0, 480), *new_rows(1000, 1010)]) == (0, 490)

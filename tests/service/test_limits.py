@@ -42,7 +42,7 @@ def live(tmp_path_factory):
     """A server on a socket, that loses patience soon."""
     patch = pytest.MonkeyPatch()
     with patch.context() as patched:
-        for name, seconds in {"LOOK_S": 0.05, "HEAD_S": 0.4, "BODY_S": 0.4, "SLOWEST": 1e9}.items():
+        for name, seconds in {"POLL_S": 0.05, "HEAD_S": 0.4, "BODY_S": 0.4, "SLOWEST": 1e9}.items():
             patched.setattr(protocol, name, seconds)
         with served(tmp_path_factory.mktemp("live")) as client:
             wrenches = np.concatenate([clean_wrenches(), full_wrenches(30)])
@@ -105,7 +105,7 @@ def test_a_large_batch_is_read_in_a_file_and_answered_as_a_small_one_is(live, mo
     reply = live.call_json("POST", f"{RIG}/displacements", asked)
     np.testing.assert_array_equal(np.array(reply["displacements"]), small.displacements)
     assert len(reply["errors"]) == len(reply["coverage"]) == len(reply["derivatives"]) == 7
-    assert bodies.Spooled.kept == 0
+    assert bodies.Spooled.stored == 0
 
 
 def test_a_mistake_in_a_large_batch_is_told_as_in_a_small_one(tmp_path):
@@ -146,7 +146,7 @@ def test_files_of_bodies_are_gone_once_they_are_read_or_refused(live, monkeypatc
     live.import_table("rig", "fz [N],uz [m]\n" + "1,1e-6\n" * 2000, dry_run=True)
     with pytest.raises(Refused):
         live.import_table("rig", "nonsense\n" * 2000)
-    assert bodies.Spooled.kept == 0
+    assert bodies.Spooled.stored == 0
     assert list(tmp_path.iterdir()) == []
 
 
@@ -261,7 +261,7 @@ class Jobs:
 
 async def entered(waiting, count):
     """Let the loop go on until so many have come and one of them waits."""
-    while len(waiting._waiters) < count or waiting._looking is None:  # noqa: ASYNC110 (there is nothing that tells)
+    while len(waiting._waiters) < count or waiting._polling is None:  # noqa: ASYNC110 (there is nothing that tells)
         await asyncio.sleep(0)
 
 

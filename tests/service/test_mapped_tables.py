@@ -153,7 +153,7 @@ def test_files_of_no_component_and_of_other_versions_go_at_a_start(tmp_path):
 
 def test_a_component_that_was_unreadable_for_a_moment_is_built_again(both, tmp_path, monkeypatch):
     """Only what answers looked at it again; the building process never did."""
-    monkeypatch.setattr("wrenchbook.service.library.library.LOOK_SECONDS", 0.0)
+    monkeypatch.setattr("wrenchbook.service.library.library.POLL_SECONDS", 0.0)
     _, reader = both
     setup, away = tmp_path / "components" / "new" / "component.toml", tmp_path / "away"
     setup.rename(away)

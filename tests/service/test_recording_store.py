@@ -231,7 +231,7 @@ def test_blows_of_any_strength_are_thinned_to_what_differs_by_a_share_of_itself(
     blows = [np.abs(points_of(40, seed)) * 10.0**seed for seed in range(1, 9)]
     subset, _, _ = taken(blows)
     sizes = np.abs(subset.points).max(axis=1)
-    assert subset.reach < 5
+    assert subset.radius < 5
     assert sizes.min() < 5
     assert sizes.max() > 15
 

@@ -282,7 +282,7 @@ def test_a_follower_has_the_rows_and_tables_of_each_manifest(shipped, reader):
     for count in (30, 35):
         shipped.insert(count, first=0)
         shipped.round()
-        manifest, _ = follower.look()
+        manifest, _ = follower.follow()
         with closing(Ledger(settings.data / "ledger.sqlite")) as ledger:
             assert ledger.count_rows("rig") == manifest.rows == count
         (table,) = (settings.data / "tables").iterdir()
@@ -292,11 +292,11 @@ def test_a_follower_has_the_rows_and_tables_of_each_manifest(shipped, reader):
 def test_a_follower_keeps_a_table_until_its_next_version_is_there(shipped, reader):
     settings, follower = reader
     shipped.round()
-    follower.look()
+    follower.follow()
     for path in (shipped.folder / "tables").glob("*.wbt"):
         path.unlink()
     shipped.round()
-    follower.look()
+    follower.follow()
     assert len(list((settings.data / "tables").iterdir())) == 1
 
 
@@ -365,5 +365,5 @@ def test_health_and_doctor_say_that_nothing_is_shipped(shipped, tmp_path):
     silent = {"replica": part | {"trouble": None}}
     assert "has not reported for" in replica.trouble_of(silent, settings)
     assert replica.trouble_of(silent, Settings(shipped.folder)) is None
-    faults = [finding.what for finding in examine(shipped.folder) if finding.kind == "fault"]
+    faults = [finding.problem for finding in examine(shipped.folder) if finding.kind == "fault"]
     assert any("no route to host" in fault for fault in faults)

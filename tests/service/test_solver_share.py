@@ -103,7 +103,7 @@ def test_the_total_is_the_sum_of_the_parts_and_names_its_sources():
 def test_a_mesh_that_nothing_tells_of_is_said_to_be_unknown(error, words):
     found = parts(error)
     assert found.largest() == {"table": 1e-9, "mesh": None, "mesh_basis": words}
-    assert not found.are_whole
+    assert not found.are_complete
     np.testing.assert_array_equal(found.total, 1e-9)
 
 

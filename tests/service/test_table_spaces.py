@@ -18,7 +18,7 @@ from wrenchbook.service.formats.json import json_text
 from wrenchbook.service.formats.options import Options, ParsedTable
 from wrenchbook.service.formats.read import ReadResult, read_untrusted
 from wrenchbook.service.formats.xlsx import write_xlsx
-from wrenchbook.service.ledger import About, Ledger, NotedRows
+from wrenchbook.service.ledger import ImportOrigin, Ledger, NotedRows
 from wrenchbook.service.ledger.rows import MAX_CHANGES
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
@@ -139,10 +139,10 @@ def test_an_exported_table_of_a_link_is_imported_to_the_same_rows(tmp_path, form
     columns = [getattr(table_of(LINK), name) for name in COLUMNS]
     more = dict(zip(COLUMNS[2:], columns[2:], strict=True))
     rows = Rows.of(columns[0], columns[1], LINK, source=["rig"] * 3, **more)
-    ledger.import_rows("link", [NotedRows(rows, ["", "a", ""])], About())
+    ledger.import_rows("link", [NotedRows(rows, ["", "a", ""])], ImportOrigin())
     export_table(ledger, link, ExportRequest(form, {}), tmp_path / "table")
     options = Options(load_range=DEFAULT_RANGE)
-    reply = import_files(ledger, copy, [tmp_path / "table"], options, About())
+    reply = import_files(ledger, copy, [tmp_path / "table"], options, ImportOrigin())
     assert (reply["errors"], reply["inserted"]) == ([], 3)
     with ledger.table_at("copy", space=LINK) as table:
         (lot,) = table.lots

@@ -535,11 +535,11 @@ def supervisor(monkeypatch):
 
 
 def _looking(made):
-    made.look()
+    made.check()
 
     def look(*signals):
         made._signals.extend(signals)
-        made.look()
+        made.check()
         return made
 
     yield look

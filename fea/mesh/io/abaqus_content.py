@@ -576,9 +576,9 @@ def _couplings(reader: Reader, deck: Deck) -> list[CoupledGroup]:
             key = _set_of(reader, deck, near, f"{deck.names[key]}_within_{coupled.radius:g}")
             if weights:
                 deck.weights[key] = Counter({n: weights[n] for n in near if n in weights})
-        directions, own = coupled.directions, "ORIENTATION" in coupled.keyword.options
+        directions, oriented = coupled.directions, "ORIENTATION" in coupled.keyword.options
         if directions != "xyz" and (
-            own or not reader.turned.keys().isdisjoint(_nodes_of(deck, key))
+            oriented or not reader.turned.keys().isdisjoint(_nodes_of(deck, key))
         ):
             directions = ""  # of other axes than the mesh's
         numbers = ((coupled.ref, 0), (coupled.rot, 3))

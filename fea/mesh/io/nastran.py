@@ -75,14 +75,14 @@ class _Bulk(Translated):
                     points = np.array([self.point(self.grids[node]) for node in fields[1:4]])
                 else:
                     numbers = np.array([_real(each) for each in fields[2:11]]).reshape(3, 3)
-                    points = np.array([self.placed(fields[1], each) for each in numbers])
+                    points = np.array([self.in_basic_axes(fields[1], each) for each in numbers])
                 z, x, y = axes_through(*points)  # its second point is on z, its third in xz
             except (ValueError, LookupError) as error:  # the card that is read names the system
                 raise ValueError(f"{name} {number}: {error}") from None
             self.systems[number] = name[5], np.array([x, y, z]), points[0]
         return self.systems[number]
 
-    def placed(self, number: str, point: Array) -> Array:
+    def in_basic_axes(self, number: str, point: Array) -> Array:
         """Return a point of a coordinate system, its angles in degrees, in basic axes: (3,)."""
         if number in ("", "0"):
             return point
@@ -91,7 +91,7 @@ class _Bulk(Translated):
 
     def point(self, fields: list[str]) -> Array:
         """Return where the node of a GRID is, in basic axes, shape (3,)."""
-        return self.placed(fields[1], np.array([_real(each) for each in fields[2:5]]))
+        return self.in_basic_axes(fields[1], np.array([_real(each) for each in fields[2:5]]))
 
     def oriented(self, name: str, axes: Array, kind: str = "R") -> str:
         """Add an orientation unless it is the basic one; return the option that names it."""
@@ -186,11 +186,11 @@ def _turn(data: _Bulk) -> dict[str, Array]:
     ways, turned = defaultdict[str, set[str]](set), dict[str, Array]()
     for node, way, _ in (row for key in data.sets if key[0] != "LOAD" for row in data.sets[key]):
         ways[node].add(way)
-    for node, own in ways.items():
+    for node, local_axes in ways.items():
         number = data.grids[node][5] if node in data.grids else ""
         if number not in ("", "0", "-1"):
             kind, axes, _ = data.system(number)
-            alike = kind == "C" and ("1" in own) == ("2" in own)  # about the axis
+            alike = kind == "C" and ("1" in local_axes) == ("2" in local_axes)  # about the axis
             turned[node] = axes if alike else data.axes_at(number, node)
             row = ", ".join(f"{each:.15g}" for each in turned[node][:2].ravel().tolist())
             data.transforms[row].append(node)
@@ -387,15 +387,15 @@ def _mean(data: _Bulk, name: str, fields: list[str]) -> None:
 
 def _spring(data: _Bulk, name: str, fields: list[str]) -> None:
     """Keep a spring, or the stiffness of one direction or of six."""
-    kept = {fields[0]: (name, [*fields, *[""] * 8])}
+    springs = {fields[0]: (name, [*fields, *[""] * 8])}
     if name == "PELAS":
-        kept = {f"{name}{fields[i]}": (name, [fields[i + 1]]) for i in (0, 4) if fields[i]}
+        springs = {f"{name}{fields[i]}": (name, [fields[i + 1]]) for i in (0, 4) if fields[i]}
     elif name == "PBUSH":
         row = next((i + 1 for i in range(1, len(fields), 8) if fields[i] == "K"), len(fields))
-        kept = {name + fields[0]: (name, [each or "0" for each in fields[row : row + 6]])}
-    if data.springs.keys() & kept:
+        springs = {name + fields[0]: (name, [each or "0" for each in fields[row : row + 6]])}
+    if data.springs.keys() & springs:
         raise ValueError(f"{fields[0]} is there twice")
-    data.springs |= kept
+    data.springs |= springs
 
 
 def _take_springs(data: _Bulk) -> None:
@@ -404,9 +404,9 @@ def _take_springs(data: _Bulk) -> None:
     for number, (name, fields) in data.springs.items():
         if name[0] == "P":
             continue
-        bush, own = name == "CBUSH", ("", fields[1:2])  # of CELAS2
+        bush, fallback = name == "CBUSH", ("", fields[1:2])  # of CELAS2
         key = f"P{name[1:].rstrip('12')}{fields[1] or number}"
-        _, texts = own if name == "CELAS2" else data.springs.get(key, ("", []))
+        _, texts = fallback if name == "CELAS2" else data.springs.get(key, ("", []))
         ends = [(fields[2], "1"), (fields[3], "1")] if bush else [fields[2:4], fields[4:6]]
         try:
             ends = [(node, int(way or 0)) for node, way in ends if node.strip("0")]

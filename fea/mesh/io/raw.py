@@ -152,14 +152,14 @@ def _facet_groups(
     finder = FaceFinder(blocks)
     groups = {}
     for name, facets in chosen.items():
-        found = [finder.find(kind, number[nodes]) for kind, nodes in facets]
-        if lost := sum(missing for _, missing in found):
+        results = [finder.find(kind, number[nodes]) for kind, nodes in facets]
+        if lost := sum(missing for _, missing in results):
             raise MeshFileError(
                 f'has a group "{name}" with {lost} facets that are not faces of a solid cell; '
                 "mesh the surface and the solid together, or leave the group out"
             )
         by_kind: dict[str, list[Array]] = {}
-        for kind, nodes in (face for faces, _ in found for face in faces):
+        for kind, nodes in (face for faces, _ in results for face in faces):
             by_kind.setdefault(kind, []).append(nodes)
         groups[name] = FacetGroup(
             tuple(FacetBlock(kind, np.concatenate(nodes)) for kind, nodes in by_kind.items())

@@ -1,4 +1,4 @@
-"""What is read of an Abaqus or CalculiX deck besides its mesh, before groups have their names."""
+"""The contents of an Abaqus or CalculiX deck besides its mesh, before groups have their names."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Reader:
     material: str = ""
 
     def lack(self, keyword: Keyword, message: str) -> None:
-        """Note what counts and is not taken over."""
+        """Note contents that matter and cannot be imported."""
         before = self.content.missing.get(keyword.where, message)
         together = before if message in before else f"{before}; it {message}"
         self.content.missing[keyword.where] = together

@@ -37,8 +37,8 @@ def take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 
 def join_springs(reader: Reader, deck: Deck, step: Step, case: LoadCase) -> None:
     """Add springs that join the same couplings as one; the reader notes those that cannot be."""
-    left, joined = dict(reader.springs), dict[tuple[int, ...], tuple[Keyword, Array]]()
-    held = {node: set[int]() for _, nodes in left.values() for node in nodes}
+    remaining, joined = dict(reader.springs), dict[tuple[int, ...], tuple[Keyword, Array]]()
+    held = {node: set[int]() for _, nodes in remaining.values() for node in nodes}
     for *_, labels, freedoms in step.motions if held else ():
         for node in held.keys() & labels:
             held[node] |= freedoms
@@ -46,16 +46,16 @@ def join_springs(reader: Reader, deck: Deck, step: Step, case: LoadCase) -> None
         try:
             name = keyword.options.get("ELSET", "")
             labels = {*named(deck, deck.element_sets, name, keyword.frame)}
-            if not labels <= left.keys() or any(label in deck.where for label in labels):
+            if not labels <= remaining.keys() or any(label in deck.where for label in labels):
                 raise ValueError("an element is no SPRING1 or 2, there twice or of two *SPRING")
-            springs = [left.pop(label)[1] for label in sorted(labels)]
+            springs = [remaining.pop(label)[1] for label in sorted(labels)]
             springs = [_spring(reader, deck, case, held, keyword, nodes) for nodes in springs]
         except (ValueError, LookupError) as error:
             _refuse(reader, keyword, error)
             continue
         for ends, stiffness in (spring for spring in springs if spring[0]):
             joined.setdefault(ends, (keyword, np.zeros((6, 6))))[1][:] += stiffness
-    for keyword, _ in left.values():
+    for keyword, _ in remaining.values():
         _refuse(reader, keyword, "an element has no *SPRING")
     used = Counter(i for ends in joined for i in ends)
     for ends, (keyword, stiffness) in joined.items():

@@ -469,30 +469,30 @@ class LinearPart:
             derivative there is not known or not that of springs.
         """
         at, free, _ = moving(table, None, several=False)
-        packed, places = table.packed, at[free]
+        packed, indices = table.packed, at[free]
         load = np.zeros(FREEDOMS) if wrench is None else np.asarray(wrench, dtype=float)
         if load.shape != (FREEDOMS,) or not np.isfinite(load).all():
             raise InvalidArgument("a wrench has 6 finite numbers: force, N, and moment, N·m")
         further = further_inputs(table, inputs or {})
         centre = np.concatenate([np.zeros(packed.inputs - len(further)), further])
         centre[at] = load
-        slope = packed.derivative(centre.tolist())[np.ix_(places, places)]
+        slope = packed.derivative(centre.tolist())[np.ix_(indices, indices)]
         compliance = 0.5 * (slope + slope.T)
         if not np.isfinite(compliance).all() or np.linalg.eigvalsh(compliance).min() <= 0.0:
             raise InvalidArgument(
                 f"{table.name} has no stiffness at this load: its derivative is unknown or not "
                 "that of springs; fill the table, or give another load"
             )
-        loads = packed.sample(centre, places)
+        loads = packed.sample(centre, indices)
         answers = packed.batch(np.vstack([centre, loads]))
-        moved, first = answers.outputs[1:, places], answers.outputs[0, places]
-        wrong = moved - first - (loads - centre)[:, places] @ compliance
+        moved, first = answers.outputs[1:, indices], answers.outputs[0, indices]
+        wrong = moved - first - (loads - centre)[:, indices] @ compliance
         return cls(
             component=table.name,
             table_version=table.version,
             freedoms=tuple(OUTPUTS[place] for place in free),
             stiffness=np.linalg.inv(compliance).tolist(),
-            wrench=centre[places].tolist(),
+            wrench=centre[indices].tolist(),
             displacement=first.tolist(),
             largest_error=np.abs(wrong).max(axis=0).tolist(),
             rms_error=np.sqrt((wrong**2).mean(axis=0)).tolist(),
@@ -530,11 +530,11 @@ class LinearPart:
         mass : array_like, optional
             Shape (6, 6), kg to kg·m^2; null in the dict where it is not known.
         """
-        places = [OUTPUTS.index(name) for name in self.freedoms]
-        condensed = None if mass is None else np.asarray(mass, dtype=float)[np.ix_(places, places)]
+        chosen = [OUTPUTS.index(name) for name in self.freedoms]
+        condensed = None if mass is None else np.asarray(mass, dtype=float)[np.ix_(chosen, chosen)]
         return {
             **asdict(self),
-            "loads": [LOADS[place] for place in places],
+            "loads": [LOADS[place] for place in chosen],
             "mass": None if condensed is None else condensed.tolist(),
             "units": "N, N·m, m, rad, kg",
             "frame": "the undeformed interface frame, about the interface point",
@@ -586,13 +586,13 @@ def further_inputs(table: Table, by_name: Mapping[str, float]) -> tuple[float, .
 def moving(
     table: Table, interface: str | None, several: bool = True
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], tuple[str, ...]]:
-    """Return the places of the loads of interfaces that move, those not locked, and their names."""
+    """Return indices of the loads of interfaces that move, those not locked, and their names."""
     if not hasattr(table, "packed"):
         raise InvalidArgument(
             f"a joint takes a Table, from client.download(name) or Table.open(path), not {table!r}"
         )
-    places = np.arange(FREEDOMS * len(table.space.interfaces)).reshape(-1, FREEDOMS)
-    free = np.asarray(table.packed.arrays["space/locked"])[places] == 0
+    indices = np.arange(FREEDOMS * len(table.space.interfaces)).reshape(-1, FREEDOMS)
+    free = np.asarray(table.packed.arrays["space/locked"])[indices] == 0
     names = tuple(np.array(table.space.interfaces)[free.any(axis=1)].tolist())
     single = interface is not None or not several
     if not names or interface not in (None, *names) or (single and len(names) > 1):
@@ -600,4 +600,4 @@ def moving(
             f"a joint or springs of one interface need one that moves and all others held; "
             f"{table.name} moves at {', '.join(map(repr, names)) or 'none'}"
         )
-    return places[free.any(axis=1)].ravel(), np.flatnonzero(free[free.any(axis=1)]), names
+    return indices[free.any(axis=1)].ravel(), np.flatnonzero(free[free.any(axis=1)]), names

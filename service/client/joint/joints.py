@@ -140,8 +140,8 @@ class Joints:
         """
         steps, n = self._steps, len(self)
         arrays = poses, velocities, inverse_masses
-        given = [np.asarray(a.detach().cpu() if hasattr(a, "detach") else a) for a in arrays]
-        shapes = tuple(array.shape for array in given)
+        inputs = [np.asarray(a.detach().cpu() if hasattr(a, "detach") else a) for a in arrays]
+        shapes = tuple(array.shape for array in inputs)
         each = tuple(a.shape for a in (steps.poses, steps.velocities, steps.inverse_masses))
         if shapes not in (each, (*each[:2], each[2][1:])):
             raise InvalidArgument(
@@ -150,11 +150,11 @@ class Joints:
             )
         if not (math.isfinite(dt) and dt > 0):
             raise InvalidArgument(f"a step is above zero, not {dt} s")
-        steps.poses[:], steps.velocities[:], steps.inverse_masses[:] = given
+        steps.poses[:], steps.velocities[:], steps.inverse_masses[:] = inputs
         steps.step(dt, self._joint.damping, threads or os.cpu_count() or 1)
         self._heed()
-        found = steps.replies["wrench"]
-        return poses.new_tensor(found) if hasattr(poses, "new_tensor") else np.array(found)
+        wrenches = steps.replies["wrench"]
+        return poses.new_tensor(wrenches) if hasattr(poses, "new_tensor") else np.array(wrenches)
 
     def _heed(self) -> None:
         """Keep the joints' status, and warn once of each kind."""

@@ -137,12 +137,12 @@ class MujocoJoint(Joint):
         for k, name in enumerate(self._tips):
             free, first = self.free[self.free // FREEDOMS == k] % FREEDOMS, len(dofs)
             self._starts.append(self._find_tip(k, name, free, axes))
-            own = self._starts[k] + np.arange(len(free))
-            rows, columns, places = _places(self._model, own)
-            if not len(rows) == len(own) > 1:
-                self._blocks.append(slice(first, first + len(own)))
-                pairs.append([len(self.free) * (first + rows) + first + columns, places])
-            dofs += own.tolist()
+            block = self._starts[k] + np.arange(len(free))
+            rows, columns, positions = _block_positions(self._model, block)
+            if not len(rows) == len(block) > 1:
+                self._blocks.append(slice(first, first + len(block)))
+                pairs.append([len(self.free) * (first + rows) + first + columns, positions])
+            dofs += block.tolist()
         self._pairs, self._at_pairs = np.hstack([np.empty((2, 0), dtype=int), *pairs])
         self._dofs: Any = np.array(dofs) if self._several else slice(dofs[0], dofs[-1] + 1)
         self._units = np.eye(self._model.nv)[self._dofs]
@@ -200,14 +200,14 @@ class MujocoJoint(Joint):
                 "y, z: unit, orthogonal and right-handed; of a part with locked freedoms these are "
                 f"the body's own; {_REMEDY}"
             )
-        places = model.jnt_qposadr[joints].tolist()
-        slides = [(k, to, of, 1) for to, of in zip(moves.tolist(), places, strict=False)]
-        self._runs += [(k, 0, places[0], 3)] if len(slides) == 3 else slides
+        addresses = model.jnt_qposadr[joints].tolist()
+        slides = [(k, to, of, 1) for to, of in zip(moves.tolist(), addresses, strict=False)]
+        self._runs += [(k, 0, addresses[0], 3)] if len(slides) == 3 else slides
         spins.append(axes if len(turns) == 3 else None)
         if len(turns) == 3:
-            self._runs.append((k, 3, places[-1], 4))
+            self._runs.append((k, 3, addresses[-1], 4))
         elif len(turns):
-            self._hinges.append((k, np.eye(3)[turns[0] - 3], places[-1]))
+            self._hinges.append((k, np.eye(3)[turns[0] - 3], addresses[-1]))
         return int(model.jnt_dofadr[first])
 
     def _watch(self, data: Data, steps: JointSteps, at: int) -> None:
@@ -572,7 +572,7 @@ def _refuse_rk4(model: Model) -> None:
         )
 
 
-def _places(model: Model, dofs: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+def _block_positions(model: Model, dofs: NDArray[np.intp]) -> list[NDArray[np.intp]]:
     """Return rows, columns and places in MuJoCo's mass matrix of pairs of some freedoms."""
     if [int(number) for number in engine.__version__.split(".")[:2]] < [3, 17]:
         # Constraints of 3.3.7 do not feel what is added to the matrix.

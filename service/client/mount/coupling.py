@@ -38,7 +38,7 @@ ABSURD = 1e100  # tolerances: beyond, squares overflow, and no watch can decide
 # rest. A load that rests on a row of the table meets the row's own answer or, a rounding error
 # beside it, the interpolated one: that jump has either sign. Taken for overshoots, such jumps let
 # the factor fall to its least, and the next load was followed with a lag of 12 %. A loop that does
-# drive itself grows beyond this, and is seen then.
+# drive itself grows beyond this, and is detected then.
 RESTS = 1e-3
 DERIVED = 1e-3  # of the largest answer so far: the tolerance where there is none
 
@@ -166,7 +166,7 @@ class Relaxation:
             raise _run_away(self._watch.size, size)
         rests = driven and min(size, self._watch.size) <= RESTS
         along = 0.0 if before is None or rests else float(residual @ before)
-        watch, turned = self._watch.seen(size, along), along < 0.0
+        watch, turned = self._watch.updated(size, along), along < 0.0
         if self._fixed is None and before is not None:
             grown = GROWTH * self.factor
             if turned and (self._turned or not driven):  # Aitken's next factor
@@ -189,7 +189,7 @@ class ContractionWatch:
     first: float = 0.0  # size of the residual before the steady row
     onward: int = 0  # and in one direction and far larger than all before
 
-    def seen(self, size: float, along: float) -> ContractionWatch:
+    def updated(self, size: float, along: float) -> ContractionWatch:
         """Return the watch after another residual of a size, times the last one `along`.
 
         CouplingDiverged if it is one too many.
@@ -214,7 +214,7 @@ class ContractionWatch:
 
 
 class CycleWatch:
-    """What finds a limit cycle: answers that swing, from sync to sync, and do not come to rest.
+    """Detection of a limit cycle: answers that swing, from sync to sync, and do not come to rest.
 
     A cycle of a scene in contact has a period of some syncs. Loads of such a period are not
     resolved by the syncs either.
@@ -277,7 +277,7 @@ def require_within_limit(displacement: Vector, component: str) -> None:
 
 
 def _run_away(before: float, size: float) -> CouplingDiverged:
-    """Return what to raise where the distance, in tolerances, grows without turning round."""
+    """Return the error to raise where the distance, in tolerances, grows without turning round."""
     return CouplingDiverged(
         f"the coupling diverges: the answer runs away from the pose, {size:.3g} tolerances by now, "
         "each time further the same way. Either the scene tips or buckles on this component, or a "
@@ -334,7 +334,7 @@ class CouplingIteration:
 
 @dataclass
 class Loop:
-    """What the static loops have in common."""
+    """Base class of the static loops."""
 
     read: Callable[[Vector], Vector]  # the scene: displacement (6,), m and rad, to wrench
     ask: Callable[[Vector], tuple[Displacement, Vector]]  # the component: wrench to answer (6,)

@@ -27,7 +27,7 @@ from ..recorder import Recorder
 from ..recording import Started
 from ..replies import Displacement
 from ..rotation import rotation_matrix
-from ..wrenches import ON_THIN, OnThin, Tolerance, Vector, one_wrench, tolerance_body
+from ..wrenches import ON_THIN, OnThin, Tolerance, Vector, single_wrench, tolerance_body
 from .coupling import (
     BEYOND,
     CycleWatch,
@@ -482,7 +482,7 @@ class Mount:
             target = np.where(missing, 0.0, target)
         self.coverage.add(answer, known=target is not None)
         if unprimed and self._stiffness is not None and answer.derivative is not None:
-            # Half of what is still stable stops the stiffest direction in one step: 1/(1 + G).
+            # Half of the stability limit stops the stiffest direction in one step: 1/(1 + G).
             factor = 0.5 * stable_factor(np.nan_to_num(answer.derivative), self._stiffness)
             self._relaxation.begin_at(factor)
             self._primed = True
@@ -575,14 +575,14 @@ def require_server(source: Table | Client, mode: str) -> Client:
         raise SourceError("a mount's steps block: give a Client in the place of the AsyncClient")
     if hasattr(source, "displacement") and hasattr(source, "solve"):
         return cast("Client", source)
-    what = "a Client" if mode != "table" else "a Client, or a Table from client.download(...)"
-    raise SourceError(f"mode {mode!r} asks {what}, not {type(source).__name__}")
+    sources = "a Client" if mode != "table" else "a Client, or a Table from client.download(...)"
+    raise SourceError(f"mode {mode!r} asks {sources}, not {type(source).__name__}")
 
 
 def checked_reading(force: ArrayLike, moment: ArrayLike | None) -> Vector:
     """Return a reading as a wrench (6,), N and N·m; SensorError if a number is not finite."""
     try:
-        return one_wrench(force, moment)
+        return single_wrench(force, moment)
     except ValueError as error:
         if "not finite" not in str(error):
             raise
@@ -660,21 +660,21 @@ def require_weight(
     along = float(world @ pull) / weight**2  # 1 is right
     if abs(along - 1.0) <= CONTRADICTS:
         return
-    what = f"at rest {mass:.6g} kg weigh {weight:.6g} N, the reading has {along * weight:.6g} N"
+    text = f"at rest {mass:.6g} kg weigh {weight:.6g} N, the reading has {along * weight:.6g} N"
     if abs(along + 1.0) <= CONTRADICTS:
         raise SensorError(
-            f"the sign of the wrench is turned round: {what} along gravity. It must act ON the "
+            f"the sign of the wrench is turned round: {text} along gravity. It must act ON the "
             "component; sensors report what the parent does to the child: see conventions "
             "(from_mujoco, from_pybullet, from_drake with component='parent')"
         )
     if abs(along) <= CONTRADICTS:
         raise SensorError(
-            f"the reading does not carry the scene: {what} along gravity. A base with a free joint "
+            f"the reading does not carry the scene: {text} along gravity. A base with a free joint "
             "reads 0, and so does a sensor that was not evaluated; hang the system as a child "
             "without joint, and evaluate the sensors first"
         )
     raise SensorError(
-        f"the reading contradicts the scene's weight: {what} along gravity. Look at the sensor's "
+        f"the reading contradicts the scene's weight: {text} along gravity. Look at the sensor's "
         "place and axes, at what else holds the scene, and at the units"
     )
 

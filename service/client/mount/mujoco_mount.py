@@ -108,7 +108,7 @@ class MujocoMount:
             raise InvalidArgument(f"sync, {sync:g} s, must not be shorter than a step, {step:g} s")
         self._model, self._data, self._sync = model, data, sync or 0.0
         cut = _division(model, mocap, force, torque)
-        # Views of what is read and written: MjData's arrays stay where they are.
+        # Views of the arrays read and written: MjData's arrays stay where they are.
         self._axes: Vector = data.site_xmat[cut.site].reshape(3, 3)
         self._point: Vector = data.site_xpos[cut.site]
         self._body_axes: Vector = data.xmat[cut.body].reshape(3, 3)
@@ -303,18 +303,18 @@ def _division(model: Model, mocap: str, force: str, torque: str) -> _Division:
 
 
 def _floating(model: Model, division: _Division, gravcomp: str | None) -> Vector | None:
-    """Return what gravity compensation takes off each body: kg, shape (bodies,); None if nothing.
+    """Return the mass of bodies that gravity compensation carries, kg, (bodies,); None if nothing.
 
     SensorError if a body is compensated and `gravcomp` is not given; InvalidArgument if it is not
     valid, or cannot be taken off with this integrator.
     """
     if gravcomp is not None and gravcomp not in ("motors", "float"):
         raise InvalidArgument(f"gravcomp must be 'motors' or 'float', not {gravcomp!r}")
-    taken = np.where(_hangs_on(model, division.mounted), model.body_gravcomp * model.body_mass, 0.0)
-    if not taken.any() or gravcomp == "motors":
+    borne = np.where(_hangs_on(model, division.mounted), model.body_gravcomp * model.body_mass, 0.0)
+    if not borne.any() or gravcomp == "motors":
         return None
     if gravcomp is None:
-        names = ", ".join(repr(_name(model, body)) for body in np.flatnonzero(taken)[:5].tolist())
+        names = ", ".join(repr(_name(model, body)) for body in np.flatnonzero(borne)[:5].tolist())
         raise SensorError(
             f"gravcomp is set on {names}: the sensors read the full weight all the same. Say what "
             "it stands for: gravcomp='motors' (joints carry the weight, the mount feels it) or "
@@ -325,7 +325,7 @@ def _floating(model: Model, division: _Division, gravcomp: str | None) -> Vector
             "gravcomp='float' needs the positions that the sensors saw, which RK4 overwrites: use "
             "another integrator"
         )
-    return taken
+    return borne
 
 
 def _check_forces(model: Model, body: int, mounted: int) -> None:

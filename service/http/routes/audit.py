@@ -34,15 +34,15 @@ def list_audit(
     which: dict[str, Any] = {"component": component, "actor": actor, "action": action}
     times = {"since": since, "until": until}
     ends: dict[str, Any] = {name: time and time.timestamp() for name, time in times.items()}
-    found = workspace.ledger.audit(**which, **ends, limit=limit + 1, below=after)
-    more, found = len(found) > limit, found[:limit]
+    page = workspace.ledger.audit(**which, **ends, limit=limit + 1, below=after)
+    more, page = len(page) > limit, page[:limit]
     next_url = None
     if more:
         which |= {name: time and time.isoformat() for name, time in times.items()}
-        query = {**which, "limit": limit, "after": found[-1].id}
+        query = {**which, "limit": limit, "after": page[-1].id}
         next_url = next_page(response, "/v1/audit", query)
     entries = [
         {**vars(entry), "time": iso_time(entry.time), "actor": entry.actor or None}
-        for entry in found
+        for entry in page
     ]
     return {"entries": entries, "next": next_url}

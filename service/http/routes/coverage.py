@@ -18,7 +18,7 @@ from wrenchbook.service.http.openapi import answers, refused
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.routes import Newest, Opened, json_reply
 from wrenchbook.service.library.bundles import faces_of, surface_of
-from wrenchbook.service.library.component import require_one_wrench
+from wrenchbook.service.library.component import require_single_wrench
 from wrenchbook.service.messages import Compliance
 from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.workspace import Workspace
@@ -35,7 +35,7 @@ CELLS = 7  # of each load in the grid of an axis; odd, so that no load is a midd
 Load = Literal["fx", "fy", "fz", "mx", "my", "mz"]
 Force = Annotated[float, Query(allow_inf_nan=False, description="N")]
 Moment = Annotated[float, Query(allow_inf_nan=False, description="N·m")]
-Places = NDArray[np.intp]
+Positions = NDArray[np.intp]
 
 
 @router.get(
@@ -87,7 +87,7 @@ def compliance(name: str, table: Newest) -> Response:
 def glance(name: str, workspace: Opened) -> Response:
     table = workspace.tables.surrogate(name)
     span = table.load_range
-    require_one_wrench(name, span.space)
+    require_single_wrench(name, span.space)
     # Halton's sequence (1960). Importing `scipy.stats` for it takes a fifth of a server's start.
     sample = np.zeros((SAMPLE, 6))
     for load, base in enumerate(PRIMES):
@@ -186,7 +186,7 @@ def drawing(
     along: Annotated[Load | None, Query(description="only rows that have no other load")] = None,
     most: Annotated[int, Query(ge=1, le=MAX_ROWS)] = 2_000,
 ) -> Response:
-    require_one_wrench(name, table.load_range.space)
+    require_single_wrench(name, table.load_range.space)
     rows, drawn = table.rows, next((every for every in AXES if every.name == axis), None)
     loaded = np.abs(rows.wrench) > ZERO_LOAD * table.load_range.scale
     chosen = np.arange(len(rows))
@@ -217,11 +217,11 @@ def drawing(
     return json_reply(body)
 
 
-def _spread(places: Places, count: int) -> Places:
-    """At most `count` evenly spread places, the first and the last among them."""
-    if len(places) <= count:
-        return places
-    return places[np.linspace(0, len(places) - 1, count).astype(np.intp)]
+def _spread(positions: Positions, count: int) -> Positions:
+    """At most `count` evenly spread positions, the first and the last among them."""
+    if len(positions) <= count:
+        return positions
+    return positions[np.linspace(0, len(positions) - 1, count).astype(np.intp)]
 
 
 @router.get(
@@ -241,7 +241,7 @@ def response(
     mz: Moment = 0.0,
     points: Annotated[int, Query(ge=2, le=501)] = 121,
 ) -> Response:
-    require_one_wrench(name, table.load_range.space)
+    require_single_wrench(name, table.load_range.space)
     low, high = _ends(table.load_range)
     wrenches = np.repeat([[fx, fy, fz, mx, my, mz]], points, axis=0)
     place = LOADS.index(load)

@@ -16,7 +16,7 @@ from wrenchbook.service.fields import surface_files
 from wrenchbook.service.http.openapi import BYTES, answers, refused
 from wrenchbook.service.http.problems import bad_body
 from wrenchbook.service.http.routes import Newest, Opened, json_reply
-from wrenchbook.service.library.component import interface_of, require_one_wrench
+from wrenchbook.service.library.component import interface_of, require_single_wrench
 from wrenchbook.service.messages import DeformedShape, Stress
 from wrenchbook.service.workspace import Workspace
 
@@ -60,7 +60,7 @@ async def deformed(
     ]
     if errors:
         raise bad_body(errors)
-    require_one_wrench(name, workspace.library.as_read(name).space)
+    require_single_wrench(name, workspace.library.as_read(name).space)
     loads = np.array([fx, fy, fz, mx, my, mz])
     # On threads of its own, few: it reads files and multiplies large arrays.
     loop = asyncio.get_running_loop()

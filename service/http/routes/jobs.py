@@ -211,13 +211,13 @@ def get_job_log(job_id: JobId, workspace: Opened) -> Response:
         size = log.seek(0, 2)
         log.seek(max(0, size - MAX_LOG_BYTES))
         end = log.read(MAX_LOG_BYTES).decode(errors="replace")
-    shown = without_places(end, workspace.settings.data)
+    shown = without_paths(end, workspace.settings.data)
     if size > MAX_LOG_BYTES:
         shown = f"[the first {size - MAX_LOG_BYTES} bytes are in .../files]\n{shown}"
     return Response(shown, 200, None, "text/plain")
 
 
-def without_places(text: str, data: pathlib.Path) -> str:
+def without_paths(text: str, data: pathlib.Path) -> str:
     """Return a text without the folders of this machine: its reader may be elsewhere."""
     known = {
         str(data.absolute()): "<data>",

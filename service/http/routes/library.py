@@ -22,7 +22,7 @@ from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.routes import Opened, json_reply
 from wrenchbook.service.http.routes.components import component_body
 from wrenchbook.service.http.routes.rows import file_fields
-from wrenchbook.service.ledger import About, UnknownImportError
+from wrenchbook.service.ledger import ImportOrigin, UnknownImportError
 from wrenchbook.service.messages import Card, Comparison, Demand, Disagreement, Import, Imports
 from wrenchbook.service.tables.comparison import (
     UncomparableError,
@@ -46,7 +46,7 @@ ImportId = Annotated[int, Path(ge=1, lt=2**63, description="the number of the im
 Finding = Annotated[
     str | None, Query(max_length=100, description="cause of a finding: its rows; else all rows")
 ]
-_one_comparison = asyncio.Lock()
+_comparison_lock = asyncio.Lock()
 MAX_NOTES_BYTES = 1 << 20  # 100,000 characters, escaped
 
 
@@ -191,7 +191,7 @@ async def get_comparison(
     format: Literal["json", "csv"] = "json",  # noqa: A002 (the contract's word)
 ) -> Response:
     table = await workspace.newest(name, CATCH_UP_S)
-    async with _one_comparison:  # each builds a table
+    async with _comparison_lock:  # each builds a table
         return await run_in_threadpool(_compared, workspace, name, table, number, against, format)
 
 
@@ -249,10 +249,10 @@ def get_stiffness(
             raise bad_body([{"loc": f"query.{place}", "msg": message}])
     at = loads.index(axis)
     to = space.output_names.index(of) if of else at  # each interface has six of both
-    about = {"component": name, "table_version": table.version, "import": number, "axis": axis}
-    about |= {"of": space.output_names[to], "between": sorted((low, high))}
-    about["unit"] = f"{space.inputs[at].unit}/{space.outputs[to].unit}"
-    return json_reply(about | measured_stiffness(rows, span, (low, high), at, to))
+    reply = {"component": name, "table_version": table.version, "import": number, "axis": axis}
+    reply |= {"of": space.output_names[to], "between": sorted((low, high))}
+    reply["unit"] = f"{space.inputs[at].unit}/{space.outputs[to].unit}"
+    return json_reply(reply | measured_stiffness(rows, span, (low, high), at, to))
 
 
 @router.get("/demand", summary="Queries that were not covered", response_model=Demand)
@@ -314,8 +314,8 @@ def _copied(request: Request, name: str, body: CopyBody, renamed: bool = False) 
     workspace.catalogue.change(copy.name, notes=card.notes, copied_from=name)
     if body.rows:
         key = permission_of(request.scope).key
-        about = About(who=key.name if key else "", format="copy", note=f"copied from {name}")
-        copy_rows(workspace.ledger, source, copy, about)
+        origin = ImportOrigin(key.name if key else "", format="copy", note=f"copied from {name}")
+        copy_rows(workspace.ledger, source, copy, origin)
     if renamed:
         workspace.catalogue.change(name, archived=True, renamed_to=copy.name)
     workspace.tables.catch_up(copy.name, CATCH_UP_S)

@@ -25,7 +25,7 @@ _MEDIA_TYPES = {
     "html": "text/html; charset=utf-8",
 }
 
-LOOK_S = 0.05  # between two looks at the file of a table
+POLL_S = 0.05  # between two polls of the file of a table
 _MAKING = answers(dict[str, Any], "being made", 202)
 
 
@@ -51,7 +51,7 @@ def make_report(
     deadline, tables = time.monotonic() + CATCH_UP_S, workspace.tables
     if tables.caught_up(name, CATCH_UP_S).row_count:
         while tables.written(name) is None and time.monotonic() < deadline:
-            time.sleep(LOOK_S)
+            time.sleep(POLL_S)
     try:
         workspace.reports.make(component, wrenches, seed)
     except FileNotFoundError as error:

@@ -85,8 +85,8 @@ def scene_table(
     body = read_body(SceneComponent, wanted.encode())
     need = _need_of(component, body, "wanted")
     scene = orjson.dumps(body.model_dump(), option=orjson.OPT_SORT_KEYS)
-    what = hashlib.sha256(scene + component.fingerprint.encode()).hexdigest()[:16]
-    tag = f'"{table.version}-{what}-{table.packed.checksum:08x}"'
+    digest = hashlib.sha256(scene + component.fingerprint.encode()).hexdigest()[:16]
+    tag = f'"{table.version}-{digest}-{table.packed.checksum:08x}"'
     if holds(if_none_match, tag):
         return Response(None, 304, naming(tag))
 
@@ -157,7 +157,7 @@ def need_from(
 ) -> Need:
     """Return what a scene needs of a component; 422 for unknown names and ends beyond the range.
 
-    `where` and `of_outputs` are the places of the span and of the outputs in the body.
+    `where` and `of_outputs` are the paths of the span and of the outputs in the body.
     """
     load_range, names = component.load_range, component.space.output_names
     mistakes = [] if span is None else _unknown(span, load_range.space, where)
@@ -173,13 +173,13 @@ def need_from(
     try:
         return need_of(load_range, bounds, read, tolerance_of(tolerance), component.idle)
     except NeedError as error:
-        places = []  # force.0, loads.left.force.0
+        paths = []  # force.0, loads.left.force.0
         for number, load in enumerate(load_range.space.inputs):
             front = f"loads.{load.interface}." if load.interface else ""
             is_scalar = load.kind == "scalar"
             name = f"inputs.{load.name}" if is_scalar else f"{front}{load.kind}.{number % 3}"
-            places.append(f"{where}.{name}")
-        raise bad_body([{"loc": places[at], "msg": text} for at, text in error.mistakes]) from None
+            paths.append(f"{where}.{name}")
+        raise bad_body([{"loc": paths[at], "msg": text} for at, text in error.mistakes]) from None
 
 
 def _unknown(span: SpaceSpan, space: Space, where: str) -> list[dict[str, str]]:

@@ -32,7 +32,7 @@ from wrenchbook.service.http.body import PIECE, content_type, form_of, spooled
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.routes import Opened, holds, json_reply, naming
-from wrenchbook.service.ledger import About
+from wrenchbook.service.ledger import ImportOrigin
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.rigs import rig_of
 from wrenchbook.service.messages import (
@@ -244,7 +244,7 @@ class ImportQuery(Body):
 
     @field_validator("note", "filename", "rig", "append")
     @classmethod
-    def _can_be_kept(cls, text: str) -> str:
+    def _check_text(cls, text: str) -> str:
         try:
             text.encode()
         except UnicodeEncodeError:
@@ -260,16 +260,16 @@ class ImportQuery(Body):
         if self.append is not None and others:
             names = ", ".join(sorted(others))
             raise RigError(f"append takes no {names}, as this profile has: a block is no file")
-        own, mapping = _pairs(self.mapping or "{}"), _pairs(profile.mapping or "{}")
-        ignore = set(profile.ignore) - own.keys()
+        mapped, mapping = _pairs(self.mapping or "{}"), _pairs(profile.mapping or "{}")
+        ignore = set(profile.ignore) - mapped.keys()
         query = profile.model_copy(update=self.model_dump(include=self.model_fields_set))
         same = query.model_dump(include={field.name for field in fields(Options)})
         return Options(
             **same
             | {
                 "ignore": (*self.ignore, *ignore),
-                "mapping": mapping | own,
-                "optional": [*(ignore | mapping.keys()) - own.keys() - set(self.ignore)],
+                "mapping": mapping | mapped,
+                "optional": [*(ignore | mapping.keys()) - mapped.keys() - set(self.ignore)],
                 "zero_rows": query.tare,
                 "rig": rig,
             }
@@ -477,21 +477,21 @@ async def import_table(
     most = _MAX_APPENDED_BYTES if query.append else MAX_TABLE_BYTES
     async with received(request, most) as sent:
         key = permission_of(request.scope).key
-        about = About(
+        origin = ImportOrigin(
             who=key.name if key else "",
             filename=query.append or query.filename or sent.filename,
             digest="" if query.append else sent.digest,
             note=query.note,
         )
-        caller = about.who or (request.client.host if request.client else "")
-        async with nullcontext() if query.append else one_reader(caller):
+        caller = origin.who or (request.client.host if request.client else "")
+        async with nullcontext() if query.append else reader_slot(caller):
             reply = await run_in_threadpool(
                 import_files,
                 workspace.ledger,
                 component,
                 sent.files,
                 options,
-                about,
+                origin,
                 dry_run=query.dry_run,
                 partial=query.partial,
                 preview=query.preview,
@@ -583,7 +583,7 @@ def _digest(files: Sequence[Path]) -> str:
 
 
 @asynccontextmanager
-async def one_reader(caller: str) -> AsyncIterator[None]:
+async def reader_slot(caller: str) -> AsyncIterator[None]:
     """Wait until no other table of a caller (a key, or an address without keys) is being read.
 
     Raises SandboxBusyError after `_READER_WAIT_S` seconds.

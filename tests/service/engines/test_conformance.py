@@ -8,7 +8,7 @@ from wrenchbook.service.jobs.attempt import (
     OUTCOME,
     EngineError,
     Outcome,
-    last_words,
+    last_output,
     read_progress,
     solver_began,
     write_outcome,
@@ -42,7 +42,7 @@ def test_a_solve_that_fails_is_finished_with_its_reason_log_and_files(bench):
     assert bench.end(engine, attempt) == "finished"
     error = bench.outcome(attempt).error
     assert (error["kind"], error["remedy"]) == ("not_converged", "use smaller load steps")
-    assert "NotConvergedError: no equilibrium" in last_words(attempt.folder)
+    assert "NotConvergedError: no equilibrium" in last_output(attempt.folder)
     assert (attempt.folder / "deck" / "part.dat").read_text() == "a number: 7"
     assert (attempt.folder / "failed.vtu").read_bytes() == bytes(range(256))
 
