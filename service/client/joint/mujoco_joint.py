@@ -221,6 +221,8 @@ class MujocoJoint(Joint):
         self._data, self._pose, reply, self._scene = data, None, self._reply, self._model.opt
         self._solved = np.empty_like(self._units)
         self._pose_of_tip, self._inverse_mass = steps.poses[at], steps.inverse_masses[at]
+        self._before = steps.velocities[at].reshape(-1)
+        self._before[:] = np.nan
         self._force, self._slope, self._spin = (reply[name] for name in ("force", "rate", "spin"))
         poses, qpos = self._pose_of_tip.reshape(-1, 7), data.qpos
         self._read_from = [
@@ -252,6 +254,11 @@ class MujocoJoint(Joint):
         if self._unmoved:
             self._watch_base()
         self._read_pose()
+        if (
+            not self.damping
+        ):  # constraint forces of the last step would excite what keeps its energy
+            lags = (self._several or not self._blocks) and self._data.nefc
+            self._before[self.free] = np.nan if lags else self._velocities[self._dofs]
         engine.mj_solveM(self._model, self._data, self._solved, self._units)
         # Accelerations of the freedoms by unit loads on them.
         if self._full:
