@@ -54,7 +54,7 @@ class _Options(ctypes.Structure):
         *(("method", ctypes.c_int), ("tolerance", ctypes.c_void_p), ("rows", ctypes.c_int)),
         *((name, ctypes.c_void_p) for name in ("inputs", "axes")),
         *((name, ctypes.c_double) for name in ("dt", "damping")),
-        ("errors", ctypes.c_int),
+        *(("errors", ctypes.c_int), ("law", ctypes.c_int)),
     )
 
 
@@ -102,13 +102,12 @@ class JointSteps:
         self._scratch = np.zeros(sizes[2] // 8 + 1)
         self._options = _Options(
             *(method, None, 0, self.inputs.ctypes.data),
-            *(None if self._axes is None else self._axes.ctypes.data, 0.0, 0.0, 1),
+            *(None if self._axes is None else self._axes.ctypes.data, 0.0, 0.0, 1, 0),
         )
         buffers = (self.poses, self.velocities, self.inverse_masses, self.memory, self.replies)
         poses, velocities, masses, memory, replies = (array.ctypes.data for array in buffers)
         head = ctypes.addressof(self._options), count, poses
         self._step = *head, velocities, masses, memory, replies
-        self._law = *head, None, masses, memory, replies
         self._state = *head, None, None, memory, replies
         self._at = self._scratch.ctypes.data
 
@@ -123,13 +122,13 @@ class JointSteps:
 
     def step(self, dt: float, damping: float, threads: int = 1) -> None:
         """Find the wrenches of a step of dt, s; damping is a share of critical."""
-        self._options.dt, self._options.damping = dt, damping
+        self._options.dt, self._options.damping, self._options.law = dt, damping, 0
         self._done(self._call(self._table.handle, *self._step, threads, self._at))
 
     def law(self, dt: float, damping: float, threads: int = 1) -> None:
-        """Find wrench and rate at the poses, for a simulator that has the step's velocity later."""
-        self._options.dt, self._options.damping = dt, damping
-        self._done(self._call(self._table.handle, *self._law, threads, self._at))
+        """Find force and rate by velocities before a step; the simulator has those after it."""
+        self._options.dt, self._options.damping, self._options.law = dt, damping, 1
+        self._done(self._call(self._table.handle, *self._step, threads, self._at))
 
     def state(self) -> None:
         """Find the wrenches of the poses."""

@@ -12,6 +12,7 @@ enum { MAX_INTERFACES = 4, FREEDOMS = SIX * MAX_INTERFACES };
 /* (omega dt)^2 up to which a mode is explicit: symplectic Euler is stable up to 4, and at 0.5 its
  * frequency is still within 2 %. */
 static const double EXPLICIT = 0.5;
+static const double KEPT = 9.8696; /* of an undamped part's modes: pi^2, two steps a period */
 /* Of the largest diagonal: off-diagonal elements below it are rounding. */
 static const double ROUNDING = 1e-17;
 /* The square of the relative asymmetry of an inverse mass: single precision is better than 1e-3, a
@@ -104,9 +105,10 @@ static int is_symmetric(const double *a, int n) {
     return !wrong;
 }
 
-/* wb_joint_rate, and the squares of the modes' frequencies (n). */
+/* wb_joint_rate, and the squares of the modes' frequencies (n). With `kept` (n, n), the part of the
+ * rate by the acceleration, modes up to KEPT keep their energy: Newmark's method, beta = 1/4. */
 static int rate_of(int n, const double *stiffness, const double *inverse_mass, double dt,
-                   double damping, double *rate, double *squares) {
+                   double damping, double *rate, double *kept, double *squares) {
     double l[FREEDOMS * FREEDOMS], b[FREEDOMS * FREEDOMS], modes[FREEDOMS * FREEDOMS];
     if (n < 1 || n > FREEDOMS) return WB_NOT_SQUARE;
     for (int i = 0; i < n * n; i++)
@@ -121,11 +123,15 @@ static int rate_of(int n, const double *stiffness, const double *inverse_mass, d
         double square = fmax(b[n * mode + mode], 0.0); /* rounding, or a part that buckles */
         squares[mode] = square;
         double step = square * dt * dt;
-        double implicit = step > EXPLICIT ? 1 - EXPLICIT / step : 0.0;
-        double rate_of_mode = dt * implicit * square + 2 * damping * sqrt(square);
+        double end = kept ? KEPT : EXPLICIT, implicit = step > end ? 1 - end / step : 0.0;
+        double beta = kept ? 0.25 * (fmin(1.0, step / EXPLICIT) - implicit) : 0.0;
+        double rate_of_mode = dt * (implicit + beta) * square + 2 * damping * sqrt(square);
         for (int i = 0; i < n; i++)
-            for (int j = 0; j < n; j++)
-                rate[n * i + j] += rate_of_mode * modes[n * i + mode] * modes[n * j + mode];
+            for (int j = 0; j < n; j++) {
+                double both = modes[n * i + mode] * modes[n * j + mode];
+                rate[n * i + j] += rate_of_mode * both;
+                if (kept) kept[n * i + j] += dt * beta * square * both;
+            }
     }
     return WB_OK;
 }
@@ -133,7 +139,7 @@ static int rate_of(int n, const double *stiffness, const double *inverse_mass, d
 int wb_joint_rate(int n, const double *stiffness, const double *inverse_mass, double dt,
                   double damping, double *rate) {
     double squares[FREEDOMS];
-    return rate_of(n, stiffness, inverse_mass, dt, damping, rate, squares);
+    return rate_of(n, stiffness, inverse_mass, dt, damping, rate, NULL, squares);
 }
 
 /* Of a table: the limit of its rotations, rad. */
@@ -420,6 +426,8 @@ static int advance(const search *s, const double *velocity, const double *invers
     double half[FREEDOMS * FREEDOMS], turned[FREEDOMS * FREEDOMS], stiffness[FREEDOMS * FREEDOMS];
     double mass[FREEDOMS * FREEDOMS], rate[FREEDOMS * FREEDOMS], matrix[FREEDOMS * FREEDOMS];
     double right[FREEDOMS], wrench[FREEDOMS] = {0}, squares[FREEDOMS];
+    double kept[FREEDOMS * FREEDOMS] = {0};
+    int keeps = s->o->law && s->o->damping == 0 && velocity && !isnan(velocity[s->free[0]]);
     for (int i = 0; i < n; i++) /* B^T K B: K is symmetric, and B turns the spins */
         turn_parts(reply->spin, 1, reply->stiffness + n * i, n, half + n * i);
     for (int j = 0; j < n; j++) {
@@ -432,15 +440,18 @@ static int advance(const search *s, const double *velocity, const double *invers
             stiffness[count * i + j] = turned[n * s->free[i] + s->free[j]];
             mass[count * i + j] = inverse_mass[n * s->free[i] + s->free[j]];
         }
-    int wrong = rate_of(count, stiffness, mass, s->o->dt, s->o->damping, rate, squares);
+    int wrong = rate_of(count, stiffness, mass, s->o->dt, s->o->damping, rate,
+                        keeps ? kept : NULL, squares);
     for (int k = 0; k < n * n; k++) reply->rate[k] = 0.0;
     if (wrong) return wrong == WB_SINGULAR ? WB_NO_MASS : wrong;
     for (int i = 0; i < count; i++) {
         reply->frequency[s->free[i]] = sqrt(squares[i]);
-        for (int j = 0; j < count; j++)
+        for (int j = 0; j < count; j++) {
             reply->rate[n * s->free[i] + s->free[j]] = rate[count * i + j];
+            if (keeps) reply->force[s->free[i]] -= kept[count * i + j] * velocity[s->free[j]];
+        }
     }
-    if (!velocity) return WB_OK;
+    if (!velocity || s->o->law) return WB_OK;
     for (int i = 0; i < count; i++) {
         right[i] = reply->force[s->free[i]];
         for (int j = 0; j < count; j++) right[i] += rate[count * i + j] * velocity[s->free[j]];

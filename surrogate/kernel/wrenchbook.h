@@ -171,6 +171,9 @@ typedef struct {
                            * spin and moment have the tip's own axes; NULL: the frame's */
     double dt, damping;   /* s; share of critical of each mode of the part between the bodies */
     int errors;           /* not 0: also coverage and errors, by one more answer */
+    int law;              /* not 0: force and C alone, by the velocities before the step, of freedoms
+                            * whose velocities after it the simulator has; NaN: unknown. Modes of an
+                            * undamped part up to omega dt = pi keep their energy if they are known */
 } wb_joint;
 
 /* One step of a joint of one interface. NaN where unknown. That of k interfaces has the same members
@@ -180,7 +183,8 @@ typedef struct {
     double wrench[6];       /* on the part, about the interface point where it is now */
     double displacement[6]; /* m; rotation vector, rad */
     double still[6];        /* the wrench of the pose, without the rate */
-    double force[6];        /* the same, its moment in the axes of the spin */
+    double force[6];        /* the same, its moment in the axes of the spin; of a law less the part of
+                             * C v of the velocities before the step */
     double rate[36];        /* C, its change with the velocity, (6, 6) */
     double stiffness[36];   /* (6, 6), symmetric: by translation and angle about the frame's axes */
     double spin[9];         /* (3, 3): from the axes of the spin to the frame's */

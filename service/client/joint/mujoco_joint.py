@@ -26,7 +26,9 @@ Model: TypeAlias = Any  # mujoco.MjModel, mujoco.MjData: compiled, without types
 Data: TypeAlias = Any
 
 engine: Any = required("mujoco", "MujocoJoint", "'wrenchbook[mujoco]'")
-_JOINT, _OBJECT, _PGS = engine.mjtJoint, engine.mjtObj, int(engine.mjtSolver.mjSOL_PGS)
+# Integers: to compare with an enumeration takes 0.8 us.
+_PGS, _RK4 = int(engine.mjtSolver.mjSOL_PGS), int(engine.mjtIntegrator.mjINT_RK4)
+_JOINT, _OBJECT = engine.mjtJoint, engine.mjtObj
 _SQUARE = 1e-5  # the axes of the slides are unit and orthogonal to the six digits of MuJoCo's XML
 # The joints of each MjData by the first freedom of each tip: a step is of all of them.
 _JOINTS: WeakKeyDictionary[Data, WeakValueDictionary[int, MujocoJoint]] = WeakKeyDictionary()
@@ -146,7 +148,8 @@ class MujocoJoint(Joint):
         self._pairs, self._at_pairs = np.hstack([np.empty((2, 0), dtype=int), *pairs])
         self._dofs: Any = np.array(dofs) if self._several else slice(dofs[0], dofs[-1] + 1)
         self._units = np.eye(self._model.nv)[self._dofs]
-        self._square, self._full = np.ix_(self.free, self.free), len(self.free) == self._size
+        full, square = len(self.free) == self._size, np.ix_(self.free, self.free)
+        self._moving, self._square = (slice(None),) * 2 if full else (self.free, square)
         balls = np.array([np.eye(3) if turned is None else turned for turned in axes])
         self._spin_axes = balls if self._several else None if axes[0] is None else balls[0]
         self._begin(self._spin_axes)
@@ -221,14 +224,15 @@ class MujocoJoint(Joint):
         self._data, self._pose, reply, self._scene = data, None, self._reply, self._model.opt
         self._solved = np.empty_like(self._units)
         self._pose_of_tip, self._inverse_mass = steps.poses[at], steps.inverse_masses[at]
+        self._before = steps.velocities[at].reshape(-1)
+        self._before[:] = np.nan
         self._force, self._slope, self._spin = (reply[name] for name in ("force", "rate", "spin"))
         poses, qpos = self._pose_of_tip.reshape(-1, 7), data.qpos
         self._read_from = [
             (poses[k, to : to + n], qpos[at : at + n]) for k, to, at, n in self._runs
         ]
         self._turned = [(poses[k, 3:], axis, qpos[at : at + 1]) for k, axis, at in self._hinges]
-        self._velocities, self._applied = data.qvel, data.qfrc_applied
-        self._mass = data.M
+        self._velocities, self._applied, self._mass = data.qvel, data.qfrc_applied, data.M
         for start in self._starts:
             _JOINTS.setdefault(data, WeakValueDictionary())[start] = self
 
@@ -252,21 +256,18 @@ class MujocoJoint(Joint):
         if self._unmoved:
             self._watch_base()
         self._read_pose()
+        if not self.damping:  # modes that keep their energy bear no constraint forces of a step ago
+            lags = (self._several or not self._blocks) and self._data.nefc
+            self._before[self._moving] = np.nan if lags else self._velocities[self._dofs]
         engine.mj_solveM(self._model, self._data, self._solved, self._units)
-        # Accelerations of the freedoms by unit loads on them.
-        if self._full:
-            self._inverse_mass[:] = self._solved[:, self._dofs]
-        else:
-            self._inverse_mass[self._square] = self._solved[:, self._dofs]
+        self._inverse_mass[self._square] = self._solved[:, self._dofs]  # by unit loads
 
     def _push(self) -> None:
         """Apply the wrench of this step, as far as the motion before it determines it.
 
         The rest depends on the velocity after the step, and enters the mass matrix.
         """
-        dt, force, slope = self._scene.timestep, self._force, self._slope
-        if not self._full:
-            force, slope = self._law_of_free()
+        dt, (force, slope) = self._scene.timestep, self._law_of_free()
         if not self._blocks:  # nothing can be added to it: the last step's constraint forces stand
             force, slope = _with_last_contacts([self], self._solved)[0], np.zeros_like(slope)
         self._pull(force, slope, dt)
@@ -275,7 +276,7 @@ class MujocoJoint(Joint):
         """Apply a wrench that changes with the velocity after the step."""
         velocity = self._velocities[self._dofs]
         self._law = force.copy(), slope.copy(), velocity
-        self._applied[self._dofs] = -force - slope @ velocity
+        self._applied[self._dofs] = -force - slope.dot(velocity)  # faster than @
         # What the velocity after the step changes.
         self._own_mass = self._mass.take(self._at_pairs)
         self._with_part = self._own_mass + dt * slope.take(self._pairs)
@@ -283,7 +284,7 @@ class MujocoJoint(Joint):
 
     def _law_of_free(self) -> tuple[Vector, Vector]:
         """Return wrench and rate of the freedoms that move, (f,) and (f, f)."""
-        return self._force.ravel()[self.free], self._slope[self._square]
+        return self._force.reshape(-1)[self._moving], self._slope[self._square]
 
     def report(self) -> JointReport:
         """Return coverage, largest error bars and energy of all steps since `restart`."""
@@ -315,9 +316,9 @@ class MujocoJoint(Joint):
     def _watch_base(self) -> None:
         """Warn once that the base has been put elsewhere by a body without velocity."""
         data, body = self._data, self._unmoved
-        pose = np.concatenate([[data.time], data.xpos[body], data.xquat[body]])
+        pose = [data.time, *data.xpos[body].tolist(), *data.xquat[body].tolist()]
         before, self._pose = self._pose, pose
-        if before is None or pose[0] <= before[0] or (pose[1:] == before[1:]).all():
+        if before is None or pose[0] <= before[0] or pose[1:] == before[1:]:
             return
         self._unmoved = 0
         name = engine.mj_id2name(self._model, _OBJECT.mjOBJ_BODY, body) or f"#{body}"
@@ -375,7 +376,7 @@ def pull_joints(*joints: MujocoJoint) -> None:
 
 def require_scene(joints: Sequence[MujocoJoint]) -> None:
     """Raise JointError if joints are not all those of one scene, or its step is not above zero."""
-    if not joints or any(joint._data is not joints[0]._data for joint in joints):
+    if len({joint._data for joint in joints}) != 1:
         raise JointError("step_joints takes the joints of one scene: one or more of the same data")
     _refuse_rk4(joints[0]._model)  # it may have been chosen since
     stepped = [start for joint in joints for start in joint._starts]
@@ -565,7 +566,7 @@ def joints_in_mj_step() -> Iterator[None]:
 
 
 def _refuse_rk4(model: Model) -> None:
-    if model.opt.integrator == engine.mjtIntegrator.mjINT_RK4:
+    if model.opt.integrator == _RK4:
         raise JointError(
             "the integrator RK4 evaluates forces four times a step, and the joint once: use "
             "Euler, implicit or implicitfast"

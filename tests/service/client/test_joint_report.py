@@ -97,3 +97,14 @@ def test_the_remedy_of_a_linear_part_beyond_its_range_is_not_more_solves():
     assert (
         "widen the load range, which a pose of the steps exceeds; no more" in joint.report().remedy
     )
+
+
+@pytest.mark.parametrize("dt", [1e-3, 2e-3])
+def test_a_blow_to_a_part_without_damping_keeps_its_energy_within_half_a_per_cent(dt: float):
+    model, data = scene(sphere(5, "0.02 0 0.03"), dt, gravity="0 0 0")
+    joint, drift = MujocoJoint(model, data, linear_table(), damping=0.0), []
+    data.qvel[1:3] = 0.05
+    for count in range(round(10 / dt)):
+        joint.step()
+        drift += [joint.report().energy_drift] if count % 97 == 0 else []
+    assert np.abs(drift).max() < 5e-3 * 0.5 * 5 * 2 * 0.05**2

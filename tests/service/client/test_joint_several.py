@@ -131,6 +131,25 @@ def test_an_undamped_link_keeps_the_energy_of_its_swing_within_half_a_per_cent(d
     assert abs(joint.report().energy_drift or np.nan) < 0.005 * most
 
 
+@pytest.mark.parametrize(("axis", "dt"), [(0, 1e-3), (2, 2e-3)])
+def test_an_undamped_link_keeps_the_energy_of_a_blow_to_a_tip(axis, dt):
+    model, data = car(BALL, BOX, dt, HEAVY)
+    joint, data.qvel[axis], drift = jointed(model, data), 0.05, []
+    for _ in range(30):
+        drift += [joint.step() for _ in range(int(0.1 / dt))] and [joint.report().energy_drift]
+    assert np.abs(drift).max() < 0.002 * 0.5 * 3 * 0.05**2
+
+
+def test_undamped_feet_at_the_tips_stay_within_the_range():
+    base = f'<joint type="slide" axis="0 0 1" damping="200"/>{HEAVY}'
+    plane, foot = '<geom type="plane" size="5 5 .1"/>', sphere(3, geom="")
+    joint = jointed(*(scene := car(foot, foot, 2e-3, base, -9.81, plane)))
+    for data in [scene[1]] * 500:
+        data.qfrc_applied[0] = -1e5 * data.qpos[0] + 45 * 9.81
+        joint.step()
+    assert np.abs(joint.wrench[:, 2]).max() < 100
+
+
 def test_a_second_interface_without_a_mass_leaves_the_answer_of_the_first_alone():
     light, places = f'<geom size=".01" mass="1e-5" {SILENT}/><body/>', []
     for moving, bodies in ((2, TIPS), (1, {"left": "wheel_l"})):
