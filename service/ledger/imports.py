@@ -239,6 +239,15 @@ def imports(db: Connection, component: str, most: int = 1000) -> list[ImportReco
     return [ImportRecord(*record) for record in db.execute(select, (component, most))]
 
 
+def same_file(db: Connection, component: str, digest: str) -> ImportRecord | None:
+    """Return the newest import of a file with this SHA-256 whose rows are not all withdrawn."""
+    select = f"SELECT id, {_COLUMNS} FROM imports WHERE component = ? AND digest = ? AND {_ENDED}"
+    for record in db.execute(f"{select} ORDER BY id DESC", (component, digest)).fetchall():
+        if _chosen(db, component, record[0], (), withdrawn=False, most=1):
+            return ImportRecord(*record)
+    return None
+
+
 def import_of(db: Connection, seq: int) -> ImportRecord | None:
     """Return the import that brought a row; None if it was solved."""
     where = "first <= ? AND last >= ? ORDER BY first DESC LIMIT 1"

@@ -19,9 +19,15 @@ from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.surrogate.findings.comparison import MAX_ROWS as MAX_COMPARED
 from wrenchbook.surrogate.findings.comparison import comparison_findings
 from wrenchbook.surrogate.findings.find import MAX_ROWS
+from wrenchbook.surrogate.findings.response import RigFinding
 from wrenchbook.surrogate.table.compliance import fit_compliance
 
 SAME = 1e-12  # of a number: what an export in other units and its import may lose
+TWICE = (
+    "import {number} has rows of this very file ({file}), read with other options: its loads count "
+    "twice, and answers are between both unless the rows are others of it, such as another sheet. "
+    "If not, withdraw the wrong one of the two: wrenchbook withdraw {name} {number}, or this import"
+)
 _MAX_TRIED = 16  # stored rows of nearly one sum that a row is compared with; others hardly occur
 
 # By component: its setup and number of solves, and their compliance.
@@ -72,6 +78,10 @@ def import_files(
 
     if table is not None and not refused:
         report["findings"] += _compared(read, table, report["findings"])
+    earlier = ledger.same_file(component.name, about.digest) if about.digest else None
+    if earlier is not None and not refused:
+        message = TWICE.format(number=earlier.id, file=earlier.filename, name=component.name)
+        report["findings"].append(RigFinding("twice", message).body())
     if not refused and dry_run:
         named = [key for piece in pieces() for key in keys(piece)]
         distinct = set(named)  # a row that stands twice in the file is loaded once
@@ -93,6 +103,8 @@ def import_files(
         blocks = (NotedRows(piece, piece.note) for piece in pieces())
         load = ledger.append_rows if append else ledger.import_rows
         inserted, existing, number = load(component.name, blocks, about)
+    if not inserted:  # all rows were there already, and none counts twice
+        report["findings"] = [one for one in report["findings"] if one["cause"] != "twice"]
     rows = report.pop("rows")
     good = rows.pop("good")
     return {
