@@ -241,11 +241,9 @@ def imports(db: Connection, component: str, most: int = 1000) -> list[ImportReco
 
 def same_file(db: Connection, component: str, digest: str) -> ImportRecord | None:
     """Return the newest import of a file with this SHA-256 whose rows are not all withdrawn."""
-    select = f"SELECT id, {_COLUMNS} FROM imports WHERE component = ? AND digest = ? AND {_ENDED}"
-    for record in db.execute(f"{select} ORDER BY id DESC", (component, digest)).fetchall():
-        if _chosen(db, component, record[0], (), withdrawn=False, most=1):
-            return ImportRecord(*record)
-    return None
+    known = (one for one in imports(db, component) if one.digest == digest)
+    live = (one for one in known if _chosen(db, component, one.id, (), withdrawn=False, most=1))
+    return next(live, None)
 
 
 def import_of(db: Connection, seq: int) -> ImportRecord | None:

@@ -24,9 +24,9 @@ from wrenchbook.surrogate.table.compliance import fit_compliance
 
 SAME = 1e-12  # of a number: what an export in other units and its import may lose
 TWICE = (
-    "import {number} has rows of this very file ({file}), read with other options: its loads count "
-    "twice, and answers are between both unless the rows are others of it, such as another sheet. "
-    "If not, withdraw the wrong one of the two: wrenchbook withdraw {name} {number}, or this import"
+    "import {0.id} has rows of this very file ({0.filename}), read with other options: unless they "
+    "are others, such as of another sheet, each test counts twice, and answers are between both. "
+    "Withdraw the wrong import: wrenchbook withdraw {0.component} {0.id}, or this one"
 )
 _MAX_TRIED = 16  # stored rows of nearly one sum that a row is compared with; others hardly occur
 
@@ -80,8 +80,7 @@ def import_files(
         report["findings"] += _compared(read, table, report["findings"])
     earlier = ledger.same_file(component.name, about.digest) if about.digest else None
     if earlier is not None and not refused:
-        message = TWICE.format(number=earlier.id, file=earlier.filename, name=component.name)
-        report["findings"].append(RigFinding("twice", message).body())
+        report["findings"].append(RigFinding("twice", TWICE.format(earlier)).body())
     if not refused and dry_run:
         named = [key for piece in pieces() for key in keys(piece)]
         distinct = set(named)  # a row that stands twice in the file is loaded once

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
+from scipy.special import chdtri, ndtri, stdtrit
 
 from ..table.polynomial import terms_of
 from ..table.rows import ZERO_LOAD, Floats, LoadRange, Rows
@@ -165,7 +165,11 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     size = np.where(np.abs(mean) > half_width, mean, 0.0)
     # A rig that drifts in one output, or whose sessions differ in one, does so in all.
     by_kind, means = (values[2:].reshape(4, count, outputs) for values in (size, mean))
-    is_shown = by_kind.any(axis=(1, 2))
+    is_shown = np.asarray(by_kind.any(axis=(1, 2)))
+    # Noise of outputs is independent: all of them show a drift of the scale that none does alone.
+    half = half_width[2 + 2 * count : 2 + 3 * count]
+    far = (ndtri(CHANCE / 2) * means[2] / np.where(half > 0, half, np.inf)) ** 2
+    is_shown[2] |= (far.sum(axis=1) > chdtri(outputs, CHANCE)).any()
     by_kind[is_shown] = means[is_shown]
     ends = [1, 2, 2 + count, 2 + 2 * count]
     zero, loop, drift, offset, scale = np.split(size.copy(), ends)
@@ -178,7 +182,8 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     # Answers have the scale of the session at their load, and the part may have that of another.
     known = np.where(half_width[-count:] > 0, deviation[-count:], np.inf)
     width = np.minimum(known, SCALE * largest) * DEFAULTS.half_width
-    bar += 2 * np.where(is_shared & ~told, np.abs(mean[-count:]) + width, 0.0).max(axis=0)
+    is_open = is_shared & ~told & (count > 1)
+    bar += 2 * np.where(is_open, np.abs(mean[-count:]) + width, 0.0).max(axis=0)
     # Where sessions differ, what they have in common is no displacement of the part either.
     common = np.abs(mean[0]) + DEFAULTS.half_width * deviation[0]
     bar += np.where(offset.any(axis=0), common, 0.0)
