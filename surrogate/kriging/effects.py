@@ -198,8 +198,9 @@ def _is_left(parts: Floats, loads: Floats, degree: int) -> NDArray[np.bool_]:
     terms = np.column_stack([loads[:, :1] ** 0, *(loads ** (1 + k) for k in range(degree))])
     left, sizes, _ = np.linalg.svd(terms, full_matrices=False)
     basis = left[:, sizes > RANK * sizes.max(initial=0.0)]
-    off = parts - basis @ (basis.T @ parts)
-    return np.asarray((off**2).sum(axis=1) > SHARED * (parts**2).sum(axis=1))
+    off, square = parts - basis @ (basis.T @ parts), (parts**2).sum(axis=1)
+    least = np.minimum(square, square.sum(axis=0) - square)  # a session beside a few other rows
+    return np.asarray((off**2).sum(axis=1) > SHARED * least)
 
 
 def _reach(moved: Floats, good: Indices, session: Indices) -> Floats:
