@@ -586,7 +586,7 @@ class ImportFinding(Message):
         str,
         Doc(
             "dead, noise, clipped, stuck, outlier, sentinel, sign, unit, lever, asymmetry, "
-            "clearance, campaign, solves, drift, hysteresis, session, zero, clock"
+            "clearance, campaign, solves, drift, hysteresis, session, scale, zero, clock, twice"
         ),
     ]
     message: Annotated[str, Doc("the error, its size and the remedy")]

@@ -260,7 +260,7 @@ class Table:
         """Return the coverage of the load range by the table, as JSON-able values."""
         summary = self.groups[0].coverage_summary() | {
             "table_version": self.version,
-            "rig_error": self.rig_error.tolist(),
+            "rig_error": [None if bar != bar else bar for bar in self.rig_error.tolist()],
             **row_conflicts(self.rows, self.load_range),
             "noise_of_a_reading": [
                 None if noise != noise else noise for noise in self.observation_noise.tolist()

@@ -239,6 +239,13 @@ def imports(db: Connection, component: str, most: int = 1000) -> list[ImportReco
     return [ImportRecord(*record) for record in db.execute(select, (component, most))]
 
 
+def same_file(db: Connection, component: str, digest: str) -> ImportRecord | None:
+    """Return the newest import of a file with this SHA-256 whose rows are not all withdrawn."""
+    known = (one for one in imports(db, component) if one.digest == digest)
+    live = (one for one in known if _chosen(db, component, one.id, (), withdrawn=False, most=1))
+    return next(live, None)
+
+
 def import_of(db: Connection, seq: int) -> ImportRecord | None:
     """Return the import that brought a row; None if it was solved."""
     where = "first <= ? AND last >= ? ORDER BY first DESC LIMIT 1"

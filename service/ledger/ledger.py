@@ -171,6 +171,7 @@ class Ledger:
     append_rows = _writes(import_sql.append_rows)
     edit_import = _writes(import_sql.edit_import)
     imports = _reads(import_sql.imports)
+    same_file = _reads(import_sql.same_file)
     stored_numbers = _reads(import_sql.stored_numbers)
     import_of = _reads(import_sql.import_of)
     import_spans = _reads(import_sql.import_spans)

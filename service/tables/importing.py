@@ -19,9 +19,15 @@ from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.surrogate.findings.comparison import MAX_ROWS as MAX_COMPARED
 from wrenchbook.surrogate.findings.comparison import comparison_findings
 from wrenchbook.surrogate.findings.find import MAX_ROWS
+from wrenchbook.surrogate.findings.response import RigFinding
 from wrenchbook.surrogate.table.compliance import fit_compliance
 
 SAME = 1e-12  # of a number: what an export in other units and its import may lose
+TWICE = (
+    "import {0.id} has rows of this very file ({0.filename}), read with other options: unless they "
+    "are others, such as of another sheet, each test counts twice, and answers are between both. "
+    "Withdraw the wrong import: wrenchbook withdraw {0.component} {0.id}, or this one"
+)
 _MAX_TRIED = 16  # stored rows of nearly one sum that a row is compared with; others hardly occur
 
 # By component: its setup and number of solves, and their compliance.
@@ -72,6 +78,9 @@ def import_files(
 
     if table is not None and not refused:
         report["findings"] += _compared(read, table, report["findings"])
+    earlier = ledger.same_file(component.name, origin.digest) if origin.digest else None
+    if earlier is not None and not refused:
+        report["findings"].append(RigFinding("twice", TWICE.format(earlier)).body())
     if not refused and dry_run:
         named = [key for piece in pieces() for key in keys(piece)]
         distinct = set(named)  # a row that stands twice in the file is loaded once
@@ -93,6 +102,10 @@ def import_files(
         blocks = (NotedRows(piece, piece.note) for piece in pieces())
         load = ledger.append_rows if append else ledger.import_rows
         inserted, existing, number = load(component.name, blocks, origin)
+    if not inserted:  # all rows were there already, and none counts twice
+        report["findings"] = [
+            finding for finding in report["findings"] if finding["cause"] != "twice"
+        ]
     rows = report.pop("rows")
     good = rows.pop("good")
     return {

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..kriging.effects import PLACE
 from ..table.polynomial import terms_of
 from ..table.rows import ROUNDING, ZERO_LOAD, Floats, LoadRange, Rows
 from ..table.space import LOADS, OUTPUTS
@@ -78,6 +79,20 @@ def channel_findings(
     some = np.isfinite(moved).any(axis=1)
     sound = Rows.of(rows.wrench[some], moved[some], seq=rows.seq[some], source=rows.source[some])
     return sound, findings
+
+
+def dead_channels(rows: Rows, load_range: LoadRange) -> NDArray[np.bool_]:
+    """Return which outputs (m,) of measured rows stay at one value while their own load varies.
+
+    A planar test may fill others with zeros: there the own load rests, but for its sensor's noise.
+    """
+    moved = rows.displacement
+    if len(rows) < MIN_ROWS or not rows.space.is_default or (rows.source == "fea").any():
+        return np.zeros(moved.shape[1], dtype=bool)
+    low, high = np.fmin.reduce(moved), np.fmax.reduce(moved)
+    is_equal = high - low <= ROUNDING * np.fmax(np.abs(low), np.abs(high))
+    varies = np.ptp(rows.wrench / load_range.scale, axis=0) > 2 * PLACE
+    return (np.isfinite(moved).sum(axis=0) >= MIN_ROWS) & is_equal & varies
 
 
 def _broken(terms: Floats, y: Floats) -> list[Broken]:

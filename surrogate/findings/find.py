@@ -14,7 +14,7 @@ import numpy as np
 from ..kriging.effects import Effects, Indices, effects_of
 from ..table.rows import Floats, LoadRange, Rows
 from ..table.space import OUTPUTS
-from .channels import channel_findings
+from .channels import channel_findings, dead_channels
 from .contract import (
     clearance_findings,
     fit_of,
@@ -41,6 +41,8 @@ EFFECTS: dict[Cause, str] = {
     "session": "sessions differ by up to {part:.1%} of the range of {name} from their mean, "
     "whatever the load: return to zero before each, and import with a zero offset. Answers are "
     "those of the mean",
+    "scale": "a scale changes with the time or between sessions, by up to {part:.1%} of the range "
+    "of {name}: calibrate the rig before each, and look for play. Error bars hold all of them",
     "zero": "{name} is {part:.1%} of its range at no load: import with a zero offset, unless the "
     "part is preloaded, has a play, or the reference of its displacement is another one",
 }
@@ -108,13 +110,15 @@ def without_effects(rows: Rows, load_range: LoadRange) -> tuple[Rows, Floats]:
     rows : Rows
     rig_error : ndarray, shape (6,), m and rad
         From the middle of both branches, of the time and of the sessions to the farthest of each.
+        NaN of a dead channel: nothing is known of what it did not read.
     """
     indices, effects = _effects(rows, load_range)
+    dead = np.where(dead_channels(rows, load_range), np.nan, 0.0)
     if effects is None or not effects.bar.any():
-        return rows, np.zeros(rows.displacement.shape[1])
+        return rows, dead
     displacement = rows.displacement.copy()
     displacement[indices] -= effects.of_rows
-    return replace(rows, displacement=displacement), effects.bar
+    return replace(rows, displacement=displacement), effects.bar + dead
 
 
 def loop_of(rows: Rows, load_range: LoadRange) -> tuple[Floats, Floats]:
@@ -151,6 +155,7 @@ def effect_findings(effects: Effects, displacement: Floats) -> list[RigFinding]:
         ("hysteresis", "loop", np.abs(effects.loop)[None]),
         ("drift", "drift", effects.drift),
         ("session", "offset", effects.session),
+        ("scale", "scale", effects.scale),
         ("zero", "offset", effects.zero[None]),
     )
     for cause, entry, sizes in causes:

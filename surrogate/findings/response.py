@@ -54,7 +54,9 @@ Cause = Literal[
     "hysteresis",
     "clock",
     "session",
+    "scale",
     "zero",
+    "twice",
 ]
 MAX_LISTED_ROWS = 500  # of a finding: a page's list; `count` has their number
 

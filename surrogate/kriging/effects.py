@@ -3,7 +3,8 @@
 Readings are y = f(w) + Z b + e: f a Gaussian process with a linear mean, f(0) = 0, e noise, and Z
 known of each row: 1 (the zero offset), which session it is of, the time within it, and the sign of
 the output's motion since the load before, times the output's range in the session over that in its
-widest one: while a load is held it keeps its branch. With the
+widest one: while a load is held it keeps its branch. A scale that drifts, or differs between
+sessions, is the time or the session times a polynomial of the loads for f. With the
 covariance K = U L U' of f, D = 1 / (L + v) and B = U' (F, Z), F the mean's terms,
 
     b = (B' D B + s^2 / P)^-1 B' D U' y,    covariance s^2 (B' D B + s^2 / P)^-1
@@ -22,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
+from scipy.special import chdtri, ndtri, stdtrit
 
 from ..table.polynomial import terms_of
 from ..table.rows import ZERO_LOAD, Floats, LoadRange, Rows
@@ -44,6 +45,13 @@ CHANCE = 3e-4
 # polynomial of the loads can do what the effect does: slow loads are a function of time.
 MISFIT = 3e-4
 PRIOR = 0.3  # deviation of effects, spreads of the output: a tenth of its range
+# Deviation of a session's scale: two differ by 5 % at two deviations. Class 3 of ISO 7500-1 allows
+# 3 % of a force, and class 2 of ISO 9513 2 % of a displacement.
+SCALE = 0.0177
+# Of a session's squared response, that no cubic of each load does. With less its scale may be the
+# part's response, as of tension in one session and compression in another. A straight line does all
+# of it where an axis is in one session alone: there is no other scale to differ from.
+SHARED = 0.1
 # Half ranges: a response may have a kink at no load. Readings there tell an offset, and else those
 # on both sides of it, where polynomials fit them far better than it is large.
 NO_LOAD = 0.01
@@ -72,6 +80,8 @@ class Effects(NamedTuple):
         From unloading to loading.
     drift, session : ndarray, shape (s, m)
         Of each session from its first row to its last, and off the mean of the sessions.
+    scale : ndarray, shape (2 s, m)
+        Both of the scale, at the largest displacement from that at no load.
     bar : ndarray, shape (m,)
         How far the part may be from rows without these effects, which are in the middle of the
         loop, of the time and of the sessions: the far ends of the intervals.
@@ -85,6 +95,7 @@ class Effects(NamedTuple):
     loop: Floats
     drift: Floats
     session: Floats
+    scale: Floats
     bar: Floats
     of_rows: Floats
     loop_hidden: Floats
@@ -111,14 +122,22 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     if len(good) > SAMPLE:
         good = np.sort(np.random.default_rng(0).choice(good, SAMPLE, replace=False))
     steps = terms_of(loads, len(np.unique(place)))
-    terms = steps[good]
+    terms, shown = steps[good], np.isfinite(moved[good]).T
+    response = np.zeros((terms.shape[1], outputs))
+    for output, known in enumerate(shown):
+        fit = np.linalg.lstsq(terms[known], moved[good[known], output], rcond=RANK)[0]
+        response[1:, output] = fit[1:]
+    scaled = steps @ response
+    largest = np.abs(scaled[good]).max(axis=0, initial=0.0)
+    scaled /= np.where(largest > 0, largest, 1.0)
+    parts = (session[good] == np.arange(count)[:, None])[:, :, None] * scaled[good]
+    told, is_shared = (_is_left(parts, loads[good], degree) for degree in (3, 1))
     for at in members:
         first = np.unique(place[at])
         steps[first[1:]] -= steps[first[:-1]]
         steps[first[:1]] = 0.0
     steps = steps[place]  # a load that stays at its place keeps the branch that it came by
-    mean, deviation, half_width = np.zeros((3, 2 + 2 * count, outputs))
-    shown = np.isfinite(moved[good]).T
+    mean, deviation, half_width = np.zeros((3, 2 + 4 * count, outputs))
     evidence: dict[int, tuple[Floats, Floats]] = {}
     for output in np.flatnonzero(shown.any(axis=1)).tolist():
         known = shown[output]
@@ -134,29 +153,54 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     for _ in range(2):
         for known in np.unique(shown[some], axis=0):
             these, of = np.flatnonzero(some & (shown == known).all(axis=1)), good[known]
-            part = _estimated(
-                rows.take(of), load_range, these, signs[np.ix_(of, these)], middle[of]
+            time, signed, gain = (
+                middle[of][:, :, None],
+                *np.stack((signs, scaled))[:, of][:, :, None],
             )
+            columns = np.concatenate((signed, time + 0 * gain, time * gain), axis=1)[..., these]
+            part = _estimated(rows.take(of), load_range, these, columns, SCALE * largest[these])
             mean[:, these], deviation[:, these], half_width[:, these] = part
         some = np.abs(mean[1]) > half_width[1]
         shown[some] &= signs[good][:, some].T != 0
     size = np.where(np.abs(mean) > half_width, mean, 0.0)
-    offset = size[2 + count :]
     # A rig that drifts in one output, or whose sessions differ in one, does so in all.
-    by_kind, means = (values[2:].reshape(2, count, outputs) for values in (size, mean))
-    is_shown = by_kind.any(axis=(1, 2))
+    by_kind, means = (values[2:].reshape(4, count, outputs) for values in (size, mean))
+    is_shown = np.asarray(by_kind.any(axis=(1, 2)))
+    # Noise of outputs is independent: all of them show a drift of the scale that none does alone.
+    half = half_width[2 + 2 * count : 2 + 3 * count]
+    far = (ndtri(CHANCE / 2) * means[2] / np.where(half > 0, half, np.inf)) ** 2
+    is_shown[2] |= (far.sum(axis=1) > chdtri(outputs, CHANCE)).any()
     by_kind[is_shown] = means[is_shown]
+    ends = [1, 2, 2 + count, 2 + 2 * count]
+    zero, loop, drift, offset, scale = np.split(size.copy(), ends)
+    by_kind[3] *= told
     most = np.where(size != 0, np.abs(size) + half_width, 0.0)
-    zero, loop, drift, _ = np.split(size, [1, 2, 2 + count])
     for output in np.flatnonzero(loop).tolist():
         signs[:, output] = extent[:, output] * sure_directions(*evidence[output], steps)
-    bar = most[1] + 0.5 * most[2 : 2 + count].max(axis=0) + most[2 + count :].max(axis=0)
+    bar, kinds = most[1], most[2:].reshape(4, count, outputs).max(axis=1)
+    bar += 0.5 * kinds[0] + kinds[1] + 0.5 * kinds[2] + kinds[3]
+    # Answers have the scale of the session at their load, and the part may have that of another.
+    known = np.where(half_width[-count:] > 0, deviation[-count:], np.inf)
+    width = np.minimum(known, SCALE * largest) * DEFAULTS.half_width
+    is_open = is_shared & ~told & (count > 1)
+    bar += 2 * np.where(is_open, np.abs(mean[-count:]) + width, 0.0).max(axis=0)
     # Where sessions differ, what they have in common is no displacement of the part either.
     common = np.abs(mean[0]) + DEFAULTS.half_width * deviation[0]
     bar += np.where(offset.any(axis=0), common, 0.0)
     hidden = np.where(half_width[1] > 0, 2 * half_width[1], np.inf)
-    of_rows = signs * loop + middle @ size[2:]
-    return Effects(zero[0], 2 * loop[0], drift, offset, bar, of_rows, hidden)
+    of_rows = signs * loop + middle @ size[2 : 2 + 2 * count]
+    of_rows += scaled * (middle @ size[2 + 2 * count :])
+    return Effects(zero[0], 2 * loop[0], drift, offset, scale, bar, of_rows, hidden)
+
+
+def _is_left(parts: Floats, loads: Floats, degree: int) -> NDArray[np.bool_]:
+    """Return which parts (s, n, m) are no polynomial of each load (n, 6) of this degree, (s, m)."""
+    terms = np.column_stack([loads[:, :1] ** 0, *(loads ** (1 + k) for k in range(degree))])
+    left, sizes, _ = np.linalg.svd(terms, full_matrices=False)
+    basis = left[:, sizes > RANK * sizes.max(initial=0.0)]
+    off, square = parts - basis @ (basis.T @ parts), (parts**2).sum(axis=1)
+    least = np.minimum(square, square.sum(axis=0) - square)  # a session beside a few other rows
+    return np.asarray((off**2).sum(axis=1) > SHARED * least)
 
 
 def _extent(moved: Floats, good: Indices, session: Indices) -> Floats:
@@ -248,11 +292,12 @@ def sure_directions(x: Floats, y: Floats, steps: Floats) -> Floats:
 
 
 def _estimated(
-    rows: Rows, load_range: LoadRange, outputs: Indices, signs: Floats, columns: Floats
+    rows: Rows, load_range: LoadRange, outputs: Indices, columns: Floats, scale: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Return the mean of effects, its deviation, and half the width of the interval to count by.
 
-    Shape (2 + c, k) each, m and rad: the zero offset, those of signs (n, k), and of columns (n, c).
+    Shape (1 + c, k) each, m and rad: the zero offset, and those of columns (n, c, k): signs, and
+    two halves, the second of a deviation `scale`, (k,).
     """
     moved = rows.displacement[:, outputs]
     size, offset = moved.std(axis=0), moved.mean(axis=0)
@@ -260,22 +305,23 @@ def _estimated(
     x = (rows.wrench - load_range.space.zero) / load_range.scale
     linear = x[:, np.ptp(x, axis=0) > ZERO_LOAD]
     first, terms = linear.shape[1], terms_of(x)[:, 1:]
-    count = first + 2 + columns.shape[1]
-    free = n - count
+    sessions, count = columns.shape[1] // 4, first + 1 + columns.shape[1]
+    free = n - first - 2 - np.count_nonzero(columns[:, 1:].any(axis=(0, 2)))
     if free < 1:
         none = np.zeros((count - first, len(outputs)))
         return none, none, none
-    prior = np.zeros(count)
-    prior[first + 1 :] = PRIOR**-2
     contrasts = np.eye(count)[first:]
-    sessions = columns.shape[1] // 2
-    contrasts[-sessions:, -sessions:] -= 1 / sessions  # off their mean
-    contrasts[0, -2 * sessions : -sessions] = -0.5 / sessions  # at the beginning
+    for end in (count, count - 2 * sessions):  # off their mean
+        contrasts[end - first - sessions : end - first, end - sessions : end] -= 1 / sessions
+    contrasts[0, first + 2 : first + 2 + sessions] = -0.5 / sessions  # at the beginning
     shape = len(THETAS) * len(PARTS), len(RATIOS), len(outputs)
     values, means, squares = np.empty(shape), *np.empty((2, *shape, count - first))
-    bases, parts = [], []
+    bases, parts, priors = [], [], np.zeros((len(outputs), count))
+    priors[:, first + 1 :] = PRIOR**-2
+    some = (size > 0) & (scale > 0)
+    priors[some, -2 * sessions :] = (size[some, None] / scale[some, None]) ** 2
     for output in range(len(outputs)):
-        b = np.column_stack((linear, np.ones(n), signs[:, output], columns))
+        b = np.column_stack((linear, np.ones(n), columns[:, :, output]))
         # Directions of the columns, and what data are along them: normal equations then keep
         # their digits.
         left, sizes, right = np.linalg.svd(b, full_matrices=False)
@@ -291,7 +337,7 @@ def _estimated(
             b, data = vectors.T @ basis, vectors.T @ (y[:, output] - basis @ along)
             products = b[:, :, None] * b[:, None]
             normal = (inverse @ products.reshape(n, -1)).reshape(len(RATIOS), *[b.shape[1]] * 2)
-            pull = parts[output].T * prior @ parts[output]
+            pull = parts[output].T * priors[output] @ parts[output]
             right, square = inverse @ (b * data[:, None]), inverse @ data**2
             # The prior counts relative to the process variance, which follows from it.
             variance, posterior, covariances, estimate = np.ones(len(RATIOS)), *(normal,) * 2, right
@@ -318,7 +364,7 @@ def _estimated(
     half_width, freedom = np.empty_like(deviation), np.full(len(deviation), float(free))
     misfits = np.empty(len(outputs))
     for output in range(len(outputs)):
-        b = np.column_stack((terms, np.ones(n), signs[:, output], columns))
+        b = np.column_stack((terms, np.ones(n), columns[:, :, output]))
         off_mean = np.eye(b.shape[1])[terms.shape[1] :]
         off_mean[:, first - count :] = contrasts[:, first:]
         left, sizes, right = np.linalg.svd(b, full_matrices=False)
@@ -332,7 +378,7 @@ def _estimated(
         misfit = MISFIT * np.ptp(moved[:, output]) * worst
         deviation[:, output] = np.hypot(deviation[:, output], misfit)
         # Rows at rest tell nothing of a loop.
-        freedom[1] = max(np.count_nonzero(signs[:, output]) - count, 1)
+        freedom[1] = max(np.count_nonzero(columns[:, 0, output]) - n + free, 1)
         half_width[:, output] = np.where(
             shown, -stdtrit(freedom, CHANCE / 2) * deviation[:, output], np.inf
         )

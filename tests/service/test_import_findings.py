@@ -307,3 +307,18 @@ def test_auto_without_a_lag_in_the_logs_is_refused_with_a_remedy(http, motion):
 
 def test_lag_and_offset_are_one_law():
     assert ImportQuery.model_validate({"lag": "0.5"}).options("").time_offset_s == 0.5
+
+
+def test_a_file_that_is_read_twice_in_two_ways_is_named_with_its_earlier_import(http, rig):
+    add(http, rig)
+    content, other = csv_of(rig.measured()), {"load_cell": "fixed"}
+    first = send(http, content, load_cell="moving").json()["import"]
+    assert send(http, content, load_cell="moving").json()["findings"] == []  # the same rows
+    for query in ({"dry_run": True}, {}):
+        (found,) = send(http, content, **other, **query).json()["findings"]
+        assert found["cause"] == "twice"
+        assert f"withdraw rig {first}" in found["message"]
+    last = http.get("/v1/components/rig/imports").json()["imports"][0]["id"]
+    for number in (first, last):
+        http.delete(f"/v1/components/rig/imports/{number}")
+    assert send(http, content, frame="x=-y,y=x,z=z").json()["findings"] == []

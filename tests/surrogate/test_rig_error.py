@@ -189,3 +189,15 @@ def test_the_offset_of_a_session_counts_once() -> None:
     alone = without_effects(rows, RANGE)[1]
     np.testing.assert_allclose(build(rows, RANGE).rig_error, alone, rtol=0.05)
     assert (alone > 0.015 * size).all()
+
+
+@pytest.mark.parametrize(("load", "error"), [(1.0, None), (0.002, 0.0)])
+def test_a_dead_channel_has_no_bar_and_zeros_of_a_planar_test_have(
+    load: float, error: float | None
+) -> None:
+    rows, _ = noisy("smooth", 60, 0.001)
+    wrench, moved = rows.wrench.copy(), rows.displacement.copy()
+    wrench[:, 2], moved[:, 2] = load * wrench[:, 2], 0.0
+    table = build(replace(rows, wrench=wrench, displacement=moved), RANGE)
+    assert table.coverage_summary()["rig_error"][2] == error
+    assert (packed_of(table).answer(wrench[0]).error[2] is None) == (error is None)

@@ -234,3 +234,49 @@ def test_a_drift_that_one_output_shows_leaves_them_all() -> None:
     left, error = without_effects(rows, LoadRange(-np.ones(6), np.ones(6)))
     assert (error > 0.004).all()
     assert np.abs(left.displacement - part).max() < 1e-3
+
+
+@pytest.mark.parametrize("kind", ["random", "motion"])
+def test_a_scale_that_drifts_leaves_the_rows(kind: str) -> None:
+    """Of the true values 42 % were inside of the error bars."""
+    for seed in SEEDS:
+        rig = rig_of(seed, kind)
+        rows, part = rig.measured(), rig.displacement
+        gain = 1 + 0.03 * np.linspace(-0.5, 0.5, len(rows))[:, None]
+        left, error = without_effects(
+            replace(rows, displacement=gain * rows.displacement), rig.range
+        )
+        off = left.displacement - rows.displacement
+        assert (np.abs(off).max(axis=0) < 0.25 * np.abs((gain - 1) * part).max(axis=0)).all()
+        assert (error > 0.01 * np.abs(part).max(axis=0)).all()
+
+
+def axial(seed: int, axes: tuple[int, int], scale: float) -> tuple[Rig, Rows]:
+    """Return two sessions, up an axis, and down the same one or another, of another scale."""
+    rig, ramp = rig_of(seed), np.interp(np.arange(100) % 50, [0, 25, 50], [0, 1, 0])
+    rig.wrench = np.zeros((200, 6))
+    rig.wrench[:100, axes[0]], rig.wrench[100:, axes[1]] = ramp, -ramp
+    rig.wrench *= rig.high
+    rig.displacement = rig.respond(rig.wrench)
+    rig.size = np.ptp(rig.displacement, axis=0)
+    rows, session = rig.measured(), np.repeat([1.0, 2.0], 100)
+    moved = rows.displacement * np.where(session == 2, scale, 1.0)[:, None]
+    return rig, replace(rows, displacement=moved, session=session)
+
+
+@pytest.mark.parametrize("scale", [0.95, 1.0, 1.05])
+def test_bars_hold_another_scale_of_tension_than_of_compression(scale: float) -> None:
+    for seed in SEEDS:
+        rig, rows = axial(seed, (2, 2), scale)
+        left, error = without_effects(rows, rig.range)
+        np.testing.assert_array_equal(left.displacement, rows.displacement)
+        moves = rig.size > 1e-3 * rig.size.max()
+        wrong = abs(scale - 1) * np.abs(rig.displacement[100:]).max(axis=0)
+        assert (error > 0.9 * wrong)[moves].all()
+        assert (error < 0.06 * rig.size)[moves].all()
+
+
+def test_sessions_of_different_axes_have_no_scale_to_compare() -> None:
+    for seed in SEEDS:
+        rig, rows = axial(seed, (2, 4), 1.0)
+        assert not without_effects(rows, rig.range)[1].any()
