@@ -481,8 +481,8 @@ def _check_locked(
     problems += [
         BundleProblem(
             f"{interface.key}.locked",
-            "a single locked rotation is none of the motion from the tightened part; lock two or "
-            'none, or write zero = "untightened" under [analysis]',
+            "a single locked rotation leaves the motion from the tightened part undefined; lock "
+            'none or two, or write zero = "untightened" under [analysis]',
         )
         for interface in interfaces
         if turned and sum(name.startswith("r") for name in interface.locked) == 1

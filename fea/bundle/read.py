@@ -251,7 +251,7 @@ class _Reader:
         measured = "mesh" not in self.table and "deck" not in self.table
         interfaces = self.read_each("interface", MeasuredInterface if measured else NamedInterface)
         if len(interfaces) == 1:
-            message = "is one alone; write [interface], without a name, or add others"
+            message = "is the only interface; write [interface], without a name, or add others"
             self.wrong("interface", message)
         valid = [interface for interface in interfaces if interface is not None]
         if len({interface.name for interface in valid}) < len(valid):
@@ -264,7 +264,7 @@ class _Reader:
     def range(self, several: list[Any]) -> DeclaredRange | None:
         """Return ``[range]``, or the ranges of several interfaces in their order."""
         if "range" in self.table and several:
-            message = "is of each [[interface]]; write range = {force, moment} there"
+            message = "belongs under each [[interface]]; write range = {force, moment} there"
             self.wrong("range", message)
         if several:
             ranges = [interface and interface.range for interface in several]

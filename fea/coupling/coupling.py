@@ -244,14 +244,14 @@ class Coupling:
     def spring_energy(self, state: CoupledState) -> float:
         """Return the energy of the springs, J."""
         motions, _ = self._unknowns(state)
-        parts = [(spring_motion.relative(motions[at])[0], k) for at, _, k in self._springs]
+        parts = [(spring_motion.relative_motion(motions[at])[0], k) for at, _, k in self._springs]
         return float(sum(0.5 * q @ k @ q for q, k in parts))
 
     def spring_energies(self, border: Array) -> Array:
         """Return twice the springs' mutual energies, shape (k, k), J, of borders (border, k)."""
         total = np.zeros((border.shape[1],) * 2)
         for at, where, spring in self._springs:
-            motions = spring_motion.relative(np.zeros(len(at)))[1] @ border[where]
+            motions = spring_motion.relative_motion(np.zeros(len(at)))[1] @ border[where]
             total += motions.T @ spring @ motions
         return total
 
@@ -294,7 +294,7 @@ class Coupling:
             border[attached.border] = unbalanced[attached.chosen]
         motions, _ = self._unknowns(state)
         for at, where, spring in self._springs:
-            q, change = spring_motion.relative(motions[at])
+            q, change = spring_motion.relative_motion(motions[at])
             border[where] += change.T @ (spring @ q)
         border[self._anchored] = nodal[self._anchors].ravel()
         return nodal, border
@@ -322,7 +322,7 @@ class Coupling:
             ]
         motions, _ = self._unknowns(state)
         for at, where, spring in self._springs:
-            block[np.ix_(where, where)] += spring_motion.tangent(motions[at], spring)
+            block[np.ix_(where, where)] += spring_motion.energy_hessian(motions[at], spring)
         pushed = columns[self._anchors].reshape(len(self._anchored), self.border)
         block[self._anchored] += pushed
         block[:, self._anchored] += pushed.T
@@ -364,7 +364,10 @@ class Coupling:
         """
         total, (motions, _) = np.zeros((border.shape[1],) * 3), self._unknowns(state)
         for at, where, spring in self._springs:
-            tensor, moved = spring_motion.third(motions[at], spring), border[where]
+            tensor, moved = (
+                spring_motion.energy_third_derivatives(motions[at], spring),
+                border[where],
+            )
             total += np.einsum("ijk,ia,jb,kc->abc", tensor, moved, moved, moved, optimize=True)
         origins = np.append(origin, np.zeros(self._sprung))
         for attached, local in self._parts(state):

@@ -20,22 +20,22 @@ _STEP = 1e-3  # rad
 _SLOPE = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}  # weights of a first derivative
 
 
-def relative(motions: Array) -> tuple[Array, Array]:
+def relative_motion(motions: Array) -> tuple[Array, Array]:
     """Return q, (6,), m and rad, of one frame's motion, (6,), or two, (12,), and B, (6, k)."""
-    return _with_change(motions, _turned(motions))
+    return _motion_and_jacobian(motions, _relative_rotation(motions))
 
 
-def tangent(motions: Array, stiffness: Array) -> Array:
+def energy_hessian(motions: Array, stiffness: Array) -> Array:
     """Return the second derivatives of the energy by the motions, shape (k, k)."""
-    (q, change), columns = relative(motions), []
-    turned, rate = q[3:], change[3:]
+    (q, jacobian), columns = relative_motion(motions), []
+    turned, rate = q[3:], jacobian[3:]
     for unit in 1j * _COMPLEX_STEP * np.eye(len(motions)):
-        q, ahead = _with_change(motions + unit, turned + rate @ unit)
-        columns.append(np.imag(ahead.T @ stiffness @ q) / _COMPLEX_STEP)
+        q, jacobian = _motion_and_jacobian(motions + unit, turned + rate @ unit)
+        columns.append(np.imag(jacobian.T @ stiffness @ q) / _COMPLEX_STEP)
     return np.stack(columns, axis=1)
 
 
-def third(motions: Array, stiffness: Array) -> Array:
+def energy_third_derivatives(motions: Array, stiffness: Array) -> Array:
     """Return the third derivatives of the energy by the motions, shape (k, k, k).
 
     Those by translations alone are zero: at fixed rotations the energy is quadratic.
@@ -43,25 +43,28 @@ def third(motions: Array, stiffness: Array) -> Array:
     tensor = np.zeros((len(motions),) * 3)
     for turn in (3, 4, 5, 9, 10, 11) if len(motions) == 12 else ():
         unit = _STEP * np.eye(12)[turn]
-        slope = sum(w * tangent(motions + n * unit, stiffness) for n, w in _SLOPE.items()) / _STEP
+        slope = (
+            sum(w * energy_hessian(motions + n * unit, stiffness) for n, w in _SLOPE.items())
+            / _STEP
+        )
         tensor[turn], tensor[:, turn], tensor[:, :, turn] = slope, slope, slope
     return tensor
 
 
-def _turned(motions: Array) -> Array:
+def _relative_rotation(motions: Array) -> Array:
     """Return the rotation vector of q, shape (3,), rad."""
     *_, first, _, last = np.append(np.zeros(12 - len(motions)), motions).reshape(4, 3)
     return rotation_vector(rotation(first).T @ rotation(last))
 
 
-def _with_change(motions: Array, turned: Array) -> tuple[Array, Array]:
+def _motion_and_jacobian(motions: Array, turned: Array) -> tuple[Array, Array]:
     """Return q and B, (6,) and (6, k), of motions (k,) by the rotation vector of q."""
     if len(motions) == 6:
         return motions, np.eye(6)
-    place, first, other, second = motions.reshape(4, 3)
-    back, spin = rotation(first).T, spin_per_vector(first)
+    t1, r1, t2, r2 = motions.reshape(4, 3)
+    back, spin = rotation(r1).T, spin_per_vector(r1)
     rate = np.linalg.inv(spin_per_vector(turned)) @ back
     zero = np.zeros((3, 3))
-    shifts = [-back, back @ skew(other - place) @ spin, back, zero]
-    turns = [zero, -rate @ spin, zero, rate @ spin_per_vector(second)]
-    return np.append(back @ (other - place), turned), np.block([shifts, turns])
+    shifts = [-back, back @ skew(t2 - t1) @ spin, back, zero]
+    turns = [zero, -rate @ spin, zero, rate @ spin_per_vector(r2)]
+    return np.append(back @ (t2 - t1), turned), np.block([shifts, turns])

@@ -144,8 +144,9 @@ def tabulate(kind: str, points: Array) -> tuple[Array, Array]:
     return np.stack(values, axis=1), np.moveaxis(np.stack(slopes), (0, 1, 2), (1, 2, 0)).copy()
 
 
-# Shape functions that scikit-fem has not, each a product of factors: those of the first order, then
-# a fourth of those of edges' middles.
+# Shape functions that scikit-fem lacks, each a word: the product of its letters, which are the
+# factors of `_products`. The functions of corners come first. Those of the edges' middles are four
+# times their words.
 _PYRAMID = "dqs dps dpr dqr h"
 _PRODUCTS = {
     "wedge15": "ad bd cd ah bh ch abd bcd cad abh bch cah adh bdh cdh",

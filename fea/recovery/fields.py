@@ -32,26 +32,19 @@ class SolveFields:
     # Whether the slopes are the complete answer: fields = slopes @ inputs, a temperature among them
     # from its reference.
     linear: bool
-    # vertices, triangles: shape (v, 3), m, undeformed, and (t, 3), int32
-    vertices: Array
-    triangles: Array
+    vertices: Array  # shape (v, 3), m, undeformed
+    triangles: Array  # shape (t, 3), int32
     full_vertices: int  # of the outer surface before it was simplified
-    # displacement, displacement_slopes: Shapes (v, 3), m, and (v, 3, k), m/N, m/(N·m) and m/K: its
-    # change with the inputs.
-    displacement: Array
-    displacement_slopes: Array
-    # stress, stress_slopes: Shapes (p, 6), Pa (Cauchy's: xx, yy, zz, xy, xz, yz), and (p, 6, k),
-    # Pa/N, Pa/(N·m), Pa/K; p = 0 where there are more points than `MAX_POINTS`.
-    stress: Array
-    stress_slopes: Array
-    # places, materials: Shapes (p, 3), m, undeformed, and (p,), int32, index into `regions`
-    places: Array
-    materials: Array
+    displacement: Array  # shape (v, 3), m
+    displacement_slopes: Array  # shape (v, 3, k), m/N, m/(N·m), m/K: change with each input
+    # Of p integration points; p = 0 where there are more than `MAX_POINTS`.
+    stress: Array  # shape (p, 6), Pa, Cauchy's: xx, yy, zz, xy, xz, yz
+    stress_slopes: Array  # shape (p, 6, k), Pa/N, Pa/(N·m), Pa/K
+    places: Array  # shape (p, 3), m, undeformed
+    materials: Array  # shape (p,), int32, index into `regions`
     regions: tuple[str, ...]  # the materials' regions
-    # largest, largest_at, largest_region: the largest von Mises stress over all integration points,
-    # Pa, its point, m, and region.
-    largest: float
-    largest_at: tuple[float, float, float]
+    largest: float  # von Mises stress over all integration points, Pa
+    largest_at: tuple[float, float, float]  # its point, m
     largest_region: str
     weight: bool = False  # whether self-weight or preload of bolts acts
 
@@ -63,7 +56,7 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
     solution: with its `tangents`.
     """
     linear, axes = not component.analysis.nonlinear, component.axes
-    hangs = component.analysis.gravity is not None or bool(component.bolts)
+    has_preload = component.analysis.gravity is not None or bool(component.bolts)
     nodes = solution.nodes @ axes.T
     assert solution.tangents is not None
     slopes = np.einsum("ij,njk->nik", axes, solution.tangents)
@@ -89,7 +82,7 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
         largest=float(equivalent[worst]),
         largest_at=(float(points[worst, 0]), float(points[worst, 1]), float(points[worst, 2])),
         largest_region=regions[int(materials[worst])],
-        weight=hangs,
+        weight=has_preload,
     )
 
 
@@ -149,9 +142,9 @@ def surface_of(mesh: Mesh, max_vertices: int = MAX_VERTICES) -> Surface:
         )
         merged = box.ravel()[triangles]
         corners = np.sort(merged, axis=1)
-        flat = (corners[:, 0] == corners[:, 1]) | (corners[:, 1] == corners[:, 2])
+        collapsed = (corners[:, 0] == corners[:, 1]) | (corners[:, 1] == corners[:, 2])
         _, once = np.unique(corners, axis=0, return_index=True)
-        chosen = np.intersect1d(once, np.flatnonzero(~flat))
+        chosen = np.intersect1d(once, np.flatnonzero(~collapsed))
         used, renumbered = np.unique(merged[chosen], return_inverse=True)
         chosen, triangles = first[used], renumbered.reshape(-1, 3)
         nodes = nodes[chosen]

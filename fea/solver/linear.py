@@ -61,9 +61,9 @@ def linear_response(system: System) -> LinearResponse:
     energy_gap = float(np.abs((compliance - energies[:loads, :loads]) * unit).max())
     if not max(asymmetry, energy_gap, condition * ROUNDOFF * correction) < _ROUNDOFF:
         raise ill_conditioned(
-            f"The compliance is symmetric to {asymmetry:.1e} and equal to its strain energies to "
-            f"{energy_gap:.1e} only, the last correction was {correction:.1e}: the rest is "
-            f"roundoff (scaled condition about {condition:.0e})."
+            f"Roundoff limits this solve: the compliance is symmetric only to {asymmetry:.1e} and "
+            f"equal to its strain energies only to {energy_gap:.1e}. The last correction was "
+            f"{correction:.1e}, the scaled condition number is about {condition:.0e}."
         )
     compliance = 0.5 * (compliance + compliance.T)
     inputs = system.inputs

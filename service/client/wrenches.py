@@ -60,8 +60,8 @@ def single_wrench(force: ArrayLike, moment: ArrayLike | None = None) -> Vector:
         for name, part in (("force", first), ("moment", second)):
             if part.shape != (3,):
                 raise InvalidArgument(
-                    f"{name} must be three numbers, it has shape {part.shape}; a whole wrench of "
-                    "six goes in as the force alone"
+                    f"{name} must be three numbers, it has shape {part.shape}; to pass all "
+                    "six components, give them as the force and leave the moment out"
                 )
         wrench = np.concatenate([first, second])
     _require_finite(wrench[None, :], "")

@@ -164,7 +164,7 @@ def text_problem(text: str) -> str | None:
     try:
         text.encode()
     except UnicodeEncodeError:
-        return "holds half a character (a lone surrogate); remove it"
+        return "contains an unpaired surrogate (invalid Unicode); remove it"
     return None
 
 

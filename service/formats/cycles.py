@@ -74,7 +74,7 @@ def _retained_rows(rows: ParsedTable, options: Options, report: ReadReport) -> P
     main = int(np.argmax(np.ptp(rows.wrench[:, :loads], axis=0) / size[:loads]))
     name, passes = options.columns.wrench[main], passes_of(rows.wrench[:, main])
     if (count := int(passes.number[-1]) // 2) < options.skip_cycles:
-        message = f"the main load {name} comes back to its first branch {count} times; give less"
+        message = f"the main load {name} comes back to its first branch {count} times; use fewer"
         raise _CycleError("skip_cycles", message)
     retained, omitted = passes.number >= 2 * options.skip_cycles, report.omitted
     load = rows.wrench[:, main]

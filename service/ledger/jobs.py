@@ -466,7 +466,7 @@ def leases(db: Connection) -> dict[str, Heartbeat]:
 
 
 def counts(db: Connection, component: str | None = None) -> dict[str, int]:
-    """Return the number of jobs of each status; those that `Job.is_queued` count as waiting."""
+    """Return the number of jobs of each status; `JobRecord.is_queued` counts as waiting."""
     where = "" if component is None else "WHERE component = :component"
     select = f"SELECT CASE WHEN {_QUEUED} THEN 'waiting' ELSE status END, count(*) FROM jobs"
     records = db.execute(f"{select} {where} GROUP BY 1", {"component": component})

@@ -85,13 +85,15 @@ class Metrics(Collector):
             total = of_route.get(route, [0.0] * len(numbers))
             of_route[route] = [sum(pair) for pair in zip(total, numbers, strict=True)]
         labels = ("route", "method", "status")
-        yield _counters("http_requests", "by route template", labels, requests)
-        text = "from a request's head to the end of its reply"
+        yield _counters(
+            "http_requests", "HTTP requests by route template, method and status", labels, requests
+        )
+        text = "time from a request's head to the end of its reply"
         times = HistogramMetricFamily("wrenchbook_http_request_seconds", text, labels=("route",))
         for route, numbers in of_route.items():
             times.add_metric((route,), cumulative(REQUEST_EDGES, numbers[:-1]), numbers[-1])
         yield times
-        yield _gauge("event_listeners", "of GET /v1/events", listening)
+        yield _gauge("event_listeners", "open connections to GET /v1/events", listening)
         builder = CoordinatorState(self._workspace.settings.data / SHARED).read().pid
         processes: dict[str, Metric] = {}
         for name, pid in (pids | ({"builder": builder} if builder else {})).items():
@@ -125,7 +127,9 @@ class Metrics(Collector):
         yield HistogramMetricFamily("wrenchbook_solve_seconds", text, buckets, read.solve_seconds)
         age = max(0.0, time.time() - read.oldest_waiting) if read.oldest_waiting else 0.0
         yield _gauge("oldest_waiting_seconds", "age of the oldest job", age)
-        yield _gauges("ledger_bytes", "on the disk", "file", ledger.sizes())
+        yield _gauges(
+            "ledger_bytes", "sizes of the ledger's files on the disk", "file", ledger.sizes()
+        )
 
     def _of_workspace(self) -> Iterator[Metric]:
         workspace, now = self._workspace, time.time()
@@ -133,21 +137,25 @@ class Metrics(Collector):
         some = names[:MAX_COMPONENTS]
         known = {name: present[name] for name in some if present.get(name) is not None}
         versions = {name: table.version for name, table in known.items()}
-        yield _gauges("table_version", "that answers", "component", versions)
+        yield _gauges("table_version", "version of the table that answers", "component", versions)
         rows = {name: table.row_count for name, table in known.items()}
-        yield _gauges("table_rows", "that answer", "component", rows)
+        yield _gauges("table_rows", "rows of the table that answers", "component", rows)
         written = {name: workspace.tables.written(name) for name in some}
         ages = {name: max(0.0, now - at) for name, at in written.items() if at is not None}
-        text = "since a table's file was written"
+        text = "time since the table's file was written"
         yield _gauges("table_file_age_seconds", text, "component", ages)
-        yield _gauge("components", "in the library", len(names))
-        yield _gauge("broken_components", "see GET /health/ready", len(workspace.broken()))
-        yield InfoMetricFamily("wrenchbook_build", "what answers", _build())
+        yield _gauge("components", "components in the library", len(names))
+        yield _gauge(
+            "broken_components",
+            "components that cannot be used; GET /health/ready names them",
+            len(workspace.broken()),
+        )
+        yield InfoMetricFamily("wrenchbook_build", "version of the program that answers", _build())
         yield _gauge("ready", "1 if jobs are accepted and solved", int(not workspace.faults()))
-        yield _gauge("solvers", "solves at once of this server", workspace.settings.solvers)
+        yield _gauge("solvers", "solves that this server runs at once", workspace.settings.solvers)
         with contextlib.suppress(OSError):
             free = shutil.disk_usage(workspace.settings.data).free
-            yield _gauge("disk_free_bytes", "where the data directory is", free)
+            yield _gauge("disk_free_bytes", "free space on the disk of the data directory", free)
 
 
 @cache

@@ -119,7 +119,7 @@ class Replica:
                 raise BackupError(f"{self.url} is of a newer wrenchbook; install that to read it")
             numbers = fields["interval"], fields["created"], fields["ledger"][0]
             if not all(0.0 < number < 1e11 for number in numbers):
-                raise ValueError("its interval, its time or its ledger cannot be")
+                raise ValueError("its interval, its time or its ledger is invalid")
             fields.update(_entries({name: fields[name] for name in ("ledger", "files")}))
             return Manifest(**fields)
         except _UNREADABLE as error:
@@ -375,7 +375,7 @@ def is_held(name: str) -> bool:
 def _entries(fields: Mapping[str, Any]) -> dict[str, Entry]:
     for length, blocks in fields.values():
         if -(-length // BLOCK) != len(blocks) or not all(map(_DIGEST.fullmatch, blocks)):
-            raise ValueError("a length or a digest cannot be")
+            raise ValueError("a length or a digest is invalid")
     return {name: (length, tuple(blocks)) for name, (length, blocks) in fields.items()}
 
 

@@ -91,8 +91,13 @@ def dead_channels(rows: Rows, load_range: LoadRange) -> NDArray[np.bool_]:
         return np.zeros(moved.shape[1], dtype=bool)
     low, high = np.fmin.reduce(moved), np.fmax.reduce(moved)
     is_equal = high - low <= ROUNDING * np.fmax(np.abs(low), np.abs(high))
-    varies = np.ptp(rows.wrench / load_range.scale, axis=0) > 2 * PLACE
-    return (np.isfinite(moved).sum(axis=0) >= MIN_ROWS) & is_equal & varies
+    known, loads = np.isfinite(moved), rows.wrench / load_range.scale
+    # Over the rows that measured the output.
+    highest, lowest = (
+        end(np.where(known, loads, np.nan), axis=0) for end in (np.fmax.reduce, np.fmin.reduce)
+    )
+    varies = highest - lowest > 2 * PLACE
+    return (known.sum(axis=0) >= MIN_ROWS) & is_equal & varies
 
 
 def _broken(terms: Floats, y: Floats) -> list[Broken]:

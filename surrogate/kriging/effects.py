@@ -163,18 +163,22 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
         some = np.abs(mean[1]) > half_width[1]
         shown[some] &= signs[good][:, some].T != 0
     size = np.where(np.abs(mean) > half_width, mean, 0.0)
-    # A rig that drifts in one output, or whose sessions differ in one, does so in all.
+    # A rig that drifts in one output, or whose sessions differ in one, does so in all. Where an
+    # output shows no drift of its own, the rows stay as they are and the error bar holds it: the
+    # kinks of a response may be taken for a drift.
     by_kind, means = (values[2:].reshape(4, count, outputs) for values in (size, mean))
     is_shown = np.asarray(by_kind.any(axis=(1, 2)))
     # Noise of outputs is independent: all of them show a drift of the scale that none does alone.
     half = half_width[2 + 2 * count : 2 + 3 * count]
     far = (ndtri(CHANCE / 2) * means[2] / np.where(half > 0, half, np.inf)) ** 2
     is_shown[2] |= (far.sum(axis=1) > chdtri(outputs, CHANCE)).any()
+    own_drift = by_kind[0].copy()
     by_kind[is_shown] = means[is_shown]
     ends = [1, 2, 2 + count, 2 + 2 * count]
     zero, loop, drift, offset, scale = np.split(size.copy(), ends)
     by_kind[3] *= told
     most = np.where(size != 0, np.abs(size) + half_width, 0.0)
+    by_kind[0] = own_drift
     for output in np.flatnonzero(loop).tolist():
         signs[:, output] = extent[:, output] * sure_directions(*evidence[output], steps)
     bar, kinds = most[1], most[2:].reshape(4, count, outputs).max(axis=1)

@@ -11,14 +11,21 @@ from .rows import ZERO_LOAD, Floats
 ROWS_A_TERM = 5  # rows that a term of the polynomial needs at least
 
 
-def terms_of(scaled: Floats, different: int | None = None) -> Floats:
-    """Return the terms (n, t) of a polynomial of third degree in each load, products of two beside.
+def terms_of(scaled: Floats, distinct_rows: int | None = None) -> Floats:
+    """Return the terms of a polynomial in the loads, shape (n, t).
 
-    At scaled loads (n, 6), dimensionless; as many terms as the rows allow, or so many `different`
-    ones.
+    The terms are 1 and each load; then, as long as there are `ROWS_A_TERM` rows for each term, the
+    squares, the cubes and the products of two loads.
+
+    Parameters
+    ----------
+    scaled : ndarray, shape (n, 6)
+        Loads over the load range, dimensionless.
+    distinct_rows : int, optional
+        How many rows count, if some repeat others; n if None.
     """
     used = np.flatnonzero(np.abs(scaled).max(axis=0, initial=0.0) > ZERO_LOAD)
-    loads, count = scaled[:, used], len(scaled) if different is None else different
+    loads, count = scaled[:, used], len(scaled) if distinct_rows is None else distinct_rows
     parts = [np.ones((len(scaled), 1)), loads]
     pairs = [loads[:, i] * loads[:, j] for i, j in combinations(range(len(used)), 2)]
     products = np.stack(pairs, axis=1) if pairs else np.empty((len(scaled), 0))

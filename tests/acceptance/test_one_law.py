@@ -134,7 +134,7 @@ def test_the_questions_reach_all_that_a_reply_can_say(asked):
     assert said["methods"] >= {"griddata", "additive", "kriging", "linear", "row", "estimate"}
     assert said["sources"] >= {None, "table", "fea", "rig"}
     reasons = " ".join(one for reply in replies for one in reply.reasons)
-    for words in ("20 degrees and 10 m", "has exactly this wrench", "not measured in any row: ry"):
+    for words in ("20 degrees or 10 m", "has exactly this wrench", "not measured in any row: ry"):
         assert words in reasons
     for cause in ("table", "mesh", "linearity"):
         assert any(np.nan_to_num(p[cause]).any() for reply in replies for p in reply.parts), cause

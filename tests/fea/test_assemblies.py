@@ -198,7 +198,7 @@ def test_a_spring_between_groups_has_its_derivatives_at_finite_rotations(couplin
     assert bend < 1e-6
     motion = found.state.multipliers[-6:]
     assert (
-        np.abs(spring_motion.relative(np.tile(motion, 2))[0]).max() < 1e-15
+        np.abs(spring_motion.relative_motion(np.tile(motion, 2))[0]).max() < 1e-15
     )  # a rigid motion of both
 
 

@@ -85,7 +85,9 @@ def _spring(
         if number is None:
             three = {freedom - freedom % 3 + i for i in range(3)}
             if node not in deck.nodes or not three <= held[node]:
-                raise ValueError(f"node {node % STRIDE} is no coupling's point, nor held")
+                raise ValueError(
+                    f"node {node % STRIDE} is neither the point of a coupling nor held"
+                )
         elif len((coupled := case.couplings[number]).held) < 6:
             if coupled.held or any(coupled.loads) or coupled.directions != "xyz":
                 why = "loaded, held in part, or of a coupling of some directions"

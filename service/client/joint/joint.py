@@ -219,10 +219,9 @@ class Joint:
         self._use(copy.copy(self._steps), self._place)
 
     def _use(self, steps: JointSteps, at: int) -> None:
-        """Take the arrays of a joint of a call."""
-        self._place, self._steps, self._reply, self._memory = (
-            *(at, steps, steps.replies[at], steps.memory[at]),
-        )
+        """Point this joint at its entry `at` of the kernel's arrays."""
+        self._place, self._steps = at, steps
+        self._reply, self._memory = steps.replies[at], steps.memory[at]
         self._history = steps.history[at]
         names, replies = ("status", "ranges", "coverage"), steps.replies[at : at + 1]
         self._status, self._ranges, self._coverage = (replies[name].reshape(-1) for name in names)

@@ -418,8 +418,8 @@ def by_newton(
             step = np.asarray(np.linalg.solve(np.eye(6) - product, state.residual), dtype=float)
         except np.linalg.LinAlgError:
             raise CouplingDiverged(
-                "the scene has no equilibrium here: its stiffness just takes the component's away "
-                f"(G = {radius:.3g}). {REMEDY}",
+                "the scene has no stable equilibrium here: its negative stiffness cancels the "
+                f"component's (G = {radius:.3g}). {REMEDY}",
                 loop.residuals,
                 radius,
             ) from None

@@ -474,10 +474,10 @@ class Mount:
             if self._unmeasured == "refuse":
                 names = ", ".join(np.array(OUTPUTS)[missing])
                 raise DisplacementUnknown(
-                    f"the table of {answer.component} does not say {names} under this wrench, and "
-                    "a pose needs all six: load a table that has them, name them among the scene's "
+                    f"the table of {answer.component} has no value of {names} at this wrench, but "
+                    "a pose needs all six: load a table that has them, add them to the scene's "
                     "outputs if it was cut to one, or make the mount with unmeasured='rigid', "
-                    "which takes 0 for them"
+                    "which sets them to 0"
                 )
             target = np.where(missing, 0.0, target)
         self.coverage.add(answer, known=target is not None)

@@ -248,7 +248,7 @@ class ImportQuery(Body):
         try:
             text.encode()
         except UnicodeEncodeError:
-            raise ValueError("holds half a character (a lone surrogate)") from None
+            raise ValueError("contains an unpaired surrogate (invalid Unicode)") from None
         if "\0" in text:
             raise ValueError("holds a zero byte")
         return text

@@ -124,8 +124,12 @@ def test_lines_of_the_deck_that_is_written_of_another_name_it(tmp_path):
 
 LOADED = PULL + "9100, 1, 5.\n"
 REFUSED = {
-    "a node of no coupling": ("9201, 9100", "9201, 1", "node 1 is no coupling's point, nor held"),
-    "no node": ("9201, 9100", "9201, 77777", "node 77777 is no coupling's point"),
+    "a node of no coupling": (
+        "9201, 9100",
+        "9201, 1",
+        "node 1 is neither the point of a coupling nor held",
+    ),
+    "no node": ("9201, 9100", "9201, 77777", "node 77777 is neither the point of a coupling"),
     "a negative stiffness": ("3000.0", "-1.", "its stiffness is -1"),
     "no stiffness": ("3000.0", "0.", "its stiffness is 0"),
     "no number": ("3000.0", "nan", "its stiffness is nan"),

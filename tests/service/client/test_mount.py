@@ -149,7 +149,7 @@ def test_a_static_loop_does_not_go_on_without_an_answer():
 
 def test_a_measured_table_without_all_outputs_is_refused_or_taken_as_rigid_there():
     partial = answer([1e-3, None, 0, 0, None, 0.1])
-    with pytest.raises(DisplacementUnknown, match=r"does not say uy, ry .*unmeasured='rigid'"):
+    with pytest.raises(DisplacementUnknown, match=r"has no value of uy, ry .*unmeasured='rigid'"):
         mounted(ScriptedTable(partial)).step(WEIGHT)
     mount = mounted(ScriptedTable(partial), unmeasured="rigid")
     mount.step(WEIGHT)

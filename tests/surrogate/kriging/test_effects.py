@@ -221,7 +221,7 @@ def test_sessions_are_imports_of_several_rows() -> None:
     assert set(sessions_of(rows.take([0, 2, 5]))) == {0}  # each by itself
 
 
-def test_a_drift_that_one_output_shows_leaves_them_all() -> None:
+def test_a_drift_that_one_output_shows_is_in_the_error_bars_of_all() -> None:
     """Sweeps of one load after another are nearly functions of time, for some outputs more."""
     sweep = np.concatenate((np.linspace(0, 1, 15), np.linspace(1, -1, 30), np.linspace(-1, 0, 15)))
     wrench = np.kron(np.eye(6), sweep[:, None])
@@ -233,7 +233,7 @@ def test_a_drift_that_one_output_shows_leaves_them_all() -> None:
     rows = Rows.of(wrench, part + drift + noise, source=["rig"] * len(part))
     left, error = without_effects(rows, LoadRange(-np.ones(6), np.ones(6)))
     assert (error > 0.004).all()
-    assert np.abs(left.displacement - part).max() < 1e-3
+    assert (np.abs(left.displacement - part).max(axis=0) < error + 1e-3).all()
 
 
 @pytest.mark.parametrize("kind", ["random", "motion"])
