@@ -212,7 +212,7 @@ def test_the_component_warns_once_of_what_more_rows_cannot_mend(client):
     warnings = [one for one in client.component("bar")["warnings"] if one["where"] == "tolerance"]
     assert len(warnings) == 2
     mesh, linearity = (one["message"] for one in warnings)
-    assert "the mesh alone" in mesh
+    assert "the mesh is too coarse" in mesh
     assert "cells about" in mesh
     assert "nonlinear = true" in linearity
 
@@ -259,7 +259,7 @@ def test_an_upload_estimates_so_that_the_first_answer_has_its_bar(client, tmp_pa
     client.add_component(folder)
     about = client.component("coarse")
     assert about["solver_error"]["mesh"][0] > 0
-    assert any("the mesh alone" in one["message"] for one in about["warnings"])
+    assert any("the mesh is too coarse" in one["message"] for one in about["warnings"])
     answer = client.solve("coarse", [0.0, 0.0, 1.0, 0.0, 0.0, 0.0], wait_s=60)
     assert answer.error_vector[2] > 0
     assert answer.within_tolerance is False

@@ -302,8 +302,8 @@ def test_data_in_another_file_is_refused(tmp_path: Path):
     ("content", "says"),
     [
         ({"a": [1.0, 2.0], "b": [1.0, 2.0, 3.0]}, "their lengths are [2, 3]"),
-        ({"a": np.zeros((2, 2))}, "a is none"),
-        ({"a": np.array([1, "x"], dtype=object)}, "a is none"),
+        ({"a": np.zeros((2, 2))}, "a is not such a vector"),
+        ({"a": np.array([1, "x"], dtype=object)}, "a is not such a vector"),
         ({"a": "1"}, "no table of numeric vectors"),
     ],
 )
