@@ -43,9 +43,10 @@ def licence(name: str) -> str | None:
         return None
     classifiers = package.get_all("Classifier") or []
     named = [text.rpartition(" :: ")[2] for text in classifiers if text.startswith("License ::")]
-    text = (package["License"] or "").strip()
+    text = (package.get_all("License") or [""])[0].strip()
     short = text if "\n" not in text and 0 < len(text) < 40 and text != "UNKNOWN" else ""
-    return package["License-Expression"] or ", ".join(named) or short or "see the package"
+    expression = (package.get_all("License-Expression") or [""])[0]
+    return expression or ", ".join(named) or short or "see the package"
 
 
 def page(before: str) -> str:

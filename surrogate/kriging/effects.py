@@ -129,7 +129,9 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
         response[1:, output] = fit[1:]
     scaled = steps @ response
     largest = np.abs(scaled[good]).max(axis=0, initial=0.0)
-    scaled /= np.where(largest > 0, largest, 1.0)
+    moves = largest > RANK * np.nanmax(np.abs(moved[good]), axis=0, initial=0.0)
+    largest = np.where(moves, largest, 0.0)  # the response of an output that rests is rounding
+    scaled = np.where(moves, scaled, 0.0) / np.where(moves, largest, 1.0)
     parts = (session[good] == np.arange(count)[:, None])[:, :, None] * scaled[good]
     told, is_shared = (_is_left(parts, loads[good], degree) for degree in (3, 1))
     for at in members:

@@ -13,7 +13,7 @@ from tests.validation.clamped import shipped
 from tests.validation.finding import CASES, TOPICS, Case, Finding, case
 from tests.validation.spring import PRINTED_14, rod_of
 
-PAGE = Path(__file__).parents[2] / "fea" / "README.md"
+PAGE = Path(__file__).parents[2] / "data/docs/reference/validation.md"
 REFERENCE = (
     (0.5, 0.114644, 0.121148, 0.29113),
     (1, 0.231012, 0.244179, 0.581903),
