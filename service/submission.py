@@ -158,9 +158,9 @@ class Submission:
         component = self._library[name]
         if not component.has_fea:
             raise NoSetupError(
-                f"{name!r} has rows loaded from outside and no finite-element setup, so nothing "
-                f"can be solved for it{why and f': {why}'}. Load rows there, or ask with on_thin "
-                "'estimate'."
+                f"{name!r} is a table of measured rows, without a mesh to solve, so nothing "
+                f"can be solved for it{why and f': {why}'}. Load rows into it, or ask with "
+                "on_thin='estimate'."
             )
         return component
 

@@ -10,7 +10,7 @@ from tests.messages import messages
     [
         ("service/cli", "exit 2", "give --start or --clear, not both"),
         ("service/http", "403", "Host {name[:100]!r} is not allowed"),
-        ("service", "409", "{name!r} has rows loaded from outside"),
+        ("service", "409", "{name!r} is a table of measured rows"),
         ("fea/mesh/cad", "422, check: exit 1", "there is no body {number}"),
         ("fea", "failed job, 424", "Lower the load range, or stiffen the part"),
     ],

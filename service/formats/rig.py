@@ -382,7 +382,13 @@ def joined_loads(pieces: Iterator[ParsedTable], report: ReadReport) -> tuple[Arr
     if not len(steps) or (steps <= 0.0).any():
         rows = [row for part in parts for row in part.seq.tolist()]
         at = int(np.argmax(steps <= 0.0)) + 1 if len(steps) else 0
-        message = "the log of the loads needs times that grow from sample to sample"
+        message = "the log of the loads needs two samples or more"
+        if at:
+            message = (
+                f"{time[at]:.10g} s is not after {time[at - 1]:.10g} s, the sample before; sort "
+                "the loads by time, leave out repeated times, and write dates if the log passes "
+                "midnight"
+            )
         mistakes.ruin(rows[at] if rows else 0, "time", message)
         return None
     return time, np.concatenate([part.wrench for part in parts])

@@ -413,8 +413,13 @@ class _Conversion:
                 [time_seconds(c, comma and type(c) is not Digits, factor) for c in cells]
             )
         for at in np.flatnonzero(~np.isfinite(values)).tolist():
-            message = f"{quoted(self._cell(column, at))} is no time; write seconds with time [s]"
-            self._refuse(at, column.label, message)
+            needed = "is not a number"
+            if factor is None:
+                needed = (
+                    "is no date and time; if it is a number, write its unit in the header, or say "
+                    f"it with mapping (--column '{column.label}=time [s]')"
+                )
+            self._refuse(at, column.label, f"{quoted(self._cell(column, at))} {needed}")
         return values / rate if column is sequence and rate else values
 
     def _check_complete(self, block: Array, names: tuple[str, ...], kind: str) -> None:
