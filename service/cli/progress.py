@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -57,7 +58,11 @@ def cancelled_on_interrupt(client: Client, jobs: Sequence[Job]) -> Iterator[None
 
 
 def follow(
-    out: Console, client: Client, jobs: Sequence[Job], seconds: float, pace: Pace | None = None
+    out: Console,
+    client: Client,
+    jobs: Sequence[Job],
+    seconds: float = math.inf,
+    pace: Pace | None = None,
 ) -> list[Job]:
     """Show a bar until all jobs have ended, and return them as they are then.
 
@@ -115,12 +120,11 @@ def fill(
     budget: int,
     options: dict[str, Any],
     round_size: int = 24,
-    seconds: float = 3600.0,
 ) -> dict[str, Any]:
     """Fill a table round by round, with a bar each; `options` are those of `Client.fill`.
 
     Returns the solves ``spent`` and ``failed``, ``rows``, and the last ``stage`` and ``reason``.
-    Raises RuntimeError if a round does not end in time.
+    Raises RuntimeError if all solves of a round fail.
     """
     spent, failures, pace, order = 0, 0, Pace(budget), None
     plain(out, f"choosing wrenches for {name}")
@@ -130,7 +134,7 @@ def fill(
             plain(out, f"{order.stage}: {order.reason}")
             if not order.jobs:
                 break
-            ended = follow(out, client, order.jobs, seconds, pace)
+            ended = follow(out, client, order.jobs, pace=pace)
         pace.ended = spent = spent + len(ended)
         now = client.component(name)
         parts = f"{spent} solves", pace.note(), f"{now['rows']} rows"

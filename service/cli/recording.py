@@ -21,8 +21,6 @@ from wrenchbook.service.cli.render import Screen, show
 from wrenchbook.service.client import Client, Started
 from wrenchbook.service.contract import LOADS, OUTPUTS
 
-WAIT_S = 86_400.0  # a start may be thousands of solves
-
 Clear = Annotated[bool, typer.Option("--clear", help="delete the recorded wrenches")]
 Start = Annotated[bool, typer.Option("--start", help="solve them, and show the progress")]
 Budget = Annotated[int | None, typer.Option(min=1, help="largest number of solves")]
@@ -112,7 +110,7 @@ def _check(start: bool, clear: bool) -> None:
 def _follow(client: Client, started: Started, as_json: bool) -> None:
     jobs = list(started.jobs)
     if jobs:
-        jobs = progress.follow(Screen(stderr=as_json), client, jobs, WAIT_S)
+        jobs = progress.follow(Screen(stderr=as_json), client, jobs)
     done = started.solved + started.covered
     counts = f"{len(jobs)} solves; {done} wrenches were solved or covered before."
     reply = {**started.raw, "jobs": [job.raw for job in jobs]}

@@ -98,7 +98,8 @@ def smt_kriging(
                 one.set_training_derivatives(x, slope[:, None], load)
         else:
             trend = "linear" if len(rows) > LINEAR_TREND else "constant"
-            one = KRG(theta0=[1e-2], corr="matern52", poly=trend, print_global=False)
+            # Of 30 starts: the best of SMT's 10 has four times the error of the best at 30 solves.
+            one = KRG(theta0=[1e-2], corr="matern52", poly=trend, n_start=30, print_global=False)
         one.set_training_values(x, rows.displacement[:, output : output + 1] / size[output])
         with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what it warns of while it searches is its own affair

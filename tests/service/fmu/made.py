@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import shutil
+import sys
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -29,6 +31,12 @@ def need_compiler() -> list[str]:
         return compiler_command()
     except KernelBuildError as error:
         pytest.fail(str(error)) if os.environ.get("CI") == "true" else pytest.skip(str(error))
+
+
+def cpp_compiler() -> list[str]:
+    """The C++ compiler's command: g++, else that of ziglang, which the tests install."""
+    found = shutil.which("g++")
+    return [found] if found else [sys.executable, "-m", "ziglang", "c++"]
 
 
 def solved(name: str, clean: int, full: int, *, tangents: bool = True, **more: object) -> Table:

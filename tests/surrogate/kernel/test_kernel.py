@@ -1,7 +1,5 @@
 """What the kernel promises whatever the law: threads, batches, inverses, C programs."""
 
-import os
-import shutil
 import subprocess
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -26,8 +24,8 @@ def plain_library(tmp_path_factory) -> Path:
     sources = [str(path) for path in kernel_build.FOLDER.glob("wb_*.c")]
     library = tmp_path_factory.mktemp("plain") / "plain.so"
     flags = ["-std=c11", "-O1", "-ffp-contract=off", "-DWB_SHARED", "-DWB_VECTORS=", "-fPIC"]
-    command = [_compiler("gcc", "cc"), *flags, "-shared", "-o", str(library), *sources]
-    subprocess.run([*command, "-lm", "-lpthread"], check=True)
+    command = [*kernel_build.compiler_command(), *flags, "-shared", "-o", str(library)]
+    subprocess.run([*command, *sources, "-lm", "-lpthread"], check=True)
     return library
 
 
@@ -140,15 +138,6 @@ def test_a_closed_table_answers_no_more():
     packed.close()
     with pytest.raises(ValueError, match="closed"):
         packed.answer([0.0] * 6)
-
-
-def _compiler(*names: str) -> str:
-    found = next(filter(None, map(shutil.which, names)), None)
-    if found is None:
-        if os.environ.get("CI") == "true":
-            pytest.fail(f"no {names[0]} (Debian packages gcc, g++)")
-        pytest.skip(f"no {names[0]}")
-    return found
 
 
 def test_codes_are_those_of_the_header():
