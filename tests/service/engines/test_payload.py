@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from wrenchbook.service.jobs import dask
+from wrenchbook.service.jobs import dask_worker
 from wrenchbook.service.jobs.attempt import Attempt
-from wrenchbook.service.jobs.dask import (
+from wrenchbook.service.jobs.dask_files import (
     BUNDLE_BYTES,
     BadPayloadError,
     digest,
@@ -40,7 +40,7 @@ BUNDLE = pickle.dumps({"a": b"1"})
 
 def run(files=BUNDLE):
     sent = pickle.dumps(replace(SPEC, task="t-1-1", folder=Path("/server/jobs/1/1")))
-    return dask.run_task(sent, digest(BUNDLE), files)
+    return dask_worker.run_task(sent, digest(BUNDLE), files)
 
 
 def written(folder, files):
@@ -100,7 +100,7 @@ def test_a_worker_that_gets_a_damaged_bundle_says_so_and_keeps_none(on_a_worker)
 
 
 def test_a_worker_whose_disk_is_full_takes_no_order(on_a_worker, monkeypatch):
-    monkeypatch.setattr(dask, "FREE_BYTES", 1 << 62)
+    monkeypatch.setattr(dask_worker, "FREE_BYTES", 1 << 62)
     assert "MB left" in run()["unfit"]
 
 
@@ -116,11 +116,11 @@ def test_a_disk_that_fills_while_a_bundle_comes_is_told_and_nothing_is_left(
 
 
 def test_bundles_in_use_are_kept_when_old_ones_go(tmp_path, monkeypatch):
-    monkeypatch.setattr(dask, "BUNDLES", 1)
+    monkeypatch.setattr(dask_worker, "BUNDLES", 1)
     for number in range(3):
         content = pickle.dumps({"a": bytes([number])})
         place(content, digest(content), tmp_path)
-        old = time.time() - (dask.BUNDLE_SECONDS + 100 - number if number < 2 else 0)
+        old = time.time() - (dask_worker.BUNDLE_SECONDS + 100 - number if number < 2 else 0)
         os.utime(tmp_path / digest(content), (old, old))
-    dask.drop_old_bundles(tmp_path)
+    dask_worker.drop_old_bundles(tmp_path)
     assert [read(path) for path in tmp_path.iterdir()] == [{"a": b"\x02"}]
