@@ -185,15 +185,15 @@ def _loads(axis: LoadAxis, points: Floats) -> list[dict[str, float]]:
 
 
 def _hull(table: AxisTable) -> Floats:
-    """Return the vertices of the rows' hull, scaled, shape (k, 3); of a flat table its ends."""
+    """Return the vertices of the rows' hull, scaled, shape (k, 3); its ends in one dimension."""
     points, dimension = table.triangulation.points, table.triangulation.dimension
-    flat = (points - table.triangulation.origin) @ table.triangulation.basis.T
+    local = (points - table.triangulation.origin) @ table.triangulation.basis.T
     if dimension == 0:
         return points[:1]
     if dimension == 1:
-        return points[[int(flat[:, 0].argmin()), int(flat[:, 0].argmax())]]
+        return points[[int(local[:, 0].argmin()), int(local[:, 0].argmax())]]
     try:
-        return points[ConvexHull(flat).vertices][:MAX_VERTICES]
+        return points[ConvexHull(local).vertices][:MAX_VERTICES]
     except QhullError:
         return points[:MAX_VERTICES]
 

@@ -133,7 +133,9 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     largest = np.where(moves, largest, 0.0)  # the response of an output that rests is rounding
     scaled = np.where(moves, scaled, 0.0) / np.where(moves, largest, 1.0)
     parts = (session[good] == np.arange(count)[:, None])[:, :, None] * scaled[good]
-    told, is_shared = (_is_left(parts, loads[good], degree) for degree in (3, 1))
+    is_identifiable, is_shared = (
+        _is_no_polynomial(parts, loads[good], degree) for degree in (3, 1)
+    )
     for at in members:
         first = np.unique(place[at])
         steps[first[1:]] -= steps[first[:-1]]
@@ -178,7 +180,7 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     by_kind[is_shown] = means[is_shown]
     ends = [1, 2, 2 + count, 2 + 2 * count]
     zero, loop, drift, offset, scale = np.split(size.copy(), ends)
-    by_kind[3] *= told
+    by_kind[3] *= is_identifiable
     most = np.where(size != 0, np.abs(size) + half_width, 0.0)
     by_kind[0] = own_drift
     for output in np.flatnonzero(loop).tolist():
@@ -188,7 +190,7 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     # Answers have the scale of the session at their load, and the part may have that of another.
     known = np.where(half_width[-count:] > 0, deviation[-count:], np.inf)
     width = np.minimum(known, SCALE * largest) * DEFAULTS.half_width
-    is_open = is_shared & ~told & (count > 1)
+    is_open = is_shared & ~is_identifiable & (count > 1)
     bar += 2 * np.where(is_open, np.abs(mean[-count:]) + width, 0.0).max(axis=0)
     # Where sessions differ, what they have in common is no displacement of the part either.
     common = np.abs(mean[0]) + DEFAULTS.half_width * deviation[0]
@@ -199,7 +201,7 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     return Effects(zero[0], 2 * loop[0], drift, offset, scale, bar, of_rows, hidden)
 
 
-def _is_left(parts: Floats, loads: Floats, degree: int) -> NDArray[np.bool_]:
+def _is_no_polynomial(parts: Floats, loads: Floats, degree: int) -> NDArray[np.bool_]:
     """Return which parts (s, n, m) are no polynomial of each load (n, 6) of this degree, (s, m)."""
     terms = np.column_stack([loads[:, :1] ** 0, *(loads ** (1 + k) for k in range(degree))])
     left, sizes, _ = np.linalg.svd(terms, full_matrices=False)
