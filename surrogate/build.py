@@ -212,40 +212,24 @@ class Group:
 
 @dataclass
 class Table:
-    """One version of a table; `build` makes one.
+    """One version of a table; `build` makes one."""
 
-    Attributes
-    ----------
-    rows : Rows
-        All of them as measured, in ascending order of `seq`; NaN where an output was not measured.
-    load_range : LoadRange
-    groups : tuple of Group
-        Outputs that the same rows have, those of the fewest rows first: where they are thin, some
-        output is. An output that no row has is in no group.
-    tolerance : Tolerance or None, m and rad
-    linear : bool
-        Whether the component is linear, so that its 6x6 compliance is exact.
-    version : int
-    locked : tuple of int
-        Indices, in `LOADS`, of the loads on locked freedoms: every call sets them to zero first.
-    solver_error : SolverError or None
-        Error of the solver: in no error bar here; `bars_are_complete` says whether it is known.
-    rig_error : ndarray, shape (6,), m and rad
-        See `findings.find.without_effects`: in no error bar here.
-    packed : surrogate.kernel.binding.PackedTable or None
-        The same table packed; None until it is made.
-    """
-
+    # all of them as measured, in ascending order of `seq`; NaN where an output was not measured
     rows: Rows
     load_range: LoadRange
+    # outputs that the same rows have, those of the fewest rows first: where they are thin, some
+    # output is. An output that no row has is in no group.
     groups: tuple[Group, ...]
-    tolerance: Tolerance | None
-    linear: bool
+    tolerance: Tolerance | None  # m and rad
+    linear: bool  # whether the component is linear, so that its 6x6 compliance is exact
     version: int
+    # indices, in `LOADS`, of the loads on locked freedoms: every call sets them to zero first
     locked: tuple[int, ...]
+    # error of the solver: in no error bar here; `bars_are_complete` says whether it is known
     solver_error: SolverError | None
     bars_are_complete: bool
-    rig_error: Floats
+    rig_error: Floats  # (6,), m and rad: see `findings.find.without_effects`: in no error bar here
+    # a `PackedTable` of the same table; None until it is made
     packed: Any = None
 
     @cached_property

@@ -119,16 +119,9 @@ def first_design(span: LoadRange, known: Known, count: int) -> Floats:
 
 @dataclass(frozen=True)
 class Design:
-    """Wrenches to solve next.
+    """Wrenches to solve next."""
 
-    Attributes
-    ----------
-    wrenches : ndarray, shape (k, 6), N and N·m
-    stage : {"first", "refine", "met"}
-    reason : str
-    """
-
-    wrenches: Floats
+    wrenches: Floats  # (k, 6), N and N·m
     stage: Literal["first", "refine", "met"]
     reason: str
 

@@ -26,14 +26,9 @@ COLUMNS = 4096  # numbers of a field of which rows are left out at once: 14 MB o
 
 @dataclass(frozen=True)
 class FieldWeights:
-    """The weights of some rows that bring fields and their slopes.
+    """The weights of some rows that bring fields and their slopes."""
 
-    Attributes
-    ----------
-    wrenches : ndarray, shape (k, 6), N and N·m
-    """
-
-    wrenches: Floats
+    wrenches: Floats  # (k, 6), N and N·m
     load_range: LoadRange
     factor: KrigingFactor
 

@@ -37,20 +37,11 @@ UNITS = {
 
 
 class Fit(NamedTuple):
-    """A compliance at no load and what is known of it.
+    """A compliance at no load and what is known of it."""
 
-    Attributes
-    ----------
-    matrix : ndarray, shape (6, 6), SI
-        Row output, column load; 0 where it is not known.
-    covariance : ndarray, shape (6, 6, 6), SI
-        Of each output's row.
-    sure : ndarray of bool, shape (6, 6)
-        Which entries surely are not zero, and are not small beside others of their kind.
-    """
-
-    matrix: Floats
-    covariance: Floats
+    matrix: Floats  # (6, 6), SI: row output, column load; 0 where it is not known
+    covariance: Floats  # (6, 6, 6), SI: of each output's row
+    # (6, 6): which entries surely are not zero, and are not small beside others of their kind
     sure: NDArray[np.bool_]
 
 

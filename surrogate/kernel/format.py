@@ -62,21 +62,12 @@ class PackedTableError(ValueError):
 
 
 class Packed(NamedTuple):
-    """The contents of a packed table.
+    """The contents of a packed table."""
 
-    Attributes
-    ----------
-    arrays : dict of str to ndarray
-        Read-only views of the file's bytes; `packed.arrays` says what each is.
-    meta : dict
-        The JSON block.
-    content : memoryview
-        The file's bytes.
-    """
-
+    # read-only views of the file's bytes; `packed.arrays` says what each is
     arrays: dict[str, NDArray[Any]]
-    meta: dict[str, Any]
-    content: memoryview
+    meta: dict[str, Any]  # the JSON block
+    content: memoryview  # the file's bytes
 
 
 def pieces(arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> list[bytes]:

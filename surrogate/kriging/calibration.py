@@ -37,18 +37,11 @@ FIXED_WIDTH = 2.5
 
 @dataclass(frozen=True)
 class Calibration:
-    """The factors of the deviations of an output group.
+    """The factors of the deviations of an output group."""
 
-    Attributes
-    ----------
-    factors : ndarray, shape (q,), dimensionless
-        What a deviation is multiplied by for a 95 % error bar, per output.
-    max_sigma : float, process deviations
-        Beyond it errors are not known; 0 if they are nowhere.
-    """
-
+    # (q,), dimensionless: what a deviation is multiplied by for a 95 % error bar, per output
     factors: Floats
-    max_sigma: float
+    max_sigma: float  # process deviations: beyond it errors are not known; 0 if they are nowhere
 
     @classmethod
     def unknown(cls, outputs: int, settings: KrigingSettings = DEFAULTS) -> Calibration:
@@ -57,20 +50,11 @@ class Calibration:
 
 
 class Errors(NamedTuple):
-    """Errors of rows that were left out.
+    """Errors of rows that were left out."""
 
-    Attributes
-    ----------
-    errors : ndarray, shape (k, q), process deviations
-    sizes : ndarray, shape (k, q), dimensionless
-        See `LeftOutRows`.
-    sigma : ndarray, shape (k,), process deviations
-        As an answer at the row would have it.
-    """
-
-    errors: Floats
-    sizes: Floats
-    sigma: Floats
+    errors: Floats  # (k, q), process deviations
+    sizes: Floats  # (k, q), dimensionless: see `LeftOutRows`
+    sigma: Floats  # (k,), process deviations: as an answer at the row would have it
 
 
 def factors_of(residuals: Errors, n_derivatives: int, outputs: int) -> Floats:
@@ -119,19 +103,11 @@ def full_rows(x: Floats, scaling: Scaling) -> NDArray[np.bool_]:
 
 
 class Kind(NamedTuple):
-    """Rows whose errors, left out, are those of queries like them.
+    """Rows whose errors, left out, are those of queries like them."""
 
-    Attributes
-    ----------
-    rows : ndarray of bool, shape (n,)
-    queries : ndarray, shape (m, 6), half ranges
-    together : ndarray, shape (2,), half ranges
-        See `besides`.
-    """
-
-    rows: NDArray[np.bool_]
-    queries: Floats
-    together: Floats
+    rows: NDArray[np.bool_]  # (n,)
+    queries: Floats  # (m, 6), half ranges
+    together: Floats  # (2,), half ranges: see `besides`
 
 
 def kinds_of(x: Floats, scaling: Scaling, span: Floats, settings: KrigingSettings) -> list[Kind]:

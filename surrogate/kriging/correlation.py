@@ -39,24 +39,16 @@ NUMBERS = 4_000_000  # of derivatives of pairs of rows at once: 32 MB
 
 @dataclass(frozen=True, eq=False)
 class Hyperparameters:
-    """The quantities that the likelihood determines, for all outputs of a table.
+    """The quantities that the likelihood determines, for all outputs of a table."""
 
-    Attributes
-    ----------
-    inverse_squares : ndarray, shape (6,), dimensionless
-        One over the squared length of each load, in half ranges.
-    weights : ndarray, shape (1,) or (g,), dimensionless
-        Variance of the term of all loads over that of each other term, or those of all terms.
-    groups : ndarray, shape (g, n)
-        Which loads each term sees, the last all: see `Space.kriging_groups`.
-    smoothness : int
-        p of Matern p + 1/2.
-    """
-
+    # (6,), dimensionless: one over the squared length of each load, in half ranges
     inverse_squares: Floats
+    # (1,) or (g,), dimensionless: variance of the term of all loads over that of each other term,
+    # or those of all terms
     weights: Floats
+    # (g, n): which loads each term sees, the last all: see `Space.kriging_groups`
     groups: Floats = field(default_factory=lambda: DEFAULT.kriging_groups)
-    smoothness: int = SLOPES_SMOOTHNESS
+    smoothness: int = SLOPES_SMOOTHNESS  # p of Matern p + 1/2
 
     @classmethod
     def of_logarithms(

@@ -70,34 +70,20 @@ PARTS = ((0.05, 0.0), (5.0, 0.0), (0.3, 0.1), (0.3, 2.0))
 
 
 class Effects(NamedTuple):
-    """Effects in the rows of a table, m and rad; 0 where the interval of one holds zero.
+    """Effects in the rows of a table, m and rad; 0 where the interval of one holds zero."""
 
-    Attributes
-    ----------
-    zero : ndarray, shape (m,)
-        Displacement at no load, at the beginning of sessions.
-    loop : ndarray, shape (m,)
-        From unloading to loading.
-    drift, session : ndarray, shape (s, m)
-        Of each session from its first row to its last, and off the mean of the sessions.
-    scale : ndarray, shape (2 s, m)
-        Both of the scale, at the largest displacement from that at no load.
-    bar : ndarray, shape (m,)
-        How far the part may be from rows without these effects, which are in the middle of the
-        loop, of the time and of the sessions: the far ends of the intervals.
-    of_rows : ndarray, shape (n, m)
-        Sum of the effects in each row.
-    loop_hidden : ndarray, shape (m,)
-        The largest loop that rows would not show; infinite where they tell nothing of one.
-    """
-
-    zero: Floats
-    loop: Floats
+    zero: Floats  # (m,): displacement at no load, at the beginning of sessions
+    loop: Floats  # (m,): from unloading to loading
+    # drift, session: (s, m): of each session from its first row to its last, and off the mean of
+    # the sessions
     drift: Floats
     session: Floats
-    scale: Floats
+    scale: Floats  # (2 s, m): both of the scale, at the largest displacement from that at no load
+    # (m,): how far the part may be from rows without these effects, which are in the middle of the
+    # loop, of the time and of the sessions: the far ends of the intervals
     bar: Floats
-    of_rows: Floats
+    of_rows: Floats  # (n, m): sum of the effects in each row
+    # (m,): the largest loop that rows would not show; infinite where they tell nothing of one
     loop_hidden: Floats
 
 

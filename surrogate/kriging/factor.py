@@ -40,18 +40,12 @@ ROUNDING = float(np.finfo(float).eps) ** 2  # variance, spreads squared, of equa
 
 
 class OutputGroup(NamedTuple):
-    """Outputs of the same rows and the same noise, which one factor answers.
+    """Outputs of the same rows and the same noise, which one factor answers."""
 
-    Attributes
-    ----------
-    outputs, rows : ndarray of int, shape (k,) and (r,)
-    noise : ndarray, shape (r,), dimensionless
-        Variance of the rows' values over the process variance.
-    """
-
+    # outputs, rows: (k,) and (r,)
     outputs: Indices
     rows: Indices
-    noise: Floats
+    noise: Floats  # (r,), dimensionless: variance of the rows' values over the process variance
 
 
 def output_groups(
@@ -99,23 +93,12 @@ class SingularCovarianceError(ArithmeticError):
 
 @dataclass(frozen=True)
 class Factor:
-    """The inverse factor of some equations' covariance, in dimensionless numbers.
-
-    Attributes
-    ----------
-    hyperparameters : Hyperparameters
-    nugget : float
-        What the diagonal was raised by, relative.
-    T : ndarray, shape (e, e)
-        Inverse of the lower Cholesky factor of the e equations' covariance.
-    TF : ndarray, shape (e, 7)
-        T times the mean's terms.
-    """
+    """The inverse factor of some equations' covariance, in dimensionless numbers."""
 
     hyperparameters: Hyperparameters
-    nugget: float
-    T: Floats
-    TF: Floats
+    nugget: float  # what the diagonal was raised by, relative
+    T: Floats  # (e, e): inverse of the lower Cholesky factor of the e equations' covariance
+    TF: Floats  # (e, 7): T times the mean's terms
 
     @property
     def min_variance(self) -> float:
@@ -145,29 +128,15 @@ class KrigingFactor(Factor):
     """The factor of some rows' equations, for the outputs of one group.
 
     All numbers are dimensionless: loads are in half ranges, outputs in spreads.
-
-    Attributes
-    ----------
-    equations : Equations
-        Of the rows that take part.
-    output_group : OutputGroup
-        The outputs it answers, the rows and their noise.
-    mean_covariance : ndarray, shape (7, 7)
-        Posterior covariance of the mean's coefficients, over the process variance.
-    coefficients : ndarray, shape (7, k)
-        The mean of each output.
-    weights : ndarray, shape (e, k)
-        What covariances are multiplied by.
-    variance : ndarray, shape (k,)
-        Process variance of each output, spreads squared.
     """
 
-    equations: Equations
-    output_group: OutputGroup
+    equations: Equations  # of the rows that take part
+    output_group: OutputGroup  # the outputs it answers, the rows and their noise
+    # (7, 7): posterior covariance of the mean's coefficients, over the process variance
     mean_covariance: Floats
-    coefficients: Floats
-    weights: Floats
-    variance: Floats
+    coefficients: Floats  # (7, k): the mean of each output
+    weights: Floats  # (e, k): what covariances are multiplied by
+    variance: Floats  # (k,): process variance of each output, spreads squared
 
     def explained_at(self, x: Floats, known: Mask) -> tuple[Floats, Floats]:
         """Return the result of `explained` for the derivatives `known` (m, p) at points (m, 6)."""
@@ -273,20 +242,14 @@ REGULAR = 1e-14
 
 
 class LeftOutRows(NamedTuple):
-    """Errors of rows that were left out with their group, in dimensionless numbers.
+    """Errors of rows that were left out with their group, in dimensionless numbers."""
 
-    Attributes
-    ----------
-    errors : ndarray, shape (r, q)
-        Of the values of the factor's outputs, spreads; NaN of a row that cannot be left out.
-    sizes : ndarray, shape (r, q)
-        Root mean square of a row's value and slopes, each over the deviation it should have.
-    variances : ndarray, shape (r,), process variances
-        That the values' errors should have, the noise of the row itself included.
-    """
-
+    # (r, q): of the values of the factor's outputs, spreads; NaN of a row that cannot be left out
     errors: Floats
+    # (r, q): root mean square of a row's value and slopes, each over the deviation it should have
     sizes: Floats
+    # (r,), process variances: that the values' errors should have, the noise of the row itself
+    # included
     variances: Floats
 
 
@@ -336,18 +299,11 @@ TIE = 1e-10
 
 @dataclass(frozen=True)
 class LocalFactor(Factor):
-    """The factor over one neighbourhood, in dimensionless numbers.
+    """The factor over one neighbourhood, in dimensionless numbers."""
 
-    Attributes
-    ----------
-    columns : ndarray of int, shape (e,)
-        Its equations among the values and derivatives, known or not, of all rows.
-    numbers : ndarray of int, shape (e,)
-        The same, among the equations of the table.
-    """
-
+    # (e,): its equations among the values and derivatives, known or not, of all rows
     columns: Indices
-    numbers: Indices
+    numbers: Indices  # (e,): the same, among the equations of the table
 
 
 class Neighbourhoods:

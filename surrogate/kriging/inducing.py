@@ -128,47 +128,28 @@ def values_between(x: Floats, v: Floats, kernel: Hyperparameters) -> Floats:
 
 
 class Sums(NamedTuple):
-    """Sums over rows, for outputs (k,) that they bring with noise in the same proportions.
+    """Sums over rows, for outputs (k,) that they bring with noise in the same proportions."""
 
-    Attributes
-    ----------
-    A, b, G, H, h : ndarray, shapes (m, m), (m, k), (m, 7), (7, 7) and (7, k)
-        See above, and h = F' D y; D is of the rows' relative noise.
-    square : ndarray, shape (k,)
-        y' D y.
-    rows : int
-    repeats : ndarray, shape (k,)
-        Readings at wrenches besides the first of each.
-    scatter : ndarray, shape (k,)
-        Their squared differences from their mean, over their relative noise, spreads squared.
-    """
-
+    # A, b, G, H, h: (m, m), (m, k), (m, 7), (7, 7) and (7, k): see above, and h = F' D y; D is of
+    # the rows' relative noise
     A: Floats
     b: Floats
     G: Floats
     H: Floats
     h: Floats
-    square: Floats
+    square: Floats  # (k,): y' D y
     rows: int
-    repeats: Floats
+    repeats: Floats  # (k,): readings at wrenches besides the first of each
+    # (k,): their squared differences from their mean, over their relative noise, spreads squared
     scatter: Floats
 
 
 class Inducing(NamedTuple):
-    """The kriging of all rows through inducing wrenches.
+    """The kriging of all rows through inducing wrenches."""
 
-    Attributes
-    ----------
-    equations : Equations
-        At the inducing wrenches, with the readings that all rows make there.
-    factors : list of KrigingFactor
-    noise : ndarray, shape (6,), dimensionless
-        What `Equations.unit_noise` is multiplied by, by all rows.
-    """
-
-    equations: Equations
+    equations: Equations  # at the inducing wrenches, with the readings that all rows make there
     factors: list[KrigingFactor]
-    noise: Floats
+    noise: Floats  # (6,), dimensionless: what `Equations.unit_noise` is multiplied by, by all rows
 
 
 def induced(equations: Equations, estimate: Estimate, settings: KrigingSettings) -> Inducing | None:

@@ -50,58 +50,34 @@ ROUNDING_LOSS = 4 * float(np.finfo(float).eps)
 
 @dataclass(frozen=True, eq=False)
 class Kriging:
-    """The Gaussian process through a table's rows and their tangents; never changed once built.
-
-    Attributes
-    ----------
-    settings : KrigingSettings
-    scaling : Scaling
-    observation_variance : ndarray, shape (6,), spreads squared
-        Of an observation of unknown uncertainty.
-    noise_widening : ndarray, shape (6,), dimensionless
-        See `noise.Estimate`.
-    tangent : ndarray, shape (6, 6), SI
-        Mean tangent of the rows: the derivative by loads that take no part; NaN by loads that no
-        row varies where none brings slopes.
-    equations : Equations
-    neighbourhoods : tuple of Neighbourhoods
-        One per factor: outputs with the same rows and noise have one factor.
-    calibrations : tuple of Calibration
-        One per item of `neighbourhoods`.
-    weights : ndarray, shape (n, p, 6), spreads
-    coefficients : ndarray, shape (7, 6), spreads
-    deviation : ndarray, shape (6,), spreads
-        Process standard deviation.
-    rounding : ndarray, shape (6,), spreads
-        What answers may lose to it. Long length scales leave the covariance nearly singular, with
-        weights up to 1e8 times their sum.
-    errors : ndarray, shape (n, 6), spreads
-        Of rows left out, each by itself; NaN where a row does not bring the output.
-    span : ndarray, shape (2, 6), half ranges
-        Ends of the loads that the rows span: beyond them errors are not known.
-    together : ndarray, shape (2,), half ranges
-        The most that rows load besides one load, and besides one load group (`besides`). Beyond it
-        errors are not known either: no row shows what so large loads do together.
-    detail : str
-        Its rows and equations as a text.
-    """
+    """The Gaussian process through a table's rows and their tangents; never changed once built."""
 
     settings: KrigingSettings
     scaling: Scaling
-    observation_variance: Floats
-    noise_widening: Floats
+    observation_variance: Floats  # (6,), spreads squared: of an observation of unknown uncertainty
+    noise_widening: Floats  # (6,), dimensionless: see `noise.Estimate`
+    # (6, 6), SI: mean tangent of the rows: the derivative by loads that take no part; NaN by loads
+    # that no row varies where none brings slopes
     tangent: Floats
     equations: Equations
+    # one per factor: outputs with the same rows and noise have one factor
     neighbourhoods: tuple[Neighbourhoods, ...]
-    calibrations: tuple[Calibration, ...]
-    weights: Floats
-    coefficients: Floats
-    deviation: Floats
+    calibrations: tuple[Calibration, ...]  # one per item of `neighbourhoods`
+    weights: Floats  # (n, p, 6), spreads
+    coefficients: Floats  # (7, 6), spreads
+    deviation: Floats  # (6,), spreads: process standard deviation
+    # (6,), spreads: what answers may lose to it. Long length scales leave the covariance nearly
+    # singular, with weights up to 1e8 times their sum.
     rounding: Floats
+    # (n, 6), spreads: of rows left out, each by itself; NaN where a row does not bring the output
     errors: Floats
+    # (2, 6), half ranges: ends of the loads that the rows span: beyond them errors are not known
     span: Floats
+    # (2,), half ranges: the most that rows load besides one load, and besides one load group
+    # (`besides`). Beyond it errors are not known either: no row shows what so large loads do
+    # together.
     together: Floats
-    detail: str
+    detail: str  # its rows and equations as a text
 
     @classmethod
     def build(

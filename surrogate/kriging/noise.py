@@ -46,57 +46,32 @@ TINY = 1e-30  # variance, spreads squared, below any rounding
 
 
 class Estimate(NamedTuple):
-    """The quantities that the likelihood determines, of each output.
+    """The quantities that the likelihood determines, of each output."""
 
-    Attributes
-    ----------
-    kernels : tuple of Hyperparameters
-        The same object for outputs of one covariance.
-    variance : ndarray, shape (6,), spreads squared
-        Process variances.
-    noise : ndarray, shape (6,), dimensionless
-        What `Equations.unit_noise` is multiplied by.
-    widening : ndarray, shape (6,), dimensionless
-        The deviation of what is not known of a response, over that of the one kernel.
-    noise_widening : ndarray, shape (6,), dimensionless
-        The deviation that noise has at most, at the confidence of error bars, over its estimate.
-    """
-
-    kernels: tuple[Hyperparameters, ...]
-    variance: Floats
-    noise: Floats
+    kernels: tuple[Hyperparameters, ...]  # the same object for outputs of one covariance
+    variance: Floats  # (6,), spreads squared: process variances
+    noise: Floats  # (6,), dimensionless: what `Equations.unit_noise` is multiplied by
+    # (6,), dimensionless: the deviation of what is not known of a response, over that of the one
+    # kernel
     widening: Floats
+    # (6,), dimensionless: the deviation that noise has at most, at the confidence of error bars,
+    # over its estimate
     noise_widening: Floats
 
 
 class NoisyRows(NamedTuple):
-    """Outputs that the same rows bring with noise in the same proportions.
+    """Outputs that the same rows bring with noise in the same proportions."""
 
-    Attributes
-    ----------
-    equations : Equations
-        Of these rows.
-    outputs : ndarray of int, shape (k,)
-    parts : ndarray, shape (e,)
-        The diagonal of D; 0 of equations without noise.
-    scale : ndarray, shape (k,)
-        `Equations.unit_noise` is D times this.
-    repeats, scatter : ndarray, shape (k,)
-        Readings besides the first of each wrench, and their squared differences from their mean
-        over this scale.
-    basis : ndarray, shape (e, m)
-        Normal to D^(-1/2) F; none where some equations have no noise.
-    squares : ndarray, shape (6, e (e + 1) / 2)
-        Squared differences of pairs of rows; none where rows bring slopes.
-    """
-
-    equations: Equations
-    outputs: NDArray[np.intp]
-    parts: Floats
-    scale: Floats
+    equations: Equations  # of these rows
+    outputs: NDArray[np.intp]  # (k,)
+    parts: Floats  # (e,): the diagonal of D; 0 of equations without noise
+    scale: Floats  # (k,): `Equations.unit_noise` is D times this
+    # repeats, scatter: (k,): readings besides the first of each wrench, and their squared
+    # differences from their mean over this scale
     repeats: Floats
     scatter: Floats
-    basis: Floats
+    basis: Floats  # (e, m): normal to D^(-1/2) F; none where some equations have no noise
+    # (6, e (e + 1) / 2): squared differences of pairs of rows; none where rows bring slopes
     squares: Floats
 
     def output(self, index: int) -> NoisyRows:
@@ -146,26 +121,15 @@ def _with_noise(equations: Equations, scaling: Scaling) -> NDArray[np.bool_]:
 
 
 class Spectrum(NamedTuple):
-    """The transform that diagonalises every noise: T s^2 (K + r D) T' = s^2 diag(values + r noisy).
+    """The diagonalising transform for every r: T s^2 (K + r D) T' = s^2 diag(values + r noisy)."""
 
-    Attributes
-    ----------
-    rotation : ndarray, shape (m, e)
-        T.
-    values, noisy : ndarray, shape (m,)
-    data : ndarray, shape (m, k), spreads
-        T times the readings.
-    logarithm : float
-        Of T's determinant, as far as it depends on the covariance.
-    terms : list
-        Each term's correlation of pairs of rows and its derivative by q; none with slopes.
-    """
-
-    rotation: Floats
+    rotation: Floats  # (m, e): T
+    # values, noisy: (m,)
     values: Floats
     noisy: Floats
-    data: Floats
-    logarithm: float
+    data: Floats  # (m, k), spreads: T times the readings
+    logarithm: float  # of T's determinant, as far as it depends on the covariance
+    # each term's correlation of pairs of rows and its derivative by q; none with slopes
     terms: list[list[Floats]]
 
 
@@ -213,22 +177,15 @@ def spectrum(rows: NoisyRows, kernel: Hyperparameters, settings: KrigingSettings
 
 
 class Posterior(NamedTuple):
-    """Of ratios of noise and process variance: half the negative logarithm, and what it is of.
+    """Of ratios of noise and process variance: half the negative logarithm, and what it is of."""
 
-    Attributes
-    ----------
-    values, variance, noise : ndarray, shape (g, k)
-        Variances of the process and of D, spreads squared, at each of g ratios.
-    inverse : ndarray, shape (g, m)
-        1 / (l + r d).
-    by_square : ndarray, shape (g, k)
-        Half the derivative of values by the sum of squares, times the process variance.
-    """
-
+    # values, variance, noise: (g, k): variances of the process and of D, spreads squared, at each
+    # of g ratios
     values: Floats
     variance: Floats
     noise: Floats
-    inverse: Floats
+    inverse: Floats  # (g, m): 1 / (l + r d)
+    # (g, k): half the derivative of values by the sum of squares, times the process variance
     by_square: Floats
 
 

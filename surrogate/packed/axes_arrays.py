@@ -177,26 +177,16 @@ def _members_of(
 
 
 class Numbered(NamedTuple):
-    """Vertices and simplices numbered along a space-filling curve.
+    """Vertices and simplices numbered along a space-filling curve."""
 
-    Attributes
-    ----------
-    maps : ndarray, shape (m, MAP)
-    simplex : ndarray of int32, shape (m, 8)
-        Four vertices, and the four neighbours across from them, -1 on the hull.
-    grid : ndarray of int, shape (cells,)
-        For each cell a simplex close by.
-    floats, ints : ndarray, shape (FLOATS,) and (INTS,)
-        See the columns above; the load scale stays 1.
-    simplex_order, point_order : ndarray of int, shape (m,) and (n,)
-        The old number of each simplex and point.
-    """
-
-    maps: Floats
+    maps: Floats  # (m, MAP)
+    # (m, 8): four vertices, and the four neighbours across from them, -1 on the hull
     simplex: NDArray[np.int32]
-    grid: Indices
+    grid: Indices  # (cells,): for each cell a simplex close by
+    # floats, ints: (FLOATS,) and (INTS,): see the columns above; the load scale stays 1
     floats: Floats
     ints: NDArray[np.int32]
+    # simplex_order, point_order: (m,) and (n,): the old number of each simplex and point
     simplex_order: Indices
     point_order: Indices
 

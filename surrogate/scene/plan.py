@@ -41,27 +41,13 @@ NO_LOAD = "no load can occur in the scene, so it stays as it is"
 
 @dataclass(frozen=True, eq=False)
 class Need:
-    """The requirements of a scene on one component.
+    """The requirements of a scene on one component."""
 
-    Attributes
-    ----------
-    span : LoadRange
-        The loads that can occur, N and N·m; a load on a locked freedom is held at 0.
-    outputs : tuple of int
-        The outputs it reads, ascending.
-    tolerance : Tolerance or None, m and rad
-        The scene's, else the component's.
-    idle : tuple of int
-        Loads on locked freedoms: whatever they are, nothing depends on them.
-    slack : ndarray, shape (n,), N and N·m
-        What rounding may add to an end: 1e-9 of the component's range.
-    """
-
-    span: LoadRange
-    outputs: tuple[int, ...]
-    tolerance: Tolerance | None
-    idle: tuple[int, ...]
-    slack: Floats
+    span: LoadRange  # the loads that can occur, N and N·m; a load on a locked freedom is held at 0
+    outputs: tuple[int, ...]  # the outputs it reads, ascending
+    tolerance: Tolerance | None  # m and rad: the scene's, else the component's
+    idle: tuple[int, ...]  # loads on locked freedoms: whatever they are, nothing depends on them
+    slack: Floats  # (n,), N and N·m: what rounding may add to an end: 1e-9 of the component's range
 
     @property
     def occurring(self) -> Mask:
@@ -165,28 +151,18 @@ def need_of(
 
 @dataclass(frozen=True)
 class ScenePlan:
-    """The requirements of a scene on a component.
-
-    Attributes
-    ----------
-    need : Need
-    decision : {"rigid", "linear", "table"}
-        Leave it out; one compliance answers; its table does.
-    reason : str
-    bound : ndarray, shape (m,), m and rad
-        What the displacement does not exceed within the scene; NaN where nothing determines it.
-    compliance : ndarray, shape (m, n), SI, or None
-        With ``linear``, where it is known: the displacement is it times the wrench. Zero by loads
-        that cannot occur.
-    solves : tuple of (int, int)
-        Of the first design, from an empty table: for the full load range, and for the scene.
-    """
+    """The requirements of a scene on a component."""
 
     need: Need
-    decision: Decision
+    decision: Decision  # leave it out; one compliance answers; its table does
     reason: str
+    # (m,), m and rad: what the displacement does not exceed within the scene; NaN where nothing
+    # determines it
     bound: Floats
+    # (m, n), SI: with ``linear``, where it is known: the displacement is it times the wrench. Zero
+    # by loads that cannot occur.
     compliance: Floats | None
+    # of the first design, from an empty table: for the full load range, and for the scene
     solves: tuple[int, int]
 
 

@@ -23,20 +23,11 @@ _CROSS[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = -1.0
 
 
 class MomentMap(NamedTuple):
-    """J(r)^T M and its derivatives by r at fixed M.
+    """J(r)^T M and its derivatives by r at fixed M."""
 
-    Attributes
-    ----------
-    value : ndarray, shape (..., 3), N·m
-    by_rotation : ndarray, shape (..., 3, 3), N·m/rad
-        [i, a]: of component i by r_a.
-    second : ndarray, shape (..., 3, 3, 3), N·m/rad^2
-        [i, a, b]: of component i by r_a and r_b.
-    """
-
-    value: Floats
-    by_rotation: Floats
-    second: Floats
+    value: Floats  # (..., 3), N·m
+    by_rotation: Floats  # (..., 3, 3), N·m/rad: [i, a]: of component i by r_a
+    second: Floats  # (..., 3, 3, 3), N·m/rad^2: [i, a, b]: of component i by r_a and r_b
 
 
 def moment_map(rotation: Floats, moment: Floats) -> MomentMap:
@@ -71,21 +62,11 @@ def moment_map(rotation: Floats, moment: Floats) -> MomentMap:
 
 
 class LoadChange(NamedTuple):
-    """How q changes along the equilibria of n rows, SI: with y = (u, r), q(w, y).
+    """How q changes along the equilibria of n rows, SI: with y = (u, r), q(w, y)."""
 
-    Attributes
-    ----------
-    along : ndarray, shape (n, I, I)
-        [q, w]: dq/dw = B + S C, C = dy/dw.
-    by_motion : ndarray, shape (n, I, O)
-        S = dq/dy at fixed w = diag(0, d(J^T M)/dr).
-    bend : ndarray, shape (n, I, I, I)
-        [q, w, w]: the second derivatives by w, less S d2y/dw2.
-    """
-
-    along: Floats
-    by_motion: Floats
-    bend: Floats
+    along: Floats  # (n, I, I): [q, w]: dq/dw = B + S C, C = dy/dw
+    by_motion: Floats  # (n, I, O): S = dq/dy at fixed w = diag(0, d(J^T M)/dr)
+    bend: Floats  # (n, I, I, I): [q, w, w]: the second derivatives by w, less S d2y/dw2
 
 
 def load_change(

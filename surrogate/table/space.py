@@ -42,26 +42,13 @@ class SpaceError(ValueError):
 
 @dataclass(frozen=True)
 class Input:
-    """One input of a table.
+    """One input of a table."""
 
-    Attributes
-    ----------
-    name : str
-        Unique in its space: ``fx``, ``left.fx``, ``temperature``.
-    unit : str
-        SI.
-    kind : {"force", "moment", "scalar"}
-    interface : str
-        Where a load acts; empty for scalars, and where there is one interface.
-    zero : float
-        Value without an effect, in its unit: of a temperature the reference.
-    """
-
-    name: str
-    unit: str
+    name: str  # unique in its space: ``fx``, ``left.fx``, ``temperature``
+    unit: str  # SI
     kind: InputKind
-    interface: str = ""
-    zero: float = 0.0
+    interface: str = ""  # where a load acts; empty for scalars, and where there is one interface
+    zero: float = 0.0  # value without an effect, in its unit: of a temperature the reference
 
 
 @dataclass(frozen=True)
@@ -75,17 +62,10 @@ class Output:
 
 @dataclass(frozen=True)
 class Space:
-    """The inputs and outputs of a table.
-
-    Attributes
-    ----------
-    inputs : tuple of Input
-    outputs : tuple of Output
-        Each interface has six, in the order of `OUTPUTS`.
-    """
+    """The inputs and outputs of a table."""
 
     inputs: tuple[Input, ...]
-    outputs: tuple[Output, ...]
+    outputs: tuple[Output, ...]  # each interface has six, in the order of `OUTPUTS`
 
     @property
     def is_default(self) -> bool:
