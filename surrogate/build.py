@@ -46,33 +46,21 @@ STEEPER = 2.0  # than in proportion: of a response that bends, at the rows there
 class Group:
     """The interpolators of outputs that the same rows have.
 
-    Attributes
-    ----------
-    outputs : tuple of int
-        Indices, in `OUTPUTS`, of the outputs it answers; the others are 0 and count for nothing.
-    rows : Rows
-        All rows that have them, in ascending order of `seq`.
-    merged : Merged
-        Those rows, repeated ones merged.
-    used : Rows
-        Those that answers are made of: merged, and within the load range.
-    members : tuple of tuple of int
-        The numbers (`seq`) of the rows behind each of `used`.
-    fit : ComplianceFit
-    choice : MethodChoice
-        The default method, and why.
-    has_axes : bool
-        Whether straight direction influence is defined: one interface without further inputs.
-    full_wrenches : int
-        Rows that load more than one axis.
-    row_index : RowIndex
-        Which of `rows` is at or next to a wrench.
-    row_uncertainty : ndarray, shape (k, 6), m and rad
-        Of the rows of `merged`; NaN where it is not known.
-    steepest : ndarray, shape (6,), m and rad
-        What each output moves over half the load range, at most, by a row without a tangent.
-    build_s : float, s
-        Processor time that building it took.
+    `outputs`: indices, in `OUTPUTS`, of the outputs it answers; the others are 0 and count for
+    nothing.
+    `rows`: all rows that have them, in ascending order of `seq`.
+    `merged`: those rows, repeated ones merged.
+    `used`: those that answers are made of: merged, and within the load range.
+    `members`: the numbers (`seq`) of the rows behind each of `used`.
+    `choice`: the default method, and why.
+    `has_axes`: whether straight direction influence is defined: one interface without further
+    inputs.
+    `full_wrenches`: rows that load more than one axis.
+    `row_index`: which of `rows` is at or next to a wrench.
+    `row_uncertainty` (k, 6), m and rad: of the rows of `merged`; NaN where it is not known.
+    `steepest` (6,), m and rad: what each output moves over half the load range, at most, by a row
+    without a tangent.
+    `build_s`, s: processor time that building it took.
     """
 
     def __init__(

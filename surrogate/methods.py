@@ -38,12 +38,7 @@ def choose(
     the truth than the axes. Else the axes answer, with all that their rows show of the other
     outputs, and no error bar.
 
-    Parameters
-    ----------
-    kriging
-        Makes the interpolator, or None if the rows allow none.
-    linear : bool
-        Whether the component is linear.
+    `kriging`: makes the interpolator, or None if the rows allow none.
     """
     has_axes = load_range.space.is_default
     if not len(rows):

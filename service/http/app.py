@@ -162,12 +162,7 @@ def _reads(scope: Scope) -> bool:
 def create_app(settings: Settings, security: SecuritySettings | None = None) -> Application:
     """Return the application; its workspace is open while the server runs.
 
-    Parameters
-    ----------
-    settings : Settings
-        The workspace's.
-    security : SecuritySettings, optional
-        How its access stands: by default without keys unless there are some, and under any name.
+    Without `security` there are no keys unless some are stored, and any host name is allowed.
     """
     counts = Counts()
 

@@ -44,21 +44,15 @@ CHUNK = 4096  # patches fitted at once: their normal equations fit the cache
 class Triangulation:
     """A triangulation of scattered points, with one affine barycentric map per simplex.
 
-    Attributes
-    ----------
-    points : ndarray, shape (n, 3)
-    dimension : int
-        0 to 3, what the points span.
-    simplices : ndarray of int, shape (m, dimension + 1)
-        Vertices of each simplex; the last one is its anchor.
-    anchors : ndarray, shape (m, 3)
-    weights : ndarray, shape (m, dimension, 3)
-        `weights[s] @ (x - anchors[s])` are the barycentric coordinates but the last one.
-    volumes : ndarray, shape (m,)
-        Length, area or volume of each simplex; 1 for a single point.
-    degenerate : ndarray of bool, shape (m,)
-    neighbours : ndarray of int, shape (m, dimension + 1)
-        The simplex across from each vertex, -1 on the hull.
+    `points` (n, 3).
+    `dimension`: 0 to 3, what the points span.
+    `simplices` (m, dimension + 1): vertices of each simplex; the last one is its anchor.
+    `anchors` (m, 3).
+    `weights` (m, dimension, 3): `weights[s] @ (x - anchors[s])` are the barycentric coordinates but
+    the last one.
+    `volumes` (m,): length, area or volume of each simplex; 1 for a single point.
+    `degenerate` (m,).
+    `neighbours` (m, dimension + 1): the simplex across from each vertex, -1 on the hull.
     """
 
     def __init__(self, points: ArrayLike) -> None:

@@ -46,13 +46,8 @@ def channel_findings(
 ) -> tuple[Rows, list[RigFinding]]:
     """Return the rows without what broken channels read, and their findings.
 
-    Parameters
-    ----------
-    rows : Rows
-        In the order of their measurement.
-    load_range : LoadRange, N and N·m
-    still : ndarray of bool, shape (6,)
-        Outputs that do not move, by the component's solves.
+    `rows`: in the order of their measurement.
+    `still` (6,): outputs that do not move, by the component's solves.
     """
     findings: list[RigFinding] = []
     terms, moved = terms_of(rows.wrench / load_range.scale), rows.displacement.copy()

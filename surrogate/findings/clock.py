@@ -61,11 +61,7 @@ class Lag(NamedTuple):
 def estimate_lag(logs: Logs, applied: float = 0.0) -> Lag | None:
     """Return the lag with which displacements fit loads best; None if the logs do not show one.
 
-    Parameters
-    ----------
-    logs : Logs
-    applied : float, s
-        The lag in use, to compare with.
+    `applied`, s: the lag in use, to compare with.
     """
     known = np.isfinite(logs.displacement).sum(axis=0) >= MIN_DISPLACEMENTS
     loads = np.ptp(logs.wrench, axis=0) > 0

@@ -22,12 +22,9 @@ def explain(
 
     Parameters are those of `PackedTable.answer`; loads are N and N·m, outputs m and rad.
 
-    Returns
-    -------
-    list of dict
-        ``axis``, ``inputs``, ``outputs``, ``error``, ``coverage``, ``reason`` and ``rows``, the
-        numbers of the rows used. They are the compliance's if that answers, the axes' otherwise,
-        whose errors are known of complete answers alone: ``error`` is None.
+    ``axis``, ``inputs``, ``outputs``, ``error``, ``coverage``, ``reason`` and ``rows``, the numbers
+    of the rows used. They are the compliance's if that answers, the axes' otherwise, whose errors
+    are known of complete answers alone: ``error`` is None.
     """
     explanations = []
     for number, group in enumerate(table.meta["groups"]):

@@ -78,12 +78,8 @@ class AxisPart(NamedTuple):
 class ReplyReader:
     """Makes replies of the kernel's bytes.
 
-    Parameters
-    ----------
-    packed : Packed
-        The table that answers.
-    inputs, outputs : int
-        How many it has.
+    `packed`: the table that answers.
+    `inputs`, `outputs`: how many it has.
     """
 
     def __init__(self, packed: Packed, inputs: int, outputs: int) -> None:
@@ -172,10 +168,7 @@ def known(values: tuple[float, ...]) -> tuple[float | None, ...] | None:
 def method_code(method: str | None) -> int:
     """Return a method's number, -1 for the component's default.
 
-    Raises
-    ------
-    UnknownMethodError
-        If there is no such method.
+    Raises UnknownMethodError if there is no such method.
     """
     if method is None:
         return -1

@@ -63,10 +63,7 @@ def factors_of(residuals: Errors, n_derivatives: int, outputs: int) -> Floats:
     The ratios |error| / sigma have a size per output, and a tail of the same shape for all
     outputs. The size comes from slopes as well as from values: `n_derivatives` numbers a row.
 
-    Parameters
-    ----------
-    outputs : int
-        Of the table, all of which the confidence is for.
+    `outputs`: of the table, all of which the confidence is for.
     """
     ratios = np.abs(residuals.errors) / residuals.sigma[:, None]
     square = (residuals.sizes**2).mean(axis=0)
@@ -217,11 +214,8 @@ def left_out_as_far(
     farthest from those before: spread rows go before others, and rows left out with another are
     passed over. No row takes more than one in `min_left_out` of all: so many would not find room.
 
-    Parameters
-    ----------
-    alone : LeftOutRows
-        Each row left out by itself.
-    distant : float, process deviations
+    `alone`: each row left out by itself.
+    `distant`: the distance of the rest, process deviations.
     """
     scaled = factor.equations.x * np.sqrt(factor.hyperparameters.inverse_squares)
     count, noise = len(scaled), factor.output_group.noise
@@ -258,13 +252,8 @@ def calibrated(
 ) -> Calibration:
     """Return the factors of a group's deviations for 95 % error bars.
 
-    Parameters
-    ----------
-    alone : LeftOutRows
-        Each row left out by itself.
-    kinds : sequence of Kind
-    widenings : ndarray, shape (q,), dimensionless
-        See `Estimate.widening`.
+    `alone`: each row left out by itself.
+    `widenings` (q,), dimensionless: see `Estimate.widening`.
     """
     factor = neighbours.factor
     subset, outputs = factor.equations, len(factor.output_group.outputs)

@@ -156,18 +156,10 @@ def derivatives_of_term(
     With s_a = t_a d_a, each follows from lower ones of the next derivative by q:
     D_(K + a) m(q) = 2 s_a D_K m'(q) + 2 t_a k_a D_(K - a) m'(q), k_a how often K has a.
 
-    Parameters
-    ----------
-    delta : ndarray, shape (l, p)
-        Differences of p pairs by the l loads that the term sees, half ranges.
-    rates : ndarray, shape (l,), dimensionless
-    first : int
-        Which derivative of Matern's by q is derived: 0 itself.
-
-    Returns
-    -------
-    list of ndarray, shape (p,)
-        In the order of `indices`, dimensionless.
+    `delta` (l, p): differences of p pairs by the l loads that the term sees, half ranges.
+    `rates` (l,), dimensionless.
+    `first`: which derivative of Matern's by q is derived: 0 itself.
+    They have the shape (p,) and the order of `indices`, and are dimensionless.
     """
     loads = len(rates)
     radial = matern(rates @ delta**2, first + order, smoothness)[first:]
@@ -230,11 +222,9 @@ def covariance(
 ) -> Floats:
     """Return the covariance of the equations that rows at x and v bring.
 
-    Parameters
-    ----------
-    x, v : ndarray, shapes (n, 6) and (m, 6), half ranges
-    known_x, known_v : ndarray of bool, shapes (n, p) and (m, p)
-        Which derivatives each row brings; equations count row by row.
+    `x`, `v` (n, 6) and (m, 6), half ranges.
+    `known_x`, `known_v` (n, p) and (m, p): which derivatives each row brings; equations count row
+    by row.
     """
     out = np.empty((int(known_x.sum()), int(known_v.sum())))
     first_x, first_v = numbers(known_x), numbers(known_v)

@@ -266,12 +266,8 @@ def sessions_of(rows: Rows) -> Indices:
 def sure_directions(x: Floats, y: Floats, steps: Floats) -> Floats:
     """Return the sign of an output's change where it is sure, (n,), else 0.
 
-    Parameters
-    ----------
-    x, y : ndarray, shapes (k, t + 1) and (k,)
-        Terms of the response and signs of rows, and their readings.
-    steps : ndarray, shape (n, t)
-        The change of the terms from the row before.
+    `x`, `y` (k, t + 1) and (k,): terms of the response and signs of rows, and their readings.
+    `steps` (n, t): the change of the terms from the row before.
     """
     left, sizes, right = np.linalg.svd(x, full_matrices=False)
     few = sizes > RANK * sizes[0]

@@ -128,10 +128,8 @@ def indices_within(
 def scaling_of(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS) -> Scaling:
     """Return the scaling of rows that lie in the load range.
 
-    Raises
-    ------
-    TooFewRowsError
-        If fewer rows than `min_rows` lie in it, or an output is measured by fewer.
+    Raises TooFewRowsError if fewer rows than `min_rows` lie in it, or an output is measured by
+    fewer.
     """
     measured = np.isfinite(rows.displacement)
     fewest = int(measured.sum(axis=0).min()) if len(rows) else 0

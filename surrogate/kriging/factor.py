@@ -56,13 +56,10 @@ def output_groups(
 ) -> list[OutputGroup]:
     """Return the outputs in groups, each with a factor.
 
-    Parameters
-    ----------
-    variance : ndarray, shape (6,), dimensionless
-        Process variance of each output, spreads squared: noise counts relative to it. Outputs whose
-        relative noise differs by more than `like_noise` at some row get a factor each.
-    kernels : sequence of Hyperparameters, optional
-        Of each output; outputs of different ones get a factor each.
+    `variance` (6,), dimensionless: process variance of each output, spreads squared: noise counts
+    relative to it. Outputs whose relative noise differs by more than `like_noise` at some row get a
+    factor each.
+    `kernels`: of each output; outputs of different ones get a factor each.
     """
     noise = equations.noise / variance
     # Below the nugget noise changes nothing.
@@ -160,16 +157,10 @@ def inverse_factor(
 ) -> tuple[Floats, float]:
     """Return the inverse of the lower Cholesky factor, and the nugget it took.
 
-    Parameters
-    ----------
-    matrix : ndarray, shape (e, e), dimensionless
-        With a nugget of `nugget` times `prior` on its diagonal; raised by decades on failure.
-    prior : ndarray, shape (e,), dimensionless
-
-    Raises
-    ------
-    SingularCovarianceError
-        If it is singular with the largest nugget.
+    `matrix` (e, e), dimensionless: with a nugget of `nugget` times `prior` on its diagonal; raised
+    by decades on failure.
+    `prior` (e,), dimensionless.
+    Raises SingularCovarianceError if it is singular with the largest nugget.
     """
     size = np.sqrt(prior)
     scaled = matrix / size[:, None] / size
@@ -256,10 +247,7 @@ class LeftOutRows(NamedTuple):
 def left_out(factor: KrigingFactor, labels: Indices) -> LeftOutRows:
     """Return the errors of a factor's rows, each left out with all rows of its label.
 
-    Parameters
-    ----------
-    labels : ndarray of int, shape (r,)
-        Group of each of the factor's rows; -1 of rows that stay.
+    `labels` (r,): group of each of the factor's rows; -1 of rows that stay.
     """
     equations, outputs = factor.equations, len(factor.variance)
     sizes = equations.known.sum(axis=1)
@@ -311,13 +299,8 @@ class Neighbourhoods:
 
     Rows are indices of the factor's rows.
 
-    Attributes
-    ----------
-    factor : KrigingFactor
-    local_factors : tuple of LocalFactor
-        One of all rows, or the neighbourhood of each of the factor's rows.
-    number : ndarray of int, shape (r,)
-        Which of these each row, as an anchor, has.
+    `local_factors`: one of all rows, or the neighbourhood of each of the factor's rows.
+    `number` (r,): which of these each row, as an anchor, has.
     """
 
     def __init__(

@@ -67,14 +67,10 @@ def spread_points(
     rows, is at most that of the answers' own, which is the noise times wrenches over rows: more
     would not make an answer better than the noise lets it be.
 
-    Parameters
-    ----------
-    x : ndarray, shape (n, 6), half ranges
-        Candidates.
-    kernels, shares
-        Covariances of outputs, and their process variances over a row's noise, (k,).
-    count : int
-        Number of all rows.
+    `x` (n, 6), half ranges: candidates.
+    `kernels`, `shares`: covariances of outputs, and their process variances over a row's noise,
+    (k,).
+    `count`: number of all rows.
     """
     known = np.ones((len(x), 1), dtype=bool)
     together = list(zip(kernels, shares / len(shares), strict=True))
@@ -157,12 +153,8 @@ def induced(equations: Equations, estimate: Estimate, settings: KrigingSettings)
 
     That is where it holds the rows, and inducing wrenches leave more than the noise.
 
-    Parameters
-    ----------
-    equations : Equations
-        Of the values of all rows, sorted by wrench; without the noise of observations.
-    estimate : Estimate
-        As some of the rows tell it.
+    `equations`: of the values of all rows, sorted by wrench; without the noise of observations.
+    `estimate`: as some of the rows tell it.
     """
     unit, count, variance = equations.unit_noise, len(equations), estimate.variance
     typical = np.nanmean(np.where(equations.measured, unit, np.nan), axis=0)

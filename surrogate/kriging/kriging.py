@@ -263,10 +263,8 @@ class Kriging:
         As far as they are known or not: a design goes where they are not. Pending solves lower all
         bars in the ratio of the factor over the most rows.
 
-        Parameters
-        ----------
-        pending, at : ndarray, shapes (m, 6) and (n, 6), N and N·m
-            What is being solved (with slopes, if rows bring them), and where the bars are wanted.
+        `pending`, `at` (m, 6) and (n, 6), N and N·m: what is being solved (with slopes, if rows
+        bring them), and where the bars are wanted.
         """
         others, x = self.scaling.loads(pending), self.scaling.loads(at)
         bars = np.empty((len(x), len(self.scaling.spread)))
@@ -319,9 +317,7 @@ def _usable(
 
     Values alone where they are measured and many.
 
-    Raises
-    ------
-    TooFewRowsError
+    Raises TooFewRowsError.
     """
     if len(used) > settings.many_rows and not np.isfinite(used.compliance).any():
         chosen = evenly(len(used), settings.most_rows)

@@ -136,10 +136,7 @@ class Spectrum(NamedTuple):
 def spectrum(rows: NoisyRows, kernel: Hyperparameters, settings: KrigingSettings) -> Spectrum:
     """Return the spectrum of a kernel.
 
-    Raises
-    ------
-    SingularCovarianceError
-        If solves contradict each other.
+    Raises SingularCovarianceError if solves contradict each other.
     """
     x, known, terms = rows.equations.x, rows.equations.known, []
     if len(rows.squares):
@@ -276,10 +273,7 @@ def estimate_noise(
 
     Of rows as they lie, near each other too: rows spread widely do not show little noise.
 
-    Parameters
-    ----------
-    points : ndarray, shape (m, 6), half ranges
-        Where answers' variance is averaged: see `Estimate.widening`.
+    `points` (m, 6), half ranges: where answers' variance is averaged: see `Estimate.widening`.
     """
     parts = []
     noisy, every = _with_noise(equations, scaling), np.arange(len(equations))

@@ -41,14 +41,9 @@ def pack(
 ) -> list[bytes]:
     """Return the packed file of a table as pieces of bytes.
 
-    Parameters
-    ----------
-    component, fingerprint
-        Where the rows come from.
-    contract, interface
-        Meaning of loads and displacements, in words; stored as they are.
-    origin
-        Digests of what the table is built from; stored as they are.
+    `component`, `fingerprint`: where the rows come from.
+    `contract`, `interface`: meaning of loads and displacements, in words; stored as they are.
+    `origin`: digests of what the table is built from; stored as they are.
     """
     arrays = dict(_space_arrays(table, len(table.groups))) | dict(_solver_arrays(table))
     sources = _Sources(table)

@@ -91,10 +91,7 @@ class Need:
 class NeedError(ValueError):
     """A scene's loads that cannot be: each mistake by the index of its load.
 
-    Attributes
-    ----------
-    mistakes : list of (int, str)
-        Index of the load among the inputs, and what is wrong with its ends.
+    `mistakes`: index of the load among the inputs, and what is wrong with its ends.
     """
 
     def __init__(self, mistakes: list[tuple[int, str]]) -> None:
@@ -111,21 +108,12 @@ def need_of(
 ) -> Need:
     """Return the requirements of a scene on a component.
 
-    Parameters
-    ----------
-    limits : LoadRange
-        The component's load range, N and N·m; it is stretched to hold zero.
-    bounds : ndarray, shape (n, 2), optional, N and N·m
-        Low and high end of each load; the component's by default.
-    outputs : sequence of int, optional
-        Those that are read; all by default.
-    idle : sequence of int
-        Loads on locked freedoms.
-
-    Raises
-    ------
-    NeedError
-        If an end lies outside the component's load range, or the ends are the wrong way round.
+    `limits`: the component's load range, N and N·m; it is stretched to hold zero.
+    `bounds` (n, 2), N and N·m: low and high end of each load; the component's by default.
+    `outputs`: those that are read; all by default.
+    `idle`: loads on locked freedoms.
+    Raises NeedError if an end lies outside the component's load range, or the ends are the wrong
+    way round.
     """
     ends = np.column_stack((limits.low, limits.high)) if bounds is None else np.array(bounds, float)
     slack = ZERO_LOAD * limits.scale
@@ -169,10 +157,7 @@ class ScenePlan:
 def plan_of(table: Table, need: Need, *, solved: bool = True) -> ScenePlan:
     """Return the plan of a scene's need of a component, from the rows there are, if any.
 
-    Parameters
-    ----------
-    solved : bool
-        Whether finite elements answer, which move by nothing where there is no load.
+    `solved`: whether finite elements answer, which move by nothing where there is no load.
     """
     solves = first_solves(table, table.load_range), first_solves(table, need.span)
     need, space = replace(need, tolerance=need.tolerance or table.tolerance), need.span.space

@@ -102,10 +102,7 @@ def single_axis_wrenches(
 ) -> NDArray[np.bool_]:
     """Return, shape (n, 3), which wrenches (n, 6), N and N·m, load which axis alone.
 
-    Parameters
-    ----------
-    least
-        Of the range: smaller loads are none.
+    `least`: of the range: smaller loads are none.
     """
     loaded = np.abs(wrenches) > least * load_range.scale
     return ~(loaded @ _FOREIGN)

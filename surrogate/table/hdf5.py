@@ -66,10 +66,7 @@ def write_table(
 
     `notes`, one text a row, are for an export; the store's files have none.
 
-    Raises
-    ------
-    OSError
-        If the folder cannot be written; the file that was there is untouched.
+    Raises OSError if the folder cannot be written; the file that was there is untouched.
     """
     target = Path(path)
     handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".tmp")
@@ -96,12 +93,8 @@ def write_table(
 def read_table(path: str | os.PathLike[str]) -> tuple[Rows, TableMeta]:
     """Read a table.
 
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    TableFileError
-        If it is damaged, foreign, or of a newer schema.
+    Raises FileNotFoundError if there is no such file; TableFileError if it is damaged, foreign, or
+    of a newer schema.
     """
     return _read(Path(path), lambda file: (_read_rows(file), _read_meta(file)))
 
@@ -274,11 +267,8 @@ def _read_rows(file: h5py.File, some: slice = _ALL) -> Rows:
 def foreign_tables(path: str | os.PathLike[str]) -> Iterator[tuple[Rows, list[str]]]:
     """Yield the rows of a table file that somebody else has sent, some at a time, with their notes.
 
-    Raises
-    ------
-    TableFileError
-        If it is damaged, foreign, of a newer schema, points to other files, or is larger when read
-        than `MAX_FOREIGN_BYTES`.
+    Raises TableFileError if it is damaged, foreign, of a newer schema, points to other files, or is
+    larger when read than `MAX_FOREIGN_BYTES`.
     """
     source = Path(path)
     try:
@@ -352,11 +342,8 @@ def foreign_columns(path: Path) -> Iterator[tuple[list[str], list[np.ndarray]]]:
     ``units`` joins the label. Packed values are unpacked as the CF conventions say (see
     `_unpacking`).
 
-    Raises
-    ------
-    TableFileError
-        If the file is damaged, points to other files, is larger when read than
-        `MAX_FOREIGN_BYTES`, or has no such columns of one length.
+    Raises TableFileError if the file is damaged, points to other files, is larger when read than
+    `MAX_FOREIGN_BYTES`, or has no such columns of one length.
     """
     if leads_out(path):
         raise TableFileError("points to data in other files; copy them into one file")
@@ -501,11 +488,8 @@ def _unpacking(dataset: h5py.Dataset, name: str, part: Any) -> Callable[[np.ndar
     or is beyond ``valid_range``, is missing (NaN); any other is times ``scale_factor`` plus
     ``add_offset``.
 
-    Raises
-    ------
-    TableFileError
-        If an attribute of these is no number, there are several of one, or integers are packed
-        and their valid range is no integers.
+    Raises TableFileError if an attribute of these is no number, there are several of one, or
+    integers are packed and their valid range is no integers.
     """
     stored_type = dataset.dtype[part] if isinstance(part, str) else dataset.dtype
     keys = [key for key in (*_PACKING, *_VALID, "_Unsigned") if key in dataset.attrs]
@@ -554,10 +538,7 @@ def leads_out(path: Path) -> bool:
 
     A mesh is such a file too; one of a stranger must not have this machine's files read.
 
-    Raises
-    ------
-    TableFileError
-        If not all of it can be looked through.
+    Raises TableFileError if not all of it can be looked through.
     """
     if not h5py.is_hdf5(path):
         return False

@@ -127,20 +127,11 @@ class RowIndex:
     Rows as near as that are one (`merging`): a rounding error beside a row is the row.
     Of several rows of one wrench the first counts.
 
-    Parameters
-    ----------
-    wrenches : ndarray, shape (n, 6), N and N·m
-    scale : ndarray, shape (6,), N and N·m
-        Of the load range.
-
-    Attributes
-    ----------
-    keys : ndarray, shape (m,)
-        Each distinct wrench along the direction, ascending, dimensionless.
-    order : ndarray of int, shape (m,)
-        Its row.
-    rates : ndarray, shape (6,), 1/N and 1/(N·m)
-        What a wrench's loads add to its key.
+    `wrenches` (n, 6), N and N·m.
+    `scale` (6,), N and N·m: of the load range.
+    `keys` (m,): each distinct wrench along the direction, ascending, dimensionless.
+    `order` (m,): its row.
+    `rates` (6,), 1/N and 1/(N·m): what a wrench's loads add to its key.
     """
 
     def __init__(self, wrenches: Floats, scale: Floats) -> None:

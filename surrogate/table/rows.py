@@ -50,10 +50,7 @@ class RowError(ValueError):
 class LoadRange:
     """The loads a component is expected to see.
 
-    Raises
-    ------
-    RowError
-        If a bound is not finite or `low` exceeds `high`.
+    Raises RowError if a bound is not finite or `low` exceeds `high`.
     """
 
     # low, high: (n,), N and N·m: smallest and largest value of each load
@@ -111,10 +108,7 @@ def acting(wrenches: ArrayLike, locked: Sequence[int]) -> Floats:
 
     A guide carries these loads: no displacement depends on them.
 
-    Parameters
-    ----------
-    locked : sequence of int
-        Indices, in `LOADS`, of the loads on locked freedoms.
+    `locked`: indices, in `LOADS`, of the loads on locked freedoms.
     """
     if not len(locked):
         return np.asarray(wrenches, dtype=float)
@@ -146,11 +140,8 @@ class Tolerance:
 class Rows:
     """The rows of a table as columns.
 
-    Raises
-    ------
-    RowError
-        If the columns differ in length, a wrench is not finite, a displacement infinite or all
-        NaN, or a curvature partly known or infinite.
+    Raises RowError if the columns differ in length, a wrench is not finite, a displacement infinite
+    or all NaN, or a curvature partly known or infinite.
     """
 
     seq: NDArray[np.int64]  # (n,): the ledger's number of each row, its id everywhere

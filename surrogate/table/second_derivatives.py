@@ -77,12 +77,8 @@ def load_change(
     B = dq/dw at fixed r = diag(1, J^T). Further inputs are entries of q as they are. A locked
     freedom, whose load moves nothing, takes no part: the solver leaves out what acts on it.
 
-    Parameters
-    ----------
-    wrench : ndarray, shape (n, I), SI
-    displacement : ndarray, shape (n, O), m and rad
-    compliance : ndarray, shape (n, O, I), SI
-        Tangents by (F, M) of the rows; the result is NaN where they are.
+    `wrench` is (n, I), SI, `displacement` (n, O), m and rad; `compliance`, (n, O, I), SI, has the
+    rows' tangents by (F, M), and the result is NaN where they are.
     """
     free, inputs = np.any(compliance != 0, axis=1), len(space.inputs)
     acting = np.where(free, wrench, 0.0)
@@ -116,10 +112,7 @@ def symmetric_tangents(
     The columns of the loads are symmetric if the row is a nonlinear solve. NaN where the tangent
     by (F, M) is NaN or has no such counterpart: where dq/dw is singular.
 
-    Parameters
-    ----------
-    wrench, displacement, compliance, space
-        As `load_change` takes them.
+    `wrench`, `displacement`, `compliance`, `space`: as `load_change` takes them.
     """
     change = load_change(wrench, displacement, compliance, space).along
     with np.errstate(invalid="ignore"):  # NaN stays NaN
@@ -136,12 +129,8 @@ def second_derivatives(
     change of q with w_v: d2y/dw2 = T[q_v, q_w] + C_q d2q/dw2, and d2q/dw2 = bend + S d2y/dw2. NaN
     where a row has no curvature.
 
-    Parameters
-    ----------
-    wrench, displacement, compliance, space
-        As `load_change` takes them.
-    curvature : ndarray, shape (n, p), SI
-        T[a, b, c] of each row, a <= b <= c, as `Rows.curvature`.
+    `wrench`, `displacement`, `compliance`, `space`: as `load_change` takes them.
+    `curvature` (n, p), SI: T[a, b, c] of each row, a <= b <= c, as `Rows.curvature`.
     """
     inputs, outputs = len(space.inputs), len(space.outputs)
     change = load_change(wrench, displacement, compliance, space)

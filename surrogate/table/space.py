@@ -138,17 +138,9 @@ class Space:
     ) -> tuple[float, ...]:
         """Return inputs in their order, shape (n,), SI; loads that are not given are zero.
 
-        Parameters
-        ----------
-        loads : mapping
-            Six numbers an interface by its name, N and N·m.
-        further : mapping
-            The inputs that are no loads by name, all of them.
-
-        Raises
-        ------
-        SpaceError
-            If a name is unknown, or a further input is missing.
+        `loads`: six numbers an interface by its name, N and N·m.
+        `further`: the inputs that are no loads by name, all of them.
+        Raises SpaceError if a name is unknown, or a further input is missing.
         """
         known = ", ".join(filter(None, self.interfaces))
         names = [scalar.name for scalar in self.scalars]
@@ -172,11 +164,8 @@ class Space:
     def by_name(self, inputs: Sequence[float]) -> dict[str, Any]:
         """Return inputs in their order, shape (n,), SI, as `vector` takes them.
 
-        Returns
-        -------
-        dict
-            ``loads``: ``{"force": three, "moment": three}`` by interface, these themselves where
-            there is one; ``inputs``: the further ones by name, where there are any.
+        ``loads``: ``{"force": three, "moment": three}`` by interface, these themselves where there
+        is one; ``inputs``: the further ones by name, where there are any.
         """
         loads = {
             name: {"force": inputs[k : k + 3], "moment": inputs[k + 3 : k + PER_INTERFACE]}
@@ -218,11 +207,7 @@ def _filled(entries: dict[str, Any]) -> dict[str, Any]:
 def space_of(interfaces: Sequence[str] = ("",), scalars: Sequence[Input] = ()) -> Space:
     """Return the space of interfaces and further inputs.
 
-    Parameters
-    ----------
-    interfaces : sequence of str
-        Their names, which stand before the names of their loads: ``left.fx``.
-    scalars : sequence of Input
+    `interfaces`: their names, which stand before the names of their loads: ``left.fx``.
     """
     inputs: list[Input] = []
     outputs: list[Output] = []
