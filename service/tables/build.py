@@ -278,7 +278,7 @@ class TableBuilder:
             if saved is None:
                 self._store.remove_packed(name)  # no other process may answer from it
                 return
-            self._store.remove_packed(name, but=number)
+            self._store.remove_packed(name, keep=number)
             due = None if saved == number else time.monotonic() + SAVE_AFTER_QUIET_S
             self._versions[name] = _Version(component, number, save_at=due)
 

@@ -92,7 +92,7 @@ def errors_of(factor: KrigingFactor, out: LeftOutRows, rows: Indices) -> Errors:
     return Errors(above[finite], sizes[finite], sigma[finite])
 
 
-def full_rows(x: Floats, scaling: Scaling) -> NDArray[np.bool_]:
+def multi_group_rows(x: Floats, scaling: Scaling) -> NDArray[np.bool_]:
     """Return which rows x (n, k) load more than one load group, shape (n,)."""
     loaded = np.abs(x - scaling.loads(np.zeros((1, x.shape[1])))) > ZERO_LOAD
     _, groups = load_groups(scaling)
@@ -104,7 +104,7 @@ class Kind(NamedTuple):
 
     rows: NDArray[np.bool_]  # (n,)
     queries: Floats  # (m, 6), half ranges
-    together: Floats  # (2,), half ranges: see `besides`
+    together: Floats  # (2,), half ranges: see `secondary_loads`
 
 
 def kinds_of(x: Floats, scaling: Scaling, span: Floats, settings: KrigingSettings) -> list[Kind]:
@@ -113,7 +113,7 @@ def kinds_of(x: Floats, scaling: Scaling, span: Floats, settings: KrigingSetting
     Few of several axes stand beside the others, and for queries of one axis. Where they span what
     all rows do they show the errors of all queries.
     """
-    full = full_rows(x, scaling)
+    full = multi_group_rows(x, scaling)
     if full.sum() < min(settings.full_rows, len(full) / 2):
         kinds = [(full | True, ~full)]
     else:
@@ -124,7 +124,7 @@ def kinds_of(x: Floats, scaling: Scaling, span: Floats, settings: KrigingSetting
     shown_kinds = []
     for rows, shown in kinds:
         if shown.any():
-            together = most_together(x[shown], scaling, settings)
+            together = largest_secondary_loads(x[shown], scaling, settings)
             queries = query_points(span, together, x[rows & shown], scaling, settings.queries)
             shown_kinds.append(Kind(rows, queries, together))
     return shown_kinds
@@ -147,12 +147,12 @@ def span_of(x: Floats, scaling: Scaling, settings: KrigingSettings) -> Floats:
     return np.where(scaling.active, ends, [[-np.inf], [np.inf]])
 
 
-def most_together(x: Floats, scaling: Scaling, settings: KrigingSettings) -> Floats:
-    """Return the most that points (n, k) load besides their main load, and group (2,): `besides`.
+def largest_secondary_loads(x: Floats, scaling: Scaling, settings: KrigingSettings) -> Floats:
+    """Return the largest `secondary_loads` of points (n, k), (2,), half ranges.
 
-    With the margin that the span of so many rows has; half ranges.
+    With the margin that the span of so many rows has.
     """
-    return besides(x, scaling).max(axis=0) * settings.beyond_rows ** (-1 / len(x)) + NEAR
+    return secondary_loads(x, scaling).max(axis=0) * settings.beyond_rows ** (-1 / len(x)) + NEAR
 
 
 def query_points(span: Floats, together: Floats, x: Floats, scaling: Scaling, count: int) -> Floats:
@@ -160,7 +160,7 @@ def query_points(span: Floats, together: Floats, x: Floats, scaling: Scaling, co
 
     They are spread over the span of the rows, (2, k), and have the loads at once that one of them
     has; besides the main load, and the main load group, no larger ones than rows have `together`,
-    (2,): see `besides`.
+    (2,): see `secondary_loads`.
     """
     active = np.isfinite(span[0])
     low, high = np.where(active, np.clip(span, -1.0, 1.0), 0.0)
@@ -185,7 +185,7 @@ def load_groups(scaling: Scaling) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]
     return np.eye(groups.shape[1], dtype=bool), groups
 
 
-def besides(x: Floats, scaling: Scaling) -> Floats:
+def secondary_loads(x: Floats, scaling: Scaling) -> Floats:
     """Return how large loads of points (n, k) are besides their main one, and group, (n, 2).
 
     The largest load but one, and the largest that is not of the wrench's main load group (an axis,

@@ -12,11 +12,11 @@ from ..table.merging import Observations, merge
 from ..table.rows import NEAR, SMALLEST, Floats, LoadRange, Rows
 from .calibration import (
     Calibration,
-    besides,
     calibrated,
     kinds_of,
-    most_together,
+    largest_secondary_loads,
     of_posterior,
+    secondary_loads,
     span_of,
 )
 from .correlation import Hyperparameters, Mask, block, covariance
@@ -73,9 +73,8 @@ class Kriging:
     errors: Floats
     # (2, 6), half ranges: ends of the loads that the rows span: beyond them errors are not known
     span: Floats
-    # (2,), half ranges: the most that rows load besides one load, and besides one load group
-    # (`besides`). Beyond it errors are not known either: no row shows what so large loads do
-    # together.
+    # (2,), half ranges: `largest_secondary_loads` of the rows. Beyond them errors are not known
+    # either: no row shows what so large loads do together.
     together: Floats
     detail: str  # its rows and equations as a text
 
@@ -117,7 +116,7 @@ class Kriging:
             kinds = kinds_of(equations.x, scaling, span, settings)
             # Slopes of a few rows show what several axes do together.
             sloped = equations.known[:, 1:].any()
-            all_rows_together = most_together(equations.x, scaling, settings)
+            all_rows_together = largest_secondary_loads(equations.x, scaling, settings)
             together = all_rows_together if sloped else kinds[0].together
             by_values = equations.n_derivatives == 1
             some = equations.take(evenly(len(equations), CANDIDATES)) if by_values else equations
@@ -248,7 +247,7 @@ class Kriging:
             errors[:, outputs] = sigma[:, None] * calibration.factors * self.deviation[outputs]
             known[:, outputs] = (sigma <= calibration.max_sigma)[:, None]
         spanned = ((x >= self.span[0]) & (x <= self.span[1])).all(axis=1)
-        spanned &= (besides(x, self.scaling) <= self.together).all(axis=1)
+        spanned &= (secondary_loads(x, self.scaling) <= self.together).all(axis=1)
         known &= spanned[:, None]
         return values, errors, known
 

@@ -318,14 +318,57 @@ def _fitted_kernel(
     `few` rows are those that the kernel is searched with.
     """
     example = few[0].equations
-    loads, weights = example.loads, example.weights
+    logarithms = _likely_logarithms(few, settings)
+    kernels = [
+        Hyperparameters.of_logarithms(row, example.groups, example.smoothness) for row in logarithms
+    ]
+    centre, deviation = settings.length_prior
+    prior = 0.5 * (((logarithms[:, : example.loads] - centre) / deviation) ** 2).sum(axis=1)
+    joint, weighted = -prior, []
+    for rows in many:
+        each = [posterior(rows, spectrum(rows, kernel, settings), settings) for kernel in kernels]
+        values = np.array([item.values for item in each])  # (kernels, g, k)
+        joint = joint + np.logaddexp.reduce(-values, axis=1).sum(axis=1)
+        values += prior[:, None, None]
+        weight = np.exp(values.min(axis=(0, 1)) - values)
+        weighted.append((rows, each, weight / weight.sum(axis=(0, 1))))
+    chosen = int(np.argmax(joint))
+    variance, noise, widening, noise_widening = arrays
+    level = 1 - (1 - CONFIDENCE) / len(noise)
+    for rows, each, weight in weighted:
+        for index, output in enumerate(rows.outputs):
+            of_kernels = weight[:, :, index].sum(axis=1)
+            means = [
+                float(part[:, index] @ item.noise[:, index] / max(part[:, index].sum(), TINY))
+                for part, item in zip(weight, each, strict=True)
+            ]
+            mean_noise = float(of_kernels @ means)
+            noise[output] = mean_noise / rows.scale[index]
+            most = _noise_quantile(each, weight, index, level)
+            noise_widening[output] = np.sqrt(max(most / mean_noise, 1.0))
+            variance[output] = size = variance_of(each[chosen], index, mean_noise)
+            mean, known = _answers(rows, index, kernels[chosen], mean_noise, size, points, settings)
+            total = np.zeros(len(points))
+            used = np.flatnonzero(of_kernels > settings.least_share)
+            for k in used:
+                size = variance_of(each[k], index, means[k])
+                answers = _answers(rows, index, kernels[k], means[k], size, points, settings)
+                spread = answers[1] + (answers[0] - mean) ** 2
+                total += of_kernels[k] / of_kernels[used].sum() * spread
+            widening[output] = np.sqrt(max(float(total.mean() / known.mean()), 1.0))
+    return kernels[chosen]
+
+
+def _likely_logarithms(rows: list[NoisyRows], settings: KrigingSettings) -> Floats:
+    """Return the logarithms of the likeliest kernel, and of others with all lengths shifted."""
+    loads, weights = rows[0].equations.loads, rows[0].equations.weights
     low, high = np.array([settings.theta_bounds] * loads + [settings.weight_bounds] * weights).T
     start = np.full(loads + weights, settings.length_prior[0])
     start[loads:] = [0.0] * (weights - 1) + [settings.weight_start]
     run = minimize(
         negative_log_posterior,
         start,
-        args=(few, settings),
+        args=(rows, settings),
         jac=True,
         method="L-BFGS-B",
         bounds=list(zip(low, high, strict=True)),
@@ -334,49 +377,19 @@ def _fitted_kernel(
     # Rounded so that the rounding of another unit does not change them; the likelihood is flat.
     best = np.round(run.x, settings.decimals)
     shifts = np.array(settings.length_shifts)
-    logarithms = np.clip(best + shifts[:, None] * (np.arange(loads + weights) < loads), low, high)
-    kernels = [
-        Hyperparameters.of_logarithms(row, example.groups, example.smoothness) for row in logarithms
-    ]
-    centre, deviation = settings.length_prior
-    prior = 0.5 * (((logarithms[:, :loads] - centre) / deviation) ** 2).sum(axis=1)
-    joint, weighted = -prior, []
-    for rows in many:
-        each = [posterior(rows, spectrum(rows, kernel, settings), settings) for kernel in kernels]
-        values = np.array([item.values for item in each])  # (kernels, g, k)
-        joint = joint + np.logaddexp.reduce(-values, axis=1).sum(axis=1)
-        values += prior[:, None, None]
-        share = np.exp(values.min(axis=(0, 1)) - values)
-        weighted.append((rows, each, share / share.sum(axis=(0, 1))))
-    chosen = int(np.argmax(joint))
-    for rows, each, share in weighted:
-        for index, output in enumerate(rows.outputs):
-            shares = share[:, :, index].sum(axis=1)
-            means = [
-                float(part[:, index] @ item.noise[:, index] / max(part[:, index].sum(), TINY))
-                for part, item in zip(share, each, strict=True)
-            ]
-            mean_noise = float(shares @ means)
-            size = variance_of(each[chosen], index, mean_noise)
-            variance, noise, widening, noise_widening = arrays
-            variance[output], noise[output] = size, mean_noise / rows.scale[index]
-            # Few rows leave open how much of what they differ by is noise: the mean of a wide
-            # posterior, itself uncertain, was a third of the noise of 30 to 60 rows.
-            noises = np.concatenate([item.noise[:, index] for item in each])
-            order, weight = np.argsort(noises), share[:, :, index].ravel()
-            below = np.cumsum(weight[order]) - weight[order] / 2
-            level = 1 - (1 - CONFIDENCE) / len(noise)
-            most = np.exp(np.interp(level, below, np.log(noises[order])))
-            noise_widening[output] = np.sqrt(max(float(most) / mean_noise, 1.0))
-            mean, known = _answers(rows, index, kernels[chosen], mean_noise, size, points, settings)
-            total = np.zeros(len(points))
-            used = np.flatnonzero(shares > settings.least_share)
-            for k in used:
-                size = variance_of(each[k], index, means[k])
-                answers = _answers(rows, index, kernels[k], means[k], size, points, settings)
-                total += shares[k] / shares[used].sum() * (answers[1] + (answers[0] - mean) ** 2)
-            widening[output] = np.sqrt(max(float(total.mean() / known.mean()), 1.0))
-    return kernels[chosen]
+    return np.clip(best + shifts[:, None] * (np.arange(loads + weights) < loads), low, high)
+
+
+def _noise_quantile(each: list[Posterior], weight: Floats, index: int, level: float) -> float:
+    """Return the quantile of an output's noise of D over all kernels and ratios.
+
+    Few rows leave open how much of what they differ by is noise: the mean of a wide posterior,
+    itself uncertain, was a third of the noise of 30 to 60 rows.
+    """
+    noises = np.concatenate([item.noise[:, index] for item in each])
+    order, weights = np.argsort(noises), weight[:, :, index].ravel()
+    below = np.cumsum(weights[order]) - weights[order] / 2
+    return float(np.exp(np.interp(level, below, np.log(noises[order]))))
 
 
 def variance_of(result: Posterior, index: int, noise: float) -> float:

@@ -164,8 +164,8 @@ class Space:
     def by_name(self, inputs: Sequence[float]) -> dict[str, Any]:
         """Return inputs in their order, shape (n,), SI, as `vector` takes them.
 
-        ``loads``: ``{"force": three, "moment": three}`` by interface, these themselves where there
-        is one; ``inputs``: the further ones by name, where there are any.
+        The entry ``loads`` has ``{"force": three, "moment": three}`` by interface, these themselves
+        where there is one; ``inputs`` the further ones by name, where there are any.
         """
         loads = {
             name: {"force": inputs[k : k + 3], "moment": inputs[k + 3 : k + PER_INTERFACE]}
