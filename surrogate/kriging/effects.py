@@ -109,15 +109,7 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
         good = np.sort(np.random.default_rng(0).choice(good, SAMPLE, replace=False))
     steps = terms_of(loads, len(np.unique(place)))
     terms, shown = steps[good], np.isfinite(moved[good]).T
-    response = np.zeros((terms.shape[1], outputs))
-    for output, known in enumerate(shown):
-        fit = np.linalg.lstsq(terms[known], moved[good[known], output], rcond=RANK)[0]
-        response[1:, output] = fit[1:]
-    scaled = steps @ response
-    largest = np.abs(scaled[good]).max(axis=0, initial=0.0)
-    moves = largest > RANK * np.nanmax(np.abs(moved[good]), axis=0, initial=0.0)
-    largest = np.where(moves, largest, 0.0)  # the response of an output that rests is rounding
-    scaled = np.where(moves, scaled, 0.0) / np.where(moves, largest, 1.0)
+    scaled, largest = _response(steps, moved, good)
     parts = (session[good] == np.arange(count)[:, None])[:, :, None] * scaled[good]
     is_identifiable, is_shared = (
         _is_no_polynomial(parts, loads[good], degree) for degree in (3, 1)
@@ -185,6 +177,22 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     of_rows = signs * loop + middle @ size[2 : 2 + 2 * count]
     of_rows += scaled * (middle @ size[2 + 2 * count :])
     return Effects(zero[0], 2 * loop[0], drift, offset, scale, bar, of_rows, hidden)
+
+
+def _response(terms: Floats, moved: Floats, good: Indices) -> tuple[Floats, Floats]:
+    """Return the response without its value at no load, (n, m), over its largest, (m,), m and rad.
+
+    It is a polynomial of `terms`, (n, t), by the rows `good`. An output that does not move has 0.
+    """
+    response = np.zeros((terms.shape[1], moved.shape[1]))
+    for output, known in enumerate(np.isfinite(moved[good]).T):
+        fit = np.linalg.lstsq(terms[good][known], moved[good[known], output], rcond=RANK)[0]
+        response[1:, output] = fit[1:]
+    scaled = terms @ response
+    largest = np.abs(scaled[good]).max(axis=0, initial=0.0)
+    moves = largest > RANK * np.nanmax(np.abs(moved[good]), axis=0, initial=0.0)
+    largest = np.where(moves, largest, 0.0)  # the response of an output that rests is rounding
+    return np.where(moves, scaled, 0.0) / np.where(moves, largest, 1.0), largest
 
 
 def _is_no_polynomial(parts: Floats, loads: Floats, degree: int) -> NDArray[np.bool_]:
@@ -269,16 +277,22 @@ def sure_directions(x: Floats, y: Floats, steps: Floats) -> Floats:
     `x`, `y` (k, t + 1) and (k,): terms of the response and signs of rows, and their readings.
     `steps` (n, t): the change of the terms from the row before.
     """
-    left, sizes, right = np.linalg.svd(x, full_matrices=False)
-    few = sizes > RANK * sizes[0]
-    along, back = left[:, few].T @ y, right[few].T / sizes[few]
-    rest = y - left[:, few] @ along
-    noise = np.sqrt(rest @ rest / max(len(y) - few.sum(), 1))
+    left, sizes, right = _directions(x)
+    along, back = left.T @ y, right.T / sizes
+    rest = y - left @ along
+    noise = np.sqrt(rest @ rest / max(len(y) - len(sizes), 1))
     change, deviation = steps @ (back @ along)[:-1], np.empty(len(steps))
     for at in range(0, len(steps), BLOCK):
         deviation[at : at + BLOCK] = np.linalg.norm(steps[at : at + BLOCK] @ back[:-1], axis=1)
     deviation *= noise
     return np.where(np.abs(change) > SURE * deviation, np.sign(change), 0.0)
+
+
+def _directions(matrix: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the singular value decomposition of a matrix, without values that are rounding."""
+    left, sizes, right = np.linalg.svd(matrix, full_matrices=False)
+    few = sizes > RANK * sizes[0]
+    return left[:, few], sizes[few], right[few]
 
 
 def _estimated(
@@ -294,7 +308,7 @@ def _estimated(
     y, n = (moved - offset) / np.where(size > 0, size, 1.0), len(rows)
     x = (rows.wrench - load_range.space.zero) / load_range.scale
     linear = x[:, np.ptp(x, axis=0) > ZERO_LOAD]
-    first, terms = linear.shape[1], terms_of(x)[:, 1:]
+    first = linear.shape[1]
     sessions, count = columns.shape[1] // 4, first + 1 + columns.shape[1]
     free = n - first - 2 - np.count_nonzero(columns[:, 1:].any(axis=(0, 2)))
     if free < 1:
@@ -314,10 +328,9 @@ def _estimated(
         b = np.column_stack((linear, np.ones(n), columns[:, :, output]))
         # Directions of the columns, and what data are along them: normal equations then keep
         # their digits.
-        left, sizes, right = np.linalg.svd(b, full_matrices=False)
-        few = sizes > RANK * sizes[0]
-        bases.append(left[:, few])
-        parts.append(right[few].T / sizes[few])
+        left, sizes, right = _directions(b)
+        bases.append(left)
+        parts.append(right.T / sizes)
     for number, matrix in enumerate(_covariances(x, rows.space)):
         roots, vectors = np.linalg.eigh(matrix)
         inverse = 1 / (np.maximum(roots, 0.0) + RATIOS[:, None])
@@ -351,20 +364,42 @@ def _estimated(
     deviation = size * np.sqrt(np.maximum(square - mean**2, 0.0))
     mean *= size
     mean[0] += offset
+    half_width, misfits = _half_widths(
+        moved, terms_of(x)[:, 1:], columns, contrasts[:, first:], deviation, free
+    )
+    if np.abs(x).max(axis=1).min() > NO_LOAD:  # a kink may be hidden where polynomials misfit
+        one_sided = max(x.min(axis=0).max(), -x.max(axis=0).min()) > NO_LOAD
+        half_width[0] = np.inf if one_sided else np.maximum(half_width[0], SURE * misfits)
+    return mean, deviation, half_width
+
+
+def _half_widths(
+    moved: Floats,
+    terms: Floats,
+    columns: Floats,
+    contrasts: Floats,
+    deviation: Floats,
+    free: int,
+) -> tuple[Floats, Floats]:
+    """Return half the interval to count by, (1 + c, k), and residuals, (k,), m and rad.
+
+    Adds to each `deviation`, (1 + c, k), what a misfit of a polynomial of `terms`, (n, t), can do
+    as an effect. `contrasts` are those of the columns (n, c, k); `free` are degrees of freedom.
+    """
+    n, outputs = moved.shape
     half_width, freedom = np.empty_like(deviation), np.full(len(deviation), float(free))
-    misfits = np.empty(len(outputs))
-    for output in range(len(outputs)):
+    misfits = np.empty(outputs)
+    for output in range(outputs):
         b = np.column_stack((terms, np.ones(n), columns[:, :, output]))
         off_mean = np.eye(b.shape[1])[terms.shape[1] :]
-        off_mean[:, first - count :] = contrasts[:, first:]
-        left, sizes, right = np.linalg.svd(b, full_matrices=False)
-        few = sizes > RANK * sizes[0]
-        along = off_mean @ right[few].T
-        off = moved[:, output] - left[:, few] @ (left[:, few].T @ moved[:, output])
-        misfits[output] = np.linalg.norm(off) / np.sqrt(max(n - few.sum(), 1))
-        worst = np.sqrt(n) * np.linalg.norm(along / sizes[few], axis=1)
+        off_mean[:, -contrasts.shape[1] :] = contrasts
+        left, sizes, right = _directions(b)
+        along = off_mean @ right.T
+        off = moved[:, output] - left @ (left.T @ moved[:, output])
+        misfits[output] = np.linalg.norm(off) / np.sqrt(max(n - len(sizes), 1))
+        worst = np.sqrt(n) * np.linalg.norm(along / sizes, axis=1)
         # A grid in the order of its loads is a straight function of time: no drift is identifiable.
-        shown = np.linalg.norm(off_mean - along @ right[few], axis=1) < SAME
+        shown = np.linalg.norm(off_mean - along @ right, axis=1) < SAME
         misfit = MISFIT * np.ptp(moved[:, output]) * worst
         deviation[:, output] = np.hypot(deviation[:, output], misfit)
         # Rows at rest tell nothing of a loop.
@@ -372,10 +407,7 @@ def _estimated(
         half_width[:, output] = np.where(
             shown, -stdtrit(freedom, CHANCE / 2) * deviation[:, output], np.inf
         )
-    if np.abs(x).max(axis=1).min() > NO_LOAD:  # a kink may be hidden where polynomials misfit
-        one_sided = max(x.min(axis=0).max(), -x.max(axis=0).min()) > NO_LOAD
-        half_width[0] = np.inf if one_sided else np.maximum(half_width[0], SURE * misfits)
-    return mean, deviation, half_width
+    return half_width, misfits
 
 
 def _covariances(x: Floats, space: Space) -> Iterator[Floats]:
