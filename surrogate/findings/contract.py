@@ -118,7 +118,7 @@ def range_findings(rows: Rows, load_range: LoadRange) -> list[RigFinding]:
     return findings
 
 
-def size_findings(rows: Rows, response: RobustFit) -> list[RigFinding]:
+def size_findings(response: RobustFit) -> list[RigFinding]:
     """Return a finding where translations are longer than those of a part that bends."""
     largest = float(np.nanmax(np.abs(response.expected[:, :3]), initial=0.0))
     if largest <= LENGTH:

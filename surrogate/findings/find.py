@@ -74,7 +74,7 @@ def find(
     response = response_of(good, load_range)
     slopes = slopes_at_zero(good, load_range, response)
     fit = fit_of(slopes.matrix, slopes.covariance, load_range)
-    units = [*range_findings(good, load_range), *size_findings(good, response)]
+    units = [*range_findings(good, load_range), *size_findings(response)]
     known = None if solved is None else fit_of(solved, np.zeros((6, 6, 6)), load_range)
     units = units or unit_findings(fit, known, linear=linear)
     # A lever can make a load's work negative; a wrong sign or unit is no lever.

@@ -114,9 +114,7 @@ class Equations:
         return np.where(averaged, unknown, self.noise)
 
 
-def indices_within(
-    rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS
-) -> NDArray[np.intp]:
+def indices_within(rows: Rows, load_range: LoadRange) -> NDArray[np.intp]:
     """Return the indices of the rows inside the load range, shape (k,), sorted by wrench."""
     margin = ZERO_LOAD * load_range.scale
     inside = (rows.wrench >= load_range.low - margin) & (rows.wrench <= load_range.high + margin)

@@ -102,7 +102,7 @@ class Kriging:
         """
         if observations is None:
             rows, _, observations = merge(rows, load_range).usable()
-        indices = indices_within(rows, load_range, settings)
+        indices = indices_within(rows, load_range)
         used = rows.take(indices)
         scaling = scaling_of(used, load_range, settings)
         counted = observations.take(indices)
