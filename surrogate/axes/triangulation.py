@@ -86,7 +86,13 @@ class Triangulation:
             self.neighbours = np.full((1, 1), -1, dtype=np.intp)
             self.weights = np.zeros((1, 0, 3))
         elif self.dimension == 1:
-            self._connect_line(local[:, 0])
+            order = np.argsort(local[:, 0])
+            self.simplices = np.stack((order[:-1], order[1:]), axis=1)
+            index = np.arange(len(self.simplices))
+            self.neighbours = np.stack((index + 1, index - 1), axis=1)
+            self.neighbours[-1, 0] = -1
+            with np.errstate(divide="ignore", invalid="ignore"):  # no length: marked degenerate
+                self.weights = -self.basis[None] / np.diff(local[order, 0])[:, None, None]
         else:
             self._connect_simplices(local)
 
@@ -111,16 +117,6 @@ class Triangulation:
         if self.dimension < 3:
             with np.errstate(invalid="ignore"):  # no area: marked degenerate
                 self.weights = self.weights @ self.basis
-
-    def _connect_line(self, along: Floats) -> None:
-        order = np.argsort(along)
-        stations = along[order]
-        self.simplices = np.stack((order[:-1], order[1:]), axis=1)
-        index = np.arange(len(self.simplices))
-        self.neighbours = np.stack((index + 1, index - 1), axis=1)
-        self.neighbours[-1, 0] = -1
-        with np.errstate(divide="ignore", invalid="ignore"):  # no length: marked degenerate
-            self.weights = -self.basis[None] / np.diff(stations)[:, None, None]
 
     def _measure(self) -> None:
         edges = self.points[self.simplices[:, :-1]] - self.anchors[:, None]
