@@ -9,6 +9,7 @@ import orjson
 from pydantic import Field, field_validator, model_validator
 from typing_extensions import TypedDict
 
+from wrenchbook.service.formats.cells import text_problem
 from wrenchbook.service.formats.options import MAX_ZERO_ROWS, Options
 from wrenchbook.service.formats.options import Format as FileFormat
 from wrenchbook.service.formats.read import MAX_PREVIEW
@@ -154,12 +155,8 @@ class ImportQuery(Body):
     @field_validator("note", "filename", "rig", "append")
     @classmethod
     def _check_text(cls, text: str) -> str:
-        try:
-            text.encode()
-        except UnicodeEncodeError:
-            raise ValueError("contains an unpaired surrogate (invalid Unicode)") from None
-        if "\0" in text:
-            raise ValueError("holds a zero byte")
+        if problem := text_problem(text):
+            raise ValueError(problem)
         return text
 
     def options(self, rig: str) -> Options:

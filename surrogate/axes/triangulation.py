@@ -61,7 +61,14 @@ class Triangulation:
         self.origin = self.points[0] if len(self.points) == 1 else self.points.mean(axis=0)
         self._triangulate()
         self.anchors = self.points[self.simplices[:, -1]]
-        self._measure()
+        edges = self.points[self.simplices[:, :-1]] - self.anchors[:, None]
+        longest = np.sqrt((edges**2).sum(axis=2)).max(axis=1, initial=0.0)
+        self.volumes = np.abs(determinants(edges @ self.basis.T)) / math.factorial(self.dimension)
+        finite = np.isfinite(self.weights).reshape(len(edges), -1)
+        broken: NDArray[np.bool_] = np.asarray(np.any(~finite, axis=1))
+        self.degenerate = broken | (self.volumes < SLIVER * longest**self.dimension)
+        if broken.any():
+            self.weights = np.where(broken[:, None, None], 0.0, self.weights)
 
     def _triangulate(self) -> None:
         dimension, basis = _span(self.points)
@@ -117,16 +124,6 @@ class Triangulation:
         if self.dimension < 3:
             with np.errstate(invalid="ignore"):  # no area: marked degenerate
                 self.weights = self.weights @ self.basis
-
-    def _measure(self) -> None:
-        edges = self.points[self.simplices[:, :-1]] - self.anchors[:, None]
-        longest = np.sqrt((edges**2).sum(axis=2)).max(axis=1, initial=0.0)
-        self.volumes = np.abs(determinants(edges @ self.basis.T)) / math.factorial(self.dimension)
-        finite = np.isfinite(self.weights).reshape(len(edges), -1)
-        broken: NDArray[np.bool_] = np.asarray(np.any(~finite, axis=1))
-        self.degenerate = broken | (self.volumes < SLIVER * longest**self.dimension)
-        if broken.any():
-            self.weights = np.where(broken[:, None, None], 0.0, self.weights)
 
     def locate(self, x: ArrayLike) -> Indices:
         """Return the simplex of each point, shape (k, 3) -> (k,), or -1 outside the hull.
