@@ -35,12 +35,9 @@ class InverseError(ArithmeticError):
 class Reply(NamedTuple):
     """The answer to one wrench; m outputs, m and rad."""
 
-    # outputs, error: the displacement, and its total 95 % error. None where unknown, all of it or
-    # an entry.
-    outputs: tuple[float, ...] | None
-    error: tuple[float, ...] | None
-    # interpolation, discretisation, linearity, measurement: the parts whose sum the error is,
-    # likewise
+    # None where unknown, all of it or an entry.
+    outputs: tuple[float, ...] | None  # the displacement
+    error: tuple[float, ...] | None  # total, 95 %: the sum of the four parts
     interpolation: tuple[float, ...] | None
     discretisation: tuple[float, ...] | None
     linearity: tuple[float, ...] | None

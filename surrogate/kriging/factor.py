@@ -42,9 +42,8 @@ ROUNDING = float(np.finfo(float).eps) ** 2  # variance, spreads squared, of equa
 class OutputGroup(NamedTuple):
     """Outputs of the same rows and the same noise, which one factor answers."""
 
-    # outputs, rows: (k,) and (r,)
-    outputs: Indices
-    rows: Indices
+    outputs: Indices  # (k,)
+    rows: Indices  # (r,)
     noise: Floats  # (r,), dimensionless: variance of the rows' values over the process variance
 
 

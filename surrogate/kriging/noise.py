@@ -124,9 +124,8 @@ class Spectrum(NamedTuple):
     """The diagonalising transform for every r: T s^2 (K + r D) T' = s^2 diag(values + r noisy)."""
 
     rotation: Floats  # (m, e): T
-    # values, noisy: (m,)
-    values: Floats
-    noisy: Floats
+    values: Floats  # (m,)
+    noisy: Floats  # (m,)
     data: Floats  # (m, k), spreads: T times the readings
     logarithm: float  # of T's determinant, as far as it depends on the covariance
     # each term's correlation of pairs of rows and its derivative by q; none with slopes

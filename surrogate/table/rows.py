@@ -158,9 +158,8 @@ class Rows:
     curvature: Floats
     # (n, 6), m and rad: 95 % half width of the row itself; NaN or 0 where unknown
     uncertainty: Floats
-    # source, fingerprint: (n,)
-    source: NDArray[np.str_]
-    fingerprint: NDArray[np.str_]
+    source: NDArray[np.str_]  # (n,)
+    fingerprint: NDArray[np.str_]  # (n,)
     space: Space = DEFAULT
     # (n,): when the rows came, s since the epoch: those of one import have the same; 0 where
     # unknown
