@@ -119,7 +119,6 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
         steps[first[1:]] -= steps[first[:-1]]
         steps[first[:1]] = 0.0
     steps = steps[place]  # a load that stays at its place keeps the branch that it came by
-    mean, deviation, half_width = np.zeros((3, 2 + 4 * count, outputs))
     evidence: dict[int, tuple[Floats, Floats]] = {}
     for output in np.flatnonzero(shown.any(axis=1)).tolist():
         known = shown[output]
@@ -129,21 +128,10 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
             evidence[output] = beside, moved[good, output][known]
             sure = sure_directions(*evidence[output], steps[good])
             signs[good, output] = extent[good, output] * sure
-    some = shown.any(axis=1)
-    # A loop is in rows without a sure direction too, on a side that is not known: its size is that
-    # of the others.
-    for _ in range(2):
-        for known in np.unique(shown[some], axis=0):
-            these, of = np.flatnonzero(some & (shown == known).all(axis=1)), good[known]
-            time, signed, gain = (
-                middle[of][:, :, None],
-                *np.stack((signs, scaled))[:, of][:, :, None],
-            )
-            columns = np.concatenate((signed, time + 0 * gain, time * gain), axis=1)[..., these]
-            part = _estimated(rows.take(of), load_range, these, columns, SCALE * largest[these])
-            mean[:, these], deviation[:, these], half_width[:, these] = part
-        some = np.abs(mean[1]) > half_width[1]
-        shown[some] &= signs[good][:, some].T != 0
+    columns = middle, signs, scaled
+    mean, deviation, half_width = _estimates(
+        rows, load_range, good, columns, shown, SCALE * largest
+    )
     size = np.where(np.abs(mean) > half_width, mean, 0.0)
     # A rig that drifts in one output, or whose sessions differ in one, does so in all. Where an
     # output shows no drift of its own, the rows stay as they are and the error bar holds it: the
@@ -159,11 +147,11 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     ends = [1, 2, 2 + count, 2 + 2 * count]
     zero, loop, drift, offset, scale = np.split(size.copy(), ends)
     by_kind[3] *= is_identifiable
-    most = np.where(size != 0, np.abs(size) + half_width, 0.0)
+    upper = np.where(size != 0, np.abs(size) + half_width, 0.0)
     by_kind[0] = own_drift
     for output in np.flatnonzero(loop).tolist():
         signs[:, output] = extent[:, output] * sure_directions(*evidence[output], steps)
-    bar, kinds = most[1], most[2:].reshape(4, count, outputs).max(axis=1)
+    bar, kinds = upper[1], upper[2:].reshape(4, count, outputs).max(axis=1)
     bar += 0.5 * kinds[0] + kinds[1] + 0.5 * kinds[2] + kinds[3]
     # Answers have the scale of the session at their load, and the part may have that of another.
     known = np.where(half_width[-count:] > 0, deviation[-count:], np.inf)
@@ -293,6 +281,40 @@ def _directions(matrix: Floats) -> tuple[Floats, Floats, Floats]:
     left, sizes, right = np.linalg.svd(matrix, full_matrices=False)
     few = sizes > RANK * sizes[0]
     return left[:, few], sizes[few], right[few]
+
+
+def _estimates(
+    rows: Rows,
+    load_range: LoadRange,
+    good: Indices,
+    columns: tuple[Floats, Floats, Floats],
+    shown: NDArray[np.bool_],
+    scale: Floats,
+) -> Floats:
+    """Return the results of `_estimated` for all outputs, (3, 1 + c, m), m and rad.
+
+    `columns`: middle of time and sessions, (n, 2 s), signs and scaled response, (n, m) each.
+    `shown` (m, k): which outputs the rows `good` have.
+    """
+    middle, signs, scaled = columns
+    results = np.zeros((3, 2 + 2 * middle.shape[1], len(shown)))
+    pending = shown.any(axis=1)
+    # A loop is in rows without a sure direction too, on a side that is not known: its size is that
+    # of the others. So outputs with a loop are estimated again, by rows with a sure direction.
+    for _ in range(2):
+        for known in np.unique(shown[pending], axis=0):
+            outputs, used = np.flatnonzero(pending & (shown == known).all(axis=1)), good[known]
+            time, signed, gain = (
+                middle[used][:, :, None],
+                *np.stack((signs, scaled))[:, used][:, :, None],
+            )
+            effects = np.concatenate((signed, time + 0 * gain, time * gain), axis=1)[..., outputs]
+            results[:, :, outputs] = _estimated(
+                rows.take(used), load_range, outputs, effects, scale[outputs]
+            )
+        pending = np.abs(results[0, 1]) > results[2, 1]
+        shown = np.where(pending[:, None], shown & (signs[good].T != 0), shown)
+    return results
 
 
 def _estimated(
