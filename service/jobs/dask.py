@@ -112,7 +112,8 @@ class DaskEngine(attempts.Listeners):
 
     def __init__(self, scheduler: str) -> None:
         self._scheduler = f"the Dask scheduler at {scheduler}"
-        self._away: str | None = f"{self._scheduler} has not answered yet"
+        # Why the scheduler cannot be used; None while it can.
+        self._disconnected: str | None = f"{self._scheduler} has not answered yet"
         self._workers: dict[str, _Worker] = {}
         self._tasks: dict[str, _Task] = {}
         self._bundles: dict[str, tuple[list[Any], str, Future]] = {}
@@ -141,7 +142,7 @@ class DaskEngine(attempts.Listeners):
             raise attempts.EngineError(why)
         if attempt.task not in self._tasks:
             task = self._tasks[attempt.task] = _Task(attempt)
-            self._soon(self._start, task)
+            self._call_soon(self._start, task)
 
     def attach(self, attempt: Attempt) -> None:
         """Submit the attempt under its key: a task of that key on the cluster goes on."""
@@ -149,7 +150,7 @@ class DaskEngine(attempts.Listeners):
             if attempt.task not in self._tasks and not (attempt.folder / OUTCOME).exists():
                 attempt.bundle = attempts.read_attempt(attempt.folder).bundle
                 task = self._tasks[attempt.task] = _Task(attempt)
-                self._soon(self._start, task)
+                self._call_soon(self._start, task)
 
     def poll(self, attempt: Attempt) -> attempts.State:
         """Return the attempt's state by the latest event; see `service.jobs.dispatcher`."""
@@ -159,29 +160,29 @@ class DaskEngine(attempts.Listeners):
 
     def cancel(self, attempt: Attempt) -> None:
         """Cancel the attempt's Dask task; its worker ends the solver."""
-        self._soon(lambda: self._go(self._cancel(attempt.task)))
+        self._call_soon(lambda: self._create_task(self._cancel(attempt.task)))
 
     def forget(self, attempt: Attempt) -> None:
         """Stop following an attempt; a worker that runs it goes on."""
         if task := self._tasks.pop(attempt.task, None):
-            self._soon(lambda: task.run and task.run.cancel())
+            self._call_soon(lambda: task.run and task.run.cancel())
 
     def close(self) -> None:
         """Leave the cluster; workers finish their attempts and keep them for the next server."""
         self._tasks.clear()
-        self._soon(self._loop.stop)
+        self._call_soon(self._loop.stop)
         self._thread.join(CLOSE_SECONDS)
 
     @property
     def _fit(self) -> list[_Worker]:
         workers = tuple(self._workers.values())
-        return [] if self._away else [worker for worker in workers if worker.unfit is None]
+        return [] if self._disconnected else [worker for worker in workers if worker.unfit is None]
 
     @property
     def _unreachable(self) -> str | None:
         """Why no task can be submitted at present; None if one can."""
-        if self._away or self._fit:
-            return self._away
+        if self._disconnected or self._fit:
+            return self._disconnected
         reasons = sorted({worker.unfit or "" for worker in tuple(self._workers.values())})
         if not reasons:
             return f"{self._scheduler} has no workers"
@@ -203,11 +204,11 @@ class DaskEngine(attempts.Listeners):
                     self._loop.run_until_complete(asyncio.wait(tasks, timeout=CLOSE_SECONDS / 2))
             self._loop.close()
 
-    def _soon(self, function: Callable[..., object], *arguments: Any) -> None:
+    def _call_soon(self, function: Callable[..., object], *arguments: Any) -> None:
         with contextlib.suppress(RuntimeError):  # the engine is closed
             self._loop.call_soon_threadsafe(function, *arguments)
 
-    def _go(self, coroutine: Any) -> asyncio.Task[None]:
+    def _create_task(self, coroutine: Any) -> asyncio.Task[None]:
         task = self._loop.create_task(coroutine)
         self._background.add(task)
         task.add_done_callback(self._background.discard)
@@ -235,7 +236,7 @@ class DaskEngine(attempts.Listeners):
                 why = "the connection to it was lost"
             except Exception as error:  # a bad address, another version, no certificate
                 why = str(error) or repr(error)
-            self._set_away(f"cannot be used: {why}")
+            self._set_disconnected(f"cannot be used: {why}")
             await asyncio.sleep(pause)
             pause = min(2 * pause, AWAY_SECONDS[1])
 
@@ -245,19 +246,19 @@ class DaskEngine(attempts.Listeners):
                 return client
             await asyncio.sleep(WAIT_SECONDS)
 
-    def _set_away(self, why: str) -> None:
+    def _set_disconnected(self, why: str) -> None:
         self._workers.clear()
-        away = f"{self._scheduler} {why}"
-        if away != self._away:
-            _log.warning("%s; it is tried again", away)
-        self._away = away
+        reason = f"{self._scheduler} {why}"
+        if reason != self._disconnected:
+            _log.warning("%s; it is tried again", reason)
+        self._disconnected = reason
 
     async def _follow(self, client: Client) -> None:
         """Keep the list of workers up to date until the client closes."""
         scheduler: Any = client.scheduler
         while client.status in ("running", "connecting"):
             if client.status == "connecting":
-                self._set_away("cannot be used: the connection to it was lost")
+                self._set_disconnected("cannot be used: the connection to it was lost")
                 await asyncio.sleep(AWAY_SECONDS[0])
                 continue
             # A client that has reconnected has no subscriptions any more.
@@ -265,9 +266,9 @@ class DaskEngine(attempts.Listeners):
             try:
                 roster = await asyncio.wait_for(scheduler.identity(n_workers=-1), ANSWER_SECONDS)
             except OSError:
-                self._set_away("does not answer")
+                self._set_disconnected("does not answer")
                 continue
-            self._away, known = None, self._workers
+            self._disconnected, known = None, self._workers
             self._workers = {
                 address: known.get(address) or _Worker.of(address, entry)
                 for address, entry in roster["workers"].items()
@@ -277,7 +278,7 @@ class DaskEngine(attempts.Listeners):
             for worker in due:
                 worker.probed = now
             if due:
-                self._go(self._probe(client, due))
+                self._create_task(self._probe(client, due))
             await asyncio.sleep(max(ROSTER_SECONDS, ROSTER_SECONDS_A_WORKER * len(self._workers)))
 
     async def _probe(self, client: Client, workers: list[_Worker]) -> None:
@@ -312,7 +313,7 @@ class DaskEngine(attempts.Listeners):
     # -- attempts, in the engine's own thread --------------------------------------------------
 
     def _start(self, task: _Task) -> None:
-        task.run = self._go(self._run(task))
+        task.run = self._create_task(self._run(task))
 
     async def _cancel(self, name: str) -> None:
         task = self._tasks.get(name)
@@ -327,7 +328,7 @@ class DaskEngine(attempts.Listeners):
                 await client.cancel([future], force=True)
                 await client.unpublish_dataset(future.key)
         if task:
-            self._set(task, await self._end_with(task, attempts.Outcome("cancelled")))
+            self._set(task, await self._write_outcome(task, attempts.Outcome("cancelled")))
 
     def _on_progress(self, event: tuple[float, Any]) -> None:
         """Take a worker's progress event: a solver is at the attempt."""
@@ -352,7 +353,7 @@ class DaskEngine(attempts.Listeners):
         while ended is None:
             goes_on = False
             try:
-                ended = await self._try(task)
+                ended = await self._submit_once(task)
             except (BadPayloadError, FileNotFoundError) as error:
                 remedy = "add the component again"
                 ended = await self._fail(task, "component_missing", error, remedy)
@@ -380,9 +381,9 @@ class DaskEngine(attempts.Listeners):
 
     async def _fail(self, task: _Task, kind: str, error: Exception, remedy: str) -> attempts.State:
         outcome = attempts.Outcome.failed(kind, str(error) or repr(error), remedy)
-        return await self._end_with(task, outcome)
+        return await self._write_outcome(task, outcome)
 
-    async def _end_with(self, task: _Task, outcome: attempts.Outcome) -> attempts.State:
+    async def _write_outcome(self, task: _Task, outcome: attempts.Outcome) -> attempts.State:
         """Write an outcome in the solver's stead; an attempt whose folder is gone is lost."""
         try:
             if not (task.attempt.folder / OUTCOME).exists():
@@ -391,11 +392,11 @@ class DaskEngine(attempts.Listeners):
             return "lost"
         return "finished"
 
-    async def _try(self, task: _Task) -> attempts.State | None:
+    async def _submit_once(self, task: _Task) -> attempts.State | None:
         """Submit the attempt once; return how it ended, or None if it is to be submitted again."""
         attempt = task.attempt
         client = await self._connected(lambda: not self._unreachable)
-        workers, resources = await self._place(task)
+        workers, resources = await self._suitable_workers(task)
         name, bundle = await self._send(client, attempt.bundle)
 
         def run(*arguments: Any) -> dict[str, Any]:
@@ -424,7 +425,7 @@ class DaskEngine(attempts.Listeners):
                     async with asyncio.timeout(ANSWER_SECONDS):
                         await client.publish_dataset(future, name=future.key, override=True)
             while not (await asyncio.wait({result}, timeout=ROSTER_SECONDS))[0]:
-                if workers and not self._away and not self._workers.keys() & workers:
+                if workers and not self._disconnected and not self._workers.keys() & workers:
                     # Dask would keep the task for these workers, whichever others come.
                     await client.cancel([future], force=True)
                     return None
@@ -446,7 +447,7 @@ class DaskEngine(attempts.Listeners):
                 task.waits = f"what a worker sent cannot be written: {error}"
             await asyncio.sleep(AGAIN_SECONDS)
 
-    async def _place(self, task: _Task) -> tuple[list[str] | None, dict[str, float]]:
+    async def _suitable_workers(self, task: _Task) -> tuple[list[str] | None, dict[str, float]]:
         """Return the workers that may have an attempt, None for all, and the resources it takes.
 
         Declared resources are reserved by Dask; other workers are chosen by threads and memory.

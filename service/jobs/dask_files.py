@@ -73,7 +73,7 @@ def digest(content: bytes) -> str:
     return blake2b(content, digest_size=16).hexdigest()
 
 
-def place(content: bytes, name: str, folder: Path) -> None:
+def unpack(content: bytes, name: str, folder: Path) -> None:
     """Write the files of a packed folder with the digest `name` into ``folder/name``, all or none.
 
     Raises `BadPayloadError` if they were damaged in transit, OSError if they cannot be written.

@@ -17,7 +17,7 @@ from distributed import Worker
 from wrenchbook.service.files.program import solver_version
 from wrenchbook.service.jobs import attempt as attempts
 from wrenchbook.service.jobs.attempt import ALIVE, Attempt
-from wrenchbook.service.jobs.dask_files import BadPayloadError, artifacts, place
+from wrenchbook.service.jobs.dask_files import BadPayloadError, artifacts, unpack
 from wrenchbook.service.jobs.solver_pool import LocalEngine
 
 TOPIC = "wrenchbook-progress"  # of the workers' progress events, on the scheduler
@@ -77,7 +77,7 @@ def run_task(sent: bytes, name: str, files: bytes) -> dict[str, Any]:
     attempt.folder, attempt.bundle = folder / "attempts" / attempt.task, str(bundle)
     try:
         if not bundle.is_dir():
-            place(files, name, bundle.parent)
+            unpack(files, name, bundle.parent)
             drop_old_bundles(bundle.parent)
         os.utime(bundle)  # bundles in use are kept
         attempts.prepare(attempt)

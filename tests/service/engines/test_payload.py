@@ -15,7 +15,7 @@ from wrenchbook.service.jobs.dask_files import (
     BadPayloadError,
     digest,
     pack,
-    place,
+    unpack,
     write_files,
 )
 
@@ -71,7 +71,7 @@ def test_files_have_one_digest_if_and_only_if_they_are_the_same(tmp_path, change
 
 def test_what_is_placed_is_what_was_packed(tmp_path):
     content = pack(written(tmp_path / "here", FILES), BUNDLE_BYTES)
-    place(content, digest(content), tmp_path)
+    unpack(content, digest(content), tmp_path)
     assert read(tmp_path / digest(content)) == FILES
 
 
@@ -84,7 +84,7 @@ def test_a_name_that_leads_out_of_its_folder_writes_nothing(tmp_path, name):
 
 def test_files_that_were_damaged_on_the_way_are_not_kept(tmp_path):
     with pytest.raises(BadPayloadError, match="not as"):
-        place(pickle.dumps({"a": b"torn"}), digest(pickle.dumps({"a": b"sent"})), tmp_path)
+        unpack(pickle.dumps({"a": b"torn"}), digest(pickle.dumps({"a": b"sent"})), tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -119,7 +119,7 @@ def test_bundles_in_use_are_kept_when_old_ones_go(tmp_path, monkeypatch):
     monkeypatch.setattr(dask_worker, "BUNDLES", 1)
     for number in range(3):
         content = pickle.dumps({"a": bytes([number])})
-        place(content, digest(content), tmp_path)
+        unpack(content, digest(content), tmp_path)
         old = time.time() - (dask_worker.BUNDLE_SECONDS + 100 - number if number < 2 else 0)
         os.utime(tmp_path / digest(content), (old, old))
     dask_worker.drop_old_bundles(tmp_path)
