@@ -46,33 +46,21 @@ STEEPER = 2.0  # than in proportion: of a response that bends, at the rows there
 class Group:
     """The interpolators of outputs that the same rows have.
 
-    Attributes
-    ----------
-    outputs : tuple of int
-        Indices, in `OUTPUTS`, of the outputs it answers; the others are 0 and count for nothing.
-    rows : Rows
-        All rows that have them, in ascending order of `seq`.
-    merged : Merged
-        Those rows, repeated ones merged.
-    used : Rows
-        Those that answers are made of: merged, and within the load range.
-    members : tuple of tuple of int
-        The numbers (`seq`) of the rows behind each of `used`.
-    fit : ComplianceFit
-    choice : MethodChoice
-        The default method, and why.
-    has_axes : bool
-        Whether straight direction influence is defined: one interface without further inputs.
-    full_wrenches : int
-        Rows that load more than one axis.
-    row_index : RowIndex
-        Which of `rows` is at or next to a wrench.
-    row_uncertainty : ndarray, shape (k, 6), m and rad
-        Of the rows of `merged`; NaN where it is not known.
-    steepest : ndarray, shape (6,), m and rad
-        What each output moves over half the load range, at most, by a row without a tangent.
-    build_s : float, s
-        Processor time that building it took.
+    `outputs`: indices, in `OUTPUTS`, of the outputs it answers; the others are 0 and count for
+    nothing.
+    `rows`: all rows that have them, in ascending order of `seq`.
+    `merged`: those rows, repeated ones merged.
+    `used`: those that answers are made of: merged, and within the load range.
+    `members`: the numbers (`seq`) of the rows behind each of `used`.
+    `choice`: the default method, and why.
+    `has_axes`: whether straight direction influence is defined: one interface without further
+    inputs.
+    `full_wrenches`: rows that load more than one axis.
+    `row_index`: which of `rows` is at or next to a wrench.
+    `row_uncertainty` (k, 6), m and rad: of the rows of `merged`; NaN where it is not known.
+    `steepest` (6,), m and rad: what each output moves over half the load range, at most, by a row
+    without a tangent.
+    `build_s`, s: processor time that building it took.
     """
 
     def __init__(
@@ -212,40 +200,24 @@ class Group:
 
 @dataclass
 class Table:
-    """One version of a table; `build` makes one.
+    """One version of a table; `build` makes one."""
 
-    Attributes
-    ----------
-    rows : Rows
-        All of them as measured, in ascending order of `seq`; NaN where an output was not measured.
-    load_range : LoadRange
-    groups : tuple of Group
-        Outputs that the same rows have, those of the fewest rows first: where they are thin, some
-        output is. An output that no row has is in no group.
-    tolerance : Tolerance or None, m and rad
-    linear : bool
-        Whether the component is linear, so that its 6x6 compliance is exact.
-    version : int
-    locked : tuple of int
-        Indices, in `LOADS`, of the loads on locked freedoms: every call sets them to zero first.
-    solver_error : SolverError or None
-        Error of the solver: in no error bar here; `bars_are_complete` says whether it is known.
-    rig_error : ndarray, shape (6,), m and rad
-        See `findings.find.without_effects`: in no error bar here.
-    packed : surrogate.kernel.binding.PackedTable or None
-        The same table packed; None until it is made.
-    """
-
+    # all of them as measured, in ascending order of `seq`; NaN where an output was not measured
     rows: Rows
     load_range: LoadRange
+    # outputs that the same rows have, those of the fewest rows first: where they are thin, some
+    # output is. An output that no row has is in no group.
     groups: tuple[Group, ...]
-    tolerance: Tolerance | None
-    linear: bool
+    tolerance: Tolerance | None  # m and rad
+    linear: bool  # whether the component is linear, so that its 6x6 compliance is exact
     version: int
+    # indices, in `LOADS`, of the loads on locked freedoms: every call sets them to zero first
     locked: tuple[int, ...]
+    # error of the solver: in no error bar here; `bars_are_complete` says whether it is known
     solver_error: SolverError | None
     bars_are_complete: bool
-    rig_error: Floats
+    rig_error: Floats  # (6,), m and rad: see `findings.find.without_effects`: in no error bar here
+    # a `PackedTable` of the same table; None until it is made
     packed: Any = None
 
     @cached_property

@@ -119,16 +119,9 @@ def first_design(span: LoadRange, known: Known, count: int) -> Floats:
 
 @dataclass(frozen=True)
 class Design:
-    """Wrenches to solve next.
+    """Wrenches to solve next."""
 
-    Attributes
-    ----------
-    wrenches : ndarray, shape (k, 6), N and N·m
-    stage : {"first", "refine", "met"}
-    reason : str
-    """
-
-    wrenches: Floats
+    wrenches: Floats  # (k, 6), N and N·m
     stage: Literal["first", "refine", "met"]
     reason: str
 
@@ -148,17 +141,11 @@ def next_wrenches(
     A linear component needs but one solve, which brings its compliance. Without a tolerance (the
     table's if None) the refinement has no end.
 
-    Parameters
-    ----------
-    pending : ndarray, shape (m, 6), N and N·m
-        Wrenches that are being solved.
-    span : LoadRange, optional
-        The part of the load range that a scene needs; all of it by default.
-    outputs : sequence of int
-        The outputs whose bars count; all where none are named.
-    for_joint : bool
-        Whether the compliance must be positive definite, and the error of the wrench of a
-        displacement at most `FORCE_ERROR` of the load range.
+    `pending` (m, 6), N and N·m: wrenches that are being solved.
+    `span`: the part of the load range that a scene needs; all of it by default.
+    `outputs`: the outputs whose bars count; all where none are named.
+    `for_joint`: whether the compliance must be positive definite, and the error of the wrench of a
+    displacement at most `FORCE_ERROR` of the load range.
     """
     wrenches = table.rows.wrench
     waiting = np.asarray(() if pending is None else pending, dtype=float)

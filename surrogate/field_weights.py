@@ -26,14 +26,9 @@ COLUMNS = 4096  # numbers of a field of which rows are left out at once: 14 MB o
 
 @dataclass(frozen=True)
 class FieldWeights:
-    """The weights of some rows that bring fields and their slopes.
+    """The weights of some rows that bring fields and their slopes."""
 
-    Attributes
-    ----------
-    wrenches : ndarray, shape (k, 6), N and N·m
-    """
-
-    wrenches: Floats
+    wrenches: Floats  # (k, 6), N and N·m
     load_range: LoadRange
     factor: KrigingFactor
 
@@ -47,15 +42,8 @@ class FieldWeights:
     ) -> FieldWeights:
         """Return the weights of rows at different wrenches, shape (k, 6), N and N·m.
 
-        Parameters
-        ----------
-        hyperparameters : Hyperparameters, optional
-            Of the table's kriging; else those that its estimate starts from.
-
-        Raises
-        ------
-        SingularCovarianceError
-            If two rows are at the same wrench.
+        `hyperparameters`: of the table's kriging; else those that its estimate starts from.
+        Raises SingularCovarianceError if two rows are at the same wrench.
         """
         (count, loads), groups = wrenches.shape, load_range.space.kriging_groups
         if hyperparameters is None:
@@ -93,10 +81,8 @@ class FieldWeights:
 
         The errors are in the unit of the values, the deviations over the process deviation.
 
-        Parameters
-        ----------
-        values : ndarray, shape (k, 7, d)
-            Of each row a field's d numbers, then their change with each load, per N and N·m.
+        `values` (k, 7, d): of each row a field's d numbers, then their change with each load, per N
+        and N·m.
         """
         count, _, size = values.shape
         scale = np.append(1.0, self.load_range.scale)[:, None]

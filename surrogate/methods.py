@@ -14,19 +14,12 @@ from .table.rows import Floats, LoadRange, Rows
 
 @dataclass(frozen=True)
 class MethodChoice:
-    """The default method of a table.
-
-    Attributes
-    ----------
-    method : str
-    reason : str
-    errors : dict of str to float
-        Root mean square at rows left out, over the outputs' ranges, dimensionless, by method;
-        of the outputs that vary; empty where none were compared.
-    """
+    """The default method of a table."""
 
     method: str
     reason: str
+    # root mean square at rows left out, over the outputs' ranges, dimensionless, by method; of the
+    # outputs that vary; empty where none were compared
     errors: dict[str, float]
 
 
@@ -45,12 +38,7 @@ def choose(
     the truth than the axes. Else the axes answer, with all that their rows show of the other
     outputs, and no error bar.
 
-    Parameters
-    ----------
-    kriging
-        Makes the interpolator, or None if the rows allow none.
-    linear : bool
-        Whether the component is linear.
+    `kriging`: makes the interpolator, or None if the rows allow none.
     """
     has_axes = load_range.space.is_default
     if not len(rows):

@@ -33,20 +33,13 @@ UNKNOWN = (
 class SolverError:
     """The bars that come of the solver, a function of the wrench alone.
 
-    Parameters
-    ----------
-    values : mapping
-        ``mesh``: shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m), or None where it is not known: the
-        error over each load's size, without a tangent. ``loads``: (6,), N and N·m, largest of the
-        range. ``zero``: (6,), from where inputs count; optional. ``mesh_stiffness``: (6, 6), N/m
-        and so on, what the mesh adds to the stiffness; missing of estimates of older versions. Of a
-        linear component ``linearity``: (6,), m and rad, at such loads, growing with their square;
-        None where it is not known. Further entries are words for people.
-
-    Raises
-    ------
-    ValueError
-        If it is not of that form.
+    `values`: ``mesh``: shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m), or None where it is not known:
+    the error over each load's size, without a tangent. ``loads``: (6,), N and N·m, largest of the
+    range. ``zero``: (6,), from where inputs count; optional. ``mesh_stiffness``: (6, 6), N/m and so
+    on, what the mesh adds to the stiffness; missing of estimates of older versions. Of a linear
+    component ``linearity``: (6,), m and rad, at such loads, growing with their square; None where
+    it is not known. Further entries are words for people.
+    Raises ValueError if it is not of that form.
     """
 
     def __init__(self, values: Mapping[str, Any]) -> None:

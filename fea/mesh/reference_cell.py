@@ -144,9 +144,9 @@ def tabulate(kind: str, points: Array) -> tuple[Array, Array]:
     return np.stack(values, axis=1), np.moveaxis(np.stack(slopes), (0, 1, 2), (1, 2, 0)).copy()
 
 
-# Shape functions that scikit-fem lacks, each a word: the product of its letters, which are the
-# factors of `_products`. The functions of corners come first. Those of the edges' middles are four
-# times their words.
+# Shape functions that scikit-fem lacks, each a word: the product of its letters, the factors of
+# `_wedge_factors` or `_pyramid_factors`. The functions of corners come first. Those of the edges'
+# middles are four times their words.
 _PYRAMID = "dqs dps dpr dqr h"
 _PRODUCTS = {
     "wedge15": "ad bd cd ah bh ch abd bcd cad abh bch cah adh bdh cdh",
@@ -156,37 +156,47 @@ _PRODUCTS = {
 
 
 def _products(kind: str, points: Array) -> tuple[Array, Array]:
-    """Serendipity wedge (Zienkiewicz and Taylor, volume 1) and rational pyramid (Bedrosian 1992).
-
-    h is the height and d = 1 - h; a, b and c are barycentric in a triangle. Of a pyramid p = x/d,
-    q = 1 - p, r = y/d and s = 1 - r, whose faces are those of hexahedra and tetrahedra; at its apex
-    slopes are those on the line p = r = 1/2.
-    """
-    x, y, h = points.T
-    factors, ones = {"d": 1 - h, "h": h}, np.ones_like(h)
-    slopes = {"d": (0, 0, -ones), "h": (0, 0, ones)}
-    if kind == "wedge15":
-        factors |= {"a": 1 - x - y, "b": x, "c": y}
-        slopes |= {"a": (-ones, -ones, 0), "b": (ones, 0, 0), "c": (0, ones, 0)}
-    else:
-        d = factors["d"] = np.maximum(1 - h, 1e-30)
-        p, r = (np.where(h < 1, each / d, 0.5) for each in (x, y))
-        factors |= {"p": p, "q": 1 - p, "r": r, "s": 1 - r}
-        slopes |= {"p": (1 / d, 0, p / d), "q": (-1 / d, 0, -p / d)}
-        slopes |= {"r": (0, 1 / d, r / d), "s": (0, -1 / d, -r / d)}
-    products = _PRODUCTS[kind].split()
-    N, dN = np.zeros((len(products), len(h))), np.zeros((len(products), len(h), 3))
-    for word, value, slope in zip(products, N, dN, strict=True):
+    """Return values and slopes of the shape functions of `_PRODUCTS` at points; see `tabulate`."""
+    factors, slopes = (_wedge_factors if kind == "wedge15" else _pyramid_factors)(*points.T)
+    words, ones = _PRODUCTS[kind].split(), np.ones(len(points))
+    N, dN = np.zeros((len(words), len(points))), np.zeros((len(words), len(points), 3))
+    for word, value, slope in zip(words, N, dN, strict=True):
         value[:] = np.prod([factors[letter] for letter in word], axis=0)
         for i, letter in enumerate(word):
             others = np.prod([ones, *(factors[each] for each in word[:i] + word[i + 1 :])], axis=0)
             slope += others[:, None] * np.stack(np.broadcast_arrays(*slopes[letter]), axis=1)
-    corners = len(products) if len(products) < 10 else int(np.max(EDGES[kind])) + 1
+    corners = len(words) if len(words) < 10 else int(np.max(EDGES[kind])) + 1
     for table in (N, dN):
         table[corners:] *= 4
         for edge, middle in zip(EDGES[kind], table[corners:], strict=False):
             table[[*edge]] -= middle / 2
     return N.T, dN.swapaxes(0, 1)
+
+
+def _wedge_factors(x: Array, y: Array, h: Array) -> tuple[dict[str, Array], dict[str, tuple]]:
+    """Serendipity wedge (Zienkiewicz and Taylor, volume 1): factors and their slopes by letter.
+
+    h is the height and d = 1 - h; a, b and c are barycentric in a triangle.
+    """
+    ones = np.ones_like(h)
+    factors = {"a": 1 - x - y, "b": x, "c": y, "d": 1 - h, "h": h}
+    slopes = {"a": (-ones, -ones, 0), "b": (ones, 0, 0), "c": (0, ones, 0)}
+    return factors, slopes | {"d": (0, 0, -ones), "h": (0, 0, ones)}
+
+
+def _pyramid_factors(x: Array, y: Array, h: Array) -> tuple[dict[str, Array], dict[str, tuple]]:
+    """Rational pyramid (Bedrosian 1992): factors and their slopes by letter.
+
+    h is the height and d = 1 - h; p = x/d, q = 1 - p, r = y/d and s = 1 - r, so that the faces are
+    those of hexahedra and tetrahedra. At the apex slopes are those on the line p = r = 1/2.
+    """
+    ones, d = np.ones_like(h), np.maximum(1 - h, 1e-30)
+    p, r = (np.where(h < 1, each / d, 0.5) for each in (x, y))
+    factors = {"d": d, "h": h, "p": p, "q": 1 - p, "r": r, "s": 1 - r}
+    slopes = {"d": (0, 0, -ones), "h": (0, 0, ones)}
+    slopes |= {"p": (1 / d, 0, p / d), "q": (-1 / d, 0, -p / d)}
+    slopes |= {"r": (0, 1 / d, r / d), "s": (0, -1 / d, -r / d)}
+    return factors, slopes
 
 
 def _gauss(count: int) -> tuple[Array, Array]:

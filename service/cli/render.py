@@ -132,7 +132,7 @@ def comparison_shown(reply: dict[str, Any]) -> Iterator[RenderableType]:
                 continue
             value, half = output["factor"], output["half_width"]
             is_known = value is not None and (half is None or half < abs(value))
-            factor = f"{value:.5g}" if is_known else "not told"
+            factor = f"{value:.5g}" if is_known else "uncertain"
             parts = [half, output["of_reference"], output["mean"], output["rms"]]
             numbers = ("unknown" if part is None else f"{part:.2g}" for part in parts)
             beyond = f"{output['beyond_bars']} of {output['compared']}"

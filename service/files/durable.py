@@ -1,4 +1,4 @@
-"""Making changes to a folder last."""
+"""Durable and atomic writes of files and folders."""
 
 from __future__ import annotations
 

@@ -54,10 +54,7 @@ def solver_version() -> str:
 def code_digest(*folders: str) -> str:
     """Return a digest, 16 hexadecimal digits, of the Python files below some folders.
 
-    Parameters
-    ----------
-    folders
-        Such as ``surrogate`` or ``service/jobs``.
+    `folders`: such as ``surrogate`` or ``service/jobs``.
     """
     digest = hashlib.sha256()
     for folder in folders:

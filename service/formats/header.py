@@ -358,15 +358,14 @@ def _read_labels(
                 _add_column(header, column, target, options, line)
             except UnitError as error:
                 header.mistakes.append(FileMistake(line, column.label, str(error)))
-    there = {_key(key) for label in labels for key in (label, _parts(label)[0])}
-    there.update(str(at) for at in range(1, len(labels) + 1))
-    for name in (*options.ignore, *options.mapping) if options.role == "table" else ():
-        if _key(name) not in there and name not in options.optional:
-            message = (
-                "is named by ignore or mapping (--ignore or --column), and the file has no such "
-                "column"
-            )
-            header.mistakes.append(FileMistake(line, name, message))
+    if options.role == "table":
+        there = _keys(labels).union(str(at) for at in range(1, len(labels) + 1))
+        message = (
+            "is named by ignore or mapping (--ignore or --column), and the file has no such column"
+        )
+        for name in (*options.ignore, *options.mapping):
+            if _key(name) not in there and name not in options.optional:
+                header.mistakes.append(FileMistake(line, name, message))
     for message in _missing_columns(header, labels, options):
         header.mistakes.append(FileMistake(line, "header", message))
 
@@ -452,6 +451,11 @@ def _key(label: str) -> str:
     return " ".join(label.split()).lower()
 
 
+def _keys(labels: Sequence[str]) -> set[str]:
+    """Return the keys of labels, with and without their units."""
+    return {_key(key) for label in labels for key in (label, _parts(label)[0])}
+
+
 def _unknown(name: str, columns: Columns) -> str:
     """Return a message on an unknown column with the nearest known one."""
     near = difflib.get_close_matches(name, (*columns.numbers, *TEXTS), n=1, cutoff=0.6)
@@ -467,9 +471,8 @@ def _unknown(name: str, columns: Columns) -> str:
 
 def _missing_of_profile(named: set[str], labels: Sequence[str], options: Options) -> Iterator[str]:
     """Yield a message on each load that a profile names and the file lacks: it is not zero."""
-    there = {_key(key) for label in labels for key in (label, _parts(label)[0])}
-    columns = options.columns
-    for load in columns.loads if options.role != "displacements" else ():
+    there, columns = _keys(labels), options.columns
+    for load in columns.loads:
         others = [
             label
             for label in options.mapping.keys() & {*options.optional}
@@ -491,10 +494,10 @@ def _missing_columns(header: Header, labels: list[str], options: Options) -> Ite
         name for label in labels if label not in known for name, _, _ in readings_of(label, columns)
     }
     named = mistaken | set(header.columns)
-    needed = []
+    has_loads, needed = options.role != "displacements", []
     if options.role != "loads":
         needed.append(("displacement", columns.displacement))
-    if options.role != "displacements":
+    if has_loads:
         needed.append(("load", columns.loads))
     for quantity, names in needed:
         if not named & set(names):
@@ -503,17 +506,18 @@ def _missing_columns(header: Header, labels: list[str], options: Options) -> Ite
             alone = _ALONE if quantity == "displacement" and options.role == "table" else ""
             yield f"no {quantity} column; name at least one of {named_so}{alone}"
     absent = [name for name in columns.loads if name not in named]
-    may_miss = options.missing_loads == "zero" or options.role == "displacements"
-    if absent and len(absent) < len(columns.loads) and not may_miss:
+    is_partial = 0 < len(absent) < len(columns.loads)
+    if is_partial and has_loads and options.missing_loads != "zero":
         out = f" (left out: {', '.join(header.ignored)})" if header.ignored else ""
         yield (
             f"there is no column for {', '.join(absent)}{out}; if these loads were zero, say "
             "missing_loads=zero (--missing-loads-zero)"
         )
-    yield from _missing_of_profile(named, labels, options)
-    for name in columns.further if options.role != "displacements" else ():
-        if name not in named:
-            example = f"{name} [{columns.quantity(name).si}]"
-            yield f"there is no column for {name}; every row needs it: name it {example}"
+    if has_loads:
+        yield from _missing_of_profile(named, labels, options)
+        for name in columns.further:
+            if name not in named:
+                example = f"{name} [{columns.quantity(name).si}]"
+                yield f"there is no column for {name}; every row needs it: name it {example}"
     if options.role != "table" and TIME_COLUMN not in named and header.sequence is None:
         yield "two logs are joined by their time; there is no column time [s]"

@@ -306,12 +306,7 @@ class AccessControl:
         return receive, send
 
     def check(
-        self,
-        method: str,
-        path: str,
-        head: Mapping[bytes, bytes],
-        peer: str = "",
-        counts: bool = True,
+        self, method: str, path: str, head: Mapping[bytes, bytes], counts: bool = True
     ) -> Permission:
         """Check a request by its head, and return its permission; `counts`: for its key's rate.
 

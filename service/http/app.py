@@ -136,20 +136,23 @@ class Application(FastAPI):
                 answer = sending(send_with_id, scope["path"], None)
                 await _STOPPING.response()(scope, receive, answer)
         finally:
-            seconds, method = perf_counter() - started, scope["method"]
-            # The template of the route, such as ``/v1/jobs/{job_id}``; no words of the caller.
-            route = getattr(scope.get("route"), "path", NO_ROUTE)
-            known = method if method in _METHODS else "other"
-            self.state.counts.add_request(route, known, status, seconds)
-            if self.logged:
-                host = (scope.get("client") or ("-",))[0]
-                query = scope["query_string"].decode("latin-1")
-                # The path as it was sent: a decoded one may hold a line end.
-                target = scope["raw_path"].decode("latin-1").partition("?")[0]
-                target += "?" + query if query else ""
-                actor = CALLER.get().actor
-                record = host, actor, method, target, status, 1e3 * seconds
-                access_log.info('%s %s "%s %s" %d %.1f ms', *record, extra={"actor": actor})
+            self._count(scope, status, perf_counter() - started)
+
+    def _count(self, scope: Scope, status: int, seconds: float) -> None:
+        """Count an answered request, and write its line of the access log."""
+        # The template of the route, such as ``/v1/jobs/{job_id}``; no words of the caller.
+        route, method = getattr(scope.get("route"), "path", NO_ROUTE), scope["method"]
+        known = method if method in _METHODS else "other"
+        self.state.counts.add_request(route, known, status, seconds)
+        if self.logged:
+            host = (scope.get("client") or ("-",))[0]
+            query = scope["query_string"].decode("latin-1")
+            # The path as it was sent: a decoded one may hold a line end.
+            target = scope["raw_path"].decode("latin-1").partition("?")[0]
+            target += "?" + query if query else ""
+            actor = CALLER.get().actor
+            record = host, actor, method, target, status, 1e3 * seconds
+            access_log.info('%s %s "%s %s" %d %.1f ms', *record, extra={"actor": actor})
 
 
 def _reads(scope: Scope) -> bool:
@@ -162,12 +165,7 @@ def _reads(scope: Scope) -> bool:
 def create_app(settings: Settings, security: SecuritySettings | None = None) -> Application:
     """Return the application; its workspace is open while the server runs.
 
-    Parameters
-    ----------
-    settings : Settings
-        The workspace's.
-    security : SecuritySettings, optional
-        How its access stands: by default without keys unless there are some, and under any name.
+    Without `security` there are no keys unless some are stored, and any host name is allowed.
     """
     counts = Counts()
 

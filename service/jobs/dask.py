@@ -14,26 +14,30 @@ import logging
 import os
 import pickle
 import re
-import shutil
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from concurrent.futures import CancelledError as FutureCancelled
-from dataclasses import asdict, dataclass
-from hashlib import blake2b
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import dask.config
-import distributed
-from distributed import Client, Future, KilledWorker, Worker
+from distributed import Client, Future, KilledWorker
 from distributed.client import ClosedClientError
 
 from wrenchbook.service.files.durable import write_atomically
 from wrenchbook.service.files.program import solver_version
 from wrenchbook.service.jobs import attempt as attempts
-from wrenchbook.service.jobs.attempt import ALIVE, LOCK, LOG, OUTCOME, PROGRESS, SPEC, Attempt
-from wrenchbook.service.jobs.solver_pool import LocalEngine
+from wrenchbook.service.jobs.attempt import ALIVE, LOCK, OUTCOME, PROGRESS, Attempt
+from wrenchbook.service.jobs.dask_files import (
+    BUNDLE_BYTES,
+    BadPayloadError,
+    digest,
+    pack,
+    write_files,
+)
+from wrenchbook.service.jobs.dask_worker import TOPIC, probe
 
 _log = logging.getLogger(__name__)
 # They log each lost connection with a traceback; the engine logs it in one line.
@@ -43,7 +47,6 @@ for _name in ("distributed.client", "distributed.batched"):
 # A thread that is free finds its next task on its worker: the way through the scheduler takes as
 # long as a solve of 10 ms. Scheduler and workers keep the order of priorities.
 TASKS_A_THREAD = 2
-TOPIC = "wrenchbook-progress"  # of the workers' progress events, on the scheduler
 CLOSE_SECONDS = 5.0
 CANCEL_SECONDS = 2.0  # for the scheduler to be reachable before an attempt counts as cancelled
 CONNECT_SECONDS = 10.0  # also how long the client tries to reconnect before it is replaced
@@ -64,34 +67,6 @@ AGAIN_SECONDS = 1.0  # before a retry after an error of this machine or of the c
 SENT_BUNDLES = 20  # components that workers keep in memory
 # Resources a worker may declare: ``--resources "wrenchbook_memory=8e9 wrenchbook_cores=4"``.
 MEMORY, CORES = "wrenchbook_memory", "wrenchbook_cores"
-
-BUNDLE_BYTES = 512 * 1024 * 1024  # the limit of an uploaded bundle
-OUTCOME_BYTES = 8 * 1024 * 1024  # a displacement, a compliance and a history are some kB
-LOG_BYTES = 1024 * 1024  # of the end of a log
-FILES_BYTES = 32 * 1024 * 1024  # a failed solve's mesh, a deck's files
-MAX_NAMES = 20  # in the log, of files that are too large to be sent
-
-FREE_BYTES = 64 * 1024 * 1024  # a disk with less has no room for a solver's files
-BUNDLES = 50  # components that a worker keeps on its disk
-BUNDLE_SECONDS = 3600.0  # a solver has read its bundle long before
-POLL_SECONDS = 0.1  # between a worker's polls of a running solver
-REPORT_SECONDS = 1.0  # between two progress events of an attempt
-REPEAT_SECONDS = 30.0  # before the same progress is sent again
-# A kill of a solver and then its worker, or of a machine, is not the job's fault: the death of a
-# solver counts if its worker outlives it so long.
-OUTLIVE_SECONDS = 1.0
-GRACE_SECONDS = 5.0  # between SIGTERM and SIGKILL of a solver
-
-
-Files = dict[str, bytes]
-"""The content of files by their names, relative to a folder."""
-
-
-class BadPayloadError(Exception):
-    """A payload is damaged or too large."""
-
-
-# -- on the server --------------------------------------------------------------------------
 
 
 @dataclass
@@ -137,7 +112,8 @@ class DaskEngine(attempts.Listeners):
 
     def __init__(self, scheduler: str) -> None:
         self._scheduler = f"the Dask scheduler at {scheduler}"
-        self._away: str | None = f"{self._scheduler} has not answered yet"
+        # Why the scheduler cannot be used; None while it can.
+        self._disconnected: str | None = f"{self._scheduler} has not answered yet"
         self._workers: dict[str, _Worker] = {}
         self._tasks: dict[str, _Task] = {}
         self._bundles: dict[str, tuple[list[Any], str, Future]] = {}
@@ -166,7 +142,7 @@ class DaskEngine(attempts.Listeners):
             raise attempts.EngineError(why)
         if attempt.task not in self._tasks:
             task = self._tasks[attempt.task] = _Task(attempt)
-            self._soon(self._start, task)
+            self._call_soon(self._start, task)
 
     def attach(self, attempt: Attempt) -> None:
         """Submit the attempt under its key: a task of that key on the cluster goes on."""
@@ -174,7 +150,7 @@ class DaskEngine(attempts.Listeners):
             if attempt.task not in self._tasks and not (attempt.folder / OUTCOME).exists():
                 attempt.bundle = attempts.read_attempt(attempt.folder).bundle
                 task = self._tasks[attempt.task] = _Task(attempt)
-                self._soon(self._start, task)
+                self._call_soon(self._start, task)
 
     def poll(self, attempt: Attempt) -> attempts.State:
         """Return the attempt's state by the latest event; see `service.jobs.dispatcher`."""
@@ -184,29 +160,29 @@ class DaskEngine(attempts.Listeners):
 
     def cancel(self, attempt: Attempt) -> None:
         """Cancel the attempt's Dask task; its worker ends the solver."""
-        self._soon(lambda: self._go(self._cancel(attempt.task)))
+        self._call_soon(lambda: self._create_task(self._cancel(attempt.task)))
 
     def forget(self, attempt: Attempt) -> None:
         """Stop following an attempt; a worker that runs it goes on."""
         if task := self._tasks.pop(attempt.task, None):
-            self._soon(lambda: task.run and task.run.cancel())
+            self._call_soon(lambda: task.run and task.run.cancel())
 
     def close(self) -> None:
         """Leave the cluster; workers finish their attempts and keep them for the next server."""
         self._tasks.clear()
-        self._soon(self._loop.stop)
+        self._call_soon(self._loop.stop)
         self._thread.join(CLOSE_SECONDS)
 
     @property
     def _fit(self) -> list[_Worker]:
         workers = tuple(self._workers.values())
-        return [] if self._away else [worker for worker in workers if worker.unfit is None]
+        return [] if self._disconnected else [worker for worker in workers if worker.unfit is None]
 
     @property
     def _unreachable(self) -> str | None:
         """Why no task can be submitted at present; None if one can."""
-        if self._away or self._fit:
-            return self._away
+        if self._disconnected or self._fit:
+            return self._disconnected
         reasons = sorted({worker.unfit or "" for worker in tuple(self._workers.values())})
         if not reasons:
             return f"{self._scheduler} has no workers"
@@ -228,11 +204,11 @@ class DaskEngine(attempts.Listeners):
                     self._loop.run_until_complete(asyncio.wait(tasks, timeout=CLOSE_SECONDS / 2))
             self._loop.close()
 
-    def _soon(self, function: Callable[..., object], *arguments: Any) -> None:
+    def _call_soon(self, function: Callable[..., object], *arguments: Any) -> None:
         with contextlib.suppress(RuntimeError):  # the engine is closed
             self._loop.call_soon_threadsafe(function, *arguments)
 
-    def _go(self, coroutine: Any) -> asyncio.Task[None]:
+    def _create_task(self, coroutine: Any) -> asyncio.Task[None]:
         task = self._loop.create_task(coroutine)
         self._background.add(task)
         task.add_done_callback(self._background.discard)
@@ -260,7 +236,7 @@ class DaskEngine(attempts.Listeners):
                 why = "the connection to it was lost"
             except Exception as error:  # a bad address, another version, no certificate
                 why = str(error) or repr(error)
-            self._set_away(f"cannot be used: {why}")
+            self._set_disconnected(f"cannot be used: {why}")
             await asyncio.sleep(pause)
             pause = min(2 * pause, AWAY_SECONDS[1])
 
@@ -270,19 +246,19 @@ class DaskEngine(attempts.Listeners):
                 return client
             await asyncio.sleep(WAIT_SECONDS)
 
-    def _set_away(self, why: str) -> None:
+    def _set_disconnected(self, why: str) -> None:
         self._workers.clear()
-        away = f"{self._scheduler} {why}"
-        if away != self._away:
-            _log.warning("%s; it is tried again", away)
-        self._away = away
+        reason = f"{self._scheduler} {why}"
+        if reason != self._disconnected:
+            _log.warning("%s; it is tried again", reason)
+        self._disconnected = reason
 
     async def _follow(self, client: Client) -> None:
         """Keep the list of workers up to date until the client closes."""
         scheduler: Any = client.scheduler
         while client.status in ("running", "connecting"):
             if client.status == "connecting":
-                self._set_away("cannot be used: the connection to it was lost")
+                self._set_disconnected("cannot be used: the connection to it was lost")
                 await asyncio.sleep(AWAY_SECONDS[0])
                 continue
             # A client that has reconnected has no subscriptions any more.
@@ -290,9 +266,9 @@ class DaskEngine(attempts.Listeners):
             try:
                 roster = await asyncio.wait_for(scheduler.identity(n_workers=-1), ANSWER_SECONDS)
             except OSError:
-                self._set_away("does not answer")
+                self._set_disconnected("does not answer")
                 continue
-            self._away, known = None, self._workers
+            self._disconnected, known = None, self._workers
             self._workers = {
                 address: known.get(address) or _Worker.of(address, entry)
                 for address, entry in roster["workers"].items()
@@ -302,7 +278,7 @@ class DaskEngine(attempts.Listeners):
             for worker in due:
                 worker.probed = now
             if due:
-                self._go(self._probe(client, due))
+                self._create_task(self._probe(client, due))
             await asyncio.sleep(max(ROSTER_SECONDS, ROSTER_SECONDS_A_WORKER * len(self._workers)))
 
     async def _probe(self, client: Client, workers: list[_Worker]) -> None:
@@ -337,7 +313,7 @@ class DaskEngine(attempts.Listeners):
     # -- attempts, in the engine's own thread --------------------------------------------------
 
     def _start(self, task: _Task) -> None:
-        task.run = self._go(self._run(task))
+        task.run = self._create_task(self._run(task))
 
     async def _cancel(self, name: str) -> None:
         task = self._tasks.get(name)
@@ -352,7 +328,7 @@ class DaskEngine(attempts.Listeners):
                 await client.cancel([future], force=True)
                 await client.unpublish_dataset(future.key)
         if task:
-            self._set(task, await self._end_with(task, attempts.Outcome("cancelled")))
+            self._set(task, await self._write_outcome(task, attempts.Outcome("cancelled")))
 
     def _on_progress(self, event: tuple[float, Any]) -> None:
         """Take a worker's progress event: a solver is at the attempt."""
@@ -377,7 +353,7 @@ class DaskEngine(attempts.Listeners):
         while ended is None:
             goes_on = False
             try:
-                ended = await self._try(task)
+                ended = await self._submit_once(task)
             except (BadPayloadError, FileNotFoundError) as error:
                 remedy = "add the component again"
                 ended = await self._fail(task, "component_missing", error, remedy)
@@ -405,9 +381,9 @@ class DaskEngine(attempts.Listeners):
 
     async def _fail(self, task: _Task, kind: str, error: Exception, remedy: str) -> attempts.State:
         outcome = attempts.Outcome.failed(kind, str(error) or repr(error), remedy)
-        return await self._end_with(task, outcome)
+        return await self._write_outcome(task, outcome)
 
-    async def _end_with(self, task: _Task, outcome: attempts.Outcome) -> attempts.State:
+    async def _write_outcome(self, task: _Task, outcome: attempts.Outcome) -> attempts.State:
         """Write an outcome in the solver's stead; an attempt whose folder is gone is lost."""
         try:
             if not (task.attempt.folder / OUTCOME).exists():
@@ -416,16 +392,16 @@ class DaskEngine(attempts.Listeners):
             return "lost"
         return "finished"
 
-    async def _try(self, task: _Task) -> attempts.State | None:
+    async def _submit_once(self, task: _Task) -> attempts.State | None:
         """Submit the attempt once; return how it ended, or None if it is to be submitted again."""
         attempt = task.attempt
         client = await self._connected(lambda: not self._unreachable)
-        workers, resources = await self._place(task)
+        workers, resources = await self._suitable_workers(task)
         name, bundle = await self._send(client, attempt.bundle)
 
         def run(*arguments: Any) -> dict[str, Any]:
             """Pickled by value: a scheduler unpickles tasks and lacks this program."""
-            from wrenchbook.service.jobs.dask import run_task
+            from wrenchbook.service.jobs.dask_worker import run_task
 
             return run_task(*arguments)
 
@@ -449,7 +425,7 @@ class DaskEngine(attempts.Listeners):
                     async with asyncio.timeout(ANSWER_SECONDS):
                         await client.publish_dataset(future, name=future.key, override=True)
             while not (await asyncio.wait({result}, timeout=ROSTER_SECONDS))[0]:
-                if workers and not self._away and not self._workers.keys() & workers:
+                if workers and not self._disconnected and not self._workers.keys() & workers:
                     # Dask would keep the task for these workers, whichever others come.
                     await client.cancel([future], force=True)
                     return None
@@ -471,7 +447,7 @@ class DaskEngine(attempts.Listeners):
                 task.waits = f"what a worker sent cannot be written: {error}"
             await asyncio.sleep(AGAIN_SECONDS)
 
-    async def _place(self, task: _Task) -> tuple[list[str] | None, dict[str, float]]:
+    async def _suitable_workers(self, task: _Task) -> tuple[list[str] | None, dict[str, float]]:
         """Return the workers that may have an attempt, None for all, and the resources it takes.
 
         Declared resources are reserved by Dask; other workers are chosen by threads and memory.
@@ -549,208 +525,3 @@ _KILLED_REMEDY = (
     "(--resources wrenchbook_memory=BYTES), and retry the job"
 )
 _FAULT_REMEDY = "see the logs of scheduler and workers; retry the job once the cluster is well"
-
-
-# -- files that travel ------------------------------------------------------------------------
-
-
-def read_files(folder: Path, limit: int, skip: Iterable[str] = ()) -> tuple[Files, list[str]]:
-    """Return the files of a folder that are within a limit of bytes, and the names of others."""
-    files, too_large = {}, []
-    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
-        name = path.relative_to(folder).as_posix()
-        size = path.stat().st_size
-        if name in skip:
-            continue
-        if size > limit:
-            too_large.append(f"{name} ({size} bytes)")
-            continue
-        limit -= size
-        files[name] = path.read_bytes()
-    return files, too_large
-
-
-def write_files(files: Files, folder: Path) -> None:
-    """Write files into a folder; raises `BadPayloadError`, before, if a name leads out of it."""
-    for name in files:
-        if not name or name.startswith("/") or "\\" in name or ".." in name.split("/"):
-            raise BadPayloadError(f"the file name {name!r} leads out of its folder")
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, content in files.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_bytes(content)
-
-
-def pack(folder: Path, limit: int) -> bytes:
-    """Return the content of a folder, the same bytes for the same files.
-
-    Raises FileNotFoundError without the folder, `BadPayloadError` for more than `limit` bytes.
-    """
-    if not folder.is_dir():
-        raise FileNotFoundError(f"there is no folder {folder}")
-    files, too_large = read_files(folder, limit)
-    if too_large:
-        raise BadPayloadError(f"{folder} holds more than {limit} bytes")
-    return pickle.dumps(files)
-
-
-def digest(content: bytes) -> str:
-    """Return a digest of 32 hexadecimal digits."""
-    return blake2b(content, digest_size=16).hexdigest()
-
-
-def place(content: bytes, name: str, folder: Path) -> None:
-    """Write the files of a packed folder with the digest `name` into ``folder/name``, all or none.
-
-    Raises `BadPayloadError` if they were damaged in transit, OSError if they cannot be written.
-    """
-    if digest(content) != name:
-        raise BadPayloadError(f"the files came as {digest(content)}, not as {name}, which was sent")
-    partial = folder / f".{name}.{os.getpid()}.{threading.get_ident()}"
-    try:
-        write_files(pickle.loads(content), partial)
-        partial.rename(folder / name)
-    except OSError:
-        if not (folder / name).is_dir():  # else another worker wrote the same files
-            raise
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
-
-
-def artifacts(attempt: Attempt) -> tuple[bytes | None, Files]:
-    """Return the outcome of an ended attempt, and its log and other files, bounded in size.
-
-    The log names the files that are too large; an outcome that is too large becomes a failure. The
-    notes on a log come first because its last line is a cause of death.
-    """
-    outcome, log = (attempt.folder / name for name in (OUTCOME, LOG))
-    if outcome.exists() and (size := outcome.stat().st_size) > OUTCOME_BYTES:
-        failed = attempts.Outcome.failed(
-            "answer_too_large",
-            f"the solver's answer is {size} bytes; at most {OUTCOME_BYTES} are taken",
-            "have the solver give the displacement and write other results to files",
-        )
-        attempts.write_outcome(attempt, failed)
-    names = [path.relative_to(attempt.folder).as_posix() for path in attempt.folder.rglob(".*")]
-    files, too_large = read_files(
-        attempt.folder, FILES_BYTES, (SPEC, LOCK, PROGRESS, LOG, OUTCOME, *names)
-    )
-    text, notes = b"", ""
-    with contextlib.suppress(FileNotFoundError), log.open("rb") as file:
-        if (beyond := log.stat().st_size - LOG_BYTES) > 0:
-            file.seek(beyond)
-            notes = f"[{beyond} bytes of this log are left out here]\n"
-        text = file.read(LOG_BYTES)
-    if too_large:
-        names = ", ".join(too_large[:MAX_NAMES]) + (", ..." if len(too_large) > MAX_NAMES else "")
-        notes += f"[too large to be sent, left on the worker: {names}]\n"
-    files[LOG] = notes.encode() + text
-    return outcome.read_bytes() if outcome.exists() else None, files
-
-
-# -- on a worker ------------------------------------------------------------------------------
-
-_solvers: list[LocalEngine] = []  # of this process, one at most
-_solvers_lock = threading.Lock()
-
-
-def solvers(worker: Worker) -> LocalEngine:
-    """Return the engine of this worker's solvers, which live from one task to the next."""
-    with _solvers_lock:
-        if not _solvers:
-            threads = worker.state.nthreads
-            _solvers.append(LocalEngine(threads, grace=GRACE_SECONDS, outlived_by_solvers=False))
-        return _solvers[0]
-
-
-def probe(dask_worker: Worker) -> dict[str, Any]:
-    """Return version and trouble of this worker."""
-    solvers(dask_worker)
-    trouble = _no_room(dask_worker.local_directory)
-    return {"version": solver_version(), "trouble": trouble}
-
-
-def _no_room(folder: str) -> str | None:
-    """Return why the folder has no room for an attempt; None if it has."""
-    free = shutil.disk_usage(folder).free
-    if free < FREE_BYTES:
-        return f"{folder} is on a disk with {free >> 20} MB left; {FREE_BYTES >> 20} are needed"
-    return None
-
-
-def run_task(sent: bytes, name: str, files: bytes) -> dict[str, Any]:
-    """Run an attempt, a pickled `Attempt`, of a component with these files to its end.
-
-    In the result ``unfit`` is why the worker could not run it. Otherwise ``outcome`` is the content
-    of result.json, None if the solver died, ``files`` has the others by name, ``seconds`` is how
-    long the solver ran.
-    """
-    worker = distributed.get_worker()
-    attempt: Attempt = pickle.loads(sent)
-    result: dict[str, Any] = {"worker": worker.address, "unfit": _no_room(worker.local_directory)}
-    if result["unfit"]:
-        return result
-    folder = Path(worker.local_directory, "wrenchbook")
-    bundle = folder / "bundles" / name  # a worker keeps it under its digest
-    attempt.folder, attempt.bundle = folder / "attempts" / attempt.task, str(bundle)
-    try:
-        if not bundle.is_dir():
-            place(files, name, bundle.parent)
-            drop_old_bundles(bundle.parent)
-        os.utime(bundle)  # bundles in use are kept
-        attempts.prepare(attempt)
-        engine = solvers(worker)
-        engine.submit(attempt)
-        if not _supervise(worker, attempt, engine):
-            time.sleep(OUTLIVE_SECONDS)
-            result["unfit"] = _no_room(worker.local_directory)  # solvers die of a full disk
-        result["seconds"] = attempts.solver_seconds(attempt.folder) or 0.0
-        result["outcome"], result["files"] = artifacts(attempt)
-    except (OSError, BadPayloadError) as error:
-        result["unfit"] = str(error)
-    finally:
-        shutil.rmtree(attempt.folder, ignore_errors=True)
-    return result
-
-
-def _supervise(worker: Worker, attempt: Attempt, engine: LocalEngine) -> bool:
-    """Return once the attempt's solver has ended: whether it left an outcome.
-
-    Sends progress events: one a second at most, and only changes. Raises Reschedule if the worker
-    closes before.
-    """
-    changed, key = threading.Event(), worker.get_current_task()
-    stop_listening = engine.listen(lambda task: changed.set() if task == attempt.task else None)
-    last, due, repeat = None, 0.0, 0.0
-    try:
-        while (state := engine.poll(attempt)) in ALIVE:
-            now = time.monotonic()
-            if state == "running" and now >= due:
-                progress = attempts.read_progress(attempt.folder)
-                if progress != last or now >= repeat:
-                    last, due, repeat = progress, now + REPORT_SECONDS, now + REPEAT_SECONDS
-                    event = {
-                        "task": attempt.task,
-                        "worker": worker.address,
-                        "progress": asdict(progress) if progress else None,
-                        "seconds": attempts.solver_seconds(attempt.folder) or 0.0,
-                    }
-                    worker.log_event(TOPIC, event)
-            if worker.status in (distributed.Status.closing, distributed.Status.closed):
-                raise distributed.Reschedule  # its process ends with this thread
-            if (known := worker.state.tasks.get(key)) and known.state == "cancelled":
-                engine.cancel(attempt)
-            changed.wait(POLL_SECONDS)
-            changed.clear()
-    finally:
-        stop_listening()
-        engine.forget(attempt)
-    return state == "finished"
-
-
-def drop_old_bundles(bundles: Path) -> None:
-    """Remove bundles that are neither among the last used nor used within an hour."""
-    ages = {path: time.time() - path.stat().st_mtime for path in bundles.glob("[!.]*")}
-    for path in sorted(ages, key=lambda path: ages[path])[BUNDLES:]:
-        if ages[path] > BUNDLE_SECONDS:
-            shutil.rmtree(path, ignore_errors=True)

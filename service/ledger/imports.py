@@ -241,9 +241,12 @@ def imports(db: Connection, component: str, most: int = 1000) -> list[ImportReco
 
 def same_file(db: Connection, component: str, digest: str) -> ImportRecord | None:
     """Return the newest import of a file with this SHA-256 whose rows are not all withdrawn."""
-    known = (one for one in imports(db, component) if one.digest == digest)
-    live = (one for one in known if _chosen(db, component, one.id, (), withdrawn=False, most=1))
-    return next(live, None)
+    for record in imports(db, component):
+        if record.digest == digest and _chosen(
+            db, component, record.id, (), withdrawn=False, most=1
+        ):
+            return record
+    return None
 
 
 def import_of(db: Connection, seq: int) -> ImportRecord | None:

@@ -5,17 +5,17 @@ import secrets
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple
+from dataclasses import fields, replace
+from typing import Any
 
-from wrenchbook.service.actors import ANY, CALLER, LOCAL, SERVER, NotPermittedError
+from wrenchbook.service.actors import ANY, CALLER, NotPermittedError
 from wrenchbook.service.ledger import rows
 from wrenchbook.service.ledger.audit import note
 from wrenchbook.service.ledger.connection import Connection
+from wrenchbook.service.ledger.job_statistics import charged
 from wrenchbook.service.ledger.packing import pack_vector, unpack_vector
 from wrenchbook.service.ledger.records import (
     FINAL,
-    STATUSES,
     Heartbeat,
     InvalidTransitionError,
     JobRecord,
@@ -31,8 +31,6 @@ from wrenchbook.service.ledger.records import (
 # Seconds a job waits after its solver's first, second and third death; the fourth ends it.
 # The cause of deaths, such as a lack of memory, has often passed a minute or two later.
 BACKOFF_SECONDS = (1.0, 10.0, 100.0)
-DAY_SECONDS = 24 * 3600.0  # of a quota of solver seconds
-UNKNOWN_SECONDS = 60.0  # of a solve, for Retry-After: no job of the component has ended yet
 FORGOTTEN_SECONDS = 24 * 3600.0  # leases of owners that were killed without a job are deleted then
 
 # The state machine: the status after an event. A done job is reopened if its row is withdrawn.
@@ -65,31 +63,6 @@ _FRESH = {**_UNSTARTED, "lost": 0, "finished": None, "error": None, "not_before"
 _NAMES = [field.name for field in fields(JobRecord)]
 _COLUMNS = ", ".join(_NAMES)
 _SET = ", ".join(f"{name} = :{name}" for name in _NAMES[_NAMES.index("status") :])
-_QUEUED = "status = 'running' AND began IS NULL AND coalesce(engine, 'local') != 'local'"
-# Upper ends of the histogram of solves, s: a small plate in a warm solver, a large nonlinear one.
-SOLVE_EDGES = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 60.0, 300.0, 1800.0, 7200.0)
-MAX_KINDS = 30  # of failures; a deck's own program may make up more, which count as "other"
-_BEGIN = "coalesce(began, started)"  # without the time in the queue of a cluster
-_RECENT = 20  # solves that estimate the time of the next
-
-
-@dataclass(frozen=True)
-class Statistics:
-    """Numbers of all jobs."""
-
-    jobs: dict[str, int]  # by status
-    failures: dict[str, int]  # by kind
-    solve_buckets: tuple[int, ...]  # done solves up to each of `SOLVE_EDGES`, and those beyond
-    solve_seconds: float  # total time of the solvers of all done jobs
-    oldest_waiting: float | None  # when it was accepted, seconds since the epoch
-
-
-class Ahead(NamedTuple):
-    """Jobs of one component that start before another: how many wait, how long one takes, s."""
-
-    component: str
-    waiting: int
-    seconds: float | None
 
 
 # -- accepting --------------------------------------------------------------------------------
@@ -118,7 +91,7 @@ def accept(
     where = "WHERE component = ? AND fingerprint = ? AND wrench = ?"
     known = _select(db, where, (component, fingerprint, key))
     if not known:
-        actor = _charged(db, component, quota)
+        actor = charged(db, component, quota)
         added = db.execute(
             "INSERT INTO jobs (component, fingerprint, wrench, status, priority, attempt, lost,"
             " created, asked_by, actor) VALUES (?, ?, ?, 'waiting', ?, 0, 0, ?, ?, ?)",
@@ -131,7 +104,7 @@ def accept(
         return job, True
     job = known[0]
     if _lacks_its_row(db, job) or (job.status == "cancelled" and reopen_cancelled):
-        more = {"row": None, "asked_by": asked_by, "actor": _charged(db, component, quota)}
+        more = {"row": None, "asked_by": asked_by, "actor": charged(db, component, quota)}
         job = _by_caller(db, job, "reopen", **more, **_FRESH)
     if job.status == "waiting" and priority > job.priority:
         before, after = {"priority": job.priority}, {"priority": priority}
@@ -367,7 +340,7 @@ def cancel_many(db: Connection, component: str | None, status: Status) -> int:
 def retry(db: Connection, job_id: int, quota: Quota | None = None) -> JobRecord:
     """Let a failed or cancelled job wait again, as the caller's; raises QuotaError."""
     job = get(db, job_id)
-    return _by_caller(db, job, "retry", actor=_charged(db, job.component, quota), **_FRESH)
+    return _by_caller(db, job, "retry", actor=charged(db, job.component, quota), **_FRESH)
 
 
 # -- reading ----------------------------------------------------------------------------------
@@ -465,62 +438,6 @@ def leases(db: Connection) -> dict[str, Heartbeat]:
     return {owner: Heartbeat(*rest) for owner, *rest in records}
 
 
-def counts(db: Connection, component: str | None = None) -> dict[str, int]:
-    """Return the number of jobs of each status; `JobRecord.is_queued` counts as waiting."""
-    where = "" if component is None else "WHERE component = :component"
-    select = f"SELECT CASE WHEN {_QUEUED} THEN 'waiting' ELSE status END, count(*) FROM jobs"
-    records = db.execute(f"{select} {where} GROUP BY 1", {"component": component})
-    return dict.fromkeys(STATUSES, 0) | dict(records.fetchall())
-
-
-def statistics(db: Connection) -> Statistics:
-    """Return numbers of all jobs, in one committed state."""
-    kinds = db.execute(
-        "SELECT coalesce(json_extract(error, '$.kind'), 'unknown'), count(*) FROM jobs"
-        " WHERE status = 'failed' GROUP BY 1 ORDER BY 2 DESC"
-    ).fetchall()
-    failures = {str(kind)[:60]: number for kind, number in kinds[:MAX_KINDS]}
-    if others := sum(number for _, number in kinds[MAX_KINDS:]):
-        failures["other"] = others
-    steps = " ".join(f"WHEN took <= {edge!r} THEN {n}" for n, edge in enumerate(SOLVE_EDGES))
-    # A clock that was set back makes a solve that ended before it began: it took no time.
-    solves = db.execute(
-        f"SELECT CASE {steps} ELSE {len(SOLVE_EDGES)} END, count(*), sum(took) FROM"
-        f" (SELECT max(finished - {_BEGIN}, 0.0) AS took FROM jobs WHERE status = 'done'"
-        " AND started IS NOT NULL AND finished IS NOT NULL) GROUP BY 1"
-    ).fetchall()
-    buckets = [0] * (len(SOLVE_EDGES) + 1)
-    for place, number, _ in solves:
-        buckets[place] = number
-    oldest = db.execute("SELECT min(created) FROM jobs WHERE status = 'waiting'").fetchone()[0]
-    seconds = sum(took for _, _, took in solves)
-    return Statistics(counts(db), failures, tuple(buckets), seconds, oldest)
-
-
-def ahead(db: Connection, job_id: int, priority: int, now: float) -> list[Ahead]:
-    """Return the waiting jobs that start before one, by component, with the time of a solve."""
-    # Of each actor as many of a priority start before a job as are before it of its own actor.
-    records = db.execute(
-        "WITH due AS (SELECT id, component, priority, row_number() OVER"
-        " (PARTITION BY actor, priority ORDER BY id) AS turn FROM jobs WHERE status = 'waiting'"
-        " AND coalesce(not_before, 0) <= :now OR id = :id),"
-        " this AS (SELECT turn FROM due WHERE id = :id)"
-        " SELECT component, count(*) FROM due, this WHERE priority > :priority"
-        " OR (priority = :priority AND (due.turn, id) < (this.turn, :id)) GROUP BY component",
-        {"priority": priority, "id": job_id, "now": now},
-    ).fetchall()
-    return [Ahead(name, number, solve_seconds(db, name)) for name, number in records]
-
-
-def solve_seconds(db: Connection, component: str) -> float | None:
-    """Return the mean time of the newest done solves of a component, s; None without any."""
-    select = (
-        f"SELECT avg(took) FROM (SELECT finished - {_BEGIN} AS took FROM jobs WHERE component = ?"
-        f" AND status = 'done' AND finished >= {_BEGIN} ORDER BY id DESC LIMIT ?)"
-    )
-    return db.execute(select, (component, _RECENT)).fetchone()[0]
-
-
 # -- shared -----------------------------------------------------------------------------------
 
 
@@ -542,36 +459,6 @@ def _by_caller(db: Connection, job: JobRecord, event: str, **changes: Any) -> Jo
     before, after = ({"status": part.status, "actor": part.actor} for part in (job, moved))
     note(db, f"job.{event}", job.id, job.component, before=before, after=after)
     return moved
-
-
-def _charged(db: Connection, component: str, quota: Quota | None) -> str:
-    """Return the caller as the actor of one more open job; raises QuotaError."""
-    actor = CALLER.get().actor
-    if quota is None or actor in (LOCAL, SERVER):
-        return actor
-    if quota.open_jobs is not None:
-        open_ = "SELECT count(*) FROM jobs WHERE status IN ('waiting', 'running') AND actor = ?"
-        if db.execute(open_, (actor,)).fetchone()[0] >= quota.open_jobs:
-            raise QuotaError(
-                f"{actor} would have more than {quota.open_jobs} open jobs, its quota (serve "
-                "--actor-jobs). Nothing was queued; ask for fewer, wait, or cancel some",
-                solve_seconds(db, component) or UNKNOWN_SECONDS,
-            )
-    if quota.solver_seconds is not None:
-        now = time.time()
-        spent, first = db.execute(
-            f"SELECT sum(max(0.0, coalesce(finished, :now) - {_BEGIN})), min(started) FROM jobs"
-            " WHERE actor = :actor AND started > :now - :day",
-            {"actor": actor, "now": now, "day": DAY_SECONDS},
-        ).fetchone()
-        if (spent or 0.0) >= quota.solver_seconds:
-            raise QuotaError(
-                f"the solves of {actor} that began in the last 24 hours took {spent or 0.0:.0f} s "
-                f"of {quota.solver_seconds:g} s, its quota (serve --actor-seconds). Nothing was "
-                "queued; ask again later, or have the quota raised",
-                max(1.0, (first or now) + DAY_SECONDS - now),
-            )
-    return actor
 
 
 def _save(db: Connection, job: JobRecord) -> JobRecord:

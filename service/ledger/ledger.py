@@ -14,7 +14,9 @@ import numpy as np
 
 from wrenchbook.service.ledger import audit as audit_sql
 from wrenchbook.service.ledger import imports as import_sql
+from wrenchbook.service.ledger import job_statistics as statistics_sql
 from wrenchbook.service.ledger import jobs as job_sql
+from wrenchbook.service.ledger import repair as repair_sql
 from wrenchbook.service.ledger import rows as row_sql
 from wrenchbook.service.ledger.connection import (
     BUSY_SECONDS,
@@ -144,15 +146,15 @@ class Ledger:
     attempts = _reads(job_sql.attempts)
     attempts_of = _reads(job_sql.attempts_of)
     leases = _reads(job_sql.leases)
-    counts = _reads(job_sql.counts)
-    statistics = _reads(job_sql.statistics)
-    ahead = _reads(job_sql.ahead)
-    solve_seconds = _reads(job_sql.solve_seconds)
+    counts = _reads(statistics_sql.counts)
+    statistics = _reads(statistics_sql.statistics)
+    ahead = _reads(statistics_sql.ahead)
+    solve_seconds = _reads(statistics_sql.solve_seconds)
 
     withdraw = _writes(row_sql.withdraw)
     restore = _writes(row_sql.restore)
-    rewrite = _writes(row_sql.rewrite)
-    replay = _writes(row_sql.replay)
+    rewrite = _writes(repair_sql.rewrite)
+    replay = _writes(repair_sql.replay)
     row = _reads(row_sql.get)
     rows_of = _reads(row_sql.numbered)
     row_changes = _reads(row_sql.row_changes)

@@ -1,16 +1,22 @@
-"""Bytes of wrenches and rows: canonical packing, content keys and seals."""
+"""Bytes of wrenches and rows: canonical packing, content keys and seals, and records as arrays."""
 
 from __future__ import annotations
 
+import logging
 import math
 import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from hashlib import blake2b
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from wrenchbook.service.ledger.records import LedgerRow, NotedRows, Vector
+from wrenchbook.surrogate.table.rows import Rows
+from wrenchbook.surrogate.table.space import Space
+
+_log = logging.getLogger(__name__)
 
 _NAN = np.float64(np.nan)
 KEY_BYTES = 16
@@ -228,6 +234,86 @@ def records_of(
         )
         yield record._replace(seal=record.computed_seal())
         at = end
+
+
+def numbers_of(records: Sequence[Record]) -> np.ndarray:
+    """Return the seq of each row of some records."""
+    firsts, counts = (
+        np.array([getattr(record, name) for record in records], dtype=np.int64)
+        for name in ("seq", "count")
+    )
+    before = np.cumsum(counts) - counts
+    return np.repeat(firsts - before, counts) + np.arange(counts.sum())
+
+
+def noted_rows(
+    records: Sequence[Record],
+    wanted: np.ndarray,
+    space: Space,
+    fingerprint: str | None,
+    damaged: dict[int, str],
+) -> NotedRows:
+    """Return the `wanted` of the rows of some records, without damaged ones.
+
+    Those of a setup, of all if None, and measured ones. Damaged ones are noted in `damaged`, by
+    number with their component, and logged once.
+    Raises ValueError if a row is of another space.
+    """
+    counts = [record.count for record in records]
+    sound = np.array([*chain.from_iterable(record.sound() for record in records)], dtype=bool)
+    for seq in numbers_of(records)[wanted & ~sound].tolist():
+        record = next(record for record in records if 0 <= seq - record.seq < record.count)
+        if seq not in damaged:
+            _log.error("row %d of %s is damaged on the disk and left out", seq, record.component)
+        damaged[seq] = record.component
+    setup = [fingerprint is None or record.fingerprint in ("", fingerprint) for record in records]
+    wanted = wanted & sound & np.repeat(np.array(setup, dtype=bool), counts)
+    ends = np.cumsum(counts)
+    remaining = np.diff(np.concatenate(([0], np.cumsum(wanted)))[[0, *ends]]).tolist()
+    wanted = wanted[np.repeat(remaining, counts) > 0]
+    records = [record for record, number in zip(records, remaining, strict=True) if number]
+    remaining = [number for number in remaining if number]
+    inputs, outputs = len(space.inputs), len(space.outputs)
+    for record in records:
+        loads, moves = (
+            len(column) // 8 // record.count for column in (record.wrench, record.displacement)
+        )
+        if (loads, moves) != (inputs, outputs):
+            raise ValueError(
+                f"row {record.seq} has {loads} loads and {moves} "
+                f"displacements; the component has {inputs} and {outputs}"
+            )
+
+    def numbers(name: str, width: int) -> np.ndarray:
+        blank = np.full(width, np.nan).tobytes()
+        columns = ((getattr(record, name) or blank * record.count) for record in records)
+        return unpacked(columns, width)[wanted]
+
+    def texts(name: str) -> list[Any]:
+        pairs = zip(records, remaining, strict=True)
+        return [*chain.from_iterable([getattr(record, name)] * count for record, count in pairs)]
+
+    shapes = {
+        "compliance": (outputs, inputs),
+        "curvature": (space.curvatures,),
+        "uncertainty": (outputs,),
+    }
+    more = {
+        name: numbers(name, math.prod(shape)).reshape(-1, *shape)
+        for name, shape in shapes.items()
+        if any(getattr(record, name) is not None for record in records)
+    }
+    rows = Rows.of(
+        numbers("wrench", inputs),
+        numbers("displacement", outputs),
+        space,
+        seq=numbers_of(records)[wanted],
+        fingerprint=texts("fingerprint"),
+        source=texts("source"),
+        session=(created := texts("created")),
+        **more,
+    )
+    return NotedRows(rows, texts("origin"), created)
 
 
 def _keys(

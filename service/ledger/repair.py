@@ -13,10 +13,13 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import blake2b
+from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from wrenchbook.service.ledger import rows
+import numpy as np
+
+from wrenchbook.service.ledger import audit, rows
 from wrenchbook.service.ledger.connection import (
     USE_ERRORS,
     Connection,
@@ -25,7 +28,8 @@ from wrenchbook.service.ledger.connection import (
     raise_sequences,
     sequences,
 )
-from wrenchbook.service.ledger.packing import Record
+from wrenchbook.service.ledger.packing import Record, records_of, row_keys
+from wrenchbook.service.ledger.records import NotedRows, RowEdit
 from wrenchbook.surrogate.table.rows import Rows
 
 _DIGEST = 8  # bytes
@@ -191,7 +195,7 @@ def salvage(
         new.execute("PRAGMA foreign_keys = OFF")
         new.execute("BEGIN IMMEDIATE")
         for component, some, written in spare:
-            rows.place(new, component, some, written)
+            _place(new, component, some, written)
         read = {name: _copy(source, new, name, highest) for name in _TABLES}
         # References to missing jobs and rows.
         new.execute("UPDATE rows SET job = NULL WHERE job NOT IN (SELECT id FROM jobs)")
@@ -250,7 +254,81 @@ def _copy(source: Connection, new: Connection, table: str, highest: dict[str, in
             with suppress(*USE_ERRORS, TypeError, ValueError):  # its values are damaged
                 if table == "rows":
                     values = dict(zip(common, record, strict=True))
-                    count += rows.restore_record(new, Record(**{**_OLDER, **values}))
+                    count += _restore_record(new, Record(**{**_OLDER, **values}))
                 else:
                     count += new.execute(insert, record).rowcount
     return count
+
+
+def _place(db: Connection, component: str, some: Rows, now: float) -> None:
+    """Insert rows of a table file under the numbers that they had in a ledger that is gone."""
+    gaps = np.flatnonzero(np.diff(some.seq) != 1) + 1
+    for run in np.split(np.arange(len(some)), gaps) if len(some) else ():
+        block = NotedRows(some.take(run), ["table file"] * len(run))
+        first, keys = int(some.seq[run[0]]), row_keys(component, block)
+        for record in records_of(component, block, keys, first, now):
+            _restore_record(db, record)
+
+
+def _restore_record(db: Connection, record: Record) -> int:
+    """Insert those rows of a record whose keys and numbers a new ledger lacks; return how many."""
+    last = record.seq + record.count - 1
+    used = {seq for seq, _ in rows.containing(db, range(record.seq, last + 1))}
+    known, keys, count = rows.stored(db, record.keys()), record.keys(), 0
+    free = [
+        record.seq + at not in used and key not in known
+        for at, key in enumerate(keys[: record.count])
+    ]
+    for same, positions in groupby(range(len(free)), free.__getitem__):
+        some = list(positions)
+        if same:
+            part = record if len(some) == record.count else record.part(some[0], some[-1] + 1)
+            db.execute(rows.INSERT, part)
+            rows.enter(db, rows.row_entries(part))
+            count += part.count
+    return count
+
+
+def rewrite(db: Connection, component: str, seq: int, copy: Rows) -> bool:
+    """Write a damaged row anew from another copy, with its own number, job, time and note.
+
+    The note is kept if the row's seal fits it. Returns False if the row is not damaged, or if
+    the same row has another number already: it was solved or loaded again.
+    """
+    if rows.numbered(db, [seq]):
+        return False
+    now = time.time()
+    damaged = next((record for _, record in rows.containing(db, [seq])), None)
+    job, created = (damaged.job, damaged.created) if damaged else (None, now)
+    known = db.execute("SELECT id FROM jobs WHERE id = ?", (job,)).fetchone()
+    created = created if isinstance(created, float) else now
+    note = damaged.origin if damaged and damaged.is_sealed() else "table file"
+    block = NotedRows(copy, [note])
+    keys = row_keys(component, block)
+    if rows.stored(db, keys).get(keys[0], seq) != seq:
+        return False
+    (record,) = records_of(component, block, keys, seq, created, known and known[0])
+    rows.write_anew(db, record)
+    # Readers have passed this number; a withdrawal and its undoing make them read it again.
+    withdrawn = rows.is_withdrawn(db, seq)
+    rows.edit(db, component, [seq], withdrawn=not withdrawn, now=now)
+    rows.edit(db, component, [seq], withdrawn=withdrawn, now=now)
+    audit.note(db, "row.rewrite", seq, component)
+    return True
+
+
+def replay(db: Connection, component: str, edits: Iterable[RowEdit]) -> int:
+    """Repeat edits that are newer than the ledger's of the same row; return how many rows changed.
+
+    An edit of a row that is not there changes nothing.
+    """
+    newest = "SELECT created FROM edits WHERE row = ? ORDER BY seq DESC LIMIT 1"
+    changed = 0
+    for key, withdrawn, created in edits:
+        for seq in rows.stored(db, [key]).values():
+            last = db.execute(newest, (seq,)).fetchone()
+            if rows.is_withdrawn(db, seq) != withdrawn and (last is None or last[0] < created):
+                rows.edit(db, component, [seq], withdrawn=withdrawn, now=created)
+                rows.note_edit(db, "row", seq, component, withdrawn=withdrawn)
+                changed += 1
+    return changed

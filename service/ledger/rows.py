@@ -8,11 +8,9 @@ one number says how far a reader has read.
 from __future__ import annotations
 
 import logging
-import math
 import time
 from collections.abc import Iterable, Iterator, Sequence, Set
 from hashlib import blake2b
-from itertools import chain, groupby
 from typing import Any
 
 import numpy as np
@@ -25,9 +23,10 @@ from wrenchbook.service.ledger.packing import (
     MIN_NUMBERS,
     Record,
     key_hashes,
+    noted_rows,
+    numbers_of,
     records_of,
     row_keys,
-    unpacked,
 )
 from wrenchbook.service.ledger.records import (
     DamagedRowError,
@@ -130,7 +129,7 @@ def stored(db: Connection, keys: Sequence[bytes], *, hidden: bool = False) -> di
         select = f"SELECT seq FROM row_keys WHERE hash IN ({marks})"
         seqs += (seq for (seq,) in db.execute(select, some))
     wanted, numbers = set(keys), {}
-    for seq, record in _containing(db, seqs, "NOT " * hidden + SHOWN):
+    for seq, record in containing(db, seqs, "NOT " * hidden + SHOWN):
         at = KEY_BYTES * (seq - record.seq)
         if (key := record.key[at : at + KEY_BYTES]) in wanted:
             numbers[key] = seq
@@ -161,7 +160,7 @@ def cut(db: Connection, seq: int) -> None:
         at = seq - record.seq
         if at < record.count:
             row = record.part(at, at + 1)
-            db.executemany("DELETE FROM row_keys WHERE hash = ? AND seq = ?", _entries(row))
+            db.executemany("DELETE FROM row_keys WHERE hash = ? AND seq = ?", row_entries(row))
             db.execute("DELETE FROM rows WHERE seq = ?", (record.seq,))
             for first, end in ((0, at), (at + 1, record.count)):
                 if first < end:
@@ -173,7 +172,8 @@ def enter(db: Connection, entries: Iterable[tuple[int, int]]) -> None:
     db.executemany("INSERT OR IGNORE INTO row_keys VALUES (?, ?)", entries)
 
 
-def _entries(record: Record) -> Iterator[tuple[int, int]]:
+def row_entries(record: Record) -> Iterator[tuple[int, int]]:
+    """Return the hashes of the keys of a record's rows, with their numbers."""
     sound = isinstance(record.key, bytes) and len(record.key) == KEY_BYTES * record.count
     hashes = key_hashes(record.key if sound else b"").tolist()
     return zip(hashes, range(record.seq, record.seq + record.count), strict=False)
@@ -192,45 +192,16 @@ def delete(db: Connection, first: int, last: int, most: int) -> int:
     some = "seq BETWEEN ? AND ? ORDER BY seq DESC LIMIT ?"
     records = list(_records(db, some, (first, last, most)))
     for record in records:
-        db.executemany("DELETE FROM row_keys WHERE hash = ? AND seq = ?", _entries(record))
+        db.executemany("DELETE FROM row_keys WHERE hash = ? AND seq = ?", row_entries(record))
         db.execute("DELETE FROM rows WHERE seq = ?", (record.seq,))
     return records[-1].seq if len(records) == most else first
 
 
-def place(db: Connection, component: str, rows: Rows, now: float) -> None:
-    """Insert rows of a table file under the numbers that they had in a ledger that is gone."""
-    gaps = np.flatnonzero(np.diff(rows.seq) != 1) + 1
-    for run in np.split(np.arange(len(rows)), gaps) if len(rows) else ():
-        block = NotedRows(rows.take(run), ["table file"] * len(run))
-        first, keys = int(rows.seq[run[0]]), row_keys(component, block)
-        for record in records_of(component, block, keys, first, now):
-            restore_record(db, record)
-
-
-def restore_record(db: Connection, record: Record) -> int:
-    """Insert those rows of a record whose keys and numbers a new ledger lacks; return how many."""
-    last = record.seq + record.count - 1
-    used = {seq for seq, _ in _containing(db, range(record.seq, last + 1))}
-    known, keys, count = stored(db, record.keys()), record.keys(), 0
-    free = [
-        record.seq + at not in used and key not in known
-        for at, key in enumerate(keys[: record.count])
-    ]
-    for same, positions in groupby(range(len(free)), free.__getitem__):
-        some = list(positions)
-        if same:
-            part = record if len(some) == record.count else record.part(some[0], some[-1] + 1)
-            db.execute(INSERT, part)
-            enter(db, _entries(part))
-            count += part.count
-    return count
-
-
-def _write_anew(db: Connection, record: Record) -> None:
+def write_anew(db: Connection, record: Record) -> None:
     """Put the record of one row in the place of a damaged one."""
     cut(db, record.seq)
     db.execute(INSERT, record)
-    enter(db, _entries(record))
+    enter(db, row_entries(record))
 
 
 def add_solved(
@@ -265,7 +236,7 @@ def add_solved(
     (seq,) = stored(db, keys).values()
     if seq not in numbered(db, [seq]):
         (record,) = records_of(job.component, block, keys, seq, now, job.id)
-        _write_anew(db, record)
+        write_anew(db, record)
         if not is_withdrawn(db, seq):
             edit(db, job.component, [seq], withdrawn=True, now=now)  # so that readers read it again
     if is_withdrawn(db, seq):
@@ -274,40 +245,12 @@ def add_solved(
     return get(db, seq)
 
 
-def rewrite(db: Connection, component: str, seq: int, rows: Rows) -> bool:
-    """Write a damaged row anew from another copy, with its own number, job, time and note.
-
-    The note is kept if the row's seal fits it. Returns False if the row is not damaged, or if
-    the same row has another number already: it was solved or loaded again.
-    """
-    if numbered(db, [seq]):
-        return False
-    now = time.time()
-    damaged = next((record for _, record in _containing(db, [seq])), None)
-    job, created = (damaged.job, damaged.created) if damaged else (None, now)
-    known = db.execute("SELECT id FROM jobs WHERE id = ?", (job,)).fetchone()
-    created = created if isinstance(created, float) else now
-    note = damaged.origin if damaged and damaged.is_sealed() else "table file"
-    block = NotedRows(rows, [note])
-    keys = row_keys(component, block)
-    if stored(db, keys).get(keys[0], seq) != seq:
-        return False
-    (record,) = records_of(component, block, keys, seq, created, known and known[0])
-    _write_anew(db, record)
-    # Readers have passed this number; a withdrawal and its undoing make them read it again.
-    withdrawn = is_withdrawn(db, seq)
-    edit(db, component, [seq], withdrawn=not withdrawn, now=now)
-    edit(db, component, [seq], withdrawn=withdrawn, now=now)
-    audit.note(db, "row.rewrite", seq, component)
-    return True
-
-
 def withdraw(db: Connection, component: str, seq: int, *, withdrawn: bool = True) -> None:
     """Take a row out of the component's table, or back into it; it stays in the ledger.
 
     Raises UnknownRowError if the component has no such row, RowStatusError if it is so already.
     """
-    if not any(record.component == component for _, record in _containing(db, [seq])):
+    if not any(record.component == component for _, record in containing(db, [seq])):
         raise UnknownRowError(f"the table of {component!r} has no row {seq}")
     if is_withdrawn(db, seq) == withdrawn:
         raise RowStatusError(f"row {seq} is {'withdrawn already' if withdrawn else 'in the table'}")
@@ -336,23 +279,6 @@ def edit(
     edits = ((first + k, component, seq, withdrawn, now) for k, seq in enumerate(seqs))
     db.executemany("INSERT INTO edits VALUES (?, ?, ?, ?, ?)", edits)
     db.rows += len(seqs)
-
-
-def replay(db: Connection, component: str, edits: Iterable[RowEdit]) -> int:
-    """Repeat edits that are newer than the ledger's of the same row; return how many rows changed.
-
-    An edit of a row that is not there changes nothing.
-    """
-    newest = "SELECT created FROM edits WHERE row = ? ORDER BY seq DESC LIMIT 1"
-    changed = 0
-    for key, withdrawn, created in edits:
-        for seq in stored(db, [key]).values():
-            last = db.execute(newest, (seq,)).fetchone()
-            if is_withdrawn(db, seq) != withdrawn and (last is None or last[0] < created):
-                edit(db, component, [seq], withdrawn=withdrawn, now=created)
-                note_edit(db, "row", seq, component, withdrawn=withdrawn)
-                changed += 1
-    return changed
 
 
 def _skip(db: Connection, count: int = 0, least: int = 0) -> int:
@@ -392,9 +318,9 @@ def row_changes(
     gone = frozenset(seq for (seq,) in db.execute(touched, (component, after, newest)))
     hidden = withdrawn(db, component, newest)
     back = [seq for seq in gone if seq <= after and seq not in hidden]
-    records = list(dict.fromkeys(record for _, record in _containing(db, back)))
+    records = list(dict.fromkeys(record for _, record in containing(db, back)))
     records = [record for record in records if record.component == component]
-    old = _noted(db, records, np.isin(_numbers(records), back), space, fingerprint)
+    old = noted_rows(records, np.isin(numbers_of(records), back), space, fingerprint, db.damaged)
     new, last = _read(db, component, after, newest, hidden, most, space, fingerprint)
     cut = last is not None
     return RowChanges(joined((old.rows, new.rows)), gone, last if cut else newest, complete=not cut)
@@ -440,7 +366,7 @@ def get(db: Connection, seq: int) -> LedgerRow:
     rows = numbered(db, [seq])
     if rows:
         return rows[seq]
-    if not list(_containing(db, [seq])):
+    if not list(containing(db, [seq])):
         raise UnknownRowError(f"there is no row {seq}")
     raise DamagedRowError(
         f"row {seq} is damaged on the disk and used nowhere; restore the ledger from a "
@@ -452,7 +378,7 @@ def numbered(db: Connection, seqs: Iterable[int]) -> dict[int, LedgerRow]:
     """Return those of some rows that are there and undamaged, by number."""
     rows: dict[int, LedgerRow] = {}
     last, sound = None, [False]
-    for seq, record in _containing(db, seqs):
+    for seq, record in containing(db, seqs):
         if record is not last:
             last, sound = record, record.sound()
         if sound[seq - record.seq]:
@@ -576,7 +502,7 @@ def edits(db: Connection, component: str, until: int) -> list[RowEdit]:
     newest = {row: edit for row, *edit, _ in db.execute(select, (component, until))}
     return [
         RowEdit(record.keys()[row - record.seq], bool(newest[row][0]), newest[row][1])
-        for row, record in _containing(db, newest)
+        for row, record in containing(db, newest)
     ]
 
 
@@ -588,7 +514,7 @@ def _records(db: Connection, where: str, values: Any) -> Iterator[Record]:
         yield record
 
 
-def _containing(
+def containing(
     db: Connection, seqs: Iterable[int], condition: str = SHOWN
 ) -> Iterator[tuple[int, Record]]:
     """Yield those of some rows that are there and shown, by number, each with its record."""
@@ -606,16 +532,6 @@ def withdrawn(db: Connection, component: str, until: int = _EVER) -> set[int]:
     return {row for (row,) in db.execute(_WITHDRAWN, {"component": component, "until": until})}
 
 
-def _numbers(records: Sequence[Record]) -> np.ndarray:
-    """Return the seq of each row of some records."""
-    firsts, counts = (
-        np.array([getattr(record, name) for record in records], dtype=np.int64)
-        for name in ("seq", "count")
-    )
-    before = np.cumsum(counts) - counts
-    return np.repeat(firsts - before, counts) + np.arange(counts.sum())
-
-
 def _read(
     db: Connection,
     component: str,
@@ -626,7 +542,7 @@ def _read(
     space: Space,
     fingerprint: str | None,
 ) -> tuple[NotedRows, int | None]:
-    """Return the first `most` rows of the numbers `after` + 1 to `until`; see `_noted`.
+    """Return the first `most` rows of the numbers `after` + 1 to `until`; see `noted_rows`.
 
     And the number of the last, None if there are no more.
     """
@@ -638,79 +554,10 @@ def _read(
         count += len(span) - (sum(seq in gone for seq in span) if gone else 0)
         if count >= most:
             break
-    seqs = _numbers(records)
+    seqs = numbers_of(records)
     live = (seqs > after) & (seqs <= until)
     live &= ~np.isin(seqs, list(gone))
     positions = np.flatnonzero(live)
     live[positions[most:]] = False
     last = int(seqs[positions[most - 1]]) if len(positions) >= most else None
-    return _noted(db, records, live, space, fingerprint), last
-
-
-def _noted(
-    db: Connection,
-    records: Sequence[Record],
-    wanted: np.ndarray,
-    space: Space,
-    fingerprint: str | None,
-) -> NotedRows:
-    """Return the `wanted` of the rows of some records, without damaged ones.
-
-    Those of a setup, of all if None, and measured ones. Damaged ones are noted, and logged once.
-    Raises ValueError if a row is of another space.
-    """
-    counts = [record.count for record in records]
-    sound = np.array([*chain.from_iterable(record.sound() for record in records)], dtype=bool)
-    for seq in _numbers(records)[wanted & ~sound].tolist():
-        record = next(record for record in records if 0 <= seq - record.seq < record.count)
-        if seq not in db.damaged:
-            _log.error("row %d of %s is damaged on the disk and left out", seq, record.component)
-        db.damaged[seq] = record.component
-    setup = [fingerprint is None or record.fingerprint in ("", fingerprint) for record in records]
-    wanted = wanted & sound & np.repeat(np.array(setup, dtype=bool), counts)
-    ends = np.cumsum(counts)
-    remaining = np.diff(np.concatenate(([0], np.cumsum(wanted)))[[0, *ends]]).tolist()
-    wanted = wanted[np.repeat(remaining, counts) > 0]
-    records = [record for record, number in zip(records, remaining, strict=True) if number]
-    remaining = [number for number in remaining if number]
-    inputs, outputs = len(space.inputs), len(space.outputs)
-    for record in records:
-        loads, moves = (
-            len(column) // 8 // record.count for column in (record.wrench, record.displacement)
-        )
-        if (loads, moves) != (inputs, outputs):
-            raise ValueError(
-                f"row {record.seq} has {loads} loads and {moves} "
-                f"displacements; the component has {inputs} and {outputs}"
-            )
-
-    def numbers(name: str, width: int) -> np.ndarray:
-        blank = np.full(width, np.nan).tobytes()
-        columns = ((getattr(record, name) or blank * record.count) for record in records)
-        return unpacked(columns, width)[wanted]
-
-    def texts(name: str) -> list[Any]:
-        pairs = zip(records, remaining, strict=True)
-        return [*chain.from_iterable([getattr(record, name)] * count for record, count in pairs)]
-
-    shapes = {
-        "compliance": (outputs, inputs),
-        "curvature": (space.curvatures,),
-        "uncertainty": (outputs,),
-    }
-    more = {
-        name: numbers(name, math.prod(shape)).reshape(-1, *shape)
-        for name, shape in shapes.items()
-        if any(getattr(record, name) is not None for record in records)
-    }
-    rows = Rows.of(
-        numbers("wrench", inputs),
-        numbers("displacement", outputs),
-        space,
-        seq=_numbers(records)[wanted],
-        fingerprint=texts("fingerprint"),
-        source=texts("source"),
-        session=(created := texts("created")),
-        **more,
-    )
-    return NotedRows(rows, texts("origin"), created)
+    return noted_rows(records, live, space, fingerprint, db.damaged), last

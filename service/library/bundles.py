@@ -35,7 +35,8 @@ MAX_FACE_TRIANGLES: Final = 200_000  # 6 MB of JSON; beyond that a browser turns
 CHECK: Final = Limits(memory=2048 * MIB, seconds=300.0, output=MAX_BUNDLE_BYTES)
 # Pieces of 1 MiB, the archive's list of files, and a component.toml that is small.
 UNPACK: Final = Limits(memory=256 * MIB, seconds=120.0, output=MAX_BUNDLE_BYTES)
-CHECKER: Final = "wrenchbook.service.library.bundles:checked"
+_MODULE: Final = "wrenchbook.service.library.bundles"
+CHECKER: Final = f"{_MODULE}:checked"
 _PIECE: Final = 1 << 20
 # Errors of the disk; all others are the archive's fault.
 _OF_THE_DISK: Final = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.EACCES)
@@ -45,6 +46,9 @@ _CANNOT_UNPACK: Final = (
 )
 _TOO_LARGE: Final = "Unpacked, the zip is larger than {} MiB, the most accepted."
 _NO_REPORT: Final = "The mesh check stopped without an answer ({why})."
+# Of a component.toml: the first table, below the top-level keys; the lines of these keys.
+_TOP_LEVEL = re.compile(r"^\s*\[", re.MULTILINE)
+_LINE = {key: re.compile(rf"^[ \t]*{key}[ \t]*=.*$", re.MULTILINE) for key in ("name", "title")}
 # Slots apart from those of `run`: a check may take minutes. It imports 75 MB, so none stays.
 _checks: Final = Sandbox(keep=False)
 
@@ -69,7 +73,7 @@ def unpack(archive: BinaryIO, incoming: Path, *, complete: bool = True) -> tuple
         shutil.copyfileobj(archive, file, _PIECE)
     arguments = {"target": str(target), "complete": complete}
     try:
-        (part,) = run("wrenchbook.service.library.bundles:unpacked", copy, arguments, UNPACK)
+        (part,) = run(f"{_MODULE}:unpacked", copy, arguments, UNPACK)
     except SandboxError as error:
         raise problem_at("bundle", str(error)) from None
     copy.unlink()
@@ -112,7 +116,7 @@ def surface_of(folder: Path, _fingerprint: str) -> dict[str, Any]:
     Raises SandboxError or SandboxBusyError if its mesh cannot be built within the limits of a
     check, or too many others are built.
     """
-    (part,) = _checks.run("wrenchbook.service.library.bundles:surface", folder, None, CHECK)
+    (part,) = _checks.run(f"{_MODULE}:surface", folder, None, CHECK)
     return {name: np.array(array) for name, array in part.arrays.items()}
 
 
@@ -123,14 +127,10 @@ def faces_of(folder: Path, _fingerprint: str = "") -> bytes:
     Raises BundleError if no surface can be read or drawn, SandboxBusyError as `surface_of`.
     """
     try:
-        (part,) = _checks.run("wrenchbook.service.library.bundles:faces", folder, None, CHECK)
+        (part,) = _checks.run(f"{_MODULE}:faces", folder, None, CHECK)
     except SandboxError as error:
         raise problem_at("mesh", redact(str(error))) from None
     return part.arrays["json"].tobytes()
-
-
-_TOP_LEVEL = re.compile(r"^\s*\[", re.MULTILINE)
-_LINE = {key: re.compile(rf"^[ \t]*{key}[ \t]*=.*$", re.MULTILINE) for key in ("name", "title")}
 
 
 def copy_bundle(component: Component, name: str, title: str | None, folder: Path) -> None:

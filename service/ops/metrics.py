@@ -23,7 +23,7 @@ from prometheus_client.registry import Collector
 
 from wrenchbook.service.files.program import code_digest
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
-from wrenchbook.service.ledger.jobs import SOLVE_EDGES, Statistics
+from wrenchbook.service.ledger.job_statistics import SOLVE_EDGES, Statistics
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.ops.counts import FOLDER as COUNTS
 from wrenchbook.service.ops.counts import REQUEST_EDGES, Counts, SharedCounts, cumulative

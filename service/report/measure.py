@@ -18,7 +18,7 @@ from wrenchbook.fea.mesh.refine import refined
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle
 from wrenchbook.surrogate.answer import METHODS, UnknownMethodError
-from wrenchbook.surrogate.build import Table, build
+from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, acting
@@ -29,6 +29,7 @@ Report = Callable[[float, str], None]
 LEVELS = (("coarse", 0.67), ("own", 1.0), ("fine", 1.5))
 PARTS = (0.25, 0.5, 1.0)
 NEAR_ZERO = 1e-3  # of the largest output of its kind: below it an output counts as near zero
+TIMED_QUERIES, TIMED_SECONDS = 2000, 0.5  # of a method, at most
 
 
 def measure(
@@ -36,47 +37,44 @@ def measure(
 ) -> dict[str, Any]:
     """Return all figures of a report, as JSON-able values; processor times in s and µs, else SI.
 
-    `count` wrenches, drawn by `seed`, are compared; `report` is called with the share that is done
-    and with what is being done. Raises ValueError if the two finest meshes have solved none.
+    `count` wrenches, drawn by `seed`, are compared; `report` is called with the completed fraction
+    and the current step. Raises ValueError if no wrench is solved on both finest meshes.
     """
-    linear, space = not bundle.analysis.nonlinear, load_range.space
+    space = load_range.space
     freedoms = [name in entry.locked for entry in bundle.interfaces for name in FREEDOMS]
     points = qmc.Halton(d=len(load_range.low), rng=seed).random(count)
     wrenches = load_range.low + points * (load_range.high - load_range.low)
     wrenches = acting(wrenches, np.flatnonzero(freedoms).tolist())
     levels = _solve_levels(bundle, wrenches, report)
-    moved = {level["level"]: level.pop("displacement") for level in levels}
-    finest = moved[levels[-1]["level"]]
-    solved = np.isfinite(finest + moved["own"]).all(axis=1)
+    displacements = [level.pop("displacement") for level in levels]
+    own = [level["level"] for level in levels].index("own")
+    solved = np.isfinite(displacements[-1] + displacements[own]).all(axis=1)
     if not solved.any():
         kinds = {failure["kind"] for level in levels for failure in level["failures"]}
         raise ValueError(
             f"none of the {count} wrenches could be solved ({', '.join(sorted(kinds))}); "
             "solve one and look at its job's files, or lower the component's load range"
         )
-    reference = finest[solved]
+    reference, same_mesh = displacements[-1][solved], displacements[own][solved]
     # An error is relative to the range of its output, or to a floor if that is near zero.
     span = np.ptp(reference, axis=0)
     scale = np.maximum(span, NEAR_ZERO * space.largest_of_kind(span))
-    for level in levels:
-        name, error = level["level"], np.abs(moved[level["level"]][solved] - reference)
-        level |= {"name": f"FEA, {name} mesh", "seconds": level["seconds_p50"]}
-        level["error"] = errors(error, scale)
+    for level, displacement in zip(levels, displacements, strict=True):
+        level |= {"name": f"FEA, {level['level']} mesh", "seconds": level["seconds_p50"]}
+        level["error"] = errors(np.abs(displacement[solved] - reference), scale)
         level["largest_error"] = _largest(level["error"])
-    component_mesh = next(level for level in levels if level["level"] == "own")
     report(0.85, "measuring tables")
-    summary, tables = build(rows, load_range, linear=linear).coverage_summary(), []
-    for part in PARTS:
-        some = rows.take(np.arange(max(1, round(part * len(rows)))))
-        size, surrogate = _built(some, load_range, linear)
-        size["fea_s"] = float(np.sum(some.source == "fea") * component_mesh["seconds_p50"])
-        for method in METHODS:
-            references = reference, moved["own"][solved]
-            entry = _method(surrogate, method, wrenches[solved], references, scale)
-            if entry is not None:
-                name = f"{method}, {len(some)} rows"
-                tables.append({"name": name, "method": method, **size, **entry})
-    limit = bundle.tolerance
+    linear, limit = not bundle.analysis.nonlinear, bundle.tolerance
+    tables = _measure_tables(
+        rows,
+        load_range,
+        linear,
+        wrenches[solved],
+        (reference, same_mesh),
+        scale,
+        levels[own]["seconds_p50"],
+    )
+    summary = build(rows, load_range, linear=linear).coverage_summary()
     return {
         "component": bundle.name,
         "title": bundle.title,
@@ -94,7 +92,7 @@ def measure(
             "full_wrench_rows": summary["full_wrench_rows"],
         },
         # None where the component's mesh is the finest: its error is not known.
-        "mesh_error": component_mesh["largest_error"] if component_mesh is not levels[-1] else None,
+        "mesh_error": levels[own]["largest_error"] if own < len(levels) - 1 else None,
         "fea": levels,
         "tables": tables,
         "pareto": pareto([*tables, *levels]),
@@ -145,24 +143,45 @@ def _solve_levels(bundle: Bundle, wrenches: Array, report: Report) -> list[dict[
     return levels
 
 
-def _built(rows: Rows, load_range: LoadRange, linear: bool) -> tuple[dict[str, Any], Table]:
-    """Build one size of the table; return what that takes, and the table."""
-    tracemalloc.start()
-    before = tracemalloc.get_traced_memory()[0]
-    surrogate = build(rows, load_range, linear=linear)
-    memory = tracemalloc.get_traced_memory()[0] - before
-    tracemalloc.stop()
-    started = time.process_time()
-    build(rows, load_range, linear=linear)
-    seconds = time.process_time() - started
-    return {"rows": len(rows), "build_s": seconds, "memory_bytes": memory}, surrogate
+def _measure_tables(
+    rows: Rows,
+    load_range: LoadRange,
+    linear: bool,
+    wrenches: Array,
+    references: tuple[Array, Array],
+    scale: Array,
+    solve_seconds: float,
+) -> list[dict[str, Any]]:
+    """Build tables of the first rows, more and more, and compare each of their methods."""
+    tables: list[dict[str, Any]] = []
+    for part in PARTS:
+        some = rows.take(np.arange(max(1, round(part * len(rows)))))
+        tracemalloc.start()
+        before = tracemalloc.get_traced_memory()[0]
+        table = build(some, load_range, linear=linear)
+        memory = tracemalloc.get_traced_memory()[0] - before
+        tracemalloc.stop()
+        started = time.process_time()
+        build(some, load_range, linear=linear)
+        cost = {
+            "rows": len(some),
+            "build_s": time.process_time() - started,
+            "memory_bytes": memory,
+            "fea_s": float(np.sum(some.source == "fea") * solve_seconds),
+        }
+        for method in METHODS:
+            entry = _compare_method(packed_of(table), method, wrenches, references, scale)
+            if entry is not None:
+                name = f"{method}, {len(some)} rows"
+                tables.append({"name": name, "method": method, **cost, **entry})
+    return tables
 
 
-def _method(
-    surrogate: Table, method: str, wrenches: Array, references: tuple[Array, Array], scale: Array
+def _compare_method(
+    table: PackedTable, method: str, wrenches: Array, references: tuple[Array, Array], scale: Array
 ) -> dict[str, Any] | None:
     """Compare a method with solves on the finest mesh and on the table's mesh; None without it."""
-    table, (finest, meshed) = packed_of(surrogate), references
+    finest, same_mesh = references
     try:
         answer = table.answer(wrenches[0].tolist(), None, method)
     except UnknownMethodError:  # several interfaces have no axes
@@ -170,7 +189,7 @@ def _method(
     if answer.method != method:  # few rows have no kriging: the axes answer instead
         return None
     answers = table.batch(wrenches, method=method)
-    error = np.abs(answers.outputs - meshed)
+    error = np.abs(answers.outputs - same_mesh)
     inside, ratios = [], []
     for bars, true in zip(answers.errors.T, error.T, strict=True):
         known = np.isfinite(bars)
@@ -236,9 +255,6 @@ def pareto(entries: list[dict[str, Any]]) -> list[str]:
             best = error
             front.append(name)
     return front
-
-
-TIMED_QUERIES, TIMED_SECONDS = 2000, 0.5
 
 
 def answer_times(table: PackedTable, method: str, wrenches: np.ndarray) -> tuple[float, float]:

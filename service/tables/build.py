@@ -75,12 +75,12 @@ class _Version:
     component: Component
     number: int
     table: Table | None = None  # None if it was not built here, or is dropped
-    save_at: float = math.inf  # when its files are due; inf once they are written
+    save_at: float | None = None  # when its HDF5 file is due; None once that is written
     packed: bytes = b""  # the packed file while the disk does not take it
     used: float = 0.0
 
     def rows_in_memory(self) -> int:
-        return 0 if self.table is None or self.save_at < math.inf else len(self.table.rows)
+        return 0 if self.table is None or self.save_at is not None else len(self.table.rows)
 
     def drop(self) -> None:
         self.table = None
@@ -192,7 +192,8 @@ class TableBuilder:
 
     def _save(self, until: float) -> None:
         for name, version in list(self._versions.items()):
-            if version.save_at <= until and version.save_at < math.inf:
+            due = version.save_at  # other threads write it
+            if due is not None and due <= until:
                 self._guarded(name, self._write, self._unwritten)
 
     def _guarded(self, name: str, step: Callable[[str], None], faults: dict[str, str]) -> bool:
@@ -242,13 +243,13 @@ class TableBuilder:
                     rows, version = content[0], content[1].last_seq
                 self._build(component, rows, version)
                 self._versions[name].number = _UNCONFIRMED
-                self._versions[name].save_at = math.inf
+                self._versions[name].save_at = None
             raise
         if len(rows) > store.LARGE:
             give_back()  # the import's, before the build takes as much again
         self._build(component, rows, version)
         if version == after and not self._versions[name].packed:
-            self._versions[name].save_at = math.inf  # its HDF5 file has these rows
+            self._versions[name].save_at = None  # its HDF5 file has these rows
 
     def _build(self, component: Component, rows: Rows, number: int) -> None:
         started, name = time.monotonic(), component.name
@@ -277,8 +278,8 @@ class TableBuilder:
             if saved is None:
                 self._store.remove_packed(name)  # no other process may answer from it
                 return
-            self._store.remove_packed(name, but=number)
-            due = math.inf if saved == number else time.monotonic() + SAVE_AFTER_QUIET_S
+            self._store.remove_packed(name, keep=number)
+            due = None if saved == number else time.monotonic() + SAVE_AFTER_QUIET_S
             self._versions[name] = _Version(component, number, save_at=due)
 
     def _write(self, name: str) -> None:
@@ -292,4 +293,4 @@ class TableBuilder:
         if version.packed:
             self._store.write_packed(name, version.number, version.packed)
             version.packed = b""
-        version.save_at = math.inf
+        version.save_at = None

@@ -47,22 +47,13 @@ def comparison(
 ) -> dict[str, Any]:
     """Return measured rows beside a reference: fields of `messages.Comparison`.
 
-    Parameters
-    ----------
-    rows : Rows
-        Of a version of the component's table, in ascending order of `seq`.
-    error
-        What the solver may be wrong by; None where it is not known.
-    spans
-        The rows that imports brought.
-    number, against
-        The import whose rows are compared, all measured ones without; and the import whose rows
-        are the reference, the solves without.
-
-    Raises
-    ------
-    UncomparableError
-        If the table has no measured rows of an import, or the two are the same.
+    `rows`: of a version of the component's table, in ascending order of `seq`.
+    `error`: what the solver may be wrong by; None where it is not known.
+    `spans`: the rows that imports brought.
+    `number`, `against`: the import whose rows are compared, all measured ones without; and the
+    import whose rows are the reference, the solves without.
+    Raises UncomparableError if the table has no measured rows of an import, or the two are the
+    same.
     """
     of_import, measured = _imports(rows.seq, spans), rows.source != SOLVED
     for each in (number, against):

@@ -18,11 +18,11 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 import numpy as np
 import scipy
 
-from wrenchbook.service.contract import CONTRACT
 from wrenchbook.service.files.durable import write_atomically
 from wrenchbook.service.files.program import code_digest
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError, RowEdit
 from wrenchbook.service.library.component import Component
+from wrenchbook.service.tables.rows import CONTRACT_TEXT
 from wrenchbook.service.tables.solver_errors import SolverErrors
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.format import SUFFIX, PackedTableError
@@ -87,7 +87,7 @@ class TableStore:
         return origin
 
     def is_current(self, component: Component, version: int, origin: dict[str, str]) -> bool:
-        """Whether the packed file of a version is sound and what would be built now."""
+        """Return whether the packed file of a version is undamaged and what would be built now."""
         try:
             packed = PackedTable.open(self._packed_path(component.name, version))
         except (PackedTableError, OSError):
@@ -101,12 +101,12 @@ class TableStore:
         """
         self._folder.mkdir(parents=True, exist_ok=True)
         write_atomically(self._packed_path(name, version), content, durable=False)
-        self.remove_packed(name, but=version)
+        self.remove_packed(name, keep=version)
 
-    def remove_packed(self, name: str, but: int | None = None) -> None:
-        """Remove a component's packed files but `but`; processes keep what they have mapped."""
+    def remove_packed(self, name: str, keep: int | None = None) -> None:
+        """Remove a component's packed files except the version `keep`; mapped ones stay mapped."""
         for file in self.packed_files().get(name, []):
-            if file.version != but:
+            if file.version != keep:
                 with suppress(OSError):  # in use
                     file.path.unlink()
 
@@ -138,7 +138,7 @@ class TableStore:
             return 0
 
     def size(self, name: str) -> int:
-        """About how many rows a component has: the ledger's number, or that of its HDF5 file."""
+        """Return how many rows a component has, by the ledger, or about, by its HDF5 file."""
         with suppress(LedgerUnavailableError):
             if count := self.ledger.count_rows(name):
                 return count
@@ -152,7 +152,7 @@ class TableStore:
         return {name for name in names if self.size(name) <= LARGE}
 
     def written(self, name: str) -> float | None:
-        """When a component's HDF5 file was written, seconds since the epoch; None without it."""
+        """Return when a component's HDF5 file was written, s since the epoch; None without it."""
         try:
             return self._path(name).stat().st_mtime
         except OSError:
@@ -160,7 +160,7 @@ class TableStore:
 
     def read(self, component: Component) -> tuple[Rows, TableMeta] | None:
         """Return the content of a component's HDF5 file; None if missing, damaged or another's."""
-        return self._sound(component, read_table)
+        return self._read_usable(component, read_table)
 
     def saved(self, component: Component, version: int, digest: str) -> int | None:
         """Up to which seq a component's HDF5 file has its rows; 0 without a usable file.
@@ -168,7 +168,7 @@ class TableStore:
         None if it has rows that the ledger lacks: `load` puts these back. `version` and `digest`
         are of the ledger's newest change. Raises LedgerUnavailableError.
         """
-        content = self._sound(component, lambda path: (None, read_meta(path)))
+        content = self._read_usable(component, lambda path: (None, read_meta(path)))
         if content is None:
             return 0
         meta = content[1]
@@ -202,7 +202,7 @@ class TableStore:
         if content is not None:
             rows, meta = content
             if not self._is_of_ledger(meta):
-                self._put_back(component.name, rows, meta)
+                self._restore(component.name, rows, meta)
             elif meta.fingerprint == component.fingerprint:
                 return rows, meta.last_seq
             else:
@@ -228,13 +228,13 @@ class TableStore:
             load_range=component.load_range,
             fingerprint=component.fingerprint,
             locked=component.idle,
-            contract=" ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.items()),
+            contract=CONTRACT_TEXT,
             **of_ledger,
         )
         self._folder.mkdir(parents=True, exist_ok=True)
         write_table(self._path(name), rows, meta)
 
-    def _sound(
+    def _read_usable(
         self, component: Component, read: Callable[[Path], tuple[T, TableMeta]]
     ) -> tuple[T, TableMeta] | None:
         """Return the result of `read` of a component's file; None, logged, if it is unusable."""
@@ -253,12 +253,12 @@ class TableStore:
         return None
 
     def _is_of_ledger(self, meta: TableMeta) -> bool:
-        """Whether a file's rows are those of the ledger up to the file's newest."""
+        """Return whether a file's rows are those of the ledger up to the file's newest."""
         return bool(meta.ledger) and meta.ledger == self.ledger.digest(
             meta.component, meta.last_seq
         )
 
-    def _put_back(self, name: str, rows: Rows, meta: TableMeta) -> None:
+    def _restore(self, name: str, rows: Rows, meta: TableMeta) -> None:
         """Insert a file's rows and repeat its edits; the ledger knows what it has by content."""
         newest = self.ledger.last_seq(name)
         inserted, _ = self.ledger.insert_rows(name, rows, "table file", above=meta.last_seq)

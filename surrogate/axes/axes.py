@@ -48,11 +48,8 @@ def build_axes(
 ) -> Axes:
     """Build the three axes over rows within the load range.
 
-    Parameters
-    ----------
-    before : Axes, optional
-        Of another version of the table: an axis whose points have not changed is taken from it, as
-        it would be made again to the last bit.
+    `before`: of another version of the table: an axis whose points have not changed is taken from
+    it, as it would be made again to the last bit.
     """
     earlier = before.tables if before is not None else (None,) * len(AXES)
     tables = [
@@ -110,13 +107,8 @@ def answer_at_zero(rows: Rows, load_range: LoadRange, tables: Sequence[AxisTable
 class Axes:
     """Three axis tables (None where there are no rows) and the answer at no load.
 
-    Attributes
-    ----------
-    tables : tuple of AxisTable or None, length 3
-    cuts : tuple of tuple of PureMomentCut, length 3
-        Of each moment, x, y, z: from the axis it comes first in, then from the other.
-    at_zero : ndarray, shape (6,), m and rad
-        Displacement at no load.
+    `cuts`: of each moment, x, y, z: from the axis it comes first in, then from the other.
+    `at_zero` (6,), m and rad: displacement at no load.
     """
 
     def __init__(
@@ -185,15 +177,15 @@ def _loads(axis: LoadAxis, points: Floats) -> list[dict[str, float]]:
 
 
 def _hull(table: AxisTable) -> Floats:
-    """Return the vertices of the rows' hull, scaled, shape (k, 3); of a flat table its ends."""
+    """Return the vertices of the rows' hull, scaled, shape (k, 3); its ends in one dimension."""
     points, dimension = table.triangulation.points, table.triangulation.dimension
-    flat = (points - table.triangulation.origin) @ table.triangulation.basis.T
+    local = (points - table.triangulation.origin) @ table.triangulation.basis.T
     if dimension == 0:
         return points[:1]
     if dimension == 1:
-        return points[[int(flat[:, 0].argmin()), int(flat[:, 0].argmax())]]
+        return points[[int(local[:, 0].argmin()), int(local[:, 0].argmax())]]
     try:
-        return points[ConvexHull(flat).vertices][:MAX_VERTICES]
+        return points[ConvexHull(local).vertices][:MAX_VERTICES]
     except QhullError:
         return points[:MAX_VERTICES]
 
@@ -235,16 +227,12 @@ class PureMomentCut:
     triangulation, and along it barycentric outputs are straight between two faces of its
     simplices.
 
-    Attributes
-    ----------
-    shape : Triangulation
-        Of the table.
-    stations : ndarray, shape (s + 1,), dimensionless
-        Scaled moments at which the line passes from one simplex to the next, ascending.
-    outputs : ndarray, shape (s, 2, 6), m and rad
-        Of each stretch, by the scaled moment less its first station: constant and straight part.
-    state : ndarray of int, shape (s,)
-        `INSIDE`; `OFF_HULL` where no simplex holds the stretch.
+    `shape`: of the table.
+    `stations` (s + 1,), dimensionless: scaled moments at which the line passes from one simplex to
+    the next, ascending.
+    `outputs` (s, 2, 6), m and rad: of each stretch, by the scaled moment less its first station:
+    constant and straight part.
+    `state` (s,): `INSIDE`; `OFF_HULL` where no simplex holds the stretch.
     """
 
     def __init__(self, table: AxisTable, column: int) -> None:

@@ -18,17 +18,11 @@ from .triangulation import Indices, Triangulation, recovered_slopes
 class AxisTable:
     """The rows of an axis, triangulated.
 
-    Attributes
-    ----------
-    rows : AxisRows
-    triangulation : Triangulation
-        Over the scaled inputs.
-    scale : ndarray, shape (3,), N and N·m
-        What the inputs are divided by.
-    values : ndarray, shape (n, 6), m and rad
-        Displacements at the points.
-    slopes : ndarray, shape (n, 6, 3), m and rad
-        Derivative by the scaled inputs: stored tangents, else recovered from neighbours.
+    `triangulation`: over the scaled inputs.
+    `scale` (3,), N and N·m: what the inputs are divided by.
+    `values` (n, 6), m and rad: displacements at the points.
+    `slopes` (n, 6, 3), m and rad: derivative by the scaled inputs: stored tangents, else recovered
+    from neighbours.
     """
 
     def __init__(self, rows: AxisRows, load_range: LoadRange) -> None:
@@ -66,11 +60,7 @@ class AxisTable:
 def axis_table(rows: AxisRows, load_range: LoadRange, before: AxisTable | None) -> AxisTable:
     """Return the table of an axis' rows, at least one.
 
-    Parameters
-    ----------
-    before : AxisTable or None
-        Of another version: taken over where it was made of the same numbers, the only
-        input.
+    `before`: of another version: taken over where it was made of the same numbers, the only input.
     """
     scale = load_range.scale[list(rows.axis.inputs)]
     usable = before is not None and np.array_equal(before.scale, scale)

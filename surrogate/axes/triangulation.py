@@ -1,7 +1,7 @@
 """Piecewise linear interpolation over a Delaunay triangulation of up to three dimensions.
 
 Points that span fewer than three dimensions get a triangulation of the plane, an ordered line or
-a single point: qhull refuses flat input.
+a single point: qhull needs points that span its dimension.
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ from ..table.rows import Floats
 
 Indices = NDArray[np.intp]
 
-FLAT = 1e-9  # of the points' extent: what lies closer to a plane, a line or a point is in it
+SPAN_TOLERANCE = (
+    1e-9  # of the points' extent: points closer to a plane, a line or a point are in it
+)
 ROUNDED = 2e-14  # of a barycentric coordinate, some 100 roundings: still inside
 STEPS = 64  # of a walk, which takes some 5 from the simplex of the nearest middle
 ON_HULL = 1e-9  # of the way to the middle: rounding may put points of the hull so much outside
@@ -29,7 +31,7 @@ SHEAR = np.eye(3) + 1e-3 * np.array([[0.31, 0.77, -0.53], [0.19, -0.41, 0.97], [
 CELLS = 32  # a side: three times five bits fit 16, which numpy sorts by radix
 MIN_SORTED = 64  # points below which sorting costs more than it saves
 
-# Of points beside flat simplices:
+# Of points beside degenerate simplices:
 PAIRS = 200_000  # pairs of points and simplices at once: some 50 MB of numbers
 
 # Of slopes at the points:
@@ -42,21 +44,15 @@ CHUNK = 4096  # patches fitted at once: their normal equations fit the cache
 class Triangulation:
     """A triangulation of scattered points, with one affine barycentric map per simplex.
 
-    Attributes
-    ----------
-    points : ndarray, shape (n, 3)
-    dimension : int
-        0 to 3, what the points span.
-    simplices : ndarray of int, shape (m, dimension + 1)
-        Vertices of each simplex; the last one is its anchor.
-    anchors : ndarray, shape (m, 3)
-    weights : ndarray, shape (m, dimension, 3)
-        `weights[s] @ (x - anchors[s])` are the barycentric coordinates but the last one.
-    volumes : ndarray, shape (m,)
-        Length, area or volume of each simplex; 1 for a single point.
-    degenerate : ndarray of bool, shape (m,)
-    neighbours : ndarray of int, shape (m, dimension + 1)
-        The simplex across from each vertex, -1 on the hull.
+    `points` (n, 3).
+    `dimension`: 0 to 3, what the points span.
+    `simplices` (m, dimension + 1): vertices of each simplex; the last one is its anchor.
+    `anchors` (m, 3).
+    `weights` (m, dimension, 3): `weights[s] @ (x - anchors[s])` are the barycentric coordinates but
+    the last one.
+    `volumes` (m,): length, area or volume of each simplex; 1 for a single point.
+    `degenerate` (m,).
+    `neighbours` (m, dimension + 1): the simplex across from each vertex, -1 on the hull.
     """
 
     def __init__(self, points: ArrayLike) -> None:
@@ -65,46 +61,61 @@ class Triangulation:
         self.origin = self.points[0] if len(self.points) == 1 else self.points.mean(axis=0)
         self._triangulate()
         self.anchors = self.points[self.simplices[:, -1]]
-        self._measure()
+        edges = self.points[self.simplices[:, :-1]] - self.anchors[:, None]
+        longest = np.sqrt((edges**2).sum(axis=2)).max(axis=1, initial=0.0)
+        self.volumes = np.abs(determinants(edges @ self.basis.T)) / math.factorial(self.dimension)
+        finite = np.isfinite(self.weights).reshape(len(edges), -1)
+        broken: NDArray[np.bool_] = np.asarray(np.any(~finite, axis=1))
+        self.degenerate = broken | (self.volumes < SLIVER * longest**self.dimension)
+        if broken.any():
+            self.weights = np.where(broken[:, None, None], 0.0, self.weights)
 
     def _triangulate(self) -> None:
         dimension, basis = _span(self.points)
         while True:
             self.dimension, self.basis = dimension, basis[:dimension]
-            flat = (self.points - self.origin) @ self.basis.T
-            off = self.points - self.origin - flat @ self.basis
+            local = (self.points - self.origin) @ self.basis.T
+            off = self.points - self.origin - local @ self.basis
             extent = float(np.abs(self.points - self.origin).max(initial=0.0))
-            self.slack = max(FLAT * max(1.0, extent), 2 * float(np.abs(off).max(initial=0.0)))
+            self.slack = max(
+                SPAN_TOLERANCE * max(1.0, extent), 2 * float(np.abs(off).max(initial=0.0))
+            )
             try:
-                return self._connect(flat)
-            except QhullError:  # flat within qhull's precision, though not within ours
+                return self._connect(local)
+            except QhullError:  # of a lower dimension within qhull's precision, though not ours
                 dimension -= 1
                 basis = np.linalg.svd(self.points - self.origin, full_matrices=False)[2]
 
-    def _connect(self, flat: Floats) -> None:
-        """Make the simplices of the flattened points, shape (n, d)."""
+    def _connect(self, local: Floats) -> None:
+        """Make the simplices of the points, shape (n, d), in the coordinates of their span."""
         if self.dimension == 0:
             self.simplices = np.zeros((1, 1), dtype=np.intp)
             self.neighbours = np.full((1, 1), -1, dtype=np.intp)
             self.weights = np.zeros((1, 0, 3))
         elif self.dimension == 1:
-            self._connect_line(flat[:, 0])
+            order = np.argsort(local[:, 0])
+            self.simplices = np.stack((order[:-1], order[1:]), axis=1)
+            index = np.arange(len(self.simplices))
+            self.neighbours = np.stack((index + 1, index - 1), axis=1)
+            self.neighbours[-1, 0] = -1
+            with np.errstate(divide="ignore", invalid="ignore"):  # no length: marked degenerate
+                self.weights = -self.basis[None] / np.diff(local[order, 0])[:, None, None]
         else:
-            self._connect_simplices(flat)
+            self._connect_simplices(local)
 
-    def _connect_simplices(self, flat: Floats) -> None:
+    def _connect_simplices(self, local: Floats) -> None:
         """Triangulate; in three dimensions the points themselves, so that it is scipy's.
 
-        qhull joins the cells of a grid by flat tetrahedra where their diagonals differ: answers
+        qhull joins the cells of a grid by slivers where their diagonals differ: answers
         would jump there. A slight shear leaves each cell one triangulation only, and barycentric
         coordinates as they are.
         """
-        points = self.points if self.dimension == 3 else flat
+        points = self.points if self.dimension == 3 else local
         delaunay = Delaunay(points)
-        flattened = int(_flat(points, delaunay.simplices).sum())
-        if flattened:
+        slivers = _count_slivers(points, delaunay.simplices)
+        if slivers:
             sheared = Delaunay(points @ SHEAR[: self.dimension, : self.dimension].T)
-            if _flat(points, sheared.simplices).sum() < flattened:
+            if _count_slivers(points, sheared.simplices) < slivers:
                 delaunay = sheared
         self.simplices = delaunay.simplices.astype(np.intp)
         self.neighbours = delaunay.neighbors.astype(np.intp)
@@ -114,27 +125,6 @@ class Triangulation:
             with np.errstate(invalid="ignore"):  # no area: marked degenerate
                 self.weights = self.weights @ self.basis
 
-    def _connect_line(self, along: Floats) -> None:
-        order = np.argsort(along)
-        stations = along[order]
-        self.simplices = np.stack((order[:-1], order[1:]), axis=1)
-        index = np.arange(len(self.simplices))
-        self.neighbours = np.stack((index + 1, index - 1), axis=1)
-        self.neighbours[-1, 0] = -1
-        with np.errstate(divide="ignore", invalid="ignore"):  # no length: marked degenerate
-            self.weights = -self.basis[None] / np.diff(stations)[:, None, None]
-
-    def _measure(self) -> None:
-        edges = self.points[self.simplices[:, :-1]] - self.anchors[:, None]
-        flat = edges @ self.basis.T
-        longest = np.sqrt((edges**2).sum(axis=2)).max(axis=1, initial=0.0)
-        self.volumes = np.abs(determinants(flat)) / math.factorial(self.dimension)
-        finite = np.isfinite(self.weights).reshape(len(edges), -1)
-        broken: NDArray[np.bool_] = np.asarray(np.any(~finite, axis=1))
-        self.degenerate = broken | (self.volumes < SLIVER * longest**self.dimension)
-        if broken.any():
-            self.weights = np.where(broken[:, None, None], 0.0, self.weights)
-
     def locate(self, x: ArrayLike) -> Indices:
         """Return the simplex of each point, shape (k, 3) -> (k,), or -1 outside the hull.
 
@@ -142,14 +132,14 @@ class Triangulation:
         little further in. Points are dimensionless.
         """
         points = np.asarray(x, dtype=float)
-        simplices = self._find_flat(points)
+        simplices = self._walk(points)
         outside = np.asarray(simplices < 0)
         if outside.any():
             inward = points[outside] + ON_HULL * (self.origin - points[outside])
-            simplices[outside] = self._find_flat(inward)
+            simplices[outside] = self._walk(inward)
         return simplices
 
-    def _find_flat(self, points: Floats) -> Indices:
+    def _walk(self, points: Floats) -> Indices:
         """Walk from the simplex with the nearest middle over the face that a point is behind.
 
         In a Delaunay triangulation no such walk comes back (Devillers, Pion and Teillaud 2002,
@@ -162,9 +152,9 @@ class Triangulation:
         for _ in range(STEPS):
             parts = self.barycentric(simplices[walking], points[walking])
             behind, least = parts.argmin(axis=1), parts.min(axis=1)
-            flat = self.degenerate[simplices[walking]]
-            lost.append(walking[flat])  # a flat simplex shows no way
-            goes_on = ~flat & (least < -ROUNDED)
+            degenerate = self.degenerate[simplices[walking]]
+            lost.append(walking[degenerate])  # its barycentric coordinates show no way
+            goes_on = ~degenerate & (least < -ROUNDED)
             walking, behind = walking[goes_on], behind[goes_on]
             simplices[walking] = self.neighbours[simplices[walking], behind]
             walking = walking[simplices[walking] >= 0]
@@ -173,7 +163,7 @@ class Triangulation:
         return np.where(off > self.slack, -1, simplices)
 
     def _compared(self, points: Floats) -> Indices:
-        """Return the simplex, not flat, that holds each point (k, 3) best, of all; -1 if none."""
+        """Return the sound simplex that holds each point (k, 3) best, of all; -1 if none."""
         simplices, most = np.full(len(points), -1), np.full(len(points), -ROUNDED)
         for radius, members, middles in self._by_size:
             count = middles.query_ball_point(points, radius, return_length=True)
@@ -191,7 +181,7 @@ class Triangulation:
 
     @cached_property
     def _by_size(self) -> list[tuple[float, Indices, KDTree]]:
-        """Group simplices that are not flat by a power of 2 of the farthest corner's distance.
+        """Group sound simplices by a power of 2 of the farthest corner's distance.
 
         A point in a simplex is nearer to its middle than that: few of a size are.
         """
@@ -209,7 +199,7 @@ class Triangulation:
     def _middles(self) -> KDTree:
         return KDTree(self.points[self.simplices].mean(axis=1))
 
-    def flattened(self, x: Floats) -> Floats:
+    def local_coordinates(self, x: Floats) -> Floats:
         """Return points in the coordinates of what the points span.
 
         Shape (k, 3) -> (k, dimension), dimensionless.
@@ -256,21 +246,21 @@ def _span(points: Floats) -> tuple[int, Floats]:
     """
     centred = points - points.mean(axis=0)
     sizes = np.linalg.svd(centred, compute_uv=False)
-    dimension = int((sizes > FLAT * sizes[0]).sum()) if sizes[0] > 0 else 0
+    dimension = int((sizes > SPAN_TOLERANCE * sizes[0]).sum()) if sizes[0] > 0 else 0
     varying: NDArray[np.bool_] = np.asarray(
-        np.ptp(points, axis=0) > FLAT * max(sizes[0], np.finfo(float).tiny)
+        np.ptp(points, axis=0) > SPAN_TOLERANCE * max(sizes[0], np.finfo(float).tiny)
     )
     if varying.sum() == dimension:
         return dimension, np.eye(3)[varying]
     return dimension, np.linalg.svd(centred, full_matrices=False)[2]
 
 
-def _flat(points: Floats, simplices: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Return which simplices of points (n, d) have no volume to speak of, shape (m,)."""
+def _count_slivers(points: Floats, simplices: NDArray[np.int32]) -> int:
+    """Return how many simplices of points (n, d) are degenerate."""
     edges = points[simplices[:, :-1]] - points[simplices[:, -1:]]
     longest = np.sqrt((edges**2).sum(axis=2)).max(axis=1)
     volumes = np.abs(determinants(edges)) / math.factorial(points.shape[1])
-    return volumes < SLIVER * longest ** points.shape[1]
+    return int((volumes < SLIVER * longest ** points.shape[1]).sum())
 
 
 def determinants(edges: Floats) -> Floats:
@@ -309,14 +299,10 @@ def curve_order(x: Floats) -> NDArray[np.intp]:
     return np.argsort(key, kind="stable")
 
 
-def _spread() -> NDArray[np.uint16]:
-    """Return each cell number with two zeros between its bits."""
-    cells = np.arange(CELLS, dtype=np.uint16)
-    bits = [((cells >> bit) & 1) << (3 * bit) for bit in range(5)]
-    return np.bitwise_or.reduce(bits).astype(np.uint16)
-
-
-_SPREAD = _spread()
+# Each cell number with two zeros between its bits.
+_SPREAD = np.bitwise_or.reduce(
+    [((np.arange(CELLS, dtype=np.uint16) >> bit) & 1) << (3 * bit) for bit in range(5)]
+).astype(np.uint16)
 
 
 def recovered_slopes(triangulation: Triangulation, values: Floats) -> Floats:
@@ -331,12 +317,12 @@ def recovered_slopes(triangulation: Triangulation, values: Floats) -> Floats:
     if not neighbours or n <= neighbours:
         return mean_slopes(triangulation, values)
     slopes = np.empty((n, values.shape[1], 3))
-    flat = triangulation.flattened(triangulation.points)
-    nearest = KDTree(flat).query(flat, k=neighbours + 1)
+    local = triangulation.local_coordinates(triangulation.points)
+    nearest = KDTree(local).query(local, k=neighbours + 1)
     distances, near = np.asarray(nearest[0])[:, 1:], np.asarray(nearest[1], dtype=np.intp)[:, 1:]
     for start in range(0, n, CHUNK):
         some = slice(start, start + CHUNK)
-        delta = flat[near[some]] - flat[some, None]
+        delta = local[near[some]] - local[some, None]
         rise = values[near[some]] - values[some, None]
         slope = _quadratics(delta, distances[some], rise)
         slopes[some] = np.einsum("niq,ij->nqj", slope, triangulation.basis)
@@ -361,8 +347,8 @@ def _quadratics(delta: Floats, distances: Floats, rise: Floats) -> Floats:
 def mean_slopes(triangulation: Triangulation, values: Floats) -> Floats:
     """Return slopes (n, q, 3) as the mean of the simplices that meet at each point, by volume.
 
-    A flat simplex has no slope and does not count. Points are dimensionless, so that slopes are in
-    the unit of the values (n, q): m and rad.
+    A degenerate simplex has no slope and does not count. Points are dimensionless, so that slopes
+    are in the unit of the values (n, q): m and rad.
     """
     weight = np.where(triangulation.degenerate, 0.0, triangulation.volumes)
     weighted = weight[:, None, None] * triangulation.gradients(values)

@@ -46,13 +46,8 @@ def channel_findings(
 ) -> tuple[Rows, list[RigFinding]]:
     """Return the rows without what broken channels read, and their findings.
 
-    Parameters
-    ----------
-    rows : Rows
-        In the order of their measurement.
-    load_range : LoadRange, N and N·m
-    still : ndarray of bool, shape (6,)
-        Outputs that do not move, by the component's solves.
+    `rows`: in the order of their measurement.
+    `still` (6,): outputs that do not move, by the component's solves.
     """
     findings: list[RigFinding] = []
     terms, moved = terms_of(rows.wrench / load_range.scale), rows.displacement.copy()
@@ -62,7 +57,7 @@ def channel_findings(
         read = [value == value and not is_nines(value) for value in moved[:, output].tolist()]
         known = np.flatnonzero(read)
         unit = "m" if output < 3 else "rad"
-        for cause, some, value, off in _broken(terms[known], moved[known, output]):
+        for cause, some, value, off in _output_faults(terms[known], moved[known, output]):
             at = known[some]
             fields = {"name": OUTPUTS[output], "load": LOADS[output], "unit": unit, "off": off}
             message = MESSAGES[cause].format(value=value, count=len(at), **fields)
@@ -70,7 +65,7 @@ def channel_findings(
             findings.append(RigFinding(cause, message, listed, {"output": OUTPUTS[output]}))
             moved[at, output] = np.nan
         load, unit = rows.wrench[known, output], "N" if output < 3 else "N*m"
-        for cause, some, value, off in _held(load, terms[known], moved[known, output]):
+        for cause, some, value, off in _load_faults(load, terms[known], moved[known, output]):
             fields = LOADS[output], value, unit, len(some), OUTPUTS[output], off, cause
             listed = tuple(rows.seq[known[some]].tolist())
             numbers = {"load": LOADS[output]}
@@ -100,7 +95,7 @@ def dead_channels(rows: Rows, load_range: LoadRange) -> NDArray[np.bool_]:
     return (known.sum(axis=0) >= MIN_ROWS) & is_equal & varies
 
 
-def _broken(terms: Floats, y: Floats) -> list[Broken]:
+def _output_faults(terms: Floats, y: Floats) -> list[Broken]:
     """Return the faults of readings (n,): indices, the value, and parts of the range."""
     all_rows = np.arange(len(y))
     if len(y) < MIN_ROWS:
@@ -110,9 +105,7 @@ def _broken(terms: Floats, y: Floats) -> list[Broken]:
     size = float(np.ptp(y))
     if not _is_explained(terms, y):
         return [("noise", all_rows, float(y.std()), 0.0)]
-    high, low = (np.flatnonzero(np.abs(y - end) <= equal) for end in (y.max(), y.min()))
-    runs = np.split(all_rows, 1 + np.flatnonzero(np.abs(np.diff(y)) > equal))  # of equal readings
-    run = max(runs, key=len)
+    high, low, run = _constant_rows(y, equal)
     steps = np.diff(np.sort(y))
     step = float(np.median(steps[steps > equal]))  # of the readings
     broken = list[Broken]()
@@ -138,7 +131,7 @@ def _broken(terms: Floats, y: Floats) -> list[Broken]:
     return broken
 
 
-def _held(load: Floats, terms: Floats, y: Floats) -> list[Broken]:
+def _load_faults(load: Floats, terms: Floats, y: Floats) -> list[Broken]:
     """Return where a load (n,) keeps a value while its own displacement (n,) goes on.
 
     Tests reach one load often: there displacements scatter about the response of all rows as they
@@ -149,11 +142,10 @@ def _held(load: Floats, terms: Floats, y: Floats) -> list[Broken]:
     if known.sum() < MIN_ROWS or np.ptp(load) <= equal:
         return []
     off, size = y - fitted(terms, y), float(np.ptp(y[known]))
-    runs = np.split(np.arange(len(load)), 1 + np.flatnonzero(np.abs(np.diff(load)) > equal))
-    high, low = (np.flatnonzero(np.abs(load - end) <= equal) for end in (load.max(), load.min()))
-    run = np.setdiff1d(max(runs, key=len), np.concatenate((high, low)))
-    for is_end, held in ((True, high), (True, low), (False, run)):
-        some, others = held[known[held]], np.setdiff1d(np.flatnonzero(known), held)
+    high, low, run = _constant_rows(load, equal)
+    run = np.setdiff1d(run, np.concatenate((high, low)))
+    for is_end, constant in ((True, high), (True, low), (False, run)):
+        some, others = constant[known[constant]], np.setdiff1d(np.flatnonzero(known), constant)
         if len(some) < MIN_EQUAL or len(others) < 2 * terms.shape[1]:
             continue
         spread, usual = (np.median(np.abs(off[at] - np.median(off[at]))) for at in (some, others))
@@ -161,6 +153,16 @@ def _held(load: Floats, terms: Floats, y: Floats) -> list[Broken]:
             cause = "clipped" if is_end else "stuck"
             broken.append((cause, some, float(load[some[0]]), np.abs(off[some]).max() / size))
     return broken
+
+
+def _constant_rows(values: Floats, equal: float) -> list[NDArray[np.intp]]:
+    """Return the rows at the highest value, those at the lowest, and the longest run of equal ones.
+
+    Values that differ by `equal` at most are equal.
+    """
+    runs = np.split(np.arange(len(values)), 1 + np.flatnonzero(np.abs(np.diff(values)) > equal))
+    ends = values.max(), values.min()
+    return [*(np.flatnonzero(np.abs(values - end) <= equal) for end in ends), max(runs, key=len)]
 
 
 def _is_explained(terms: Floats, y: Floats) -> bool:

@@ -32,63 +32,36 @@ TAIL = 0.5  # ranges: what a displacement beyond the 1st and 99th percentiles co
 
 
 class Logs(NamedTuple):
-    """Two logs of one test.
+    """Two logs of one test."""
 
-    Attributes
-    ----------
-    time : ndarray, shape (n,), s
-        Of the loads; it grows.
-    wrench : ndarray, shape (n, 6), N and N·m
-    when : ndarray, shape (m,), s
-        Of the displacements.
-    displacement : ndarray, shape (m, 6), m and rad
-        NaN where not measured.
-    """
-
-    time: Floats
-    wrench: Floats
-    when: Floats
-    displacement: Floats
+    time: Floats  # (n,), s: of the loads; it grows
+    wrench: Floats  # (n, 6), N and N·m
+    when: Floats  # (m,), s: of the displacements
+    displacement: Floats  # (m, 6), m and rad: NaN where not measured
 
 
 class Lag(NamedTuple):
-    """The lag of the displacements' times behind the clock of the loads.
+    """The lag of the displacements' times behind the clock of the loads."""
 
-    Attributes
-    ----------
-    seconds : float, s
-    error : float, s
-        `DEVIATIONS` standard deviations.
-    rate : float
-        How much slower the displacements' clock runs, over the loads' rate; 0 where the residual
-        shows no difference.
-    misfit, misfit_applied, misfit_rate : float
-        Residual of the response over the displacements' deviation, at this lag, at the applied
-        one, and with `rate`.
-    named : bool
-        Whether the applied lag does not fit, and hysteresis does not explain that.
-    others : tuple of float, s
-        Lags that fit as well: loads that repeat do not show by how many periods clocks differ.
-    """
-
-    seconds: float
-    error: float
+    seconds: float  # s
+    error: float  # s: `DEVIATIONS` standard deviations
+    # how much slower the displacements' clock runs, over the loads' rate; 0 where the residual
+    # shows no difference
     rate: float
+    # misfit, misfit_applied, misfit_rate: residual of the response over the displacements'
+    # deviation, at this lag, at the applied one, and with `rate`
     misfit: float
     misfit_applied: float
     misfit_rate: float
-    named: bool
+    named: bool  # whether the applied lag does not fit, and hysteresis does not explain that
+    # s: lags that fit as well: loads that repeat do not show by how many periods clocks differ
     others: tuple[float, ...]
 
 
 def estimate_lag(logs: Logs, applied: float = 0.0) -> Lag | None:
     """Return the lag with which displacements fit loads best; None if the logs do not show one.
 
-    Parameters
-    ----------
-    logs : Logs
-    applied : float, s
-        The lag in use, to compare with.
+    `applied`, s: the lag in use, to compare with.
     """
     known = np.isfinite(logs.displacement).sum(axis=0) >= MIN_DISPLACEMENTS
     loads = np.ptp(logs.wrench, axis=0) > 0

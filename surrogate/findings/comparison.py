@@ -22,10 +22,8 @@ def differences(moved: Floats, expected: Floats, bars: Floats) -> Floats:
     Of moved = factor expected + offset. Both are 0 where neither is certain and large enough for a
     finding. Errors of answers are common to all rows: no number of rows lowers their error bars.
 
-    Parameters
-    ----------
-    moved, expected, bars : ndarray, shape (n, 6), m and rad
-        Measured, the answers of another table, and their error bars; NaN where unknown.
+    `moved`, `expected`, `bars` (n, 6), m and rad: measured, the answers of another table, and their
+    error bars; NaN where unknown.
     """
     known = np.isfinite(bars)
     size, pair, deviation, _ = _fitted(moved, np.where(known, expected, np.nan))
@@ -43,10 +41,7 @@ def beyond_noise(moved: Floats, expected: Floats) -> Floats:
     error bars in all outputs, counts as 0; from the square of a larger one that of the noise is
     subtracted.
 
-    Parameters
-    ----------
-    moved, expected : ndarray, shape (n, m), m and rad
-        Measured, and the answers of a table; NaN where unknown.
+    `moved`, `expected` (n, m), m and rad: measured, and the answers of a table; NaN where unknown.
     """
     size, pair, deviation, freedom = _fitted(moved, expected)
     by_chance = stdtrit(freedom, 1 - (1 - CONFIDENCE) / (2 * pair.size)) * deviation
@@ -62,10 +57,8 @@ def factor_of(
     width is that of independent rows or of blocks of consecutive rows, the larger one, plus the
     error that the answers may have in common. NaN where unknown.
 
-    Parameters
-    ----------
-    moved, expected, bars, uncertainty : ndarray, shape (n,), m or rad
-        Of one output, in the order of the measurement; NaN where unknown.
+    `moved`, `expected`, `bars`, `uncertainty` (n,), m or rad: of one output, in the order of the
+    measurement; NaN where unknown.
     """
     known = np.isfinite(moved) & np.isfinite(expected)
     y, x, bar, stated = (values[known] for values in (moved, expected, bars, uncertainty))

@@ -37,20 +37,11 @@ UNITS = {
 
 
 class Fit(NamedTuple):
-    """A compliance at no load and what is known of it.
+    """A compliance at no load and what is known of it."""
 
-    Attributes
-    ----------
-    matrix : ndarray, shape (6, 6), SI
-        Row output, column load; 0 where it is not known.
-    covariance : ndarray, shape (6, 6, 6), SI
-        Of each output's row.
-    sure : ndarray of bool, shape (6, 6)
-        Which entries surely are not zero, and are not small beside others of their kind.
-    """
-
-    matrix: Floats
-    covariance: Floats
+    matrix: Floats  # (6, 6), SI: row output, column load; 0 where it is not known
+    covariance: Floats  # (6, 6, 6), SI: of each output's row
+    # (6, 6): which entries surely are not zero, and are not small beside others of their kind
     sure: NDArray[np.bool_]
 
 
@@ -127,7 +118,7 @@ def range_findings(rows: Rows, load_range: LoadRange) -> list[RigFinding]:
     return findings
 
 
-def size_findings(rows: Rows, response: RobustFit) -> list[RigFinding]:
+def size_findings(response: RobustFit) -> list[RigFinding]:
     """Return a finding where translations are longer than those of a part that bends."""
     largest = float(np.nanmax(np.abs(response.expected[:, :3]), initial=0.0))
     if largest <= LENGTH:

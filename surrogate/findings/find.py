@@ -53,16 +53,10 @@ def find(
 ) -> list[RigFinding]:
     """Return the probable systematic errors of measured rows, in the order of their measurement.
 
-    Parameters
-    ----------
-    rows : Rows
-        Measured rows in the order in which they were measured.
-    load_range : LoadRange, N and N·m
-    solved : ndarray, shape (6, 6), SI, optional
-        Compliance of the component's solves: size and sign that displacements should have. Columns
-        of zeros are not known.
-    linear : bool
-        Whether the component is.
+    `rows`: measured rows in the order in which they were measured.
+    `load_range`, N and N·m.
+    `solved` (6, 6), SI: compliance of the component's solves: size and sign that displacements
+    should have. Columns of zeros are not known.
     """
     if len(rows) < MIN_ROWS:
         return range_findings(rows, load_range) if len(rows) else []
@@ -80,7 +74,7 @@ def find(
     response = response_of(good, load_range)
     slopes = slopes_at_zero(good, load_range, response)
     fit = fit_of(slopes.matrix, slopes.covariance, load_range)
-    units = [*range_findings(good, load_range), *size_findings(good, response)]
+    units = [*range_findings(good, load_range), *size_findings(response)]
     known = None if solved is None else fit_of(solved, np.zeros((6, 6, 6)), load_range)
     units = units or unit_findings(fit, known, linear=linear)
     # A lever can make a load's work negative; a wrong sign or unit is no lever.
@@ -100,17 +94,10 @@ def sampled(rows: Rows) -> Rows:
 def without_effects(rows: Rows, load_range: LoadRange) -> tuple[Rows, Floats]:
     """Return rows without hysteresis, drift and sessions, and how far the part may be from them.
 
-    Parameters
-    ----------
-    rows : Rows
-        Of one version of a table, in ascending order of `seq`; solved ones stay as they are.
-
-    Returns
-    -------
-    rows : Rows
-    rig_error : ndarray, shape (6,), m and rad
-        From the middle of both branches, of the time and of the sessions to the farthest of each.
-        NaN of a dead channel: nothing is known of what it did not read.
+    `rows`: of one version of a table, in ascending order of `seq`; solved ones stay as they are.
+    The distance (6,), m and rad, is from the middle of both branches, of the time and of the
+    sessions to the farthest of each. NaN of a dead channel: nothing is known of what it did not
+    read.
     """
     indices, effects = _effects(rows, load_range)
     dead = np.where(dead_channels(rows, load_range), np.nan, 0.0)
@@ -173,9 +160,7 @@ def effect_findings(effects: Effects, displacement: Floats) -> list[RigFinding]:
 def error_of_a_reading(error: Floats, interpolation: Floats, noise: Floats) -> Floats:
     """Return the error bars of one more observation at a wrench, (6,), m and rad.
 
-    Parameters
-    ----------
-    error, interpolation, noise : ndarray, shape (6,), m and rad
-        The answer's error, its part by interpolation, and the 95 % noise of one observation.
+    `error`, `interpolation`, `noise` (6,), m and rad: the answer's error, its part by
+    interpolation, and the 95 % noise of one observation.
     """
     return error - interpolation + np.hypot(interpolation, noise)

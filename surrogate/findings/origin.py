@@ -32,20 +32,13 @@ PRIOR = 1e3  # deviations of the readings: of coefficients of the mean; wide, an
 
 
 class Slopes(NamedTuple):
-    """Slopes and jumps of rows at no load.
+    """Slopes and jumps of rows at no load."""
 
-    Attributes
-    ----------
-    matrix : ndarray, shape (6, 6), SI
-        Compliance; row output, column load. 0 where it is not known.
-    covariance : ndarray, shape (6, 6, 6), SI
-        Of each output's row of `matrix`; 0 where that is 0, or exact.
-    jump, deviation : ndarray, shape (6,), m and rad
-        How far each output jumps where its own load changes its sign, and the deviation of that.
-    """
-
-    matrix: Floats
+    matrix: Floats  # (6, 6), SI: compliance; row output, column load. 0 where it is not known.
+    # (6, 6, 6), SI: of each output's row of `matrix`; 0 where that is 0, or exact
     covariance: Floats
+    # jump, deviation: (6,), m and rad: how far each output jumps where its own load changes its
+    # sign, and the deviation of that
     jump: Floats
     deviation: Floats
 

@@ -63,23 +63,13 @@ MAX_LISTED_ROWS = 500  # of a finding: a page's list; `count` has their number
 
 @dataclass(frozen=True)
 class RigFinding:
-    """One probable systematic error.
-
-    Attributes
-    ----------
-    cause : Cause
-    message : str
-        What is wrong, by how much, and what to do.
-    rows : tuple of int
-        Numbers (`seq`) of the rows to withdraw, worst first; empty where all rows are concerned.
-    numbers : dict
-        The figures of the message, SI.
-    """
+    """One probable systematic error."""
 
     cause: Cause
-    message: str
+    message: str  # what is wrong, by how much, and what to do
+    # numbers (`seq`) of the rows to withdraw, worst first; empty where all rows are concerned
     rows: tuple[int, ...] = ()
-    numbers: dict[str, Any] = field(default_factory=dict)
+    numbers: dict[str, Any] = field(default_factory=dict)  # the figures of the message, SI
 
     def body(self) -> dict[str, Any]:
         """Return the finding as JSON-able values."""
@@ -93,26 +83,14 @@ class RigFinding:
 
 
 class RobustFit(NamedTuple):
-    """The fitted response at the rows.
+    """The fitted response at the rows."""
 
-    Attributes
-    ----------
-    expected : ndarray, shape (n, 6), m and rad
-    residual : ndarray, shape (n, 6), m and rad
-        Measured less expected; NaN where an output was not measured.
-    deviation : ndarray, shape (6,), m and rad
-        Robust standard deviation of the residuals.
-    range : ndarray, shape (6,), m and rad
-        Between the 2nd and 98th percentile of each expected output.
-    terms : ndarray, shape (n, t)
-        The polynomial's terms at the rows, dimensionless.
-    """
-
-    expected: Floats
+    expected: Floats  # (n, 6), m and rad
+    # (n, 6), m and rad: measured less expected; NaN where an output was not measured
     residual: Floats
-    deviation: Floats
-    range: Floats
-    terms: Floats
+    deviation: Floats  # (6,), m and rad: robust standard deviation of the residuals
+    range: Floats  # (6,), m and rad: between the 2nd and 98th percentile of each expected output
+    terms: Floats  # (n, t): the polynomial's terms at the rows, dimensionless
 
 
 def response_of(rows: Rows, load_range: LoadRange) -> RobustFit:

@@ -51,10 +51,7 @@ class Kernel(NamedTuple):
 def kernel() -> Kernel:
     """Return the library, compiled first where it is not that of its sources.
 
-    Raises
-    ------
-    KernelBuildError
-        If it is not there and cannot be compiled.
+    Raises KernelBuildError if it is not there and cannot be compiled.
     """
     path = str(ready_library())
     libraries = Kernel(ctypes.PyDLL(path), ctypes.CDLL(path))
@@ -94,10 +91,7 @@ class _Options(ctypes.Structure):
 class _Work:
     """The buffers of one answer: inputs, options, reply and scratch.
 
-    Attributes
-    ----------
-    at : tuple of int
-        Addresses of inputs, reply and scratch.
+    `at`: addresses of inputs, reply and scratch.
     """
 
     def __init__(self, inputs: int, outputs: int, scratch: int) -> None:
@@ -112,10 +106,7 @@ class _Work:
     def fill(self, wrench: Sequence[float]) -> None:
         """Take the n loads of a wrench, N and N·m.
 
-        Raises
-        ------
-        ValueError
-            If they are not n numbers.
+        Raises ValueError if they are not n numbers.
         """
         try:
             self._pack(self.inputs, 0, *wrench)
@@ -129,12 +120,8 @@ class _Work:
 
         The tolerance has m numbers, m and rad; with `without_rows` the method alone answers.
 
-        Raises
-        ------
-        UnknownMethodError
-            If there is no such method.
-        ValueError
-            If the tolerance has not m numbers.
+        Raises UnknownMethodError if there is no such method, ValueError if the tolerance has not m
+        numbers.
         """
         if tolerance is None and method is None and not without_rows:
             return None
@@ -151,18 +138,11 @@ class PackedTable:
 
     Made by `open` and `from_bytes`.
 
-    Attributes
-    ----------
-    inputs, outputs : int
-        How many there are: n and m.
-    size : int
-        Bytes of the file.
-    meta : dict
-        The table's JSON block: contract, space, interface, groups, sources, provenance.
-    arrays : dict of str to ndarray
-        Read-only views of the mapped file.
-    method : str or None
-        What answers where no method is asked for; the table's default if None.
+    `inputs`, `outputs`: how many there are: n and m.
+    `size`: bytes of the file.
+    `meta`: the table's JSON block: contract, space, interface, groups, sources, provenance.
+    `arrays`: read-only views of the mapped file.
+    `method`: what answers where no method is asked for; the table's default if None.
     """
 
     method: str | None = None
@@ -182,10 +162,8 @@ class PackedTable:
     def open(cls, path: str | os.PathLike[str]) -> PackedTable:
         """Map the file of a packed table, after its checksum.
 
-        Raises
-        ------
-        PackedTableError
-            If it cannot be opened, is no packed table, damaged, or of another format.
+        Raises PackedTableError if it cannot be opened, is no packed table, damaged, or of another
+        format.
         """
         try:
             packed = map_file(path)
@@ -198,10 +176,7 @@ class PackedTable:
     def from_bytes(cls, content: bytes) -> PackedTable:
         """Open the bytes of a packed table.
 
-        Raises
-        ------
-        PackedTableError
-            As `open`.
+        Raises PackedTableError as `open`.
         """
         buffer = np.zeros(len(content) // 8 + 1, dtype=np.float64)  # which aligns them
         buffer.view(np.uint8)[: len(content)] = np.frombuffer(content, dtype=np.uint8)
@@ -255,19 +230,10 @@ class PackedTable:
     ) -> Reply:
         """Answer one wrench of n finite floats, N and N·m.
 
-        Parameters
-        ----------
-        tolerance
-            The largest error of each output, m and rad; the component's without.
-        method
-            A name of `METHODS`; the component's default without.
-
-        Raises
-        ------
-        UnknownMethodError
-            If the table does not have the method.
-        ValueError
-            If a number is not finite, or there are not n.
+        `tolerance`: the largest error of each output, m and rad; the component's without.
+        `method`: a name of `METHODS`; the component's default without.
+        Raises UnknownMethodError if the table does not have the method; ValueError if a number is
+        not finite, or there are not n.
         """
         work = self._work()
         work.fill(wrench)
@@ -362,12 +328,9 @@ class PackedTable:
         It is the tangent of the row at zero load, else du/dw of the method there. The fitted
         compliance (`g0/fit/matrix`) is another one: the mean over the load range.
 
-        Returns
-        -------
-        matrix : ndarray, shape (m, n), m/N, m/(N·m), rad/N, rad/(N·m)
-            NaN where unknown: for a load that no row shows, and an output that no row holds.
-        origin : str
-            ``row``, a method, or ``none``.
+        `matrix` (m, n), m/N, m/(N·m), rad/N, rad/(N·m): NaN where unknown: for a load that no row
+        shows, and an output that no row holds.
+        `origin`: ``row``, a method, or ``none``.
         """
         arrays, locked = self.arrays, self.arrays["space/locked"] != 0
         tangents = self.derivatives(np.zeros(self.inputs), without_rows=True)[0]
@@ -398,17 +361,9 @@ class PackedTable:
     ) -> tuple[Floats, Floats]:
         """Return the wrench (n,) of a displacement (m,), m and rad, and the stiffness (n, m) there.
 
-        Parameters
-        ----------
-        start
-            Where Newton's method starts, shape (n,), SI; no load without. Further inputs stay.
-        near
-            The stiffness of a displacement nearby, shape (n, m), which saves time.
-
-        Raises
-        ------
-        InverseError
-            If no wrench has that displacement, or the derivative has no inverse.
+        `start`: where Newton's method starts, shape (n,), SI; no load without. Further inputs stay.
+        `near`: the stiffness of a displacement nearby, shape (n, m), which saves time.
+        Raises InverseError if no wrench has that displacement, or the derivative has no inverse.
         """
         target = np.ascontiguousarray(outputs, dtype=float)
         wrench = np.zeros(self.inputs) if start is None else np.array(start, dtype=float)
@@ -449,10 +404,7 @@ class PackedTable:
     def handle(self) -> int:
         """The address of the open table.
 
-        Raises
-        ------
-        ValueError
-            If it is closed.
+        Raises ValueError if it is closed.
         """
         return self._handle or _closed()
 
@@ -466,20 +418,11 @@ class PackedTable:
     def joint_rate(stiffness: Floats, inverse_mass: Floats, dt: float, damping: float) -> Floats:
         """Return the change of a joint's wrench with the relative velocity; see ``wb_joint_rate``.
 
-        Parameters
-        ----------
-        stiffness, inverse_mass
-            Shape (n, n), n at most 24, contiguous: N/m to N·m/rad, 1/kg to 1/(kg·m^2).
-
-        Returns
-        -------
-        ndarray
-            Shape (n, n), N·s/m to N·m·s/rad.
-
-        Raises
-        ------
-        ValueError
-            If the inverse mass is not symmetric and positive definite, or a number is not finite.
+        `stiffness`, `inverse_mass`: shape (n, n), n at most 24, contiguous: N/m to N·m/rad, 1/kg to
+        1/(kg·m^2).
+        The result has the same shape, N·s/m to N·m·s/rad.
+        Raises ValueError if the inverse mass is not symmetric and positive definite, or a number is
+        not finite.
         """
         rates = np.empty_like(stiffness)
         wrong = kernel().with_gil.wb_joint_rate(

@@ -73,10 +73,7 @@ def is_current(library: Path) -> bool:
 def ready_library() -> Path:
     """Return the library, compiled anew if it is not that of the sources.
 
-    Raises
-    ------
-    KernelBuildError
-        If it is not, and cannot be compiled.
+    Raises KernelBuildError if it is not, and cannot be compiled.
     """
     library = library_path()
     if not is_current(library):
@@ -87,15 +84,8 @@ def ready_library() -> Path:
 def compiler_command(target: str | None = None) -> list[str]:
     """Return the command of the C compiler: `CC` of the environment, one of `COMPILERS`, ziglang.
 
-    Parameters
-    ----------
-    target
-        What ziglang is to compile for; None for this machine.
-
-    Raises
-    ------
-    KernelBuildError
-        If there is none.
+    `target`: what ziglang is to compile for; None for this machine.
+    Raises KernelBuildError if there is none.
     """
     if target is None:
         named = os.environ.get("CC", "").split()
@@ -122,19 +112,11 @@ def compile_library(
 ) -> None:
     """Compile C sources to a shared library, a file that is complete or not there.
 
-    Parameters
-    ----------
-    library
-        What is written.
-    files, flags
-        The C files, and the compiler's options.
-    target
-        What ziglang is to compile for, as `PLATFORMS` has it; None for this machine.
-
-    Raises
-    ------
-    KernelBuildError
-        If there is no compiler, it fails, or the library's folder cannot be written.
+    `library`: what is written.
+    `files`, `flags`: the C files, and the compiler's options.
+    `target`: what ziglang is to compile for, as `PLATFORMS` has it; None for this machine.
+    Raises KernelBuildError if there is no compiler, it fails, or the library's folder cannot be
+    written.
     """
     command = compiler_command(target)
     try:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from .binding import PackedTable
+from .replies import AxisPart, Reply
 
 _USED = 2  # index in a group's ``flags``: see `packed.writer`
 _AXES = tuple((axis, 3 + (axis + 1) % 3, 3 + (axis + 2) % 3) for axis in range(3))
@@ -22,12 +23,9 @@ def explain(
 
     Parameters are those of `PackedTable.answer`; loads are N and N·m, outputs m and rad.
 
-    Returns
-    -------
-    list of dict
-        ``axis``, ``inputs``, ``outputs``, ``error``, ``coverage``, ``reason`` and ``rows``, the
-        numbers of the rows used. They are the compliance's if that answers, the axes' otherwise,
-        whose errors are known of complete answers alone: ``error`` is None.
+    Each has ``axis``, ``inputs``, ``outputs``, ``error``, ``coverage``, ``reason`` and ``rows``,
+    the numbers of the rows used. The compliance gives them if it answers, else the axes, whose
+    errors are known of complete answers alone: ``error`` is None.
     """
     explanations = []
     for number, group in enumerate(table.meta["groups"]):
@@ -51,9 +49,25 @@ def _named(
     return {name: value for name, value in by_name.items() if name in outputs}
 
 
-def _inputs(table: PackedTable, axis: int, wrench: Sequence[float]) -> dict[str, float]:
+def _contribution(
+    table: PackedTable,
+    axis: int,
+    wrench: Sequence[float],
+    outputs: dict[str, float] | None,
+    source: AxisPart | Reply,
+    rows: list[int],
+    error: dict[str, float] | None = None,
+) -> dict[str, Any]:
     names = [entry["name"] for entry in table.meta["space"]["inputs"]]
-    return {names[load]: float(wrench[load]) for load in _AXES[axis]}
+    return {
+        "axis": "xyz"[axis],
+        "inputs": {names[load]: float(wrench[load]) for load in _AXES[axis]},
+        "outputs": outputs,
+        "error": error,
+        "coverage": source.coverage,
+        "reason": source.reason,
+        "rows": rows,
+    }
 
 
 def _axis(
@@ -66,35 +80,21 @@ def _axis(
     for corner in part.corners:
         first, last = table.arrays[f"g{group}/axes/member_first"][corner : corner + 2].tolist()
         rows.update(table.arrays[f"g{group}/axes/members"][first:last].tolist())
-    return {
-        "axis": "xyz"[axis],
-        "inputs": _inputs(table, axis, wrench),
-        "outputs": _named(table, group, axis, part.outputs),
-        "error": None,
-        "coverage": part.coverage,
-        "reason": part.reason,
-        "rows": sorted(rows),
-    }
+    outputs = _named(table, group, axis, part.outputs)
+    return _contribution(table, axis, wrench, outputs, part, sorted(rows))
 
 
 def _linear(
     table: PackedTable, group: int, wrench: Sequence[float], tolerance: Sequence[float] | None
 ) -> list[dict[str, Any]]:
     answer = table.answer(wrench, tolerance, "linear")
-    matrix = table.arrays[f"g{group}/fit/matrix"]
+    matrix, rows = (table.arrays[f"g{group}/fit/{name}"] for name in ("matrix", "rows"))
     error = answer.interpolation or (math.nan,) * table.outputs
     unknown = [math.nan if value is None else value for value in error]
     parts = []
     for axis, loads in enumerate(_AXES):
         moved = (matrix[:, loads] @ [wrench[load] for load in loads]).tolist()
-        part = {
-            "axis": "xyz"[axis],
-            "inputs": _inputs(table, axis, wrench),
-            "outputs": _named(table, group, axis, moved),
-            "error": _named(table, group, axis, unknown),
-            "coverage": answer.coverage,
-            "reason": answer.reason,
-            "rows": table.arrays[f"g{group}/fit/rows"].tolist(),
-        }
+        outputs, errors = (_named(table, group, axis, values) for values in (moved, unknown))
+        part = _contribution(table, axis, wrench, outputs, answer, rows.tolist(), errors)
         parts.append(part)
     return parts

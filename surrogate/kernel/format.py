@@ -62,37 +62,20 @@ class PackedTableError(ValueError):
 
 
 class Packed(NamedTuple):
-    """The contents of a packed table.
+    """The contents of a packed table."""
 
-    Attributes
-    ----------
-    arrays : dict of str to ndarray
-        Read-only views of the file's bytes; `packed.arrays` says what each is.
-    meta : dict
-        The JSON block.
-    content : memoryview
-        The file's bytes.
-    """
-
+    # read-only views of the file's bytes; `packed.arrays` says what each is
     arrays: dict[str, NDArray[Any]]
-    meta: dict[str, Any]
-    content: memoryview
+    meta: dict[str, Any]  # the JSON block
+    content: memoryview  # the file's bytes
 
 
 def pieces(arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> list[bytes]:
     """Return the file of a packed table as pieces of bytes.
 
-    Parameters
-    ----------
-    arrays
-        Of float64, int32, int64 or uint8, of at most four dimensions.
-    meta
-        What JSON can hold.
-
-    Raises
-    ------
-    PackedTableError
-        If an array has another type, too many dimensions or too long a name.
+    `arrays`: of float64, int32, int64 or uint8, of at most four dimensions.
+    `meta`: what JSON can hold.
+    Raises PackedTableError if an array has another type, too many dimensions or too long a name.
     """
     text = json.dumps(meta, sort_keys=True, ensure_ascii=False, allow_nan=False).encode() + b"\0"
     names = sorted(arrays, key=str.encode)
@@ -132,10 +115,7 @@ def _checksum(header: bytes, blocks: Iterable[bytes | memoryview]) -> int:
 def write_file(path: Path, content: list[bytes]) -> None:
     """Write pieces to a file that is complete or not there.
 
-    Raises
-    ------
-    OSError
-        If it cannot be written.
+    Raises OSError if it cannot be written.
     """
     handle, name = tempfile.mkstemp(prefix=f".{path.name}-", dir=path.parent)
     try:
@@ -152,10 +132,7 @@ def write_file(path: Path, content: list[bytes]) -> None:
 def read(content: bytes | bytearray | memoryview | mmap.mmap) -> Packed:
     """Return the contents of a packed table's bytes.
 
-    Raises
-    ------
-    PackedTableError
-        If they are no packed table, damaged, or of another format.
+    Raises PackedTableError if they are no packed table, damaged, or of another format.
     """
     buffer = memoryview(content)
     _check(buffer[: _HEADER.itemsize].tobytes(), len(buffer), (buffer[_HEADER.itemsize :],))
@@ -167,12 +144,7 @@ def map_file(path: str | os.PathLike[str]) -> Packed:
 
     Its checksum is computed from blocks of the very file that is mapped.
 
-    Raises
-    ------
-    OSError
-        If it cannot be read.
-    PackedTableError
-        As `read`.
+    Raises OSError if it cannot be read, PackedTableError as `read`.
     """
     with open(path, "rb", opener=_without_waiting) as file:  # mmap takes its number
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):

@@ -61,20 +61,14 @@ class _Options(ctypes.Structure):
 class JointSteps:
     """n joints of one table; see ``wb_joint_step``. `arguments` of ``table.joints`` made them.
 
-    Attributes
-    ----------
-    interfaces : int
-        The interfaces that move, k; arrays of a single one have no dimension k.
-    inputs : ndarray
-        Shape (n inputs of the table,), SI: the further inputs as they are.
-    poses, velocities, inverse_masses : ndarray
-        Shapes (n, k, 7), (n, k, 6) and (n, 6 k, 6 k): write them, then call `step` or `law`.
-    replies : structured ndarray
-        Shape (n,), named as ``wb_joint_reply`` has them.
-    memory : ndarray
-        Shape (n, s): what joints keep from step to step; zeros forget it.
-    history : structured ndarray
-        Shape (n,): the end of the memory, as the kernel's ``history`` has it.
+    `interfaces`: the interfaces that move, k; arrays of a single one have no dimension k.
+    `inputs`: shape (n inputs of the table,), SI: the further inputs as they are.
+    `poses`, `velocities`, `inverse_masses`: shapes (n, k, 7), (n, k, 6) and (n, 6 k, 6 k): write
+    them, then call `step` or `law`.
+    `replies`, structured ndarray: shape (n,), named as ``wb_joint_reply`` has them.
+    `memory`: shape (n, s): what joints keep from step to step; zeros forget it.
+    `history`, structured ndarray: shape (n,): the end of the memory, as the kernel's ``history``
+    has it.
     """
 
     def __init__(

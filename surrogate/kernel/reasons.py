@@ -47,15 +47,10 @@ class Reason(NamedTuple):
 
 def text_of(reasons: Sequence[Reason], inputs: Sequence[float], packed: Packed) -> str:
     """Return reasons in words, each once, for one wrench of n inputs, N and N·m."""
-    texts = [_TEXTS[reason.code](reason, inputs, packed) for reason in reasons]
+    texts = [
+        FIXED.get(reason.code) or _MAKERS[reason.code](reason, inputs, packed) for reason in reasons
+    ]
     return "; ".join(dict.fromkeys(texts))
-
-
-Maker = Callable[[Reason, Sequence[float], Packed], str]
-
-
-def _fixed(text: str) -> Maker:
-    return lambda reason, inputs, packed: text
 
 
 def _name(packed: Packed, index: int) -> tuple[str, str]:
@@ -150,28 +145,27 @@ def _beyond_span(reason: Reason, inputs: Sequence[float], packed: Packed) -> str
     )
 
 
-_TEXTS: dict[int, Maker] = {
-    1: _fixed(EMPTY),
-    2: _fixed(ONLY_BEYOND),
+# By code: WB_REASON_... of surrogate/kernel/wrenchbook.h.
+FIXED = {
+    1: EMPTY,
+    2: ONLY_BEYOND,
+    12: UNKNOWN_TOGETHER,
+    15: UNKNOWN_ERROR,
+    16: ERRORS_UNKNOWN,
+    17: LEAVES_LIMITS,
+    19: TOO_FAR,
+    22: FEW_ROWS,
+}
+_MAKERS: dict[int, Callable[[Reason, Sequence[float], Packed], str]] = {
     3: _beyond,
     4: _unknown_load,
     5: _no_rows,
     6: _off_hull,
     10: _moment_alone,
-    12: _fixed(UNKNOWN_TOGETHER),
     13: _beyond_span,
     14: _over,
-    15: _fixed(UNKNOWN_ERROR),
-    16: _fixed(ERRORS_UNKNOWN),
-    17: _fixed(LEAVES_LIMITS),
-    19: _fixed(TOO_FAR),
     20: _not_in_scene,
-    22: _fixed(FEW_ROWS),
 }
-"""By code: WB_REASON_... of surrogate/kernel/wrenchbook.h."""
-
-FIXED = frozenset({1, 2, 12, 15, 16, 17, 19, 22})
-"""Codes whose words are the same for every wrench, but for the numbers of the reason itself."""
 
 
 def unmeasured_text(missing: int, packed: Packed) -> str:

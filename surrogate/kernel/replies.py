@@ -33,91 +33,50 @@ class InverseError(ArithmeticError):
 
 
 class Reply(NamedTuple):
-    """The answer to one wrench; m outputs, m and rad.
+    """The answer to one wrench; m outputs, m and rad."""
 
-    Attributes
-    ----------
-    outputs, error : tuple of m floats or None
-        The displacement, and its total 95 % error. None where unknown, all of it or an entry.
-    interpolation, discretisation, linearity, measurement : tuple of m floats or None
-        The parts whose sum the error is, likewise.
-    coverage : str
-        "covered", "thin" or "outside".
-    reason : str
-        Why not covered, or which outputs no row holds; may be empty.
-    within_tolerance : bool or None
-        Whether the total error is within the tolerance; None where that is not known.
-    method : str
-        What answered: a method, "row" or "estimate" (there are no rows).
-    row : int or None
-        The number of the row that answered.
-    exact : bool
-        Whether that row has just this wrench, not a wrench within 1e-6 of the range.
-    source : str or None
-        The sources of the rows at that wrench.
-    missing : tuple of str
-        The outputs that no row of the table holds.
-    """
-
-    outputs: tuple[float, ...] | None
-    error: tuple[float, ...] | None
+    # None where unknown, all of it or an entry.
+    outputs: tuple[float, ...] | None  # the displacement
+    error: tuple[float, ...] | None  # total, 95 %: the sum of the four parts
     interpolation: tuple[float, ...] | None
     discretisation: tuple[float, ...] | None
     linearity: tuple[float, ...] | None
     measurement: tuple[float, ...] | None
-    coverage: str
-    reason: str
+    coverage: str  # "covered", "thin" or "outside"
+    reason: str  # why not covered, or which outputs no row holds; may be empty
+    # whether the total error is within the tolerance; None where that is not known
     within_tolerance: bool | None
-    method: str
-    row: int | None
-    exact: bool
-    source: str | None
-    missing: tuple[str, ...]
+    method: str  # what answered: a method, "row" or "estimate" (there are no rows)
+    row: int | None  # the number of the row that answered
+    exact: bool  # whether that row has just this wrench, not a wrench within 1e-6 of the range
+    source: str | None  # the sources of the rows at that wrench
+    missing: tuple[str, ...]  # the outputs that no row of the table holds
 
 
 class Replies(NamedTuple):
-    """The answers to k wrenches.
+    """The answers to k wrenches."""
 
-    Attributes
-    ----------
-    outputs, errors : ndarray, shape (k, m), m and rad
-        Total errors; NaN where unknown.
-    coverage : ndarray of uint8, shape (k,)
-        0 covered, 1 thin, 2 outside.
-    """
-
+    # outputs, errors: (k, m), m and rad: total errors; NaN where unknown
     outputs: Floats
     errors: Floats
-    coverage: NDArray[np.uint8]
+    coverage: NDArray[np.uint8]  # (k,): 0 covered, 1 thin, 2 outside
 
 
 class AxisPart(NamedTuple):
-    """The contribution of one axis: all six outputs, m and rad.
-
-    Attributes
-    ----------
-    origin : int
-        The axis whose rows answered, -1 without rows.
-    corners : tuple of int
-        The points of its triangulation that were read.
-    """
+    """The contribution of one axis: all six outputs, m and rad."""
 
     outputs: tuple[float, ...]
     coverage: str
     reason: str
-    origin: int
-    corners: tuple[int, ...]
+    origin: int  # the axis whose rows answered, -1 without rows
+    corners: tuple[int, ...]  # the points of its triangulation that were read
 
 
 class ReplyReader:
     """Makes replies of the kernel's bytes.
 
-    Parameters
-    ----------
-    packed : Packed
-        The table that answers.
-    inputs, outputs : int
-        How many it has.
+    `packed`: the table that answers.
+    `inputs`, `outputs`: how many it has.
     """
 
     def __init__(self, packed: Packed, inputs: int, outputs: int) -> None:
@@ -206,10 +165,7 @@ def known(values: tuple[float, ...]) -> tuple[float | None, ...] | None:
 def method_code(method: str | None) -> int:
     """Return a method's number, -1 for the component's default.
 
-    Raises
-    ------
-    UnknownMethodError
-        If there is no such method.
+    Raises UnknownMethodError if there is no such method.
     """
     if method is None:
         return -1

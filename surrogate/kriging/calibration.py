@@ -37,18 +37,11 @@ FIXED_WIDTH = 2.5
 
 @dataclass(frozen=True)
 class Calibration:
-    """The factors of the deviations of an output group.
+    """The factors of the deviations of an output group."""
 
-    Attributes
-    ----------
-    factors : ndarray, shape (q,), dimensionless
-        What a deviation is multiplied by for a 95 % error bar, per output.
-    max_sigma : float, process deviations
-        Beyond it errors are not known; 0 if they are nowhere.
-    """
-
+    # (q,), dimensionless: what a deviation is multiplied by for a 95 % error bar, per output
     factors: Floats
-    max_sigma: float
+    max_sigma: float  # process deviations: beyond it errors are not known; 0 if they are nowhere
 
     @classmethod
     def unknown(cls, outputs: int, settings: KrigingSettings = DEFAULTS) -> Calibration:
@@ -57,20 +50,11 @@ class Calibration:
 
 
 class Errors(NamedTuple):
-    """Errors of rows that were left out.
+    """Errors of rows that were left out."""
 
-    Attributes
-    ----------
-    errors : ndarray, shape (k, q), process deviations
-    sizes : ndarray, shape (k, q), dimensionless
-        See `LeftOutRows`.
-    sigma : ndarray, shape (k,), process deviations
-        As an answer at the row would have it.
-    """
-
-    errors: Floats
-    sizes: Floats
-    sigma: Floats
+    errors: Floats  # (k, q), process deviations
+    sizes: Floats  # (k, q), dimensionless: see `LeftOutRows`
+    sigma: Floats  # (k,), process deviations: as an answer at the row would have it
 
 
 def factors_of(residuals: Errors, n_derivatives: int, outputs: int) -> Floats:
@@ -79,10 +63,7 @@ def factors_of(residuals: Errors, n_derivatives: int, outputs: int) -> Floats:
     The ratios |error| / sigma have a size per output, and a tail of the same shape for all
     outputs. The size comes from slopes as well as from values: `n_derivatives` numbers a row.
 
-    Parameters
-    ----------
-    outputs : int
-        Of the table, all of which the confidence is for.
+    `outputs`: of the table, all of which the confidence is for.
     """
     ratios = np.abs(residuals.errors) / residuals.sigma[:, None]
     square = (residuals.sizes**2).mean(axis=0)
@@ -111,7 +92,7 @@ def errors_of(factor: KrigingFactor, out: LeftOutRows, rows: Indices) -> Errors:
     return Errors(above[finite], sizes[finite], sigma[finite])
 
 
-def full_rows(x: Floats, scaling: Scaling) -> NDArray[np.bool_]:
+def multi_group_rows(x: Floats, scaling: Scaling) -> NDArray[np.bool_]:
     """Return which rows x (n, k) load more than one load group, shape (n,)."""
     loaded = np.abs(x - scaling.loads(np.zeros((1, x.shape[1])))) > ZERO_LOAD
     _, groups = load_groups(scaling)
@@ -119,19 +100,11 @@ def full_rows(x: Floats, scaling: Scaling) -> NDArray[np.bool_]:
 
 
 class Kind(NamedTuple):
-    """Rows whose errors, left out, are those of queries like them.
+    """Rows whose errors, left out, are those of queries like them."""
 
-    Attributes
-    ----------
-    rows : ndarray of bool, shape (n,)
-    queries : ndarray, shape (m, 6), half ranges
-    together : ndarray, shape (2,), half ranges
-        See `besides`.
-    """
-
-    rows: NDArray[np.bool_]
-    queries: Floats
-    together: Floats
+    rows: NDArray[np.bool_]  # (n,)
+    queries: Floats  # (m, 6), half ranges
+    together: Floats  # (2,), half ranges: see `secondary_loads`
 
 
 def kinds_of(x: Floats, scaling: Scaling, span: Floats, settings: KrigingSettings) -> list[Kind]:
@@ -140,7 +113,7 @@ def kinds_of(x: Floats, scaling: Scaling, span: Floats, settings: KrigingSetting
     Few of several axes stand beside the others, and for queries of one axis. Where they span what
     all rows do they show the errors of all queries.
     """
-    full = full_rows(x, scaling)
+    full = multi_group_rows(x, scaling)
     if full.sum() < min(settings.full_rows, len(full) / 2):
         kinds = [(full | True, ~full)]
     else:
@@ -151,7 +124,7 @@ def kinds_of(x: Floats, scaling: Scaling, span: Floats, settings: KrigingSetting
     shown_kinds = []
     for rows, shown in kinds:
         if shown.any():
-            together = most_together(x[shown], scaling, settings)
+            together = largest_secondary_loads(x[shown], scaling, settings)
             queries = query_points(span, together, x[rows & shown], scaling, settings.queries)
             shown_kinds.append(Kind(rows, queries, together))
     return shown_kinds
@@ -174,12 +147,12 @@ def span_of(x: Floats, scaling: Scaling, settings: KrigingSettings) -> Floats:
     return np.where(scaling.active, ends, [[-np.inf], [np.inf]])
 
 
-def most_together(x: Floats, scaling: Scaling, settings: KrigingSettings) -> Floats:
-    """Return the most that points (n, k) load besides their main load, and group (2,): `besides`.
+def largest_secondary_loads(x: Floats, scaling: Scaling, settings: KrigingSettings) -> Floats:
+    """Return the largest `secondary_loads` of points (n, k), (2,), half ranges.
 
-    With the margin that the span of so many rows has; half ranges.
+    With the margin that the span of so many rows has.
     """
-    return besides(x, scaling).max(axis=0) * settings.beyond_rows ** (-1 / len(x)) + NEAR
+    return secondary_loads(x, scaling).max(axis=0) * settings.beyond_rows ** (-1 / len(x)) + NEAR
 
 
 def query_points(span: Floats, together: Floats, x: Floats, scaling: Scaling, count: int) -> Floats:
@@ -187,7 +160,7 @@ def query_points(span: Floats, together: Floats, x: Floats, scaling: Scaling, co
 
     They are spread over the span of the rows, (2, k), and have the loads at once that one of them
     has; besides the main load, and the main load group, no larger ones than rows have `together`,
-    (2,): see `besides`.
+    (2,): see `secondary_loads`.
     """
     active = np.isfinite(span[0])
     low, high = np.where(active, np.clip(span, -1.0, 1.0), 0.0)
@@ -212,7 +185,7 @@ def load_groups(scaling: Scaling) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]
     return np.eye(groups.shape[1], dtype=bool), groups
 
 
-def besides(x: Floats, scaling: Scaling) -> Floats:
+def secondary_loads(x: Floats, scaling: Scaling) -> Floats:
     """Return how large loads of points (n, k) are besides their main one, and group, (n, 2).
 
     The largest load but one, and the largest that is not of the wrench's main load group (an axis,
@@ -241,11 +214,8 @@ def left_out_as_far(
     farthest from those before: spread rows go before others, and rows left out with another are
     passed over. No row takes more than one in `min_left_out` of all: so many would not find room.
 
-    Parameters
-    ----------
-    alone : LeftOutRows
-        Each row left out by itself.
-    distant : float, process deviations
+    `alone`: each row left out by itself.
+    `distant`: the distance of the rest, process deviations.
     """
     scaled = factor.equations.x * np.sqrt(factor.hyperparameters.inverse_squares)
     count, noise = len(scaled), factor.output_group.noise
@@ -282,13 +252,8 @@ def calibrated(
 ) -> Calibration:
     """Return the factors of a group's deviations for 95 % error bars.
 
-    Parameters
-    ----------
-    alone : LeftOutRows
-        Each row left out by itself.
-    kinds : sequence of Kind
-    widenings : ndarray, shape (q,), dimensionless
-        See `Estimate.widening`.
+    `alone`: each row left out by itself.
+    `widenings` (q,), dimensionless: see `Estimate.widening`.
     """
     factor = neighbours.factor
     subset, outputs = factor.equations, len(factor.output_group.outputs)

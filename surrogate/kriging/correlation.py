@@ -39,24 +39,16 @@ NUMBERS = 4_000_000  # of derivatives of pairs of rows at once: 32 MB
 
 @dataclass(frozen=True, eq=False)
 class Hyperparameters:
-    """The quantities that the likelihood determines, for all outputs of a table.
+    """The quantities that the likelihood determines, for all outputs of a table."""
 
-    Attributes
-    ----------
-    inverse_squares : ndarray, shape (6,), dimensionless
-        One over the squared length of each load, in half ranges.
-    weights : ndarray, shape (1,) or (g,), dimensionless
-        Variance of the term of all loads over that of each other term, or those of all terms.
-    groups : ndarray, shape (g, n)
-        Which loads each term sees, the last all: see `Space.kriging_groups`.
-    smoothness : int
-        p of Matern p + 1/2.
-    """
-
+    # (6,), dimensionless: one over the squared length of each load, in half ranges
     inverse_squares: Floats
+    # (1,) or (g,), dimensionless: variance of the term of all loads over that of each other term,
+    # or those of all terms
     weights: Floats
+    # (g, n): which loads each term sees, the last all: see `Space.kriging_groups`
     groups: Floats = field(default_factory=lambda: DEFAULT.kriging_groups)
-    smoothness: int = SLOPES_SMOOTHNESS
+    smoothness: int = SLOPES_SMOOTHNESS  # p of Matern p + 1/2
 
     @classmethod
     def of_logarithms(
@@ -164,18 +156,10 @@ def derivatives_of_term(
     With s_a = t_a d_a, each follows from lower ones of the next derivative by q:
     D_(K + a) m(q) = 2 s_a D_K m'(q) + 2 t_a k_a D_(K - a) m'(q), k_a how often K has a.
 
-    Parameters
-    ----------
-    delta : ndarray, shape (l, p)
-        Differences of p pairs by the l loads that the term sees, half ranges.
-    rates : ndarray, shape (l,), dimensionless
-    first : int
-        Which derivative of Matern's by q is derived: 0 itself.
-
-    Returns
-    -------
-    list of ndarray, shape (p,)
-        In the order of `indices`, dimensionless.
+    `delta` (l, p): differences of p pairs by the l loads that the term sees, half ranges.
+    `rates` (l,), dimensionless.
+    `first`: which derivative of Matern's by q is derived: 0 itself.
+    They have the shape (p,) and the order of `indices`, and are dimensionless.
     """
     loads = len(rates)
     radial = matern(rates @ delta**2, first + order, smoothness)[first:]
@@ -238,11 +222,9 @@ def covariance(
 ) -> Floats:
     """Return the covariance of the equations that rows at x and v bring.
 
-    Parameters
-    ----------
-    x, v : ndarray, shapes (n, 6) and (m, 6), half ranges
-    known_x, known_v : ndarray of bool, shapes (n, p) and (m, p)
-        Which derivatives each row brings; equations count row by row.
+    `x`, `v` (n, 6) and (m, 6), half ranges.
+    `known_x`, `known_v` (n, p) and (m, p): which derivatives each row brings; equations count row
+    by row.
     """
     out = np.empty((int(known_x.sum()), int(known_v.sum())))
     first_x, first_v = numbers(known_x), numbers(known_v)

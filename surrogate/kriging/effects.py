@@ -70,34 +70,20 @@ PARTS = ((0.05, 0.0), (5.0, 0.0), (0.3, 0.1), (0.3, 2.0))
 
 
 class Effects(NamedTuple):
-    """Effects in the rows of a table, m and rad; 0 where the interval of one holds zero.
+    """Effects in the rows of a table, m and rad; 0 where the interval of one holds zero."""
 
-    Attributes
-    ----------
-    zero : ndarray, shape (m,)
-        Displacement at no load, at the beginning of sessions.
-    loop : ndarray, shape (m,)
-        From unloading to loading.
-    drift, session : ndarray, shape (s, m)
-        Of each session from its first row to its last, and off the mean of the sessions.
-    scale : ndarray, shape (2 s, m)
-        Both of the scale, at the largest displacement from that at no load.
-    bar : ndarray, shape (m,)
-        How far the part may be from rows without these effects, which are in the middle of the
-        loop, of the time and of the sessions: the far ends of the intervals.
-    of_rows : ndarray, shape (n, m)
-        Sum of the effects in each row.
-    loop_hidden : ndarray, shape (m,)
-        The largest loop that rows would not show; infinite where they tell nothing of one.
-    """
-
-    zero: Floats
-    loop: Floats
+    zero: Floats  # (m,): displacement at no load, at the beginning of sessions
+    loop: Floats  # (m,): from unloading to loading
+    # drift, session: (s, m): of each session from its first row to its last, and off the mean of
+    # the sessions
     drift: Floats
     session: Floats
-    scale: Floats
+    scale: Floats  # (2 s, m): both of the scale, at the largest displacement from that at no load
+    # (m,): how far the part may be from rows without these effects, which are in the middle of the
+    # loop, of the time and of the sessions: the far ends of the intervals
     bar: Floats
-    of_rows: Floats
+    of_rows: Floats  # (n, m): sum of the effects in each row
+    # (m,): the largest loop that rows would not show; infinite where they tell nothing of one
     loop_hidden: Floats
 
 
@@ -123,23 +109,16 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
         good = np.sort(np.random.default_rng(0).choice(good, SAMPLE, replace=False))
     steps = terms_of(loads, len(np.unique(place)))
     terms, shown = steps[good], np.isfinite(moved[good]).T
-    response = np.zeros((terms.shape[1], outputs))
-    for output, known in enumerate(shown):
-        fit = np.linalg.lstsq(terms[known], moved[good[known], output], rcond=RANK)[0]
-        response[1:, output] = fit[1:]
-    scaled = steps @ response
-    largest = np.abs(scaled[good]).max(axis=0, initial=0.0)
-    moves = largest > RANK * np.nanmax(np.abs(moved[good]), axis=0, initial=0.0)
-    largest = np.where(moves, largest, 0.0)  # the response of an output that rests is rounding
-    scaled = np.where(moves, scaled, 0.0) / np.where(moves, largest, 1.0)
+    scaled, largest = _response(steps, moved, good)
     parts = (session[good] == np.arange(count)[:, None])[:, :, None] * scaled[good]
-    told, is_shared = (_is_left(parts, loads[good], degree) for degree in (3, 1))
+    is_identifiable, is_shared = (
+        _is_no_polynomial(parts, loads[good], degree) for degree in (3, 1)
+    )
     for at in members:
         first = np.unique(place[at])
         steps[first[1:]] -= steps[first[:-1]]
         steps[first[:1]] = 0.0
     steps = steps[place]  # a load that stays at its place keeps the branch that it came by
-    mean, deviation, half_width = np.zeros((3, 2 + 4 * count, outputs))
     evidence: dict[int, tuple[Floats, Floats]] = {}
     for output in np.flatnonzero(shown.any(axis=1)).tolist():
         known = shown[output]
@@ -149,21 +128,10 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
             evidence[output] = beside, moved[good, output][known]
             sure = sure_directions(*evidence[output], steps[good])
             signs[good, output] = extent[good, output] * sure
-    some = shown.any(axis=1)
-    # A loop is in rows without a sure direction too, on a side that is not known: its size is that
-    # of the others.
-    for _ in range(2):
-        for known in np.unique(shown[some], axis=0):
-            these, of = np.flatnonzero(some & (shown == known).all(axis=1)), good[known]
-            time, signed, gain = (
-                middle[of][:, :, None],
-                *np.stack((signs, scaled))[:, of][:, :, None],
-            )
-            columns = np.concatenate((signed, time + 0 * gain, time * gain), axis=1)[..., these]
-            part = _estimated(rows.take(of), load_range, these, columns, SCALE * largest[these])
-            mean[:, these], deviation[:, these], half_width[:, these] = part
-        some = np.abs(mean[1]) > half_width[1]
-        shown[some] &= signs[good][:, some].T != 0
+    columns = middle, signs, scaled
+    mean, deviation, half_width = _estimates(
+        rows, load_range, good, columns, shown, SCALE * largest
+    )
     size = np.where(np.abs(mean) > half_width, mean, 0.0)
     # A rig that drifts in one output, or whose sessions differ in one, does so in all. Where an
     # output shows no drift of its own, the rows stay as they are and the error bar holds it: the
@@ -178,17 +146,17 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     by_kind[is_shown] = means[is_shown]
     ends = [1, 2, 2 + count, 2 + 2 * count]
     zero, loop, drift, offset, scale = np.split(size.copy(), ends)
-    by_kind[3] *= told
-    most = np.where(size != 0, np.abs(size) + half_width, 0.0)
+    by_kind[3] *= is_identifiable
+    upper = np.where(size != 0, np.abs(size) + half_width, 0.0)
     by_kind[0] = own_drift
     for output in np.flatnonzero(loop).tolist():
         signs[:, output] = extent[:, output] * sure_directions(*evidence[output], steps)
-    bar, kinds = most[1], most[2:].reshape(4, count, outputs).max(axis=1)
+    bar, kinds = upper[1], upper[2:].reshape(4, count, outputs).max(axis=1)
     bar += 0.5 * kinds[0] + kinds[1] + 0.5 * kinds[2] + kinds[3]
     # Answers have the scale of the session at their load, and the part may have that of another.
     known = np.where(half_width[-count:] > 0, deviation[-count:], np.inf)
     width = np.minimum(known, SCALE * largest) * DEFAULTS.half_width
-    is_open = is_shared & ~told & (count > 1)
+    is_open = is_shared & ~is_identifiable & (count > 1)
     bar += 2 * np.where(is_open, np.abs(mean[-count:]) + width, 0.0).max(axis=0)
     # Where sessions differ, what they have in common is no displacement of the part either.
     common = np.abs(mean[0]) + DEFAULTS.half_width * deviation[0]
@@ -199,7 +167,23 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     return Effects(zero[0], 2 * loop[0], drift, offset, scale, bar, of_rows, hidden)
 
 
-def _is_left(parts: Floats, loads: Floats, degree: int) -> NDArray[np.bool_]:
+def _response(terms: Floats, moved: Floats, good: Indices) -> tuple[Floats, Floats]:
+    """Return the response without its value at no load, (n, m), over its largest, (m,), m and rad.
+
+    It is a polynomial of `terms`, (n, t), by the rows `good`. An output that does not move has 0.
+    """
+    response = np.zeros((terms.shape[1], moved.shape[1]))
+    for output, known in enumerate(np.isfinite(moved[good]).T):
+        fit = np.linalg.lstsq(terms[good][known], moved[good[known], output], rcond=RANK)[0]
+        response[1:, output] = fit[1:]
+    scaled = terms @ response
+    largest = np.abs(scaled[good]).max(axis=0, initial=0.0)
+    moves = largest > RANK * np.nanmax(np.abs(moved[good]), axis=0, initial=0.0)
+    largest = np.where(moves, largest, 0.0)  # the response of an output that rests is rounding
+    return np.where(moves, scaled, 0.0) / np.where(moves, largest, 1.0), largest
+
+
+def _is_no_polynomial(parts: Floats, loads: Floats, degree: int) -> NDArray[np.bool_]:
     """Return which parts (s, n, m) are no polynomial of each load (n, 6) of this degree, (s, m)."""
     terms = np.column_stack([loads[:, :1] ** 0, *(loads ** (1 + k) for k in range(degree))])
     left, sizes, _ = np.linalg.svd(terms, full_matrices=False)
@@ -278,23 +262,59 @@ def sessions_of(rows: Rows) -> Indices:
 def sure_directions(x: Floats, y: Floats, steps: Floats) -> Floats:
     """Return the sign of an output's change where it is sure, (n,), else 0.
 
-    Parameters
-    ----------
-    x, y : ndarray, shapes (k, t + 1) and (k,)
-        Terms of the response and signs of rows, and their readings.
-    steps : ndarray, shape (n, t)
-        The change of the terms from the row before.
+    `x`, `y` (k, t + 1) and (k,): terms of the response and signs of rows, and their readings.
+    `steps` (n, t): the change of the terms from the row before.
     """
-    left, sizes, right = np.linalg.svd(x, full_matrices=False)
-    few = sizes > RANK * sizes[0]
-    along, back = left[:, few].T @ y, right[few].T / sizes[few]
-    rest = y - left[:, few] @ along
-    noise = np.sqrt(rest @ rest / max(len(y) - few.sum(), 1))
+    left, sizes, right = _directions(x)
+    along, back = left.T @ y, right.T / sizes
+    rest = y - left @ along
+    noise = np.sqrt(rest @ rest / max(len(y) - len(sizes), 1))
     change, deviation = steps @ (back @ along)[:-1], np.empty(len(steps))
     for at in range(0, len(steps), BLOCK):
         deviation[at : at + BLOCK] = np.linalg.norm(steps[at : at + BLOCK] @ back[:-1], axis=1)
     deviation *= noise
     return np.where(np.abs(change) > SURE * deviation, np.sign(change), 0.0)
+
+
+def _directions(matrix: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the singular value decomposition of a matrix, without values that are rounding."""
+    left, sizes, right = np.linalg.svd(matrix, full_matrices=False)
+    few = sizes > RANK * sizes[0]
+    return left[:, few], sizes[few], right[few]
+
+
+def _estimates(
+    rows: Rows,
+    load_range: LoadRange,
+    good: Indices,
+    columns: tuple[Floats, Floats, Floats],
+    shown: NDArray[np.bool_],
+    scale: Floats,
+) -> Floats:
+    """Return the results of `_estimated` for all outputs, (3, 1 + c, m), m and rad.
+
+    `columns`: middle of time and sessions, (n, 2 s), signs and scaled response, (n, m) each.
+    `shown` (m, k): which outputs the rows `good` have.
+    """
+    middle, signs, scaled = columns
+    results = np.zeros((3, 2 + 2 * middle.shape[1], len(shown)))
+    pending = shown.any(axis=1)
+    # A loop is in rows without a sure direction too, on a side that is not known: its size is that
+    # of the others. So outputs with a loop are estimated again, by rows with a sure direction.
+    for _ in range(2):
+        for known in np.unique(shown[pending], axis=0):
+            outputs, used = np.flatnonzero(pending & (shown == known).all(axis=1)), good[known]
+            time, signed, gain = (
+                middle[used][:, :, None],
+                *np.stack((signs, scaled))[:, used][:, :, None],
+            )
+            effects = np.concatenate((signed, time + 0 * gain, time * gain), axis=1)[..., outputs]
+            results[:, :, outputs] = _estimated(
+                rows.take(used), load_range, outputs, effects, scale[outputs]
+            )
+        pending = np.abs(results[0, 1]) > results[2, 1]
+        shown = np.where(pending[:, None], shown & (signs[good].T != 0), shown)
+    return results
 
 
 def _estimated(
@@ -310,7 +330,7 @@ def _estimated(
     y, n = (moved - offset) / np.where(size > 0, size, 1.0), len(rows)
     x = (rows.wrench - load_range.space.zero) / load_range.scale
     linear = x[:, np.ptp(x, axis=0) > ZERO_LOAD]
-    first, terms = linear.shape[1], terms_of(x)[:, 1:]
+    first = linear.shape[1]
     sessions, count = columns.shape[1] // 4, first + 1 + columns.shape[1]
     free = n - first - 2 - np.count_nonzero(columns[:, 1:].any(axis=(0, 2)))
     if free < 1:
@@ -330,10 +350,9 @@ def _estimated(
         b = np.column_stack((linear, np.ones(n), columns[:, :, output]))
         # Directions of the columns, and what data are along them: normal equations then keep
         # their digits.
-        left, sizes, right = np.linalg.svd(b, full_matrices=False)
-        few = sizes > RANK * sizes[0]
-        bases.append(left[:, few])
-        parts.append(right[few].T / sizes[few])
+        left, sizes, right = _directions(b)
+        bases.append(left)
+        parts.append(right.T / sizes)
     for number, matrix in enumerate(_covariances(x, rows.space)):
         roots, vectors = np.linalg.eigh(matrix)
         inverse = 1 / (np.maximum(roots, 0.0) + RATIOS[:, None])
@@ -367,20 +386,42 @@ def _estimated(
     deviation = size * np.sqrt(np.maximum(square - mean**2, 0.0))
     mean *= size
     mean[0] += offset
+    half_width, misfits = _half_widths(
+        moved, terms_of(x)[:, 1:], columns, contrasts[:, first:], deviation, free
+    )
+    if np.abs(x).max(axis=1).min() > NO_LOAD:  # a kink may be hidden where polynomials misfit
+        one_sided = max(x.min(axis=0).max(), -x.max(axis=0).min()) > NO_LOAD
+        half_width[0] = np.inf if one_sided else np.maximum(half_width[0], SURE * misfits)
+    return mean, deviation, half_width
+
+
+def _half_widths(
+    moved: Floats,
+    terms: Floats,
+    columns: Floats,
+    contrasts: Floats,
+    deviation: Floats,
+    free: int,
+) -> tuple[Floats, Floats]:
+    """Return half the interval to count by, (1 + c, k), and residuals, (k,), m and rad.
+
+    Adds to each `deviation`, (1 + c, k), what a misfit of a polynomial of `terms`, (n, t), can do
+    as an effect. `contrasts` are those of the columns (n, c, k); `free` are degrees of freedom.
+    """
+    n, outputs = moved.shape
     half_width, freedom = np.empty_like(deviation), np.full(len(deviation), float(free))
-    misfits = np.empty(len(outputs))
-    for output in range(len(outputs)):
+    misfits = np.empty(outputs)
+    for output in range(outputs):
         b = np.column_stack((terms, np.ones(n), columns[:, :, output]))
         off_mean = np.eye(b.shape[1])[terms.shape[1] :]
-        off_mean[:, first - count :] = contrasts[:, first:]
-        left, sizes, right = np.linalg.svd(b, full_matrices=False)
-        few = sizes > RANK * sizes[0]
-        along = off_mean @ right[few].T
-        off = moved[:, output] - left[:, few] @ (left[:, few].T @ moved[:, output])
-        misfits[output] = np.linalg.norm(off) / np.sqrt(max(n - few.sum(), 1))
-        worst = np.sqrt(n) * np.linalg.norm(along / sizes[few], axis=1)
+        off_mean[:, -contrasts.shape[1] :] = contrasts
+        left, sizes, right = _directions(b)
+        along = off_mean @ right.T
+        off = moved[:, output] - left @ (left.T @ moved[:, output])
+        misfits[output] = np.linalg.norm(off) / np.sqrt(max(n - len(sizes), 1))
+        worst = np.sqrt(n) * np.linalg.norm(along / sizes, axis=1)
         # A grid in the order of its loads is a straight function of time: no drift is identifiable.
-        shown = np.linalg.norm(off_mean - along @ right[few], axis=1) < SAME
+        shown = np.linalg.norm(off_mean - along @ right, axis=1) < SAME
         misfit = MISFIT * np.ptp(moved[:, output]) * worst
         deviation[:, output] = np.hypot(deviation[:, output], misfit)
         # Rows at rest tell nothing of a loop.
@@ -388,10 +429,7 @@ def _estimated(
         half_width[:, output] = np.where(
             shown, -stdtrit(freedom, CHANCE / 2) * deviation[:, output], np.inf
         )
-    if np.abs(x).max(axis=1).min() > NO_LOAD:  # a kink may be hidden where polynomials misfit
-        one_sided = max(x.min(axis=0).max(), -x.max(axis=0).min()) > NO_LOAD
-        half_width[0] = np.inf if one_sided else np.maximum(half_width[0], SURE * misfits)
-    return mean, deviation, half_width
+    return half_width, misfits
 
 
 def _covariances(x: Floats, space: Space) -> Iterator[Floats]:

@@ -23,27 +23,17 @@ class TooFewRowsError(RowError):
 
 @dataclass(frozen=True)
 class Scaling:
-    """Between SI and the numbers a kriging works in.
+    """Between SI and the numbers a kriging works in."""
 
-    Attributes
-    ----------
-    centre, half : ndarray, shape (6,), N and N·m
-        Middle and half width of each load's range.
-    active : ndarray of bool, shape (6,)
-        Loads that can occur and that move something; the others take no part.
-    offset, spread : ndarray, shape (6,), m and rad
-        Mean and standard deviation of each output over the rows; a spread of none is 1.
-    constant : ndarray of bool, shape (6,)
-        Outputs that vary by rounding only.
-    space : Space
-    """
-
+    # centre, half: (6,), N and N·m: middle and half width of each load's range
     centre: Floats
     half: Floats
-    active: Mask
+    active: Mask  # (6,): loads that can occur and that move something; the others take no part
+    # offset, spread: (6,), m and rad: mean and standard deviation of each output over the rows; a
+    # spread of none is 1
     offset: Floats
     spread: Floats
-    constant: Mask
+    constant: Mask  # (6,): outputs that vary by rounding only
     space: Space
 
     def loads(self, wrenches: Floats) -> Floats:
@@ -60,35 +50,19 @@ DECIMALS = 12  # of scaled loads: a thousandth of the accuracy of error bars
 
 @dataclass(frozen=True)
 class Equations:
-    """Values and derivatives of a table's rows, scaled, row by row: all are dimensionless.
+    """Values and derivatives of a table's rows, scaled, row by row: all are dimensionless."""
 
-    Attributes
-    ----------
-    x : ndarray, shape (n, 6), half ranges
-    known : ndarray of bool, shape (n, p)
-        Which a row brings: its value, slopes, and second derivatives if any row has them.
-    data : ndarray, shape (n, p, 6), spreads
-        Of the six outputs; zero where not known.
-    measured : ndarray of bool, shape (n, 6)
-        Which outputs a row brings.
-    noise : ndarray, shape (n, 6), spreads squared
-        Variance of the values.
-    observations : ndarray, shape (n, 6)
-        Number of observations of unknown noise whose mean a value is; 0 where noise is known.
-    scatter : ndarray, shape (n, 6), spreads squared
-        Sum of these observations' squared differences from their mean.
-    groups : ndarray, shape (g, n)
-        Which loads each term of the covariance sees: `Space.kriging_groups`.
-    """
-
-    x: Floats
+    x: Floats  # (n, 6), half ranges
+    # (n, p): which a row brings: its value, slopes, and second derivatives if any row has them
     known: Mask
-    data: Floats
-    measured: Mask
-    noise: Floats
+    data: Floats  # (n, p, 6), spreads: of the six outputs; zero where not known
+    measured: Mask  # (n, 6): which outputs a row brings
+    noise: Floats  # (n, 6), spreads squared: variance of the values
+    # (n, 6): number of observations of unknown noise whose mean a value is; 0 where noise is known
     observations: Floats
+    # (n, 6), spreads squared: sum of these observations' squared differences from their mean
     scatter: Floats
-    groups: Floats
+    groups: Floats  # (g, n): which loads each term of the covariance sees: `Space.kriging_groups`
 
     def __len__(self) -> int:
         return len(self.x)
@@ -140,9 +114,7 @@ class Equations:
         return np.where(averaged, unknown, self.noise)
 
 
-def indices_within(
-    rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS
-) -> NDArray[np.intp]:
+def indices_within(rows: Rows, load_range: LoadRange) -> NDArray[np.intp]:
     """Return the indices of the rows inside the load range, shape (k,), sorted by wrench."""
     margin = ZERO_LOAD * load_range.scale
     inside = (rows.wrench >= load_range.low - margin) & (rows.wrench <= load_range.high + margin)
@@ -154,10 +126,8 @@ def indices_within(
 def scaling_of(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS) -> Scaling:
     """Return the scaling of rows that lie in the load range.
 
-    Raises
-    ------
-    TooFewRowsError
-        If fewer rows than `min_rows` lie in it, or an output is measured by fewer.
+    Raises TooFewRowsError if fewer rows than `min_rows` lie in it, or an output is measured by
+    fewer.
     """
     measured = np.isfinite(rows.displacement)
     fewest = int(measured.sum(axis=0).min()) if len(rows) else 0

@@ -40,18 +40,11 @@ ROUNDING = float(np.finfo(float).eps) ** 2  # variance, spreads squared, of equa
 
 
 class OutputGroup(NamedTuple):
-    """Outputs of the same rows and the same noise, which one factor answers.
+    """Outputs of the same rows and the same noise, which one factor answers."""
 
-    Attributes
-    ----------
-    outputs, rows : ndarray of int, shape (k,) and (r,)
-    noise : ndarray, shape (r,), dimensionless
-        Variance of the rows' values over the process variance.
-    """
-
-    outputs: Indices
-    rows: Indices
-    noise: Floats
+    outputs: Indices  # (k,)
+    rows: Indices  # (r,)
+    noise: Floats  # (r,), dimensionless: variance of the rows' values over the process variance
 
 
 def output_groups(
@@ -62,13 +55,10 @@ def output_groups(
 ) -> list[OutputGroup]:
     """Return the outputs in groups, each with a factor.
 
-    Parameters
-    ----------
-    variance : ndarray, shape (6,), dimensionless
-        Process variance of each output, spreads squared: noise counts relative to it. Outputs whose
-        relative noise differs by more than `like_noise` at some row get a factor each.
-    kernels : sequence of Hyperparameters, optional
-        Of each output; outputs of different ones get a factor each.
+    `variance` (6,), dimensionless: process variance of each output, spreads squared: noise counts
+    relative to it. Outputs whose relative noise differs by more than `like_noise` at some row get a
+    factor each.
+    `kernels`: of each output; outputs of different ones get a factor each.
     """
     noise = equations.noise / variance
     # Below the nugget noise changes nothing.
@@ -99,23 +89,12 @@ class SingularCovarianceError(ArithmeticError):
 
 @dataclass(frozen=True)
 class Factor:
-    """The inverse factor of some equations' covariance, in dimensionless numbers.
-
-    Attributes
-    ----------
-    hyperparameters : Hyperparameters
-    nugget : float
-        What the diagonal was raised by, relative.
-    T : ndarray, shape (e, e)
-        Inverse of the lower Cholesky factor of the e equations' covariance.
-    TF : ndarray, shape (e, 7)
-        T times the mean's terms.
-    """
+    """The inverse factor of some equations' covariance, in dimensionless numbers."""
 
     hyperparameters: Hyperparameters
-    nugget: float
-    T: Floats
-    TF: Floats
+    nugget: float  # what the diagonal was raised by, relative
+    T: Floats  # (e, e): inverse of the lower Cholesky factor of the e equations' covariance
+    TF: Floats  # (e, 7): T times the mean's terms
 
     @property
     def min_variance(self) -> float:
@@ -145,29 +124,15 @@ class KrigingFactor(Factor):
     """The factor of some rows' equations, for the outputs of one group.
 
     All numbers are dimensionless: loads are in half ranges, outputs in spreads.
-
-    Attributes
-    ----------
-    equations : Equations
-        Of the rows that take part.
-    output_group : OutputGroup
-        The outputs it answers, the rows and their noise.
-    mean_covariance : ndarray, shape (7, 7)
-        Posterior covariance of the mean's coefficients, over the process variance.
-    coefficients : ndarray, shape (7, k)
-        The mean of each output.
-    weights : ndarray, shape (e, k)
-        What covariances are multiplied by.
-    variance : ndarray, shape (k,)
-        Process variance of each output, spreads squared.
     """
 
-    equations: Equations
-    output_group: OutputGroup
+    equations: Equations  # of the rows that take part
+    output_group: OutputGroup  # the outputs it answers, the rows and their noise
+    # (7, 7): posterior covariance of the mean's coefficients, over the process variance
     mean_covariance: Floats
-    coefficients: Floats
-    weights: Floats
-    variance: Floats
+    coefficients: Floats  # (7, k): the mean of each output
+    weights: Floats  # (e, k): what covariances are multiplied by
+    variance: Floats  # (k,): process variance of each output, spreads squared
 
     def explained_at(self, x: Floats, known: Mask) -> tuple[Floats, Floats]:
         """Return the result of `explained` for the derivatives `known` (m, p) at points (m, 6)."""
@@ -191,16 +156,10 @@ def inverse_factor(
 ) -> tuple[Floats, float]:
     """Return the inverse of the lower Cholesky factor, and the nugget it took.
 
-    Parameters
-    ----------
-    matrix : ndarray, shape (e, e), dimensionless
-        With a nugget of `nugget` times `prior` on its diagonal; raised by decades on failure.
-    prior : ndarray, shape (e,), dimensionless
-
-    Raises
-    ------
-    SingularCovarianceError
-        If it is singular with the largest nugget.
+    `matrix` (e, e), dimensionless: with a nugget of `nugget` times `prior` on its diagonal; raised
+    by decades on failure.
+    `prior` (e,), dimensionless.
+    Raises SingularCovarianceError if it is singular with the largest nugget.
     """
     size = np.sqrt(prior)
     scaled = matrix / size[:, None] / size
@@ -273,30 +232,21 @@ REGULAR = 1e-14
 
 
 class LeftOutRows(NamedTuple):
-    """Errors of rows that were left out with their group, in dimensionless numbers.
+    """Errors of rows that were left out with their group, in dimensionless numbers."""
 
-    Attributes
-    ----------
-    errors : ndarray, shape (r, q)
-        Of the values of the factor's outputs, spreads; NaN of a row that cannot be left out.
-    sizes : ndarray, shape (r, q)
-        Root mean square of a row's value and slopes, each over the deviation it should have.
-    variances : ndarray, shape (r,), process variances
-        That the values' errors should have, the noise of the row itself included.
-    """
-
+    # (r, q): of the values of the factor's outputs, spreads; NaN of a row that cannot be left out
     errors: Floats
+    # (r, q): root mean square of a row's value and slopes, each over the deviation it should have
     sizes: Floats
+    # (r,), process variances: that the values' errors should have, the noise of the row itself
+    # included
     variances: Floats
 
 
 def left_out(factor: KrigingFactor, labels: Indices) -> LeftOutRows:
     """Return the errors of a factor's rows, each left out with all rows of its label.
 
-    Parameters
-    ----------
-    labels : ndarray of int, shape (r,)
-        Group of each of the factor's rows; -1 of rows that stay.
+    `labels` (r,): group of each of the factor's rows; -1 of rows that stay.
     """
     equations, outputs = factor.equations, len(factor.variance)
     sizes = equations.known.sum(axis=1)
@@ -336,18 +286,11 @@ TIE = 1e-10
 
 @dataclass(frozen=True)
 class LocalFactor(Factor):
-    """The factor over one neighbourhood, in dimensionless numbers.
+    """The factor over one neighbourhood, in dimensionless numbers."""
 
-    Attributes
-    ----------
-    columns : ndarray of int, shape (e,)
-        Its equations among the values and derivatives, known or not, of all rows.
-    numbers : ndarray of int, shape (e,)
-        The same, among the equations of the table.
-    """
-
+    # (e,): its equations among the values and derivatives, known or not, of all rows
     columns: Indices
-    numbers: Indices
+    numbers: Indices  # (e,): the same, among the equations of the table
 
 
 class Neighbourhoods:
@@ -355,13 +298,8 @@ class Neighbourhoods:
 
     Rows are indices of the factor's rows.
 
-    Attributes
-    ----------
-    factor : KrigingFactor
-    local_factors : tuple of LocalFactor
-        One of all rows, or the neighbourhood of each of the factor's rows.
-    number : ndarray of int, shape (r,)
-        Which of these each row, as an anchor, has.
+    `local_factors`: one of all rows, or the neighbourhood of each of the factor's rows.
+    `number` (r,): which of these each row, as an anchor, has.
     """
 
     def __init__(

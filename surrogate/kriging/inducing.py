@@ -67,14 +67,10 @@ def spread_points(
     rows, is at most that of the answers' own, which is the noise times wrenches over rows: more
     would not make an answer better than the noise lets it be.
 
-    Parameters
-    ----------
-    x : ndarray, shape (n, 6), half ranges
-        Candidates.
-    kernels, shares
-        Covariances of outputs, and their process variances over a row's noise, (k,).
-    count : int
-        Number of all rows.
+    `x` (n, 6), half ranges: candidates.
+    `kernels`, `shares`: covariances of outputs, and their process variances over a row's noise,
+    (k,).
+    `count`: number of all rows.
     """
     known = np.ones((len(x), 1), dtype=bool)
     together = list(zip(kernels, shares / len(shares), strict=True))
@@ -128,47 +124,28 @@ def values_between(x: Floats, v: Floats, kernel: Hyperparameters) -> Floats:
 
 
 class Sums(NamedTuple):
-    """Sums over rows, for outputs (k,) that they bring with noise in the same proportions.
+    """Sums over rows, for outputs (k,) that they bring with noise in the same proportions."""
 
-    Attributes
-    ----------
-    A, b, G, H, h : ndarray, shapes (m, m), (m, k), (m, 7), (7, 7) and (7, k)
-        See above, and h = F' D y; D is of the rows' relative noise.
-    square : ndarray, shape (k,)
-        y' D y.
-    rows : int
-    repeats : ndarray, shape (k,)
-        Readings at wrenches besides the first of each.
-    scatter : ndarray, shape (k,)
-        Their squared differences from their mean, over their relative noise, spreads squared.
-    """
-
+    # A, b, G, H, h: (m, m), (m, k), (m, 7), (7, 7) and (7, k): see above, and h = F' D y; D is of
+    # the rows' relative noise
     A: Floats
     b: Floats
     G: Floats
     H: Floats
     h: Floats
-    square: Floats
+    square: Floats  # (k,): y' D y
     rows: int
-    repeats: Floats
+    repeats: Floats  # (k,): readings at wrenches besides the first of each
+    # (k,): their squared differences from their mean, over their relative noise, spreads squared
     scatter: Floats
 
 
 class Inducing(NamedTuple):
-    """The kriging of all rows through inducing wrenches.
+    """The kriging of all rows through inducing wrenches."""
 
-    Attributes
-    ----------
-    equations : Equations
-        At the inducing wrenches, with the readings that all rows make there.
-    factors : list of KrigingFactor
-    noise : ndarray, shape (6,), dimensionless
-        What `Equations.unit_noise` is multiplied by, by all rows.
-    """
-
-    equations: Equations
+    equations: Equations  # at the inducing wrenches, with the readings that all rows make there
     factors: list[KrigingFactor]
-    noise: Floats
+    noise: Floats  # (6,), dimensionless: what `Equations.unit_noise` is multiplied by, by all rows
 
 
 def induced(equations: Equations, estimate: Estimate, settings: KrigingSettings) -> Inducing | None:
@@ -176,12 +153,8 @@ def induced(equations: Equations, estimate: Estimate, settings: KrigingSettings)
 
     That is where it holds the rows, and inducing wrenches leave more than the noise.
 
-    Parameters
-    ----------
-    equations : Equations
-        Of the values of all rows, sorted by wrench; without the noise of observations.
-    estimate : Estimate
-        As some of the rows tell it.
+    `equations`: of the values of all rows, sorted by wrench; without the noise of observations.
+    `estimate`: as some of the rows tell it.
     """
     unit, count, variance = equations.unit_noise, len(equations), estimate.variance
     typical = np.nanmean(np.where(equations.measured, unit, np.nan), axis=0)

@@ -12,11 +12,11 @@ from ..table.merging import Observations, merge
 from ..table.rows import NEAR, SMALLEST, Floats, LoadRange, Rows
 from .calibration import (
     Calibration,
-    besides,
     calibrated,
     kinds_of,
-    most_together,
+    largest_secondary_loads,
     of_posterior,
+    secondary_loads,
     span_of,
 )
 from .correlation import Hyperparameters, Mask, block, covariance
@@ -50,58 +50,33 @@ ROUNDING_LOSS = 4 * float(np.finfo(float).eps)
 
 @dataclass(frozen=True, eq=False)
 class Kriging:
-    """The Gaussian process through a table's rows and their tangents; never changed once built.
-
-    Attributes
-    ----------
-    settings : KrigingSettings
-    scaling : Scaling
-    observation_variance : ndarray, shape (6,), spreads squared
-        Of an observation of unknown uncertainty.
-    noise_widening : ndarray, shape (6,), dimensionless
-        See `noise.Estimate`.
-    tangent : ndarray, shape (6, 6), SI
-        Mean tangent of the rows: the derivative by loads that take no part; NaN by loads that no
-        row varies where none brings slopes.
-    equations : Equations
-    neighbourhoods : tuple of Neighbourhoods
-        One per factor: outputs with the same rows and noise have one factor.
-    calibrations : tuple of Calibration
-        One per item of `neighbourhoods`.
-    weights : ndarray, shape (n, p, 6), spreads
-    coefficients : ndarray, shape (7, 6), spreads
-    deviation : ndarray, shape (6,), spreads
-        Process standard deviation.
-    rounding : ndarray, shape (6,), spreads
-        What answers may lose to it. Long length scales leave the covariance nearly singular, with
-        weights up to 1e8 times their sum.
-    errors : ndarray, shape (n, 6), spreads
-        Of rows left out, each by itself; NaN where a row does not bring the output.
-    span : ndarray, shape (2, 6), half ranges
-        Ends of the loads that the rows span: beyond them errors are not known.
-    together : ndarray, shape (2,), half ranges
-        The most that rows load besides one load, and besides one load group (`besides`). Beyond it
-        errors are not known either: no row shows what so large loads do together.
-    detail : str
-        Its rows and equations as a text.
-    """
+    """The Gaussian process through a table's rows and their tangents; never changed once built."""
 
     settings: KrigingSettings
     scaling: Scaling
-    observation_variance: Floats
-    noise_widening: Floats
+    observation_variance: Floats  # (6,), spreads squared: of an observation of unknown uncertainty
+    noise_widening: Floats  # (6,), dimensionless: see `noise.Estimate`
+    # (6, 6), SI: mean tangent of the rows: the derivative by loads that take no part; NaN by loads
+    # that no row varies where none brings slopes
     tangent: Floats
     equations: Equations
+    # one per factor: outputs with the same rows and noise have one factor
     neighbourhoods: tuple[Neighbourhoods, ...]
-    calibrations: tuple[Calibration, ...]
-    weights: Floats
-    coefficients: Floats
-    deviation: Floats
+    calibrations: tuple[Calibration, ...]  # one per item of `neighbourhoods`
+    weights: Floats  # (n, p, 6), spreads
+    coefficients: Floats  # (7, 6), spreads
+    deviation: Floats  # (6,), spreads: process standard deviation
+    # (6,), spreads: what answers may lose to it. Long length scales leave the covariance nearly
+    # singular, with weights up to 1e8 times their sum.
     rounding: Floats
+    # (n, 6), spreads: of rows left out, each by itself; NaN where a row does not bring the output
     errors: Floats
+    # (2, 6), half ranges: ends of the loads that the rows span: beyond them errors are not known
     span: Floats
+    # (2,), half ranges: `largest_secondary_loads` of the rows. Beyond them errors are not known
+    # either: no row shows what so large loads do together.
     together: Floats
-    detail: str
+    detail: str  # its rows and equations as a text
 
     @classmethod
     def build(
@@ -127,7 +102,7 @@ class Kriging:
         """
         if observations is None:
             rows, _, observations = merge(rows, load_range).usable()
-        indices = indices_within(rows, load_range, settings)
+        indices = indices_within(rows, load_range)
         used = rows.take(indices)
         scaling = scaling_of(used, load_range, settings)
         counted = observations.take(indices)
@@ -141,7 +116,7 @@ class Kriging:
             kinds = kinds_of(equations.x, scaling, span, settings)
             # Slopes of a few rows show what several axes do together.
             sloped = equations.known[:, 1:].any()
-            all_rows_together = most_together(equations.x, scaling, settings)
+            all_rows_together = largest_secondary_loads(equations.x, scaling, settings)
             together = all_rows_together if sloped else kinds[0].together
             by_values = equations.n_derivatives == 1
             some = equations.take(evenly(len(equations), CANDIDATES)) if by_values else equations
@@ -272,7 +247,7 @@ class Kriging:
             errors[:, outputs] = sigma[:, None] * calibration.factors * self.deviation[outputs]
             known[:, outputs] = (sigma <= calibration.max_sigma)[:, None]
         spanned = ((x >= self.span[0]) & (x <= self.span[1])).all(axis=1)
-        spanned &= (besides(x, self.scaling) <= self.together).all(axis=1)
+        spanned &= (secondary_loads(x, self.scaling) <= self.together).all(axis=1)
         known &= spanned[:, None]
         return values, errors, known
 
@@ -287,10 +262,8 @@ class Kriging:
         As far as they are known or not: a design goes where they are not. Pending solves lower all
         bars in the ratio of the factor over the most rows.
 
-        Parameters
-        ----------
-        pending, at : ndarray, shapes (m, 6) and (n, 6), N and N·m
-            What is being solved (with slopes, if rows bring them), and where the bars are wanted.
+        `pending`, `at` (m, 6) and (n, 6), N and N·m: what is being solved (with slopes, if rows
+        bring them), and where the bars are wanted.
         """
         others, x = self.scaling.loads(pending), self.scaling.loads(at)
         bars = np.empty((len(x), len(self.scaling.spread)))
@@ -343,9 +316,7 @@ def _usable(
 
     Values alone where they are measured and many.
 
-    Raises
-    ------
-    TooFewRowsError
+    Raises TooFewRowsError.
     """
     if len(used) > settings.many_rows and not np.isfinite(used.compliance).any():
         chosen = evenly(len(used), settings.most_rows)

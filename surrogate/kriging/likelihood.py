@@ -91,10 +91,7 @@ def estimated(
 
     That of solves is common to all outputs. Noise is estimated where rows have any.
 
-    Parameters
-    ----------
-    points : ndarray
-        See `estimate_noise`.
+    `points`: see `estimate_noise`.
     """
     ones = np.ones_like(scaling.spread)
     if (equations.unit_noise[:, ~scaling.constant] > settings.nugget).any():

@@ -46,57 +46,32 @@ TINY = 1e-30  # variance, spreads squared, below any rounding
 
 
 class Estimate(NamedTuple):
-    """The quantities that the likelihood determines, of each output.
+    """The quantities that the likelihood determines, of each output."""
 
-    Attributes
-    ----------
-    kernels : tuple of Hyperparameters
-        The same object for outputs of one covariance.
-    variance : ndarray, shape (6,), spreads squared
-        Process variances.
-    noise : ndarray, shape (6,), dimensionless
-        What `Equations.unit_noise` is multiplied by.
-    widening : ndarray, shape (6,), dimensionless
-        The deviation of what is not known of a response, over that of the one kernel.
-    noise_widening : ndarray, shape (6,), dimensionless
-        The deviation that noise has at most, at the confidence of error bars, over its estimate.
-    """
-
-    kernels: tuple[Hyperparameters, ...]
-    variance: Floats
-    noise: Floats
+    kernels: tuple[Hyperparameters, ...]  # the same object for outputs of one covariance
+    variance: Floats  # (6,), spreads squared: process variances
+    noise: Floats  # (6,), dimensionless: what `Equations.unit_noise` is multiplied by
+    # (6,), dimensionless: the deviation of what is not known of a response, over that of the one
+    # kernel
     widening: Floats
+    # (6,), dimensionless: the deviation that noise has at most, at the confidence of error bars,
+    # over its estimate
     noise_widening: Floats
 
 
 class NoisyRows(NamedTuple):
-    """Outputs that the same rows bring with noise in the same proportions.
+    """Outputs that the same rows bring with noise in the same proportions."""
 
-    Attributes
-    ----------
-    equations : Equations
-        Of these rows.
-    outputs : ndarray of int, shape (k,)
-    parts : ndarray, shape (e,)
-        The diagonal of D; 0 of equations without noise.
-    scale : ndarray, shape (k,)
-        `Equations.unit_noise` is D times this.
-    repeats, scatter : ndarray, shape (k,)
-        Readings besides the first of each wrench, and their squared differences from their mean
-        over this scale.
-    basis : ndarray, shape (e, m)
-        Normal to D^(-1/2) F; none where some equations have no noise.
-    squares : ndarray, shape (6, e (e + 1) / 2)
-        Squared differences of pairs of rows; none where rows bring slopes.
-    """
-
-    equations: Equations
-    outputs: NDArray[np.intp]
-    parts: Floats
-    scale: Floats
+    equations: Equations  # of these rows
+    outputs: NDArray[np.intp]  # (k,)
+    parts: Floats  # (e,): the diagonal of D; 0 of equations without noise
+    scale: Floats  # (k,): `Equations.unit_noise` is D times this
+    # repeats, scatter: (k,): readings besides the first of each wrench, and their squared
+    # differences from their mean over this scale
     repeats: Floats
     scatter: Floats
-    basis: Floats
+    basis: Floats  # (e, m): normal to D^(-1/2) F; none where some equations have no noise
+    # (6, e (e + 1) / 2): squared differences of pairs of rows; none where rows bring slopes
     squares: Floats
 
     def output(self, index: int) -> NoisyRows:
@@ -146,36 +121,21 @@ def _with_noise(equations: Equations, scaling: Scaling) -> NDArray[np.bool_]:
 
 
 class Spectrum(NamedTuple):
-    """The transform that diagonalises every noise: T s^2 (K + r D) T' = s^2 diag(values + r noisy).
+    """The diagonalising transform for every r: T s^2 (K + r D) T' = s^2 diag(values + r noisy)."""
 
-    Attributes
-    ----------
-    rotation : ndarray, shape (m, e)
-        T.
-    values, noisy : ndarray, shape (m,)
-    data : ndarray, shape (m, k), spreads
-        T times the readings.
-    logarithm : float
-        Of T's determinant, as far as it depends on the covariance.
-    terms : list
-        Each term's correlation of pairs of rows and its derivative by q; none with slopes.
-    """
-
-    rotation: Floats
-    values: Floats
-    noisy: Floats
-    data: Floats
-    logarithm: float
+    rotation: Floats  # (m, e): T
+    values: Floats  # (m,)
+    noisy: Floats  # (m,)
+    data: Floats  # (m, k), spreads: T times the readings
+    logarithm: float  # of T's determinant, as far as it depends on the covariance
+    # each term's correlation of pairs of rows and its derivative by q; none with slopes
     terms: list[list[Floats]]
 
 
 def spectrum(rows: NoisyRows, kernel: Hyperparameters, settings: KrigingSettings) -> Spectrum:
     """Return the spectrum of a kernel.
 
-    Raises
-    ------
-    SingularCovarianceError
-        If solves contradict each other.
+    Raises SingularCovarianceError if solves contradict each other.
     """
     x, known, terms = rows.equations.x, rows.equations.known, []
     if len(rows.squares):
@@ -213,22 +173,15 @@ def spectrum(rows: NoisyRows, kernel: Hyperparameters, settings: KrigingSettings
 
 
 class Posterior(NamedTuple):
-    """Of ratios of noise and process variance: half the negative logarithm, and what it is of.
+    """Of ratios of noise and process variance: half the negative logarithm, and what it is of."""
 
-    Attributes
-    ----------
-    values, variance, noise : ndarray, shape (g, k)
-        Variances of the process and of D, spreads squared, at each of g ratios.
-    inverse : ndarray, shape (g, m)
-        1 / (l + r d).
-    by_square : ndarray, shape (g, k)
-        Half the derivative of values by the sum of squares, times the process variance.
-    """
-
+    # values, variance, noise: (g, k): variances of the process and of D, spreads squared, at each
+    # of g ratios
     values: Floats
     variance: Floats
     noise: Floats
-    inverse: Floats
+    inverse: Floats  # (g, m): 1 / (l + r d)
+    # (g, k): half the derivative of values by the sum of squares, times the process variance
     by_square: Floats
 
 
@@ -319,10 +272,7 @@ def estimate_noise(
 
     Of rows as they lie, near each other too: rows spread widely do not show little noise.
 
-    Parameters
-    ----------
-    points : ndarray, shape (m, 6), half ranges
-        Where answers' variance is averaged: see `Estimate.widening`.
+    `points` (m, 6), half ranges: where answers' variance is averaged: see `Estimate.widening`.
     """
     parts = []
     noisy, every = _with_noise(equations, scaling), np.arange(len(equations))
@@ -367,14 +317,57 @@ def _fitted_kernel(
     `few` rows are those that the kernel is searched with.
     """
     example = few[0].equations
-    loads, weights = example.loads, example.weights
+    logarithms = _likely_logarithms(few, settings)
+    kernels = [
+        Hyperparameters.of_logarithms(row, example.groups, example.smoothness) for row in logarithms
+    ]
+    centre, deviation = settings.length_prior
+    prior = 0.5 * (((logarithms[:, : example.loads] - centre) / deviation) ** 2).sum(axis=1)
+    joint, weighted = -prior, []
+    for rows in many:
+        each = [posterior(rows, spectrum(rows, kernel, settings), settings) for kernel in kernels]
+        values = np.array([item.values for item in each])  # (kernels, g, k)
+        joint = joint + np.logaddexp.reduce(-values, axis=1).sum(axis=1)
+        values += prior[:, None, None]
+        weight = np.exp(values.min(axis=(0, 1)) - values)
+        weighted.append((rows, each, weight / weight.sum(axis=(0, 1))))
+    chosen = int(np.argmax(joint))
+    variance, noise, widening, noise_widening = arrays
+    level = 1 - (1 - CONFIDENCE) / len(noise)
+    for rows, each, weight in weighted:
+        for index, output in enumerate(rows.outputs):
+            of_kernels = weight[:, :, index].sum(axis=1)
+            means = [
+                float(part[:, index] @ item.noise[:, index] / max(part[:, index].sum(), TINY))
+                for part, item in zip(weight, each, strict=True)
+            ]
+            mean_noise = float(of_kernels @ means)
+            noise[output] = mean_noise / rows.scale[index]
+            most = _noise_quantile(each, weight, index, level)
+            noise_widening[output] = np.sqrt(max(most / mean_noise, 1.0))
+            variance[output] = size = variance_of(each[chosen], index, mean_noise)
+            mean, known = _answers(rows, index, kernels[chosen], mean_noise, size, points, settings)
+            total = np.zeros(len(points))
+            used = np.flatnonzero(of_kernels > settings.least_share)
+            for k in used:
+                size = variance_of(each[k], index, means[k])
+                answers = _answers(rows, index, kernels[k], means[k], size, points, settings)
+                spread = answers[1] + (answers[0] - mean) ** 2
+                total += of_kernels[k] / of_kernels[used].sum() * spread
+            widening[output] = np.sqrt(max(float(total.mean() / known.mean()), 1.0))
+    return kernels[chosen]
+
+
+def _likely_logarithms(rows: list[NoisyRows], settings: KrigingSettings) -> Floats:
+    """Return the logarithms of the likeliest kernel, and of others with all lengths shifted."""
+    loads, weights = rows[0].equations.loads, rows[0].equations.weights
     low, high = np.array([settings.theta_bounds] * loads + [settings.weight_bounds] * weights).T
     start = np.full(loads + weights, settings.length_prior[0])
     start[loads:] = [0.0] * (weights - 1) + [settings.weight_start]
     run = minimize(
         negative_log_posterior,
         start,
-        args=(few, settings),
+        args=(rows, settings),
         jac=True,
         method="L-BFGS-B",
         bounds=list(zip(low, high, strict=True)),
@@ -383,49 +376,19 @@ def _fitted_kernel(
     # Rounded so that the rounding of another unit does not change them; the likelihood is flat.
     best = np.round(run.x, settings.decimals)
     shifts = np.array(settings.length_shifts)
-    logarithms = np.clip(best + shifts[:, None] * (np.arange(loads + weights) < loads), low, high)
-    kernels = [
-        Hyperparameters.of_logarithms(row, example.groups, example.smoothness) for row in logarithms
-    ]
-    centre, deviation = settings.length_prior
-    prior = 0.5 * (((logarithms[:, :loads] - centre) / deviation) ** 2).sum(axis=1)
-    joint, weighted = -prior, []
-    for rows in many:
-        each = [posterior(rows, spectrum(rows, kernel, settings), settings) for kernel in kernels]
-        values = np.array([item.values for item in each])  # (kernels, g, k)
-        joint = joint + np.logaddexp.reduce(-values, axis=1).sum(axis=1)
-        values += prior[:, None, None]
-        share = np.exp(values.min(axis=(0, 1)) - values)
-        weighted.append((rows, each, share / share.sum(axis=(0, 1))))
-    chosen = int(np.argmax(joint))
-    for rows, each, share in weighted:
-        for index, output in enumerate(rows.outputs):
-            shares = share[:, :, index].sum(axis=1)
-            means = [
-                float(part[:, index] @ item.noise[:, index] / max(part[:, index].sum(), TINY))
-                for part, item in zip(share, each, strict=True)
-            ]
-            mean_noise = float(shares @ means)
-            size = variance_of(each[chosen], index, mean_noise)
-            variance, noise, widening, noise_widening = arrays
-            variance[output], noise[output] = size, mean_noise / rows.scale[index]
-            # Few rows leave open how much of what they differ by is noise: the mean of a wide
-            # posterior, itself uncertain, was a third of the noise of 30 to 60 rows.
-            noises = np.concatenate([item.noise[:, index] for item in each])
-            order, weight = np.argsort(noises), share[:, :, index].ravel()
-            below = np.cumsum(weight[order]) - weight[order] / 2
-            level = 1 - (1 - CONFIDENCE) / len(noise)
-            most = np.exp(np.interp(level, below, np.log(noises[order])))
-            noise_widening[output] = np.sqrt(max(float(most) / mean_noise, 1.0))
-            mean, known = _answers(rows, index, kernels[chosen], mean_noise, size, points, settings)
-            total = np.zeros(len(points))
-            used = np.flatnonzero(shares > settings.least_share)
-            for k in used:
-                size = variance_of(each[k], index, means[k])
-                answers = _answers(rows, index, kernels[k], means[k], size, points, settings)
-                total += shares[k] / shares[used].sum() * (answers[1] + (answers[0] - mean) ** 2)
-            widening[output] = np.sqrt(max(float(total.mean() / known.mean()), 1.0))
-    return kernels[chosen]
+    return np.clip(best + shifts[:, None] * (np.arange(loads + weights) < loads), low, high)
+
+
+def _noise_quantile(each: list[Posterior], weight: Floats, index: int, level: float) -> float:
+    """Return the quantile of an output's noise of D over all kernels and ratios.
+
+    Few rows leave open how much of what they differ by is noise: the mean of a wide posterior,
+    itself uncertain, was a third of the noise of 30 to 60 rows.
+    """
+    noises = np.concatenate([item.noise[:, index] for item in each])
+    order, weights = np.argsort(noises), weight[:, :, index].ravel()
+    below = np.cumsum(weights[order]) - weights[order] / 2
+    return float(np.exp(np.interp(level, below, np.log(noises[order]))))
 
 
 def variance_of(result: Posterior, index: int, noise: float) -> float:

@@ -202,10 +202,8 @@ BLOCKS = {
 def check(arrays: Mapping[str, NDArray[Any]]) -> Mapping[str, NDArray[Any]]:
     """Return the arrays of a packed table as they are.
 
-    Raises
-    ------
-    PackedTableError
-        If one is missing or unknown, or has another type or shape than stated here.
+    Raises PackedTableError if one is missing or unknown, or has another type or shape than stated
+    here.
     """
     inputs, outputs, _ = arrays["space/sizes"].tolist()
     table = {"n": inputs, "m": outputs, "n1": inputs + 1}

@@ -177,26 +177,16 @@ def _members_of(
 
 
 class Numbered(NamedTuple):
-    """Vertices and simplices numbered along a space-filling curve.
+    """Vertices and simplices numbered along a space-filling curve."""
 
-    Attributes
-    ----------
-    maps : ndarray, shape (m, MAP)
-    simplex : ndarray of int32, shape (m, 8)
-        Four vertices, and the four neighbours across from them, -1 on the hull.
-    grid : ndarray of int, shape (cells,)
-        For each cell a simplex close by.
-    floats, ints : ndarray, shape (FLOATS,) and (INTS,)
-        See the columns above; the load scale stays 1.
-    simplex_order, point_order : ndarray of int, shape (m,) and (n,)
-        The old number of each simplex and point.
-    """
-
-    maps: Floats
+    maps: Floats  # (m, MAP)
+    # (m, 8): four vertices, and the four neighbours across from them, -1 on the hull
     simplex: NDArray[np.int32]
-    grid: Indices
+    grid: Indices  # (cells,): for each cell a simplex close by
+    # floats, ints: (FLOATS,) and (INTS,): see the columns above; the load scale stays 1
     floats: Floats
     ints: NDArray[np.int32]
+    # simplex_order, point_order: (m,) and (n,): the old number of each simplex and point
     simplex_order: Indices
     point_order: Indices
 
@@ -209,9 +199,9 @@ def numbered_of(shape: Triangulation) -> Numbered:
     """Return a triangulation laid out for walks."""
     numbered = _KNOWN.get(shape)
     if numbered is None:
-        flat, dimension = shape.flattened(shape.points), shape.dimension
+        local, dimension = shape.local_coordinates(shape.points), shape.dimension
         weights = shape.weights if dimension == 3 else shape.weights @ shape.basis.T
-        points, way = curve_order(flat), curve_order(flat[shape.simplices].mean(axis=1))
+        points, way = curve_order(local), curve_order(local[shape.simplices].mean(axis=1))
         new_point, new_simplex = np.empty(len(points), np.intp), np.empty(len(way) + 1, np.intp)
         new_point[points] = np.arange(len(points))
         new_simplex[way], new_simplex[-1] = np.arange(len(way)), -1
@@ -219,8 +209,8 @@ def numbered_of(shape: Triangulation) -> Numbered:
         simplex[:, : dimension + 1] = new_point[shape.simplices[way]]
         simplex[:, 4:] = -1
         simplex[:, 4 : 5 + dimension] = new_simplex[shape.neighbours[way]]
-        positions = np.zeros((len(flat), 3))
-        positions[:, :dimension] = flat[points]
+        positions = np.zeros((len(local), 3))
+        positions[:, :dimension] = local[points]
         maps = np.zeros((len(way), MAP))
         for corner in range(dimension):
             maps[:, 3 * corner : 3 * corner + dimension] = weights[way, corner]
@@ -229,12 +219,12 @@ def numbered_of(shape: Triangulation) -> Numbered:
         floats[:3], ints[CELLS : CELLS + 3], ints[DIMENSION] = 1.0, 1, dimension
         floats[ORIGIN : ORIGIN + 3], floats[SLACK] = shape.origin, shape.slack
         floats[BASIS : BASIS + 3 * dimension] = shape.basis.ravel()
-        grid = new_simplex[_grid(shape, flat, floats, ints)]
+        grid = new_simplex[_grid(shape, local, floats, ints)]
         numbered = _KNOWN[shape] = Numbered(maps, simplex, grid, floats, ints, way, points)
     return numbered
 
 
-def _grid(shape: Triangulation, flat: Floats, floats: Floats, ints: NDArray[np.int32]) -> Indices:
+def _grid(shape: Triangulation, local: Floats, floats: Floats, ints: NDArray[np.int32]) -> Indices:
     """Return the simplex that holds the middle of each cell of a grid over the points.
 
     A cell outside the hull takes the simplex whose middle is nearest. The grid's frame is written
@@ -243,7 +233,7 @@ def _grid(shape: Triangulation, flat: Floats, floats: Floats, ints: NDArray[np.i
     dimension = shape.dimension
     if not dimension:
         return np.zeros(1, dtype=np.intp)
-    low, high = flat.min(axis=0), flat.max(axis=0)
+    low, high = local.min(axis=0), local.max(axis=0)
     count = len(shape.simplices)
     cells = max(min(CELLS_PER_SIMPLEX * count, MAX_CELLS), MIN_CELLS_PER_SIMPLEX * count)
     side = max(math.ceil(cells ** (1 / dimension)), 1)

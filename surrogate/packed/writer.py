@@ -41,14 +41,9 @@ def pack(
 ) -> list[bytes]:
     """Return the packed file of a table as pieces of bytes.
 
-    Parameters
-    ----------
-    component, fingerprint
-        Where the rows come from.
-    contract, interface
-        Meaning of loads and displacements, in words; stored as they are.
-    origin
-        Digests of what the table is built from; stored as they are.
+    `component`, `fingerprint`: where the rows come from.
+    `contract`, `interface`: meaning of loads and displacements, in words; stored as they are.
+    `origin`: digests of what the table is built from; stored as they are.
     """
     arrays = dict(_space_arrays(table, len(table.groups))) | dict(_solver_arrays(table))
     sources = _Sources(table)
@@ -138,11 +133,10 @@ class _Sources:
     """The sources of the rows at each wrench, as numbers of lists of words."""
 
     def __init__(self, table: Table) -> None:
-        self.lists: list[list[str]] = []
         self._numbers: dict[tuple[str, ...], int] = {}
         self._at: dict[bytes, list[str]] = {}
-        sources = dict.fromkeys(table.rows.source.tolist())
-        self._single = list(sources) if len(sources) == 1 else None
+        sources = tuple(dict.fromkeys(table.rows.source.tolist()))
+        self._single = sources if len(sources) == 1 else None
         if self._single:
             return
         wrenches = np.ascontiguousarray(table.rows.wrench)
@@ -151,19 +145,19 @@ class _Sources:
             if source not in names:
                 names.append(source)
 
+    @property
+    def lists(self) -> list[list[str]]:
+        """The lists, by number."""
+        return [list(sources) for sources in self._numbers]
+
     def numbers(self, wrenches: Floats) -> NDArray[np.int32]:
         """Return the number of the sources of the rows at each wrench (r, 6), N and N·m, (r,)."""
         if self._single:
-            self.lists = [self._single]
+            self._numbers[self._single] = 0
             return np.zeros(len(wrenches), dtype=np.int32)
-        numbers = [self._number(tuple(self._at[wrench.tobytes()])) for wrench in wrenches]
-        return np.array(numbers, dtype=np.int32)
-
-    def _number(self, sources: tuple[str, ...]) -> int:
-        if sources not in self._numbers:
-            self._numbers[sources] = len(self.lists)
-            self.lists.append(list(sources))
-        return self._numbers[sources]
+        known = self._numbers
+        lists = (tuple(self._at[wrench.tobytes()]) for wrench in wrenches)
+        return np.array([known.setdefault(each, len(known)) for each in lists], dtype=np.int32)
 
 
 def _group_arrays(group: Group, sources: _Sources) -> Iterator[tuple[str, Array]]:

@@ -29,10 +29,7 @@ def cut(table: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -
     It answers by the table's default method. Left out are groups whose outputs the scene does not
     read, and rows and axes whose loads cannot occur.
 
-    Parameters
-    ----------
-    plan : mapping, optional
-        The scene plan that the file carries, JSON-able.
+    `plan`: the scene plan that the file carries, JSON-able.
     """
     arrays = {name: array for name, array in table.arrays.items() if name[0] != "g"}
     outputs = list(need.outputs)

@@ -41,27 +41,13 @@ NO_LOAD = "no load can occur in the scene, so it stays as it is"
 
 @dataclass(frozen=True, eq=False)
 class Need:
-    """The requirements of a scene on one component.
+    """The requirements of a scene on one component."""
 
-    Attributes
-    ----------
-    span : LoadRange
-        The loads that can occur, N and N·m; a load on a locked freedom is held at 0.
-    outputs : tuple of int
-        The outputs it reads, ascending.
-    tolerance : Tolerance or None, m and rad
-        The scene's, else the component's.
-    idle : tuple of int
-        Loads on locked freedoms: whatever they are, nothing depends on them.
-    slack : ndarray, shape (n,), N and N·m
-        What rounding may add to an end: 1e-9 of the component's range.
-    """
-
-    span: LoadRange
-    outputs: tuple[int, ...]
-    tolerance: Tolerance | None
-    idle: tuple[int, ...]
-    slack: Floats
+    span: LoadRange  # the loads that can occur, N and N·m; a load on a locked freedom is held at 0
+    outputs: tuple[int, ...]  # the outputs it reads, ascending
+    tolerance: Tolerance | None  # m and rad: the scene's, else the component's
+    idle: tuple[int, ...]  # loads on locked freedoms: whatever they are, nothing depends on them
+    slack: Floats  # (n,), N and N·m: what rounding may add to an end: 1e-9 of the component's range
 
     @property
     def occurring(self) -> Mask:
@@ -105,10 +91,7 @@ class Need:
 class NeedError(ValueError):
     """A scene's loads that cannot be: each mistake by the index of its load.
 
-    Attributes
-    ----------
-    mistakes : list of (int, str)
-        Index of the load among the inputs, and what is wrong with its ends.
+    `mistakes`: index of the load among the inputs, and what is wrong with its ends.
     """
 
     def __init__(self, mistakes: list[tuple[int, str]]) -> None:
@@ -125,21 +108,12 @@ def need_of(
 ) -> Need:
     """Return the requirements of a scene on a component.
 
-    Parameters
-    ----------
-    limits : LoadRange
-        The component's load range, N and N·m; it is stretched to hold zero.
-    bounds : ndarray, shape (n, 2), optional, N and N·m
-        Low and high end of each load; the component's by default.
-    outputs : sequence of int, optional
-        Those that are read; all by default.
-    idle : sequence of int
-        Loads on locked freedoms.
-
-    Raises
-    ------
-    NeedError
-        If an end lies outside the component's load range, or the ends are the wrong way round.
+    `limits`: the component's load range, N and N·m; it is stretched to hold zero.
+    `bounds` (n, 2), N and N·m: low and high end of each load; the component's by default.
+    `outputs`: those that are read; all by default.
+    `idle`: loads on locked freedoms.
+    Raises NeedError if an end lies outside the component's load range, or the ends are the wrong
+    way round.
     """
     ends = np.column_stack((limits.low, limits.high)) if bounds is None else np.array(bounds, float)
     slack = ZERO_LOAD * limits.scale
@@ -165,38 +139,25 @@ def need_of(
 
 @dataclass(frozen=True)
 class ScenePlan:
-    """The requirements of a scene on a component.
-
-    Attributes
-    ----------
-    need : Need
-    decision : {"rigid", "linear", "table"}
-        Leave it out; one compliance answers; its table does.
-    reason : str
-    bound : ndarray, shape (m,), m and rad
-        What the displacement does not exceed within the scene; NaN where nothing determines it.
-    compliance : ndarray, shape (m, n), SI, or None
-        With ``linear``, where it is known: the displacement is it times the wrench. Zero by loads
-        that cannot occur.
-    solves : tuple of (int, int)
-        Of the first design, from an empty table: for the full load range, and for the scene.
-    """
+    """The requirements of a scene on a component."""
 
     need: Need
-    decision: Decision
+    decision: Decision  # leave it out; one compliance answers; its table does
     reason: str
+    # (m,), m and rad: what the displacement does not exceed within the scene; NaN where nothing
+    # determines it
     bound: Floats
+    # (m, n), SI: with ``linear``, where it is known: the displacement is it times the wrench. Zero
+    # by loads that cannot occur.
     compliance: Floats | None
+    # of the first design, from an empty table: for the full load range, and for the scene
     solves: tuple[int, int]
 
 
 def plan_of(table: Table, need: Need, *, solved: bool = True) -> ScenePlan:
     """Return the plan of a scene's need of a component, from the rows there are, if any.
 
-    Parameters
-    ----------
-    solved : bool
-        Whether finite elements answer, which move by nothing where there is no load.
+    `solved`: whether finite elements answer, which move by nothing where there is no load.
     """
     solves = first_solves(table, table.load_range), first_solves(table, need.span)
     need, space = replace(need, tolerance=need.tolerance or table.tolerance), need.span.space

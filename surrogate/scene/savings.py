@@ -20,24 +20,12 @@ RUNS = 5  # of which the best counts: what interrupts a run only ever makes it l
 
 @dataclass(frozen=True)
 class Savings:
-    """The savings of the scene's table against the component's.
+    """The savings of the scene's table against the component's."""
 
-    Attributes
-    ----------
-    build_s : float or None
-        Processor time of building; None where there is no table yet.
-    memory_bytes : int or None
-        Of the packed table.
-    us_per_answer : float or None
-        Of one answer to a wrench of the scene; may be below zero.
-    origin : dict of str to str
-        Where each number comes from.
-    """
-
-    build_s: float | None
-    memory_bytes: int | None
-    us_per_answer: float | None
-    origin: dict[str, str]
+    build_s: float | None  # processor time of building; None where there is no table yet
+    memory_bytes: int | None  # of the packed table
+    us_per_answer: float | None  # of one answer to a wrench of the scene; may be below zero
+    origin: dict[str, str]  # where each number comes from
 
 
 def measured(table: Table, plan: ScenePlan) -> Savings:

@@ -60,27 +60,18 @@ AXES = tuple(
 
 @dataclass(frozen=True)
 class AxisRows:
-    """The distinct points of one axis, in scaled inputs.
-
-    Attributes
-    ----------
-    axis : Axis
-    points : ndarray, shape (n, 3), dimensionless
-        Inputs over the load range's half widths.
-    displacement : ndarray, shape (n, 6), m and rad
-        All six, off-axis part removed where the row is multi-axis; the mean of merged rows.
-    members : tuple of tuple of int
-        The indices, in the table's rows, of the rows behind each point.
-    single_axis : ndarray of bool, shape (n,)
-    tangent : ndarray, shape (n, 6, 3), m and rad
-        Derivative of the displacement by the scaled inputs; NaN where unknown or multi-axis.
-    """
+    """The distinct points of one axis, in scaled inputs."""
 
     axis: LoadAxis
-    points: Floats
+    points: Floats  # (n, 3), dimensionless: inputs over the load range's half widths
+    # (n, 6), m and rad: all six, off-axis part removed where the row is multi-axis; the mean of
+    # merged rows
     displacement: Floats
+    # the indices, in the table's rows, of the rows behind each point
     members: tuple[tuple[int, ...], ...]
-    single_axis: NDArray[np.bool_]
+    single_axis: NDArray[np.bool_]  # (n,)
+    # (n, 6, 3), m and rad: derivative of the displacement by the scaled inputs; NaN where unknown
+    # or multi-axis
     tangent: Floats
 
     def equals(self, other: AxisRows) -> bool:
@@ -111,10 +102,7 @@ def single_axis_wrenches(
 ) -> NDArray[np.bool_]:
     """Return, shape (n, 3), which wrenches (n, 6), N and N·m, load which axis alone.
 
-    Parameters
-    ----------
-    least
-        Of the range: smaller loads are none.
+    `least`: of the range: smaller loads are none.
     """
     loaded = np.abs(wrenches) > least * load_range.scale
     return ~(loaded @ _FOREIGN)

@@ -18,27 +18,16 @@ SAME_LINE = 1e-5  # a linear deck's gap to its compliance: fea/deck/solving.py r
 
 @dataclass(frozen=True)
 class ComplianceFit:
-    """A linear map from wrench to displacement.
+    """A linear map from wrench to displacement."""
 
-    Attributes
-    ----------
-    matrix : ndarray, shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m)
-        A column is zero where the rows do not determine the load's influence.
-    known : ndarray of bool, shape (6,)
-        Which loads' columns the rows determine.
-    error : ndarray, shape (6,), m and rad
-        95 % error bar of `matrix @ wrench` on the rows.
-    origin : str
-        "stored" (mean of the rows' compliances), "fitted" or "none".
-    offset : ndarray, shape (6,), m and rad, or () for none
-        The displacement where all inputs are 0: that of the component's weight, if a linear
-        solve stored it, and of a reference temperature that is not 0.
-    """
-
+    # (6, 6), m/N, m/(N·m), rad/N, rad/(N·m): a column is zero where the rows do not determine the
+    # load's influence
     matrix: Floats
-    known: NDArray[np.bool_]
-    error: Floats
-    origin: str
+    known: NDArray[np.bool_]  # (6,): which loads' columns the rows determine
+    error: Floats  # (6,), m and rad: 95 % error bar of `matrix @ wrench` on the rows
+    origin: str  # "stored" (mean of the rows' compliances), "fitted" or "none"
+    # (6,), m and rad, or () for none: the displacement where all inputs are 0: that of the
+    # component's weight, if a linear solve stored it, and of a reference temperature that is not 0
     offset: Floats = field(default_factory=lambda: np.zeros(()))
 
     @property

@@ -46,6 +46,8 @@ FOREIGN_PIECE = 20_000  # rows read at once
 
 KEY_DIGITS = 32  # of a row's content key, 16 bytes
 
+_ATTRIBUTES = ("schema_version", "component", "title", "fingerprint", "last_seq", "contract")
+_ATTRIBUTES += ("ledger", "linear", "off_axis")  # which files of 0.1 lack
 _UNITS = {
     "wrench": ", ".join(LOAD_UNITS),
     "displacement": ", ".join(OUTPUT_UNITS),
@@ -66,10 +68,7 @@ def write_table(
 
     `notes`, one text a row, are for an export; the store's files have none.
 
-    Raises
-    ------
-    OSError
-        If the folder cannot be written; the file that was there is untouched.
+    Raises OSError if the folder cannot be written; the file that was there is untouched.
     """
     target = Path(path)
     handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".tmp")
@@ -96,12 +95,8 @@ def write_table(
 def read_table(path: str | os.PathLike[str]) -> tuple[Rows, TableMeta]:
     """Read a table.
 
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    TableFileError
-        If it is damaged, foreign, or of a newer schema.
+    Raises FileNotFoundError if there is no such file; TableFileError if it is damaged, foreign, or
+    of a newer schema.
     """
     return _read(Path(path), lambda file: (_read_rows(file), _read_meta(file)))
 
@@ -136,15 +131,8 @@ def _unreadable(source: Path, why: str) -> TableFileError:
 
 def _write_meta(file: h5py.File, meta: TableMeta) -> None:
     file.attrs["format"] = FORMAT
-    file.attrs["schema_version"] = meta.schema_version
-    file.attrs["component"] = meta.component
-    file.attrs["title"] = meta.title
-    file.attrs["fingerprint"] = meta.fingerprint
-    file.attrs["last_seq"] = meta.last_seq
-    file.attrs["contract"] = meta.contract
-    file.attrs["ledger"] = meta.ledger
-    file.attrs["linear"] = meta.linear
-    file.attrs["off_axis"] = meta.off_axis
+    for name in _ATTRIBUTES:
+        file.attrs[name] = getattr(meta, name)
     names = meta.load_range.space.output_names
     file.attrs["locked"] = " ".join(names[load] for load in meta.locked)
     if not meta.load_range.space.is_default:
@@ -192,7 +180,8 @@ def _check_schema(file: h5py.File, source: Path) -> None:
             f"{source.name} is an HDF5 file, but not a wrenchbook table. To bring rows in from "
             "elsewhere, use `wrenchbook import`."
         )
-    version = int(_attribute(file, "schema_version"))
+    attributes: Any = file.attrs
+    version = int(attributes["schema_version"])
     if version > SCHEMA_VERSION:
         raise TableFileError(
             f"{source.name} has table schema {version}; this wrenchbook reads up to "
@@ -200,29 +189,26 @@ def _check_schema(file: h5py.File, source: Path) -> None:
         )
 
 
-def _attribute(file: h5py.File, name: str) -> Any:
-    return file.attrs[name]
-
-
 def _read_meta(file: h5py.File) -> TableMeta:
     low, high = (_numbers(file, f"load_range/{name}") for name in ("low", "high"))
     space, off_axis_values = _read_space(file), {word: word for word in get_args(OffAxis)}
-    tolerance: Any = file.attrs.get("tolerance")  # files of 0.1 say nothing of these three
+    attributes: Any = file.attrs
+    tolerance = attributes.get("tolerance")  # files of 0.1 say nothing of these three
     return TableMeta(
-        component=str(_attribute(file, "component")),
-        last_seq=int(_attribute(file, "last_seq")),
+        component=str(attributes["component"]),
+        last_seq=int(attributes["last_seq"]),
         load_range=LoadRange(low, high, space),
-        fingerprint=str(_attribute(file, "fingerprint")),
-        title=str(_attribute(file, "title")),
-        schema_version=int(_attribute(file, "schema_version")),
-        contract=str(_attribute(file, "contract")),
-        ledger=str(file.attrs.get("ledger", "")),
+        fingerprint=str(attributes["fingerprint"]),
+        title=str(attributes["title"]),
+        schema_version=int(attributes["schema_version"]),
+        contract=str(attributes["contract"]),
+        ledger=str(attributes.get("ledger", "")),
         tolerance=Tolerance(*map(float, tolerance)) if tolerance is not None else None,
-        linear=bool(file.attrs.get("linear", False)),
-        off_axis=off_axis_values[str(file.attrs.get("off_axis", "correct"))],
+        linear=bool(attributes.get("linear", False)),
+        off_axis=off_axis_values[str(attributes.get("off_axis", "correct"))],
         edits=_read_edits(file),
-        solver_error=json.loads(str(file.attrs.get("solver_error", "null"))),
-        locked=tuple(map(space.output_names.index, str(file.attrs.get("locked", "")).split())),
+        solver_error=json.loads(str(attributes.get("solver_error", "null"))),
+        locked=tuple(map(space.output_names.index, str(attributes.get("locked", "")).split())),
     )
 
 
@@ -274,11 +260,8 @@ def _read_rows(file: h5py.File, some: slice = _ALL) -> Rows:
 def foreign_tables(path: str | os.PathLike[str]) -> Iterator[tuple[Rows, list[str]]]:
     """Yield the rows of a table file that somebody else has sent, some at a time, with their notes.
 
-    Raises
-    ------
-    TableFileError
-        If it is damaged, foreign, of a newer schema, points to other files, or is larger when read
-        than `MAX_FOREIGN_BYTES`.
+    Raises TableFileError if it is damaged, foreign, of a newer schema, points to other files, or is
+    larger when read than `MAX_FOREIGN_BYTES`.
     """
     source = Path(path)
     try:
@@ -352,11 +335,8 @@ def foreign_columns(path: Path) -> Iterator[tuple[list[str], list[np.ndarray]]]:
     ``units`` joins the label. Packed values are unpacked as the CF conventions say (see
     `_unpacking`).
 
-    Raises
-    ------
-    TableFileError
-        If the file is damaged, points to other files, is larger when read than
-        `MAX_FOREIGN_BYTES`, or has no such columns of one length.
+    Raises TableFileError if the file is damaged, points to other files, is larger when read than
+    `MAX_FOREIGN_BYTES`, or has no such columns of one length.
     """
     if leads_out(path):
         raise TableFileError("points to data in other files; copy them into one file")
@@ -501,11 +481,8 @@ def _unpacking(dataset: h5py.Dataset, name: str, part: Any) -> Callable[[np.ndar
     or is beyond ``valid_range``, is missing (NaN); any other is times ``scale_factor`` plus
     ``add_offset``.
 
-    Raises
-    ------
-    TableFileError
-        If an attribute of these is no number, there are several of one, or integers are packed
-        and their valid range is no integers.
+    Raises TableFileError if an attribute of these is no number, there are several of one, or
+    integers are packed and their valid range is no integers.
     """
     stored_type = dataset.dtype[part] if isinstance(part, str) else dataset.dtype
     keys = [key for key in (*_PACKING, *_VALID, "_Unsigned") if key in dataset.attrs]
@@ -554,10 +531,7 @@ def leads_out(path: Path) -> bool:
 
     A mesh is such a file too; one of a stranger must not have this machine's files read.
 
-    Raises
-    ------
-    TableFileError
-        If not all of it can be looked through.
+    Raises TableFileError if not all of it can be looked through.
     """
     if not h5py.is_hdf5(path):
         return False

@@ -38,17 +38,11 @@ class Observations(NamedTuple):
     """Measured values of unknown uncertainty behind each row and output, shape (n, 6).
 
     Their scatter and the likelihood of a kriging show their noise.
-
-    Attributes
-    ----------
-    number : ndarray, dimensionless
-        How many there are; 0 where an uncertainty is stated, or a value is solved.
-    scatter : ndarray, squares of m and rad
-        Sum of their squared differences from their mean.
     """
 
+    # dimensionless: how many there are; 0 where an uncertainty is stated, or a value is solved
     number: Floats
-    scatter: Floats
+    scatter: Floats  # squares of m and rad: sum of their squared differences from their mean
 
     def take(self, which: NDArray[np.intp]) -> Observations:
         """Return those of some rows, whose indices have shape (k,)."""
@@ -56,29 +50,16 @@ class Observations(NamedTuple):
 
 
 class Merged(NamedTuple):
-    """Rows of distinct wrenches.
+    """Rows of distinct wrenches."""
 
-    Attributes
-    ----------
-    rows : Rows
-        Displacement, tangent and curvature are the mean of the merged rows, the uncertainty is
-        their largest or half the spread of their displacements; the number, the wrench and the
-        source are those of one of them.
-    members : tuple of tuple of int
-        The numbers (`seq`) of the rows behind each.
-    within : ndarray of bool, shape (n,)
-        Which lie within the load range.
-    owner : ndarray of int, shape (given rows,)
-        The index, in these rows, of each row that was given.
-    observations : Observations
-        Behind each of these rows.
-    """
-
+    # displacement, tangent and curvature are the mean of the merged rows, the uncertainty is their
+    # largest or half the spread of their displacements; the number, the wrench and the source are
+    # those of one of them
     rows: Rows
-    members: tuple[tuple[int, ...], ...]
-    within: NDArray[np.bool_]
-    owner: NDArray[np.intp]
-    observations: Observations
+    members: tuple[tuple[int, ...], ...]  # the numbers (`seq`) of the rows behind each
+    within: NDArray[np.bool_]  # (n,): which lie within the load range
+    owner: NDArray[np.intp]  # (given rows,): the index, in these rows, of each row that was given
+    observations: Observations  # behind each of these rows
 
     def usable(self) -> tuple[Rows, tuple[tuple[int, ...], ...], Observations]:
         """Return the rows within the load range, their members and observations."""
@@ -146,20 +127,11 @@ class RowIndex:
     Rows as near as that are one (`merging`): a rounding error beside a row is the row.
     Of several rows of one wrench the first counts.
 
-    Parameters
-    ----------
-    wrenches : ndarray, shape (n, 6), N and N·m
-    scale : ndarray, shape (6,), N and N·m
-        Of the load range.
-
-    Attributes
-    ----------
-    keys : ndarray, shape (m,)
-        Each distinct wrench along the direction, ascending, dimensionless.
-    order : ndarray of int, shape (m,)
-        Its row.
-    rates : ndarray, shape (6,), 1/N and 1/(N·m)
-        What a wrench's loads add to its key.
+    `wrenches` (n, 6), N and N·m.
+    `scale` (6,), N and N·m: of the load range.
+    `keys` (m,): each distinct wrench along the direction, ascending, dimensionless.
+    `order` (m,): its row.
+    `rates` (6,), 1/N and 1/(N·m): what a wrench's loads add to its key.
     """
 
     def __init__(self, wrenches: Floats, scale: Floats) -> None:

@@ -33,56 +33,32 @@ _HDF5_MARK = b"\x89HDF\r\n\x1a\n"
 
 @dataclass(frozen=True)
 class TableMeta:
-    """The metadata of a table file about its rows.
-
-    Attributes
-    ----------
-    component : str
-    last_seq : int
-        The ledger's number up to which rows are in the file.
-    load_range : LoadRange
-        N and N·m.
-    fingerprint : str
-        Of the component's present set-up; each row has its own.
-    title : str
-    schema_version : int
-    contract : str
-        Order, units, frame and sign in words.
-    tolerance : Tolerance or None, m and rad
-        The component's; with `linear` and `off_axis` what a surrogate is built with.
-    linear : bool
-        Whether the component is linear.
-    off_axis : {"correct", "ignore", "exclude"}
-        What becomes of multi-axis rows.
-    ledger : str
-        Digest of the ledger's rows up to `last_seq`: a file that another ledger wrote, or this
-        one before it lost rows, is recognised by it.
-    edits : tuple of (str, bool, float), or None
-        The newest withdrawal or restoring of each row that had one: the row's content key in
-        hexadecimal, whether it is withdrawn, when (seconds since the epoch). Withdrawn rows are
-        not among the file's rows, so nothing else shows a ledger that was put back from an older
-        copy. None if they were not known.
-    solver_error : mapping or None
-        What the solver of the rows may be wrong by, as `surrogate.solver_error` reads it; None if
-        no solve has estimated it.
-    locked : tuple of int
-        Indices in `LOADS` of the loads on locked freedoms: answers leave these loads out. The file
-        has the names of the freedoms; a file of an older version has none, and no load is locked.
-    """
+    """The metadata of a table file about its rows."""
 
     component: str
-    last_seq: int
-    load_range: LoadRange
-    fingerprint: str = ""
+    last_seq: int  # the ledger's number up to which rows are in the file
+    load_range: LoadRange  # N and N·m
+    fingerprint: str = ""  # of the component's present set-up; each row has its own
     title: str = ""
     schema_version: int = SCHEMA_VERSION
-    contract: str = CONTRACT
+    contract: str = CONTRACT  # order, units, frame and sign in words
+    # m and rad: the component's; with `linear` and `off_axis` what a surrogate is built with
     tolerance: Tolerance | None = None
-    linear: bool = False
-    off_axis: OffAxis = "correct"
+    linear: bool = False  # whether the component is linear
+    off_axis: OffAxis = "correct"  # what becomes of multi-axis rows
+    # digest of the ledger's rows up to `last_seq`: a file that another ledger wrote, or this one
+    # before it lost rows, is recognised by it
     ledger: str = ""
+    # the newest withdrawal or restoring of each row that had one: the row's content key in
+    # hexadecimal, whether it is withdrawn, when (seconds since the epoch). Withdrawn rows are not
+    # among the file's rows, so nothing else shows a ledger that was put back from an older copy.
+    # None if they were not known.
     edits: tuple[tuple[str, bool, float], ...] | None = None
+    # what the solver of the rows may be wrong by, as `surrogate.solver_error` reads it; None if no
+    # solve has estimated it
     solver_error: Mapping[str, Any] | None = None
+    # indices in `LOADS` of the loads on locked freedoms: answers leave these loads out. The file
+    # has the names of the freedoms; a file of an older version has none, and no load is locked.
     locked: tuple[int, ...] = ()
 
 

@@ -17,12 +17,8 @@ def terms_of(scaled: Floats, distinct_rows: int | None = None) -> Floats:
     The terms are 1 and each load; then, as long as there are `ROWS_A_TERM` rows for each term, the
     squares, the cubes and the products of two loads.
 
-    Parameters
-    ----------
-    scaled : ndarray, shape (n, 6)
-        Loads over the load range, dimensionless.
-    distinct_rows : int, optional
-        How many rows count, if some repeat others; n if None.
+    `scaled` (n, 6): loads over the load range, dimensionless.
+    `distinct_rows`: how many rows count, if some repeat others; n if None.
     """
     used = np.flatnonzero(np.abs(scaled).max(axis=0, initial=0.0) > ZERO_LOAD)
     loads, count = scaled[:, used], len(scaled) if distinct_rows is None else distinct_rows

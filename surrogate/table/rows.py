@@ -50,18 +50,10 @@ class RowError(ValueError):
 class LoadRange:
     """The loads a component is expected to see.
 
-    Attributes
-    ----------
-    low, high : ndarray, shape (n,), N and N·m
-        Smallest and largest value of each load.
-    space : Space
-
-    Raises
-    ------
-    RowError
-        If a bound is not finite or `low` exceeds `high`.
+    Raises RowError if a bound is not finite or `low` exceeds `high`.
     """
 
+    # low, high: (n,), N and N·m: smallest and largest value of each load
     low: Floats
     high: Floats
     space: Space = DEFAULT
@@ -116,10 +108,7 @@ def acting(wrenches: ArrayLike, locked: Sequence[int]) -> Floats:
 
     A guide carries these loads: no displacement depends on them.
 
-    Parameters
-    ----------
-    locked : sequence of int
-        Indices, in `LOADS`, of the loads on locked freedoms.
+    `locked`: indices, in `LOADS`, of the loads on locked freedoms.
     """
     if not len(locked):
         return np.asarray(wrenches, dtype=float)
@@ -137,16 +126,10 @@ def acting_wrench(wrench: Sequence[float], locked: Sequence[int]) -> Sequence[fl
 
 @dataclass(frozen=True)
 class Tolerance:
-    """The largest error bar an answer may have and still be `covered`.
+    """The largest error bar an answer may have and still be `covered`."""
 
-    Attributes
-    ----------
-    translation : float, m
-    rotation : float, rad
-    """
-
-    translation: float
-    rotation: float
+    translation: float  # m
+    rotation: float  # rad
 
     def __post_init__(self) -> None:
         if not (self.translation > 0 and self.rotation > 0):
@@ -157,42 +140,29 @@ class Tolerance:
 class Rows:
     """The rows of a table as columns.
 
-    Attributes
-    ----------
-    seq : ndarray of int64, shape (n,)
-        The ledger's number of each row, its id everywhere.
-    wrench : ndarray, shape (n, 6), N and N·m
-    displacement : ndarray, shape (n, 6), m and rad
-        NaN where an output was not measured; each row holds at least one.
-    compliance : ndarray, shape (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m)
-        Tangent d(displacement)/d(wrench) at the row; NaN where unknown.
-    curvature : ndarray, shape (n, p), or (n, 0) where no row brings one
-        Third derivatives of the complementary energy by the loads (F, mu), m or rad over two of
-        their units: those of `combinations_with_replacement(range(inputs), 3)` in this order,
-        `Space.curvatures` of them; NaN in rows without.
-    uncertainty : ndarray, shape (n, 6), m and rad
-        95 % half width of the row itself; NaN or 0 where unknown.
-    source, fingerprint : ndarray of str, shape (n,)
-    space : Space
-    session : ndarray, shape (n,)
-        When the rows came, s since the epoch: those of one import have the same; 0 where unknown.
-
-    Raises
-    ------
-    RowError
-        If the columns differ in length, a wrench is not finite, a displacement infinite or all
-        NaN, or a curvature partly known or infinite.
+    Raises RowError if the columns differ in length, a wrench is not finite, a displacement infinite
+    or all NaN, or a curvature partly known or infinite.
     """
 
-    seq: NDArray[np.int64]
-    wrench: Floats
+    seq: NDArray[np.int64]  # (n,): the ledger's number of each row, its id everywhere
+    wrench: Floats  # (n, 6), N and N·m
+    # (n, 6), m and rad: NaN where an output was not measured; each row holds at least one
     displacement: Floats
+    # (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m): tangent d(displacement)/d(wrench) at the row; NaN
+    # where unknown
     compliance: Floats
+    # (n, p), or (n, 0) where no row brings one: third derivatives of the complementary energy by
+    # the loads (F, mu), m or rad over two of their units: those of
+    # `combinations_with_replacement(range(inputs), 3)` in this order, `Space.curvatures` of them;
+    # NaN in rows without
     curvature: Floats
+    # (n, 6), m and rad: 95 % half width of the row itself; NaN or 0 where unknown
     uncertainty: Floats
-    source: NDArray[np.str_]
-    fingerprint: NDArray[np.str_]
+    source: NDArray[np.str_]  # (n,)
+    fingerprint: NDArray[np.str_]  # (n,)
     space: Space = DEFAULT
+    # (n,): when the rows came, s since the epoch: those of one import have the same; 0 where
+    # unknown
     session: Floats = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:

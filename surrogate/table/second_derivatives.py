@@ -23,20 +23,11 @@ _CROSS[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = -1.0
 
 
 class MomentMap(NamedTuple):
-    """J(r)^T M and its derivatives by r at fixed M.
+    """J(r)^T M and its derivatives by r at fixed M."""
 
-    Attributes
-    ----------
-    value : ndarray, shape (..., 3), N·m
-    by_rotation : ndarray, shape (..., 3, 3), N·m/rad
-        [i, a]: of component i by r_a.
-    second : ndarray, shape (..., 3, 3, 3), N·m/rad^2
-        [i, a, b]: of component i by r_a and r_b.
-    """
-
-    value: Floats
-    by_rotation: Floats
-    second: Floats
+    value: Floats  # (..., 3), N·m
+    by_rotation: Floats  # (..., 3, 3), N·m/rad: [i, a]: of component i by r_a
+    second: Floats  # (..., 3, 3, 3), N·m/rad^2: [i, a, b]: of component i by r_a and r_b
 
 
 def moment_map(rotation: Floats, moment: Floats) -> MomentMap:
@@ -71,21 +62,11 @@ def moment_map(rotation: Floats, moment: Floats) -> MomentMap:
 
 
 class LoadChange(NamedTuple):
-    """How q changes along the equilibria of n rows, SI: with y = (u, r), q(w, y).
+    """How q changes along the equilibria of n rows, SI: with y = (u, r), q(w, y)."""
 
-    Attributes
-    ----------
-    along : ndarray, shape (n, I, I)
-        [q, w]: dq/dw = B + S C, C = dy/dw.
-    by_motion : ndarray, shape (n, I, O)
-        S = dq/dy at fixed w = diag(0, d(J^T M)/dr).
-    bend : ndarray, shape (n, I, I, I)
-        [q, w, w]: the second derivatives by w, less S d2y/dw2.
-    """
-
-    along: Floats
-    by_motion: Floats
-    bend: Floats
+    along: Floats  # (n, I, I): [q, w]: dq/dw = B + S C, C = dy/dw
+    by_motion: Floats  # (n, I, O): S = dq/dy at fixed w = diag(0, d(J^T M)/dr)
+    bend: Floats  # (n, I, I, I): [q, w, w]: the second derivatives by w, less S d2y/dw2
 
 
 def load_change(
@@ -96,12 +77,8 @@ def load_change(
     B = dq/dw at fixed r = diag(1, J^T). Further inputs are entries of q as they are. A locked
     freedom, whose load moves nothing, takes no part: the solver leaves out what acts on it.
 
-    Parameters
-    ----------
-    wrench : ndarray, shape (n, I), SI
-    displacement : ndarray, shape (n, O), m and rad
-    compliance : ndarray, shape (n, O, I), SI
-        Tangents by (F, M) of the rows; the result is NaN where they are.
+    `wrench` is (n, I), SI, `displacement` (n, O), m and rad; `compliance`, (n, O, I), SI, has the
+    rows' tangents by (F, M), and the result is NaN where they are.
     """
     free, inputs = np.any(compliance != 0, axis=1), len(space.inputs)
     acting = np.where(free, wrench, 0.0)
@@ -135,10 +112,7 @@ def symmetric_tangents(
     The columns of the loads are symmetric if the row is a nonlinear solve. NaN where the tangent
     by (F, M) is NaN or has no such counterpart: where dq/dw is singular.
 
-    Parameters
-    ----------
-    wrench, displacement, compliance, space
-        As `load_change` takes them.
+    `wrench`, `displacement`, `compliance`, `space`: as `load_change` takes them.
     """
     change = load_change(wrench, displacement, compliance, space).along
     with np.errstate(invalid="ignore"):  # NaN stays NaN
@@ -155,12 +129,8 @@ def second_derivatives(
     change of q with w_v: d2y/dw2 = T[q_v, q_w] + C_q d2q/dw2, and d2q/dw2 = bend + S d2y/dw2. NaN
     where a row has no curvature.
 
-    Parameters
-    ----------
-    wrench, displacement, compliance, space
-        As `load_change` takes them.
-    curvature : ndarray, shape (n, p), SI
-        T[a, b, c] of each row, a <= b <= c, as `Rows.curvature`.
+    `wrench`, `displacement`, `compliance`, `space`: as `load_change` takes them.
+    `curvature` (n, p), SI: T[a, b, c] of each row, a <= b <= c, as `Rows.curvature`.
     """
     inputs, outputs = len(space.inputs), len(space.outputs)
     change = load_change(wrench, displacement, compliance, space)

@@ -42,26 +42,13 @@ class SpaceError(ValueError):
 
 @dataclass(frozen=True)
 class Input:
-    """One input of a table.
+    """One input of a table."""
 
-    Attributes
-    ----------
-    name : str
-        Unique in its space: ``fx``, ``left.fx``, ``temperature``.
-    unit : str
-        SI.
-    kind : {"force", "moment", "scalar"}
-    interface : str
-        Where a load acts; empty for scalars, and where there is one interface.
-    zero : float
-        Value without an effect, in its unit: of a temperature the reference.
-    """
-
-    name: str
-    unit: str
+    name: str  # unique in its space: ``fx``, ``left.fx``, ``temperature``
+    unit: str  # SI
     kind: InputKind
-    interface: str = ""
-    zero: float = 0.0
+    interface: str = ""  # where a load acts; empty for scalars, and where there is one interface
+    zero: float = 0.0  # value without an effect, in its unit: of a temperature the reference
 
 
 @dataclass(frozen=True)
@@ -75,17 +62,10 @@ class Output:
 
 @dataclass(frozen=True)
 class Space:
-    """The inputs and outputs of a table.
-
-    Attributes
-    ----------
-    inputs : tuple of Input
-    outputs : tuple of Output
-        Each interface has six, in the order of `OUTPUTS`.
-    """
+    """The inputs and outputs of a table."""
 
     inputs: tuple[Input, ...]
-    outputs: tuple[Output, ...]
+    outputs: tuple[Output, ...]  # each interface has six, in the order of `OUTPUTS`
 
     @property
     def is_default(self) -> bool:
@@ -158,17 +138,9 @@ class Space:
     ) -> tuple[float, ...]:
         """Return inputs in their order, shape (n,), SI; loads that are not given are zero.
 
-        Parameters
-        ----------
-        loads : mapping
-            Six numbers an interface by its name, N and N·m.
-        further : mapping
-            The inputs that are no loads by name, all of them.
-
-        Raises
-        ------
-        SpaceError
-            If a name is unknown, or a further input is missing.
+        `loads`: six numbers an interface by its name, N and N·m.
+        `further`: the inputs that are no loads by name, all of them.
+        Raises SpaceError if a name is unknown, or a further input is missing.
         """
         known = ", ".join(filter(None, self.interfaces))
         names = [scalar.name for scalar in self.scalars]
@@ -192,11 +164,8 @@ class Space:
     def by_name(self, inputs: Sequence[float]) -> dict[str, Any]:
         """Return inputs in their order, shape (n,), SI, as `vector` takes them.
 
-        Returns
-        -------
-        dict
-            ``loads``: ``{"force": three, "moment": three}`` by interface, these themselves where
-            there is one; ``inputs``: the further ones by name, where there are any.
+        The entry ``loads`` has ``{"force": three, "moment": three}`` by interface, these themselves
+        where there is one; ``inputs`` the further ones by name, where there are any.
         """
         loads = {
             name: {"force": inputs[k : k + 3], "moment": inputs[k + 3 : k + PER_INTERFACE]}
@@ -238,11 +207,7 @@ def _filled(entries: dict[str, Any]) -> dict[str, Any]:
 def space_of(interfaces: Sequence[str] = ("",), scalars: Sequence[Input] = ()) -> Space:
     """Return the space of interfaces and further inputs.
 
-    Parameters
-    ----------
-    interfaces : sequence of str
-        Their names, which stand before the names of their loads: ``left.fx``.
-    scalars : sequence of Input
+    `interfaces`: their names, which stand before the names of their loads: ``left.fx``.
     """
     inputs: list[Input] = []
     outputs: list[Output] = []

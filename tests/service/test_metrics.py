@@ -155,7 +155,7 @@ def test_no_more_than_a_bounded_number_of_components_becomes_labels(rig, monkeyp
 
 
 def test_kinds_of_failures_beyond_a_number_are_told_together(ledger, monkeypatch):
-    monkeypatch.setattr("wrenchbook.service.ledger.jobs.MAX_KINDS", 3)
+    monkeypatch.setattr("wrenchbook.service.ledger.job_statistics.MAX_KINDS", 3)
     for number in range(6):
         ledger.accept("a", "f", [float(number)] * 6)
         job = ledger.claim("me")

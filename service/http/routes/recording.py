@@ -188,10 +188,8 @@ async def _block(name: str, request: Request) -> tuple[Floats, tuple[str, int] |
     space = request.app.state.workspace.library.as_read(name).space
     binary, body = is_binary(request), await read_limited(request.receive, MAX_BLOCK_BYTES)
     if binary:
-        wrenches, key = (
-            read_wrenches(body, MAX_BLOCK, np.inf, space),
-            checked(BlockKey, dict(request.query_params)),
-        )
+        wrenches = read_wrenches(body, MAX_BLOCK, np.inf, space)
+        key: BlockKey = checked(BlockKey, dict(request.query_params))
     else:
 
         def read() -> tuple[Floats, BlockBody]:

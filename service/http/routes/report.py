@@ -26,14 +26,14 @@ _MEDIA_TYPES = {
 }
 
 POLL_S = 0.05  # between two polls of the file of a table
-_MAKING = answers(dict[str, Any], "being made", 202)
+_IN_PROGRESS = answers(dict[str, Any], "being made", 202)
 
 
 @router.post(
     "",
     status_code=202,
     summary="Make the report anew; it takes minutes of solving",
-    responses=answers(dict[str, Any], "the report is there") | _MAKING | refused(409),
+    responses=answers(dict[str, Any], "the report is there") | _IN_PROGRESS | refused(409),
 )
 def make_report(
     name: str,
@@ -72,7 +72,7 @@ def cancel_report(name: str, workspace: Opened) -> Response:
     responses=answers(
         dict[str, Any], "the latest report", content={"text/markdown": TEXT, "text/html": TEXT}
     )
-    | _MAKING,
+    | _IN_PROGRESS,
 )
 def get_report(
     name: str,
@@ -85,10 +85,10 @@ def get_report(
     path = workspace.reports.file(name, format)
     if path is not None:
         return Response(path.read_bytes(), 200, None, _MEDIA_TYPES[format])
-    making = workspace.reports.state(name)
-    if making.state == "running":
+    latest = workspace.reports.state(name)
+    if latest.state == "running":
         return _state(workspace, name)
-    why = f"Making it failed: {making.message}. " if making.state == "failed" else ""
+    why = f"The last attempt failed: {latest.message}. " if latest.state == "failed" else ""
     raise HttpProblemError(
         404,
         "no-report",
@@ -98,7 +98,7 @@ def get_report(
 
 
 def _state(workspace: Workspace, name: str) -> Response:
-    making = workspace.reports.state(name)
-    body = {"component": name, **asdict(making), "url": f"/v1/components/{name}/report"}
-    status = 202 if making.state == "running" else 200
+    latest = workspace.reports.state(name)
+    body = {"component": name, **asdict(latest), "url": f"/v1/components/{name}/report"}
+    status = 202 if latest.state == "running" else 200
     return json_reply(body, status)

@@ -10,10 +10,10 @@ from starlette.responses import Response
 
 from wrenchbook.service.formats.rig import MAX_RIG, NAME
 from wrenchbook.service.http.body import read_limited
+from wrenchbook.service.http.imports import profile_of
 from wrenchbook.service.http.openapi import BYTES, TEXT, refused
 from wrenchbook.service.http.problems import bad_body
 from wrenchbook.service.http.routes import Opened
-from wrenchbook.service.http.routes.table import profile_of
 from wrenchbook.service.library.rigs import profiles, remove_rig, rig_of, store_rig
 
 router = APIRouter(prefix="/v1/rigs", tags=["rigs"], responses=refused(404, 422))

@@ -14,6 +14,7 @@ from tests.until import until
 
 TESTS = Path(__file__).parents[1]
 SOURCES = TESTS.parents[1]
+PATH = f"{TESTS}:{SOURCES}:{SOURCES}/src"
 SETTINGS = {
     "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "10s",
     "DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL": "10s",
@@ -34,7 +35,7 @@ class Cluster:
         self.folder = folder
         self.port = free_port()
         self.address = f"tcp://127.0.0.1:{self.port}"
-        self.environment = dict(os.environ) | SETTINGS | {"PYTHONPATH": f"{TESTS}:{SOURCES}"}
+        self.environment = dict(os.environ) | SETTINGS | {"PYTHONPATH": PATH}
         if solver:
             self.environment["WRENCHBOOK_SOLVE"] = f"stand_in:{solver}"
         self.environment |= settings

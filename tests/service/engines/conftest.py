@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.service.engines.cluster import SOURCES, TESTS, Cluster
+from tests.service.engines.cluster import PATH, Cluster
 from tests.until import until
 from wrenchbook.service.files.lock import is_locked
 from wrenchbook.service.jobs.attempt import ALIVE, LOCK, Attempt, prepare, read_outcome
@@ -126,7 +126,7 @@ def cluster(tmp_path):
 def bench(request, tmp_path):
     if request.param == "local":
         environment = {"WRENCHBOOK_SOLVE": "stand_in:by_component"}
-        environment["PYTHONPATH"] = f"{TESTS}:{SOURCES}"
+        environment["PYTHONPATH"] = PATH
         bench = Bench(tmp_path, lambda: LocalEngine(2, environment=environment, grace=5.0))
     else:
         bench = dask_bench(tmp_path, request.getfixturevalue("shared_cluster"))

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from wrenchbook.service.jobs import dask
+from wrenchbook.service.jobs import dask_worker
 from wrenchbook.service.jobs.attempt import Attempt
-from wrenchbook.service.jobs.dask import (
+from wrenchbook.service.jobs.dask_files import (
     BUNDLE_BYTES,
     BadPayloadError,
     digest,
     pack,
-    place,
+    unpack,
     write_files,
 )
 
@@ -40,7 +40,7 @@ BUNDLE = pickle.dumps({"a": b"1"})
 
 def run(files=BUNDLE):
     sent = pickle.dumps(replace(SPEC, task="t-1-1", folder=Path("/server/jobs/1/1")))
-    return dask.run_task(sent, digest(BUNDLE), files)
+    return dask_worker.run_task(sent, digest(BUNDLE), files)
 
 
 def written(folder, files):
@@ -71,7 +71,7 @@ def test_files_have_one_digest_if_and_only_if_they_are_the_same(tmp_path, change
 
 def test_what_is_placed_is_what_was_packed(tmp_path):
     content = pack(written(tmp_path / "here", FILES), BUNDLE_BYTES)
-    place(content, digest(content), tmp_path)
+    unpack(content, digest(content), tmp_path)
     assert read(tmp_path / digest(content)) == FILES
 
 
@@ -84,7 +84,7 @@ def test_a_name_that_leads_out_of_its_folder_writes_nothing(tmp_path, name):
 
 def test_files_that_were_damaged_on_the_way_are_not_kept(tmp_path):
     with pytest.raises(BadPayloadError, match="not as"):
-        place(pickle.dumps({"a": b"torn"}), digest(pickle.dumps({"a": b"sent"})), tmp_path)
+        unpack(pickle.dumps({"a": b"torn"}), digest(pickle.dumps({"a": b"sent"})), tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -100,7 +100,7 @@ def test_a_worker_that_gets_a_damaged_bundle_says_so_and_keeps_none(on_a_worker)
 
 
 def test_a_worker_whose_disk_is_full_takes_no_order(on_a_worker, monkeypatch):
-    monkeypatch.setattr(dask, "FREE_BYTES", 1 << 62)
+    monkeypatch.setattr(dask_worker, "FREE_BYTES", 1 << 62)
     assert "MB left" in run()["unfit"]
 
 
@@ -116,11 +116,11 @@ def test_a_disk_that_fills_while_a_bundle_comes_is_told_and_nothing_is_left(
 
 
 def test_bundles_in_use_are_kept_when_old_ones_go(tmp_path, monkeypatch):
-    monkeypatch.setattr(dask, "BUNDLES", 1)
+    monkeypatch.setattr(dask_worker, "BUNDLES", 1)
     for number in range(3):
         content = pickle.dumps({"a": bytes([number])})
-        place(content, digest(content), tmp_path)
-        old = time.time() - (dask.BUNDLE_SECONDS + 100 - number if number < 2 else 0)
+        unpack(content, digest(content), tmp_path)
+        old = time.time() - (dask_worker.BUNDLE_SECONDS + 100 - number if number < 2 else 0)
         os.utime(tmp_path / digest(content), (old, old))
-    dask.drop_old_bundles(tmp_path)
+    dask_worker.drop_old_bundles(tmp_path)
     assert [read(path) for path in tmp_path.iterdir()] == [{"a": b"\x02"}]

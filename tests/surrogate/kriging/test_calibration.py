@@ -14,7 +14,7 @@ from wrenchbook.surrogate.kriging.calibration import (
     errors_of,
     factors_of,
     kinds_of,
-    most_together,
+    largest_secondary_loads,
     span_of,
 )
 from wrenchbook.surrogate.kriging.factor import KrigingFactor, LeftOutRows
@@ -101,9 +101,11 @@ def test_points_load_no_more_together_than_rows_do() -> None:
     scaling = _kriging("smooth", spread(12, 8)).scaling
     rows = np.zeros((100, 6))
     rows[:, 0] = 0.8
-    np.testing.assert_allclose(most_together(rows, scaling, DEFAULTS), 0, atol=2e-6)
+    np.testing.assert_allclose(largest_secondary_loads(rows, scaling, DEFAULTS), 0, atol=2e-6)
     rows[:, 1] = 0.2
-    np.testing.assert_allclose(most_together(rows, scaling, DEFAULTS)[0], 0.209, atol=1e-3)
+    np.testing.assert_allclose(
+        largest_secondary_loads(rows, scaling, DEFAULTS)[0], 0.209, atol=1e-3
+    )
 
 
 @pytest.mark.parametrize(("full", "kinds"), [(20, 2), (8, 1)])

@@ -1,0 +1,138 @@
+"""The part of the Dask engine that runs on a worker: it runs an attempt in a subprocess."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import shutil
+import threading
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import distributed
+from distributed import Worker
+
+from wrenchbook.service.files.program import solver_version
+from wrenchbook.service.jobs import attempt as attempts
+from wrenchbook.service.jobs.attempt import ALIVE, Attempt
+from wrenchbook.service.jobs.dask_files import BadPayloadError, artifacts, unpack
+from wrenchbook.service.jobs.solver_pool import LocalEngine
+
+TOPIC = "wrenchbook-progress"  # of the workers' progress events, on the scheduler
+FREE_BYTES = 64 * 1024 * 1024  # a disk with less has no room for a solver's files
+BUNDLES = 50  # components that a worker keeps on its disk
+BUNDLE_SECONDS = 3600.0  # a solver has read its bundle long before
+POLL_SECONDS = 0.1  # between a worker's polls of a running solver
+REPORT_SECONDS = 1.0  # between two progress events of an attempt
+REPEAT_SECONDS = 30.0  # before the same progress is sent again
+# A kill of a solver and then its worker, or of a machine, is not the job's fault: the death of a
+# solver counts if its worker outlives it so long.
+OUTLIVE_SECONDS = 1.0
+GRACE_SECONDS = 5.0  # between SIGTERM and SIGKILL of a solver
+
+_solvers: list[LocalEngine] = []  # of this process, one at most
+_solvers_lock = threading.Lock()
+
+
+def solvers(worker: Worker) -> LocalEngine:
+    """Return the engine of this worker's solvers, which live from one task to the next."""
+    with _solvers_lock:
+        if not _solvers:
+            threads = worker.state.nthreads
+            _solvers.append(LocalEngine(threads, grace=GRACE_SECONDS, outlived_by_solvers=False))
+        return _solvers[0]
+
+
+def probe(dask_worker: Worker) -> dict[str, Any]:
+    """Return version and trouble of this worker."""
+    solvers(dask_worker)
+    trouble = _no_room(dask_worker.local_directory)
+    return {"version": solver_version(), "trouble": trouble}
+
+
+def _no_room(folder: str) -> str | None:
+    """Return why the folder has no room for an attempt; None if it has."""
+    free = shutil.disk_usage(folder).free
+    if free < FREE_BYTES:
+        return f"{folder} is on a disk with {free >> 20} MB left; {FREE_BYTES >> 20} are needed"
+    return None
+
+
+def run_task(sent: bytes, name: str, files: bytes) -> dict[str, Any]:
+    """Run an attempt, a pickled `Attempt`, of a component with these files to its end.
+
+    In the result ``unfit`` is why the worker could not run it. Otherwise ``outcome`` is the content
+    of result.json, None if the solver died, ``files`` has the others by name, ``seconds`` is how
+    long the solver ran.
+    """
+    worker = distributed.get_worker()
+    attempt: Attempt = pickle.loads(sent)
+    result: dict[str, Any] = {"worker": worker.address, "unfit": _no_room(worker.local_directory)}
+    if result["unfit"]:
+        return result
+    folder = Path(worker.local_directory, "wrenchbook")
+    bundle = folder / "bundles" / name  # a worker keeps it under its digest
+    attempt.folder, attempt.bundle = folder / "attempts" / attempt.task, str(bundle)
+    try:
+        if not bundle.is_dir():
+            unpack(files, name, bundle.parent)
+            drop_old_bundles(bundle.parent)
+        os.utime(bundle)  # bundles in use are kept
+        attempts.prepare(attempt)
+        engine = solvers(worker)
+        engine.submit(attempt)
+        if not _supervise(worker, attempt, engine):
+            time.sleep(OUTLIVE_SECONDS)
+            result["unfit"] = _no_room(worker.local_directory)  # solvers die of a full disk
+        result["seconds"] = attempts.solver_seconds(attempt.folder) or 0.0
+        result["outcome"], result["files"] = artifacts(attempt)
+    except (OSError, BadPayloadError) as error:
+        result["unfit"] = str(error)
+    finally:
+        shutil.rmtree(attempt.folder, ignore_errors=True)
+    return result
+
+
+def _supervise(worker: Worker, attempt: Attempt, engine: LocalEngine) -> bool:
+    """Return once the attempt's solver has ended: whether it left an outcome.
+
+    Sends progress events: one a second at most, and only changes. Raises Reschedule if the worker
+    closes before.
+    """
+    changed, key = threading.Event(), worker.get_current_task()
+    stop_listening = engine.listen(lambda task: changed.set() if task == attempt.task else None)
+    last, due, repeat = None, 0.0, 0.0
+    try:
+        while (state := engine.poll(attempt)) in ALIVE:
+            now = time.monotonic()
+            if state == "running" and now >= due:
+                progress = attempts.read_progress(attempt.folder)
+                if progress != last or now >= repeat:
+                    last, due, repeat = progress, now + REPORT_SECONDS, now + REPEAT_SECONDS
+                    event = {
+                        "task": attempt.task,
+                        "worker": worker.address,
+                        "progress": asdict(progress) if progress else None,
+                        "seconds": attempts.solver_seconds(attempt.folder) or 0.0,
+                    }
+                    worker.log_event(TOPIC, event)
+            if worker.status in (distributed.Status.closing, distributed.Status.closed):
+                raise distributed.Reschedule  # its process ends with this thread
+            if (known := worker.state.tasks.get(key)) and known.state == "cancelled":
+                engine.cancel(attempt)
+            changed.wait(POLL_SECONDS)
+            changed.clear()
+    finally:
+        stop_listening()
+        engine.forget(attempt)
+    return state == "finished"
+
+
+def drop_old_bundles(bundles: Path) -> None:
+    """Remove bundles that are neither among the last used nor used within an hour."""
+    ages = {path: time.time() - path.stat().st_mtime for path in bundles.glob("[!.]*")}
+    for path in sorted(ages, key=lambda path: ages[path])[BUNDLES:]:
+        if ages[path] > BUNDLE_SECONDS:
+            shutil.rmtree(path, ignore_errors=True)
