@@ -98,11 +98,11 @@ class MujocoJoint(Joint):
         for name in self._tips:
             if model.body_parentid[_body(model, name)] != parent:
                 raise JointError(f"body {name!r} must be a child of body {base!r}; {_REMEDY}")
-        self._find()
         # The last body towards the base that no freedom moves: a mocap body, or the world.
         while model.body_dofnum[top := int(model.body_weldid[parent])]:
             parent = int(model.body_parentid[top])
         self._unmoved = parent
+        self._find()
 
     def step(self) -> None:  # type: ignore[override]
         """Advance the scene by one time step; call it in the place of ``mj_step``.
@@ -233,6 +233,7 @@ class MujocoJoint(Joint):
         ]
         self._turned = [(poses[k, 3:], axis, qpos[at : at + 1]) for k, axis, at in self._hinges]
         self._velocities, self._applied, self._mass = data.qvel, data.qfrc_applied, data.M
+        self._base_pose = data.xpos[self._unmoved], data.xquat[self._unmoved]
         for start in self._starts:
             _JOINTS.setdefault(data, WeakValueDictionary())[start] = self
 
@@ -316,7 +317,8 @@ class MujocoJoint(Joint):
     def _watch_base(self) -> None:
         """Warn once that the base has been put elsewhere by a body without velocity."""
         data, body = self._data, self._unmoved
-        pose = [data.time, *data.xpos[body].tolist(), *data.xquat[body].tolist()]
+        position, turned = self._base_pose
+        pose = data.time, position.tobytes(), turned.tobytes()  # faster than lists
         before, self._pose = self._pose, pose
         if before is None or pose[0] <= before[0] or pose[1:] == before[1:]:
             return
