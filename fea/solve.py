@@ -201,7 +201,7 @@ class Solver:
                 failure.kind,
                 f"The preload of {bolts} is more than the part carries: {reached} was reached. "
                 f"{failure.message}",
-                "Write a smaller force, or stiffen what the bolt clamps, and its seat.",
+                "Write a smaller force, or stiffen what the bolt clamps and its bearing surface.",
             ) from None
 
     @cached_property

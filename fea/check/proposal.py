@@ -263,8 +263,8 @@ def propose(
         Abaqus or CalculiX (.inp), Nastran (.bdf, .nas, .dat) or Ansys (.cdb), and what is to be
         made; it must not have a ``component.toml``.
     unit
-        The deck's length unit, a key of `fea.spec.mesh_source.UNITS`; None guesses mm, in or m by the
-        elastic constants and densities.
+        The deck's length unit, a key of `fea.spec.mesh_source.UNITS`; None guesses mm, in or m by
+        the elastic constants and densities.
     case
         The step, load case or subcase whose supports and loads are taken over; None takes the last.
 

@@ -110,10 +110,13 @@ class Joint:
         self._symbols = np.array([name + load for name in names for load in SYMBOLS])
         self._name = table.name
         self._further = further_inputs(table, inputs or {})
-        self._warned = self._uncovered = False
+        self._warned_beyond = self._warned_uncovered = False
         self._remedy = "Check masses, units and steps (all with the joint), or widen the range"
         self._begin(None)
-        # A table without stiffness is refused; where in its range no joint can invert it, it warns.
+        self._require_stiffness()
+
+    def _require_stiffness(self) -> None:
+        """Refuse a table without stiffness; warn where in its range no joint can invert it."""
         packed, at, free, method = self._table.packed, self._at, self.free, self._method
         sample = packed.sample(self._inputs(np.zeros(self._size)), at[free])
         answers = packed.batch(sample, None, method)
@@ -173,9 +176,9 @@ class Joint:
 
         In the undeformed interface frame, its moment about the interface point where it is now.
         """
-        return self._of_step()
+        return self._last_wrench()
 
-    def _of_step(self) -> Vector:
+    def _last_wrench(self) -> Vector:
         """Return the wrench of the last step."""
         return np.array(self._reply["wrench"])
 
@@ -215,16 +218,16 @@ class Joint:
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Be a copy with arrays of its own."""
         self.__dict__.update(state)
-        self._use(copy.copy(self._steps), self._place)
+        self._use(copy.copy(self._steps), self._entry)
 
     def _use(self, steps: JointSteps, at: int) -> None:
         """Point this joint at its entry `at` of the kernel's arrays."""
-        self._place, self._steps = at, steps
+        self._entry, self._steps = at, steps
         self._reply, self._memory = steps.replies[at], steps.memory[at]
         self._history = steps.history[at]
         names, replies = ("status", "ranges", "coverage"), steps.replies[at : at + 1]
         self._status, self._ranges, self._coverage = (replies[name].reshape(-1) for name in names)
-        self._still, self._stiffness = self._reply["still"], self._reply["stiffness"]
+        self._static_wrench, self._stiffness = self._reply["still"], self._reply["stiffness"]
 
     @property
     def coverage(self) -> str | dict[str, str | None]:
@@ -303,7 +306,7 @@ class Joint:
         steps.poses[0, ..., :3], steps.poses[0, ..., 3:] = p, np.squeeze(turned)
         steps.velocities[0], steps.inverse_masses[0] = velocity, inverse_mass
         steps.step(dt, self.damping)
-        self._heed()
+        self._check_status()
         return self.wrench
 
     def state(self, translation: ArrayLike, rotation: ArrayLike) -> tuple[Vector, Vector]:
@@ -327,31 +330,31 @@ class Joint:
         JointRangeError
             See `step`.
         """
-        mine, place, steps = self._steps, self._place, self.new_steps(1, None)
+        last_step, steps = (self._steps, self._entry), self.new_steps(1, None)
         turned = [quaternion(vector) for vector in np.reshape(rotation, (-1, 3))]
         steps.poses[0, ..., :3], steps.poses[0, ..., 3:] = translation, np.squeeze(turned)
         steps.memory[0] = self._memory
         steps.state()
         self._memory[:] = steps.memory[0]
-        try:  # the last step's replies stay
+        try:
             self._use(steps, 0)
-            self._heed()
-            return self._still.copy(), self._stiffness.copy()
+            self._check_status()
+            return self._static_wrench.copy(), self._stiffness.copy()
         finally:
-            self._use(mine, place)
+            self._use(*last_step)
 
-    def _heed(self) -> None:
+    def _check_status(self) -> None:
         """Raise and warn as the kernel's reply says."""
         ranges = self._ranges[0]
         if self._status[0] or ranges > 1.0:
             self._refuse(int(self._status[0]), float(ranges))
         elif self._coverage[0] > 0 or (self._several and self._coverage.max() > 0):
-            self._warn_uncovered(self._still)
+            self._warn_uncovered(self._static_wrench)
 
     def _warn_uncovered(self, wrench: Vector) -> None:
         """Warn once that the table does not cover a wrench."""
-        if not self._uncovered:
-            self._uncovered, packed = True, self._table.packed
+        if not self._warned_uncovered:
+            self._warned_uncovered, packed = True, self._table.packed
             answer = packed.answer(self._inputs(wrench).tolist(), None, self._method)
             warn(
                 f"{self._name}: the wrench of a step is {answer.coverage} by the method "
@@ -365,7 +368,7 @@ class Joint:
         if status == INDEFINITE:
             least, loads = self._weakest(self._stiffness[None])
             if least[0] < 0.0:
-                raise JointError(self._indefinite(np.ravel(self._still), loads[0]))
+                raise JointError(self._indefinite(np.ravel(self._static_wrench), loads[0]))
         elif status == NO_MASS:
             raise InvalidArgument(
                 "the inverse effective mass of the joint is not symmetric and positive definite: a "
@@ -391,8 +394,8 @@ class Joint:
 
     def _warn_beyond(self) -> None:
         """Warn once that a pose is beyond the range."""
-        if not self._warned:
-            self._warned = True
+        if not self._warned_beyond:
+            self._warned_beyond = True
             warn(
                 f"{self._name}: the pose is beyond the load range or 20 degrees; the wrench "
                 f"goes on linearly from there, up to {MAX_RANGES:g} times the range",
