@@ -20,6 +20,7 @@ from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.surface import Surface
 from wrenchbook.fea.mesh.tie import TiedNodes, joined
 from wrenchbook.fea.spec.material import AnyMaterial
+from wrenchbook.fea.spec.mesh_source import Generator, GeometryFile, MeshFile, MeshSource
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem, point_text
 from wrenchbook.fea.spec.schema import (
     ACCELERATIONS,
@@ -27,12 +28,8 @@ from wrenchbook.fea.spec.schema import (
     TEMPERATURE,
     Analysis,
     Bundle,
-    Generator,
-    GeometryFile,
     Interface,
     Joint,
-    MeshFile,
-    MeshSource,
     ScalarInput,
     Supports,
 )

@@ -118,7 +118,7 @@ MEASURES = (
     Measure("scaled_jacobian", scaled_jacobian, 0.1, False, "nearly flat at a corner"),
     Measure("jacobian_ratio", jacobian_ratio, 0.1, False, "strongly distorted"),
     Measure("aspect_ratio", aspect_ratio, 50.0, True, "long and thin"),
-    Measure("edge_curvature", edge_curvature, 0.25, True, "bent too far along an edge"),
+    Measure("edge_curvature", edge_curvature, 0.25, True, "curved too far along an edge"),
 )
 
 
@@ -291,7 +291,7 @@ def set_up_warnings(component: ComponentModel) -> list[BundleProblem]:
         if (strain := bolt.bolt.force / bolt.area / stiffest) > _STRAINED:
             message = (
                 f"is a strain of {strain:.2g} or more in the shank, which no bolt carries; write a "
-                "smaller force, or mend a unit: force in N, lengths by the mesh's unit"
+                "smaller force, or correct a unit: force in N, lengths by the mesh's unit"
             )
             problems.append(BundleProblem(f"{bolt.key}.force", message))
         if strength is not None and bolt.bolt.force > strength * bolt.area:

@@ -22,7 +22,7 @@ from wrenchbook.fea.deck.solving import solve_deck
 from wrenchbook.fea.element.cell_stiffness import CellStiffness
 from wrenchbook.fea.element.pressure_projection import pressure_notes
 from wrenchbook.fea.export.failure_record import keep
-from wrenchbook.fea.failure import SolveFailed, rotation_too_large, yields
+from wrenchbook.fea.failure import SolveFailed, rotation_too_large
 from wrenchbook.fea.inspection import warnings_of
 from wrenchbook.fea.mesh.mesh import CellBlock
 from wrenchbook.fea.mesh.reference_cell import reference_element
@@ -201,7 +201,7 @@ class Solver:
                 failure.kind,
                 f"The preload of {bolts} is more than the part carries: {reached} was reached. "
                 f"{failure.message}",
-                "Write a smaller force, or stiffen what the bolt clamps, and its seat.",
+                "Write a smaller force, or stiffen what the bolt clamps and its bearing surface.",
             ) from None
 
     @cached_property
@@ -350,7 +350,7 @@ class Solver:
         if not (by_loads and np.abs(acting) @ self._most_used <= 1.0):
             exceeded = yielding(self.component, self.body, solution)
             if exceeded and analysis.on_yield == "fail":
-                raise yields(exceeded)
+                raise SolveFailed("yields", exceeded)
             solution = (
                 replace(solution, notes=(*solution.notes, exceeded)) if exceeded else solution
             )

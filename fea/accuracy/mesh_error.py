@@ -52,7 +52,7 @@ changes in proportion."""
 class Roundness(NamedTuple):
     """Effect of bending the edges."""
 
-    # Shape (6 i, k): the compliance with straight edges, less that with bent ones, in its units
+    # Shape (6 i, k): the compliance with straight edges, less that with curved ones, in its units
     change: Array
     angle: float  # the largest between facets that were taken for a round surface, rad
 
@@ -62,7 +62,7 @@ def roundness(solver: Solver) -> Roundness | None:
 
     It costs a linear solve. Of mesh files alone: other meshes are made on their geometry.
 
-    Raises SolveFailed if the bent cells cannot be solved however little they are bent.
+    Raises SolveFailed if the curved cells cannot be solved however small the bow is.
     """
     component = solver.component
     source = component.bundle and component.bundle.mesh

@@ -9,7 +9,7 @@ import numpy as np
 
 from wrenchbook.fea.assembly.body import ElasticBody, Tangent
 from wrenchbook.fea.coupling import CoupledState, Coupling
-from wrenchbook.fea.failure import mechanism
+from wrenchbook.fea.failure import SolveFailed
 
 Array = np.ndarray
 
@@ -248,7 +248,9 @@ class Linearisation:
         try:
             scaled = np.linalg.solve(self.schur * scale[:, None] * scale, scale[:, None] * loads)
         except np.linalg.LinAlgError:
-            raise mechanism("The interface can move without any resistance.") from None
+            raise SolveFailed(
+                "mechanism", "The interface can move without any resistance."
+            ) from None
         return scale[:, None] * scaled
 
     @cached_property

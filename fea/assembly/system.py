@@ -10,7 +10,7 @@ import numpy as np
 from wrenchbook.fea.assembly.body import ElasticBody, Tangent
 from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
 from wrenchbook.fea.coupling import CoupledState, Coupling
-from wrenchbook.fea.failure import SolveFailed, ill_conditioned, mechanism
+from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.spec.problems import point_text
 
 Array = np.ndarray
@@ -228,8 +228,9 @@ def unheld(subject: str, energy: float) -> SolveFailed:
     energy: relative strain energy of that motion.
     """
     if energy < MECHANISM:
-        return mechanism(f"{subject} can move without any resistance.")
-    return ill_conditioned(
+        return SolveFailed("mechanism", f"{subject} can move without any resistance.")
+    return SolveFailed(
+        "ill_conditioned",
         f"{subject} can move so easily that what resists is lost in roundoff: {energy:.0e} of the "
-        "stiffness around it."
+        "stiffness around it.",
     )

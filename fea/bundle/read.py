@@ -23,6 +23,7 @@ from wrenchbook.fea.spec.deck_text import deck_text
 from wrenchbook.fea.spec.fingerprint import fingerprint
 from wrenchbook.fea.spec.keys import keys_of, kind_of, missing, shown, unknown, validated
 from wrenchbook.fea.spec.material import EXPANDING, AnyMaterial
+from wrenchbook.fea.spec.mesh_source import Generator, MeshFile, MeshSource
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem, MeshFileError, suggest
 from wrenchbook.fea.spec.schema import (
     ACCELERATIONS,
@@ -33,11 +34,8 @@ from wrenchbook.fea.spec.schema import (
     Bundle,
     Deck,
     DeclaredRange,
-    Generator,
     Interface,
     MeasuredInterface,
-    MeshFile,
-    MeshSource,
     NamedInterface,
     ScalarInput,
 )

@@ -11,18 +11,16 @@ from pydantic import Field
 from wrenchbook.fea.mesh.generators import GENERATORS, Bar, Plate, Spring
 from wrenchbook.fea.spec.keys import Name, Text, key, table, union
 from wrenchbook.fea.spec.material import AnyMaterial, Material, Orthotropic
+from wrenchbook.fea.spec.mesh_source import GEOMETRY_ENDINGS, GeometryFile, MeshFile
 from wrenchbook.fea.spec.schema import (
-    GEOMETRY_ENDINGS,
     Analysis,
     Bolt,
     Deck,
     DeclaredTolerance,
-    GeometryFile,
     Inputs,
     Interface,
     Joint,
     MeasuredInterface,
-    MeshFile,
     NamedInterface,
     Range,
     Supports,

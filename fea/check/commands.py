@@ -25,8 +25,8 @@ from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.surface import Surface
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.vibration import Riding
+from wrenchbook.fea.spec.mesh_source import UNITS
 from wrenchbook.fea.spec.problems import BundleError
-from wrenchbook.fea.spec.schema import UNITS
 
 _SHOWN = 5  # frequencies that `condense` prints; the file has all
 

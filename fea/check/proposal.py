@@ -31,8 +31,9 @@ from wrenchbook.fea.mesh.io.raw import Translated
 from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.spec.deck_text import DeckText, deck_text
+from wrenchbook.fea.spec.mesh_source import UNITS
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem, MeshFileError
-from wrenchbook.fea.spec.schema import FREEDOMS, UNITS, Tie
+from wrenchbook.fea.spec.schema import FREEDOMS, Tie
 
 _TRANSLATORS: dict[str, Callable[[DeckText], Translated]] = {
     ".cdb": read_ansys,
@@ -262,8 +263,8 @@ def propose(
         Abaqus or CalculiX (.inp), Nastran (.bdf, .nas, .dat) or Ansys (.cdb), and what is to be
         made; it must not have a ``component.toml``.
     unit
-        The deck's length unit, a key of `fea.spec.schema.UNITS`; None guesses mm, in or m by the
-        elastic constants and densities.
+        The deck's length unit, a key of `fea.spec.mesh_source.UNITS`; None guesses mm, in or m by
+        the elastic constants and densities.
     case
         The step, load case or subcase whose supports and loads are taken over; None takes the last.
 

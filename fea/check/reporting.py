@@ -45,8 +45,9 @@ from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.surface import Surface
 from wrenchbook.fea.solver.vibration import Riding
 from wrenchbook.fea.spec.keys import keys_of, kind_of, validated
+from wrenchbook.fea.spec.mesh_source import GEOMETRY_ENDINGS
 from wrenchbook.fea.spec.problems import BundleProblem
-from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS, GEOMETRY_ENDINGS
+from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS
 
 _MAX_SECONDS = 5.0
 """Of a linear solve, to estimate the solver's error too: that takes up to three more."""

@@ -18,8 +18,9 @@ import numpy as np
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.readers import DeckReader, DeckRun, OutputError, Reading, reader_named
 from wrenchbook.fea.solution import Progress
+from wrenchbook.fea.spec.mesh_source import UNITS
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
-from wrenchbook.fea.spec.schema import UNITS, Deck
+from wrenchbook.fea.spec.schema import Deck
 
 Array = np.ndarray
 

@@ -20,7 +20,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from wrenchbook.fea.element.cell_stiffness import CellStiffness
-from wrenchbook.fea.failure import locking_material
+from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.mesh import CellBlock
 from wrenchbook.fea.mesh.reference_cell import reference_element
 
@@ -78,7 +78,7 @@ def require_no_locking(block: CellBlock, poisson: Array) -> None:
     """
     message = locking(block, poisson)
     if message:
-        raise locking_material(message)
+        raise SolveFailed("locking_material", message)
 
 
 def projects(block: CellBlock, poisson: Array) -> Array:

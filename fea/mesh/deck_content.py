@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wrenchbook.fea.spec.schema import UNITS, Tie
+from wrenchbook.fea.spec.mesh_source import UNITS
+from wrenchbook.fea.spec.schema import Tie
 
 Array = np.ndarray
 
@@ -32,7 +33,7 @@ def in_si(quantity: str, unit: str) -> float:
     """Return the factor from a deck's consistent units to SI.
 
     quantity: a key of ``[[material]]``, ``length``, ``force`` or ``moment``; others have no unit.
-    unit: the deck's length unit, a key of `fea.spec.schema.UNITS`.
+    unit: the deck's length unit, a key of `fea.spec.mesh_source.UNITS`.
     """
     length, force = UNITS[unit], _FORCES.get(unit, 1.0)
     stress = force / length**2

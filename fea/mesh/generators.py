@@ -16,7 +16,7 @@ import numpy as np
 
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.spec.keys import Integer, Positive, key, table
-from wrenchbook.fea.spec.schema import Generator
+from wrenchbook.fea.spec.mesh_source import Generator
 
 Array = np.ndarray
 

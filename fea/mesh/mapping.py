@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wrenchbook.fea.failure import inverted_elements
+from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetGroup, Mesh
 from wrenchbook.fea.mesh.reference_cell import node_coordinates, reference_element, tabulate
 from wrenchbook.fea.spec.problems import BundleProblem, point_text
@@ -119,9 +119,10 @@ def cell_gradients(points: Array, block: CellBlock, integration: str) -> Gradien
     bad = folded_cells(points, block)
     if bad.size:
         listed = ", ".join(str(cell) for cell in bad[:5])
-        raise inverted_elements(
+        raise SolveFailed(
+            "inverted_elements",
             f"{bad.size} of {len(block)} {block.kind} cells are turned inside out or flat "
-            f"(cell numbers {listed}{', ...' if bad.size > 5 else ''})."
+            f"(cell numbers {listed}{', ...' if bad.size > 5 else ''}).",
         )
     inverse = np.linalg.inv(jacobian)
     slopes = inverse.transpose(0, 1, 3, 2) @ element.slopes.transpose(0, 2, 1)

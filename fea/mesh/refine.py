@@ -17,8 +17,9 @@ from wrenchbook.fea.mesh.element_order import SECOND
 from wrenchbook.fea.mesh.facets import FaceFinder
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.mesh.reference_cell import node_coordinates, tabulate
+from wrenchbook.fea.spec.mesh_source import Generator, GeometryFile
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
-from wrenchbook.fea.spec.schema import Bundle, Generator, GeometryFile
+from wrenchbook.fea.spec.schema import Bundle
 
 Array = np.ndarray
 

@@ -26,8 +26,8 @@ from wrenchbook.fea.mesh.facets import (
     outer_surface,
 )
 from wrenchbook.fea.mesh.mesh import FacetBlock, FacetGroup, Mesh
+from wrenchbook.fea.spec.mesh_source import FaceSelector
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem, point_text
-from wrenchbook.fea.spec.schema import FaceSelector
 
 Array = np.ndarray
 Point = tuple[float, float, float]

@@ -234,33 +234,33 @@ def _overlaps(
         at = np.einsum("cq,sci->sqi", np.array([1 - _RULE[0].sum(axis=0), *_RULE[0]]), cuts)
         weights = np.abs(np.linalg.det(cuts[:, 1:] - cuts[:, :1]))[:, None] * _RULE[1]
         there = points[first.nodes[of]], points[second.nodes[to]]
-        here, found = _located(first.kind, there[0] @ flat, at)
-        across, found_too = _located(second.kind, there[1] @ flat, at)
+        here, located = _located(first.kind, there[0] @ flat, at)
+        across, located_too = _located(second.kind, there[1] @ flat, at)
         far = np.linalg.norm(here @ there[0] - across @ there[1], axis=2)
-        met = found & found_too & (far.max(axis=1) <= distance)
+        met = located & located_too & (far.max(axis=1) <= distance)
         yield of[met], to[met], weights[met], here[met], across[met], far[met]
 
 
 def _located(kind: str, nodes: Array, at: Array) -> tuple[Array, Array]:
     """Return the shape functions (s, q, k) of flat facets (s, k, 2) at points (s, q, 2).
 
-    By Newton's method; also whether each facet has its points, (s,), bool.
+    By Newton's method; also whether it converges at all points of each facet, (s,), bool.
     """
     local = np.broadcast_to(node_coordinates(kind).mean(axis=0), at.shape).copy()
     size = np.ptp(nodes, axis=1).max(axis=1)[:, None]
-    values, found = np.empty(0), np.zeros((1, 1), dtype=bool)
+    values, converged = np.empty(0), np.zeros((1, 1), dtype=bool)
     for _ in range(_STEPS):
         values, slopes = tabulate(kind, local.reshape(-1, 2))
         values = values.reshape(*at.shape[:2], -1)
         off = at - values @ nodes
-        found = np.linalg.norm(off, axis=2) <= _EXACT * size
-        if found.all():
+        converged = np.linalg.norm(off, axis=2) <= _EXACT * size
+        if converged.all():
             break
         columns = np.einsum("ski,sqkj->jsqi", nodes, slopes.reshape(*values.shape, 2))
         area = _cross(*columns)
         step = np.stack([_cross(off, columns[1]), _cross(columns[0], off)], axis=-1)
         local += np.clip(step / np.where(area == 0, 1.0, area)[..., None], -1.0, 1.0)
-    return values, np.asarray(found.all(axis=1))
+    return values, np.asarray(converged.all(axis=1))
 
 
 def _intersections(*pairs: Array) -> tuple[Array, Array]:

@@ -128,27 +128,33 @@ def surface_of(mesh: Mesh, max_vertices: int = MAX_VERTICES) -> Surface:
     nodes, flat = np.unique(triangles, return_inverse=True)
     triangles, count = flat.reshape(-1, 3), len(nodes)
     if count > max_vertices:
-        # Merge the vertices in each box of a grid into the first of them: vertex clustering
-        # (Rossignac and Borrel 1993), of the finest grid that leaves so many.
-        points = mesh.points[nodes]
-        span = np.ptp(points, axis=0).max()
-        few, many = 1, int(np.sqrt(max_vertices)) * 8  # boxes along the longest side
-        while few + 1 < many:
-            middle = (few + many) // 2
-            boxes = np.unique(_boxes(points, span / middle), axis=0)
-            few, many = (middle, many) if len(boxes) <= max_vertices else (few, middle)
-        _, first, box = np.unique(
-            _boxes(points, span / few), axis=0, return_index=True, return_inverse=True
-        )
-        merged = box.ravel()[triangles]
-        corners = np.sort(merged, axis=1)
-        collapsed = (corners[:, 0] == corners[:, 1]) | (corners[:, 1] == corners[:, 2])
-        _, once = np.unique(corners, axis=0, return_index=True)
-        chosen = np.intersect1d(once, np.flatnonzero(~collapsed))
-        used, renumbered = np.unique(merged[chosen], return_inverse=True)
-        chosen, triangles = first[used], renumbered.reshape(-1, 3)
-        nodes = nodes[chosen]
+        vertices, triangles = _clustered(mesh.points[nodes], triangles, max_vertices)
+        nodes = nodes[vertices]
     return Surface(nodes, triangles.astype(np.int32), count)
+
+
+def _clustered(points: Array, triangles: Array, max_vertices: int) -> tuple[Array, Array]:
+    """Return the points that stay, (v,), and the triangles between these, (t, 3).
+
+    Vertex clustering (Rossignac and Borrel 1993): the points in each box of a grid are merged into
+    the first of them, by the finest grid that leaves at most `max_vertices`.
+    """
+    span = np.ptp(points, axis=0).max()
+    few, many = 1, int(np.sqrt(max_vertices)) * 8  # boxes along the longest side
+    while few + 1 < many:
+        middle = (few + many) // 2
+        boxes = np.unique(_boxes(points, span / middle), axis=0)
+        few, many = (middle, many) if len(boxes) <= max_vertices else (few, middle)
+    _, first, box = np.unique(
+        _boxes(points, span / few), axis=0, return_index=True, return_inverse=True
+    )
+    merged = box.ravel()[triangles]
+    corners = np.sort(merged, axis=1)
+    collapsed = (corners[:, 0] == corners[:, 1]) | (corners[:, 1] == corners[:, 2])
+    _, distinct = np.unique(corners, axis=0, return_index=True)
+    remaining = np.intersect1d(distinct, np.flatnonzero(~collapsed))
+    used, renumbered = np.unique(merged[remaining], return_inverse=True)
+    return first[used], renumbered.reshape(-1, 3)
 
 
 def _boxes(points: Array, size: float) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 
 from wrenchbook.fea.assembly.linearisation import Linearisation, contract
 from wrenchbook.fea.assembly.system import ROUNDOFF, System
-from wrenchbook.fea.failure import ill_conditioned
+from wrenchbook.fea.failure import SolveFailed
 
 Array = np.ndarray
 
@@ -60,10 +60,11 @@ def linear_response(system: System) -> LinearResponse:
     asymmetry = float(np.abs((compliance - compliance.T) * unit).max())
     energy_gap = float(np.abs((compliance - energies[:loads, :loads]) * unit).max())
     if not max(asymmetry, energy_gap, condition * ROUNDOFF * correction) < _ROUNDOFF:
-        raise ill_conditioned(
+        raise SolveFailed(
+            "ill_conditioned",
             f"Roundoff limits this solve: the compliance is symmetric only to {asymmetry:.1e} and "
             f"equal to its strain energies only to {energy_gap:.1e}. The last correction was "
-            f"{correction:.1e}, the scaled condition number is about {condition:.0e}."
+            f"{correction:.1e}, the scaled condition number is about {condition:.0e}.",
         )
     compliance = 0.5 * (compliance + compliance.T)
     inputs = system.inputs

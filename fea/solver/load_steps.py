@@ -9,14 +9,7 @@ import numpy as np
 from wrenchbook.fea.assembly.linearisation import Balance, Linearisation, contract
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.coupling.coupling import CoupledState, each_interface
-from wrenchbook.fea.failure import (
-    SolveFailed,
-    gave_way,
-    ill_conditioned,
-    inverted_elements,
-    not_converged,
-    snap_through,
-)
+from wrenchbook.fea.failure import SolveFailed, gave_way
 from wrenchbook.fea.solution import Iteration, Progress
 from wrenchbook.fea.solver.arc_length import ArcPath
 from wrenchbook.fea.solver.newton import (
@@ -176,15 +169,17 @@ class LoadPath:
             )
         except Stuck as stuck:
             if stuck.at_roundoff:
-                raise ill_conditioned(f"At load factor {target:.3g} {stuck}.") from None
-            self._halve(str(stuck), self._stuck)
+                raise SolveFailed(
+                    "ill_conditioned", f"At load factor {target:.3g} {stuck}."
+                ) from None
+            self._halve(str(stuck))
             return None
         if equilibrium.balance.least_stretch <= 0:
-            self._halve("cells are turned inside out", inverted_elements)
+            self._halve("cells are turned inside out", "inverted_elements")
         elif not equilibrium.tangent.stable:
-            self._halve("the equilibrium found is unstable", snap_through)
+            self._halve("the equilibrium found is unstable", "snap_through")
         elif not self._explained(equilibrium, target):
-            self._halve("the part moves on faster than its stiffness explains", snap_through)
+            self._halve("the part moves on faster than its stiffness explains", "snap_through")
         else:
             self._accept(equilibrium, target)
             return equilibrium
@@ -211,17 +206,19 @@ class LoadPath:
         if equilibrium.iterations <= _FEW_ITERATIONS:
             self._step *= GROWTH
 
-    def _halve(self, reason: str, failure: Callable[[str], SolveFailed]) -> None:
-        """Take a step back; give up with `failure` when it was as small as can be."""
-        self._step = 0.5 * min(self._step, 1.0 - self._factor)
-        if self._step < _MIN_STEP:
-            raise _Refused(failure(f"Beyond load factor {self._factor:.3g} {reason}."))
+    def _halve(self, reason: str, kind: str | None = None) -> None:
+        """Take a step back; give up if it was as small as can be.
 
-    def _stuck(self, message: str) -> SolveFailed:
-        if self._softened > _SOFTENED:
-            times = f"{self._softened:.1f} times as soft as unloaded"
-            return snap_through(f"{message} There the part is {times}.")
-        return not_converged(message)
+        kind: of the failure then; None decides between a part that softens and a bad convergence.
+        """
+        self._step = 0.5 * min(self._step, 1.0 - self._factor)
+        if self._step >= _MIN_STEP:
+            return
+        message = f"Beyond load factor {self._factor:.3g} {reason}."
+        if kind is None and self._softened > _SOFTENED:
+            kind = "snap_through"
+            message += f" There the part is {self._softened:.1f} times as soft as unloaded."
+        raise _Refused(SolveFailed(kind or "not_converged", message))
 
     @property
     def _softened(self) -> float:

@@ -17,16 +17,13 @@ import numpy as np
 
 from wrenchbook.fea.spec.deck_text import deck_text
 from wrenchbook.fea.spec.material import AnyMaterial, Orthotropic
+from wrenchbook.fea.spec.mesh_source import BodySelector, FaceSelector, MeshFile, MeshSource
 from wrenchbook.fea.spec.schema import (
     ACCELERATIONS,
     TEMPERATURE,
     Analysis,
-    BodySelector,
     Deck,
-    FaceSelector,
     Interface,
-    MeshFile,
-    MeshSource,
     Supports,
 )
 

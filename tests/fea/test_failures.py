@@ -12,7 +12,7 @@ import pytest
 from tests.fea.boxes import box
 from tests.fea.components import component
 from wrenchbook.fea.export.failure_record import HISTORY, LAST_STATE, write_state
-from wrenchbook.fea.failure import SolveFailed, not_converged
+from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.solve import Solver, solve
 
@@ -130,7 +130,7 @@ def test_loads_beyond_all_reason_fail_by_name():
 
 
 def test_a_failure_travels_between_processes():
-    failure = not_converged("It stopped.")
+    failure = SolveFailed("not_converged", "It stopped.")
     failure.history = ((1.0, 1, 2.0),)
     copy = pickle.loads(pickle.dumps(failure))
     assert (copy.kind, copy.message, copy.remedy) == (

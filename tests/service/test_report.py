@@ -9,7 +9,7 @@ import pytest
 
 from tests.until import until
 from wrenchbook.fea.bundle.read import read_bundle
-from wrenchbook.fea.failure import mechanism
+from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solve import Solver
 from wrenchbook.service.library.library import SHIPPED
 from wrenchbook.service.report.layout import (
@@ -99,7 +99,7 @@ def test_a_report_says_which_solves_failed_and_why(bar, monkeypatch):
     class Coarse(Solver):
         def solve(self, wrench):
             if self.unknowns < own:
-                raise mechanism("The interface can move without any resistance.")
+                raise SolveFailed("mechanism", "The interface can move without any resistance.")
             return super().solve(wrench)
 
     own = Solver(bar).unknowns

@@ -22,8 +22,8 @@ import numpy as np
 from wrenchbook.fea.mesh.cad.entities import METRES, Solid, bodies_of, faces_of
 from wrenchbook.fea.mesh.facets import near_message
 from wrenchbook.fea.mesh.generators import too_many
+from wrenchbook.fea.spec.mesh_source import BodySelector, GeometryMeshing
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
-from wrenchbook.fea.spec.schema import BodySelector, GeometryMeshing
 
 Array = np.ndarray
 

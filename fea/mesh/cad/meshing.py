@@ -22,8 +22,8 @@ from wrenchbook.fea.mesh.io.raw import RawMesh, to_mesh
 from wrenchbook.fea.mesh.mapping import cell_problems
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.surface import Surface
+from wrenchbook.fea.spec.mesh_source import GeometryMeshing
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
-from wrenchbook.fea.spec.schema import GeometryMeshing
 
 Array = np.ndarray
 

@@ -37,7 +37,7 @@ from wrenchbook.fea.mesh.io.abaqus import (
     set_names,
 )
 from wrenchbook.fea.mesh.io.raw import RawMesh
-from wrenchbook.fea.mesh.io.reader import Coupling, Reader, Step
+from wrenchbook.fea.mesh.io.reader import Coupling, Motion, Motions, Reader, Step
 from wrenchbook.fea.mesh.io.springs import NODES, join_springs, take_elements
 from wrenchbook.fea.spec.problems import MeshFileError
 from wrenchbook.fea.spec.schema import Tie
@@ -127,11 +127,11 @@ def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
     reader.sets = {frozenset(labels): key for key, labels in reversed(deck.node_sets.items())}
     couplings = _couplings(reader, deck)
     steps = [step for step in reader.steps if step.name] or reader.steps
-    held: dict[int, tuple[list[HeldGroup], list[set[int]]]] = {}  # steps share their motions
+    held: dict[Motions, tuple[list[HeldGroup], list[set[int]]]] = {}
     for step in reversed(steps):  # from the last: its groups get the plain names
-        if id(step.motions) not in held:
-            held[id(step.motions)] = _supports(reader, deck, step, len(couplings))
-        supports, freedoms = held[id(step.motions)]
+        if step.motions not in held:
+            held[step.motions] = _supports(reader, deck, step.motions, len(couplings))
+        supports, freedoms = held[step.motions]
         coupled = [
             replace(coupling, held=set(ways), loads=[0.0] * 6)
             for coupling, ways in zip(couplings, freedoms, strict=True)
@@ -301,7 +301,7 @@ def _take_boundary(reader: Reader, deck: Deck, keyword: Keyword) -> None:
             if held and float(value or 0.0):
                 reader.lack(keyword, "moves nodes by what is not 0; they are fixed where they are")
         key, labels = _target(deck, target, keyword.frame)
-        step.motions.append((keyword.where, key, labels, held))
+        step.motions.rows.append(Motion(keyword.where, key, labels, held))
 
 
 def _target(deck: Deck, name: str, frame: Frame) -> tuple[str, list[int]]:
@@ -406,7 +406,7 @@ def _equate(reader: Reader, keyword: Keyword, terms: list[tuple[int, str, float]
         raise ValueError("factors that are no numbers, or zero")
     rows, axis = reader.equations.setdefault(node, {}), int(freedom) - 1
     alone = {other for _, other, _ in terms} == {freedom} and axis not in rows
-    rows[axis if alone else -1] = keyword, weights
+    rows[axis if alone else None] = keyword, weights
 
 
 def _following(reader: Reader, deck: Deck) -> list[tuple[int, int, float]]:
@@ -501,41 +501,55 @@ _TAKERS: dict[str, Callable[[Reader, Deck, Keyword], None]] = {
 
 
 def _supports(
-    reader: Reader, deck: Deck, step: Step, count: int
+    reader: Reader, deck: Deck, motions: Motions, count: int
 ) -> tuple[list[HeldGroup], list[set[int]]]:
-    """Return the groups that a step holds, by their keys, and the freedoms of each coupling."""
-    of_couplings: list[set[int]] = [set() for _ in range(count)]
+    """Return the groups that `motions` hold, by their keys, and the freedoms of each coupling."""
+    freedoms_of_couplings = _held_freedoms_of_couplings(reader, motions, count)
     by_set: dict[tuple[str, tuple[float, ...]], tuple[str, set[int]]] = {}
     by_node: dict[int, tuple[str, set[int]]] = {}
-    askew = reader.points.keys() & reader.turned.keys()
-    every = {n: set().union(*(row[3] for row in step.motions if n in row[2])) for n in askew}
-    for where, key, labels, freedoms in step.motions:
+    for where, key, labels, freedoms in motions.rows:
+        plain = [label for label in labels if label not in reader.points]
+        axes = list({reader.turned.get(label, _GLOBAL) for label in plain})
+        if key and len(axes) == 1:
+            by_set.setdefault((key, axes[0]), (where, set()))[1].update(freedoms)
+        elif not key or len(axes) > 1:
+            for label in plain:
+                by_node.setdefault(label, (where, set()))[1].update(freedoms)
+    groups = [
+        HeldGroup(where, key, _directions(freedoms), axes)
+        for (key, axes), (where, freedoms) in by_set.items()
+    ]
+    # Single nodes that are held alike are one group.
+    nodes: dict[tuple[str, tuple[float, ...]], list[int]] = defaultdict(list)
+    for label, (_, freedoms) in by_node.items():
+        directions = _directions(freedoms)
+        axes = _GLOBAL if directions == "xyz" else reader.turned.get(label, _GLOBAL)
+        nodes[directions, axes].append(label)
+    for (directions, axes), labels in nodes.items():
+        key = _set_of(reader, deck, labels, f"nodes_held_in_{directions}")
+        groups.append(HeldGroup(by_node[labels[0]][0], key, directions, axes))
+    return [group for group in groups if group.directions], freedoms_of_couplings
+
+
+def _held_freedoms_of_couplings(reader: Reader, motions: Motions, count: int) -> list[set[int]]:
+    """Return the freedoms 0 to 5 that are held of each of `count` couplings' points."""
+    held: list[set[int]] = [set() for _ in range(count)]
+    turned = reader.points.keys() & reader.turned.keys()
+    of_turned = {
+        label: set().union(*(row.freedoms for row in motions.rows if label in row.labels))
+        for label in turned
+    }
+    for where, _, labels, freedoms in motions.rows:
         for label in reader.points.keys() & labels:
-            (number, first), held = reader.points[label], every.get(label, set())
-            ways = {i for i in freedoms if sum(i // 3 == j // 3 for j in held) in (0, 3)}
-            if ways != freedoms:  # `locked` would hold them along other axes
+            (number, first), together = reader.points[label], of_turned.get(label, set())
+            # Along turned axes translations, and rotations, are taken over by three only: `locked`
+            # would hold one or two of them along other axes.
+            usable = {i for i in freedoms if sum(i // 3 == j // 3 for j in together) in (0, 3)}
+            if usable != freedoms:
                 message = "holds a coupled node along turned axes: write axes and locked for it"
                 reader.content.missing[where] = message
-            of_couplings[number] |= {first + i for i in ways if first + i < 6}
-        plain = [label for label in labels if label not in reader.points]
-        turned = list({reader.turned.get(label, _GLOBAL) for label in plain})
-        if key and len(turned) == 1:
-            by_set.setdefault((key, turned[0]), (where, set()))[1].update(freedoms)
-        for label in plain if not key or turned[1:] else ():
-            by_node.setdefault(label, (where, set()))[1].update(freedoms)
-    together: dict[tuple[str, tuple[float, ...]], list[int]] = defaultdict(list)
-    for label, (_, freedoms) in by_node.items():
-        ways = _directions(freedoms)
-        axes = _GLOBAL if ways == "xyz" else reader.turned.get(label, _GLOBAL)
-        together[ways, axes].append(label)
-    held = [
-        HeldGroup(where, key, _directions(freedoms_held), axes)
-        for (key, axes), (where, freedoms_held) in by_set.items()
-    ]
-    for (ways, axes), labels in together.items():
-        key = _set_of(reader, deck, labels, f"nodes_held_in_{ways}")
-        held.append(HeldGroup(by_node[labels[0]][0], key, ways, axes))
-    return [freedoms_held for freedoms_held in held if freedoms_held.directions], of_couplings
+            held[number] |= {first + i for i in usable if first + i < 6}
+    return held
 
 
 def _directions(freedoms: set[int]) -> str:

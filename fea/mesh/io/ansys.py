@@ -185,9 +185,8 @@ def _take_constant(archive: _Archive, word: str, fields: list[str]) -> None:
         if word == "MP" or int(fields[4]) == 1:  # else a table's later rows
             constants[_CONSTANTS[label]] = value
         first = constants.get(_CONSTANTS[label], "")
-        archive.skipped[f"{label} at further temperatures"] += any(
-            each != first for each in (value, *more) if each
-        )
+        if any(each != first for each in (value, *more) if each):
+            archive.skipped[f"{label} at further temperatures"] += 1
     elif label == "EY":
         archive.skipped["orthotropic constants"] += 1
 
@@ -207,16 +206,15 @@ def _take_on_nodes(archive: _Archive, word: str, fields: list[str]) -> None:
     elif not nodes:
         raise ValueError(f"{node} names nodes that the file does not list; write their numbers")
     labels = [label or "ALL", *filter(None, values[4:] if word == "D" else ())]
-    archive.skipped[f"{word} of {', '.join(labels)}"] += any(
-        each not in _FREEDOMS for each in labels
-    )
+    if not _FREEDOMS.keys() >= {*labels}:
+        archive.skipped[f"{word} of {', '.join(labels)}"] += 1
     ways = "".join(_FREEDOMS.get(each, "") for each in labels)
     for target in ((each, way) for each in nodes for way in ways):
         acting.pop(target, None)
         if not removes:
             acting[target] = float(values[0] or 0)
-    moves = word == "D" and ways and float(values[0] or 0) != 0.0
-    archive.skipped["D with a motion that is not 0"] += bool(moves)
+    if word == "D" and ways and float(values[0] or 0) != 0.0:
+        archive.skipped["D with a motion that is not 0"] += 1
 
 
 def _clear(archive: _Archive, fields: list[str], _: Iterator[str]) -> None:

@@ -15,8 +15,8 @@ from meshio import _mesh
 from wrenchbook.fea.mesh.io.abaqus_content import read_deck
 from wrenchbook.fea.mesh.io.raw import Block, RawMesh, to_mesh
 from wrenchbook.fea.mesh.mesh import Mesh
+from wrenchbook.fea.spec.mesh_source import UNITS
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem, MeshFileError
-from wrenchbook.fea.spec.schema import UNITS
 
 Array = np.ndarray
 
@@ -56,7 +56,7 @@ def read_mesh(path: Path, unit: str) -> Mesh:
     Groups of surface cells become facet groups, groups of lines and points node groups.
 
     path: the file; its ending says what it is.
-    unit: its length unit, a key of `fea.spec.schema.UNITS`.
+    unit: its length unit, a key of `fea.spec.mesh_source.UNITS`.
     Raises BundleError if it cannot be read, has no solid cells, or some that the solver does not
     know.
     """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from wrenchbook.fea.mesh.deck_content import Constant, DeckContent
 from wrenchbook.fea.mesh.io.abaqus import Keyword
@@ -22,19 +23,34 @@ class Coupling:
     radius: float = math.inf
 
 
+class Motion(NamedTuple):
+    """A row of *BOUNDARY."""
+
+    where: str
+    key: str  # of a node set; empty for a single node
+    labels: list[int]
+    freedoms: set[int]  # held, in numbers from 0
+
+
+@dataclass(eq=False)
+class Motions:
+    """The rows of *BOUNDARY in effect; steps that change none share the same object."""
+
+    rows: list[Motion] = field(default_factory=list)
+
+
 @dataclass
 class Step:
     """Supports and forces at the end of a step; freedoms are numbers from 0.
 
     `name` is empty of what is no case, as of a step with load cases. `kind` is "general",
-    "perturbation" or "load case". `motions` are (where, key of a set or empty, labels, freedoms
-    held), `forces` the key and the load by label and freedom. `begun` has the words of the step's
-    keywords and the keys of its forces.
+    "perturbation" or "load case". `forces` are the key and the load by label and freedom. `begun`
+    has the words of the step's keywords and the keys of its forces.
     """
 
     name: str = ""
     kind: str = "general"
-    motions: list[tuple[str, str, list[int], set[int]]] = field(default_factory=list)
+    motions: Motions = field(default_factory=Motions)
     forces: dict[tuple[int, int], tuple[str, float]] = field(default_factory=dict)
     nonlinear: bool = False
     begun: set[str | tuple[int, int]] = field(default_factory=set)
@@ -47,7 +63,7 @@ class Step:
             if keyword.word == "CLOAD":
                 self.forces = {} if new else dict(self.forces)
             else:
-                self.motions = [] if new else list(self.motions)
+                self.motions = Motions([] if new else list(self.motions.rows))
 
 
 @dataclass
@@ -69,8 +85,11 @@ class Reader:
     spring_sections: list[Keyword] = field(default_factory=list)
     # Where, keys of both surfaces, and distance
     ties: list[tuple[str, str, str, float | None]] = field(default_factory=list)
-    # By node and freedom from 0, what the node follows by an equation: weights by label
-    equations: dict[int, dict[int, tuple[Keyword, dict[int, float]]]] = field(default_factory=dict)
+    # By node and freedom from 0 (None: of several freedoms, or a second one of a freedom), what the
+    # node follows by an equation: weights by label
+    equations: dict[int, dict[int | None, tuple[Keyword, dict[int, float]]]] = field(
+        default_factory=dict
+    )
     steps: list[Step] = field(default_factory=lambda: [Step()])
     sets: dict[frozenset[int], str] = field(default_factory=dict)
     points: dict[int, tuple[int, int]] = field(default_factory=dict)

@@ -39,9 +39,9 @@ def join_springs(reader: Reader, deck: Deck, step: Step, case: LoadCase) -> None
     """Add springs that join the same couplings as one; the reader notes those that cannot be."""
     remaining, joined = dict(reader.springs), dict[tuple[int, ...], tuple[Keyword, Array]]()
     held = {node: set[int]() for _, nodes in remaining.values() for node in nodes}
-    for *_, labels, freedoms in step.motions if held else ():
-        for node in held.keys() & labels:
-            held[node] |= freedoms
+    for motion in step.motions.rows if held else ():
+        for node in held.keys() & motion.labels:
+            held[node] |= motion.freedoms
     for keyword in reader.spring_sections:
         try:
             name = keyword.options.get("ELSET", "")

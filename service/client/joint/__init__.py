@@ -1,8 +1,9 @@
 """The joint: a part that bends as a force element between two rigid bodies that move."""
 
 from ..errors import JointError, JointRangeError, JointWarning
-from .joint import Joint, LinearPart
+from .joint import Joint
 from .joints import Joints
+from .linear_part import LinearPart
 from .report import JointReport
 
 __all__ = [

@@ -14,10 +14,9 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
 from numbers import Real
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,8 +30,8 @@ from wrenchbook.surrogate.kernel.joint import (
     shape_of,
 )
 
-from ...contract import COVERAGE, LOADS, OUTPUTS
-from ..errors import Document, InvalidArgument, JointError, JointRangeError, JointWarning, warn
+from ...contract import COVERAGE
+from ..errors import InvalidArgument, JointError, JointRangeError, JointWarning, warn
 from ..rotation import sinc
 from ..wrenches import Vector
 from .report import JointReport, report_of
@@ -111,10 +110,13 @@ class Joint:
         self._symbols = np.array([name + load for name in names for load in SYMBOLS])
         self._name = table.name
         self._further = further_inputs(table, inputs or {})
-        self._warned = self._uncovered = False
+        self._warned_beyond = self._warned_uncovered = False
         self._remedy = "Check masses, units and steps (all with the joint), or widen the range"
         self._begin(None)
-        # A table without stiffness is refused; where in its range no joint can invert it, it warns.
+        self._require_stiffness()
+
+    def _require_stiffness(self) -> None:
+        """Refuse a table without stiffness; warn where in its range no joint can invert it."""
         packed, at, free, method = self._table.packed, self._at, self.free, self._method
         sample = packed.sample(self._inputs(np.zeros(self._size)), at[free])
         answers = packed.batch(sample, None, method)
@@ -174,9 +176,9 @@ class Joint:
 
         In the undeformed interface frame, its moment about the interface point where it is now.
         """
-        return self._of_step()
+        return self._last_wrench()
 
-    def _of_step(self) -> Vector:
+    def _last_wrench(self) -> Vector:
         """Return the wrench of the last step."""
         return np.array(self._reply["wrench"])
 
@@ -216,16 +218,16 @@ class Joint:
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Be a copy with arrays of its own."""
         self.__dict__.update(state)
-        self._use(copy.copy(self._steps), self._place)
+        self._use(copy.copy(self._steps), self._entry)
 
     def _use(self, steps: JointSteps, at: int) -> None:
         """Point this joint at its entry `at` of the kernel's arrays."""
-        self._place, self._steps = at, steps
+        self._entry, self._steps = at, steps
         self._reply, self._memory = steps.replies[at], steps.memory[at]
         self._history = steps.history[at]
         names, replies = ("status", "ranges", "coverage"), steps.replies[at : at + 1]
         self._status, self._ranges, self._coverage = (replies[name].reshape(-1) for name in names)
-        self._still, self._stiffness = self._reply["still"], self._reply["stiffness"]
+        self._static_wrench, self._stiffness = self._reply["still"], self._reply["stiffness"]
 
     @property
     def coverage(self) -> str | dict[str, str | None]:
@@ -304,7 +306,7 @@ class Joint:
         steps.poses[0, ..., :3], steps.poses[0, ..., 3:] = p, np.squeeze(turned)
         steps.velocities[0], steps.inverse_masses[0] = velocity, inverse_mass
         steps.step(dt, self.damping)
-        self._heed()
+        self._check_status()
         return self.wrench
 
     def state(self, translation: ArrayLike, rotation: ArrayLike) -> tuple[Vector, Vector]:
@@ -328,31 +330,31 @@ class Joint:
         JointRangeError
             See `step`.
         """
-        mine, place, steps = self._steps, self._place, self.new_steps(1, None)
+        last_step, steps = (self._steps, self._entry), self.new_steps(1, None)
         turned = [quaternion(vector) for vector in np.reshape(rotation, (-1, 3))]
         steps.poses[0, ..., :3], steps.poses[0, ..., 3:] = translation, np.squeeze(turned)
         steps.memory[0] = self._memory
         steps.state()
         self._memory[:] = steps.memory[0]
-        try:  # the last step's replies stay
+        try:
             self._use(steps, 0)
-            self._heed()
-            return self._still.copy(), self._stiffness.copy()
+            self._check_status()
+            return self._static_wrench.copy(), self._stiffness.copy()
         finally:
-            self._use(mine, place)
+            self._use(*last_step)
 
-    def _heed(self) -> None:
+    def _check_status(self) -> None:
         """Raise and warn as the kernel's reply says."""
         ranges = self._ranges[0]
         if self._status[0] or ranges > 1.0:
             self._refuse(int(self._status[0]), float(ranges))
         elif self._coverage[0] > 0 or (self._several and self._coverage.max() > 0):
-            self._warn_uncovered(self._still)
+            self._warn_uncovered(self._static_wrench)
 
     def _warn_uncovered(self, wrench: Vector) -> None:
         """Warn once that the table does not cover a wrench."""
-        if not self._uncovered:
-            self._uncovered, packed = True, self._table.packed
+        if not self._warned_uncovered:
+            self._warned_uncovered, packed = True, self._table.packed
             answer = packed.answer(self._inputs(wrench).tolist(), None, self._method)
             warn(
                 f"{self._name}: the wrench of a step is {answer.coverage} by the method "
@@ -366,7 +368,7 @@ class Joint:
         if status == INDEFINITE:
             least, loads = self._weakest(self._stiffness[None])
             if least[0] < 0.0:
-                raise JointError(self._indefinite(np.ravel(self._still), loads[0]))
+                raise JointError(self._indefinite(np.ravel(self._static_wrench), loads[0]))
         elif status == NO_MASS:
             raise InvalidArgument(
                 "the inverse effective mass of the joint is not symmetric and positive definite: a "
@@ -392,8 +394,8 @@ class Joint:
 
     def _warn_beyond(self) -> None:
         """Warn once that a pose is beyond the range."""
-        if not self._warned:
-            self._warned = True
+        if not self._warned_beyond:
+            self._warned_beyond = True
             warn(
                 f"{self._name}: the pose is beyond the load range or 20 degrees; the wrench "
                 f"goes on linearly from there, up to {MAX_RANGES:g} times the range",
@@ -412,132 +414,6 @@ class Joint:
         loads = np.concatenate([np.zeros(packed.inputs - len(self._further)), self._further])
         loads[self._at] = np.ravel(wrench)
         return loads
-
-
-@dataclass(frozen=True)
-class LinearPart:
-    """A part's stiffness about one wrench, for simulators that have springs but no table.
-
-    Attributes
-    ----------
-    component : str
-    table_version : int
-    freedoms : tuple of str
-        The n freedoms that the part does not lock, of ``ux`` to ``rz``.
-    stiffness : list of lists
-        Shape (n, n), N/m to N·m/rad, symmetric: what the wrench on the interface changes by the
-        displacement of the interface, in the undeformed interface frame.
-    wrench, displacement : list of float
-        Shape (n,): the load about which the part is linear, N and N·m, and its displacement, m and
-        rad.
-    largest_error, rms_error : list of float
-        Shape (n,), m and rad: the difference from the table, over its load range.
-    largest_displacement : list of float
-        Shape (n,), m and rad: the table's, for the same wrenches.
-    covered : float
-        The share of these wrenches that the table covers; the others compare with estimates.
-    """
-
-    component: str
-    table_version: int
-    freedoms: tuple[str, ...]
-    stiffness: list[list[float]]
-    wrench: list[float]
-    displacement: list[float]
-    largest_error: list[float]
-    rms_error: list[float]
-    largest_displacement: list[float]
-    covered: float
-
-    @classmethod
-    def of(
-        cls,
-        table: Table,
-        wrench: ArrayLike | None = None,
-        inputs: Mapping[str, float] | None = None,
-    ) -> Self:
-        """Return a table's part, linear about a wrench, shape (6,), N and N·m; about none if None.
-
-        `inputs` are those of the table that are no loads, by name, as `Joint` takes them.
-
-        Raises
-        ------
-        InvalidArgument
-            If the part moves at several interfaces or at none; if the wrench is not 6 finite
-            numbers; if a further input is unknown, missing or beyond its range; if the table's
-            derivative there is not known or not that of springs.
-        """
-        at, free, _ = moving(table, None, several=False)
-        packed, indices = table.packed, at[free]
-        load = np.zeros(FREEDOMS) if wrench is None else np.asarray(wrench, dtype=float)
-        if load.shape != (FREEDOMS,) or not np.isfinite(load).all():
-            raise InvalidArgument("a wrench has 6 finite numbers: force, N, and moment, N·m")
-        further = further_inputs(table, inputs or {})
-        centre = np.concatenate([np.zeros(packed.inputs - len(further)), further])
-        centre[at] = load
-        slope = packed.derivative(centre.tolist())[np.ix_(indices, indices)]
-        compliance = 0.5 * (slope + slope.T)
-        if not np.isfinite(compliance).all() or np.linalg.eigvalsh(compliance).min() <= 0.0:
-            raise InvalidArgument(
-                f"{table.name} has no stiffness at this load: its derivative is unknown or not "
-                "that of springs; fill the table, or give another load"
-            )
-        loads = packed.sample(centre, indices)
-        answers = packed.batch(np.vstack([centre, loads]))
-        moved, first = answers.outputs[1:, indices], answers.outputs[0, indices]
-        wrong = moved - first - (loads - centre)[:, indices] @ compliance
-        return cls(
-            component=table.name,
-            table_version=table.version,
-            freedoms=tuple(OUTPUTS[place] for place in free),
-            stiffness=np.linalg.inv(compliance).tolist(),
-            wrench=centre[indices].tolist(),
-            displacement=first.tolist(),
-            largest_error=np.abs(wrong).max(axis=0).tolist(),
-            rms_error=np.sqrt((wrong**2).mean(axis=0)).tolist(),
-            largest_displacement=np.abs(moved).max(axis=0).tolist(),
-            covered=float((np.asarray(answers.coverage[1:]) == 0).mean()),
-        )
-
-    @property
-    def unloaded(self) -> Vector:
-        """Where the springs carry nothing, shape (n,), m and rad."""
-        strain = np.linalg.solve(np.array(self.stiffness), np.array(self.wrench))
-        return np.asarray(np.array(self.displacement) - strain, dtype=float)
-
-    @property
-    def error(self) -> str:
-        """The largest error of each displacement, in words."""
-        shares = [
-            f"{name} {round(100.0 * error / largest, 3):g} %"
-            for name, error, largest in zip(
-                self.freedoms, self.largest_error, self.largest_displacement, strict=True
-            )
-            if largest > 0.0
-        ]
-        return (
-            f"{self.component} as springs is wrong by up to {', '.join(shares) or 'unknown'} of "
-            "the largest displacement in the load range; the table covers "
-            f"{self.covered:.0%} of the wrenches compared"
-        )
-
-    def to_dict(self, mass: ArrayLike | None = None) -> Document:
-        """Return the part as a dict of plain numbers, with units and the condensed mass.
-
-        Parameters
-        ----------
-        mass : array_like, optional
-            Shape (6, 6), kg to kg·m^2; null in the dict where it is not known.
-        """
-        chosen = [OUTPUTS.index(name) for name in self.freedoms]
-        condensed = None if mass is None else np.asarray(mass, dtype=float)[np.ix_(chosen, chosen)]
-        return {
-            **asdict(self),
-            "loads": [LOADS[place] for place in chosen],
-            "mass": None if condensed is None else condensed.tolist(),
-            "units": "N, N·m, m, rad, kg",
-            "frame": "the undeformed interface frame, about the interface point",
-        }
 
 
 def rotation_vector(R: ArrayLike) -> Vector:

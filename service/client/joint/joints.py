@@ -152,11 +152,11 @@ class Joints:
             raise InvalidArgument(f"a step is above zero, not {dt} s")
         steps.poses[:], steps.velocities[:], steps.inverse_masses[:] = inputs
         steps.step(dt, self._joint.damping, threads or os.cpu_count() or 1)
-        self._heed()
+        self._check_status()
         wrenches = steps.replies["wrench"]
         return poses.new_tensor(wrenches) if hasattr(poses, "new_tensor") else np.array(wrenches)
 
-    def _heed(self) -> None:
+    def _check_status(self) -> None:
         """Keep the joints' status, and warn once of each kind."""
         self._codes, replies = status_of(self._joint, self._steps), self._steps.replies
         failed, within = self.status[self.failed].tolist(), replies["ranges"] <= 1.0

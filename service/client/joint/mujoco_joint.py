@@ -243,7 +243,7 @@ class MujocoJoint(Joint):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(state)
-        self._watch(self._data, self._steps, self._place)
+        self._watch(self._data, self._steps, self._entry)
 
     def _read_pose(self) -> None:
         """Write the tips' translations and quaternions into the kernel's arrays."""
@@ -304,7 +304,7 @@ class MujocoJoint(Joint):
         self._with_part = None
         super().restart()
 
-    def _of_step(self) -> Vector:
+    def _last_wrench(self) -> Vector:
         """Return the wrench of the last step, by the velocity after it."""
         force, slope, velocity = self._law
         pulled = np.zeros(self._size)
@@ -416,7 +416,7 @@ def _pull(joints: Collection[MujocoJoint]) -> None:
     for joint in joints:
         joint._read()
         joint._steps.law(dt, joint.damping)
-        joint._heed()
+        joint._check_status()
         if joint._began and now not in joint._times:  # put elsewhere: its energy there is unknown
             joint._began = joint._began[0], np.nan
         joint._times = now, now + dt

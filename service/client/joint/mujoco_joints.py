@@ -65,7 +65,7 @@ class MujocoJoints(Joints):
         self._share(self._begin, scenes, threads)
         for batch in batches:
             batch._steps.law(self._model.opt.timestep, batch._joint.damping, threads)
-            batch._heed()
+            batch._check_status()
         failed = np.any([batch.failed for batch in batches], axis=0)
         for batch in batches:
             for joint in (batch.joints[at] for at in np.flatnonzero(batch.failed).tolist()):

@@ -14,7 +14,8 @@ from wrenchbook.surrogate.kernel.binding import PackedTable
 from ...contract import OUTPUTS
 from ..errors import JointError
 from ..wrenches import Vector
-from .joint import FREEDOMS, LinearPart
+from .joint import FREEDOMS
+from .linear_part import LinearPart
 from .mujoco_joint import engine
 
 Spec: TypeAlias = Any  # mujoco.MjSpec, and its bodies

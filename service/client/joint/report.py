@@ -107,7 +107,7 @@ def report_of(joint: Joint, began: float = 0.0, energy_drift: float = np.nan) ->
     remedy, packed = joint._more_rows(), joint._table.packed
     if joint._method is None and packed.answers_by() == "linear":
         remedy = "no more solves help a linear component: a finer mesh or nonlinear = true does"
-    if joint._warned:
+    if joint._warned_beyond:
         remedy = f"widen the load range, which a pose of the steps exceeds; {remedy}"
     return JointReport(
         *(joint._name, count, float(history["time"]), covered),

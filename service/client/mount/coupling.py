@@ -36,9 +36,9 @@ ONWARD = 0.9  # the cosine between such residuals
 ABSURD = 1e100  # tolerances: beyond, squares overflow, and no watch can decide
 # Tolerances: smaller residuals of a running simulation say nothing, as with what `settle` takes for
 # rest. A load that rests on a row of the table meets the row's own answer or, a rounding error
-# beside it, the interpolated one: that jump has either sign. Taken for overshoots, such jumps let
-# the factor fall to its least, and the next load was followed with a lag of 12 %. A loop that does
-# drive itself grows beyond this, and is detected then.
+# beside it, the interpolated one: that jump has either sign. As overshoots, such jumps reduced the
+# factor to its smallest, and the next load was followed with a lag of 12 %. A loop that diverges
+# grows beyond this, and is detected then.
 RESTS = 1e-3
 DERIVED = 1e-3  # of the largest answer so far: the tolerance where there is none
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, cast
@@ -11,16 +10,12 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from wrenchbook.surrogate.table.space import DEFAULT
-
 from ...contract import OUTPUTS
 from ..errors import (
     DisplacementUnknown,
     InvalidArgument,
     MountWarning,
     SensorError,
-    ServerTimeout,
-    SourceError,
     warn,
 )
 from ..recorder import Recorder
@@ -41,20 +36,16 @@ from .coupling import (
     stable_factor,
     within_limit,
 )
+from .ringing import warn_if_ringing
+from .sources import Ask, from_server, from_solves, from_table, require_server
 
 if TYPE_CHECKING:
     from .. import Client, Table
 
 Pose = tuple[Vector, Vector]
-Limit = dict[str, float]
-Ask = Callable[[Vector, bool], Displacement]
 
-LONGEST_CALL_S = 20.0  # proxies end calls that take longer
 GRAVITY = (0.0, 0.0, -9.81)  # m/s^2, z up
 CONTRADICTS = 0.5  # of the weight: a reading this far off is not noise nor a slow motion
-# Periods of the first natural frequency that a load takes to build up: with fewer, the component
-# rings, and an answer at rest misses it, by a factor of 2 and more either way.
-QUASI_STATIC = 8.0
 
 MODES = ("table", "solve", "record", "envelope")
 _MEANS = {
@@ -494,91 +485,6 @@ def _require_word(name: str, word: str, known: tuple[str, ...]) -> None:
         raise InvalidArgument(f"{name} must be one of {', '.join(known)}, not {word!r}")
 
 
-def from_table(
-    table: Table, component: str, tolerance: Limit | None, method: str | None
-) -> tuple[Limit | None, Ask]:
-    """Answer from a downloaded table: in microseconds, without a server."""
-    name = getattr(table, "name", component)
-    if name != component:
-        raise InvalidArgument(f"the table is of component {name!r}, not of {component!r}")
-    space = getattr(table, "space", DEFAULT)
-    if space.several or len(space.inputs) != len(DEFAULT.inputs):
-        raise InvalidArgument(
-            f"a mount has one interface and no further inputs; {component} has the inputs "
-            f"{', '.join(space.input_names)}: call table.answer in the loop instead"
-        )
-    if method is not None:  # an unknown one is refused here, not in the loop
-        table.answer(np.zeros(6), tolerance=tolerance, method=method)
-
-    def ask(wrench: Vector, derivatives: bool) -> Displacement:
-        return table.answer(wrench, tolerance=tolerance, method=method, derivatives=derivatives)
-
-    default = getattr(table, "tolerance", None)
-    return tolerance or (None if default is None else tolerance_body(default)), ask
-
-
-def from_server(
-    client: Client, component: str, tolerance: Limit | None, method: str | None, on_thin: OnThin
-) -> tuple[Limit | None, Ask]:
-    """Answer from the server's table; what it does not cover is queued, where it can be solved."""
-    facts = client.component(component)
-    # A measured table is never solved: to queue would be refused in the middle of the loop.
-    thin: OnThin = on_thin if facts.get("has_fea", True) else "estimate"
-    if method is not None:  # an unknown one is refused here, not in the loop
-        client.displacement(component, np.zeros(6), on_thin="estimate", method=method)
-
-    def ask(wrench: Vector, derivatives: bool) -> Displacement:
-        return client.displacement(
-            component,
-            wrench,
-            on_thin=thin,
-            tolerance=tolerance,
-            method=method,
-            derivatives=derivatives,
-        )
-
-    return tolerance or facts.get("tolerance"), ask
-
-
-def from_solves(
-    client: Client, component: str, tolerance: Limit | None, timeout: float, beyond_range: bool
-) -> tuple[Limit | None, Ask]:
-    """Solve each wrench, and wait for it at most `timeout` seconds (DirectFEA)."""
-
-    def ask(wrench: Vector, derivatives: bool) -> Displacement:
-        deadline = time.monotonic() + timeout
-        while True:
-            remaining = max(deadline - time.monotonic(), 0.0)
-            answer = client.solve(
-                component, wrench, wait_s=min(remaining, LONGEST_CALL_S), beyond_range=beyond_range
-            )
-            if answer.covered:
-                break
-            if remaining == 0.0:
-                job = f"job {answer.job.id}" if answer.job else "its solve"
-                raise ServerTimeout(
-                    f"{job} of {component} has not ended within {timeout:g} s; it goes on in the "
-                    "server: step again, or make the mount with a longer solve_timeout"
-                )
-        if not derivatives:
-            return answer
-        # The solve's row brings its tangent with it.
-        row = client.displacement(component, wrench, on_thin="estimate", derivatives=True)
-        return row if row.covered else answer
-
-    return tolerance or client.component(component).get("tolerance"), ask
-
-
-def require_server(source: Table | Client, mode: str) -> Client:
-    """Return a source that is a server's client; SourceError if the mode needs one."""
-    if hasattr(source, "__aenter__"):
-        raise SourceError("a mount's steps block: give a Client in the place of the AsyncClient")
-    if hasattr(source, "displacement") and hasattr(source, "solve"):
-        return cast("Client", source)
-    sources = "a Client" if mode != "table" else "a Client, or a Table from client.download(...)"
-    raise SourceError(f"mode {mode!r} asks {sources}, not {type(source).__name__}")
-
-
 def checked_reading(force: ArrayLike, moment: ArrayLike | None) -> Vector:
     """Return a reading as a wrench (6,), N and N·m; SensorError if a number is not finite."""
     try:
@@ -677,94 +583,3 @@ def require_weight(
         f"the reading contradicts the scene's weight: {text} along gravity. Look at the sensor's "
         "place and axes, at what else holds the scene, and at the units"
     )
-
-
-def first_frequency(
-    alone: float | None, compliance: Vector | None, carried: Vector | None
-) -> float:
-    """Return a lower bound of the first natural frequency, Hz; infinite where nothing has mass.
-
-    It is that of the component alone, Hz (None: weightless), lowered by a carried rigid system's
-    mass matrix about the interface point (6, 6), kg to kg·m^2, on a compliance du/dw (6, 6), SI.
-
-    Dunkerley (1894): 1/f^2 = 1/f_alone^2 + 1/f_carried^2, with 1/(2 pi f_carried)^2 the largest
-    eigenvalue of compliance times mass: exact where one of the two masses is nothing.
-    """
-    square = 0.0 if alone is None else 1.0 / alone**2
-    if compliance is not None and carried is not None:
-        largest = float(np.linalg.eigvals(compliance @ carried).real.max())
-        square += (2.0 * math.pi) ** 2 * max(largest, 0.0)
-    return math.inf if square == 0.0 else square**-0.5
-
-
-def warn_if_ringing(
-    source: Table | Client,
-    component: str,
-    frequency: float | None,
-    ramp_time: float | None,
-    carried: float | ArrayLike | None,
-) -> None:
-    """Warn where loads build up, in `ramp_time`, s, too fast for answers at rest.
-
-    A server gives the first natural frequency, Hz, if it is not given. InvalidArgument if one is
-    given without the other, or `carried`, kg or a mass matrix (6, 6), is of no use.
-    """
-    if frequency is None and ramp_time is not None and hasattr(source, "compliance"):
-        frequency = _known_frequency(cast("Client", source), component, carried)
-        if frequency is None:
-            return
-    elif carried is not None:
-        raise InvalidArgument("carried= needs a Client, ramp_time= and no natural_frequency=")
-    elif frequency is None and ramp_time is None:
-        return
-    if frequency is None or ramp_time is None:
-        raise InvalidArgument(
-            "natural_frequency, Hz, and ramp_time, s, are given together; ramp_time alone where "
-            "the source is a Client, whose server gives the frequency"
-        )
-    if not (frequency > 0.0 and ramp_time > 0.0):
-        raise InvalidArgument("natural_frequency and ramp_time must be over 0")
-    periods = frequency * ramp_time
-    if periods < QUASI_STATIC:
-        warn(
-            f"{component} rings: its loads build up in {ramp_time:g} s, {periods:.3g} periods of "
-            f"its first natural frequency, {frequency:g} Hz. Below about {QUASI_STATIC:g} answers "
-            "at rest miss the ringing, by a factor of 2 and more either way: slower ramps, or a "
-            "stiffer component",
-            MountWarning,
-        )
-
-
-def _known_frequency(
-    client: Client, component: str, carried: float | ArrayLike | None
-) -> float | None:
-    """Return the first natural frequency, Hz, by a server's facts; None and a warning without."""
-    alone = (client.component(component).get("vibration") or {}).get("first_frequency")
-    unknown = f"{component}: whether loads build up slowly enough is not known."
-    matrix, compliance = None, None
-    if carried is not None:
-        mass = np.asarray(carried, dtype=float)
-        matrix = np.diag([float(mass)] * 3 + [0.0] * 3) if mass.ndim == 0 else mass
-        if matrix.shape != (6, 6) or not np.isfinite(matrix).all() or (np.diag(matrix) < 0.0).any():
-            raise InvalidArgument(
-                "carried is a mass, kg, or a mass matrix, shape (6, 6), none negative"
-            )
-        facts = client.compliance(component)
-        # At zero load, where there is one: a part that stiffens under load swings slower there.
-        compliance = np.array(facts.get("tangent") or facts["matrix"], dtype=float)
-        if not np.isfinite(compliance).all():
-            compliance = None
-            warn(
-                f"{unknown} its table holds too few rows for a compliance, so that what it carries "
-                "is left out: fill it first",
-                MountWarning,
-            )
-    frequency = first_frequency(alone, compliance, matrix)
-    if math.isfinite(frequency):
-        return frequency
-    warn(
-        f"{unknown} its bundle gives no density, and no mass that it carries is known: give "
-        "natural_frequency=, Hz, or carried=, kg",
-        MountWarning,
-    )
-    return None

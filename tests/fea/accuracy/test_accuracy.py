@@ -20,7 +20,8 @@ from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.component import mesh_of
 from wrenchbook.fea.mesh.refine import refined
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.spec.schema import DeclaredRange, MeshFile
+from wrenchbook.fea.spec.mesh_source import MeshFile
+from wrenchbook.fea.spec.schema import DeclaredRange
 from wrenchbook.surrogate.solver_error import SolverError
 
 BRACKET = Path(__file__).with_name("bracket.toml").read_text("utf-8")

@@ -18,7 +18,7 @@ from wrenchbook.fea.bundle.read import BundleError, read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.check import as_text
 from wrenchbook.fea.check import report as check
-from wrenchbook.fea.failure import mechanism
+from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.element_order import second_order
 from wrenchbook.fea.mesh.facets import EDGES
 from wrenchbook.fea.solve import Solver
@@ -254,7 +254,7 @@ def test_a_finer_mesh_with_too_many_unknowns_is_not_made(tmp_path):
 
 def test_where_the_finer_mesh_cannot_be_solved_the_coarser_one_counts(tmp_path, monkeypatch):
     def fails(*_arguments):
-        raise mechanism("this mesh moves freely")
+        raise SolveFailed("mechanism", "this mesh moves freely")
 
     own = Solver(block(tmp_path))
     monkeypatch.setattr(estimate, "finer", fails)

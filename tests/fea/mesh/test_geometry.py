@@ -17,7 +17,7 @@ from wrenchbook.fea.mesh.cad.child import opened
 from wrenchbook.fea.mesh.cad.meshing import list_shape, mesh_geometry
 from wrenchbook.fea.mesh.mapping import area_weights, volumes
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.spec.schema import BodySelector, GeometryMeshing
+from wrenchbook.fea.spec.mesh_source import BodySelector, GeometryMeshing
 
 BRACKET = tomllib.loads((GOOD / "bracket" / "component.toml").read_text("utf-8"))
 

@@ -14,7 +14,7 @@ from wrenchbook.fea.check.commands import main
 from wrenchbook.fea.component import build
 from wrenchbook.fea.mesh.surface import Surface
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.spec.schema import FaceSelector
+from wrenchbook.fea.spec.mesh_source import FaceSelector
 
 COMPONENT = """
 name = "beam"

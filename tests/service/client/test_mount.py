@@ -27,7 +27,8 @@ from wrenchbook.service.client.mount import (
     SensorError,
     require_weight,
 )
-from wrenchbook.service.client.mount.mount import first_frequency, from_world
+from wrenchbook.service.client.mount.mount import from_world
+from wrenchbook.service.client.mount.ringing import first_frequency
 
 TURNED = Rotation.from_rotvec([0.3, -0.8, 1.1]).as_matrix()
 POINT = np.array([0.4, -0.2, 1.5])

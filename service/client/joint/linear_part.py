@@ -1,0 +1,144 @@
+"""A part as springs about one wrench, for simulators that read no table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...contract import LOADS, OUTPUTS
+from ..errors import Document, InvalidArgument
+from ..wrenches import Vector
+from .joint import FREEDOMS, further_inputs, moving
+
+if TYPE_CHECKING:
+    from ..table import Table
+
+
+@dataclass(frozen=True)
+class LinearPart:
+    """A part's stiffness about one wrench, for simulators that have springs but no table.
+
+    Attributes
+    ----------
+    component : str
+    table_version : int
+    freedoms : tuple of str
+        The n freedoms that the part does not lock, of ``ux`` to ``rz``.
+    stiffness : list of lists
+        Shape (n, n), N/m to N·m/rad, symmetric: what the wrench on the interface changes by the
+        displacement of the interface, in the undeformed interface frame.
+    wrench, displacement : list of float
+        Shape (n,): the load about which the part is linear, N and N·m, and its displacement, m and
+        rad.
+    largest_error, rms_error : list of float
+        Shape (n,), m and rad: the difference from the table, over its load range.
+    largest_displacement : list of float
+        Shape (n,), m and rad: the table's, for the same wrenches.
+    covered : float
+        The share of these wrenches that the table covers; the others compare with estimates.
+    """
+
+    component: str
+    table_version: int
+    freedoms: tuple[str, ...]
+    stiffness: list[list[float]]
+    wrench: list[float]
+    displacement: list[float]
+    largest_error: list[float]
+    rms_error: list[float]
+    largest_displacement: list[float]
+    covered: float
+
+    @classmethod
+    def of(
+        cls,
+        table: Table,
+        wrench: ArrayLike | None = None,
+        inputs: Mapping[str, float] | None = None,
+    ) -> Self:
+        """Return a table's part, linear about a wrench, shape (6,), N and N·m; about none if None.
+
+        `inputs` are those of the table that are no loads, by name, as `Joint` takes them.
+
+        Raises
+        ------
+        InvalidArgument
+            If the part moves at several interfaces or at none; if the wrench is not 6 finite
+            numbers; if a further input is unknown, missing or beyond its range; if the table's
+            derivative there is not known or not that of springs.
+        """
+        at, free, _ = moving(table, None, several=False)
+        packed, indices = table.packed, at[free]
+        load = np.zeros(FREEDOMS) if wrench is None else np.asarray(wrench, dtype=float)
+        if load.shape != (FREEDOMS,) or not np.isfinite(load).all():
+            raise InvalidArgument("a wrench has 6 finite numbers: force, N, and moment, N·m")
+        further = further_inputs(table, inputs or {})
+        centre = np.concatenate([np.zeros(packed.inputs - len(further)), further])
+        centre[at] = load
+        slope = packed.derivative(centre.tolist())[np.ix_(indices, indices)]
+        compliance = 0.5 * (slope + slope.T)
+        if not np.isfinite(compliance).all() or np.linalg.eigvalsh(compliance).min() <= 0.0:
+            raise InvalidArgument(
+                f"{table.name} has no stiffness at this load: its derivative is unknown or not "
+                "that of springs; fill the table, or give another load"
+            )
+        loads = packed.sample(centre, indices)
+        answers = packed.batch(np.vstack([centre, loads]))
+        moved, first = answers.outputs[1:, indices], answers.outputs[0, indices]
+        wrong = moved - first - (loads - centre)[:, indices] @ compliance
+        return cls(
+            component=table.name,
+            table_version=table.version,
+            freedoms=tuple(OUTPUTS[place] for place in free),
+            stiffness=np.linalg.inv(compliance).tolist(),
+            wrench=centre[indices].tolist(),
+            displacement=first.tolist(),
+            largest_error=np.abs(wrong).max(axis=0).tolist(),
+            rms_error=np.sqrt((wrong**2).mean(axis=0)).tolist(),
+            largest_displacement=np.abs(moved).max(axis=0).tolist(),
+            covered=float((np.asarray(answers.coverage[1:]) == 0).mean()),
+        )
+
+    @property
+    def unloaded(self) -> Vector:
+        """Where the springs carry nothing, shape (n,), m and rad."""
+        strain = np.linalg.solve(np.array(self.stiffness), np.array(self.wrench))
+        return np.asarray(np.array(self.displacement) - strain, dtype=float)
+
+    @property
+    def error(self) -> str:
+        """The largest error of each displacement, in words."""
+        shares = [
+            f"{name} {round(100.0 * error / largest, 3):g} %"
+            for name, error, largest in zip(
+                self.freedoms, self.largest_error, self.largest_displacement, strict=True
+            )
+            if largest > 0.0
+        ]
+        return (
+            f"{self.component} as springs is wrong by up to {', '.join(shares) or 'unknown'} of "
+            "the largest displacement in the load range; the table covers "
+            f"{self.covered:.0%} of the wrenches compared"
+        )
+
+    def to_dict(self, mass: ArrayLike | None = None) -> Document:
+        """Return the part as a dict of plain numbers, with units and the condensed mass.
+
+        Parameters
+        ----------
+        mass : array_like, optional
+            Shape (6, 6), kg to kg·m^2; null in the dict where it is not known.
+        """
+        chosen = [OUTPUTS.index(name) for name in self.freedoms]
+        condensed = None if mass is None else np.asarray(mass, dtype=float)[np.ix_(chosen, chosen)]
+        return {
+            **asdict(self),
+            "loads": [LOADS[place] for place in chosen],
+            "mass": None if condensed is None else condensed.tolist(),
+            "units": "N, N·m, m, rad, kg",
+            "frame": "the undeformed interface frame, about the interface point",
+        }

@@ -1,0 +1,110 @@
+"""Warning of loads that build up too fast for answers at rest."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import InvalidArgument, MountWarning, warn
+from ..wrenches import Vector
+
+if TYPE_CHECKING:
+    from .. import Client, Table
+
+# Periods of the first natural frequency that a load takes to build up: with fewer, the component
+# rings, and an answer at rest misses it, by a factor of 2 and more either way.
+QUASI_STATIC = 8.0
+
+
+def first_frequency(
+    alone: float | None, compliance: Vector | None, carried: Vector | None
+) -> float:
+    """Return a lower bound of the first natural frequency, Hz; infinite where nothing has mass.
+
+    It is that of the component alone, Hz (None: weightless), lowered by a carried rigid system's
+    mass matrix about the interface point (6, 6), kg to kg·m^2, on a compliance du/dw (6, 6), SI.
+
+    Dunkerley (1894): 1/f^2 = 1/f_alone^2 + 1/f_carried^2, with 1/(2 pi f_carried)^2 the largest
+    eigenvalue of compliance times mass: exact where one of the two masses is nothing.
+    """
+    square = 0.0 if alone is None else 1.0 / alone**2
+    if compliance is not None and carried is not None:
+        largest = float(np.linalg.eigvals(compliance @ carried).real.max())
+        square += (2.0 * math.pi) ** 2 * max(largest, 0.0)
+    return math.inf if square == 0.0 else square**-0.5
+
+
+def warn_if_ringing(
+    source: Table | Client,
+    component: str,
+    frequency: float | None,
+    ramp_time: float | None,
+    carried: float | ArrayLike | None,
+) -> None:
+    """Warn where loads build up, in `ramp_time`, s, too fast for answers at rest.
+
+    A server gives the first natural frequency, Hz, if it is not given. InvalidArgument if one is
+    given without the other, or `carried`, kg or a mass matrix (6, 6), is of no use.
+    """
+    if frequency is None and ramp_time is not None and hasattr(source, "compliance"):
+        frequency = _known_frequency(cast("Client", source), component, carried)
+        if frequency is None:
+            return
+    elif carried is not None:
+        raise InvalidArgument("carried= needs a Client, ramp_time= and no natural_frequency=")
+    elif frequency is None and ramp_time is None:
+        return
+    if frequency is None or ramp_time is None:
+        raise InvalidArgument(
+            "natural_frequency, Hz, and ramp_time, s, are given together; ramp_time alone where "
+            "the source is a Client, whose server gives the frequency"
+        )
+    if not (frequency > 0.0 and ramp_time > 0.0):
+        raise InvalidArgument("natural_frequency and ramp_time must be over 0")
+    periods = frequency * ramp_time
+    if periods < QUASI_STATIC:
+        warn(
+            f"{component} rings: its loads build up in {ramp_time:g} s, {periods:.3g} periods of "
+            f"its first natural frequency, {frequency:g} Hz. Below about {QUASI_STATIC:g} answers "
+            "at rest miss the ringing, by a factor of 2 and more either way: slower ramps, or a "
+            "stiffer component",
+            MountWarning,
+        )
+
+
+def _known_frequency(
+    client: Client, component: str, carried: float | ArrayLike | None
+) -> float | None:
+    """Return the first natural frequency, Hz, by a server's facts; None and a warning without."""
+    alone = (client.component(component).get("vibration") or {}).get("first_frequency")
+    unknown = f"{component}: whether loads build up slowly enough is not known."
+    matrix, compliance = None, None
+    if carried is not None:
+        mass = np.asarray(carried, dtype=float)
+        matrix = np.diag([float(mass)] * 3 + [0.0] * 3) if mass.ndim == 0 else mass
+        if matrix.shape != (6, 6) or not np.isfinite(matrix).all() or (np.diag(matrix) < 0.0).any():
+            raise InvalidArgument(
+                "carried is a mass, kg, or a mass matrix, shape (6, 6), none negative"
+            )
+        facts = client.compliance(component)
+        # At zero load, where there is one: a part that stiffens under load swings slower there.
+        compliance = np.array(facts.get("tangent") or facts["matrix"], dtype=float)
+        if not np.isfinite(compliance).all():
+            compliance = None
+            warn(
+                f"{unknown} its table holds too few rows for a compliance, so that what it carries "
+                "is left out: fill it first",
+                MountWarning,
+            )
+    frequency = first_frequency(alone, compliance, matrix)
+    if math.isfinite(frequency):
+        return frequency
+    warn(
+        f"{unknown} its bundle gives no density, and no mass that it carries is known: give "
+        "natural_frequency=, Hz, or carried=, kg",
+        MountWarning,
+    )
+    return None
