@@ -83,13 +83,12 @@ class Repeats(logging.Filter):
         text = hash(f"{record.name} {record.getMessage()} {error} {REQUEST_ID.get()}")
         with self._lock:
             now = time.monotonic()
-            while self._logged:
-                at = next(iter(self._logged.values()))
-                if now - at < REPEAT_S and len(self._logged) < _MOST_REPEATS:
-                    break
+            while self._logged and now - next(iter(self._logged.values())) >= REPEAT_S:
                 self._logged.popitem(last=False)
             is_new = text not in self._logged
             self._logged.setdefault(text, now)
+            if len(self._logged) > _MOST_REPEATS:
+                self._logged.popitem(last=False)
             return is_new
 
 
