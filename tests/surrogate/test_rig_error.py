@@ -10,10 +10,11 @@ import pytest
 from tests.surrogate.findings.rigs import Rig
 from tests.surrogate.kriging.responses import RESPONSES
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches
+from wrenchbook.surrogate.answer import within_tolerance_many
 from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.findings.find import error_of_a_reading, without_effects
 from wrenchbook.surrogate.packed.writer import packed_of
-from wrenchbook.surrogate.table.rows import LoadRange, Rows
+from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 
 ASKED = full_wrenches(400, 77)
 AXIAL = LoadRange(np.array([0, 0, 0, 0, 0, 0.0]), np.array([0, 0, 900.0, 0, 0, 0]))
@@ -200,4 +201,11 @@ def test_a_dead_channel_has_no_bar_and_zeros_of_a_planar_test_have(
     wrench[:, 2], moved[:, 2] = load * wrench[:, 2], 0.0
     table = build(replace(rows, wrench=wrench, displacement=moved), RANGE)
     assert table.coverage_summary()["rig_error"][2] == error
-    assert (packed_of(table).answer(wrench[0]).error[2] is None) == (error is None)
+    reply = packed_of(table).answer(wrench[0], (1.0,) * 6)
+    assert reply.error is not None
+    assert reply.outputs is not None
+    assert (reply.error[2] is None) == (error is None)
+    assert reply.within_tolerance is (None if error is None else True)
+    bars = np.array([reply.error], dtype=float)
+    many = within_tolerance_many(np.array([reply.outputs], float), bars, Tolerance(1.0, 1.0))
+    assert many == [reply.within_tolerance]
