@@ -192,6 +192,18 @@ def test_the_offset_of_a_session_counts_once() -> None:
     assert (alone > 0.015 * size).all()
 
 
+@pytest.mark.parametrize("is_dead", [True, False])
+def test_a_dead_channel_may_jitter_by_a_digit_and_a_coarse_one_follows_its_load(
+    is_dead: bool,
+) -> None:
+    rows, size = noisy("clearance", 150, 0.001)
+    digit, moved = size[2] / 3, rows.displacement.copy()
+    jitter = np.random.default_rng(5).integers(-1, 2, len(rows))
+    moved[:, 2] = 1e-9 * jitter if is_dead else digit * np.round(moved[:, 2] / digit)
+    error = without_effects(replace(rows, displacement=moved), RANGE)[1]
+    assert np.isnan(error).tolist() == [False, False, is_dead, False, False, False]
+
+
 @pytest.mark.parametrize(("load", "error"), [(1.0, None), (0.002, 0.0)])
 def test_a_dead_channel_has_no_bar_and_zeros_of_a_planar_test_have(
     load: float, error: float | None
