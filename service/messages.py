@@ -444,7 +444,7 @@ _WITHIN = (
     "whether the total error bar is within the tolerance, the request's or the component's. "
     "coverage compares the interpolation error alone, which more rows lower: covered and false "
     "means that the solver's own error is over the tolerance, and the component's warnings say "
-    "what to do. null without a tolerance or an error bar, or if the solver's error is not known"
+    "what to do. null without a tolerance, or if the error bar of an answered output is not known"
 )
 
 

@@ -36,20 +36,22 @@ def allowed_by(tolerance: Tolerance, space: Space = DEFAULT) -> tuple[float, ...
     return tuple(limits[output.unit] for output in space.outputs)
 
 
-def bars_within(bars: Floats, allowed: ArrayLike) -> NDArray[np.bool_]:
+def bars_within(outputs: Floats, bars: Floats, allowed: ArrayLike) -> NDArray[np.bool_]:
     """Return whether total error bars (n, m) are within the allowed ones (m,), m and rad: (n,).
 
-    The kernel's law: an output without an error bar, NaN, does not count; false where none has one.
+    The kernel's law: an output without a value, NaN, does not count; false where that is not known,
+    as a value has no error bar, or no output has one.
     """
-    unknown = np.isnan(bars)
-    return np.all(unknown | (bars <= np.asarray(allowed)), axis=1) & ~unknown.all(axis=1)
+    absent = np.isnan(outputs) & np.isnan(bars)
+    return np.all(absent | (bars <= np.asarray(allowed)), axis=1) & ~absent.all(axis=1)
 
 
-def within_tolerance_many(bars: Floats, tolerance: Tolerance) -> list[bool | None]:
-    """Return `bars_within` a tolerance as JSON has it: None where no output has an error bar."""
-    within = bars_within(bars, np.resize(allowed_by(tolerance), bars.shape[1])).astype(object)
-    within[np.isnan(bars).all(axis=1)] = None
-    return within.tolist()
+def within_tolerance_many(outputs: Floats, bars: Floats, tolerance: Tolerance) -> list[bool | None]:
+    """Return `bars_within` a tolerance as JSON has it: None where it is not known."""
+    allowed = np.resize(allowed_by(tolerance), bars.shape[1])
+    within = bars_within(outputs, bars, allowed)
+    known = within | (bars > allowed).any(axis=1)
+    return [bool(yes) if told else None for yes, told in zip(within, known, strict=True)]
 
 
 def limits_of(rows: Rows, tolerance: Tolerance | None, outputs: Sequence[int]) -> Floats:

@@ -126,17 +126,24 @@ def report(
     return summary
 
 
-def surface_in(folder: Path) -> Surface | None:
-    """Return the surface of a bundle's mesh, or its deck's; None if [mesh] or file will not do."""
+def surface_in(folder: Path, problems: list[BundleProblem] | None = None) -> Surface | None:
+    """Return the surface of a bundle's mesh, or its deck's; None if [mesh] or file will not do.
+
+    `problems` gets the mistakes of [mesh] and of its file.
+    """
+    problems = [] if problems is None else problems
     try:
         content = tomllib.loads((folder / FILE_NAME).read_text("utf-8"))
         deck = content.get("deck", {})
         table = content.get("mesh") or {"unit": deck.get("unit", "m"), "file": deck["file"]}
         keys = {key: value for key, value in table.items() if key not in ("groups", "regions")}
-        source = validated(kind_of(keys_of(ComponentFile)["mesh"]), keys, "mesh", [], folder)
+        source = validated(kind_of(keys_of(ComponentFile)["mesh"]), keys, "mesh", problems, folder)
         return None if source is None else surface_of(source)
-    except (OSError, ValueError, RecursionError, LookupError, AttributeError, BundleError):
-        return None  # `report` says why
+    except BundleError as error:
+        problems += error.problems
+    except (OSError, ValueError, RecursionError, LookupError, AttributeError):
+        pass  # `report` says why
+    return None
 
 
 def listed(surface: Surface, face: Face) -> dict[str, Any]:

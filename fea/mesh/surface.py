@@ -40,6 +40,7 @@ _EDGE = 2e-2  # of a facet's size: its triangles are off a round face by less, a
 _MAX_RADIUS = 10.0  # of a face's size; a flatter arc shows no radius to three digits
 _ANGLE = 10.0  # degrees, of `normal` without `angle`
 _THIN = 0.5  # of the side of a square of the chosen area: a thinner wall has two sides in a box
+_NO_AREA = "a face of the surface has no area: its cells have no volume; mesh the part again"
 _UNKNOWN = Face(0, "Curved", 0.0, (0.0, 0.0, 0.0), None, None)
 
 
@@ -133,6 +134,8 @@ class Surface:
 
     def _face(self, members: Array) -> Face:
         x, areas = self.mesh.points[np.unique(self.corners[members])], self.areas[members]
+        if not areas.any():
+            raise BundleError([BundleProblem("mesh", _NO_AREA)])
         centre = _three(np.average(self.middles[members], axis=0, weights=areas))
         mean = _unit(areas[None] @ self.normals[members])[0]
         face = Face(0, "Curved", float(areas.sum()), centre, None, None)

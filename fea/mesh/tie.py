@@ -103,6 +103,9 @@ def joined(
                 f'no facet of "{pair.secondary}" with free nodes faces "{pair.main}" within '
                 f"{tied.distance:.3g} m; their nearest nodes are {gaps.min():.3g} m apart. Correct "
                 "the groups, or write a larger distance"
+                if gaps.min() > tied.distance
+                else f'"{pair.main}" covers at most a third of each facet of "{pair.secondary}". '
+                "Swap the two groups, or split these facets there"
             )
             if not may[nodes].any():
                 message = (

@@ -298,7 +298,7 @@ class Displacements(messages.Displacements):
         within = None
         if (limits := reply.headers.get("Wrenchbook-Tolerance")) is not None:  # m, rad
             allowed = np.repeat([float(limit) for limit in limits.split(",")], 3)
-            within = bars_within(block[:, m:-1], np.resize(allowed, m))
+            within = bars_within(block[:, :m], block[:, m:-1], np.resize(allowed, m))
         return super().read(
             {"jobs_queued": int(jobs or 0)},
             component=component,

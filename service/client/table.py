@@ -318,7 +318,9 @@ class Table:
             table_version=packed.meta["provenance"]["version"],
             elapsed_us=elapsed_us,
             method=packed.answers_by(method),
-            within_tolerance=None if allowed is None else bars_within(replies.errors, allowed),
+            within_tolerance=None
+            if allowed is None
+            else bars_within(replies.outputs, replies.errors, allowed),
             derivatives=slopes,
         )
 

@@ -245,7 +245,9 @@ def write_batch(outcome: BatchOutcome) -> Response:
         displacements=replies.outputs,
         errors=replies.errors,
         coverage=np.array(COVERAGE, dtype=object)[replies.coverage].tolist(),
-        within_tolerance=None if limit is None else within_tolerance_many(replies.errors, limit),
+        within_tolerance=None
+        if limit is None
+        else within_tolerance_many(replies.outputs, replies.errors, limit),
         derivatives=cast(Any, outcome.derivatives),
         component=outcome.component,
         jobs=[

@@ -226,9 +226,12 @@ def faces(folder: Path) -> Iterator[Part]:
     """Yield the reply of `faces_of`, ``json``, in bytes."""
     reporting = importlib.import_module("wrenchbook.fea.check.reporting")
     commands = importlib.import_module("wrenchbook.fea.check.commands")
-    if (surface := reporting.surface_in(folder)) is None:
-        problems = reporting.report(folder)["problems"]
-        texts = [f"{p['where']}: {p['message']}" for p in problems if p["where"][:4] == "mesh"]
+    problems: list[BundleProblem] = []
+    if (surface := reporting.surface_in(folder, problems)) is None:
+        if not problems:  # of the TOML text itself
+            problems = [BundleProblem(**each) for each in reporting.report(folder)["problems"]]
+            problems = [each for each in problems if each.where.startswith(("component", "line"))]
+        texts = [f"{each.where}: {each.message}" for each in problems]
         raise ValueError("; ".join(texts) or "no [mesh] and no .inp deck with solid cells")
     if (count := len(surface.triangles)) > MAX_FACE_TRIANGLES:
         raise ValueError(f"{count} triangles are too many here; use wrenchbook check --plot")

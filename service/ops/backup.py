@@ -77,6 +77,10 @@ def back_up(folder: Path, target: Path) -> Manifest:
     folder, target = folder.absolute(), target.absolute()
     if not (folder / LEDGER).is_file():
         raise BackupError(f"{folder} is no data directory: it has no {LEDGER}")
+    root, real = folder.resolve(), target.parent.resolve() / target.name
+    if real.is_relative_to(root) and HELD.fullmatch(real.relative_to(root).as_posix()):
+        problem = f"{target} is among the files that backups hold: each would hold those before it"
+        raise BackupError(f"{problem}. Name a file outside of {folder}. No backup was made")
     draft = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
         with (

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import logging
+import threading
 import time
+from collections import OrderedDict
 from contextvars import ContextVar
 from typing import Final, Literal
 
@@ -14,6 +16,7 @@ ABOUT: Final = ("job", "attempt", "component", "request_id", "actor")
 REQUEST_ID: ContextVar[str | None] = ContextVar("request_id", default=None)
 """The id of the HTTP request that this context answers; None outside of requests."""
 REPEAT_S = 60.0  # a fault that lasts, such as a full disk, is one line a minute
+_MOST_REPEATS = 10_000  # texts remembered, 1 MB: a request's has its id, and repeats nowhere else
 _MOST_CHARACTERS = 20_000  # of a message or a traceback: log collectors limit lines
 
 
@@ -69,17 +72,24 @@ class Repeats(logging.Filter):
 
     def __init__(self) -> None:
         super().__init__()
-        self._logged: dict[str, float] = {}
+        self._logged = OrderedDict[int, float]()  # oldest first
+        self._lock = threading.Lock()  # filters run before their handler's lock is taken
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Return whether the record is logged."""
         if record.levelno < logging.WARNING:
             return True
-        now = time.monotonic()
-        self._logged = {text: at for text, at in self._logged.items() if now - at < REPEAT_S}
         error = record.exc_info and record.exc_info[1]
-        text = f"{record.name} {record.getMessage()} {error} {REQUEST_ID.get()}"
-        return self._logged.setdefault(text, now) == now
+        text = hash(f"{record.name} {record.getMessage()} {error} {REQUEST_ID.get()}")
+        with self._lock:
+            now = time.monotonic()
+            while self._logged and now - next(iter(self._logged.values())) >= REPEAT_S:
+                self._logged.popitem(last=False)
+            is_new = text not in self._logged
+            self._logged.setdefault(text, now)
+            if len(self._logged) > _MOST_REPEATS:
+                self._logged.popitem(last=False)
+            return is_new
 
 
 def set_up(level: str, form: LogFormat) -> None:

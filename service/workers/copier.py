@@ -87,8 +87,8 @@ def keep(settings: Settings, stop: threading.Event) -> None:
 def tested_backup(data: Path, folder: Path) -> dict[str, Any]:
     """Write a backup into a folder and restore it into a temporary one.
 
-    One that does not restore, or whose restored directory has faults, is renamed; raises
-    RuntimeError or BackupError then.
+    One that does not restore, or whose restored directory has faults, is renamed, in place of the
+    failed one before it; raises RuntimeError or BackupError then.
     """
     folder.mkdir(0o700, parents=True, exist_ok=True)
     file = folder / f"wrenchbook-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}.wbb"
@@ -100,6 +100,8 @@ def tested_backup(data: Path, folder: Path) -> dict[str, Any]:
             if faults:
                 raise RuntimeError(f"its restore has {len(faults)} faults, first: {faults[0]}")
     except BaseException:
+        for former in folder.glob("wrenchbook-*.failed"):  # it is tried again every minute
+            former.unlink(missing_ok=True)
         file.rename(file.with_suffix(".failed"))
         raise
     return {"file": file.name, "created": time.time(), "tested": True}

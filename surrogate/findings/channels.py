@@ -18,6 +18,7 @@ from .response import CONFIDENT, NORMAL, RANK, REMARKABLE, Cause, RigFinding, fi
 
 MIN_ROWS = 12  # rows: with fewer the others do not show what one of them should be
 MIN_EQUAL = 3  # rows of one value: two are equal by the digits that are written
+DIGITS = 3  # values of a channel at rest: its converter is between two, or off by one at times
 TAIL = 5  # per cent of the rows at either end, whose values count as the end: they may be wrong
 
 Broken = tuple[Cause, NDArray[np.intp], float, float]  # rows, the value, part of the range off
@@ -79,7 +80,8 @@ def channel_findings(
 def dead_channels(rows: Rows, load_range: LoadRange) -> NDArray[np.bool_]:
     """Return which outputs (m,) of measured rows stay at one value while their own load varies.
 
-    A planar test may fill others with zeros: there the own load rests, but for its sensor's noise.
+    A digit on both sides of it is the converter's, if the loads do not explain it. A planar test
+    may fill others with zeros: there the own load rests, but for its sensor's noise.
     """
     moved = rows.displacement
     if len(rows) < MIN_ROWS or not rows.space.is_default or (rows.source == "fea").any():
@@ -87,6 +89,10 @@ def dead_channels(rows: Rows, load_range: LoadRange) -> NDArray[np.bool_]:
     low, high = np.fmin.reduce(moved), np.fmax.reduce(moved)
     is_equal = high - low <= ROUNDING * np.fmax(np.abs(low), np.abs(high))
     known, loads = np.isfinite(moved), rows.wrench / load_range.scale
+    levels = np.array([len(np.unique(moved[at, k])) for k, at in enumerate(known.T)])
+    for output in np.flatnonzero((levels <= DIGITS) & ~is_equal & known.any(axis=0)):
+        at = known[:, output]
+        is_equal[output] = not _is_explained(terms_of(loads[at]), moved[at, output])
     # Over the rows that measured the output.
     highest, lowest = (
         end(np.where(known, loads, np.nan), axis=0) for end in (np.fmax.reduce, np.fmin.reduce)

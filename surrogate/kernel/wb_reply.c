@@ -145,18 +145,21 @@ static void widen(const wb_table *t, const wb_options *o, wb_work *work, wb_repl
     }
 }
 
-/* Whether the total error is within the tolerance; outputs without an error are left out. */
+/* Whether the total error is within the tolerance; outputs without a value are left out. */
 static int within(const wb_table *t, const wb_options *o, const wb_reply *reply) {
-    int known = -1;
+    int known = -1, open = 0;
     if (!t->solver.whole) return -1; /* a part of the error is not known */
     for (int q = 0; q < t->outputs; q++) {
         double allowed = o->tolerance && !isnan(o->tolerance[q]) ? o->tolerance[q] : t->tolerance[q];
         if (isnan(allowed)) return -1; /* no tolerance */
-        if (isnan(reply->error[q])) continue;
+        if (isnan(reply->error[q])) {
+            open |= !isnan(reply->outputs[q]); /* answered, but with no error: a dead channel */
+            continue;
+        }
         if (!(reply->error[q] <= allowed)) return 0;
         known = 1;
     }
-    return known;
+    return open ? -1 : known;
 }
 
 /* Whether no table may hold such a displacement: 20 degrees, 10 m. */

@@ -151,6 +151,11 @@ def test_a_tie_that_ends_within_facets_is_named_and_in_the_error_bar():
     assert "ends within 12 facets, and the tie at their edges" in tie_warnings(part)[0].message
 
 
+def test_a_facet_too_large_for_a_tie_is_refused_with_the_other_way_round():
+    with pytest.raises(BundleError, match=r"at most a third of each facet.*Swap"):
+        block_on(((2, 2, 1), (4, 4, 3)), (0.45, 0.4, 1.0))
+
+
 def test_secondary_nodes_on_a_plane_of_symmetry_follow_what_is_held_there_too():
     mesh = pair(counts=((3, 4, 3), (5, 3, 3)), sizes=(LARGE, LARGE))
     half = {"section": "b_z1", "coupling": "rigid", "locked": ["ux", "ry", "rz"]}

@@ -102,6 +102,8 @@ def test_a_key_of_some_components_sees_no_other(http, keys, place):
     for text in (path, path.replace("/jobs/", "/jobs/+"), f"{path}/log", f"{path}/files"):
         assert http.get(text, headers=key).status_code in (404, 422)
     assert http.delete(path, headers=key).status_code == 404
+    refusals = [http.get(text, headers=key).json() for text in (path, "/v1/jobs/99999")]
+    assert refusals[0] == refusals[1]  # not whether there is such a job
     assert http.delete("/v1/jobs", headers=key).status_code == 200
     assert http.get(path, headers=other).json()["status"] == "waiting"
     assert {one["component"] for one in http.get("/v1/jobs", headers=key).json()["jobs"]} <= {"bar"}

@@ -282,6 +282,15 @@ def test_a_backup_that_cannot_be_written_is_told_and_leaves_nothing(folder, tmp_
     assert not (tmp_path / "b").exists()
 
 
+def test_a_backup_is_not_written_among_the_files_that_a_backup_holds(folder):
+    """Each held those before it: twice as large every time."""
+    target = folder / "components" / "monday.zip"
+    target.parent.mkdir(exist_ok=True)
+    with pytest.raises(BackupError, match="outside"):
+        back_up(folder, target)
+    assert not target.exists()
+
+
 def test_a_backup_names_the_file_that_cannot_be_read(folder, tmp_path, monkeypatch):
     """It said that the backup could not be written."""
     (path,) = (folder / "tables").glob("*.h5")

@@ -210,6 +210,22 @@ def test_a_bundle_whose_faces_cannot_be_read_is_refused_with_the_reason(http, fi
     assert why in told.json()["detail"]
 
 
+@pytest.mark.parametrize(
+    ("toml", "deck", "why"),
+    [
+        ("", "1,1,2,3,9", "node 9, which is not defined"),  # of a node that is not there
+        ("", "1,1,1,1,1", "no volume"),
+        ("[", "1,1,2,3,4", "not valid TOML"),
+    ],
+)
+def test_a_bundle_whose_mesh_file_is_wrong_is_refused_with_its_mistake(http, toml, deck, why):
+    nodes = "*NODE\n1,0,0,0\n2,1,0,0\n3,0,1,0\n4,0,0,1\n*ELEMENT,TYPE=C3D4\n"
+    mesh = f'[mesh]\nfile = "m.inp"\nunit = "mm"\n{toml}'
+    told = faces_of(http, {"component.toml": mesh, "m.inp": nodes + deck + "\n"})
+    assert told.status_code == 422
+    assert why in told.json()["detail"]
+
+
 def test_a_table_without_a_mesh_has_no_faces(rig):
     assert rig.get(f"{RIG}/faces").json()["type"].endswith("no-mesh")
 

@@ -75,6 +75,15 @@ def test_a_fault_that_lasts_is_logged_once_a_minute(monkeypatch):
     assert logged == [0, 2, 3, 60]
 
 
+def test_many_different_faults_are_all_logged_and_few_are_remembered(monkeypatch):
+    monkeypatch.setattr("wrenchbook.service.ops.logs._MOST_REPEATS", 10)
+    repeats = Repeats()
+    faults = [logging.LogRecord("a", logging.ERROR, "", 0, f"{k}", (), None) for k in range(100)]
+    assert all(map(repeats.filter, faults))
+    assert not any(map(repeats.filter, faults[-10:]))
+    assert repeats.filter(faults[0])
+
+
 def test_a_500_and_the_lines_of_its_request_share_the_id(crashing, lines):
     reply = crashing.get("/v1/jobs/1", headers={"X-Request-ID": "req-7"})
     assert (reply.status_code, reply.json()["request_id"]) == (500, "req-7")

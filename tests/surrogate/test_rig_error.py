@@ -10,10 +10,11 @@ import pytest
 from tests.surrogate.findings.rigs import Rig
 from tests.surrogate.kriging.responses import RESPONSES
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches
+from wrenchbook.surrogate.answer import within_tolerance_many
 from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.findings.find import error_of_a_reading, without_effects
 from wrenchbook.surrogate.packed.writer import packed_of
-from wrenchbook.surrogate.table.rows import LoadRange, Rows
+from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 
 ASKED = full_wrenches(400, 77)
 AXIAL = LoadRange(np.array([0, 0, 0, 0, 0, 0.0]), np.array([0, 0, 900.0, 0, 0, 0]))
@@ -191,6 +192,18 @@ def test_the_offset_of_a_session_counts_once() -> None:
     assert (alone > 0.015 * size).all()
 
 
+@pytest.mark.parametrize("is_dead", [True, False])
+def test_a_dead_channel_may_jitter_by_a_digit_and_a_coarse_one_follows_its_load(
+    is_dead: bool,
+) -> None:
+    rows, size = noisy("clearance", 150, 0.001)
+    digit, moved = size[2] / 3, rows.displacement.copy()
+    jitter = np.random.default_rng(5).integers(-1, 2, len(rows))
+    moved[:, 2] = 1e-9 * jitter if is_dead else digit * np.round(moved[:, 2] / digit)
+    error = without_effects(replace(rows, displacement=moved), RANGE)[1]
+    assert np.isnan(error).tolist() == [False, False, is_dead, False, False, False]
+
+
 @pytest.mark.parametrize(("load", "error"), [(1.0, None), (0.002, 0.0)])
 def test_a_dead_channel_has_no_bar_and_zeros_of_a_planar_test_have(
     load: float, error: float | None
@@ -200,4 +213,11 @@ def test_a_dead_channel_has_no_bar_and_zeros_of_a_planar_test_have(
     wrench[:, 2], moved[:, 2] = load * wrench[:, 2], 0.0
     table = build(replace(rows, wrench=wrench, displacement=moved), RANGE)
     assert table.coverage_summary()["rig_error"][2] == error
-    assert (packed_of(table).answer(wrench[0]).error[2] is None) == (error is None)
+    reply = packed_of(table).answer(wrench[0], (1.0,) * 6)
+    assert reply.error is not None
+    assert reply.outputs is not None
+    assert (reply.error[2] is None) == (error is None)
+    assert reply.within_tolerance is (None if error is None else True)
+    bars = np.array([reply.error], dtype=float)
+    many = within_tolerance_many(np.array([reply.outputs], float), bars, Tolerance(1.0, 1.0))
+    assert many == [reply.within_tolerance]

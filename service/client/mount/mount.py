@@ -75,7 +75,7 @@ class Coverage:
     first : dict of str to First
         The first answer of each kind but covered.
     widest : numpy.ndarray
-        Shape (6,), m and rad: the widest error bar of each output so far.
+        Shape (6,), m and rad: the widest error bar of each output so far; NaN without any.
     """
 
     covered: int = 0
@@ -83,7 +83,7 @@ class Coverage:
     outside: int = 0
     unknown: int = 0
     first: dict[str, First] = field(default_factory=dict)
-    widest: Vector = field(default_factory=lambda: np.zeros(6))
+    widest: Vector = field(default_factory=lambda: np.full(6, np.nan))
 
     @property
     def answers(self) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pathlib
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
@@ -33,9 +34,10 @@ async def _touched(request: Request, workspace: Opened) -> None:
     caller, job_id = CALLER.get(), request.path_params.get("job_id", "")
     if caller.components != ANY and job_id:
         if job_id.isdecimal() and len(job_id) < 19:
-            job = await run_in_threadpool(workspace.ledger.job, int(job_id))
-            if caller.touches(job.component):
-                return
+            with suppress(UnknownJobError):  # its refusal is that of another's job
+                job = await run_in_threadpool(workspace.ledger.job, int(job_id))
+                if caller.touches(job.component):
+                    return
         raise UnknownJobError("the key may touch no job of that number; GET /v1/jobs lists all")
 
 

@@ -314,7 +314,7 @@ def _copied(request: Request, name: str, body: CopyBody, renamed: bool = False) 
     workspace.catalogue.change(copy.name, notes=card.notes, copied_from=name)
     if body.rows:
         key = permission_of(request.scope).key
-        origin = ImportOrigin(key.name if key else "", format="copy", note=f"copied from {name}")
+        origin = ImportOrigin(key.name if key else "", format="copy")
         copy_rows(workspace.ledger, source, copy, origin)
     if renamed:
         workspace.catalogue.change(name, archived=True, renamed_to=copy.name)

@@ -19,7 +19,7 @@ from tests.service.client.answers import (
     client_with,
 )
 from tests.service.client.joint_scenes import linear_table
-from wrenchbook.service.client import ServerTimeout, ServerUnreachable, conventions
+from wrenchbook.service.client import Displacement, ServerTimeout, ServerUnreachable, conventions
 from wrenchbook.service.client.mount import (
     DisplacementUnknown,
     Mount,
@@ -27,7 +27,7 @@ from wrenchbook.service.client.mount import (
     SensorError,
     require_weight,
 )
-from wrenchbook.service.client.mount.mount import from_world
+from wrenchbook.service.client.mount.mount import Coverage, from_world
 from wrenchbook.service.client.mount.ringing import first_frequency
 
 TURNED = Rotation.from_rotvec([0.3, -0.8, 1.1]).as_matrix()
@@ -127,6 +127,14 @@ def test_thin_and_outside_are_warned_of_once_and_counted():
     assert seen.first["outside"].step == 4
     assert "6 answers: 2 covered, 2 thin, 2 outside" in str(seen)
     assert seen.widest.tolist() == [1e-6] * 6
+
+
+def test_an_error_bar_that_no_answer_has_is_unknown_and_not_zero():
+    seen = Coverage()
+    error = {"translation": [1e-6, None, 1e-6], "rotation": [1e-6] * 3}
+    body = {"component": "plate", "translation": [0.0] * 3, "rotation": [0.0] * 3, "error": error}
+    seen.add(Displacement.read({**body, "coverage": "covered"}, WEIGHT), known=True)
+    assert np.isnan(seen.widest).tolist() == [False, True, False, False, False, False]
 
 
 def test_where_a_table_knows_nothing_the_pose_stays_and_it_is_said():
