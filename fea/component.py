@@ -93,11 +93,11 @@ class ComponentModel:
     temperature_rise: Array | None = None
     joints: tuple[AttachedJoint, ...] = ()
     bolts: tuple[BoltCut, ...] = ()
-    uncut: Mesh | None = None  # the mesh without the cuts of bolts; None without bolts
+    uncut: Mesh | None = None  # of `uncut_mesh`; None without bolts
 
     @property
-    def whole(self) -> Mesh:
-        """The mesh without cuts of bolts."""
+    def uncut_mesh(self) -> Mesh:
+        """The mesh before bolts are cut; without bolts, `mesh`."""
         return self.uncut or self.mesh
 
     @property

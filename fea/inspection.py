@@ -274,7 +274,7 @@ _CLOSED = 0.1  # of the distance: a hundredth of an edge, as much as meshes of r
 
 def warnings_of(component: ComponentModel) -> list[BundleProblem]:
     """Return all that `fea.check` would warn of, in its order, and stacks of single cells."""
-    mesh = component.whole
+    mesh = component.uncut_mesh
     bodies, pairs = bodies_of(mesh), coincident_nodes(mesh)
     shape = [BundleProblem("mesh", message) for message in quality_warnings(quality(mesh))]
     problems = shape + coincidence_warnings(mesh, bodies, pairs) + set_up_warnings(component)
@@ -329,7 +329,7 @@ def shank_direction(component: ComponentModel, bolt: BoltCut) -> tuple[float, Ar
 
     The shank's free facets at the cut run along it. Of others, as of a cone, the angle is 0.
     """
-    mesh, squares = component.whole, np.zeros((3, 3))
+    mesh, squares = component.uncut_mesh, np.zeros((3, 3))
     for kind, nodes in outer_surface(mesh.blocks).blocks:
         x = mesh.points[nodes[np.isin(nodes, bolt.nodes).any(axis=1)][:, TRIANGLES[kind]]]
         normals = np.cross(x[:, :, 1] - x[:, :, 0], x[:, :, 2] - x[:, :, 0]).sum(axis=1)
@@ -357,7 +357,7 @@ def stack_problems(component: ComponentModel) -> list[BundleProblem]:
     """
     if component.analysis.integration != "reduced":
         return []
-    middles = stacked_singly(component.whole)
+    middles = stacked_singly(component.uncut_mesh)
     if not len(middles):
         return []
     message = (

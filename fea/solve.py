@@ -190,7 +190,9 @@ class Solver:
         if self._system.preload is None:
             return None
         try:
-            return hang(self._tightening, _turns_little, "the preload of bolts alone").balance.state
+            return hang(
+                self._tightening, _check_rotation, "the preload of bolts alone"
+            ).balance.state
         except SolveFailed as failure:
             if failure.last is None or failure.kind in ("mechanism", "ill_conditioned"):
                 raise
@@ -210,7 +212,7 @@ class Solver:
         self._system.undeformed.release()  # for `notes`, while no other factor is in memory
         if self._system.weight is None and self._tight is not None:
             return at_rest(self._system, self._tight)
-        return hang(self._system, _turns_little, start=self._tight)
+        return hang(self._system, _check_rotation, start=self._tight)
 
     @property
     def compliance(self) -> Array:
@@ -472,7 +474,7 @@ class Solver:
         return np.einsum("ji,njk->nik", self.component.axes, self.linear.fields)
 
 
-def _turns_little(balance: Balance) -> None:
+def _check_rotation(balance: Balance) -> None:
     _require_small_rotation(balance.state.interface)
 
 

@@ -67,14 +67,14 @@ def finer(solver: Solver, max_unknowns: int | None = None, factor: float = 2.0) 
     bundle, limit = component.bundle, float("inf") if max_unknowns is None else max_unknowns
     if bundle is None or bundle.mesh is None:
         return None
-    again, dependents = refined(bundle, factor), component.whole.dependents
+    again, dependents = refined(bundle, factor), component.uncut_mesh.dependents
     tied = sum(len(tie.nodes) for tie in component.ties)
     if dependents is not None and len(dependents.nodes) > tied:
         return None  # a deck's equations, which name no nodes of a finer mesh
     # In a plane alone, as thin parts have it, unknowns grow by the square.
     if (factor if again else 2.0) ** 2 * component.mesh.unknowns > limit:
         return None
-    model = build(again) if again is not None else build(bundle, halved(component.whole))
+    model = build(again) if again is not None else build(bundle, halved(component.uncut_mesh))
     return Solver(model) if model.mesh.unknowns <= limit else None
 
 
@@ -187,14 +187,14 @@ def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
     sizes = [float(np.cbrt(cells.mean())) for cells in volumes]
     for coarse, fine, fine_solver in zip(sizes, sizes[1:], solvers[1:], strict=False):
         if coarse < MIN_RATIO * fine:
-            nodes = len(fine_solver.component.whole.points)
+            nodes = len(fine_solver.component.uncut_mesh.points)
             message = f"the mesh of {nodes} nodes has cells of {1e3 * fine:.4g} mm"
             raise ValueError(
                 f"{message}, the mesh before of {1e3 * coarse:.4g} mm: give one with cells at most "
                 "0.9 times as large"
             )
     compliance = np.array([solver.linear.compliance for solver in solvers])
-    return Study([len(solver.component.whole.points) for solver in solvers], sizes, compliance)
+    return Study([len(solver.component.uncut_mesh.points) for solver in solvers], sizes, compliance)
 
 
 def write(bundle: Bundle, study: Study) -> Path:

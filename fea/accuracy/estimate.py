@@ -246,8 +246,8 @@ def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[Array], str]:
     scale = np.sqrt((ratio if fine else 1) / (ratio - 1))
     change = (compliance - second.linear.compliance) * np.outer(scale[: len(lacks)], scale)
     basis = (
-        f"a {'finer' if fine else 'coarser'} mesh of {len(second.component.whole.points)} nodes "
-        f"beside this mesh of {len(solver.component.whole.points)}, cells in the ratio "
+        f"a {'finer' if fine else 'coarser'} mesh of {len(second.component.uncut_mesh.points)} "
+        f"nodes beside this mesh of {len(solver.component.uncut_mesh.points)}, cells in the ratio "
         f"{np.median(ratio):.2g} where the error is"
     )
     if fine and not cut:

@@ -221,9 +221,9 @@ class _Equations:
     def join_bodies(self) -> None:
         if self.bodies.count == 1:
             return
-        if (dependents := self.component.whole.dependents) is not None:
+        if (dependents := self.component.uncut_mesh.dependents) is not None:
             # How the motions of all bodies move dependent nodes less what these follow.
-            size = len(self.component.whole.points)  # without cuts, as these dependents
+            size = len(self.component.uncut_mesh.points)  # without cuts, as these dependents
             moves = np.zeros((size, 3, 6 * self.bodies.count))
             for number, nodes in enumerate(self.bodies.nodes):
                 mine = nodes[(self.owner[nodes] == number) & (nodes < size)]

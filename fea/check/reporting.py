@@ -196,7 +196,7 @@ def _inspect_mesh(
         summary["mesh_file"] = listing(mesh.deck)
     try:
         component = build(bundle, mesh)
-        mesh = component.whole
+        mesh = component.uncut_mesh
     finally:  # warn of unmerged nodes, those that no tie joins, whether or not the build succeeds
         pairs = coincident_nodes(mesh)
         summary["coincident_nodes"] = len(pairs)
@@ -533,8 +533,8 @@ def _estimates(report: Mapping[str, Any]) -> Iterator[str]:
             f"{loads}{warm}{pulled and f', acceleration {pulled}'}"
         )
     if cost := report.get("estimate"):
-        count = cost["memory_bytes"]
-        memory = f"{count / 1e9:.2g} GB" if count >= 1e9 else f"{count / 1e6:.3g} MB"
+        size = cost["memory_bytes"]
+        memory = f"{size / 1e9:.2g} GB" if size >= 1e9 else f"{size / 1e6:.3g} MB"
         yield (
             f"one solve: about {_time(cost['linear_seconds'])} linear, "
             f"{_time(cost['nonlinear_seconds'])} nonlinear, {memory} of memory ({cost['basis']})"

@@ -43,7 +43,7 @@ def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Bu
     self-weight or bolts move them; ``deflection``: the largest of each output over the load range
     by the linear compliance, six numbers an interface, m and rad; None where it was not tried or
     ``failed`` (then true). ``by_temperature`` and ``by_acceleration``: the same of these alone,
-    where they are inputs. problems: ``mechanism`` and ``ill_conditioned``, in the words of the
+    where they are inputs. problems: ``mechanism`` and ``ill_conditioned``, with the text of the
     failure.
     """
     points, bundle = solver.component.mesh.points, solver.component.bundle
@@ -137,13 +137,15 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[dict[str, Any], li
     not, or that some materials count as weightless.
     """
     component = solver.component
-    silent = [material.region for material in component.materials if material.density is None]
-    if riding is None and len(silent) == len(component.materials):
+    without_density = [
+        material.region for material in component.materials if material.density is None
+    ]
+    if riding is None and len(without_density) == len(component.materials):
         return {}, []
     carried = riding or Riding.of()
     warnings = []
-    if silent:
-        names = ", ".join(f'"{name}"' for name in silent)
+    if without_density:
+        names = ", ".join(f'"{name}"' for name in without_density)
         message = f"no density for {names}: it counts as weightless in mass and frequency"
         warnings.append(BundleProblem("material", message))
     try:
@@ -151,7 +153,7 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[dict[str, Any], li
     except (ValueError, SolveFailed) as error:
         return {}, [*warnings, BundleProblem("material", f"no natural frequency: {error}")]
     result = {
-        "mass": vibration.mass if len(silent) < len(component.materials) else None,
+        "mass": vibration.mass if len(without_density) < len(component.materials) else None,
         "first_frequency": vibration.frequency,
         "motion": vibration.interface.tolist(),
         "riding_mass": carried.mass,
@@ -201,7 +203,7 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], lis
     """Return the largest stress of each material under the load range, and what to know of it.
 
     To first order stresses are linear in the wrench, and the von Mises stress is a norm of them:
-    no wrench of the range has a larger stress than the worst of its corners.
+    no wrench of the range has a larger stress than its worst corner.
 
     solver: Nothing is made of a component whose bundle tells no `yield_strength`.
     nonlinear: whether a nonlinear component is solved at that corner; else its stresses stay first
@@ -249,30 +251,30 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], lis
         return [], [BundleProblem("material", f"no largest stress: {error}")]
     warnings: list[BundleProblem] = []
     if nonlinear and component.analysis.nonlinear:
-        warnings += _at_large(component, solver, stresses)
+        warnings += _replace_by_nonlinear(component, solver, stresses)
     return stresses, warnings + _yielding(component, stresses)
 
 
 def _worst(unit: Array, corners: Array) -> tuple[float, int, int]:
     """Return the largest stress, Pa, and the first corner and point (of `unit`) that have it.
 
-    The sum of single loads' stresses bounds that of all: most points need not be looked at.
+    The sum of single loads' stresses bounds that of all: few points are candidates.
     """
     loads = np.abs(corners).max(axis=0)
     bound = sum(load * von_mises(unit[:, :, i]) for i, load in enumerate(loads))
     top = unit[np.argsort(bound)[-_FIRST_POINTS:]]
     least = max(von_mises(top @ corner).max() for corner in corners)
     points = np.flatnonzero(bound >= (1 - 1e-9) * least)
-    looked_at, worst_yet = unit[points], (-1.0, 0, 0)
+    candidates, worst_so_far = unit[points], (-1.0, 0, 0)
     for i, corner in enumerate(corners):
-        equivalent = von_mises(looked_at @ corner)
+        equivalent = von_mises(candidates @ corner)
         worst = int(equivalent.argmax())
-        if equivalent[worst] > worst_yet[0]:
-            worst_yet = float(equivalent[worst]), i, int(points[worst])
-    return worst_yet
+        if equivalent[worst] > worst_so_far[0]:
+            worst_so_far = float(equivalent[worst]), i, int(points[worst])
+    return worst_so_far
 
 
-def _at_large(
+def _replace_by_nonlinear(
     component: ComponentModel, solver: Solver, stresses: list[dict[str, Any]]
 ) -> list[BundleProblem]:
     """Put the nonlinear stresses at the worst corners in place of the first-order ones."""

@@ -72,7 +72,7 @@ def read_mesh(path: Path, unit: str) -> Mesh:
 def _read_meshio(path: Path) -> RawMesh:
     if path.suffix.lower() in _XDMF_ENDINGS:
         _refuse_outside(path)
-    read = _quietly(path)
+    read = _read_silently(path)
     blocks: list[Block] = [
         (MESHIO_KINDS.get(str(block.type), str(block.type)), np.asarray(block.data, dtype=np.int64))
         for block in read.cells
@@ -105,8 +105,8 @@ def _read_meshio(path: Path) -> RawMesh:
     return RawMesh(points, blocks, element_sets, nodes)
 
 
-def _quietly(path: Path) -> meshio.Mesh:
-    """Let meshio read, which prints what it dislikes and may end the interpreter."""
+def _read_silently(path: Path) -> meshio.Mesh:
+    """Read by meshio, which prints its complaints and may end the interpreter."""
     output = io.StringIO()
     try:
         with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
