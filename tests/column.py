@@ -79,11 +79,11 @@ def slope(push: float, force: float, moment: float = 0.0) -> float:
 def packed_column() -> PackedTable:
     """The packed table of the stored solves."""
     with np.load(FILE) as file:
-        found = dict(file)
-    columns = {name: found[name] for name in ("compliance", "curvature")}
-    columns["source"] = ["fea"] * len(found["wrench"])
-    rows = Rows.of(found["wrench"], found["displacement"], **columns)
-    load_range = LoadRange(found["low"], found["high"])
+        result = dict(file)
+    columns = {name: result[name] for name in ("compliance", "curvature")}
+    columns["source"] = ["fea"] * len(result["wrench"])
+    rows = Rows.of(result["wrench"], result["displacement"], **columns)
+    load_range = LoadRange(result["low"], result["high"])
     built = build(rows, load_range, tolerance=Tolerance(1e-3, 1e-3))
     return PackedTable.from_bytes(b"".join(pack(built, component="column")))
 
@@ -106,10 +106,10 @@ def write() -> None:
         FILE,
         low=bundle.range.low,
         high=bundle.range.high,
-        wrench=[one.wrench for one in solved],
-        displacement=[one.displacement for one in solved],
-        compliance=[one.compliance for one in solved],
-        curvature=[one.curvature for one in solved if one.curvature is not None],
+        wrench=[solution.wrench for solution in solved],
+        displacement=[solution.displacement for solution in solved],
+        compliance=[solution.compliance for solution in solved],
+        curvature=[solution.curvature for solution in solved if solution.curvature is not None],
     )
 
 

@@ -142,7 +142,7 @@ def circles(imported: Mapping[str, set[str]]) -> list[list[str]]:
     number: dict[str, int] = {}
     lowest: dict[str, int] = {}
     stack: list[str] = []
-    found: list[list[str]] = []
+    results: list[list[str]] = []
 
     def visit(name: str) -> None:
         number[name] = lowest[name] = len(number)
@@ -156,19 +156,19 @@ def circles(imported: Mapping[str, set[str]]) -> list[list[str]]:
         if lowest[name] == number[name]:
             place = stack.index(name)
             if len(stack) - place > 1:
-                found.append(sorted(stack[place:]))
+                results.append(sorted(stack[place:]))
             del stack[place:]
 
     for name in sorted(imported):
         if name not in number:
             visit(name)
-    return found
+    return results
 
 
 def upward_imports() -> list[str]:
     """Return the imports against the layers contracts, as ``importer -> imported``."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    found = set()
+    results = set()
     for contract in settings["tool"]["importlinter"]["contracts"]:
         if contract["type"] != "layers":
             continue
@@ -179,34 +179,34 @@ def upward_imports() -> list[str]:
         for wrong in graph().find_illegal_dependencies_for_layers(
             layers=layers, containers=set(contract.get("containers", ()))
         ):
-            found |= {
+            results |= {
                 " -> ".join([*route.heads, *route.middle, *route.tails]) for route in wrong.routes
             }
-    return sorted(found)
+    return sorted(results)
 
 
 def helpers_with_one_caller(among: Iterable[Source]) -> list[str]:
     """Return private functions named at one place beside their own, as ``path:line name``."""
-    found = []
+    result = []
     for source in among:
         names = Counter(
             node.id if isinstance(node, ast.Name) else node.attr
             for node in ast.walk(source.tree)
             if isinstance(node, ast.Name | ast.Attribute)
         )
-        found += [
+        result += [
             f"{source.path}:{node.lineno} {node.name}"
             for node in ast.walk(source.tree)
             if isinstance(node, Function)
             and re.match(r"_(?!_)", node.name)
             and names[node.name] == 1
         ]
-    return found
+    return result
 
 
 def forwarders(among: Iterable[Source]) -> list[str]:
     """Return functions that only call another with their own parameters, as ``path:line name``."""
-    found = []
+    results = []
     for source in among:
         for node in ast.walk(source.tree):
             if not isinstance(node, Function):
@@ -221,13 +221,13 @@ def forwarders(among: Iterable[Source]) -> list[str]:
             own = [name for name in own if name not in ("self", "cls")]
             passed = [*call.args, *(keyword.value for keyword in call.keywords)]
             if own and own == [arg.id if isinstance(arg, ast.Name) else "" for arg in passed]:
-                found.append(f"{source.path}:{node.lineno} {node.name}")
-    return found
+                results.append(f"{source.path}:{node.lineno} {node.name}")
+    return results
 
 
 def row_forms(among: Iterable[Source]) -> list[str]:
     """Return the classes that hold a wrench and its displacement, as ``path:line name``."""
-    found = []
+    results = []
     for source in among:
         for node in ast.walk(source.tree):
             if isinstance(node, ast.ClassDef):
@@ -237,8 +237,8 @@ def row_forms(among: Iterable[Source]) -> list[str]:
                     if isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name)
                 }
                 if fields & WRENCH_FIELDS and fields & DISPLACEMENT_FIELDS:
-                    found.append(f"{source.path}:{node.lineno} {node.name}")
-    return found
+                    results.append(f"{source.path}:{node.lineno} {node.name}")
+    return results
 
 
 def functions() -> Iterator[int]:
@@ -266,7 +266,7 @@ def duplicates(among: Iterable[Source]) -> list[tuple[Place, Place, int]]:
         # A run that repeats itself, such as the rows of a list, is no copy of itself.
         if one[0] != other[0] or other[1] - one[1] >= DUPLICATE_LINES
     }
-    found = []
+    results = []
     for (file, start), (other, place) in sorted(pairs):
         if ((file, start - 1), (other, place - 1)) in pairs:
             continue  # inside a longer one that starts before
@@ -277,8 +277,8 @@ def duplicates(among: Iterable[Source]) -> list[tuple[Place, Place, int]]:
         ) in pairs:
             length += 1
         first = (files[file][0], files[file][1][start][0])
-        found.append((first, (files[other][0], files[other][1][place][0]), length))
-    return found
+        results.append((first, (files[other][0], files[other][1][place][0]), length))
+    return results
 
 
 def _code_lines(source: Source) -> list[tuple[int, str]]:
@@ -300,12 +300,12 @@ def _code_lines(source: Source) -> list[tuple[int, str]]:
 
 def old_words(among: Iterable[Source]) -> Counter[str]:
     """Return how often names that the code binds contain each of `OLD_WORDS`."""
-    found: Counter[str] = Counter()
+    result: Counter[str] = Counter()
     for source in among:
         for node in ast.walk(source.tree):
             parts = re.split(r"_|(?<=[a-z])(?=[A-Z])", _bound_name(node))
-            found.update(part.lower() for part in parts if part.lower() in OLD_WORDS)
-    return found
+            result.update(part.lower() for part in parts if part.lower() in OLD_WORDS)
+    return result
 
 
 def _bound_name(node: ast.AST) -> str:
@@ -334,25 +334,25 @@ def repeated_classes(among: Iterable[Source]) -> list[str]:
 def _is_decision(value: ast.expr) -> bool:
     """Whether a value is a number, or several, of which one decides; 0, 1, 2, ... are codes."""
     try:
-        told = ast.literal_eval(value)
+        reported = ast.literal_eval(value)
     except ValueError:
         return False
-    told = tuple(told.values()) if isinstance(told, dict) else told
-    numbers = told if isinstance(told, tuple) else (told,)
+    reported = tuple(reported.values()) if isinstance(reported, dict) else reported
+    numbers = reported if isinstance(reported, tuple) else (reported,)
     is_numeric = all(type(number) in (int, float) for number in numbers)
     codes = tuple(range(len(numbers)))
-    return is_numeric and numbers != codes and any(GUARD < abs(one) < SIZE for one in numbers)
+    return is_numeric and numbers != codes and any(GUARD < abs(item) < SIZE for item in numbers)
 
 
 def decision_thresholds(among: Iterable[Source]) -> list[str]:
     """Return the surrogate's named numbers that decide something."""
-    found = []
+    results = []
     for source in among:
         path = source.path.removeprefix("surrogate/")
         if path == source.path or path.startswith(CODES):
             continue
         classes = [node for node in source.tree.body if isinstance(node, ast.ClassDef)]
-        fields = [node for one in classes if one.name.endswith("Settings") for node in one.body]
+        fields = [node for item in classes if item.name.endswith("Settings") for node in item.body]
         for node in (*source.tree.body, *fields):
             if not isinstance(node, ast.Assign | ast.AnnAssign) or not node.value:
                 continue
@@ -360,8 +360,8 @@ def decision_thresholds(among: Iterable[Source]) -> list[str]:
             names = {part.id for part in ast.walk(target) if isinstance(part, ast.Name)}
             if _is_decision(node.value) and not names & NO_DECISIONS:
                 text = f"{ast.unparse(target)} = {ast.unparse(node.value)}"
-                found.append(f"{source.path}:{node.lineno} {text}")
-    return found
+                results.append(f"{source.path}:{node.lineno} {text}")
+    return results
 
 
 def files_with_one_importer() -> list[str]:
@@ -370,30 +370,30 @@ def files_with_one_importer() -> list[str]:
     for name, others in imports().items():
         for other in others:
             importers[other].add(name)
-    found = []
+    results = []
     for source in sources():
         name = f"wrenchbook.{source.path.removesuffix('.py').replace('/', '.')}"
         if len(importers[name]) == 1 and not source.path.endswith("__init__.py"):
             lines = len(source.text.splitlines())
-            found.append(f"{lines:4d} {source.path}, imported by {min(importers[name])}")
-    return found
+            results.append(f"{lines:4d} {source.path}, imported by {min(importers[name])}")
+    return results
 
 
 def sizes(among: Iterable[Source]) -> dict[str, tuple[int, int]]:
     """Return how many files and lines of Python each counted room has, its own rooms included."""
-    found = dict.fromkeys(COUNTED, (0, 0))
+    result = dict.fromkeys(COUNTED, (0, 0))
     for source in among:
         for room in COUNTED:
             if source.path.startswith(f"{room}/"):
-                files, lines = found[room]
-                found[room] = files + 1, lines + len(source.text.splitlines())
-    return found
+                files, lines = result[room]
+                result[room] = files + 1, lines + len(source.text.splitlines())
+    return result
 
 
 def _size_lines() -> list[str]:
-    told = sizes(sources())
-    whole = tuple(map(sum, zip(*told.values(), strict=True)))
-    table = [*told.items(), ("together", whole)]
+    reported = sizes(sources())
+    whole = tuple(map(sum, zip(*reported.values(), strict=True)))
+    table = [*reported.items(), ("together", whole)]
     width = max(len(room) for room, _ in table)
     return [
         f"{'room':{width}s}  files   lines",
@@ -404,7 +404,7 @@ def _size_lines() -> list[str]:
 def report() -> str:
     """Lay out all figures."""
     lengths = sorted(functions())
-    same, words = duplicates(sources()), old_words(sources())
+    same, text = duplicates(sources()), old_words(sources())
     packages = Counter(source.path.partition("/")[0] for source in sources())
     lines = [f"{count:4d} files in {package}" for package, count in sorted(packages.items())]
     lines += _size_lines()
@@ -423,8 +423,8 @@ def report() -> str:
     lines += _list("files with one importer", files_with_one_importer())
     lines += _list("forms of a row", row_forms(sources()))
     lines += _list(
-        f"words in names that are to go ({sum(words.values())} times)",
-        [f"{count:4d} {word}" for word, count in words.most_common()],
+        f"words in names that are to go ({sum(text.values())} times)",
+        [f"{count:4d} {word}" for word, count in text.most_common()],
     )
     lines += _list("class names of several files", repeated_classes(sources()))
     lines += _list("decision thresholds of the surrogate", decision_thresholds(sources()))
@@ -433,8 +433,8 @@ def report() -> str:
     return "\n".join(lines)
 
 
-def _list(title: str, found: list[str]) -> list[str]:
-    return [f"{title}: {len(found)}", *(f"    {one}" for one in found)]
+def _list(title: str, results: list[str]) -> list[str]:
+    return [f"{title}: {len(results)}", *(f"    {result}" for result in results)]
 
 
 if __name__ == "__main__":

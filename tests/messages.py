@@ -58,7 +58,7 @@ def messages() -> tuple[Message, ...]:
     trees = {file.relative_to(ROOT): ast.parse(file.read_text("utf-8")) for file in files}
     makers = {_name(node.exc) for tree in trees.values() for node in _raises(tree)}
     return tuple(
-        sorted({one for file, tree in trees.items() for one in _of_file(file, tree, makers)})
+        sorted({item for file, tree in trees.items() for item in _of_file(file, tree, makers)})
     )
 
 
@@ -73,12 +73,12 @@ def _of_file(file: Path, tree: ast.Module, makers: set[str]) -> Iterator[Message
     functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
     for scope in [
         *functions,
-        *(one for one in ast.walk(tree) if isinstance(one, ast.AsyncFunctionDef)),
+        *(item for item in ast.walk(tree) if isinstance(item, ast.AsyncFunctionDef)),
     ]:
         names = constants | _assigned(list(ast.walk(scope)))
         for call in ast.walk(scope):
             if isinstance(call, ast.Call) and _is_error(_name(call), makers):
-                texts = [text for one in _arguments(call) for text in _texts(one, names)]
+                texts = [text for argument in _arguments(call) for text in _texts(argument, names)]
                 if texts := [text for text in texts if " " in text.strip()]:
                     source = f"{file}:{call.lineno}"
                     yield Message(str(file.parent), _place(call), " | ".join(texts), source)
@@ -104,7 +104,7 @@ def _statuses() -> dict[str, str]:
 
 
 def _arguments(call: ast.Call) -> list[ast.expr]:
-    return [*call.args, *(one.value for one in call.keywords)]
+    return [*call.args, *(keyword.value for keyword in call.keywords)]
 
 
 def _name(node: ast.AST | None) -> str:
@@ -117,11 +117,11 @@ def _name(node: ast.AST | None) -> str:
 
 def _assigned(nodes: list[ast.AST] | list[ast.stmt]) -> dict[str, list[ast.expr]]:
     """Return the values that statements assign to each name."""
-    found: dict[str, list[ast.expr]] = {}
+    result: dict[str, list[ast.expr]] = {}
     for node in nodes:
         if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
-            found.setdefault(node.targets[0].id, []).append(node.value)
-    return found
+            result.setdefault(node.targets[0].id, []).append(node.value)
+    return result
 
 
 def _texts(node: ast.expr, names: dict[str, list[ast.expr]], depth: int = 3) -> list[str]:
@@ -129,19 +129,19 @@ def _texts(node: ast.expr, names: dict[str, list[ast.expr]], depth: int = 3) -> 
     if isinstance(node, ast.Constant):
         return [node.value] if isinstance(node.value, str) else []
     if isinstance(node, ast.JoinedStr):
-        return ["".join(_piece(one) for one in node.values)]
+        return ["".join(_piece(value) for value in node.values)]
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add):
         sides = [
-            _texts(one, names, depth) or [f"{{{ast.unparse(one)}}}"]
-            for one in (node.left, node.right)
+            _texts(item, names, depth) or [f"{{{ast.unparse(item)}}}"]
+            for item in (node.left, node.right)
         ]
         return [a + b for a in sides[0] for b in sides[1]]
     if isinstance(node, ast.Name) and depth:
-        return [text for one in names.get(node.id, ()) for text in _texts(one, names, depth - 1)]
+        return [text for item in names.get(node.id, ()) for text in _texts(item, names, depth - 1)]
     if isinstance(node, ast.IfExp):
         return _texts(node.body, names, depth) + _texts(node.orelse, names, depth)
     if isinstance(node, ast.List | ast.Tuple):
-        return [text for one in node.elts for text in _texts(one, names, depth)]
+        return [text for elt in node.elts for text in _texts(elt, names, depth)]
     return []
 
 
@@ -155,11 +155,11 @@ def _piece(node: ast.expr) -> str:
 def main() -> None:
     """Print the catalogue, a heading for each package."""
     package = ""
-    for one in messages():
-        if one.package != package:
-            package = one.package
+    for message in messages():
+        if message.package != package:
+            package = message.package
             print(f"\n## {package}\n")
-        print(f"{one.place}: {one.text}\n    {one.source}")
+        print(f"{message.place}: {message.text}\n    {message.source}")
 
 
 if __name__ == "__main__":

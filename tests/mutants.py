@@ -51,11 +51,11 @@ def caught_by(copy: Path, file: str, lists: list[str]) -> str:
             )
         except subprocess.TimeoutExpired:
             return f"the limit of {LIMIT_S} s"
-        found = FAILED.search(ran.stdout)
-        if ran.returncode not in (0, 1, 2) or (ran.returncode and not found):
+        result = FAILED.search(ran.stdout)
+        if ran.returncode not in (0, 1, 2) or (ran.returncode and not result):
             raise SystemExit(f"pytest did not run:\n{ran.stdout[-3000:]}{ran.stderr[-3000:]}")
-        if found:
-            return found[1]
+        if result:
+            return result[1]
     return ""
 
 

@@ -16,8 +16,8 @@ def tables(module):
 
 def cases(module, section):
     """Parametrise a test by ``case``: each of one section."""
-    found = tables(module)[section].items()
-    return pytest.mark.parametrize("case", [pytest.param(case, id=name) for name, case in found])
+    results = tables(module)[section].items()
+    return pytest.mark.parametrize("case", [pytest.param(case, id=name) for name, case in results])
 
 
 def changed(text, case):

@@ -49,11 +49,11 @@ def main() -> int:
         python = shutil.which(name)
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
             try:
-                told = check(python, wheel, Path(folder)) if python else "not on this machine"
+                reported = check(python, wheel, Path(folder)) if python else "not on this machine"
             except subprocess.CalledProcessError as error:
-                told, python = f"FAILED: {error.cmd}\n{error.stderr}", None
+                reported, python = f"FAILED: {error.cmd}\n{error.stderr}", None
         faults += python is None
-        print(f"{name}: {told}", flush=True)
+        print(f"{name}: {reported}", flush=True)
     return faults
 
 

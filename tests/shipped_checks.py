@@ -19,9 +19,9 @@ DIGITS = 7  # more than a mesh is right to
 
 def vibration(folder: Path) -> dict[str, Any]:
     """Return the vibration of a bundle's check with its fingerprint."""
-    found = report(folder)
-    own = found.get("vibration") or {}
-    return {"fingerprint": found["fingerprint"], "vibration": _rounded(own)}
+    result = report(folder)
+    own = result.get("vibration") or {}
+    return {"fingerprint": result["fingerprint"], "vibration": _rounded(own)}
 
 
 def _rounded(value: Any) -> Any:

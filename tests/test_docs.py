@@ -54,9 +54,9 @@ def shown(page: Path) -> str:
 def blocks(page: Path, *kinds: str) -> Iterator[tuple[int, str]]:
     """The line and the text of the page's code blocks, without those that are not run."""
     text = page.read_text()
-    for found in FENCE.finditer("\n" + text):
-        if found["kind"] in kinds and not re.match(r"<!-- (not run:|run by) \S", found["before"]):
-            yield text[: found.start("text") - 1].count("\n") + 1, found["text"]
+    for result in FENCE.finditer("\n" + text):
+        if result["kind"] in kinds and not re.match(r"<!-- (not run:|run by) \S", result["before"]):
+            yield text[: result.start("text") - 1].count("\n") + 1, result["text"]
 
 
 def cells(notebook: Path, kind: str) -> Iterator[str]:
@@ -75,14 +75,14 @@ def python_of(page: Path) -> list[tuple[int, str]]:
 
 def anchors(page: Path) -> set[str]:
     text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.M | re.S)
-    slugs, found = (
+    slugs, result = (
         re.findall(r"^#+ (.*)$", text, re.M),
         set(re.findall(r"^\((\S+)\)=$", text, re.M)),
     )
     for slug in slugs:
-        words = re.sub(r"[^\w\- ]", "", slug.strip().lower().replace("`", ""))
-        found.add(words.replace(" ", "-"))
-    return found
+        texts = re.sub(r"[^\w\- ]", "", slug.strip().lower().replace("`", ""))
+        result.add(texts.replace(" ", "-"))
+    return result
 
 
 def broken_links(page: Path) -> list[str]:
@@ -103,11 +103,11 @@ def broken_links(page: Path) -> list[str]:
 
 def commands(page: Path) -> Iterator[tuple[int, list[str]]]:
     for line, text in blocks(page, "sh", "shell", "bash", "console"):
-        for one in text.replace("\\\n", " ").splitlines():
-            words = one.removeprefix("$ ").strip()
-            if words.startswith("wrenchbook "):
-                words = re.split(r" [|>&;]|;", words)[0]
-                yield line, shlex.split(words, comments=True)[1:]
+        for item in text.replace("\\\n", " ").splitlines():
+            texts = item.removeprefix("$ ").strip()
+            if texts.startswith("wrenchbook "):
+                texts = re.split(r" [|>&;]|;", texts)[0]
+                yield line, shlex.split(texts, comments=True)[1:]
 
 
 @cache
@@ -116,18 +116,18 @@ def help_of(program: str) -> str:
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
-def parse(words: list[str]) -> None:
+def parse(texts: list[str]) -> None:
     """Parse a command line as far as that its command and options exist."""
-    if words[0] in PROGRAMS:
-        options = [word.partition("=")[0] for word in words if word.startswith("--")]
-        assert [option for option in options if option not in help_of(words[0])] == []
+    if texts[0] in PROGRAMS:
+        options = [word.partition("=")[0] for word in texts if word.startswith("--")]
+        assert [option for option in options if option not in help_of(texts[0])] == []
         return
     command = typer.main.get_command(app)
     context = typer.Context(command, info_name="wrenchbook")
-    while hasattr(command, "commands") and words and not words[0].startswith("-"):
-        command = command.commands[words.pop(0)]
+    while hasattr(command, "commands") and texts and not texts[0].startswith("-"):
+        command = command.commands[texts.pop(0)]
         context = typer.Context(command, info_name=command.name, parent=context)
-    _, rest, _ = command.make_parser(context).parse_args(list(words))
+    _, rest, _ = command.make_parser(context).parse_args(list(texts))
     assert not rest, f"arguments too many: {rest}"
 
 
@@ -138,11 +138,11 @@ def test_every_link_of_a_page_leads_to_a_file_and_a_heading(page):
 
 @pytest.mark.parametrize("page", PAGES, ids=shown)
 def test_the_commands_of_a_page_exist_with_their_options(page):
-    for line, words in commands(page):
+    for line, text in commands(page):
         try:
-            parse(words)
+            parse(text)
         except Exception as error:  # of click, whose copy typer carries
-            pytest.fail(f"{shown(page)}:{line}: wrenchbook {shlex.join(words)}: {error!r}")
+            pytest.fail(f"{shown(page)}:{line}: wrenchbook {shlex.join(text)}: {error!r}")
 
 
 def test_every_other_python_block_says_why_it_is_not_run_here():
@@ -207,7 +207,7 @@ def test_the_site_builds_without_a_warning_and_loads_nothing_from_another_host(t
     )
     pages = [*(tmp_path / "site").rglob("*.html")]
     assert len(pages) > 10
-    assert [found for page in pages for found in loaded.findall(page.read_text())] == []
+    assert [result for page in pages for result in loaded.findall(page.read_text())] == []
     styles = [*(tmp_path / "site").rglob("*.css")]
     assert [
         page.name

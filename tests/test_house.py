@@ -58,17 +58,17 @@ def test_the_lines_of_a_room_hold_those_of_its_own_rooms():
         source("surrogates/three.py", "d = 4\n"),
         source("service/fmu/four.py", "e = 5\n"),
     ]
-    found = house.sizes(among)
-    assert list(found) == list(house.COUNTED)
-    assert (found["surrogate"], found["service/fmu"]) == ((2, 3), (1, 1))
-    assert found["service/client"] == (0, 0)
+    results = house.sizes(among)
+    assert list(results) == list(house.COUNTED)
+    assert (results["surrogate"], results["service/fmu"]) == ((2, 3), (1, 1))
+    assert results["service/client"] == (0, 0)
 
 
 def test_a_helper_is_counted_if_its_name_stands_once_more_in_its_file():
     text = "def _once(): ...\ndef _twice(): ...\nclass A:\n    def _own(self): ...\n"
     calls = "_once()\n_twice()\n_twice()\nA()._own()\n"
-    found = house.helpers_with_one_caller([source("first.py", text + calls)])
-    assert found == ["first.py:1 _once", "first.py:4 _own"]
+    result = house.helpers_with_one_caller([source("first.py", text + calls)])
+    assert result == ["first.py:1 _once", "first.py:4 _own"]
 
 
 def test_a_forwarder_passes_its_own_parameters_on_and_does_nothing_else():
@@ -102,8 +102,8 @@ class Settings:
 class Other:
     part: float = 0.5
 """
-    found = house.decision_thresholds([source("surrogate/a.py", text), source("fea/a.py", text)])
-    assert [line.partition(" ")[2] for line in found] == [
+    results = house.decision_thresholds([source("surrogate/a.py", text), source("fea/a.py", text)])
+    assert [line.partition(" ")[2] for line in results] == [
         "PART = 0.5",
         "LARGEST = {1: 0.4, 2: 0.2}",
         "level = 0.95",

@@ -16,9 +16,11 @@ from tests.messages import messages
     ],
 )
 def test_the_catalogue_has_the_errors_of_each_kind(package: str, place: str, text: str):
-    found = [one for one in messages() if one.package == package and one.place == place]
-    assert any(text.replace("!r", "") in one.text for one in found)
+    results = [
+        message for message in messages() if message.package == package and message.place == place
+    ]
+    assert any(text.replace("!r", "") in result.text for result in results)
 
 
 def test_the_catalogue_names_the_line_of_a_message():
-    assert all(one.source.rpartition(":")[2].isdigit() for one in messages())
+    assert all(message.source.rpartition(":")[2].isdigit() for message in messages())

@@ -9,11 +9,11 @@ NUMBERS[0, :3], NUMBERS[1, 2] = 0.0, np.nan
 
 
 def test_each_number_moves_by_at_most_one_unit_in_the_last_place_and_zero_stays():
-    found = moved(NUMBERS, 3)
-    steps = np.nan_to_num(found - NUMBERS) / np.spacing(np.abs(np.nan_to_num(NUMBERS)))
+    result = moved(NUMBERS, 3)
+    steps = np.nan_to_num(result - NUMBERS) / np.spacing(np.abs(np.nan_to_num(NUMBERS)))
     assert np.abs(steps).max() == 1
     assert not steps[0, :3].any()
-    assert np.isnan(found[1, 2])
+    assert np.isnan(result[1, 2])
 
 
 def test_numbers_move_up_down_and_not_at_all_about_as_often():

@@ -40,8 +40,8 @@ def moved(numbers: np.ndarray, seed: int, rows: np.ndarray | None = None) -> np.
     own = keys if rows is None else _keys(np.array(rows, dtype=float), seed)
     steps = _mixed(keys + np.bitwise_xor.reduce(own, axis=1, keepdims=True)) % np.uint64(3)
     still = ~np.isfinite(flat) | (np.abs(flat) < np.finfo(float).tiny)
-    found = flat.view(np.int64) + np.where(still, 0, steps.astype(np.int64) - 1)
-    return found.view(float).reshape(np.shape(numbers))
+    result = flat.view(np.int64) + np.where(still, 0, steps.astype(np.int64) - 1)
+    return result.view(float).reshape(np.shape(numbers))
 
 
 def _keys(flat: np.ndarray, seed: int) -> np.ndarray:
@@ -57,10 +57,10 @@ class Mover:
 
     def install(self) -> None:
         """Hook into the two constructors that all made-up rows and components pass."""
-        made, begin = Rows.of.__func__, ComponentModel.__init__
+        created, begin = Rows.of.__func__, ComponentModel.__init__
 
         def of(cls: type[Rows], *arguments: Any, **columns: Any) -> Rows:
-            rows = made(cls, *arguments, **columns)
+            rows = created(cls, *arguments, **columns)
             caller = sys._getframe(1).f_globals.get("__name__", "")
             made_up = caller.startswith("tests.") and caller not in AS_THEY_ARE
             if not self.active or not made_up:
@@ -79,7 +79,7 @@ class Mover:
             begin(model, *arguments, **more)
             if self.active:
                 mesh = replace(model.mesh, points=moved(model.mesh.points, self.seed))
-                materials = tuple(self._material(one) for one in model.materials)
+                materials = tuple(self._material(material) for material in model.materials)
                 object.__setattr__(model, "mesh", mesh)
                 object.__setattr__(model, "materials", materials)
 

@@ -84,7 +84,7 @@ def walks(solvers: int) -> dict[str, list[str]]:
 
     Without solvers a query that is not covered leaves its job waiting; with them it is solved.
     """
-    passed, found = Passed(), {}
+    passed, result = Passed(), {}
     passed.record()
     with tempfile.TemporaryDirectory() as folder, served(Path(folder), solvers=solvers) as client:
         rows = [
@@ -109,7 +109,7 @@ def walks(solvers: int) -> dict[str, list[str]]:
                 until(lambda: packed_files(folder) - tables)  # the new table
                 time.sleep(IDLE_S)  # which is mapped, and saved
                 files |= passed.files - idle
-            found[name] = sorted(str(Path(file).relative_to(ROOT)) for file in files)
+            result[name] = sorted(str(Path(file).relative_to(ROOT)) for file in files)
 
         if solvers:
             with walk("job", "plate") as line:
@@ -126,12 +126,12 @@ def walks(solvers: int) -> dict[str, list[str]]:
                 line.request("GET", "/v1/components/rig/table?format=packed")
                 line.getresponse().read()
     threading.setprofile(None)
-    return found
+    return result
 
 
 def numerics() -> dict[str, list[str]]:
     """Return the files from component.toml to a solution, and from rows to the kernel's answer."""
-    passed, found = Passed(), {}
+    passed, result = Passed(), {}
 
     @contextmanager
     def walk(name: str) -> Iterator[None]:
@@ -139,7 +139,7 @@ def numerics() -> dict[str, list[str]]:
         sys.setprofile(passed.note)
         yield
         sys.setprofile(None)
-        found[name] = sorted(str(Path(file).relative_to(ROOT)) for file in passed.files)
+        result[name] = sorted(str(Path(file).relative_to(ROOT)) for file in passed.files)
 
     with walk("solve"):
         bundle = read_bundle(ROOT / "data" / "components" / "plate_thin")
@@ -152,7 +152,7 @@ def numerics() -> dict[str, list[str]]:
         rows = Rows.of(solved["wrench"][chosen], solved["displacement"][chosen], **columns)
         table = packed_of(build(rows, LoadRange(solved["low"], solved["high"])))
         assert table.answer([0, 0, 100.0, 0, 0, 0]).method == "kriging"
-    return found
+    return result
 
 
 if __name__ == "__main__":

@@ -113,8 +113,8 @@ def prepare(folder: Path) -> None:
 def load(client: Client) -> None:
     """Import all tables."""
     with ThreadPoolExecutor(3) as pool:
-        made = [pool.submit(_add, client, name, *one) for name, one in tables().items()]
-    for one in made:
+        created = [pool.submit(_add, client, name, *one) for name, one in tables().items()]
+    for one in created:
         one.result()
     reach = {"force": [100.0] * 3, "moment": [10.0] * 3}
     client.add_component({"name": "nothing", "title": "Without rows", "range": reach})

@@ -49,7 +49,7 @@ def test_a_backup_under_load_restores_to_one_state(server, tmp_path):
 
     again = tmp_path / "again"
     restore(tmp_path / "rig.backup", again)
-    assert [one for one in examine(again) if one.kind == "fault"] == []
+    assert [item for item in examine(again) if item.kind == "fault"] == []
     server.folder = again
     rows = rows_of(server.start(solvers=0))
     assert ROWS <= len(rows) <= len(whole)

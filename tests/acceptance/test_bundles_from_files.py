@@ -94,8 +94,8 @@ def test_a_calculix_deck_with_node_sets_becomes_a_covered_table(server, tmp_path
     assert first.coverage != "covered"
     assert client.wait(first.job).status == "done"
     assert client.component("cantilever")["rows"] == 1  # it waits for the row
-    told = client.displacement("cantilever", [20.0, 0, -80.0], [1.0, 2.0, 3.0])
-    assert (told.coverage, told.source, told.method) == ("covered", "table", "linear")
+    reported = client.displacement("cantilever", [20.0, 0, -80.0], [1.0, 2.0, 3.0])
+    assert (reported.coverage, reported.source, reported.method) == ("covered", "table", "linear")
     bent = client.displacement("cantilever", [0, 0, 1.0], [0, 0, 0]).translation[2]
     assert bent == pytest.approx(timoshenko(), rel=1e-3)
     stretched = client.displacement("cantilever", [1.0, 0, 0], [0, 0, 0]).translation[0]
@@ -141,11 +141,11 @@ def test_a_bracket_from_a_step_file_becomes_a_covered_table(server, tmp_path):
     assert client.wait(first.job).status == "done"
     for round_ in client.fill_until("bracket", budget=40, round_size=40):
         assert {job.status for job in round_.jobs} <= {"done"}
-    told = client.displacement("bracket", [50.0, 40.0, -120.0], [1.0, 2.0, -1.0])
-    assert (told.coverage, told.source) == ("covered", "table"), told.reason
+    reported = client.displacement("bracket", [50.0, 40.0, -120.0], [1.0, 2.0, -1.0])
+    assert (reported.coverage, reported.source) == ("covered", "table"), reported.reason
     true = client.solve("bracket", [50.0, 40.0, -120.0], [1.0, 2.0, -1.0], wait_s=60)
-    error = np.abs(told.vector - true.vector)
+    error = np.abs(reported.vector - true.vector)
     assert error[:3].max() <= 2e-6
     assert error[3:].max() <= 5e-5
     # It hangs down under a load downwards, and by far more than the tolerance.
-    assert told.translation[2] < -1e-5
+    assert reported.translation[2] < -1e-5

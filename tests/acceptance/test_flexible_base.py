@@ -74,7 +74,7 @@ def monolithic(k: float, kr: float, steps: int) -> np.ndarray:
     """The base's displacement in one simulation, (steps, 6), m and rad."""
     # 4 % of critical damping at 27 Hz, which a bolted mount has.
     model = flexible(k, kr, damping=2 * 0.04 / (2 * np.pi * FIRST))
-    data, found = prepare(model), np.empty((steps, 6))
+    data, result = prepare(model), np.empty((steps, 6))
     for _ in range(3000):  # to rest under its weight
         mujoco.mj_step(model, data)
     start = data.time
@@ -83,14 +83,14 @@ def monolithic(k: float, kr: float, steps: int) -> np.ndarray:
         mujoco.mj_step(model, data)
         turn = np.empty(3)
         mujoco.mju_quat2Vel(turn, data.qpos[3:7], 1.0)
-        found[step] = np.concatenate([data.qpos[:3], turn])
-    return found
+        result[step] = np.concatenate([data.qpos[:3], turn])
+    return result
 
 
 def coupled(k: float, kr: float, steps: int) -> np.ndarray:
     """The same by the mount, answered every 10 ms, (steps, 6), m and rad."""
     model = mujoco.MjModel.from_xml_path(str(ARM))
-    data, found = prepare(model), np.empty((steps, 6))
+    data, result = prepare(model), np.empty((steps, 6))
     table = LinearTable(np.diag([1 / k] * 3 + [1 / kr] * 3))
     mount = wrenchbook.MujocoMount(model, data, source=table, component="plate", sync=SYNC)
     for _ in range(3000):
@@ -101,8 +101,8 @@ def coupled(k: float, kr: float, steps: int) -> np.ndarray:
         data.ctrl[:] = command(data.time - start)
         mujoco.mj_step(model, data)
         mount.step()
-        found[step] = mount.mount.displacement
-    return found
+        result[step] = mount.mount.displacement
+    return result
 
 
 def test_an_arm_on_a_27_hz_mount_is_within_1_percent_of_a_flexible_base(stiffness):

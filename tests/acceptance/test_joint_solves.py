@@ -21,8 +21,8 @@ AT_REST_S = 6.0  # of simulated time, with a quarter of critical damping
 
 @pytest.fixture(scope="module")
 def client(tmp_path_factory):
-    with served(tmp_path_factory.mktemp("solving"), solvers=1) as made:
-        yield made
+    with served(tmp_path_factory.mktemp("solving"), solvers=1) as created:
+        yield created
 
 
 # Half of the load range, off the interface point: all the part's freedoms move.

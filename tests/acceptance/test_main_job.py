@@ -15,8 +15,8 @@ def test_a_linear_component_needs_one_solve_for_its_whole_range(server):
     again = client.displacement("bar", [12.0, -7.0, 3.0], [1.0, 2.0, 3.0], on_thin="wait")
     assert (again.coverage, again.source, again.method) == ("covered", "table", "linear")
     inertia, young, length = 0.02**4 / 12, 210e9, 1.0
-    told = client.displacement("bar", [0, 0, 1.0], [0, 0, 0]).translation[2]
-    assert told == pytest.approx(length**3 / (3 * young * inertia), rel=0.005)
+    reported = client.displacement("bar", [0, 0, 1.0], [0, 0, 0]).translation[2]
+    assert reported == pytest.approx(length**3 / (3 * young * inertia), rel=0.005)
 
 
 def test_a_thin_table_is_solved_filled_and_then_covers(server):
@@ -26,11 +26,11 @@ def test_a_thin_table_is_solved_filled_and_then_covers(server):
     for round_ in client.fill_until("plate_thin", budget=18, round_size=18):
         assert {job.status for job in round_.jobs} <= {"done"}  # none once the tolerance is met
     tolerance = {"translation": 2e-3, "rotation": 2e-2}
-    told = client.displacement("plate_thin", [0, 0, -500.0], [10.0, 0, 0], tolerance=tolerance)
-    assert (told.coverage, told.source) == ("covered", "table")
-    assert told.elapsed_us > 0
+    reported = client.displacement("plate_thin", [0, 0, -500.0], [10.0, 0, 0], tolerance=tolerance)
+    assert (reported.coverage, reported.source) == ("covered", "table")
+    assert reported.elapsed_us > 0
     true = client.solve("plate_thin", [0, 0, -500.0], [10.0, 0, 0], wait_s=60)
-    error = np.abs(told.vector - true.vector)
+    error = np.abs(reported.vector - true.vector)
     assert error[:3].max() <= tolerance["translation"]
     assert error[3:].max() <= tolerance["rotation"]
 

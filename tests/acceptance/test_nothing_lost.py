@@ -103,16 +103,16 @@ class Site:
         return until(accepted)
 
     def open_jobs(self):
-        counts = [len(self.client.jobs("plate_thin", one)) for one in ("waiting", "running")]
+        counts = [len(self.client.jobs("plate_thin", name)) for name in ("waiting", "running")]
         return sum(counts)
 
 
 @pytest.fixture(params=["local", "dask"])
 def cluster(request, tmp_path):
-    found = Cluster(tmp_path / "cluster", solver="slow") if request.param == "dask" else None
-    yield found
-    if found:
-        found.stop()  # after the site's mender
+    result = Cluster(tmp_path / "cluster", solver="slow") if request.param == "dask" else None
+    yield result
+    if result:
+        result.stop()  # after the site's mender
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -79,14 +79,14 @@ def kinds(tmp_path_factory) -> Iterator[dict[str, Kind]]:
         workers = SeveralProcesses(folder / "several", solvers=0)
         stack.callback(workers.end)
         several = stack.enter_context(clients_of_each(workers))
-        found = {name: Kind(name, plain, folder, several, program) for name in KINDS}
-        pool.submit(make_fmu, "any", found["clean"].packed)  # which compiles what all have
-        for name, one in found.items():
+        result = {name: Kind(name, plain, folder, several, program) for name in KINDS}
+        pool.submit(make_fmu, "any", result["clean"].packed)  # which compiles what all have
+        for name, one in result.items():
             (folder / name).mkdir()
             for client in several:
                 version = client.component(name)["table_version"]  # it waits for all rows
                 assert version == one.table.version
-        yield found
+        yield result
 
 
 @pytest.fixture(scope="module")
@@ -99,12 +99,12 @@ def asked(kinds):
         few = ("inside", "beyond", "few", "row")
         hows = [(None, None, SORTS), ((1e-6, 1e-5), None, SORTS), ((1e-3, 1e-2), None, few)]
         hows += [(None, method, few) for method in kind.own_methods]
-        found = []
+        results = []
         for tolerance, method, sorts in hows:
             wrenches = [wrench_of(sort, kind, random) for sort in sorts]
             question = Question(np.array(wrenches), tolerance, method)
-            found.append((question, kernel(kind, question)))
-        return found
+            results.append((question, kernel(kind, question)))
+        return results
 
     return make
 
@@ -126,14 +126,14 @@ def test_the_questions_reach_all_that_a_reply_can_say(asked):
     """Else the claim above would be one of few answers."""
     replies = [said for name in KINDS for _, said in asked(name)]
     said = {
-        name: {one for reply in replies for one in getattr(reply, name)}
+        name: {item for reply in replies for item in getattr(reply, name)}
         for name in ("coverage", "within", "methods", "sources")
     }
     assert said["coverage"] == {"covered", "thin", "outside"}
     assert said["within"] == {True, False, None}
     assert said["methods"] >= {"griddata", "additive", "kriging", "linear", "row", "estimate"}
     assert said["sources"] >= {None, "table", "fea", "rig"}
-    reasons = " ".join(one for reply in replies for one in reply.reasons)
+    reasons = " ".join(reason for reply in replies for reason in reply.reasons)
     for words in ("20 degrees or 10 m", "has exactly this wrench", "not measured in any row: ry"):
         assert words in reasons
     for cause in ("table", "mesh", "linearity"):
@@ -158,9 +158,9 @@ def test_a_table_made_of_a_servers_rows_says_what_the_servers_does_to_rounding(k
     near, packed = SAME * size_of(again) + rounding_of(again), packed_of(again)
     for method in (None, *one.own_methods):
         asked = np.concatenate([asked_of(again, 10, 1, span) for span in (0.4, 1.0, 1.3, 4.0)])
-        own, found = (table.batch(asked, None, method) for table in (packed, one.packed))
-        np.testing.assert_array_equal(found.coverage, own.coverage)
-        for ours, theirs, part in ((own[0], found[0], SAME), (own[1], found[1], SIGMA)):
+        own, result = (table.batch(asked, None, method) for table in (packed, one.packed))
+        np.testing.assert_array_equal(result.coverage, own.coverage)
+        for ours, theirs, part in ((own[0], result[0], SAME), (own[1], result[1], SIGMA)):
             np.testing.assert_array_equal(np.isnan(theirs), np.isnan(ours))
             apart = np.nan_to_num(np.abs(theirs - ours))
             assert (apart <= near + part * np.nan_to_num(np.abs(ours))).all()
@@ -185,9 +185,9 @@ def test_a_table_cut_to_a_scene_says_the_same_at_its_wrenches(kinds, name, part,
     for place in random.uniform(0, 1, (4, len(low))):
         wrench = ends[0] + place * (ends[1] - ends[0])
         expected = vars(one.table.answer(**one.loads(wrench))) | {"elapsed_us": None}
-        for found in (cut.answer(**one.loads(wrench)), opened.answer(**one.loads(wrench))):
+        for result in (cut.answer(**one.loads(wrench)), opened.answer(**one.loads(wrench))):
             # repr tells a negative zero, and all digits
-            assert strip(repr(vars(found) | {"elapsed_us": None})) == strip(repr(expected))
+            assert strip(repr(vars(result) | {"elapsed_us": None})) == strip(repr(expected))
 
 
 def needed(low, high):
@@ -224,7 +224,7 @@ def test_every_reply_spells_loads_and_outputs_as_fx_to_mz_and_ux_to_rz(kinds, as
     texts.append(str(caught.value.body))
     assert all(OTHER_SPELLING.search(other) for other in ("r_z of M_y", "Fx"))
     for text in texts:
-        assert (found := OTHER_SPELLING.search(text)) is None, found
+        assert (result := OTHER_SPELLING.search(text)) is None, result
 
 
 def test_one_bit_a_zeros_sign_or_a_word_is_a_difference():

@@ -46,8 +46,8 @@ def test_the_third_level_of_the_spring_is_the_second(quick):
 def test_the_arm_is_told_output_by_output_by_both_methods(quick):
     plate = quick[1]["parts"]["arm"]["numbers"]["plate_thin"]
     methods = plate["methods"]
-    assert [one["method"] for one in methods.values()] == ["kriging", "griddata"]
-    assert all(len(one["rms_over_range"]) == 6 for one in methods.values())
+    assert [method["method"] for method in methods.values()] == ["kriging", "griddata"]
+    assert all(len(method["rms_over_range"]) == 6 for method in methods.values())
     assert max(methods["default"]["rms_over_range"]) < max(methods["griddata"]["rms_over_range"])
 
 
@@ -65,10 +65,10 @@ def test_slope_and_standard_error_are_scipys():
     rng = np.random.default_rng(3)
     x = rng.uniform(0, 10, 25)
     y = 0.582 * x + 0.1 + rng.normal(0, 0.05, 25)
-    found, expected = line_through(x, y), linregress(x, y)
-    assert found.slope == pytest.approx(expected.slope, rel=1e-12)
-    assert found.intercept == pytest.approx(expected.intercept, rel=1e-10)
-    assert found.error == pytest.approx(expected.stderr, rel=1e-12)
+    result, expected = line_through(x, y), linregress(x, y)
+    assert result.slope == pytest.approx(expected.slope, rel=1e-12)
+    assert result.intercept == pytest.approx(expected.intercept, rel=1e-10)
+    assert result.error == pytest.approx(expected.stderr, rel=1e-12)
 
 
 def test_points_on_a_line_have_no_error():

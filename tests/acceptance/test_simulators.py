@@ -85,9 +85,9 @@ def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 def test_a_script_runs_as_it_stands(name, package, seconds, url: str, capsys) -> None:
     pytest.importorskip(package, reason="has no wheel here")
     script(name).main(url, seconds)
-    told = capsys.readouterr().out
-    assert "0 thin, 0 outside, 0 unknown" in told
-    assert " 0 answers" not in told
+    reported = capsys.readouterr().out
+    assert "0 thin, 0 outside, 0 unknown" in reported
+    assert " 0 answers" not in reported
 
 
 @pytest.mark.parametrize(

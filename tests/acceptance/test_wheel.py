@@ -224,22 +224,22 @@ def test_client_and_server_work_beside_a_project_with_a_package_named_service(
     (with_server.project / "simulator.py").write_text(SIMULATOR)
     run = with_server.run("python", "simulator.py", address)
     assert run.returncode == 0, run.stderr
-    told = json.loads(run.stdout)
-    assert Path(told["face"]) == with_server.packages / "wrenchbook" / "__init__.py"
-    assert told["client"] == "wrenchbook.service.client.replies"
-    assert told["owners"] == ["the project"] * 3
-    assert told["same"] == [True] * 5
-    assert told["table"] == [
+    reported = json.loads(run.stdout)
+    assert Path(reported["face"]) == with_server.packages / "wrenchbook" / "__init__.py"
+    assert reported["client"] == "wrenchbook.service.client.replies"
+    assert reported["owners"] == ["the project"] * 3
+    assert reported["same"] == [True] * 5
+    assert reported["table"] == [
         "wrenchbook.service.client.table",
         "wrenchbook.surrogate.kernel.binding",
     ]
-    assert told["batch_uz"] == pytest.approx([1e-3, 2e-3], rel=1e-9)
-    assert told["server_stack"] == []
-    assert told["source"] == "fea"
-    assert told["uz"] < 0.0
-    assert told["inserted"] == 2
-    assert told["measured_uz"] == pytest.approx(1e-3, rel=1e-9)
-    assert told["ros"] == {"x": 4.0, "y": 5.0, "z": 6.0}
+    assert reported["batch_uz"] == pytest.approx([1e-3, 2e-3], rel=1e-9)
+    assert reported["server_stack"] == []
+    assert reported["source"] == "fea"
+    assert reported["uz"] < 0.0
+    assert reported["inserted"] == 2
+    assert reported["measured_uz"] == pytest.approx(1e-3, rel=1e-9)
+    assert reported["ros"] == {"x": 4.0, "y": 5.0, "z": 6.0}
 
 
 def test_commands_and_their_child_processes_run_the_installed_rooms(
@@ -248,7 +248,7 @@ def test_commands_and_their_child_processes_run_the_installed_rooms(
     # A private server and a mesh check: each a process that the command starts.
     listed = with_server.run("wrenchbook", "components", "--json", "--data", str(tmp_path))
     assert listed.returncode == 0, listed.stderr
-    assert {"bar", "spring"} <= {one["name"] for one in json.loads(listed.stdout)}
+    assert {"bar", "spring"} <= {load["name"] for load in json.loads(listed.stdout)}
     bundle = with_server.packages / "wrenchbook/components/bar"
     for command in (["wrenchbook"], ["python", "-m", "wrenchbook"]):
         checked = with_server.run(*command, "check", str(bundle))

@@ -125,16 +125,16 @@ class Kind:
     def rows(self) -> np.ndarray:
         """The wrenches of its rows, (r, n), SI."""
         groups = range(len(self.packed.meta["groups"]))
-        return np.concatenate([self.packed.arrays[f"g{one}/row/wrench"] for one in groups])
+        return np.concatenate([self.packed.arrays[f"g{group}/row/wrench"] for group in groups])
 
     @cached_property
     def fmu(self) -> Opened | None:
         """Its FMU; None of a table without rows, which has none."""
         try:
-            made = make_fmu(self.name, self.packed)
+            created = make_fmu(self.name, self.packed)
         except NotExportableError:
             return None
-        return Opened(made, self.folder / self.name, self.name)
+        return Opened(created, self.folder / self.name, self.name)
 
     @property
     def own_methods(self) -> list[str]:
@@ -157,14 +157,14 @@ class Kind:
             return {"force": wrench[:3].tolist(), "moment": wrench[3:].tolist()}
         count = 6 * len(space.interfaces)
         blocks = wrench[:count].reshape(-1, 6).tolist()
-        names = [one.name for one in space.inputs[count:]]
+        names = [item.name for item in space.inputs[count:]]
         given = dict(zip(names, wrench[count:].tolist(), strict=True))
         if not space.several:
             return {"force": blocks[0][:3], "moment": blocks[0][3:], "inputs": given}
         return {"loads": dict(zip(space.several, blocks, strict=True)), "inputs": given}
 
 
-def by_calls(kind: Kind, found: Sequence[Displacement]) -> Said:
+def by_calls(kind: Kind, results: Sequence[Displacement]) -> Said:
     """What single calls of a client or of a table have said."""
     unknown = np.full(kind.m, np.nan)
 
@@ -174,38 +174,40 @@ def by_calls(kind: Kind, found: Sequence[Displacement]) -> Said:
 
     nothing = np.full((kind.m, kind.packed.inputs), np.nan)
     return Said(
-        np.array([vector(one, "vector") for one in found]),
-        [one.coverage for one in found],
-        np.array([vector(one, "error_vector") for one in found]),
-        [one.within_tolerance is True for one in found],
-        np.array([nothing if one.derivative is None else one.derivative for one in found]),
-        [one.within_tolerance for one in found],
+        np.array([vector(result, "vector") for result in results]),
+        [result.coverage for result in results],
+        np.array([vector(result, "error_vector") for result in results]),
+        [result.within_tolerance is True for result in results],
+        np.array(
+            [nothing if result.derivative is None else result.derivative for result in results]
+        ),
+        [result.within_tolerance for result in results],
         # A server names the job that it queues, of which tables know nothing.
-        [re.sub(r"; job \d+ solves .*$", "", one.reason) for one in found],
-        [one.method for one in found],
-        [one.source for one in found],
+        [re.sub(r"; job \d+ solves .*$", "", result.reason) for result in results],
+        [result.method for result in results],
+        [result.source for result in results],
     )
 
 
-def by_batch(found: Displacements) -> Said:
+def by_batch(results: Displacements) -> Said:
     """What a batch of a client or of a table has said."""
-    held = found.within_tolerance
+    held = results.within_tolerance
     return Said(
-        found.displacements,
-        found.coverage.tolist(),
-        found.errors,
-        [False] * len(found) if held is None else held.tolist(),
-        found.derivatives,
-        found.raw.get("within_tolerance"),
+        results.displacements,
+        results.coverage.tolist(),
+        results.errors,
+        [False] * len(results) if held is None else held.tolist(),
+        results.derivatives,
+        results.raw.get("within_tolerance"),
     )
 
 
-def by_replies(kind: Kind, found: Sequence[Reply], derivatives: np.ndarray) -> Said:
+def by_replies(kind: Kind, results: Sequence[Reply], derivatives: np.ndarray) -> Said:
     """What replies of the kernel say."""
 
     def numbers(name: str) -> np.ndarray:
         unknown = (None,) * kind.m
-        return np.array([getattr(one, name) or unknown for one in found], dtype=float)
+        return np.array([getattr(result, name) or unknown for result in results], dtype=float)
 
     def reason(one: Reply) -> str:
         start = "" if one.row is None else EXACT if one.exact else ROUNDED
@@ -214,24 +216,27 @@ def by_replies(kind: Kind, found: Sequence[Reply], derivatives: np.ndarray) -> S
     parts = {cause: numbers(name) for cause, name in PARTS.items()}
     return Said(
         numbers("outputs"),
-        [one.coverage for one in found],
+        [result.coverage for result in results],
         numbers("error"),
-        [one.within_tolerance is True for one in found],
+        [result.within_tolerance is True for result in results],
         derivatives,
-        [one.within_tolerance for one in found],
-        [reason(one) for one in found],
-        [one.method for one in found],
-        [one.source if one.row is not None else "table" if one.outputs else None for one in found],
-        [{cause: part[k] for cause, part in parts.items()} for k in range(len(found))],
+        [result.within_tolerance for result in results],
+        [reason(result) for result in results],
+        [result.method for result in results],
+        [
+            result.source if result.row is not None else "table" if result.outputs else None
+            for result in results
+        ],
+        [{cause: part[k] for cause, part in parts.items()} for k in range(len(results))],
     )
 
 
 def kernel(kind: Kind, asked: Question) -> Said:
     """One wrench after another: what all other ways are compared with."""
     how = kind.limit(asked), asked.method
-    found = [kind.packed.answer(wrench, *how) for wrench in asked.wrenches.tolist()]
+    result = [kind.packed.answer(wrench, *how) for wrench in asked.wrenches.tolist()]
     slopes_ = [kind.packed.derivative(wrench, *how) for wrench in asked.wrenches]
-    return by_replies(kind, found, np.array(slopes_))
+    return by_replies(kind, result, np.array(slopes_))
 
 
 def kernel_batch(kind: Kind, asked: Question, threads: int = 1) -> Said:
@@ -256,11 +261,11 @@ def ask_c(kind: Kind, asked: Question) -> tuple[bytes, int]:
 def c_program(kind: Kind, asked: Question) -> Said:
     n, (said, end) = kind.packed.inputs, ask_c(kind, asked)
     each = REPLY_SIZE + 8 * kind.m * n
-    found: Any = [said[at : at + REPLY_SIZE] for at in range(0, end, each)]
+    results: Any = [said[at : at + REPLY_SIZE] for at in range(0, end, each)]
     tangents = b"".join(said[at + REPLY_SIZE : at + each] for at in range(0, end, each))
     read = ReplyReader(map_file(kind.path), n, kind.m).read
     derivatives = np.frombuffer(tangents).reshape(-1, kind.m, n)
-    return by_replies(kind, [read(reply) for reply in found], derivatives)
+    return by_replies(kind, [read(reply) for reply in results], derivatives)
 
 
 def c_batch(kind: Kind, asked: Question) -> Said:
@@ -276,9 +281,11 @@ def c_batch(kind: Kind, asked: Question) -> Said:
 def table(kind: Kind, asked: Question, made: Callable[[Kind], Table]) -> Said:
     own = made(kind)
     calls = [kind.loads(wrench) for wrench in asked.wrenches]
-    said = by_calls(kind, [own.answer(**one, **asked.how, derivatives=True) for one in calls])
-    parts = [own.error_parts(**one) for one in calls] if asked == (*asked[:1], None, None) else None
-    return replace(said, parts=parts and [numbers_of(one) for one in parts])
+    said = by_calls(kind, [own.answer(**call, **asked.how, derivatives=True) for call in calls])
+    parts = (
+        [own.error_parts(**call) for call in calls] if asked == (*asked[:1], None, None) else None
+    )
+    return replace(said, parts=parts and [numbers_of(part) for part in parts])
 
 
 def numbers_of(parts: dict[str, Any]) -> dict[str, np.ndarray]:
@@ -287,27 +294,29 @@ def numbers_of(parts: dict[str, Any]) -> dict[str, np.ndarray]:
 
 
 def table_batch(kind: Kind, asked: Question) -> Said:
-    found = kind.table.batch(asked.wrenches, **asked.how, derivatives=True)
-    assert found.method == kind.packed.answers_by(asked.method)
-    return by_batch(found)
+    result = kind.table.batch(asked.wrenches, **asked.how, derivatives=True)
+    assert result.method == kind.packed.answers_by(asked.method)
+    return by_batch(result)
 
 
 def http(kind: Kind, asked: Question) -> Said:
     """The route itself, asked for all details."""
-    found, parts = [], []
+    results, parts = [], []
     for wrench in asked.wrenches:
         body = body_of(kind, wrench, asked) | {"detail": True, "derivatives": True}
         reply = kind.client.call_json("POST", f"/v1/components/{kind.name}/displacement", body)
-        found.append(Displacement.read({"component": kind.name} | reply, wrench))
+        results.append(Displacement.read({"component": kind.name} | reply, wrench))
         own = {cause: one for cause, one in reply.get("error_parts", {}).items() if cause in PARTS}
         parts.append({cause: joined(one) for cause, one in own.items() if one is not None})
-    return replace(by_calls(kind, found), parts=parts)
+    return replace(by_calls(kind, results), parts=parts)
 
 
 def joined(part: dict[str, Any]) -> np.ndarray:
     """A part of an error, of one interface or by interface, as one vector."""
     blocks = [part] if "translation" in part else list(part.values())
-    return np.array([x for one in blocks for x in one["translation"] + one["rotation"]], float)
+    return np.array(
+        [x for block in blocks for x in block["translation"] + block["rotation"]], float
+    )
 
 
 def body_of(kind: Kind, wrench: np.ndarray, asked: Question) -> dict[str, Any]:
@@ -324,16 +333,16 @@ def client(kind: Kind, asked: Question, derivatives: bool, process: int = -1) ->
     own = kind.client if process < 0 else kind.others[process]
     how = {"on_thin": "estimate", **asked.how, "derivatives": derivatives}
     calls = [kind.loads(wrench) for wrench in asked.wrenches]
-    said = by_calls(kind, [own.displacement(kind.name, **one, **how) for one in calls])
+    said = by_calls(kind, [own.displacement(kind.name, **call, **how) for call in calls])
     return said if derivatives else replace(said, derivatives=None)
 
 
 def client_batch(kind: Kind, asked: Question, binary: bool, process: int = -1) -> Said:
     own = kind.client if process < 0 else kind.others[process]
     how = {"on_thin": "estimate", **asked.how, "derivatives": True, "binary": binary}
-    found = own.displacements(kind.name, asked.wrenches, **how)
-    assert found.method == kind.packed.answers_by(asked.method)
-    return by_batch(found)
+    result = own.displacements(kind.name, asked.wrenches, **how)
+    assert result.method == kind.packed.answers_by(asked.method)
+    return by_batch(result)
 
 
 def async_client(kind: Kind, asked: Question) -> Said:
@@ -342,8 +351,8 @@ def async_client(kind: Kind, asked: Question) -> Said:
     async def gathered() -> list[Displacement]:
         async with AsyncClient(kind.client.url, timeout=600) as own:
             calls = [kind.loads(wrench) for wrench in asked.wrenches]
-            found = [own.displacement(kind.name, **one, **how) for one in calls]
-            return list(await asyncio.gather(*found))
+            results = [own.displacement(kind.name, **call, **how) for call in calls]
+            return list(await asyncio.gather(*results))
 
     return by_calls(kind, asyncio.run(gathered()))
 
@@ -368,10 +377,10 @@ def umbridge(kind: Kind, asked: Question) -> Said:
         return orjson.loads(reply.content)["output"], reply.headers
 
     for k, wrench in enumerate(asked.wrenches):
-        if (found := post("Evaluate", wrench)) is None:
+        if (result := post("Evaluate", wrench)) is None:
             assert np.isnan(expected.outputs[k]).any()
             continue
-        (said.outputs[k],), said.coverage[k] = found[0], found[1]["wrenchbook-coverage"]
+        (said.outputs[k],), said.coverage[k] = result[0], result[1]["wrenchbook-coverage"]
         for load, direction in enumerate(np.eye(len(wrench)).tolist()):
             along = post("ApplyJacobian", wrench, outWrt=0, inWrt=0, vec=direction)
             if along is None:
@@ -387,9 +396,9 @@ def fmu(kind: Kind, asked: Question) -> Said | None:
     with kind.fmu.running(tolerance=asked.tolerance or (0.0, 0.0)) as instance:
         outputs, errors, coverage = answers(instance, asked.wrenches, kind.m)
         within = judged(instance, asked.wrenches, kind.m)
-        found = slopes(instance, asked.wrenches, kind.m)
-    words, held = [COVERAGE[code] for code in coverage], [one is True for one in within]
-    return Said(outputs, words, errors, held, found, within)
+        result = slopes(instance, asked.wrenches, kind.m)
+    text, held = [COVERAGE[code] for code in coverage], [item is True for item in within]
+    return Said(outputs, text, errors, held, result, within)
 
 
 def on_arrays(kind: Kind, asked: Question, package: str) -> Said:
@@ -401,12 +410,12 @@ def on_arrays(kind: Kind, asked: Question, package: str) -> Said:
         jax.config.update("jax_enable_x64", True)
     try:
         own = getattr(arrays, package)(kind.table, asked.method, asked.tolerance)
-        found = [np.asarray(one) for one in own(asked.wrenches)]
+        result = [np.asarray(item) for item in own(asked.wrenches)]
         slopes_ = np.asarray(own.derivative(asked.wrenches))
     finally:
         if package == "jax":
             jax.config.update("jax_enable_x64", before)
-    return Said(found[0], [COVERAGE[code] for code in found[2]], found[1], derivatives=slopes_)
+    return Said(result[0], [COVERAGE[code] for code in result[2]], result[1], derivatives=slopes_)
 
 
 WAYS: dict[str, Callable[[Kind, Question], Said | None]] = {

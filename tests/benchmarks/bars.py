@@ -151,7 +151,7 @@ def beam_column(x):
 
 def touching(x):
     straight = [combined(x, row) for row in COMPLIANCE]
-    corners = combined([rounded(one * (1 / 0.08)) for one in straight], [0.024] * 6)
+    corners = combined([rounded(item * (1 / 0.08)) for item in straight], [0.024] * 6)
     contact = ramp((x[2] - 0.3 * x[3] + 0.2) * (1 / 0.06)) * (x[2] + 1.2)
     return 0.15 * quadratic(x) + corners + 0.0576 * contact
 
@@ -194,7 +194,7 @@ def steep(x):
 
 
 _ENERGIES = bending, membrane, beam_column, touching, edge_layer, ripple, plays, products, steep
-ENERGIES = {one.__name__: one for one in (*_ENERGIES, by_axes)}
+ENERGIES = {item.__name__: item for item in (*_ENERGIES, by_axes)}
 
 
 def _lines() -> np.ndarray:
@@ -210,7 +210,7 @@ LINES = _lines()
 def _from_lines(degree: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the index sets of a degree, and what makes derivatives of Taylor terms."""
     sets = np.array(list(combinations_with_replacement(range(6), degree)))
-    counts = np.array([np.bincount(one, minlength=6) for one in sets])
+    counts = np.array([np.bincount(item, minlength=6) for item in sets])
     factorials = np.array([1, 1, 2, 6])
     terms = np.prod(LINES[:, None] ** counts / factorials[counts], axis=2)
     return sets, np.linalg.pinv(terms)
@@ -227,7 +227,7 @@ def _conservative(energy: Callable[..., Line]) -> Callable[[np.ndarray, int], Ro
         ways = LINES if derivatives else LINES[:6]
         zero = np.zeros((count, len(ways)))
         x = [Line([zero + parts[:, [k]], zero + ways[:, k], zero, zero]) for k in range(6)]
-        terms = [joules * one for one in energy(x).terms]
+        terms = [joules * term for term in energy(x).terms]
         displacement, loads = terms[1][:, :6] / HIGH, parts * HIGH
         unit = moment_map(displacement[:, None, 3:], np.eye(3))
         turned = np.swapaxes(unit.value, 1, 2)
@@ -292,7 +292,7 @@ def saturating(x):
 
 
 OTHERS = {
-    one.__name__: one for one in (friction, one_constant, one_tiny, jumping, even, saturating)
+    item.__name__: item for item in (friction, one_constant, one_tiny, jumping, even, saturating)
 }
 
 
@@ -332,13 +332,13 @@ def _of_solver(name: str) -> Part:
 
     def rows(parts: np.ndarray, derivatives: int) -> Rows:
         low, high = load_range.low, load_range.high
-        found = [solver.solve((low + high) / 2 + one * (high - low) / 2) for one in parts]
-        known: dict[str, Any] = {"compliance": [one.compliance for one in found]}
-        if all(one.curvature is not None for one in found):
-            known["curvature"] = [one.curvature for one in found]
-        moved, source = [one.displacement for one in found], ["fea"] * len(found)
+        results = [solver.solve((low + high) / 2 + part * (high - low) / 2) for part in parts]
+        known: dict[str, Any] = {"compliance": [result.compliance for result in results]}
+        if all(result.curvature is not None for result in results):
+            known["curvature"] = [result.curvature for result in results]
+        moved, source = [result.displacement for result in results], ["fea"] * len(results)
         return Rows.of(
-            [one.wrench for one in found], moved, load_range.space, source=source, **known
+            [result.wrench for result in results], moved, load_range.space, source=source, **known
         )
 
     return Part(f"solved {name}", load_range, None, rows, SOLVES)

@@ -215,8 +215,8 @@ def write(mesh, path):
     names = {"solid": [1, 3], "base": [2, 2], "tip": [3, 2]}
     data = {"gmsh:physical": tags, "gmsh:geometrical": tags}
     fields = {name: np.array(value) for name, value in names.items()}
-    found = meshio.Mesh(mesh.points, cells, cell_data=data, field_data=fields)
-    meshio.write(path, found, file_format="gmsh22", binary=False)
+    result = meshio.Mesh(mesh.points, cells, cell_data=data, field_data=fields)
+    meshio.write(path, result, file_format="gmsh22", binary=False)
 
 
 def of_shape(name, folder):

@@ -67,8 +67,8 @@ def openturns_kriging(rows: Rows, scale: np.ndarray, asked: np.ndarray) -> np.nd
         fit.run()
         one = ot.GaussianProcessRegression(fit.getResult())
         one.run()
-        found = one.getResult().getMetaModel()(ot.Sample((asked / scale).tolist()))
-        out[:, output] = np.array(found)[:, 0] * size
+        result = one.getResult().getMetaModel()(ot.Sample((asked / scale).tolist()))
+        out[:, output] = np.array(result)[:, 0] * size
     return out
 
 

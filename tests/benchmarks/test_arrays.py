@@ -33,8 +33,8 @@ def kernel_ms(wrenches: np.ndarray) -> tuple[float, float]:
     return spent(lambda: (packed.batch(wrenches, *options), packed.derivatives(wrenches, *options)))
 
 
-def show(name: str, found: tuple[float, float], kernel: tuple[float, float]) -> None:
-    wall, work = found
+def show(name: str, result: tuple[float, float], kernel: tuple[float, float]) -> None:
+    wall, work = result
     print(
         f"\n{name}: {wall:.1f} ms, {work:.1f} ms of the processors (the kernel's batches by two "
         f"threads: {kernel[0]:.1f} and {kernel[1]:.1f} ms), load {os.getloadavg()[0]:.1f}"

@@ -101,16 +101,16 @@ def judged(trial: Trial) -> Verdict:
     built = build(rows, part.load_range, tolerance=part.tolerance)
     table = packed_of(built)
     seconds = time.process_time() - started
-    found = table.batch(trial.wrenches)
-    covered, known = found.coverage == 0, np.isfinite(found.errors).all(axis=1)
-    errors = [np.abs(found.outputs - one) for one in trial.true]
+    result = table.batch(trial.wrenches)
+    covered, known = result.coverage == 0, np.isfinite(result.errors).all(axis=1)
+    errors = [np.abs(result.outputs - item) for item in trial.true]
     size = np.ptp(trial.true[0], axis=0)
     rounding = part.accuracy * np.abs(trial.true[0]).max(axis=0) + np.finfo(float).tiny
     moving = size > 1e-6 * part.load_range.space.largest_of_kind(size)
     moving |= (part.name == "six_decades") | (part.name == "one_tiny")
 
     def outside(floor: np.ndarray) -> np.ndarray:
-        out = [~(one <= found.errors + floor)[covered] for one in errors]
+        out = [~(error <= result.errors + floor)[covered] for error in errors]
         return np.mean(out, axis=0) if covered.any() else np.full((1, len(size)), np.nan)
 
     out, floored = outside(rounding), outside(np.maximum(rounding, FLOOR * size))
@@ -118,7 +118,7 @@ def judged(trial: Trial) -> Verdict:
     if known.any():
         typical = np.median(np.mean(errors, axis=0)[known], axis=0)
         typical[typical <= rounding] = np.nan
-        ratios = np.median(found.errors[known], axis=0) / np.maximum(typical, FLOOR * size)
+        ratios = np.median(result.errors[known], axis=0) / np.maximum(typical, FLOOR * size)
     rms = np.sqrt(np.nanmean(np.square(errors), axis=(0, 1))) / np.maximum(size, rounding)
     return Verdict(
         known=float(known.mean()),
@@ -130,26 +130,26 @@ def judged(trial: Trial) -> Verdict:
         ratio=float(np.nanmedian(ratios[moving])),
         worst_ratio=float(np.nanmax(ratios[moving])),
         rms=float(100 * rms[moving].max()),
-        row=_at_rows(table, rows, found.errors),
+        row=_at_rows(table, rows, result.errors),
         method=built.groups[0].default,
         seconds=seconds,
     )
 
 
-def _at_rows(table: PackedTable, rows: Rows, found: np.ndarray) -> float:
+def _at_rows(table: PackedTable, rows: Rows, result: np.ndarray) -> float:
     """Return bars at measured rows over those of queries, the least output; -1 if one is missing.
 
     A bar at a row is missing where the method knows the error of the mean there.
     """
     measured = np.char.startswith(rows.source, "rig") & ~np.isnan(rows.displacement).any(axis=1)
-    known = np.isfinite(found).all(axis=1)
+    known = np.isfinite(result).all(axis=1)
     if not (measured.any() and known.any()):
         return np.nan
     some = rows.wrench[measured][:: max(measured.sum() // 50, 1)]
     at_row, mean = table.batch(some).errors, table.batch(some, without_rows=True).errors
     if np.isnan(at_row[np.isfinite(mean)]).any():
         return -1.0
-    typical = np.median(found[known], axis=0)
+    typical = np.median(result[known], axis=0)
     return float((np.nanmedian(at_row, axis=0) / np.where(typical > 0, typical, np.nan)).min())
 
 
@@ -424,7 +424,7 @@ def sessions(count: int, noise: float, offset: float) -> Make:
             offsets = rng.normal(size=(4, 6))
             return moved + offset * size * (offsets - offsets.mean(axis=0))[which]
 
-        source = [f"rig {one}" for one in which]
+        source = [f"rig {item}" for item in which]
         rows = _measured(
             part, part.rows(spread(count, seed), 0), seed, noise, change=moved_by, source=source
         )
@@ -634,7 +634,7 @@ GROUPS = (_spread, _unlike_queries, _by_axes, _added, _designed, _random_measure
 def chosen() -> Iterator[tuple[str, str, Scenario]]:
     """Yield scenario, response and how it is made, of those that are asked for."""
     every = FULL or "/" in ONLY.pattern
-    for name, scenario in (one for group in GROUPS for one in group()):
+    for name, scenario in (item for group in GROUPS for item in group()):
         for response in scenario.full if every else scenario.quick:
             if ONLY.search(f"{name}/{response}"):
                 yield name, response, scenario
@@ -646,49 +646,57 @@ HEADING = (
 )
 
 
-def line(name: str, response: str, found: Verdict) -> str:
-    row = "null" if found.row == -1 else f"{found.row:{'.0e' if found.row < 0.01 else '.2f'}}"
-    shares = found.known, found.covered, found.outside, found.any_output, found.floored, found.fall
-    *others, fall = ("-" if one != one else f"{one:.2f}" for one in shares)
-    row = "-" if found.row != found.row else row
+def line(name: str, response: str, result: Verdict) -> str:
+    row = "null" if result.row == -1 else f"{result.row:{'.0e' if result.row < 0.01 else '.2f'}}"
+    shares = (
+        result.known,
+        result.covered,
+        result.outside,
+        result.any_output,
+        result.floored,
+        result.fall,
+    )
+    *others, fall = ("-" if share != share else f"{share:.2f}" for share in shares)
+    row = "-" if result.row != result.row else row
     return (
-        f"{name:<36}{response:<18}{''.join(f'{one:>6}' for one in others)}"
-        f"{found.ratio:7.1f}{found.worst_ratio:7.1f}{found.rms:9.4f}"
-        f"{row:>7}{fall:>6} {found.method:<9}{found.seconds:6.1f}"
+        f"{name:<36}{response:<18}{''.join(f'{other:>6}' for other in others)}"
+        f"{result.ratio:7.1f}{result.worst_ratio:7.1f}{result.rms:9.4f}"
+        f"{row:>7}{fall:>6} {result.method:<9}{result.seconds:6.1f}"
     )
 
 
-def together(found: list[Verdict]) -> Verdict:
+def together(results: list[Verdict]) -> Verdict:
     """Return the last table's verdict with the worst of all: outside, fall and bars at rows."""
     fall = np.nan
-    if len(found) > 1:
+    if len(results) > 1:
         falls = [
             getattr(later, part) / most
             for part in ("known", "covered")
-            for place, later in enumerate(found)
-            if (most := max([getattr(one, part) for one in found[:place]], default=0.0)) > 0.1
+            for place, later in enumerate(results)
+            if (most := max([getattr(result, part) for result in results[:place]], default=0.0))
+            > 0.1
         ]
         fall = min(falls, default=np.nan)
-    enough = [one for one in found if one.covers >= ENOUGH] or found[-1:]
+    enough = [result for result in results if result.covers >= ENOUGH] or results[-1:]
     worst = max(enough, key=lambda one: one.outside if one.outside == one.outside else -1.0)
-    return found[-1]._replace(
+    return results[-1]._replace(
         covers=worst.covers,
         outside=worst.outside,
         any_output=worst.any_output,
         floored=worst.floored,
-        row=float(np.min([one.row for one in found])),
-        seconds=sum(one.seconds for one in found),
+        row=float(np.min([result.row for result in results])),
+        seconds=sum(result.seconds for result in results),
         fall=float(fall),
     )
 
 
-def misses(where: str, found: Verdict) -> Iterator[str]:
-    if found.covers >= ENOUGH and found.outside > OUTSIDE:
-        yield f"{where}: {found.outside:.0%} of {found.covers} covered outside in one output"
-    if found.fall < HELD:
-        yield f"{where}: rows added leave {found.fall:.2f} of known or covered"
-    if found.row < ROW_BARS:
-        bar = "null" if found.row < 0 else f"{found.row:.0e} of those of queries"
+def misses(where: str, result: Verdict) -> Iterator[str]:
+    if result.covers >= ENOUGH and result.outside > OUTSIDE:
+        yield f"{where}: {result.outside:.0%} of {result.covers} covered outside in one output"
+    if result.fall < HELD:
+        yield f"{where}: rows added leave {result.fall:.2f} of known or covered"
+    if result.row < ROW_BARS:
+        bar = "null" if result.row < 0 else f"{result.row:.0e} of those of queries"
         yield f"{where}: bar at a row is {bar}"
 
 
@@ -705,14 +713,14 @@ def test_bars() -> None:
         for seed in SEEDS:
             part = part_of(response, seed if response == "rig" else 0)
             try:
-                found = together([judged(trial) for trial in scenario.make(part, seed)])
+                result = together([judged(trial) for trial in scenario.make(part, seed)])
             except Exception as error:  # of a build that breaks the others are told all the same
                 missed.append(f"{name}/{response}, seed {seed}: {type(error).__name__}: {error}")
                 print(f"{name:<36}{response:<18}{type(error).__name__}: {error}", flush=True)
                 continue
-            print(line(name, response, found), flush=True)
-            verdicts.append(Line(scenario.kind, name, response, found))
-            missed += misses(f"{name}/{response}, seed {seed}", found)
+            print(line(name, response, result), flush=True)
+            verdicts.append(Line(scenario.kind, name, response, result))
+            missed += misses(f"{name}/{response}, seed {seed}", result)
     summary(verdicts, missed)
     assert verdicts, f"no scenario/response is called {ONLY.pattern}"
 
@@ -720,11 +728,11 @@ def test_bars() -> None:
 def summary(verdicts: list[Line], missed: list[str]) -> None:
     """Print each scenario's worst and means, what is asked of all, and the misses."""
     print(f"\n{'scenario':<36}{'worst out':>10}{'covered':>9}{'known':>7}{'ratio':>7}{'s':>8}")
-    for name in dict.fromkeys(one.scenario for one in verdicts):
-        found = [one.verdict for one in verdicts if one.scenario == name]
-        worst, covered, known, ratio, seconds = means(found)
+    for name in dict.fromkeys(verdict.scenario for verdict in verdicts):
+        result = [verdict.verdict for verdict in verdicts if verdict.scenario == name]
+        worst, covered, known, ratio, seconds = means(result)
         print(f"{name:<36}{worst:10.2f}{covered:9.2f}{known:7.2f}{ratio:7.1f}{seconds:8.1f}")
-        kind = next(one.kind for one in verdicts if one.scenario == name)
+        kind = next(verdict.kind for verdict in verdicts if verdict.scenario == name)
         if ratio > RATIOS.get(kind, np.inf):
             missed.append(f"{name}: median bar over error {ratio:.1f}")
     print("\nasked of all" + " " * 52 + "target   found")
@@ -733,56 +741,65 @@ def summary(verdicts: list[Line], missed: list[str]) -> None:
     print(f"\n{len(missed)} misses\n" + "\n".join(missed), flush=True)
 
 
-def means(found: list[Verdict]) -> tuple[float, float, float, float, float]:
+def means(results: list[Verdict]) -> tuple[float, float, float, float, float]:
     """Return the worst outside, the means of covered and known, the median ratio, all seconds."""
-    worst = [one.outside for one in found if one.covers >= ENOUGH]
-    ratios = [one.ratio for one in found if one.ratio == one.ratio]
+    worst = [result.outside for result in results if result.covers >= ENOUGH]
+    ratios = [result.ratio for result in results if result.ratio == result.ratio]
     return (
         max(worst, default=np.nan),
-        float(np.mean([one.covered for one in found])),
-        float(np.mean([one.known for one in found])),
+        float(np.mean([result.covered for result in results])),
+        float(np.mean([result.known for result in results])),
         float(np.median(ratios)) if ratios else np.nan,
-        sum(one.seconds for one in found),
+        sum(result.seconds for result in results),
     )
 
 
 def asked_of_all(verdicts: list[Line]) -> Iterator[tuple[str, str, str]]:
-    enough = [one for one in verdicts if one.verdict.covers >= ENOUGH]
-    over = sum(one.verdict.outside > OUTSIDE for one in enough)
-    most = max((one.verdict.outside for one in enough), default=np.nan)
+    enough = [verdict for verdict in verdicts if verdict.verdict.covers >= ENOUGH]
+    over = sum(item.verdict.outside > OUTSIDE for item in enough)
+    most = max((item.verdict.outside for item in enough), default=np.nan)
     yield (
         "covered outside, worst output of lines with 20 covered",
         f"{OUTSIDE:.2f}",
         f"{most:.2f} at most; above the target in {over} of {len(enough)} lines",
     )
     for kind, ratio in RATIOS.items():
-        found = [one.verdict for one in verdicts if one.kind == kind]
-        if found:
-            _, covered, known, median, _ = means(found)
+        result = [verdict.verdict for verdict in verdicts if verdict.kind == kind]
+        if result:
+            _, covered, known, median, _ = means(result)
             yield f"bar over error, {kind}", f"{ratio:.1f}", f"{median:.1f}"
             yield f"covered, {kind}", "", f"{covered:.3f} ({known:.3f} known)"
-    falls = [one.verdict.fall for one in verdicts if one.verdict.fall == one.verdict.fall]
+    falls = [
+        verdict.verdict.fall for verdict in verdicts if verdict.verdict.fall == verdict.verdict.fall
+    ]
     yield "known and covered once rows are added, of before", f"{HELD:.2f}", _list(falls)
-    twins_of = [one for one in verdicts if one.scenario[:5] == "twins"]
-    near = [one.verdict.covered for one in twins_of if one.response == "plate_thin"]
+    twins_of = [verdict for verdict in verdicts if verdict.scenario[:5] == "twins"]
+    near = [item.verdict.covered for item in twins_of if item.response == "plate_thin"]
     yield "covered, twins beside 15 of plate_thin", "0.20", _list(near)
-    for one in verdicts:
-        if re.fullmatch(r"measured \d+, noise 0.3%", one.scenario) and one.response == "rig":
-            told = f"RMS {one.verdict.rms:.3f} %, bar over error {one.verdict.ratio:.1f}"
-            yield f"{one.scenario}, rig", "", f"{told}, {one.verdict.seconds:.1f} s"
-    rows = [one.verdict.row for one in verdicts if one.verdict.row == one.verdict.row]
+    for verdict in verdicts:
+        if (
+            re.fullmatch(r"measured \d+, noise 0.3%", verdict.scenario)
+            and verdict.response == "rig"
+        ):
+            reported = (
+                f"RMS {verdict.verdict.rms:.3f} %, bar over error {verdict.verdict.ratio:.1f}"
+            )
+            yield f"{verdict.scenario}, rig", "", f"{reported}, {verdict.verdict.seconds:.1f} s"
+    rows = [
+        verdict.verdict.row for verdict in verdicts if verdict.verdict.row == verdict.verdict.row
+    ]
     if rows:
-        missing, small = sum(one < 0 for one in rows), sum(0 <= one < ROW_BARS for one in rows)
-        told = f"missing in {missing}, less in {small}"
+        missing, small = sum(row < 0 for row in rows), sum(0 <= row < ROW_BARS for row in rows)
+        reported = f"missing in {missing}, less in {small}"
         yield (
             "bar at a measured row, of those of queries",
             f"{ROW_BARS:.2f}",
-            f"{told} of {len(rows)} lines",
+            f"{reported} of {len(rows)} lines",
         )
 
 
-def _list(found: list[float]) -> str:
-    return ", ".join(f"{one:.2f}" for one in found)
+def _list(results: list[float]) -> str:
+    return ", ".join(f"{result:.2f}" for result in results)
 
 
 @pytest.mark.timeout(0)
@@ -793,11 +810,11 @@ def test_what_each_constant_does() -> None:
     print(f"\nSEED={SEED}\n{heading}")
     warnings.simplefilter("ignore")
     print(_ablated("as it is", {}), flush=True)
-    for field in [one for one in dataclasses.fields(DEFAULTS) if ONLY.search(one.name)]:
+    for field in [item for item in dataclasses.fields(DEFAULTS) if ONLY.search(item.name)]:
         value = getattr(DEFAULTS, field.name)
         numbers = value if isinstance(value, tuple) else (value,)
         for factor in (0.5, 2.0):
-            new = tuple(type(one)(one * factor) for one in numbers)
+            new = tuple(type(number)(number * factor) for number in numbers)
             change: dict[str, Any] = {field.name: new if isinstance(value, tuple) else new[0]}
             try:
                 print(_ablated(f"{field.name} x {factor:g}", change), flush=True)

@@ -49,11 +49,11 @@ CASES = [
 ]
 
 
-def in_a_process(program, words):
+def in_a_process(program, text):
     """Return the last line of what a program prints, on one thread."""
     one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     run = subprocess.run(
-        [sys.executable, "-c", program, json.dumps(words)],
+        [sys.executable, "-c", program, json.dumps(text)],
         capture_output=True,
         text=True,
         check=True,

@@ -37,12 +37,12 @@ def ask(address: str, seed: int, seconds: float, alone: bool) -> tuple[list[floa
             calls.append(time.perf_counter() - started)
             assert answer.translation is not None
             assert answer.rotation is not None
-            found = np.concatenate([answer.translation, answer.rotation])
-            np.testing.assert_allclose(found, GAIN @ wrench, atol=1e-12)
+            result = np.concatenate([answer.translation, answer.rotation])
+            np.testing.assert_allclose(result, GAIN @ wrench, atol=1e-12)
             if not alone and turn % 40 == seed:
                 rows = rng.uniform(-60, 60, (10, 6))
-                told = client.import_table("big", as_csv(rows, rows @ GAIN))
-                assert told["inserted"] == 10
+                reported = client.import_table("big", as_csv(rows, rows @ GAIN))
+                assert reported["inserted"] == 10
                 imported += 10
             if not alone and turn % 200 == 20 * seed:
                 force = [0.0, 0.0, -10.0 - seed - turn / 1000]
@@ -59,16 +59,18 @@ def test_eight_clients_at_once_get_right_answers_about_as_fast_as_one(tmp_path: 
     wrenches, _ = made_up(600)
     with serving(tmp_path, 1, solvers=1) as server:
         added(server.client, "big")
-        told = server.client.import_table("big", as_csv(wrenches, wrenches @ GAIN))
+        reported = server.client.import_table("big", as_csv(wrenches, wrenches @ GAIN))
         with Asking(server.port, "big") as asking:
-            asking.until(told["table_version"], 60)
+            asking.until(reported["table_version"], 60)
         address = f"http://127.0.0.1:{server.port}"
         with multiprocessing.get_context("spawn").Pool(CLIENTS) as pool:
             idle, _, _ = pool.apply(ask, (address, 0, IDLE_SECONDS, True))
             rows = server.client.component("big")["rows"]
-            found = pool.starmap(ask, [(address, seed, SECONDS, False) for seed in range(CLIENTS)])
-        calls = [one for each, _, _ in found for one in each]
-        imported, solved = (sum(one[place] for one in found) for place in (1, 2))
+            results = pool.starmap(
+                ask, [(address, seed, SECONDS, False) for seed in range(CLIENTS)]
+            )
+        calls = [item for each, _, _ in results for item in each]
+        imported, solved = (sum(result[place] for result in results) for place in (1, 2))
         assert server.client.component("big")["rows"] == rows + imported
     alone, together = np.percentile(idle, 99), np.percentile(calls, 99)
     print(

@@ -33,19 +33,19 @@ def cluster(tmp_path):
 
 def attempts(folder, bundle, wrenches, name, component="plate_thin", fingerprint="f"):
     """Attempts of wrenches, each with its folder."""
-    found = []
+    results = []
     for number, wrench in enumerate(wrenches, 1):
         spec = number, 1, component, str(bundle), fingerprint, tuple(wrench)
         place = folder / name / str(number)
-        found.append(Attempt(*spec, folder=place, task=f"{name}-{number}"))
-        prepare(found[-1])
-    return found
+        results.append(Attempt(*spec, folder=place, task=f"{name}-{number}"))
+        prepare(results[-1])
+    return results
 
 
 def seconds_of(engine, asked, seconds=600):
     """Seconds from the first attempt's being handed in to the last one's end."""
-    left, done = {one.task for one in asked}, threading.Event()
-    by_task = {one.task: one for one in asked}
+    left, done = {item.task for item in asked}, threading.Event()
+    by_task = {item.task: item for item in asked}
 
     def heard(task):
         if task in left and engine.poll(by_task[task]) not in ALIVE:
@@ -55,8 +55,8 @@ def seconds_of(engine, asked, seconds=600):
 
     stop = engine.listen(heard)
     began = time.perf_counter()
-    for one in asked:
-        engine.submit(one)
+    for item in asked:
+        engine.submit(item)
     assert done.wait(seconds)
     stop()
     return time.perf_counter() - began
@@ -118,7 +118,7 @@ def test_the_shortest_jobs_go_through_at_a_hundred_a_second(tmp_path, cluster):
     rate = SHORT / took
     print(f"\n{SHORT} jobs of 10 ms: {rate:.0f} a second, load before {load:.1f}")
     print(f"{sent / SHORT / 1024:.1f} kB a job over the loopback, all of the machine's")
-    assert all(Path(one.folder, "result.json").exists() for one in asked)
+    assert all(Path(item.folder, "result.json").exists() for item in asked)
     if load < 0.5:
         assert rate >= 100
 

@@ -67,8 +67,8 @@ def test_the_main_call_beside_idle_slow_and_polling_connections(
     lasted = time.perf_counter() - started
     for poll in polls:
         poll.close()
-    for name, found in {"alone": alone, "beside": beside}.items():
-        p50, p99 = 1e6 * np.quantile(found, [0.5, 0.99])
+    for name, result in {"alone": alone, "beside": beside}.items():
+        p50, p99 = 1e6 * np.quantile(result, [0.5, 0.99])
         print(f"\n{name:>7}: p50 {p50:6.0f} µs, p99 {p99:6.0f} µs", end="")
     ratio = np.quantile(beside, 0.99) / np.quantile(alone, 0.99)
     print(f"\np99 beside {IDLE} idle, {SLOW} slow, {POLLING} polling: {ratio:.2f} of alone")

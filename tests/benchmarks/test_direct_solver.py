@@ -56,18 +56,18 @@ def own(part: ComponentModel) -> dict[str, float]:
     body = Solver(part).body
     order, _ = timed(lambda: body.scatter)
     tangent = body.tangent(None)
-    factor, made = timed(lambda: tangent.factor)
-    solves, _ = timed(lambda: made.solve(np.ones((made.unknowns, 6))))
-    fronts = [front for front in made._fronts if front.pivots.size]
+    factor, created = timed(lambda: tangent.factor)
+    solves, _ = timed(lambda: created.solve(np.ones((created.unknowns, 6))))
+    fronts = [front for front in created._fronts if front.pivots.size]
     megabytes = sum(front.L.nbytes + front.W.nbytes for front in fronts) / 1e6
     return {"order": order, "factor": factor, "solves": solves, "MB": megabytes}
 
 
 def superlu(matrix: Any) -> dict[str, float]:
     options = {"SymmetricMode": True}
-    factor, made = timed(lambda: splu(matrix, "MMD_AT_PLUS_A", 0.0, options=options))
-    solves, _ = timed(lambda: made.solve(np.ones((matrix.shape[0], 6))))
-    return {"factor": factor, "solves": solves, "MB": ENTRY * made.nnz}
+    factor, created = timed(lambda: splu(matrix, "MMD_AT_PLUS_A", 0.0, options=options))
+    solves, _ = timed(lambda: created.solve(np.ones((matrix.shape[0], 6))))
+    return {"factor": factor, "solves": solves, "MB": ENTRY * created.nnz}
 
 
 def pardiso(matrix: Any) -> dict[str, float]:

@@ -82,10 +82,10 @@ def side_by_side(name: str, nonlinear: bool, tight: bool, rounds: int) -> dict[s
     times: dict[str, list[float]] = {"process": [], "solver": [], "ccx": []}
     gap = 0.0
     for _ in range(rounds):
-        found, whole, solver = own(name, nonlinear)
-        turn = found[3:] if nonlinear else None
+        result, whole, solver = own(name, nonlinear)
+        turn = result[3:] if nonlinear else None
         reply = calculix.solve_rigid(part, LOADS[name], turn, tight=tight)
-        gap = max(gap, worst_gap(found, reply.displacement))
+        gap = max(gap, worst_gap(result, reply.displacement))
         for key, seconds in (("process", whole), ("solver", solver), ("ccx", reply.seconds)):
             times[key].append(seconds)
     medians = {key: median(seconds) for key, seconds in times.items()}
@@ -103,23 +103,23 @@ def side_by_side(name: str, nonlinear: bool, tight: bool, rounds: int) -> dict[s
 
 @pytest.mark.parametrize("name", list(LOADS))
 def test_a_linear_solve_takes_at_most_1_2_times_as_long_as_calculix(name: str) -> None:
-    found = side_by_side(name, nonlinear=False, tight=True, rounds=2 * ROUNDS + 1)
-    assert found["gap"] < LINEAR
-    assert found["solver"] <= 1.2 * found["ccx"]
+    result = side_by_side(name, nonlinear=False, tight=True, rounds=2 * ROUNDS + 1)
+    assert result["gap"] < LINEAR
+    assert result["solver"] <= 1.2 * result["ccx"]
 
 
 @pytest.mark.parametrize("name", list(LOADS))
 def test_a_nonlinear_solve_takes_at_most_half_as_long_as_calculix(name: str) -> None:
     """CalculiX at its own default tolerance, the less exact answer; 20 times as long: one round."""
-    found = side_by_side(name, nonlinear=True, tight=False, rounds=1)
-    assert found["process"] <= 0.5 * found["ccx"]
+    result = side_by_side(name, nonlinear=True, tight=False, rounds=1)
+    assert result["process"] <= 0.5 * result["ccx"]
 
 
 @pytest.mark.parametrize("name", list(LOADS))
 def test_a_nonlinear_solve_agrees_with_calculix_when_that_converges_as_far(name: str) -> None:
-    found = side_by_side(name, nonlinear=True, tight=True, rounds=1)
-    assert found["gap"] < NONLINEAR
-    assert found["process"] <= 0.5 * found["ccx"]
+    result = side_by_side(name, nonlinear=True, tight=True, rounds=1)
+    assert result["gap"] < NONLINEAR
+    assert result["process"] <= 0.5 * result["ccx"]
 
 
 def test_six_loads_of_fifteen_thousand_unknowns_and_each_later_solve() -> None:
@@ -155,19 +155,19 @@ def test_each_of_the_ten_kinds_agrees_with_calculix_or_is_nearer_to_a_finer_mesh
     wrench = 0.5 * bundle.range.high * (1.0, -0.7, 0.5, 0.3, -0.6, 0.8)
     started = time.process_time()
     solver = Solver(bundle)
-    found = solver.solve(wrench).displacement
+    result = solver.solve(wrench).displacement
     seconds = time.process_time() - started
     reply = calculix.solve_rigid(solver.component, wrench)
-    gap = worst_gap(found, reply.displacement)
+    gap = worst_gap(result, reply.displacement)
     print(
         f"\n{name:<22} {solver.unknowns:>6} unknowns: ccx {reply.seconds:.2f} s, own with the mesh "
         f"{seconds:.2f} s, answers {gap:.0e} apart"
     )
-    if max(one.poisson_ratio for one in bundle.materials) > 0.4 and gap > LINEAR:
+    if max(material.poisson_ratio for material in bundle.materials) > 0.4 and gap > LINEAR:
         halved = finer(solver)
         quartered = halved and finer(halved)
         assert quartered
         truth = quartered.linear.compliance @ wrench
-        assert worst_gap(found, truth) < worst_gap(reply.displacement, truth)
+        assert worst_gap(result, truth) < worst_gap(reply.displacement, truth)
     else:
         assert gap < LINEAR

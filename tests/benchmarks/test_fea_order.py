@@ -44,13 +44,13 @@ ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.skipif(not calculix.installed(), reason=calculix.ABSENT)
 
 
-def run(words, folder) -> tuple[str, float, float]:
+def run(texts, folder) -> tuple[str, float, float]:
     """Return what a process printed, its processor seconds and its peak memory, MB.
 
     By way of a small process: Linux counts in a child's peak what its parent held when it forked.
     """
     done = subprocess.run(
-        [sys.executable, "-S", "-c", LAUNCH, *map(str, words)],
+        [sys.executable, "-S", "-c", LAUNCH, *map(str, texts)],
         cwd=folder,
         capture_output=True,
         text=True,

@@ -68,9 +68,9 @@ class Lab:
         solved = [self.solver.solve(wrench) for wrench in wrenches]
         return Rows.of(
             wrenches,
-            [one.displacement for one in solved],
-            compliance=[one.compliance for one in solved],
-            curvature=[one.curvature for one in solved],
+            [solution.displacement for solution in solved],
+            compliance=[solution.compliance for solution in solved],
+            curvature=[solution.curvature for solution in solved],
             source=["fea"] * len(solved),
         )
 
@@ -89,8 +89,8 @@ class Lab:
         far = NearestNDInterpolator(points, rows.displacement)(asked)
         if len(points) < len(self.loads) + 2:
             return far
-        found = griddata(points, rows.displacement, asked)
-        return np.where(np.isnan(found), far, found)
+        result = griddata(points, rows.displacement, asked)
+        return np.where(np.isnan(result), far, result)
 
 
 lab_of = functools.cache(Lab)  # both tests check the same solves
@@ -98,15 +98,15 @@ lab_of = functools.cache(Lab)  # both tests check the same solves
 
 def numbers(goals: dict[int, float]) -> list[int]:
     named = os.environ.get("FILL_SOLVES")
-    return [int(one) for one in named.split(",")] if named else list(goals)
+    return [int(part) for part in named.split(",")] if named else list(goals)
 
 
 def gradients(rows: Rows, scale: np.ndarray, checked: np.ndarray) -> np.ndarray:
     return smt_kriging(rows, scale, checked, gradients=True)
 
 
-def cells(found: list[str]) -> None:
-    print("".join(f"{one:>11}" for one in found), flush=True)
+def cells(results: list[str]) -> None:
+    print("".join(f"{result:>11}" for result in results), flush=True)
 
 
 def judged(lab: Lab, rows: Rows) -> tuple[list[str], float, float, float]:
@@ -114,16 +114,16 @@ def judged(lab: Lab, rows: Rows) -> tuple[list[str], float, float, float]:
     started = time.process_time()
     table = build(rows, lab.range)
     built = time.process_time() - started
-    found = table.batch(lab.checked)
-    known = np.isfinite(found.error).all(axis=1)
+    result = table.batch(lab.checked)
+    known = np.isfinite(result.error).all(axis=1)
     inside = ratio = np.nan
     if known.any():
-        missed = np.abs(found.displacement - lab.truth)[known]
-        inside = float((missed <= found.error[known]).mean(axis=0).min())
+        missed = np.abs(result.displacement - lab.truth)[known]
+        inside = float((missed <= result.error[known]).mean(axis=0).min())
         typical = np.median(missed, axis=0)
         moved = typical > 0
-        ratio = float(np.median(np.median(found.error[known], axis=0)[moved] / typical[moved]))
-    error = lab.percent(found.displacement)
+        ratio = float(np.median(np.median(result.error[known], axis=0)[moved] / typical[moved]))
+    error = lab.percent(result.displacement)
     line = [f"{error.max():.4f}", f"{np.median(error):.4f}", f"{100 * inside:.0f}", f"{ratio:.1f}"]
     return [*line, f"{built:.2f}"], float(error.max()), float(np.median(error)), inside
 
@@ -166,7 +166,7 @@ def test_random_solves(name: str) -> None:
         ]
         cells(
             [f"{count}", *line, f"{without.max():.4f}", f"{np.median(without):.4f}"]
-            + [f"{one:.3f}" for one in others]
+            + [f"{other:.3f}" for other in others]
         )
         missed += complaints(name, count, *figures, RANDOM[name].get(count, np.inf))
     assert not missed, "\n".join(missed)

@@ -49,7 +49,7 @@ def test_findings() -> None:
         rig = rig_of(number, error)
         rows = rig.measured(error)
         started = time.perf_counter()
-        causes = {one.cause for one in find(rows, rig.range)}
+        causes = {finding.cause for finding in find(rows, rig.range)}
         took += time.perf_counter() - started
         causes -= {"clearance"} if rig.response == "clearance" else set()
         wanted = {CAUSES[error]} if error in CAUSES else set()

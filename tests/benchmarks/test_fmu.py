@@ -27,8 +27,10 @@ def test_an_fmu_makes_a_hundred_thousand_evaluations_a_second(tmp_path, name, me
     words = [str(program), str(fmu.library), resources, fmu.guid, str(wrenches), "1"]
     rates = []
     for _ in range(3):
-        told = subprocess.run(words, check=True, capture_output=True, text=True, timeout=60).stdout
-        count, seconds, _ = map(float, told.split())
+        reported = subprocess.run(
+            words, check=True, capture_output=True, text=True, timeout=60
+        ).stdout
+        count, seconds, _ = map(float, reported.split())
         rates.append(count / seconds)
     print(f"\n{name}, {len(table.rows)} rows, {method}: {max(rates):,.0f} evaluations a second")
     assert max(rates) > TARGET

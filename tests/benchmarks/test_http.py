@@ -128,18 +128,18 @@ def test_the_main_call_against_an_echo(port: int, count: int) -> None:
     for name, (path, body) in WAYS.items():
         if name != "echo":
             connections[0].sendall(_request(path, body))
-            assert b'"coverage":"covered"' in (told := _receive(connections[0])), told
-            assert b'"method":"%b"' % name.partition(",")[0].encode() in told, told
+            assert b'"coverage":"covered"' in (reported := _receive(connections[0])), reported
+            assert b'"method":"%b"' % name.partition(",")[0].encode() in reported, reported
     for _ in range(ROUNDS):
         for name, (path, body) in WAYS.items():
             rates[name].append(_rate(connections, _request(path, body)))
     for connection in connections:
         connection.close()
     print(f"\n{count} connection(s)", end="")
-    for name, found in rates.items():
-        ratios = [rate / echo for rate, echo in zip(found, rates["echo"], strict=True)]
-        told = f"{statistics.median(found):8.0f} requests/s"
-        print(f"\n{name:>19}: {told}, {statistics.median(ratios):.2f} of the echo", end="")
+    for name, results in rates.items():
+        ratios = [rate / echo for rate, echo in zip(results, rates["echo"], strict=True)]
+        reported = f"{statistics.median(results):8.0f} requests/s"
+        print(f"\n{name:>19}: {reported}, {statistics.median(ratios):.2f} of the echo", end="")
     print()
     assert min(map(min, rates.values())) > 0
 
@@ -165,9 +165,9 @@ def test_the_client_against_a_bare_http_client(port: int) -> None:
                     way()
                     times[name].append(1e6 * (time.perf_counter() - started))
     bare.close()
-    middle = {name: statistics.median(found) for name, found in times.items()}
-    for name, found in middle.items():
-        print(f"\n{name:>24}: p50 {found:6.0f} µs", end="")
+    middle = {name: statistics.median(result) for name, result in times.items()}
+    for name, result in middle.items():
+        print(f"\n{name:>24}: p50 {result:6.0f} µs", end="")
     for name in list(ways)[1:]:
         print(f"\nclient / {name}: {middle['client'] / middle[name]:.2f}", end="")
     print()

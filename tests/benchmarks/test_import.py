@@ -25,7 +25,7 @@ class Beside:
         self._ended = threading.Event()
         self.waits: list[float] = []
         self.memory = 0
-        self._threads = [threading.Thread(target=one) for one in (self._write, self._watch)]
+        self._threads = [threading.Thread(target=item) for item in (self._write, self._watch)]
 
     def __enter__(self) -> Beside:
         for thread in self._threads:
@@ -53,15 +53,15 @@ class Beside:
 
 def _family(pid: int) -> list[int]:
     """Return a process and all below it."""
-    found = [pid]
+    results = [pid]
     for task in Path("/proc").glob("[0-9]*/stat"):
         try:
             words = task.read_text().rpartition(")")[2].split()
         except OSError:
             continue
-        if int(words[1]) in found:
-            found.append(int(task.parent.name))
-    return found
+        if int(words[1]) in results:
+            results.append(int(task.parent.name))
+    return results
 
 
 def _pss(pid: int) -> int:

@@ -74,9 +74,9 @@ class Lab:
         solved = [self.solver.solve(wrench) for wrench in wrenches]
         return Rows.of(
             wrenches,
-            [one.displacement for one in solved],
+            [solution.displacement for solution in solved],
             self.range.space,
-            compliance=[one.compliance for one in solved],
+            compliance=[solution.compliance for solution in solved],
             source=["fea"] * len(solved),
         )
 
@@ -84,12 +84,12 @@ class Lab:
         """Return the worst output's RMS error over its range, %, of the tangent at zero alone."""
         rest = self.rows(self.range.space.zero[None])
         assert rest.compliance is not None
-        found = {}
+        result = {}
         for where, (wrenches, truth) in self.checked.items():
             answer = rest.displacement + (wrenches - rest.wrench) @ rest.compliance[0].T
             error = np.sqrt(((answer - truth.displacement) ** 2).mean(axis=0))
-            found[where] = float(100 * (error / self.span(truth)).max())
-        return found
+            result[where] = float(100 * (error / self.span(truth)).max())
+        return result
 
     def span(self, truth: Rows) -> Floats:
         """Return each output's range over some rows, shape (m,), m and rad; infinite of none."""
@@ -116,10 +116,10 @@ def figures(lab: Lab, table: Table, where: str) -> tuple[float, ...]:
     that of the worst output; last the ratio of the median bar to the median error.
     """
     wrenches, truth = lab.checked[where]
-    found, span = packed_of(table).batch(wrenches), lab.span(truth)
+    result, span = packed_of(table).batch(wrenches), lab.span(truth)
     moves = np.isfinite(span)
-    error = np.abs(found.outputs - truth.displacement)[:, moves]
-    bar = found.errors[:, moves]
+    error = np.abs(result.outputs - truth.displacement)[:, moves]
+    bar = result.errors[:, moves]
     known = np.isfinite(bar).all(axis=1)
     inside = error[known] <= bar[known]
     rms, most = np.sqrt((error**2).mean(axis=0)) / span[moves], error.max(axis=0) / span[moves]
@@ -143,16 +143,16 @@ def test_error_by_the_number_of_solves(name: str, tmp_path: Path) -> None:
     print("".join(f"{head:>10}" for head in (*heads, "seconds")), flush=True)
     missed = []
     named = os.environ.get("INPUTS_SOLVES")
-    for solves in [int(one) for one in named.split(",")] if named else SOLVES[name]:
+    for solves in [int(part) for part in named.split(",")] if named else SOLVES[name]:
         started = time.perf_counter()
         rows = rows if len(rows) else lab.rows(lab.range.space.zero[None])
         rows, table = lab.filled(rows, solves)
         took = time.perf_counter() - started
         for where in lab.checked:
             rms, largest, bars, inside, worst, ratio = figures(lab, table, where)
-            told = f"{rms:.4f} {largest:.4f} {bars:.0f} {inside:.0f} {worst:.0f} {ratio:.1f}"
-            line = (f"{solves}", where, *told.split(), f"{took:.1f}")
-            print("".join(f"{one:>10}" for one in line), flush=True)
+            reported = f"{rms:.4f} {largest:.4f} {bars:.0f} {inside:.0f} {worst:.0f} {ratio:.1f}"
+            line = (f"{solves}", where, *reported.split(), f"{took:.1f}")
+            print("".join(f"{item:>10}" for item in line), flush=True)
             if rms > GOAL or inside < INSIDE or ratio > RATIO:  # without bars none of the last two
                 missed.append(f"{solves} solves, {where}: {rms:.3f} %, {inside:.0f} %, {ratio:.1f}")
     assert not missed

@@ -38,8 +38,8 @@ def test_a_step_of_a_joint_beside_mj_step() -> None:
             spent[-1] += [timeit.timeit(lambda: mujoco.mj_step(*bare), number=STEPS)]  # noqa: B023
         step, inside, plain = 1e6 / STEPS * np.min(spent, axis=0)
         assert joint.report().covered == 1.0
-        words = f"{step:.1f} us, {step / plain:.1f} times mj_step, {plain:.1f} us"
-        print(f"{name:>9}: joint.step {words}; in mj_step {inside:.1f} us")
+        text = f"{step:.1f} us, {step / plain:.1f} times mj_step, {plain:.1f} us"
+        print(f"{name:>9}: joint.step {text}; in mj_step {inside:.1f} us")
 
 
 def test_many_joints_in_one_call() -> None:
@@ -48,7 +48,7 @@ def test_many_joints_in_one_call() -> None:
     wrenches = rng.uniform(-0.7, 0.7, (MANY, 6)) * HIGH
     for _ in range(ROUNDS // 10):
         moved, wrenches = known_law(wrenches), wrenches * (1 + 0.01 * rng.normal(size=(MANY, 6)))
-        steps.poses[:] = [[*one[:3], *quaternion(one[3:])] for one in moved]
+        steps.poses[:] = [[*item[:3], *quaternion(item[3:])] for item in moved]
         spent.append(timeit.timeit(lambda: steps.step(1e-3, 0.05, THREADS), number=1))
         assert not steps.replies["status"].any()
     print(

@@ -66,13 +66,13 @@ def test_a_kriging_of_40_solves_answers_in_microseconds(tmp_path: Path) -> None:
 
 def test_second_derivatives_of_60_solves_cost_microseconds(tmp_path: Path) -> None:
     own, at = part(PARTS["stiffening"], 1), full_wrenches(60, 3)
-    made = [
+    created = [
         build(own.rows(at, second=second), LoadRange(-1.1 * HIGH, 1.1 * HIGH))
         for second in (True, False)
     ]
-    assert [one.default for one in made] == ["kriging", "kriging"]
+    assert [item.default for item in created] == ["kriging", "kriging"]
     asked = full_wrenches(100_000, 4) * HIGH
-    (single, batch, python, _), plain = (rates(one, asked, tmp_path) for one in made)
+    (single, batch, python, _), plain = (rates(item, asked, tmp_path) for item in created)
     print(
         f"\n60 solves with second derivatives: in C {single:.2f} us (at most 8), in a batch "
         f"{batch:.2f} us, from Python {python:.2f} us; without {plain[0]:.2f}, {plain[1]:.2f} and "
@@ -93,9 +93,9 @@ def test_griddata_is_faster_than_three_bare_calls(
     scaled = full_wrenches(100_000, 3) * span
     single, batch, python, many = rates(surrogate, scaled * HIGH, tmp_path)
     bare = [
-        (LinearNDInterpolator(one.triangulation.points, one.values), scaled[:, one.axis.inputs])
-        for one in surrogate.axes.tables
-        if one is not None
+        (LinearNDInterpolator(item.triangulation.points, item.values), scaled[:, item.axis.inputs])
+        for item in surrogate.axes.tables
+        if item is not None
     ]
     theirs = 1e6 * spent(lambda: [call(places) for call, places in bare], 3) / len(scaled)
     print(

@@ -58,13 +58,13 @@ def as_hdf5(wrenches: np.ndarray, displacements: np.ndarray) -> bytes:
 
 
 @contextmanager
-def serving(folder: Path, *words: str) -> Iterator[tuple[Client, int, int]]:
+def serving(folder: Path, *texts: str) -> Iterator[tuple[Client, int, int]]:
     """Serve a folder in a process of its own; give a client, its port and the process' number."""
     command = child_command(
         "wrenchbook.service.cli.main", "serve", "--data", str(folder), "--port", "0"
     )
     server = subprocess.Popen(
-        [*command, "--solvers", "0", "--log-level", "warning", *words],
+        [*command, "--solvers", "0", "--log-level", "warning", *texts],
         stdout=subprocess.PIPE,
         text=True,
     )
@@ -130,11 +130,11 @@ class Asking:
         return seconds, time.perf_counter() - started
 
     def idle(self, calls: int = 1500) -> list[float]:
-        found = []
+        results = []
         for _ in range(calls):
-            found.append(self.once()[0])
+            results.append(self.once()[0])
             time.sleep(0.002)
-        return found
+        return results
 
 
 def told(name: str, seconds: list[float]) -> None:

@@ -67,9 +67,9 @@ def seconds_of(mount: Any, model: Any, data: Any) -> float:
 @pytest.fixture(scope="module")
 def client(tmp_path_factory: pytest.TempPathFactory):
     server = RealServer(tmp_path_factory.mktemp("bench") / "workspace")
-    made = server.start(solvers=0)
-    fill(made)
-    yield made
+    created = server.start(solvers=0)
+    fill(created)
+    yield created
     server.stop()
 
 
@@ -90,8 +90,8 @@ def test_a_loop_is_faster_than_real_time(client: Any, method: str) -> None:
     for _ in range(ROUNDS):
         for name, loop in loops.items():
             spent[name].append(seconds_of(*loop))
-    for name, found in spent.items():
-        best, middle = SECONDS / min(found), SECONDS / statistics.median(found)
+    for name, results in spent.items():
+        best, middle = SECONDS / min(results), SECONDS / statistics.median(results)
         goal = f", at least {AT_LEAST[name]:g} asked" if name in AT_LEAST else ""
         print(
             f"\n{method:>9} {name:>14}: {best:6.1f} x real time (median {middle:.1f}{goal})", end=""

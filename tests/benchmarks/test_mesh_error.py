@@ -169,8 +169,8 @@ def test_it_holds_for_a_nonlinear_plate_as_well():
     bundle = read_bundle(SHIPPED / "plate_thin")
     own, middle, fine = (Solver(refined(bundle, factor)) for factor in (1.0, 1.5, 2.0))
     wrenches = wrenches_of(bundle)[[2, 6, 8]]
-    found = [[one.solve(wrench) for wrench in wrenches] for one in (own, middle, fine)]
-    u, v, w = (np.array([solution.displacement for solution in one]) for one in found)
+    found = [[item.solve(wrench) for wrench in wrenches] for item in (own, middle, fine)]
+    u, v, w = (np.array([solution.displacement for solution in result]) for result in found)
     bars = bars_of(own, wrenches, u, np.array([solution.compliance for solution in found[0]]))
     true, size = np.abs(continued(w, v, 2.0 / 1.5) - u), np.abs(u).max(axis=0)
     found = ratios(bars, true, size)

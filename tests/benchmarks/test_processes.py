@@ -49,17 +49,17 @@ class Served:
 
     def seconds(self) -> float:
         """Return the processor time used so far, s."""
-        return sum(sum(one.cpu_times()[:2]) for one in self.processes())
+        return sum(sum(process.cpu_times()[:2]) for process in self.processes())
 
     def memory(self) -> list[tuple[str, float, float]]:
         """Return each process' memory, MB: what no file is behind, and with its share of files."""
-        found = []
-        for one in self.processes():
-            name = one.name()
-            text = Path(f"/proc/{one.pid}/smaps_rollup").read_text()
+        results = []
+        for process in self.processes():
+            name = process.name()
+            text = Path(f"/proc/{process.pid}/smaps_rollup").read_text()
             own, whole = (int(text.split(f"{key}:")[1].split()[0]) for key in ("Anonymous", "Pss"))
-            found.append((name, own / 1e3, whole / 1e3))
-        return found
+            results.append((name, own / 1e3, whole / 1e3))
+        return results
 
 
 @contextmanager
@@ -121,8 +121,8 @@ def test_queries_a_second_of_one_and_of_two_processes(tmp_path: Path) -> None:
                 "table_version"
             ]
             ready(server.client, version)
-            found = server.client.displacement("solved", *ASKED.values())
-            answers.append({**found.raw, "elapsed_us": 0})
+            results = server.client.displacement("solved", *ASKED.values())
+            answers.append({**results.raw, "elapsed_us": 0})
         assert answers[0] == answers[1]
         open_ones = [
             [socket.create_connection(("127.0.0.1", server.port)) for _ in range(CONNECTIONS)]
@@ -134,7 +134,7 @@ def test_queries_a_second_of_one_and_of_two_processes(tmp_path: Path) -> None:
             rates[which].append(rate(open_ones[which], request()))
             used[which] += both[which].seconds() - before
         established = [
-            sum(found.status == psutil.CONN_ESTABLISHED for found in process.net_connections())
+            sum(results.status == psutil.CONN_ESTABLISHED for results in process.net_connections())
             for process in two.processes()
             if process.name() == "wb-webworker"
         ]
@@ -142,16 +142,16 @@ def test_queries_a_second_of_one_and_of_two_processes(tmp_path: Path) -> None:
             connection.close()
         each = [1e6 * seconds / ROUNDS / REQUESTS for seconds in used]
         ratios = [b / a for a, b in zip(*rates, strict=True)]
-        for name, found, us in zip(("one", "two"), rates, each, strict=True):
+        for name, results, us in zip(("one", "two"), rates, each, strict=True):
             print(
-                f"\n{name}: {statistics.median(found):.0f} requests/s, {us:.0f} µs of processor",
+                f"\n{name}: {statistics.median(results):.0f} requests/s, {us:.0f} µs of processor",
                 end="",
             )
         print(
             f"\ntwo over one: median {statistics.median(ratios):.2f}, best {max(ratios):.2f} "
             f"(connections {established}; {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f})"
         )
-        assert min(min(found) for found in rates) > 0
+        assert min(min(results) for results in rates) > 0
 
 
 @pytest.mark.timeout(600)

@@ -104,9 +104,9 @@ def test_a_read_only_server_answers_as_often_as_its_main_server(tmp_path: Path) 
                 wait_for(servers[1], version, "big")
                 stale.append(time.monotonic() - begun)
     ratios = [b / a for a, b in zip(*rates, strict=True)]
-    for name, found, seconds in zip(("main", "read-only"), rates, used, strict=True):
+    for name, result, seconds in zip(("main", "read-only"), rates, used, strict=True):
         us = 1e6 * seconds / ROUNDS / REQUESTS
-        print(f"\n{name}: {statistics.median(found):.0f} requests/s, {us:.0f} us of processor")
+        print(f"\n{name}: {statistics.median(result):.0f} requests/s, {us:.0f} us of processor")
     print(f"read-only over main: median {statistics.median(ratios):.2f}")
     print(f"stale after a row: median {statistics.median(stale):.2f} s, most {max(stale):.2f} s")
     assert max(stale) <= 2 * INTERVAL_S

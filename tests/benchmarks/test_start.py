@@ -77,16 +77,16 @@ def test_a_second_start_maps_what_the_first_has_built(tmp_path: Path) -> None:
     for name, processes in (("first", 1), ("second", 1), ("of two processes", 2)):
         with started(folder, processes) as (client, server, seconds):
             family = [server, *server.children(recursive=True)]
-            used = sum(sum(one.cpu_times()[:2]) for one in family)
-            memory = [one.memory_info() for one in family]
-            private = [one.memory_full_info().uss for one in family]
-            found = [
+            used = sum(sum(item.cpu_times()[:2]) for item in family)
+            memory = [item.memory_info() for item in family]
+            private = [item.memory_full_info().uss for item in family]
+            results = [
                 client.displacement(
                     f"part{number}", [120, -80, -700], [15, 25, 4], on_thin="estimate"
                 )
                 for number in range(COMPONENTS)
             ]
-            answers.append([(one.translation.tolist(), one.coverage) for one in found])
+            answers.append([(result.translation.tolist(), result.coverage) for result in results])
             sizes = ", ".join(
                 f"{one.rss / 1e6:.0f} MB resident ({own / 1e6:.0f} MB its own)"
                 for one, own in zip(memory, private, strict=True)

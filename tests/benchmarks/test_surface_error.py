@@ -33,7 +33,7 @@ class Part:
         own = self.solvers[0].component.mesh
         self.nodes = surface_of(own).nodes
         places = own.points[self.nodes]
-        middle, fine = (Located(one.component.mesh, places) for one in self.solvers[1:])
+        middle, fine = (Located(solver.component.mesh, places) for solver in self.solvers[1:])
         self.fields = [lambda field: field[self.nodes], middle, fine]
         self.mesh = SolverError({**accuracy_of(self.solvers[0]), "linearity": None})
         self.wrenches = wrenches_of(bundle)
@@ -57,14 +57,14 @@ class Part:
 
     def nonlinear(self, which):
         """The same of nonlinear solves."""
-        found = []
+        results = []
         for wrench in self.wrenches[which]:
-            solved = [one.solve(wrench) for one in self.solvers]
+            solved = [solver.solve(wrench) for solver in self.solvers]
             own, middle, fine = (at(one.nodes) for at, one in zip(self.fields, solved, strict=True))
             lacking = fine + 0.5 * (fine - middle) - own
             follows = vertex_modes(solved[0].tangents[self.nodes], solved[0].compliance)
-            found.append((self.bars(follows, wrench), lengths(lacking), lengths(own)))
-        return (np.array(one) for one in zip(*found, strict=True))
+            results.append((self.bars(follows, wrench), lengths(lacking), lengths(own)))
+        return (np.array(item) for item in zip(*results, strict=True))
 
     def bars(self, follows, wrench):
         return error_parts(np.zeros(len(self.nodes)), follows, self.mesh, wrench).total
@@ -84,9 +84,11 @@ def ratios(bars, errors, moved):
     return bars[free] / errors[free]
 
 
-def told(name, *found):
-    figures = (f"{100 * np.mean(one >= 1):.0f} % | {np.median(one):.1f}" for one in found)
-    print(f"| {name} | {found[0].size} | {' | '.join(figures)} |", flush=True)
+def told(name, *results):
+    figures = (
+        f"{100 * np.mean(result >= 1):.0f} % | {np.median(result):.1f}" for result in results
+    )
+    print(f"| {name} | {results[0].size} | {' | '.join(figures)} |", flush=True)
 
 
 @pytest.fixture(scope="module")
@@ -105,15 +107,15 @@ def test_the_solvers_share_holds_nine_of_ten_nodes_and_is_not_five_times_too_lar
         each[name] = ratios(bars, errors, moved)
         told(name, each[name], ratios(energies, errors, moved))
     told("all", np.concatenate(list(each.values())))
-    for found in each.values():
-        assert np.mean(found >= 1) >= SHARE
-        assert np.median(found) <= RATIO
+    for result in each.values():
+        assert np.mean(result >= 1) >= SHARE
+        assert np.median(result) <= RATIO
     assert np.median(np.concatenate(list(each.values()))) <= 5
 
 
 @pytest.mark.parametrize("name", ["plate", "plate_thin"])
 def test_it_holds_for_nonlinear_plates_as_well(parts, name):
-    found = ratios(*parts[name].nonlinear([2, 3, 6, 8, 11]))
-    told(f"{name}, nonlinear", found)
-    assert np.mean(found >= 1) >= SHARE
-    assert np.median(found) <= RATIO
+    result = ratios(*parts[name].nonlinear([2, 3, 6, 8, 11]))
+    told(f"{name}, nonlinear", result)
+    assert np.mean(result >= 1) >= SHARE
+    assert np.median(result) <= RATIO

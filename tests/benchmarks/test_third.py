@@ -34,17 +34,17 @@ ROUNDS = 5
 
 def errors_of(solver, scale, *how):
     """Return the errors and asymmetries at random inputs."""
-    random, found = np.random.default_rng(23), []
+    random, results = np.random.default_rng(23), []
     for share in SHARES:
         inputs = solver.component.at_rest + share * scale * random.uniform(-1, 1, len(scale))
         direction = scale * random.uniform(-1, 1, len(scale))
-        found.append((error(solver, inputs, direction, scale, *how), asymmetry(solver, inputs)))
-    return np.array(found)
+        results.append((error(solver, inputs, direction, scale, *how), asymmetry(solver, inputs)))
+    return np.array(results)
 
 
 def cost_of(solver, inputs):
     """Return the seconds of a solve's second derivatives and of all else in it."""
-    found = []
+    results = []
     for _ in range(ROUNDS):
         started = time.process_time()
         solution = solver.solve(inputs)
@@ -55,8 +55,8 @@ def cost_of(solver, inputs):
         _ = tangent.nodal_response, tangent.border_response
         started = time.process_time()
         third_derivatives.third_derivatives(system, balance, tangent)
-        found.append((time.process_time() - started, whole))
-    own, whole = np.min(found, axis=0)
+        results.append((time.process_time() - started, whole))
+    own, whole = np.min(results, axis=0)
     return own, whole - own
 
 
@@ -64,19 +64,20 @@ def cost_of(solver, inputs):
 def test_shipped_components(name):
     solver = Solver(shipped(name))
     scale = range_of(solver)
-    found = errors_of(solver, scale, *SHIPPED[name])
+    result = errors_of(solver, scale, *SHIPPED[name])
     inputs = solver.component.at_rest + np.where(scale == 1.0, 0.0, 0.5 * scale)
     own, rest = cost_of(solver, inputs)
     print(
-        f"\n{name:12} error {found[:, 0].max():.1e}  tangent symmetric to {found[:, 1].max():.1e}  "
+        f"\n{name:12} error {result[:, 0].max():.1e}  "
+        f"tangent symmetric to {result[:, 1].max():.1e}  "
         f"{1e3 * own:.0f} ms of a solve's {1e3 * rest:.0f} ms: {100 * own / rest:.1f} %"
     )
-    assert found[:, 0].max() <= 1e-6
-    assert found[:, 1].max() <= 1e-9
+    assert result[:, 0].max() <= 1e-6
+    assert result[:, 1].max() <= 1e-9
 
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_other_kinds(name):
-    found = errors_of(solver_of(name), case(name, 1.0)[2], STEP, DOUBLINGS)
-    print(f"\n{name:26} error {found[:, 0].max():.1e}  symmetric to {found[:, 1].max():.1e}")
-    assert found[:, 0].max() <= 1e-6
+    result = errors_of(solver_of(name), case(name, 1.0)[2], STEP, DOUBLINGS)
+    print(f"\n{name:26} error {result[:, 0].max():.1e}  symmetric to {result[:, 1].max():.1e}")
+    assert result[:, 0].max() <= 1e-6

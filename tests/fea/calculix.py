@@ -47,19 +47,19 @@ def solve(part, wrench, folder, *, nonlinear=False):
 
 def conjugate(wrench, displacement):
     """Return the wrench that CalculiX is told: its moment works on the rotation vector."""
-    told = np.array(wrench, dtype=float)
-    told[3:] = spin_per_vector(displacement[3:]).T @ told[3:]
-    return told
+    reported = np.array(wrench, dtype=float)
+    reported[3:] = spin_per_vector(displacement[3:]).T @ reported[3:]
+    return reported
 
 
 def stresses(part, wrench, folder, *, nonlinear):
     """Return the stresses at C3D20R's or C3D10's integration points, (p, 6), in our order."""
     lines = deck_lines(part, wrench, nonlinear)
     lines.insert(lines.index("*END STEP"), "*EL PRINT, ELSET=EALL\nS")
-    found = [row[2:] for row in printed(lines, folder) if len(row) == 8]
+    result = [row[2:] for row in printed(lines, folder) if len(row) == 8]
     (block,) = part.mesh.blocks
     points = {"hex20": 8, "tet10": 4}[block.kind] * len(block)
-    stress = np.array(found, dtype=float)[-points:]
+    stress = np.array(result, dtype=float)[-points:]
     if block.kind == "hex20":  # CalculiX counts its points along x first, we along z
         stress = stress.reshape(-1, 2, 2, 2, 6).transpose(0, 3, 2, 1, 4)
     return stress.reshape(-1, 6)

@@ -18,7 +18,7 @@ def body_of(mesh, free, young=1e9, poisson=0.3, integration="reduced"):
     """Fill a mesh with materials by Young's modulus, one or for each block an array of a cell."""
     if np.isscalar(young):
         young = [np.full(len(block), young) for block in mesh.blocks]
-    materials = [Material("all", float(one), poisson) for one in np.concatenate(young)]
+    materials = [Material("all", float(item), poisson) for item in np.concatenate(young)]
     counts = np.cumsum([0, *(len(block) for block in mesh.blocks)])
     numbers = [np.arange(*ends) for ends in pairwise(counts)]
     return ElasticBody(mesh, filled_cells(mesh, materials, numbers, integration), free)

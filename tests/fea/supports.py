@@ -51,8 +51,8 @@ def turned(one, rotation):
 def stress(one, wrench):
     """Return the Cauchy stresses at all points, shape (p, 6), Pa, and the solution."""
     solver = Solver(one)
-    found = solver.solve(wrench)
-    return solver.stresses(found), found
+    result = solver.solve(wrench)
+    return solver.stresses(result), result
 
 
 def largest(difference, size):

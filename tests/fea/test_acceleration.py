@@ -73,10 +73,10 @@ def test_gravity_is_an_acceleration_that_never_changes(tmp_path, coupling, nonli
 
 def test_a_linear_answer_is_the_sum_of_those_of_its_inputs(tmp_path):
     own = solver(tmp_path, PULLED | WARM)
-    found = own.solve([*LOADS, 70.0, *DOWN])
+    result = own.solve([*LOADS, 70.0, *DOWN])
     parts = [[*LOADS, 20.0, 0, 0, 0], [*np.zeros(6), 70.0, 0, 0, 0], [*np.zeros(6), 20.0, *DOWN]]
     total = sum(own.solve(part).displacement for part in parts)
-    np.testing.assert_allclose(found.displacement, total, rtol=1e-11, atol=1e-18)
+    np.testing.assert_allclose(result.displacement, total, rtol=1e-11, atol=1e-18)
     cold = own.solve([*LOADS, 20.0, *DOWN])
     assert cold.work == pytest.approx(2 * cold.strain_energy, rel=1e-9)
 
@@ -87,15 +87,15 @@ def test_calculix_has_the_same_answer_on_the_same_mesh(tmp_path, nonlinear, most
     how = {"nonlinear": nonlinear, "gravity": [2.0, -3.0, -9.81], "youngs_modulus": 7e9}
     own = solver(tmp_path, PULLED | WARM, (1, 2, 4), **how)
     inputs = [*(0.3 * LOADS), 70.0, *DOWN]
-    found = own.solve(inputs).displacement
-    reply = calculix.solve_rigid(own.component, inputs, found[3:] if nonlinear else None)
-    assert calculix.worst_gap(found, reply.displacement) < most
+    result = own.solve(inputs).displacement
+    reply = calculix.solve_rigid(own.component, inputs, result[3:] if nonlinear else None)
+    assert calculix.worst_gap(result, reply.displacement) < most
 
 
 def test_the_work_of_loads_and_acceleration_is_the_strain_energy(tmp_path):
     own = solver(tmp_path, nonlinear=True, youngs_modulus=2e9)
-    found = own.solve([*(0.2 * LOADS), *DOWN])
-    assert found.work == pytest.approx(found.strain_energy, rel=1e-2)
+    result = own.solve([*(0.2 * LOADS), *DOWN])
+    assert result.work == pytest.approx(result.strain_energy, rel=1e-2)
 
 
 def link(nonlinear):
@@ -111,14 +111,14 @@ def link(nonlinear):
 def test_a_link_between_two_joints_takes_temperature_and_acceleration(tmp_path, nonlinear):
     own = Solver(bundle_of(tomllib.loads(link(nonlinear)), tmp_path))
     pulled = {"temperature": 80.0, "ax": 5.0, "ay": -12.0, "az": 7.0}
-    found = own.solve({"right": LOADS} | pulled)
-    assert found.compliance.shape == (12, 16)
-    assert not found.displacement[:6].any()
-    stresses = own.fields(found).stress_slopes
+    result = own.solve({"right": LOADS} | pulled)
+    assert result.compliance.shape == (12, 16)
+    assert not result.displacement[:6].any()
+    stresses = own.fields(result).stress_slopes
     for number, step in ((8, 1.0), (12, 0.05), (13, 0.5), (15, 0.5)):
-        ahead, behind = (own.solve(found.wrench + s * np.eye(16)[number]) for s in (step, -step))
+        ahead, behind = (own.solve(result.wrench + s * np.eye(16)[number]) for s in (step, -step))
         slope = (ahead.displacement - behind.displacement) / (2 * step)
-        assert largest(slope - found.compliance[:, number], slope) < 1e-5
+        assert largest(slope - result.compliance[:, number], slope) < 1e-5
         slope = (own.stresses(ahead) - own.stresses(behind)) / (2 * step)
         assert largest(slope - stresses[:, :, number], slope) < 1e-5
 
@@ -159,5 +159,5 @@ def test_a_load_of_one_interface_of_several_may_be_zero(tmp_path):
     whole["interface"] = [
         {"name": name, "section": name, "coupling": "rigid", "range": span} for name in ("x1", "y1")
     ]
-    found = bundle_of(whole, tmp_path).range
-    assert found.high.tolist() == [0, 100, 100, 0, 0, 5] * 2
+    result = bundle_of(whole, tmp_path).range
+    assert result.high.tolist() == [0, 100, 100, 0, 0, 5] * 2

@@ -108,8 +108,8 @@ def test_a_bolt_gives_the_shank_its_tension_and_the_energy_is_the_work(nonlinear
         solver.stresses(tight)[:, 2] * AREA, 2e4, rtol=3e-3 if nonlinear else 1e-9
     )
     factor = 1.0 if nonlinear else 2.0  # linear: that of all loads at their full size
-    for found in (tight, solver.solve(WRENCH)):
-        assert found.work == pytest.approx(factor * found.strain_energy, rel=1e-6)
+    for result in (tight, solver.solve(WRENCH)):
+        assert result.work == pytest.approx(factor * result.strain_energy, rel=1e-6)
     assert not tight.displacement.any()
 
 
@@ -143,33 +143,35 @@ def test_the_compliance_mass_and_frequency_are_those_of_the_part_without_a_cut()
 
 def test_the_zero_of_displacement_changes_displacements_alone():
     tight, loose = (Solver(clamped_bar(zero=zero)) for zero in ("preloaded", "untightened"))
-    found, other = tight.solve(WRENCH), loose.solve(WRENCH)
+    result, other = tight.solve(WRENCH), loose.solve(WRENCH)
     shift = -2e4 / 6 / (YOUNG * AREA)  # the upper sixth is longer by F L / EA
     np.testing.assert_allclose(
-        other.displacement - found.displacement, [0, 0, shift, 0, 0, 0], atol=1e-15
+        other.displacement - result.displacement, [0, 0, shift, 0, 0, 0], atol=1e-15
     )
-    np.testing.assert_array_equal(found.nodes, other.nodes)
+    np.testing.assert_array_equal(result.nodes, other.nodes)
 
 
-def per_load(found, wrench):
+def per_load(result, wrench):
     """Return d(u, r)/d(F, mu), (6, 6), where mu = J(r)^T M, and the change of (F, mu)."""
-    vector, rates = found.displacement[3:], np.eye(6)
+    vector, rates = result.displacement[3:], np.eye(6)
     rates[3:, 3:] = spin_per_vector(vector).T
-    rates[3:] += spin_slope(vector, wrench[3:]) @ found.compliance[3:]
-    return found.compliance @ np.linalg.inv(rates), rates
+    rates[3:] += spin_slope(vector, wrench[3:]) @ result.compliance[3:]
+    return result.compliance @ np.linalg.inv(rates), rates
 
 
 def gaps_to_differences(solver, wrench, change):
     """Return how far compliance and curvature are from differences of solves, relative."""
-    found = solver.solve(wrench)
-    ahead, behind = (solver.solve(wrench + s * change, start=found.state) for s in (1, -1))
-    own, rates = per_load(found, wrench)
+    result = solver.solve(wrench)
+    ahead, behind = (solver.solve(wrench + s * change, start=result.state) for s in (1, -1))
+    own, rates = per_load(result, wrench)
     size = np.sqrt(np.diagonal(own))
     slope = (ahead.displacement - behind.displacement) / size / 2
     bend = per_load(ahead, wrench + change)[0] - per_load(behind, wrench - change)[0]
     bend /= 2 * np.outer(size, size)
-    curvature = unpacked(found.curvature) @ (rates @ change) / np.outer(size, size)
-    return largest(found.compliance @ change / size - slope, slope), largest(curvature - bend, bend)
+    curvature = unpacked(result.curvature) @ (rates @ change) / np.outer(size, size)
+    return largest(result.compliance @ change / size - slope, slope), largest(
+        curvature - bend, bend
+    )
 
 
 @pytest.mark.parametrize("interface", ["rigid", "distributed"])
@@ -190,13 +192,13 @@ def test_answers_relative_to_the_tightened_part_have_their_derivatives(interface
 def test_a_spring_between_groups_has_its_derivatives_at_finite_rotations(coupling):
     joint = {"stiffness": FULL, "coupling": coupling, "axes": TURN.tolist()}
     solver = Solver(joined(joint, nonlinear=True))
-    found = solver.solve(2 * WRENCH)
-    assert np.degrees(np.linalg.norm(found.displacement[3:])) > 7
-    assert found.work == pytest.approx(found.strain_energy, rel=1e-3)
+    result = solver.solve(2 * WRENCH)
+    assert np.degrees(np.linalg.norm(result.displacement[3:])) > 7
+    assert result.work == pytest.approx(result.strain_energy, rel=1e-3)
     slope, bend = gaps_to_differences(solver, 2 * WRENCH, 0.02 * CHANGE)
     assert slope < 1e-7
     assert bend < 1e-6
-    motion = found.state.multipliers[-6:]
+    motion = result.state.multipliers[-6:]
     assert (
         np.abs(spring_motion.relative_motion(np.tile(motion, 2))[0]).max() < 1e-15
     )  # a rigid motion of both
@@ -253,10 +255,10 @@ def test_calculix_finds_the_same_with_a_bolt_or_a_joint(nonlinear, kind):
         soft = stiff | {"region": "all", "youngs_modulus": YOUNG}
         joint |= {"axes": TURN.tolist()}
         own = joined(joint, nonlinear=nonlinear, material=[stiff, soft])
-    found = Solver(own).solve(WRENCH).displacement
-    reply = calculix.solve_rigid(own, WRENCH, found[3:] if nonlinear else None)
+    result = Solver(own).solve(WRENCH).displacement
+    reply = calculix.solve_rigid(own, WRENCH, result[3:] if nonlinear else None)
     limit = 1e-4 if nonlinear else 1e-5
-    assert second_opinion.difference(found, reply.displacement) < limit
+    assert second_opinion.difference(result, reply.displacement) < limit
 
 
 def test_a_motion_that_only_bolts_or_no_spring_hold_is_named_and_refused():
@@ -276,17 +278,19 @@ def test_an_axis_off_the_shank_is_named_with_its_angle_and_the_axis_to_write():
     lean = np.radians(17)
     for axis, degrees in ([0, 0, 1], None), ([np.sin(lean), 0, np.cos(lean)], 17):
         part = clamped_bar(of_bolt={"axis": [float(x) for x in axis]})
-        found = [each.message for each in warnings_of(part) if each.where == "bolt[0].axis"]
-        assert bool(found) == bool(degrees)
-        assert all("17 degrees off" in text and "axis = [0.0, 0.0, 1.0]" in text for text in found)
+        results = [each.message for each in warnings_of(part) if each.where == "bolt[0].axis"]
+        assert bool(results) == bool(degrees)
+        assert all(
+            "17 degrees off" in text and "axis = [0.0, 0.0, 1.0]" in text for text in results
+        )
 
 
 def test_a_preload_that_the_part_does_not_carry_is_named_with_the_force_reached():
     part = assembly(frame(), bolt=[bolt(region="shank", force=1e7)], nonlinear=True)
-    words = (
+    text = (
         r"The preload of bolt\[0\], 1e\+07 N, is more than the part carries: .*e\+05 N was reached"
     )
-    with pytest.raises(SolveFailed, match=words) as failure:
+    with pytest.raises(SolveFailed, match=text) as failure:
         Solver(part).solve(np.zeros(6))
     assert failure.value.remedy.startswith("Write a smaller force")
     stretched = assembly(frame(), bolt=[bolt(region="shank", force=0.2 * YOUNG * AREA)])

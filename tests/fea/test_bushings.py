@@ -89,8 +89,8 @@ def test_a_bar_between_means_stretches_as_theory_has_it(tmp_path):
 
 def test_a_bar_on_a_bushing_is_the_clamped_bar_moved_by_the_spring_at_any_rotation(tmp_path):
     soft = Solver(on_bushings(tmp_path, bushing(FULL), nonlinear=True))
-    found = soft.solve(WRENCH * 2)
-    motion = found.state.multipliers[-6:]
+    result = soft.solve(WRENCH * 2)
+    motion = result.state.multipliers[-6:]
     assert np.degrees(np.linalg.norm(motion[3:])) > 0.5
     turned, point = rotation(motion[3:]), soft.component.bushings[0][0].point
     force, moment = np.split(WRENCH * 2, 2)
@@ -99,9 +99,9 @@ def test_a_bar_on_a_bushing_is_the_clamped_bar_moved_by_the_spring_at_any_rotati
     own = soft.component.interfaces[0].point
     arm = turned @ (own + bar.displacement[:3] - point)
     place = point + motion[:3] + arm
-    np.testing.assert_allclose(found.displacement[:3], place - own, atol=1e-7)
+    np.testing.assert_allclose(result.displacement[:3], place - own, atol=1e-7)
     spin = rotation_vector(turned @ rotation(bar.displacement[3:]))
-    np.testing.assert_allclose(found.displacement[3:], spin, atol=1e-7)
+    np.testing.assert_allclose(result.displacement[3:], spin, atol=1e-7)
     carried = np.concatenate(
         [force, spin_per_vector(motion[3:]).T @ (moment + np.cross(arm, force))]
     )
@@ -149,23 +149,23 @@ def test_answers_agree_with_their_tangent_and_their_energy(tmp_path, coupling, i
         on_bushings(tmp_path, bushing(FULL, coupling=coupling), coupling=interface, nonlinear=True)
     )
     wrench = 1.5 * WRENCH
-    found = one.solve(wrench)
+    result = one.solve(wrench)
     for load, step in ((0, 1.0), (2, 1.0), (4, 0.1)):
         ahead, behind = (one.solve(wrench + s * np.eye(6)[load]) for s in (step, -step))
         slope = (ahead.displacement - behind.displacement) / (2 * step)
-        assert largest(slope - found.compliance[:, load], slope) < 1e-6
+        assert largest(slope - result.compliance[:, load], slope) < 1e-6
         if load < 3:  # work of a force on its displacement: the energy's slope
             rate = (ahead.strain_energy - behind.strain_energy) / (2 * step)
             spatial = np.concatenate(
-                [wrench[:3], spin_per_vector(found.displacement[3:]).T @ wrench[3:]]
+                [wrench[:3], spin_per_vector(result.displacement[3:]).T @ wrench[3:]]
             )
             assert rate == pytest.approx(spatial @ slope, rel=1e-6)
-    assert found.work == pytest.approx(found.strain_energy, rel=1e-4)
+    assert result.work == pytest.approx(result.strain_energy, rel=1e-4)
     small = one.solve(1e-6 * WRENCH)
     np.testing.assert_allclose(small.displacement, 1e-6 * one.compliance @ WRENCH, rtol=1e-5)
     assert small.strain_energy == pytest.approx(small.work, rel=1e-5)
     started = one.solve(wrench, start=one.solve(0.9 * wrench).state)
-    np.testing.assert_allclose(started.displacement, found.displacement, rtol=1e-9)
+    np.testing.assert_allclose(started.displacement, result.displacement, rtol=1e-9)
 
 
 @pytest.mark.parametrize("stiffness", [SPRING, FULL, [0, 0, 4e6, 0, 0, 0]])
@@ -180,9 +180,9 @@ def test_calculix_finds_the_same_on_bushings(tmp_path, stiffness, nonlinear):
     whole = replace(mesh(), node_groups={"low": low})
     one = part(whole, tmp_path, supports, nonlinear=nonlinear, axes=TURN.T.tolist())
     wrench = WRENCH
-    found = Solver(one).solve(wrench).displacement
-    reply = calculix.solve_rigid(one, wrench, found[3:] if nonlinear else None)
-    assert second_opinion.difference(found, reply.displacement) < (1e-4 if nonlinear else 1e-5)
+    result = Solver(one).solve(wrench).displacement
+    reply = calculix.solve_rigid(one, wrench, result[3:] if nonlinear else None)
+    assert second_opinion.difference(result, reply.displacement) < (1e-4 if nonlinear else 1e-5)
 
 
 def test_calculix_has_no_distributed_bushing(tmp_path):
@@ -201,13 +201,13 @@ def test_a_part_on_a_soft_bushing_swings_as_a_mass_on_its_spring(tmp_path, coupl
         tmp_path, bushing(spring, coupling=coupling), locked=["ux", "uy", "rx", "ry", "rz"]
     )
     one = replace(one, materials=tuple(replace(m, density=density) for m in one.materials))
-    found = Solver(one).vibration(Riding.of(2.0))
+    result = Solver(one).vibration(Riding.of(2.0))
     mass = 2.0 + (density or 0.0) * 0.1 * 0.06
-    assert found.frequency == pytest.approx(np.sqrt(1e3 / mass) / (2 * np.pi), rel=1e-4)
+    assert result.frequency == pytest.approx(np.sqrt(1e3 / mass) / (2 * np.pi), rel=1e-4)
     if density is None:
         compliance = Solver(one).compliance[2, 2]
         expected = np.sqrt(1 / (compliance * mass)) / (2 * np.pi)
-        assert found.frequency == pytest.approx(expected, rel=1e-9)
+        assert result.frequency == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize("coupling", COUPLINGS)

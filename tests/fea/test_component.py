@@ -111,8 +111,8 @@ def test_a_node_group_without_a_whole_face_weighs_every_node_the_same(tmp_path):
 
 
 def test_every_missing_group_is_told_at_once():
-    found = mistakes(interface__section="a", supports__fixed=["b"], material__0__region="c")
-    assert {"interface.section", "supports.fixed[0]", "material[0].region"} <= set(found)
+    results = mistakes(interface__section="a", supports__fixed=["b"], material__0__region="c")
+    assert {"interface.section", "supports.fixed[0]", "material[0].region"} <= set(results)
 
 
 def test_a_table_only_component_cannot_be_built():
@@ -155,22 +155,22 @@ def test_a_shipped_mesh_file_is_what_its_generator_writes(name, text):
 
 def test_the_link_bends_less_than_a_tube_without_flanges_and_more_than_with_rigid_ones():
     """Euler's beam with the shear of a thin tube, over its whole length and between flanges."""
-    found = Solver(read_bundle(COMPONENTS / "link")).linear.compliance
+    result = Solver(read_bundle(COMPONENTS / "link")).linear.compliance
     inertia, area = np.pi / 4 * (0.0125**4 - 0.011**4), np.pi * (0.0125**2 - 0.011**2)
 
     def deflection(near: float, far: float) -> float:
         bent = ((0.35 - near) ** 3 - (0.35 - far) ** 3) / 3 / (70e9 * inertia)
         return bent + (far - near) * 2 / (70e9 / 2.66 * area)
 
-    assert deflection(0.006, 0.344) < found[8, 8] < deflection(0, 0.35)
-    assert not found[:6].any()
+    assert deflection(0.006, 0.344) < result[8, 8] < deflection(0, 0.35)
+    assert not result[:6].any()
 
 
 def test_the_hot_bracket_bends_down_when_heated_as_timoshenkos_strip():
     """Aluminium above, steel below, each 3 mm: the arm's curvature, 5 %."""
-    found = Solver(read_bundle(COMPONENTS / "hot_bracket")).linear.compliance[:, 6]
+    result = Solver(read_bundle(COMPONENTS / "hot_bracket")).linear.compliance[:, 6]
     ratio, thickness = 210 / 70, 0.006
     curvature = 24 * (23.5e-6 - 12e-6) / thickness / (14 + ratio + 1 / ratio)
     turned = curvature * (0.1 - 0.006)
-    assert found[4] == pytest.approx(turned, rel=5e-2)
-    assert found[2] < 0
+    assert result[4] == pytest.approx(turned, rel=5e-2)
+    assert result[2] < 0

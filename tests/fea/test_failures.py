@@ -95,8 +95,8 @@ def test_a_column_is_answered_below_eulers_load_and_named_with_it_above(coupling
     mesh = box("hex20", (2, 2, 16), (0.01, 0.01, 1.0))
     euler = times * np.pi**2 * 210e9 * 0.01**4 / 12 / 4
     built = Solver(component(mesh, coupling=coupling, nonlinear=True, locked=guide))
-    found = built.solve([0, 0, -0.95 * euler, 0, 0, 0])
-    assert np.abs(found.displacement[[0, 1, 3, 4]]).max() < 1e-9
+    result = built.solve([0, 0, -0.95 * euler, 0, 0, 0])
+    assert np.abs(result.displacement[[0, 1, 3, 4]]).max() < 1e-9
     with pytest.raises(SolveFailed, match=r"buckles at 0\.9") as caught:
         built.solve([0, 0, -1.05 * euler, 0, 0, 0])
     assert caught.value.kind == "snap_through"
@@ -192,8 +192,8 @@ def test_the_history_and_the_last_converged_state_are_kept(snapped):
 def test_the_last_state_is_an_equilibrium_under_its_part_of_the_load(snapped):
     part, _, failure = snapped
     factor, nodes = failure.last
-    found = Solver(part).solve([0, 0, -6000 * factor, 0, 0, 0])
-    np.testing.assert_allclose(nodes, found.nodes, atol=1e-6 * np.abs(nodes).max())
+    result = Solver(part).solve([0, 0, -6000 * factor, 0, 0, 0])
+    np.testing.assert_allclose(nodes, result.nodes, atol=1e-6 * np.abs(nodes).max())
 
 
 def test_a_failure_before_any_state_keeps_the_mesh(tmp_path):

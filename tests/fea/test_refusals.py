@@ -34,7 +34,7 @@ def bundle(tmp_path, request):
         if good == "bracket":
             shutil.copy(request.getfixturevalue("bracket"), folder)
         for old, new in dict(change).items():
-            (path,) = (one for one in (GOOD / good).iterdir() if old in one.read_text("utf-8"))
+            (path,) = (item for item in (GOOD / good).iterdir() if old in item.read_text("utf-8"))
             text = (folder / path.name).read_text("utf-8")
             assert text.count(old) == 1, old
             (folder / path.name).write_text(text.replace(old, new), "utf-8")

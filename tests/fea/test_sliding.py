@@ -24,9 +24,9 @@ CORNER = {"coupling": "rigid", "point": [0, 0, 1], "locked": ["ux", "uy", "rx", 
 def test_a_block_on_three_sliding_planes_has_one_stress_throughout(tmp_path, kind):
     mesh = box(kind, (3, 3, 3), warp=distort(0.05), corners_only=True)
     options = {"coupling": "distributed", "nonlinear": True}
-    found, _ = stress(part(mesh, tmp_path, {"sliding": PLANES}, **options), [0, 0, 1e8, 0, 0, 0])
-    uniform = np.array([0, 0, found[0, 2], 0, 0, 0])
-    assert largest(found - uniform, uniform) < 1e-9
+    result, _ = stress(part(mesh, tmp_path, {"sliding": PLANES}, **options), [0, 0, 1e8, 0, 0, 0])
+    uniform = np.array([0, 0, result[0, 2], 0, 0, 0])
+    assert largest(result - uniform, uniform) < 1e-9
 
 
 def test_sliding_planes_may_lie_askew_to_the_interface_frame(tmp_path):
@@ -41,11 +41,11 @@ def test_sliding_planes_may_lie_askew_to_the_interface_frame(tmp_path):
 
 def test_axes_of_a_sliding_support_turn_its_directions(tmp_path):
     mesh = box("hex20", (2, 2, 2), warp=lambda x: x @ TURN.T)
-    planes = [one | {"axes": TURN.T.tolist()} for one in PLANES]
+    planes = [item | {"axes": TURN.T.tolist()} for item in PLANES]
     one = part(mesh, tmp_path, {"sliding": planes}, coupling="distributed", axes=TURN.T.tolist())
-    found, solution = stress(one, [0, 0, 1.0, 0, 0, 0])
+    results, solution = stress(one, [0, 0, 1.0, 0, 0, 0])
     assert solution.displacement[2] == pytest.approx(1 / 3e9, rel=1e-10)
-    np.testing.assert_allclose(found, np.tile(found[0], (len(found), 1)), atol=1e-10)
+    np.testing.assert_allclose(results, np.tile(results[0], (len(results), 1)), atol=1e-10)
 
 
 @pytest.mark.parametrize("nonlinear", [False, True])
@@ -112,9 +112,9 @@ def test_calculix_finds_the_same_on_sliding_supports(tmp_path, nonlinear, askew)
         options = {"axes": rotation(np.array([0.1, 0.9, -0.4])).tolist()}
         wrench = [300, 100, -1e3, 50, 200, 30]
     one = part(mesh, tmp_path, supports, nonlinear=nonlinear, **options)
-    found = Solver(one).solve(wrench).displacement
-    reply = calculix.solve_rigid(one, wrench, found[3:] if nonlinear else None)
-    assert second_opinion.difference(found, reply.displacement) < (1e-4 if nonlinear else 1e-5)
+    result = Solver(one).solve(wrench).displacement
+    reply = calculix.solve_rigid(one, wrench, result[3:] if nonlinear else None)
+    assert second_opinion.difference(result, reply.displacement) < (1e-4 if nonlinear else 1e-5)
 
 
 @pytest.mark.parametrize(
@@ -128,6 +128,6 @@ def test_calculix_finds_the_same_on_sliding_supports(tmp_path, nonlinear, askew)
 def test_a_motion_that_sliding_supports_leave_free_is_named(tmp_path, sliding, said):
     mesh = box("hex20", (2, 2, 2))
     one = part(mesh, tmp_path, {"sliding": sliding}, section="x1", coupling="distributed")
-    found = motion_problems(one, bodies_of(mesh), coincident_nodes(mesh))
-    assert [problem.where for problem in found] == (["supports"] if said else [])
-    assert all(said in problem.message for problem in found)
+    results = motion_problems(one, bodies_of(mesh), coincident_nodes(mesh))
+    assert [problem.where for problem in results] == (["supports"] if said else [])
+    assert all(said in problem.message for problem in results)

@@ -60,7 +60,7 @@ def mistakes(folder, whole):
     try:
         bundle_of(whole, folder)
     except BundleError as error:
-        return {one.where: one.message for one in error.problems}
+        return {problem.where: problem.message for problem in error.problems}
     return {}
 
 
@@ -87,12 +87,12 @@ def test_a_free_block_grows_by_its_expansion_without_stress(tmp_path, nonlinear)
     own = solver(
         block(), tmp_path, {"sliding": PLANES}, nonlinear=nonlinear, coupling="distributed"
     )
-    found = own.solve([*np.zeros(6), 120.0])
-    np.testing.assert_allclose(found.nodes, 2.3e-3 * block().points, rtol=1e-9, atol=1e-13)
-    assert np.abs(own.stresses(found)).max() < 1e-9 * 70e9 * 2.3e-3
-    assert abs(found.strain_energy) < 1e-9 * 70e9 * 2.3e-3**2 * 0.1 * 0.06 * 0.4
+    result = own.solve([*np.zeros(6), 120.0])
+    np.testing.assert_allclose(result.nodes, 2.3e-3 * block().points, rtol=1e-9, atol=1e-13)
+    assert np.abs(own.stresses(result)).max() < 1e-9 * 70e9 * 2.3e-3
+    assert abs(result.strain_energy) < 1e-9 * 70e9 * 2.3e-3**2 * 0.1 * 0.06 * 0.4
     expected = 23e-6 * np.array([0.05, 0.03, 0.4])
-    np.testing.assert_allclose(found.compliance[:3, 6], expected, rtol=1e-9)
+    np.testing.assert_allclose(result.compliance[:3, 6], expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("nonlinear", [False, True])
@@ -113,9 +113,9 @@ def test_an_orthotropic_block_of_turned_axes_grows_along_them(tmp_path, nonlinea
         nonlinear=nonlinear,
         coupling="distributed",
     )
-    found = own.solve([*np.zeros(6), -30.0])
+    result = own.solve([*np.zeros(6), -30.0])
     affine = np.column_stack([np.ones(len(mesh.points)), mesh.points])
-    fit, rest, *_ = np.linalg.lstsq(affine, found.nodes, rcond=None)
+    fit, rest, *_ = np.linalg.lstsq(affine, result.nodes, rcond=None)
     assert rest.max() < 1e-20
     growth = -50.0 * TURN.T @ np.diag(ALONG) @ TURN
     slope = fit[1:].T
@@ -126,18 +126,18 @@ def test_an_orthotropic_block_of_turned_axes_grows_along_them(tmp_path, nonlinea
         )
     else:
         np.testing.assert_allclose(0.5 * (slope + slope.T), growth, atol=1e-12)
-    assert np.abs(own.stresses(found)).max() < 1e-8 * 10e9 * 1.5e-3
+    assert np.abs(own.stresses(result)).max() < 1e-8 * 10e9 * 1.5e-3
 
 
 def test_a_restrained_block_pushes_with_its_modulus_times_its_expansion(tmp_path):
     own = solver(block(), tmp_path, {"sliding": PLANES}, coupling="distributed")
     force = -70e9 * 0.1 * 0.06 * 23e-6 * 40.0
-    found = own.solve([0, 0, force, 0, 0, 0, 60.0])
-    assert abs(found.displacement[2]) < 1e-9 * 0.4 * 23e-6 * 40.0
-    stress = own.stresses(found)
+    result = own.solve([0, 0, force, 0, 0, 0, 60.0])
+    assert abs(result.displacement[2]) < 1e-9 * 0.4 * 23e-6 * 40.0
+    stress = own.stresses(result)
     np.testing.assert_allclose(stress[:, 2], -70e9 * 23e-6 * 40.0, rtol=1e-9)
     assert np.abs(np.delete(stress, 2, axis=1)).max() < 1e-9 * np.abs(stress).max()
-    assert found.strain_energy == pytest.approx(0.5 * force**2 * 0.4 / (70e9 * 0.1 * 0.06))
+    assert result.strain_energy == pytest.approx(0.5 * force**2 * 0.4 / (70e9 * 0.1 * 0.06))
 
 
 def test_a_bimetal_strip_bends_as_timoshenko_has_it(tmp_path):
@@ -173,9 +173,9 @@ def test_calculix_finds_the_same_in_linear_analysis(tmp_path, material):
 def test_calculix_finds_the_same_of_a_clamped_arch_with_heat_and_a_load(tmp_path, loads):
     require_ccx()
     own = clamped_arch(tmp_path)
-    found = own.solve(loads).displacement
-    reply = calculix.solve_rigid(own.component, loads, found[3:])
-    assert difference(found, reply.displacement) < 1e-4
+    result = own.solve(loads).displacement
+    reply = calculix.solve_rigid(own.component, loads, result[3:])
+    assert difference(result, reply.displacement) < 1e-4
 
 
 def test_a_heated_bar_between_walls_buckles_at_eulers_strain(tmp_path):
@@ -225,9 +225,9 @@ def test_a_component_at_its_reference_answers_as_one_without_the_input(tmp_path)
 
 def test_work_and_strain_energy_agree_where_heat_works_too(tmp_path):
     own = solver(block(), tmp_path, {"fixed": ["z0"]}, nonlinear=True)
-    found = own.solve([*(10 * LOADS), 100.0])
+    result = own.solve([*(10 * LOADS), 100.0])
     held = 1.5 * 70e9 / (1 - 2 * 0.33) * (80 * 23e-6) ** 2 * 0.1 * 0.06 * 0.4
-    assert abs(found.work - found.strain_energy) < 80 * 23e-6 * held
+    assert abs(result.work - result.strain_energy) < 80 * 23e-6 * held
 
 
 def two_ended(folder, nonlinear):
@@ -262,12 +262,12 @@ def test_two_interfaces_take_the_temperature_by_name_or_behind_their_loads(tmp_p
 def test_the_tangent_of_two_interfaces_by_loads_and_temperature_is_that_of_differences(tmp_path):
     own = two_ended(tmp_path, nonlinear=True)
     inputs = np.array([*(10 * LOADS), *(-20 * LOADS), 90.0])
-    found = own.solve(inputs)
-    assert found.compliance.shape == (12, 13)
+    result = own.solve(inputs)
+    assert result.compliance.shape == (12, 13)
     for number, step in ((1, 50.0), (10, 5.0), (12, 0.05)):
         ahead, behind = (own.solve(inputs + s * np.eye(13)[number]) for s in (step, -step))
         slope = (ahead.displacement - behind.displacement) / (2 * step)
-        assert largest(slope - found.compliance[:, number], slope) < 1e-6
+        assert largest(slope - result.compliance[:, number], slope) < 1e-6
 
 
 def test_inputs_without_the_temperature_are_refused(tmp_path):
@@ -293,7 +293,7 @@ def test_an_expansion_without_the_input_is_a_note(tmp_path):
     whole = table({"fixed": ["z0"]})
     del whole["inputs"]
     own = build(bundle_of(whole, tmp_path), block())
-    (note,) = [one for one in warnings_of(own) if "thermal_expansion" in one.where]
+    (note,) = [item for item in warnings_of(own) if "thermal_expansion" in item.where]
     assert "[inputs.temperature]" in note.message
 
 
@@ -328,8 +328,8 @@ def test_a_solve_is_started_from_a_state_at_another_temperature(tmp_path):
     [{"range": [-300, 60], "reference": 20}, {"unit": "K", "range": [-20, 60], "reference": 20}],
 )
 def test_a_temperature_below_absolute_zero_is_refused(tmp_path, own):
-    found = mistakes(tmp_path, table({"fixed": ["start"]}, inputs={"temperature": own}))
-    assert "below absolute zero" in found["inputs.temperature.range"]
+    result = mistakes(tmp_path, table({"fixed": ["start"]}, inputs={"temperature": own}))
+    assert "below absolute zero" in result["inputs.temperature.range"]
 
 
 REFERENCE, HOTTEST = 20.0, 120.0
@@ -400,11 +400,11 @@ def test_a_field_that_is_the_same_everywhere_answers_as_none(tmp_path):
 
 
 def test_another_field_is_another_fingerprint(tmp_path):
-    found = []
+    results = []
     for rise in (10.0, 11.0):
         write(tmp_path, corners(), np.arange(8.0) * rise)
-        found.append(bar(tmp_path).component.bundle.fingerprint)
-    assert found[0] != found[1]
+        results.append(bar(tmp_path).component.bundle.fingerprint)
+    assert results[0] != results[1]
 
 
 @pytest.mark.parametrize("kept", [[0, 1, 2], [0, 2], [0]], ids=["space", "plane", "line"])
@@ -418,5 +418,5 @@ def test_points_of_a_plane_or_a_line_are_interpolated_in_it(tmp_path, kept):
     rise = 100 * (2 + points[:, kept] @ slope[kept])
     text = "\n".join(f"{x!r},{y!r},{z!r},{t!r}" for x, y, z, t in np.c_[points, rise].tolist())
     (tmp_path / "t.csv").write_text("x,y,z,T\n" + text + "\n")
-    found = shape_on(nodes, tmp_path / "t.csv", 0.0) * rise.max()
-    np.testing.assert_allclose(found, 100 * (2 + nodes[:, kept] @ slope[kept]), rtol=1e-9)
+    result = shape_on(nodes, tmp_path / "t.csv", 0.0) * rise.max()
+    np.testing.assert_allclose(result, 100 * (2 + nodes[:, kept] @ slope[kept]), rtol=1e-9)

@@ -32,8 +32,8 @@ def compliance(part):
     return Solver(part).compliance
 
 
-def same(found, expected, tolerance):
-    assert np.abs(found - expected).max() <= tolerance * np.abs(expected).max()
+def same(result, expected, tolerance):
+    assert np.abs(result - expected).max() <= tolerance * np.abs(expected).max()
 
 
 def rigid_energy(part):
@@ -58,10 +58,10 @@ def test_a_uniform_stress_passes_a_tie_of_meshes_that_do_not_match(kinds, turn):
     body = body_of(mesh, free, integration="full")
     tangent, ends = body.tangent(None), np.where(free[:, None], 0.0, field)
     residual = tangent.times(ends[:, :, None], np.arange(len(height)))
-    found = body.expanded(ends - tangent.solve(residual)[:, :, 0])
-    same(found, field, 1e-12)
+    result = body.expanded(ends - tangent.solve(residual)[:, :, 0])
+    same(result, field, 1e-12)
     for part, nodes in zip(body.parts, body.cells, strict=True):
-        stress = part.small_stresses(np.moveaxis(gather(found[:, :, None], nodes), -1, 0))
+        stress = part.small_stresses(np.moveaxis(gather(result[:, :, None], nodes), -1, 0))
         turned = turn.T @ stress @ turn
         same(turned, np.broadcast_to(np.diag([0.0, 0.0, 1e6]), turned.shape), 1e-10)
 
@@ -229,12 +229,12 @@ def test_a_deck_with_a_tie_is_proposed_with_it_and_answers_nearly_as_in_ccx(tmp_
         lines += [f"{cell}, S{side}" for side, of in enumerate(sides, 1) for cell in of]
     lines += ["*TIE, NAME=T, POSITION TOLERANCE=0.05", "b_z0, a_z1", "*STEP"]
     text = deck_of(loose).replace("*STEP", "\n".join(lines))
-    found, folder = proposed(text, tmp_path)
-    assert found["ok"]
+    result, folder = proposed(text, tmp_path)
+    assert result["ok"]
     line = "tie: 29 nodes of b_z0 follow a_z1, 0 are not tied; largest gap 10 mm"
-    assert line in as_text(found).splitlines()
-    assert "a gap of up to 0.01 m is closed" in found["warnings"][0]["message"]
-    assert found["solver_error"]["mesh"] is not None  # of a finer mesh, tied anew
+    assert line in as_text(result).splitlines()
+    assert "a gap of up to 0.01 m is closed" in result["warnings"][0]["message"]
+    assert result["solver_error"]["mesh"] is not None  # of a finer mesh, tied anew
     # CalculiX ties nodes to surfaces.
     here = solve(read_bundle(folder), WRENCH).displacement
     same(here, by_ccx(loose, text, WRENCH, tmp_path), 2e-3)
@@ -244,20 +244,20 @@ def test_a_deck_with_a_tie_is_proposed_with_it_and_answers_nearly_as_in_ccx(tmp_
     untied = report(folder)
     assert "part 2 of 2" in untied["problems"][0]["message"]
     assert any("write [[tie]]" in warning["message"] for warning in untied["warnings"])
-    assert untied["fingerprint"] != found["fingerprint"]
+    assert untied["fingerprint"] != result["fingerprint"]
 
 
 def test_equations_and_pairs_of_nodes_of_a_deck_tie_its_mesh(tmp_path):
     part = tied(pair(), TIE)
-    found, folder = proposed(deck_of(part), tmp_path)
-    assert found["ok"]
-    assert not found["warnings"]
+    result, folder = proposed(deck_of(part), tmp_path)
+    assert result["ok"]
+    assert not result["warnings"]
     same(compliance(build(read_bundle(folder))), compliance(part), 1e-11)
     mesh = pair(**MATCHING)
     lines = [f"PIN, {second}, {first}" for first, second in coincident_nodes(mesh) + 1]
     text = deck_of(tied(mesh)).replace("*STEP", "\n".join(["*MPC", *lines, "*STEP"]))
     (tmp_path / "pairs").mkdir()
-    found, folder = proposed(text, tmp_path / "pairs")
+    result, folder = proposed(text, tmp_path / "pairs")
     same(compliance(build(read_bundle(folder))), compliance(tied(merged(mesh))), 1e-11)
 
 

@@ -12,9 +12,9 @@ from wrenchbook.fea.solver.third_derivatives import load_rates, third_derivative
 
 def state_of(solver, inputs, start=None):
     """Return the state under inputs, shape (k,): a `Balance`, and the tangent proper there."""
-    found = solver.solve(inputs, start=start)
+    result = solver.solve(inputs, start=start)
     above = inputs - solver.component.at_rest
-    balance = solver._system.balance(found.state, _acting(solver, above))
+    balance = solver._system.balance(result.state, _acting(solver, above))
     return balance, solver._system.linearise(balance)
 
 
@@ -70,7 +70,7 @@ def error(solver, inputs, direction, scale, step, doublings=2, repeats=1):
     def mean(inputs):
         near = inputs + 1e-7 * scale * np.arange(repeats)[:, None]
         return np.mean(
-            [per_load(solver, *state_of(solver, one, balance.state)) for one in near], axis=0
+            [per_load(solver, *state_of(solver, item, balance.state)) for item in near], axis=0
         )
 
     def difference(h):
@@ -94,8 +94,8 @@ def unpacked(row):
     count = next(k for k in range(99) if k * (k + 1) * (k + 2) // 6 == len(row))
     tensor = np.empty((count,) * 3)
     for number, places in zip(row, combinations_with_replacement(range(count), 3), strict=True):
-        for one in permutations(places):
-            tensor[one] = number
+        for permutation in permutations(places):
+            tensor[permutation] = number
     return tensor
 
 

@@ -69,13 +69,13 @@ REAL: dict[tuple[str, str], Any] = {
 @contextmanager
 def server(folder: Path) -> Iterator[tuple[subprocess.Popen[str], Client]]:
     """Run a server that may take 2 GB of address space, with tables to ask about."""
-    words = child_command(
+    texts = child_command(
         "wrenchbook.service.cli.main", "serve", "--data", str(folder), "--port", "0"
     )
-    words += ["--solvers", "0", "--log-level", "warning"]
+    texts += ["--solvers", "0", "--log-level", "warning"]
     limit = f"import os,resource,sys; resource.setrlimit(resource.RLIMIT_AS, ({MEMORY},) * 2); "
     child = subprocess.Popen(
-        [sys.executable, "-c", f"{limit} os.execv(sys.argv[1], sys.argv[1:])", *words],
+        [sys.executable, "-c", f"{limit} os.execv(sys.argv[1], sys.argv[1:])", *texts],
         stdout=subprocess.PIPE,
         text=True,
         env=os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
@@ -96,14 +96,14 @@ def server(folder: Path) -> Iterator[tuple[subprocess.Popen[str], Client]]:
 def operations(address: str) -> list[Any]:
     """Return the calls of a server's document."""
     schema = schemathesis.openapi.from_url(f"{address}/openapi.json")
-    found = [one.ok() for one in schema.get_all_operations()]
-    return [one for one in found if (one.method.upper(), one.path) not in LEFT_OUT]
+    results = [get_all_operation.ok() for get_all_operation in schema.get_all_operations()]
+    return [result for result in results if (result.method.upper(), result.path) not in LEFT_OUT]
 
 
 def fuzz(operation: Any, examples: int, told: Counter[int]) -> None:
     """Send so many calls of one operation; count the statuses of the answers."""
     checks = CHECKS.get_by_names(list(NAMED))
-    made = [operation.as_strategy(generation_mode=mode) for mode in GenerationMode]
+    created = [operation.as_strategy(generation_mode=mode) for mode in GenerationMode]
     names = st.sampled_from(KNOWN)
     real = REAL.get((operation.method.upper(), operation.path))
     numbers = st.sampled_from([1, 2, 3, 2**63, 0])
@@ -115,7 +115,7 @@ def fuzz(operation: Any, examples: int, told: Counter[int]) -> None:
         derandomize="WRENCHBOOK_FUZZ" not in os.environ,
         suppress_health_check=list(hypothesis.HealthCheck),
     )
-    @hypothesis.given(case=st.one_of(made), name=names, number=numbers)
+    @hypothesis.given(case=st.one_of(created), name=names, number=numbers)
     def send(case: Any, name: str, number: int) -> None:
         for parameter in case.path_parameters or {}:
             case.path_parameters[parameter] = name if parameter == "name" else number
@@ -191,5 +191,5 @@ def wait_for_nothing(case: Any) -> None:
 def peak(child: subprocess.Popen[str]) -> int:
     """Return the most memory that a process has had, bytes."""
     status = Path(f"/proc/{child.pid}/status").read_text(encoding="ascii")
-    line = next(one for one in status.splitlines() if one.startswith("VmHWM"))
+    line = next(item for item in status.splitlines() if item.startswith("VmHWM"))
     return int(line.split()[1]) << 10

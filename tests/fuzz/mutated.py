@@ -68,7 +68,7 @@ def seeds() -> dict[str, bytes]:
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("component.toml", text)
     span = LoadRange(np.full(6, -9.0), np.full(6, 9.0))
-    csv, told = write_csv(rows()), write_json(rows(), {})
+    csv, reported = write_csv(rows()), write_json(rows(), {})
     book, columns = openpyxl.Workbook(), {"Fz [N]": [1.0, 2.0, 4.0], "uz [mm]": [0.1, 0.2, 0.4]}
     for record in (columns, *zip(*columns.values(), strict=True)):
         book.worksheets[0].append(list(record))
@@ -77,7 +77,7 @@ def seeds() -> dict[str, bytes]:
     write_parquet(arrow.table(columns), parquet)
     return {
         "csv": csv.encode() if isinstance(csv, str) else csv,
-        "json": told.encode() if isinstance(told, str) else told,
+        "json": reported.encode() if isinstance(reported, str) else reported,
         "hdf5": write_hdf5(rows(), [1, 2, 3], TableMeta("rig", 3, span)),
         "xlsx": sheet.getvalue(),
         "parquet": parquet.getvalue(),
@@ -97,13 +97,13 @@ def seeds() -> dict[str, bytes]:
 def meshes() -> dict[str, bytes]:
     """Return one tetrahedron as gmsh, VTK and VTU have it."""
     tet = meshio.Mesh(np.vstack([np.zeros(3), np.eye(3)]), [("tetra", np.arange(4)[None])])
-    found = {}
+    result = {}
     with tempfile.TemporaryDirectory() as folder:
         for form, kind in (("msh", "gmsh"), ("vtk", "vtk"), ("vtu", "vtu")):
             path = Path(folder) / f"a.{form}"
             meshio.write(path, tet, kind)
-            found[form] = path.read_bytes()
-    return found
+            result[form] = path.read_bytes()
+    return result
 
 
 def mutant(good: bytes, seed: int) -> bytes:
@@ -158,11 +158,11 @@ def read(form: str, content: bytes, folder: Path) -> None:
 
 def fuzzed(form: str, start: int, count: int) -> Iterator[Part]:
     """Read so many mutants; tell those that came to a mistake of ours."""
-    good, found = seeds()[form], []
+    good, results = seeds()[form], []
     with tempfile.TemporaryDirectory(prefix="wrenchbook-fuzz-") as folder:
         for seed in range(start, start + count):
             try:
                 read(form, mutant(good, seed), Path(folder))
             except Exception as error:
-                found.append([seed, f"{type(error).__name__}: {error}"[:300]])
-    yield Part({"mistakes": found[:50]})
+                results.append([seed, f"{type(error).__name__}: {error}"[:300]])
+    yield Part({"mistakes": results[:50]})

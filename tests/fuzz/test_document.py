@@ -15,31 +15,35 @@ EXAMPLES = int(os.environ.get("WRENCHBOOK_FUZZ", "150"))
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory):
-    with document.server(tmp_path_factory.mktemp("fuzz")) as found:
-        yield found
+    with document.server(tmp_path_factory.mktemp("fuzz")) as result:
+        yield result
 
 
 @pytest.mark.timeout(7200)
 def test_no_call_answers_what_the_document_does_not_say(served):
     child, client = served
-    told: Counter[int] = Counter()
+    reported: Counter[int] = Counter()
     calls = document.operations(client.url)
     for call in calls:
-        document.fuzz(call, max(3, EXAMPLES // len(calls)), told)
+        document.fuzz(call, max(3, EXAMPLES // len(calls)), reported)
     assert child.poll() is None
-    assert told[200] > 20
-    assert told[422] > 20
-    print(f"\n{sum(told.values())} calls, {dict(told)}, {document.peak(child) >> 20} MB at most")
+    assert reported[200] > 20
+    assert reported[422] > 20
+    print(
+        f"\n{sum(reported.values())} calls, {dict(reported)}, "
+        f"{document.peak(child) >> 20} MB at most"
+    )
 
 
 @pytest.mark.skipif("WRENCHBOOK_FUZZ" not in os.environ, reason="minutes: make fuzz runs it")
 @pytest.mark.timeout(7200)
 def test_no_sequence_of_calls_answers_what_the_document_does_not_say(served):
     child, client = served
-    told: Counter[int] = Counter()
-    document.follow(client.url, EXAMPLES, told)
+    reported: Counter[int] = Counter()
+    document.follow(client.url, EXAMPLES, reported)
     assert child.poll() is None
-    assert told[200] > 20
+    assert reported[200] > 20
     print(
-        f"\n{sum(told.values())} calls in sequences, {dict(told)}, {document.peak(child) >> 20} MB"
+        f"\n{sum(reported.values())} calls in sequences, {dict(reported)}, "
+        f"{document.peak(child) >> 20} MB"
     )

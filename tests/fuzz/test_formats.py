@@ -35,5 +35,5 @@ def test_a_damaged_file_comes_to_rows_or_to_named_mistakes(sandbox, form):
     first = zlib.crc32(form.encode())
     for start in range(first, first + COUNT, AT_ONCE):
         asked = {"form": form, "start": start, "count": min(AT_ONCE, COUNT)}
-        (told,) = sandbox.run("tests.fuzz.mutated:fuzzed", None, asked, LIMITS)
-        assert told.fields["mistakes"] == []
+        (reported,) = sandbox.run("tests.fuzz.mutated:fuzzed", None, asked, LIMITS)
+        assert reported.fields["mistakes"] == []

@@ -72,5 +72,5 @@ def stub():
 
 @pytest.fixture
 def client(stub):
-    with Client(stub.url, timeout=600) as made:
-        yield made
+    with Client(stub.url, timeout=600) as created:
+        yield created

@@ -7,15 +7,15 @@ def document(http):
 
     def resolved(node):
         if isinstance(node, list):
-            return [resolved(one) for one in node]
+            return [resolved(item) for item in node]
         if not isinstance(node, dict):
             return node
         rest = {key: resolved(one) for key, one in node.items() if key != "$ref"}
         if "$ref" not in node:
             return rest
-        found = whole
+        result = whole
         for name in node["$ref"].removeprefix("#/").split("/"):
-            found = found[name]
-        return resolved(found) | rest
+            result = result[name]
+        return resolved(result) | rest
 
     return resolved(whole)

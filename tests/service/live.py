@@ -90,13 +90,13 @@ def as_rows(
 
 def clean_wrenches() -> np.ndarray:
     """The corners of every axis and zero load, (25, 6), N and N·m."""
-    found = [np.zeros(6)]
+    results = [np.zeros(6)]
     for loads in ((0, 4, 5), (1, 5, 3), (2, 3, 4)):
         for corner in np.ndindex(2, 2, 2):
             wrench = np.zeros(6)
             wrench[list(loads)] = 2.0 * np.array(corner) - 1.0
-            found.append(wrench * FULL)
-    return np.array(found)
+            results.append(wrench * FULL)
+    return np.array(results)
 
 
 def answer_fast(app: Application, component: str, body: bytes) -> bytes | dict[str, Any]:

@@ -54,7 +54,7 @@ class Stub:
 
     @property
     def sockets(self) -> list[tuple[str, int]]:
-        return [one.socket for one in self.seen]
+        return [item.socket for item in self.seen]
 
 
 @contextmanager

@@ -53,8 +53,8 @@ def write_bundle(
     """Write the plate's bundle into a folder of its name."""
     place = folder / name
     place.mkdir(parents=True)
-    words = BUNDLE.format(name=name, strength=strength, nonlinear=str(nonlinear).lower())
-    (place / "component.toml").write_text(words, "utf-8")
+    text = BUNDLE.format(name=name, strength=strength, nonlinear=str(nonlinear).lower())
+    (place / "component.toml").write_text(text, "utf-8")
     return place
 
 
@@ -80,12 +80,12 @@ def solved(folder: Path, asked: np.ndarray) -> tuple[list[SolveFields], Rows]:
     solutions = [own.solve(wrench) for wrench in asked]
     rows = Rows.of(
         asked,
-        [one.displacement for one in solutions],
-        compliance=np.array([one.compliance for one in solutions]),
+        [solution.displacement for solution in solutions],
+        compliance=np.array([solution.compliance for solution in solutions]),
         source=["fea"] * len(asked),
         fingerprint=[read_bundle(folder).fingerprint] * len(asked),
     )
-    return [own.fields(one) for one in solutions], rows
+    return [own.fields(solution) for solution in solutions], rows
 
 
 def keep(store: FieldStore, component: Component, wrench: np.ndarray, fields: SolveFields) -> None:

@@ -161,14 +161,14 @@ def test_a_deck_needs_a_key_for_admin(locked, secrets_):
 
 def test_keys_are_made_listed_and_revoked_over_http_and_the_secret_is_told_once(locked, secrets_):
     admin = bearer(secrets_["admin"])
-    made = locked.post("/v1/keys", json={"name": "eve", "scope": "read"}, headers=admin)
-    assert made.status_code == 201
-    eve = bearer(made.json()["key"])
+    created = locked.post("/v1/keys", json={"name": "eve", "scope": "read"}, headers=admin)
+    assert created.status_code == 201
+    eve = bearer(created.json()["key"])
     assert locked.get("/v1/jobs", headers=eve).status_code == 200
-    told = locked.get("/v1/keys", headers=admin)
-    assert "eve" in [key["name"] for key in told.json()["keys"]]
-    assert made.json()["key"] not in told.text
-    assert "digest" not in told.text
+    reported = locked.get("/v1/keys", headers=admin)
+    assert "eve" in [key["name"] for key in reported.json()["keys"]]
+    assert created.json()["key"] not in reported.text
+    assert "digest" not in reported.text
     again = locked.post("/v1/keys", json={"name": "eve"}, headers=admin)
     assert again.status_code == 422
     assert locked.delete("/v1/keys/eve", headers=admin).status_code == 200
@@ -292,7 +292,9 @@ def test_a_key_is_held_to_the_size_of_its_bodies_told_or_not(place, locked):
 def test_a_page_of_another_site_is_refused_on_loopback_too(unlocked, method, url, body, headers):
     reply = unlocked.request(method, url, headers=headers, **body)
     assert reply.status_code == 403, reply.text
-    assert "rig" not in [one["name"] for one in unlocked.get("/v1/components").json()["components"]]
+    assert "rig" not in [
+        component["name"] for component in unlocked.get("/v1/components").json()["components"]
+    ]
 
 
 @pytest.mark.parametrize(

@@ -64,7 +64,7 @@ def ledger(tmp_path):
 
 def entries(http, keys, **query):
     reply = http.get("/v1/audit", params=query, headers=bearer(keys["all"]))
-    return [(one["actor"], one["action"], one["object"]) for one in reply.json()["entries"]]
+    return [(entry["actor"], entry["action"], entry["object"]) for entry in reply.json()["entries"]]
 
 
 @pytest.mark.parametrize(("method", "path"), CALLS)
@@ -106,9 +106,11 @@ def test_a_key_of_some_components_sees_no_other(http, keys, place):
     assert refusals[0] == refusals[1]  # not whether there is such a job
     assert http.delete("/v1/jobs", headers=key).status_code == 200
     assert http.get(path, headers=other).json()["status"] == "waiting"
-    assert {one["component"] for one in http.get("/v1/jobs", headers=key).json()["jobs"]} <= {"bar"}
+    assert {item["component"] for item in http.get("/v1/jobs", headers=key).json()["jobs"]} <= {
+        "bar"
+    }
     names = http.get("/v1/components", headers=key).json()["components"]
-    assert [one["name"] for one in names] == ["bar"]
+    assert [name["name"] for name in names] == ["bar"]
     assert http.get("/umbridge/Info", headers=key).json()["models"] == ["bar"]
     assert set(http.get("/health/ready", headers=key).json()["tables"]) == {"bar"}
     scene = {"components": {"plate": {"force": [[0, 1]] * 3, "moment": [[0, 1]] * 3}}}
@@ -121,8 +123,8 @@ def test_a_key_of_some_components_sees_no_other(http, keys, place):
         assert copy["copied_from"] == origin
     for new in ({"name": "spare"}, {"name": "rig"}):
         assert http.post("/v1/components/bar/copy", json=new, headers=key).status_code == 403
-    made = http.post("/v1/components", json={**TABLE_ONLY, "name": "other"}, headers=key)
-    assert made.status_code == 403
+    created = http.post("/v1/components", json={**TABLE_ONLY, "name": "other"}, headers=key)
+    assert created.status_code == 403
     assert not (place / "components" / "other").exists()
     http.delete(path, headers=other)
 
@@ -157,7 +159,7 @@ def test_each_write_has_one_entry_of_its_actor(http, keys):
     rotated = http.post("/v1/keys/tmp/rotate", json={}, headers=root)
     assert rotated.status_code == 201
     assert http.delete("/v1/keys/tmp", headers=root).status_code == 200
-    assert [one[:2] for one in entries(http, keys, action="key.*")] == [
+    assert [entry[:2] for entry in entries(http, keys, action="key.*")] == [
         ("root", "key.revoke"), ("root", "key.rotate"), ("root", "key.add")
     ]  # fmt: skip
     assert http.delete("/v1/keys/none", headers=root).status_code == 404
@@ -277,7 +279,7 @@ def test_a_user_of_a_trusted_proxy_alone_is_named(http, keys):
         assert proxy.get("/v1/jobs", headers=doubled).status_code == 400
         assert proxy.get("/v1/jobs", headers={"X-Forwarded-User": "a\tb"}).status_code == 403
         assert proxy.get("/v1/jobs").status_code == 401
-    assert ("user:ann@lab.example", "job.accept") in [one[:2] for one in entries(http, keys)]
+    assert ("user:ann@lab.example", "job.accept") in [entry[:2] for entry in entries(http, keys)]
     for address in ("10.0.0.6", "127.0.0.1", "x"):
         stranger = TestClient(http.app, client=(address, 1))
         assert stranger.get("/v1/jobs", headers=user).status_code == 401

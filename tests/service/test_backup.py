@@ -55,10 +55,10 @@ def answers(folder):
     site.open()
     wrenches = np.random.default_rng(1).uniform(0, 2, (20, 6)) * [1, 0, 0, 0, 0, 1]
     table = site.tables.surrogate("rig")
-    found = [table.packed.answer(wrench.tolist()) for wrench in wrenches]
+    result = [table.packed.answer(wrench.tolist()) for wrench in wrenches]
     jobs = site.ledger.jobs()
     site.close()
-    return repr((table.version, found, jobs))
+    return repr((table.version, result, jobs))
 
 
 def test_a_restored_directory_gives_the_same_answers_and_jobs(folder, backup, tmp_path):
@@ -86,15 +86,15 @@ def test_a_backup_holds_no_keys_settings_drafts_attempts_and_tables_that_are_bui
 
 def test_a_restored_directory_keeps_what_solvers_may_be_wrong_by(folder, tmp_path):
     """Without it the mesh's share would leave every bar."""
-    told = {"mesh": np.eye(6).tolist(), "loads": [1.0] * 6}
+    reported = {"mesh": np.eye(6).tolist(), "loads": [1.0] * 6}
     with closing(Ledger(folder / "ledger.sqlite")) as ledger:
-        SolverErrors(ledger).record("rig", "f", told)
+        SolverErrors(ledger).record("rig", "f", reported)
     back_up(folder, tmp_path / "b")
     restore(tmp_path / "b", tmp_path / "again")
     with closing(Ledger(tmp_path / "again" / "ledger.sqlite")) as ledger:
-        found = SolverErrors(ledger).read("rig", "f")
-    assert found is not None
-    assert found.values == told
+        result = SolverErrors(ledger).read("rig", "f")
+    assert result is not None
+    assert result.values == reported
 
 
 def test_no_flipped_byte_of_a_backup_is_restored(backup, folder, tmp_path):
@@ -323,10 +323,10 @@ def test_a_restore_that_fails_half_way_says_where_the_former_files_are(
 
     with monkeypatch.context() as patched:
         patched.setattr(Path, "rename", full)
-        with pytest.raises(BackupError, match="is not complete") as told:
+        with pytest.raises(BackupError, match="is not complete") as reported:
             restore(backup, folder, overwrite=True)
     (aside,) = folder.glob(".before-restore-*")
-    assert str(aside) in str(told.value)
+    assert str(aside) in str(reported.value)
     assert (aside / "ledger.sqlite").read_bytes() == before
 
 
@@ -365,5 +365,5 @@ def test_a_restored_ledger_goes_on_numbering_where_the_backup_ended(backup, tmp_
 def test_the_command_that_starts_a_restored_directory_names_it(backup, tmp_path):
     """It advised `wrenchbook serve`, which serves another directory."""
     words = ["restore", str(backup), "--data", str(tmp_path / "d2")]
-    found = CliRunner().invoke(app, words, env={"COLUMNS": "1000"})
-    assert f"wrenchbook serve --data {tmp_path / 'd2'}" in found.output.replace("\n", "")
+    result = CliRunner().invoke(app, words, env={"COLUMNS": "1000"})
+    assert f"wrenchbook serve --data {tmp_path / 'd2'}" in result.output.replace("\n", "")

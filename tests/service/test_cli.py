@@ -35,9 +35,9 @@ Run = Callable[..., tuple[int, str, str]]
 def run(stub: Stub, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Run:
     monkeypatch.setenv("WRENCHBOOK_SERVER", stub.url)
 
-    def command(*words: str) -> tuple[int, str, str]:
+    def command(*texts: str) -> tuple[int, str, str]:
         """Run ``wrenchbook`` in this process; return status, output and errors, unwrapped."""
-        monkeypatch.setattr(sys, "argv", ["wrenchbook", *words])
+        monkeypatch.setattr(sys, "argv", ["wrenchbook", *texts])
         with pytest.raises(SystemExit) as ended:
             main()
         printed = capfd.readouterr()
@@ -146,8 +146,8 @@ def test_plan_sends_the_scene_of_a_file_and_prints_what_is_left_out(
     status, out, _ = run("plan", str(file))
     assert status == 0
     assert stub.seen[0].body["components"]["plate"]["force"] == [[0, 0], [0, 0], [-5, 5]]
-    for told in ("z: fz, 1-D", "uz 0.002 m", "5 of 15", "0.5 s", "2 MB", "plate: it bends."):
-        assert told in out
+    for reported in ("z: fz, 1-D", "uz 0.002 m", "5 of 15", "0.5 s", "2 MB", "plate: it bends."):
+        assert reported in out
     stub.answers(Answer({"components": {"plate": one}}))
     status, out, _ = run("plan", str(file), "--json")
     assert json.loads(out) == {"components": {"plate": one}}
@@ -167,19 +167,19 @@ def test_a_matrix_in_a_narrow_terminal_has_all_characters_of_its_numbers(capsys)
 
 
 def test_compliance_shows_the_tangent_at_zero_load_and_beside_it_the_mean(stub: Stub, run: Run):
-    told = {
+    reported = {
         "tangent": [[3.0e-6, None, *[1e-9] * 4], *[[0.0] * 6] * 5], "tangent_origin": "kriging",
         "matrix": [[2.17e-6, 0.0, *[1e-9] * 4], *[[0.0] * 6] * 5], "origin": "fitted",
         "known_loads": ["fx", "fz", "mx", "my", "mz"],
     }  # fmt: skip
-    stub.answers(Answer(told))
+    stub.answers(Answer(reported))
     status, out, _ = run("compliance", "plate")
     assert status == 0
     assert out.index("tangent at zero load (kriging)") < out.index("3.00e-06")
     assert out.index("mean over the load range (fitted)") < out.index("2.17e-06")
     assert len([line for line in out.splitlines() if " - " in line]) == 7
-    stub.answers(Answer(told))
-    assert json.loads(run("compliance", "plate", "--json")[1]) == told
+    stub.answers(Answer(reported))
+    assert json.loads(run("compliance", "plate", "--json")[1]) == reported
 
 
 def test_the_command_line_tells_its_version(run: Run):
@@ -213,11 +213,11 @@ def test_a_refused_import_names_the_options_of_the_command_line(run: Run, tmp_pa
     assert "missing_loads=zero (--missing-loads-zero)" in " ".join(err.split())
 
 
-def completions(monkeypatch: pytest.MonkeyPatch, words: str) -> list[str]:
+def completions(monkeypatch: pytest.MonkeyPatch, text: str) -> list[str]:
     """Run a shell's completion of the last word in a process, and return the candidates."""
     monkeypatch.setenv("_WRENCHBOOK_COMPLETE", "complete_bash")
-    monkeypatch.setenv("COMP_WORDS", f"wrenchbook {words}")
-    monkeypatch.setenv("COMP_CWORD", str(len(words.split())))
+    monkeypatch.setenv("COMP_WORDS", f"wrenchbook {text}")
+    monkeypatch.setenv("COMP_CWORD", str(len(text.split())))
     run = subprocess.run(
         [sys.executable, "-P", "-m", "wrenchbook"], capture_output=True, text=True, check=False
     )
@@ -247,9 +247,9 @@ def test_a_text_of_others_steers_no_terminal(text):
     table.add_row(text)
     screen.print(table)
     screen.print(text, markup=False, highlight=False, style="red")
-    told = screen.file.getvalue()  # pyright: ignore[reportAttributeAccessIssue]
-    assert text not in told
-    assert told.count("\N{REPLACEMENT CHARACTER}") >= 2
+    reported = screen.file.getvalue()  # pyright: ignore[reportAttributeAccessIssue]
+    assert text not in reported
+    assert reported.count("\N{REPLACEMENT CHARACTER}") >= 2
 
 
 class Clock:

@@ -97,8 +97,8 @@ def run(
 ) -> Callable[..., tuple[int, str]]:
     monkeypatch.setenv("WRENCHBOOK_SERVER", stub.url)
 
-    def command(*words: str) -> tuple[int, str]:
-        monkeypatch.setattr(sys, "argv", ["wrenchbook", *words])
+    def command(*texts: str) -> tuple[int, str]:
+        monkeypatch.setattr(sys, "argv", ["wrenchbook", *texts])
         with pytest.raises(SystemExit) as ended:
             main()
         printed = capfd.readouterr()
@@ -135,9 +135,9 @@ def folder(tmp_path: Path) -> Path:
 def test_a_command_of_a_server_prints_one_json_document(
     stub: Stub, run: Run, folder: Path, command: str
 ):
-    words, replies = COMMANDS[command]
+    texts, replies = COMMANDS[command]
     stub.answers(*(Answer(reply) for reply in replies or ()))
-    given = [word.replace("FOLDER", str(folder)) for word in words]
+    given = [word.replace("FOLDER", str(folder)) for word in texts]
     status, out = run(*command.split(), *given, "--json")
     assert (status, type(json.loads(out))) in ((0, dict), (0, list))
 
@@ -156,8 +156,8 @@ def test_a_backup_and_its_restore_are_described_as_json(run: Run, tmp_path: Path
     assert json.loads(run("doctor", "--data", data, "--json")[1])["findings"] is not None
     Path(data).mkdir(exist_ok=True)
     Ledger(Path(data) / "ledger.sqlite").close()
-    made = run("backup", file, "--data", data, "--json")
-    assert json.loads(made[1])["file"] == file
+    created = run("backup", file, "--data", data, "--json")
+    assert json.loads(created[1])["file"] == file
     restored = json.loads(run("restore", file, "--data", again, "--json")[1])
     assert (restored["data"], restored["former"]) == (again, None)
 
@@ -215,12 +215,12 @@ def test_a_condensed_part_tells_its_frames(run, tmp_path):
     out = tmp_path / "bar.npz"
     status, said = run("condense", str(SHIPPED / "bar"), str(out), "--modes", "3", "--json")
     assert status == 0
-    found = json.loads(said)
-    assert found["frames"] == ["base", "interface"]
-    assert len(found["held"]) == 3
+    result = json.loads(said)
+    assert result["frames"] == ["base", "interface"]
+    assert len(result["held"]) == 3
     with np.load(out) as arrays:
         assert arrays["stiffness"].shape == arrays["mass"].shape == (15, 15)
-        assert found["free"][0] == pytest.approx(arrays["free"][0], rel=1e-5)
+        assert result["free"][0] == pytest.approx(arrays["free"][0], rel=1e-5)
 
 
 def test_a_study_of_finer_meshes_tells_order_and_limit(run, tmp_path):
@@ -229,9 +229,9 @@ def test_a_study_of_finer_meshes_tells_order_and_limit(run, tmp_path):
     page = tmp_path / "errors.html"
     status, said = run("converge", str(folder), "--plot", str(page), "--json")
     assert status == 0
-    found = json.loads(said)
-    assert found["outputs"][2] == "uz/Fz"
-    assert len(found["values"]) == len(found["nodes"]) == 3
-    assert found["order"][2] == pytest.approx(2, abs=0.5)
-    assert found["extrapolated"][2] > found["values"][0][2]
+    result = json.loads(said)
+    assert result["outputs"][2] == "uz/Fz"
+    assert len(result["values"]) == len(result["nodes"]) == 3
+    assert result["order"][2] == pytest.approx(2, abs=0.5)
+    assert result["extrapolated"][2] > result["values"][0][2]
     assert "cell size, mm" in page.read_text(encoding="utf-8")

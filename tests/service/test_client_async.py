@@ -202,7 +202,7 @@ def test_events_rounds_tables_and_plans_of_a_server_are_awaited(tmp_path):
                 async with contextlib.aclosing(client.events("part", timeout_s=20)) as events:
                     assert (await anext(events)).kind == "hello"
                 with pytest.raises(ProblemError, match="409"):
-                    [found async for found in client.fill_until("part")]
+                    [result async for result in client.fill_until("part")]
                 table = await client.download("part")
                 assert not await asyncio.to_thread(table.refresh)
                 table.close()

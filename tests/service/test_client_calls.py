@@ -104,11 +104,11 @@ def test_a_batch_has_jobs_by_wrench_and_says_why_others_have_none(stub: Stub, cl
     coverage = ["covered", "thin", "outside"]
     body = {"displacements": [[1.0] * 6, [None] * 6, None], "errors": [[0.1] * 6, None, None]}
     stub.answers(Answer({**body, "coverage": coverage, "jobs": jobs}, status=202))
-    found = client.displacements("plate", np.ones((3, 6)))
-    assert (len(found), found.covered.tolist()) == (3, [True, False, False])
-    assert np.isnan(found.displacements[1:]).all()
-    assert (found.jobs[1].id, found.jobs[1].component) == (9, "plate")
-    assert found.no_job == {2: "beyond-range"}
+    results = client.displacements("plate", np.ones((3, 6)))
+    assert (len(results), results.covered.tolist()) == (3, [True, False, False])
+    assert np.isnan(results.displacements[1:]).all()
+    assert (results.jobs[1].id, results.jobs[1].component) == (9, "plate")
+    assert results.no_job == {2: "beyond-range"}
     stub.answers(Answer({"displacements": [], "errors": [], "coverage": [], "jobs": []}))
     assert client.displacements("plate", []).displacements.shape == (0, 6)
 
@@ -214,7 +214,7 @@ def test_a_library_of_several_pages_is_listed_whole(stub: Stub, client: Client):
         Answer({"components": [second], "next": None, "broken": []}),
     )
     assert client.components() == [first, second]
-    assert [one.path for one in stub.seen] == ["/v1/components", following]
+    assert [item.path for item in stub.seen] == ["/v1/components", following]
 
 
 def test_an_error_from_a_proxy_is_a_problem_too(stub: Stub, client: Client):
@@ -237,7 +237,7 @@ def test_wait_polls_until_the_job_has_ended(stub: Stub, client: Client):
     assert job.vector is not None
     assert job.vector.tolist() == [1, 2, 3, 0, 0, 0]
     assert len(stub.seen) == 3
-    assert all(one.path.startswith("/v1/jobs/7?wait_s=") for one in stub.seen)
+    assert all(item.path.startswith("/v1/jobs/7?wait_s=") for item in stub.seen)
 
 
 def test_wait_takes_an_answer_that_has_a_job_and_says_what_else_it_takes(stub: Stub, client):
@@ -290,8 +290,8 @@ def test_fill_until_spends_its_budget_in_rounds_and_stops_when_met(stub: Stub, c
     stub.respond = respond
     rounds = list(client.fill_until("plate", (1e-5, 1e-4), budget=10, round_size=4))
     assert budgets == [4, 4, 2]
-    assert [len(one.jobs) for one in rounds] == [4, 4, 0]
-    assert all(job.status == "done" for one in rounds for job in one.jobs)
+    assert [len(item.jobs) for item in rounds] == [4, 4, 0]
+    assert all(job.status == "done" for item in rounds for job in item.jobs)
     assert (rounds[-1].stage, rounds[-1].reason) == ("met", "everywhere within tolerance")
 
 

@@ -98,9 +98,9 @@ def answer_once(bound: socket.socket) -> None:
 @pytest.fixture
 def pauses(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """The pauses between attempts, which take no time."""
-    found: list[float] = []
-    monkeypatch.setattr("wrenchbook.service.client.transport._pause", found.append)
-    return found
+    result: list[float] = []
+    monkeypatch.setattr("wrenchbook.service.client.transport._pause", result.append)
+    return result
 
 
 BUSY = Answer({}, status=503, headers={"Retry-After": "2"})
@@ -257,8 +257,8 @@ def test_an_answer_may_come_in_any_pieces(whole):
 )
 def test_an_unusual_answer_is_read_as_http_client_reads_it(whole, status, content, will_close):
     with answering(whole) as wire:
-        found = receive(wire, "POST")
-    assert (found.status, found.content, found.will_close) == (status, content, will_close)
+        result = receive(wire, "POST")
+    assert (result.status, result.content, result.will_close) == (status, content, will_close)
 
 
 @pytest.mark.parametrize("whole", [b"", OK[:40], OK[:-1], b"SSH-2.0-x\r\n\r\n", CHUNKED[:-9]])

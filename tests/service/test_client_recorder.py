@@ -33,25 +33,25 @@ def server():
 
 @pytest.fixture
 def client(server):
-    with Client(server.url, timeout=600) as made:
-        yield made
+    with Client(server.url, timeout=600) as created:
+        yield created
 
 
 @pytest.fixture
 def recorder(client):
-    made = Recorder(client, "plate", block=4)
-    yield made
-    if made.pending:
+    created = Recorder(client, "plate", block=4)
+    yield created
+    if created.pending:
         with pytest.raises(RecorderError):
-            made.close(0.2)
+            created.close(0.2)
     else:
-        made.close()
+        created.close()
 
 
 def sent(server):
     """The wrenches that came, and the keys of their blocks."""
-    content = b"".join(one.content for one in server.seen)
-    return np.frombuffer(content, "<f8").reshape(-1, 6), [one.path for one in server.seen]
+    content = b"".join(item.content for item in server.seen)
+    return np.frombuffer(content, "<f8").reshape(-1, 6), [item.path for item in server.seen]
 
 
 def test_a_recorder_of_13_inputs_sends_13_numbers_a_wrench(server, client):
@@ -70,7 +70,7 @@ def test_what_is_added_comes_in_blocks_in_order_under_counted_keys(server, recor
     recorder.flush()
     came, paths = sent(server)
     assert np.array_equal(came, wrenches)
-    assert [len(one.content) // 48 for one in server.seen] == [4, 4, 2]
+    assert [len(item.content) // 48 for item in server.seen] == [4, 4, 2]
     assert [path.rpartition("sequence=")[2] for path in paths] == ["0", "1", "2"]
     assert len({path.rpartition("&")[0] for path in paths}) == 1
     assert (recorder.recorded, recorder.pending) == (10, 0)
@@ -205,6 +205,6 @@ def test_a_program_that_forgets_to_close_sends_what_is_left(server):
 
 
 def test_a_program_that_ends_while_the_server_is_away_says_what_is_lost():
-    told = run_forgetful("http://127.0.0.1:9").stderr
-    assert "1 wrenches of 'plate' were not recorded" in told
-    assert "no answer from" in told
+    reported = run_forgetful("http://127.0.0.1:9").stderr
+    assert "1 wrenches of 'plate' were not recorded" in reported
+    assert "no answer from" in reported

@@ -83,9 +83,9 @@ def test_an_edit_that_nobody_asks_for_changes_the_table_within_seconds(served, t
 def test_an_edit_with_a_mistake_is_told_and_mended_without_a_restart(served, toml):
     sound = toml.read_text()
     edit(toml, mistake=("poisson_ratio", "poisson_ration"))
-    told = served.post(f"{CALL}/solve", json=WRENCH)
-    assert told.status_code == 404
-    assert "poisson_ration" in told.json()["detail"]
+    reported = served.post(f"{CALL}/solve", json=WRENCH)
+    assert reported.status_code == 404
+    assert "poisson_ration" in reported.json()["detail"]
     assert "mine" in served.get("/health/ready").json()["broken"]
     assert served.get("/v1/components").status_code == 200
     toml.write_text(sound)
@@ -115,11 +115,13 @@ def test_solved_rows_do_not_leave_the_table_in_silence(served, toml, folder):
     about = settled(served, lambda one: one["another_setup"]["rows"])
     assert about["rows"] == 0
     assert about["another_setup"] == {"rows": 3, "wrenches": 3}
-    (warning,) = [one for one in about["warnings"] if one["where"] == "rows"]
+    (warning,) = [item for item in about["warnings"] if item["where"] == "rows"]
     assert "3 rows belong to another setup" in warning["message"]
     assert f"POST {CALL}/table/resolve" in warning["message"]
     (listed,) = [
-        one for one in served.get("/v1/components").json()["components"] if one["name"] == "mine"
+        component
+        for component in served.get("/v1/components").json()["components"]
+        if component["name"] == "mine"
     ]
     assert listed["another_setup"] == about["another_setup"]
     for more in ({}, {"detail": True}):
@@ -128,16 +130,16 @@ def test_solved_rows_do_not_leave_the_table_in_silence(served, toml, folder):
         assert "3 rows belong to another setup of 'mine'" in reply["reason"]
     refused = served.post(f"{CALL}/displacement", json={**WRENCH, "on_thin": "reject"})
     assert "wrenchbook resolve mine" in refused.json()["detail"]
-    found = [one for one in examine(folder) if "another setup" in one.problem]
-    assert [(one.kind, one.problem) for one in found] == [
+    results = [item for item in examine(folder) if "another setup" in item.problem]
+    assert [(result.kind, result.problem) for result in results] == [
         ("note", "3 rows of mine belong to another setup of it")
     ]
-    assert "wrenchbook resolve mine" in found[0].remedy
+    assert "wrenchbook resolve mine" in results[0].remedy
     edit(toml, back=STIFFER[::-1])
     about = settled(served, lambda one: one["rows"] == 3)
     assert about["another_setup"] == {"rows": 0, "wrenches": 0}
-    assert not [one for one in about["warnings"] if one["where"] == "rows"]
-    assert not [one for one in examine(folder) if "another setup" in one.problem]
+    assert not [item for item in about["warnings"] if item["where"] == "rows"]
+    assert not [item for item in examine(folder) if "another setup" in item.problem]
 
 
 def test_one_call_solves_them_again_each_once(served, toml):
@@ -154,7 +156,7 @@ def test_one_call_solves_them_again_each_once(served, toml):
         assert {reply.status_code for reply in replies} <= {200, 202}
     about = settled(served, lambda one: one["rows"] == 3)
     assert about["another_setup"] == {"rows": 3, "wrenches": 0}
-    assert not [one for one in about["warnings"] if one["where"] == "rows"]
+    assert not [warning for warning in about["warnings"] if warning["where"] == "rows"]
     assert sum(about["jobs"].values()) == 6  # three of either setup
     done = served.post(f"{CALL}/table/resolve", json={})
     assert (done.status_code, done.json()["jobs"], done.json()["solved"]) == (200, [], 3)

@@ -20,7 +20,7 @@ DIGEST = r"@sha256:[0-9a-f]{64}\b"
 def test_images_of_others_are_pinned_by_digest():
     stages = set(re.findall(r"^FROM .* AS (\w+)$", DOCKERFILE, re.MULTILINE))
     bases = set(re.findall(r"^FROM (\S+)", DOCKERFILE, re.MULTILINE)) - stages
-    images = {one["image"] for one in SERVICES.values()} - {"wrenchbook"}
+    images = {item["image"] for item in SERVICES.values()} - {"wrenchbook"}
     images.remove("${OAUTH2_PROXY_IMAGE:-none}")  # whoever uses it names it with its digest
     assert len(bases) == len(images) == 1
     for image in bases | images:

@@ -134,7 +134,7 @@ def test_an_exported_table_is_imported_with_it(ledger, tmp_path, form: ExportFor
     options = Options(load_range=own)
     reply = import_files(ledger, copy, [tmp_path / "table"], options, ImportOrigin())
     assert (reply["errors"], reply["inserted"]) == ([], 2)
-    assert [one.curvature for one in stored(ledger, "copy", space=space)] == [thirds, None]
+    assert [item.curvature for item in stored(ledger, "copy", space=space)] == [thirds, None]
 
 
 def test_rows_copied_to_another_component_keep_it(ledger, tmp_path):

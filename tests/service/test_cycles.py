@@ -76,26 +76,26 @@ def load(http, rows, **query):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_bars_of_a_loaded_branch_hold_it_in_nine_of_ten(http, seed, loop, noise):
     add(http)
-    made = Loop(seed, loop=loop, noise=noise)
-    counts = load(http, made.rows, branch="unloading", skip_cycles=1)
+    created = Loop(seed, loop=loop, noise=noise)
+    counts = load(http, created.rows, branch="unloading", skip_cycles=1)
     assert counts["branch"] > counts["skipped"] > 0
-    assert made.held(http, 1) >= 0.9
+    assert created.held(http, 1) >= 0.9
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_of_tests_of_several_axes_in_one_table_bars_hold_both_branches(http, seed):
     add(http)
-    for made in (tests := [Loop(seed, axis, noise=0.01) for axis in (2, 1, 4)]):
-        load(http, made.rows)
-    assert min(made.held(http, sign) for made in tests for sign in (-1, 1)) >= 0.9
+    for created in (tests := [Loop(seed, axis, noise=0.01) for axis in (2, 1, 4)]):
+        load(http, created.rows)
+    assert min(created.held(http, sign) for created in tests for sign in (-1, 1)) >= 0.9
 
 
 def left(rows, **options):
     report = ReadReport(read=len(rows))
     parts = (rows.take(at) for at in np.array_split(np.arange(len(rows)), 3))
     pieces = [ParsedTable(**vars(part), note=["a"] * len(part)) for part in parts]
-    found = list(with_cycles(iter(pieces), Options(**options), report))
-    return (found[0] if found else rows.take(np.arange(0))), report
+    result = list(with_cycles(iter(pieces), Options(**options), report))
+    return (result[0] if result else rows.take(np.arange(0))), report
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -122,23 +122,23 @@ def test_skipped_cycles_of_a_test_to_both_sides_end_at_the_load_of_its_first_row
 
 def test_the_mean_of_cycles_is_numpys_with_the_half_width_of_the_scatter():
     rows = Loop(5, count=6, low=0.0, noise=0.01).rows
-    found, report = left(rows, mean_cycles=True)
+    results, report = left(rows, mean_cycles=True)
     up = rows.displacement[:-1].reshape(6, 58, 6)[1:, 1:30]  # the lowest row is of the pass before
-    mean = found.displacement[np.searchsorted(found.wrench[:30, 2], 100.0) : 29]
+    mean = results.displacement[np.searchsorted(results.wrench[:30, 2], 100.0) : 29]
     np.testing.assert_allclose(mean[-1], [*up[:, 27].mean(axis=0)], atol=0.01 * np.ptp(up))
     scatter = np.sqrt(up.var(axis=0, ddof=1).mean(axis=0))
     half = student.ppf(0.975, 29 * 4) * scatter / np.sqrt(5)
-    np.testing.assert_allclose(np.median(found.uncertainty[:30], axis=0), half, rtol=0.3)
-    assert report.omitted["averaged"] == len(rows) - len(found)
+    np.testing.assert_allclose(np.median(results.uncertainty[:30], axis=0), half, rtol=0.3)
+    assert report.omitted["averaged"] == len(rows) - len(results)
 
 
 def test_rows_of_a_pass_within_one_place_become_their_mean():
     wrench = np.zeros((9, 6))
     wrench[:, 2] = [0, 10, 11, 12, 20, 100, 11, 10, 0]
     moved = wrench / 1e6
-    found, report = left(Rows.of(wrench, moved), thin=0.05)
-    np.testing.assert_allclose(found.wrench[:, 2], [0, 11, 20, 100, 10.5, 0])
-    np.testing.assert_allclose(found.displacement, found.wrench / 1e6)
+    result, report = left(Rows.of(wrench, moved), thin=0.05)
+    np.testing.assert_allclose(result.wrench[:, 2], [0, 11, 20, 100, 10.5, 0])
+    np.testing.assert_allclose(result.displacement, result.wrench / 1e6)
     assert report.omitted["averaged"] == 3
 
 
@@ -181,11 +181,11 @@ def test_a_file_of_more_rows_than_cycles_take_is_refused():
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_stiffness_between_two_loads_is_numpys_polyfit_of_each_branch(http, seed):
     add(http)
-    made = Loop(seed, loop=0.06, noise=0.002)
-    load(http, made.rows)
+    created = Loop(seed, loop=0.06, noise=0.002)
+    load(http, created.rows)
     query = {"between": "100,400", "axis": "fz", "of": "uz", "import": 1}
     body = http.get(CALL.replace("table", "stiffness"), params=query).json()
-    force, moved = made.rows.wrench[:, 2], made.rows.displacement[:, 2]
+    force, moved = created.rows.wrench[:, 2], created.rows.displacement[:, 2]
     between, rising = (force >= 100) & (force <= 400), passes_of(force).loading
     parts = {"all": between, "loading": between & rising, "unloading": between & ~rising}
     parts["opposite"] = (force <= -100) & (force >= -400)

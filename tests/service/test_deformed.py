@@ -26,9 +26,9 @@ def plate(tmp_path_factory):
 
 @pytest.fixture
 def shapes(store):
-    found = DeformedSurfaces(store)
-    yield found
-    found.close()
+    result = DeformedSurfaces(store)
+    yield result
+    result.close()
 
 
 def filled(store, plate, which=range(ROWS)):
@@ -51,14 +51,14 @@ def test_a_solved_wrench_has_the_solvers_surface(plate, store, shapes):
     component, rows, fields, *_ = plate
     filled(store, plate)
     for row in (0, 7, ROWS - 1):
-        found = shapes.answer(component, rows, rows.wrench[row])
+        result = shapes.answer(component, rows, rows.wrench[row])
         size = np.abs(fields[row].displacement).max()
-        assert np.abs(found.displacement - fields[row].displacement).max() < 1e-12 * size
-        np.testing.assert_array_equal(found.geometry.vertices, fields[row].vertices)
-        np.testing.assert_array_equal(found.geometry.triangles, fields[row].triangles)
-        assert (found.source, found.coverage, found.rows) == ("row", "covered", (row + 1,))
-        assert found.stress.largest == fields[row].largest
-        assert (found.error > 0).all()
+        assert np.abs(result.displacement - fields[row].displacement).max() < 1e-12 * size
+        np.testing.assert_array_equal(result.geometry.vertices, fields[row].vertices)
+        np.testing.assert_array_equal(result.geometry.triangles, fields[row].triangles)
+        assert (result.source, result.coverage, result.rows) == ("row", "covered", (row + 1,))
+        assert result.stress.largest == fields[row].largest
+        assert (result.error > 0).all()
 
 
 def test_a_wrench_rounded_to_a_rows_is_led_there_by_its_slopes(plate, store, shapes):
@@ -66,11 +66,11 @@ def test_a_wrench_rounded_to_a_rows_is_led_there_by_its_slopes(plate, store, sha
     filled(store, plate)
     asked = rows.wrench[0] + 0.4e-6 * component.load_range.scale
     true = solver(component.folder).fields(solver(component.folder).solve(asked))
-    found = shapes.answer(component, rows, asked)
-    assert found.source == "row"
-    wrong = np.abs(found.displacement - true.displacement).max()
+    result = shapes.answer(component, rows, asked)
+    assert result.source == "row"
+    wrong = np.abs(result.displacement - true.displacement).max()
     assert wrong < 1e-9 * np.abs(true.displacement).max()
-    assert found.stress.largest == pytest.approx(true.largest, rel=1e-6)
+    assert result.stress.largest == pytest.approx(true.largest, rel=1e-6)
 
 
 def test_between_rows_nine_of_ten_vertices_are_within_their_bars(plate, store, shapes):
@@ -80,10 +80,10 @@ def test_between_rows_nine_of_ten_vertices_are_within_their_bars(plate, store, s
     for lengths_of_loads in (None, held):
         errors, bars, sizes = [], [], []
         for wrench, one in zip(asked, true, strict=True):
-            found = shapes.answer(component, rows, wrench, lengths_of_loads)
-            assert found.source == "rows"
-            errors.append(lengths(found.displacement - one.displacement))
-            bars.append(found.error)
+            result = shapes.answer(component, rows, wrench, lengths_of_loads)
+            assert result.source == "rows"
+            errors.append(lengths(result.displacement - one.displacement))
+            bars.append(result.error)
             sizes.append(lengths(one.displacement).max())
         errors, bars = np.array(errors), np.array(bars)
         free = errors.max(axis=0) > 0
@@ -98,9 +98,9 @@ def test_between_rows_the_largest_stress_is_within_its_bar(plate, store, shapes)
     filled(store, plate)
     inside = 0
     for wrench, one in zip(asked, true, strict=True):
-        found = shapes.answer(component, rows, wrench).stress
-        inside += abs(found.largest - one.largest) <= found.error
-        assert found.largest == pytest.approx(one.largest, rel=0.1)
+        result = shapes.answer(component, rows, wrench).stress
+        inside += abs(result.largest - one.largest) <= result.error
+        assert result.largest == pytest.approx(one.largest, rel=0.1)
     assert inside >= 0.9 * CHECKS
 
 
@@ -120,8 +120,8 @@ def test_a_damaged_file_is_a_row_without_fields(plate, store, shapes):
     content[len(content) // 2] ^= 0xFF
     path.write_bytes(content)
     file_of(store, plate, 5).write_bytes(b"")
-    found = shapes.answer(component, rows, asked[0])
-    assert set(range(1, ROWS + 1)) - set(found.rows) == {5, 6}
+    result = shapes.answer(component, rows, asked[0])
+    assert set(range(1, ROWS + 1)) - set(result.rows) == {5, 6}
     at = shapes.answer(component, rows, rows.wrench[4])
     assert at.source == "rows"
     assert (lengths(at.displacement - plate[2][4].displacement) <= at.error).mean() >= 0.9
@@ -144,11 +144,11 @@ def test_fields_or_a_geometry_that_are_gone_are_named_and_not_guessed(plate, sto
 def test_one_row_answers_flagged_and_without_a_bar(plate, store, shapes):
     component, rows, _, asked, _ = plate
     filled(store, plate, [0])
-    found = shapes.answer(component, rows, asked[0])
-    assert (found.coverage, found.error) == ("thin", None)
-    assert "too few" in found.reason
-    assert found.stress.error is None
-    assert found.stress.yields is None
+    result = shapes.answer(component, rows, asked[0])
+    assert (result.coverage, result.error) == ("thin", None)
+    assert "too few" in result.reason
+    assert result.stress.error is None
+    assert result.stress.yields is None
 
 
 def test_new_rows_take_part_at_once_and_repeated_ones_count_once(plate, store, shapes):
@@ -167,17 +167,17 @@ def test_a_tolerance_decides_what_is_covered(plate, store, shapes):
     loose = replace(component, tolerance=Tolerance(1.0, 1.0))
     tight = replace(component, tolerance=Tolerance(1e-12, 1.0))
     assert shapes.answer(loose, rows, asked[0]).coverage == "covered"
-    found = shapes.answer(tight, rows, asked[0])
-    assert found.coverage == "thin"
-    assert "may be wrong by" in found.reason
+    result = shapes.answer(tight, rows, asked[0])
+    assert result.coverage == "thin"
+    assert "may be wrong by" in result.reason
 
 
 def test_beyond_the_range_it_is_flagged_and_far_beyond_refused(plate, store, shapes):
     component, rows, *_ = plate
     filled(store, plate)
-    found = shapes.answer(component, rows, np.array([1500.0, 0, 0, 0, 0, 0]))
-    assert found.coverage == "outside"
-    assert "fx = 1500 N is outside" in found.reason
+    result = shapes.answer(component, rows, np.array([1500.0, 0, 0, 0, 0, 0]))
+    assert result.coverage == "outside"
+    assert "fx = 1500 N is outside" in result.reason
     for size in (4000.0, 1e300):
         with pytest.raises(TooFarError, match="too far beyond"):
             shapes.answer(component, rows, np.array([0.0, 0, 0, 0, size, 0]))
@@ -186,10 +186,10 @@ def test_beyond_the_range_it_is_flagged_and_far_beyond_refused(plate, store, sha
 def test_the_part_that_yields_is_named(plate, store, shapes):
     component, rows, fields, *_ = plate
     filled(store, plate)
-    worst = int(np.argmax([one.largest for one in fields]))
-    found = shapes.answer(component, rows, rows.wrench[worst]).stress
-    assert found.largest > 60e6
-    assert (found.yields, found.region, found.yield_strength) == (True, "all", 60e6)
+    worst = int(np.argmax([field.largest for field in fields]))
+    result = shapes.answer(component, rows, rows.wrench[worst]).stress
+    assert result.largest > 60e6
+    assert (result.yields, result.region, result.yield_strength) == (True, "all", 60e6)
     strong = replace(component, yield_strengths={"all": 1e9})
     assert shapes.answer(strong, rows, rows.wrench[worst]).stress.yields is False
     silent = replace(component, yield_strengths={})
@@ -199,8 +199,8 @@ def test_the_part_that_yields_is_named(plate, store, shapes):
 def test_a_bar_across_the_yield_strength_leaves_it_open(plate, store, shapes):
     component, rows, _, asked, _ = plate
     filled(store, plate)
-    told = shapes.answer(component, rows, asked[0]).stress
-    near = replace(component, yield_strengths={"all": told.largest - 0.5 * told.error})
+    reported = shapes.answer(component, rows, asked[0]).stress
+    near = replace(component, yield_strengths={"all": reported.largest - 0.5 * reported.error})
     assert shapes.answer(near, rows, asked[0]).stress.yields is None
 
 
@@ -212,12 +212,12 @@ def test_a_linear_components_unit_fields_answer_every_wrench(tmp_path, store, sh
         shapes.answer(component, Rows.empty(), asked[0])
     keep(store, component, asked[0], solved(folder, asked[:1])[0][0])
     for wrench, true in zip(asked, solved(folder, asked)[0], strict=True):
-        found = shapes.answer(component, Rows.empty(), wrench)
+        result = shapes.answer(component, Rows.empty(), wrench)
         size = np.abs(true.displacement).max()
-        assert np.abs(found.displacement - true.displacement).max() < 1e-11 * size
-        assert (found.source, found.coverage) == ("linear", "covered")
-        assert found.stress.largest == pytest.approx(true.largest, rel=1e-10)
-        assert found.stress.at == pytest.approx(true.largest_at)
+        assert np.abs(result.displacement - true.displacement).max() < 1e-11 * size
+        assert (result.source, result.coverage) == ("linear", "covered")
+        assert result.stress.largest == pytest.approx(true.largest, rel=1e-10)
+        assert result.stress.at == pytest.approx(true.largest_at)
     assert len(list(store._folder.glob("*/*/*.fields"))) == 1
 
 
@@ -227,11 +227,11 @@ def test_the_memory_of_large_surfaces_is_bounded_by_fewer_rows(plate, store, sha
     row = store.row(component.name, component.fingerprint, rows.wrench[0])
     size = 56 * (row.displacement.size + row.stress.size)
     monkeypatch.setattr("wrenchbook.service.fields.deformed.BLEND_BYTES", 10 * size)
-    found = shapes.answer(component, rows, asked[0])
-    assert len(found.rows) == 10
+    result = shapes.answer(component, rows, asked[0])
+    assert len(result.rows) == 10
     assert sum(blend[1].values.nbytes for blend in shapes._blends.values()) <= 10 * size
     apart = np.linalg.norm((rows.wrench - asked[0]) / component.load_range.scale, axis=1)
-    assert set(found.rows) == set((np.argsort(apart)[:10] + 1).tolist())
+    assert set(result.rows) == set((np.argsort(apart)[:10] + 1).tolist())
 
 
 def test_the_same_question_needs_no_file_a_second_time(plate, store, shapes):

@@ -603,12 +603,12 @@ def test_a_stopped_server_loses_its_attempts_to_another_and_harms_nothing_when_i
         servers[0].send_signal(signal.SIGCONT)
         later = ledger.accept("bar", "f1", (2.0, 0, 0, 0, 0, 0))[0]
         until(lambda: ledger.job(later.id).attempt)
-        for one in (job, later):
-            where = attempt_folder(tmp_path / "jobs", one.id, 1)
+        for item in (job, later):
+            where = attempt_folder(tmp_path / "jobs", item.id, 1)
             until(where.exists)
             (where / "go").write_text(secrets.token_hex(2))
-        until(lambda: all(one.status == "done" for one in ledger.jobs()))
-        assert [one.attempt for one in ledger.jobs()] == [1, 1]
+        until(lambda: all(item.status == "done" for item in ledger.jobs()))
+        assert [item.attempt for item in ledger.jobs()] == [1, 1]
         assert len(stored(ledger, "bar")) == 2
     finally:
         for server in servers:

@@ -34,25 +34,25 @@ def folder(in_order, tmp_path):
 
 def rows_of(folder):
     ledger = Ledger(folder / "ledger.sqlite")
-    found = {
+    result = {
         (name, row.seq, row.wrench, row.displacement)
         for name in ("rig", "other")
         for row in stored(ledger, name)
     }
     ledger.close()
-    return found
+    return result
 
 
 def content(folder):
-    return {one[0:1] + one[2:] for one in rows_of(folder)}
+    return {item[0:1] + item[2:] for item in rows_of(folder)}
 
 
 def kinds(findings):
-    return {one.kind for one in findings}
+    return {finding.kind for finding in findings}
 
 
 def words(findings):
-    return " | ".join(f"{one.kind}: {one.problem} {one.remedy}" for one in findings)
+    return " | ".join(f"{finding.kind}: {finding.problem} {finding.remedy}" for finding in findings)
 
 
 def edit(folder, statement):
@@ -87,8 +87,8 @@ def test_a_damaged_row_is_healed_from_its_tables_file_under_its_own_number(folde
     before = rows_of(folder)
     edit(folder, damaged(7))
     assert len(rows_of(folder)) == len(before) - 1
-    found = examine(folder)
-    assert "fault: row 7 of rig is damaged" in words(found)
+    result = examine(folder)
+    assert "fault: row 7 of rig is damaged" in words(result)
     assert len(rows_of(folder)) == len(before) - 1  # looking changes nothing
     assert "repaired: row 7 of rig" in words(examine(folder, repair=True))
     assert rows_of(folder) == before
@@ -113,9 +113,9 @@ def test_a_healed_row_reaches_a_server_that_had_left_it_out(folder):
 def test_a_row_damaged_in_both_places_is_told_and_not_made_up(folder):
     edit(folder, damaged(7, "wrench"))
     overwrite(folder / "tables" / "rig.h5", 3000, 50)
-    found = examine(folder, repair=True)
-    assert "row 7 of rig is damaged in the ledger no whole table file has it" in words(found)
-    assert "fault" in kinds(found)
+    result = examine(folder, repair=True)
+    assert "row 7 of rig is damaged in the ledger no whole table file has it" in words(result)
+    assert "fault" in kinds(result)
 
 
 @pytest.mark.parametrize("damage", ["flipped", "cut", "empty", "another's"])
@@ -129,8 +129,8 @@ def test_a_damaged_tables_file_is_moved_aside_and_written_anew_from_the_ledger(f
     else:
         path.write_bytes(path.read_bytes()[: 1000 * (damage == "cut")])
     broken = path.read_bytes()
-    (found,) = examine(folder)  # it was called missing in the same breath
-    assert "tables/rig.h5 cannot be used" in found.problem
+    (result,) = examine(folder)  # it was called missing in the same breath
+    assert "tables/rig.h5 cannot be used" in result.problem
     assert path.read_bytes() == broken
     assert "repaired" in kinds(examine(folder, repair=True))
     after = read_table(path)[0]
@@ -157,9 +157,9 @@ def test_rows_that_only_a_file_has_are_put_back_into_an_older_ledger(folder):
     before = content(folder)
     shutil.copy(folder / "older", folder / "ledger.sqlite")
     (folder / "older").unlink()
-    found = examine(folder)
-    assert "do not have the same rows" in words(found)
-    assert "acknowledged and are not in the ledger any more" in words(found)
+    result = examine(folder)
+    assert "do not have the same rows" in words(result)
+    assert "acknowledged and are not in the ledger any more" in words(result)
     assert "10 rows put back" in words(examine(folder, repair=True))
     assert content(folder) == before
 
@@ -173,10 +173,10 @@ def test_rows_that_no_copy_has_are_counted_and_are_not_in_order(folder, damaged)
         overwrite(folder / "ledger.sqlite", 0, 4096)
     else:
         (folder / "ledger.sqlite").unlink()
-    found = CliRunner().invoke(app, ["doctor", "--repair", "--data", str(folder)])
-    assert found.exit_code == 1
-    assert "up to 80 rows" in found.output
-    assert "is in order" not in found.output
+    result = CliRunner().invoke(app, ["doctor", "--repair", "--data", str(folder)])
+    assert result.exit_code == 1
+    assert "up to 80 rows" in result.output
+    assert "is in order" not in result.output
     again = CliRunner().invoke(app, ["doctor", "--data", str(folder)])
     assert again.exit_code == 0
 
@@ -189,9 +189,9 @@ def test_rows_that_a_server_has_put_back_are_not_counted_as_gone(folder):
     for name in ("rig", "other"):
         assert site.tables.catch_up(name, 600)
     site.close()
-    found = examine(folder, repair=True)
+    result = examine(folder, repair=True)
     assert content(folder) == before
-    assert "up to 0 rows and 30 jobs that were acknowledged are gone" in words(found)
+    assert "up to 0 rows and 30 jobs that were acknowledged are gone" in words(result)
 
 
 def test_a_log_without_its_ledger_is_never_lost(folder):
@@ -223,11 +223,11 @@ def test_a_ledger_file_with_damaged_pages_is_made_anew_and_loses_no_row(folder):
             name.unlink()
         path.write_bytes(whole)
         overwrite(path, 4096 * page, 4096)
-        found = examine(folder, repair=True)
-        if "fault" in kinds(found):
-            pytest.fail(f"page {page}: {words(found)}")
-        mended += "a new one was made" in words(found)
-        assert {one[0:1] + one[2:] for one in before} == content(folder), page
+        result = examine(folder, repair=True)
+        if "fault" in kinds(result):
+            pytest.fail(f"page {page}: {words(result)}")
+        mended += "a new one was made" in words(result)
+        assert {item[0:1] + item[2:] for item in before} == content(folder), page
     assert mended > pages // 6
 
 
@@ -238,8 +238,8 @@ def test_jobs_that_a_damaged_ledger_still_tells_are_in_the_new_one(folder):
     number = page.fetchone()[0]
     db.close()
     overwrite(path, 4096 * (number - 1), 4096)
-    found = examine(folder, repair=True)
-    assert "30 jobs of 30 and" in words(found)
+    result = examine(folder, repair=True)
+    assert "30 jobs of 30 and" in words(result)
     ledger = Ledger(path)
     assert ledger.counts()["waiting"] == 30
     assert ledger.accept("rig", "f", (99.0, 0, 0, 0, 0, 0))[0].id == 31
@@ -286,10 +286,10 @@ def test_leftovers_are_told_and_left_alone(folder):
     ]
     for path in left:
         path.mkdir(parents=True)
-    found = examine(folder, repair=True)
-    assert kinds(found) == {"note"}
+    result = examine(folder, repair=True)
+    assert kinds(result) == {"note"}
     for path in left:
-        assert path.name in words(found)
+        assert path.name in words(result)
         assert path.exists()
 
 
@@ -368,9 +368,9 @@ def test_a_damaged_file_beside_the_ledger_is_told(folder, name, said):
     path = folder / name
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("{[")
-    found = examine(folder)
-    assert kinds(found) == {"fault"}
-    assert said in words(found)
+    result = examine(folder)
+    assert kinds(result) == {"fault"}
+    assert said in words(result)
     after = examine(folder, repair=True)
     own = name in ("keys.json", "wrenchbook.toml")
     assert ("fault" in kinds(after)) == own
@@ -390,10 +390,10 @@ def test_a_repair_on_a_full_disk_says_so_and_loses_nothing(folder, monkeypatch, 
     with monkeypatch.context() as patched:
         patched.setattr("wrenchbook.service.ops.doctor.shutil.copyfile", full)
         patched.setattr("wrenchbook.service.tables.store.write_table", full)
-        found = examine(folder, repair=True)
-    assert "fault" in kinds(found)
-    assert "No space left on device" in words(found)
-    assert "make room" in words(found)
+        result = examine(folder, repair=True)
+    assert "fault" in kinds(result)
+    assert "No space left on device" in words(result)
+    assert "make room" in words(result)
     assert "fault" not in kinds(examine(folder, repair=True))
     assert content(folder) == before
 
@@ -402,9 +402,9 @@ def test_rows_that_neither_copy_has_are_told_as_lost_and_not_as_mended(folder):
     """It said that all was in order, and that the ledger had the rows."""
     overwrite(folder / "ledger.sqlite", 0, 4096)
     (folder / "tables" / "rig.h5").write_bytes(b"")
-    found = examine(folder, repair=True)
-    lost, table = [one for one in found if one.kind == "fault"]
+    results = examine(folder, repair=True)
+    lost, table = [result for result in results if result.kind == "fault"]
     assert lost.problem == "up to 60 rows that were acknowledged are gone"
     assert "tables/rig.h5" in table.problem
-    assert all("restore a backup" in one.remedy for one in (lost, table))
-    assert "jobs that were lost: 30" in words(found)
+    assert all("restore a backup" in item.remedy for item in (lost, table))
+    assert "jobs that were lost: 30" in words(results)

@@ -96,9 +96,9 @@ def test_who_comes_back_is_told_what_it_missed_and_nothing_twice():
 def test_an_id_that_is_not_known_is_told_and_not_passed_over(last):
     feed = Feed()
     feed.publish("job", "bar", {"id": 1})
-    told = heard(feed.listen(None, last.format(mark=feed._mark) or "?", {}))
-    assert [event.kind for event in told] == ["hello", "missed"]
-    assert "read jobs" in told[1].body["reason"]
+    reported = heard(feed.listen(None, last.format(mark=feed._mark) or "?", {}))
+    assert [event.kind for event in reported] == ["hello", "missed"]
+    assert "read jobs" in reported[1].body["reason"]
 
 
 def test_events_no_longer_held_are_told_as_missed(monkeypatch):
@@ -107,7 +107,7 @@ def test_events_no_longer_held_are_told_as_missed(monkeypatch):
     hello = heard(feed.listen(None, None, {}))[0]
     for number in range(6):
         feed.publish("job", "bar", {"id": number})
-    assert [one.kind for one in heard(feed.listen(None, hello.id, {}))] == ["hello", "missed"]
+    assert [item.kind for item in heard(feed.listen(None, hello.id, {}))] == ["hello", "missed"]
 
 
 def test_a_slow_listener_is_let_go_with_the_reason_and_holds_no_more_memory(monkeypatch):
@@ -165,10 +165,10 @@ def test_a_new_version_of_a_table_is_told_to_who_listens(tmp_path):
         hello = next(events)
         assert hello.kind == "hello"
         add_rows(client, "part", ROWS[10:])
-        told = next(events)
-        assert (told.kind, told.body["component"]) == ("table", "part")
-        assert told.body["table_version"] > hello.body["tables"]["part"]
-        assert told.body["rows"] == len(ROWS)
+        reported = next(events)
+        assert (reported.kind, reported.body["component"]) == ("table", "part")
+        assert reported.body["table_version"] > hello.body["tables"]["part"]
+        assert reported.body["rows"] == len(ROWS)
         events.close()
 
 
@@ -186,9 +186,9 @@ def test_the_life_of_jobs_is_told_whoever_changes_them(tmp_path):
         assert next(events).body["status"] == "running"
         other.commit(job.id, 1, (1e-6,) * 6)
         other.close()
-        told = [next(events), next(events)]
-        assert {one.kind for one in told} == {"job", "table"}
-        done = next(one for one in told if one.kind == "job").body
+        reported = [next(events), next(events)]
+        assert {item.kind for item in reported} == {"job", "table"}
+        done = next(item for item in reported if item.kind == "job").body
         assert (done["id"], done["status"]) == (job.id, "done")
         events.close()
 
@@ -220,8 +220,8 @@ def test_many_changed_jobs_are_one_event(tmp_path):
         next(events)
         client.record("plate_thin", [[0, 0, -float(number), 0, 0, 0] for number in range(1, 101)])
         client.start_recording("plate_thin")
-        told = next(events)
-        assert (told.kind, told.body["count"]) == ("jobs", 100)
+        reported = next(events)
+        assert (reported.kind, reported.body["count"]) == ("jobs", 100)
         events.close()
 
 
@@ -254,8 +254,8 @@ def test_one_listener_too_many_is_503_and_a_place_is_free_when_one_goes(tmp_path
     monkeypatch.setattr(feed_module, "MAX_LISTENERS", 2)
     with served(tmp_path) as client:
         held = [client.events(timeout_s=60) for _ in range(2)]
-        for one in held:
-            next(one)
+        for item in held:
+            next(item)
         with pytest.raises(ProblemError, match="503 Too many listeners"):
             next(client.events())
         held[0].close()
@@ -282,9 +282,9 @@ def test_heartbeats_come_while_nothing_happens(tmp_path, monkeypatch):
 
 def test_lines_are_read_as_the_standard_says():
     lines = b": beat\n\nid: a.1\nevent: job\ndata: {\ndata: }\nretry: 5\n\nid: a.2\n\nevent: x\n\n"
-    found = list(read_events(lines.splitlines(keepends=True)))
-    assert [(one.kind, one.body, one.id) for one in found] == [("job", {}, "a.1")]
-    assert json.dumps(found[0].body) == "{}"
+    results = list(read_events(lines.splitlines(keepends=True)))
+    assert [(result.kind, result.body, result.id) for result in results] == [("job", {}, "a.1")]
+    assert json.dumps(results[0].body) == "{}"
 
 
 # -- keys -------------------------------------------------------------------------------------

@@ -187,12 +187,12 @@ def test_no_byte_may_change(data):
     place = data.draw(st.integers(0, len(content) - 1))
     content[place] ^= data.draw(st.integers(1, 255))
     try:
-        found = unpack(bytes(content))
+        result = unpack(bytes(content))
     except DamagedFieldsError:
         return
     # JSON may be written in two ways that say the same; then it says the same.
-    np.testing.assert_array_equal(found[1]["exact"], FIELD)
-    assert found[0] == unpack(example())[0]
+    np.testing.assert_array_equal(result[1]["exact"], FIELD)
+    assert result[0] == unpack(example())[0]
 
 
 @pytest.mark.parametrize("number", ["NaN", "1e999"])
@@ -223,9 +223,9 @@ MOVED = 1e-4 * np.array([[0, 0, 0], [1, 2, 3], [-1, 0, 2], [0.5, 0, 0]])
 
 def shape(error=True, stress=True):
     geometry = SurfaceGeometry(VERTICES, TRIANGLES, 4, np.zeros((0, 3)), np.zeros(0), ("all",), "d")
-    told = LargestStress(1e6, None, (0.0, 0.0, 0.1), "all", 2e6, None) if stress else None
+    reported = LargestStress(1e6, None, (0.0, 0.0, 0.1), "all", 2e6, None) if stress else None
     bars = 1e-6 * np.arange(1.0, 5.0) if error else None
-    return Deformed("plate", (0.0, 0, -1, 0, 0, 0), geometry, MOVED, bars, told, "rows")
+    return Deformed("plate", (0.0, 0, -1, 0, 0, 0), geometry, MOVED, bars, reported, "rows")
 
 
 def parsed(content):
@@ -243,7 +243,7 @@ def parsed(content):
     assert (first, second) == (b"JSON", b"BIN\x00")
     document = json.loads(text)
     assert document["buffers"] == [{"byteLength": len(binary)}]
-    return document, [array_of(document, one, binary) for one in document["accessors"]]
+    return document, [array_of(document, accessor, binary) for accessor in document["accessors"]]
 
 
 def array_of(document, accessor, binary):
@@ -252,11 +252,11 @@ def array_of(document, accessor, binary):
     kind = {5126: "<f4", 5125: "<u4"}[accessor["componentType"]]
     columns = {"VEC3": 3, "SCALAR": 1}[accessor["type"]]
     raw = binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
-    found = np.frombuffer(raw, kind).reshape(-1, columns)
-    assert len(found) == accessor["count"]
-    np.testing.assert_array_equal(found.min(axis=0), np.array(accessor["min"], kind))
-    np.testing.assert_array_equal(found.max(axis=0), np.array(accessor["max"], kind))
-    return found
+    results = np.frombuffer(raw, kind).reshape(-1, columns)
+    assert len(results) == accessor["count"]
+    np.testing.assert_array_equal(results.min(axis=0), np.array(accessor["min"], kind))
+    np.testing.assert_array_equal(results.max(axis=0), np.array(accessor["max"], kind))
+    return results
 
 
 def test_a_glb_holds_the_surface_and_a_morph_target_that_moves_it():
@@ -288,8 +288,8 @@ def test_what_is_not_known_is_left_out(write):
 
 def test_meshio_reads_the_vtu_to_the_last_digit(tmp_path):
     (tmp_path / "a.vtu").write_bytes(write_vtu(shape()))
-    found = meshio.read(tmp_path / "a.vtu")
-    np.testing.assert_array_equal(found.points, VERTICES)
-    np.testing.assert_array_equal(found.cells_dict["triangle"], TRIANGLES)
-    np.testing.assert_array_equal(found.point_data["displacement"], MOVED)
-    np.testing.assert_array_equal(found.point_data["error"], shape().error)
+    result = meshio.read(tmp_path / "a.vtu")
+    np.testing.assert_array_equal(result.points, VERTICES)
+    np.testing.assert_array_equal(result.cells_dict["triangle"], TRIANGLES)
+    np.testing.assert_array_equal(result.point_data["displacement"], MOVED)
+    np.testing.assert_array_equal(result.point_data["error"], shape().error)

@@ -89,7 +89,7 @@ def test_an_archive_that_lies_about_its_size_is_cut_off_where_the_limit_is(tmp_p
     (tmp_path / "out").mkdir()
     with pytest.raises(BundleError):
         bundles.extract(path, tmp_path / "out")
-    assert sum(one.stat().st_size for one in (tmp_path / "out").iterdir()) <= 2 << 20
+    assert sum(item.stat().st_size for item in (tmp_path / "out").iterdir()) <= 2 << 20
 
 
 @pytest.mark.parametrize(

@@ -45,14 +45,14 @@ def imports(http):  # noqa: F811
 
 
 def test_appended_rows_raise_the_version_cover_the_wrench_and_shrink_its_bar(live):
-    told = []
+    reported = []
     for seed, count in enumerate((2, 12, 60, 400)):
         reply = append(live, block(seed, count)).json()
         wait_for_version(live, "live", reply["table_version"])
         body = {"force": [0, 0, 61.0], "on_thin": "estimate"}
         answer = live.post("/v1/components/live/displacement", json=body).json()
-        told.append((answer["coverage"], answer["table_version"], answer["error"]))
-    coverages, versions, errors = zip(*told, strict=True)
+        reported.append((answer["coverage"], answer["table_version"], answer["error"]))
+    coverages, versions, errors = zip(*reported, strict=True)
     assert coverages[0] != coverages[-1] == "covered"
     assert sorted(set(versions)) == list(versions)
     bars = [error["translation"][2] for error in errors[1:]]

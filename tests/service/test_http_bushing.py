@@ -16,10 +16,10 @@ AXES = [*OUTPUTS]
 def curves(http, name="bar", **query):  # noqa: F811
     reply = http.get(f"/v1/components/{name}/table", params={"format": "bushing"} | query)
     assert reply.status_code == 200, reply.text
-    found = {}
+    result = {}
     for axis, *numbers in [*csv.reader(io.StringIO(reply.text))][1:]:
-        found.setdefault(axis, []).append([float(cell or "nan") for cell in numbers[:4]])
-    return {axis: np.array(lines).T for axis, lines in found.items()}
+        result.setdefault(axis, []).append([float(cell or "nan") for cell in numbers[:4]])
+    return {axis: np.array(lines).T for axis, lines in result.items()}
 
 
 def looped(http, count=121, width=0.04):  # noqa: F811
@@ -65,9 +65,9 @@ def test_curves_end_with_the_load_range_and_have_the_bar_of_their_load(bar):  # 
 
 def test_a_rig_with_a_loop_has_its_width_and_one_axis_alone(http):  # noqa: F811
     looped(http)
-    found = curves(http, "rig", others="load", points=5)
-    assert set(found) == {"uz"}
-    d, force, _, loop = found["uz"]
+    results = curves(http, "rig", others="load", points=5)
+    assert set(results) == {"uz"}
+    d, force, _, loop = results["uz"]
     assert force == pytest.approx(1e6 * d, abs=20)
     assert loop == pytest.approx(np.full(5, 0.04 * 1600), rel=0.15)
 

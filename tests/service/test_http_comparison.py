@@ -64,12 +64,12 @@ def test_each_import_has_its_factor_and_two_are_compared_by_a_table_of_one(bar):
     both = bar.get(CALL).json()
     factors = {part["import"]: part["outputs"]["uz"]["factor"] for part in both["campaigns"]}
     assert factors == pytest.approx({first: 1.0, second: 1.05}, abs=0.005)
-    told = bar.get(CALL, params={"import": second, "against": first}).json()
-    assert told["reference"] | {"bars_are_complete": None} == {
+    reported = bar.get(CALL, params={"import": second, "against": first}).json()
+    assert reported["reference"] | {"bars_are_complete": None} == {
         "import": first, "rows": 60, "of": 60, "method": "kriging", "bars_are_complete": None
     }  # fmt: skip
-    uz = told["outputs"]["uz"]
-    assert set(told["campaign"]) == {second}
+    uz = reported["outputs"]["uz"]
+    assert set(reported["campaign"]) == {second}
     assert abs(uz["factor"] - 1.05) <= uz["half_width"] < 0.01
     same = campaign(bar, 1.0, 4)
     uz = bar.get(CALL, params={"import": same, "against": first}).json()["outputs"]["uz"]

@@ -36,16 +36,16 @@ def test_the_library_is_listed_in_pages_of_a_search_each_component_once(http):
     for number in range(5):
         http.post("/v1/components", json={**TABLE_ONLY, "name": f"hinge{number}"})
     http.post("/v1/components/hinge1/archive")
-    url, found, pages = "/v1/components?q=hinge&limit=2&archived=true", [], 0
+    url, result, pages = "/v1/components?q=hinge&limit=2&archived=true", [], 0
     while url:
         reply = http.get(url)
         url, pages = reply.json()["next"], pages + 1
         assert reply.headers.get("link") == (f'<{url}>; rel="next"' if url else None)
-        found += [one["name"] for one in reply.json()["components"]]
-    assert (found, pages) == ([f"hinge{number}" for number in range(5)], 3)
+        result += [component["name"] for component in reply.json()["components"]]
+    assert (result, pages) == ([f"hinge{number}" for number in range(5)], 3)
     listed = http.get("/v1/components").json()
     assert listed["next"] is None
-    names = [one["name"] for one in listed["components"]]
+    names = [component["name"] for component in listed["components"]]
     assert {"bar", "plate", "plate_thin", "spring", "link", "hot_bracket"} <= set(names)
 
 
@@ -70,19 +70,19 @@ def test_a_table_only_component_is_made_by_one_post(http):
 def test_a_range_of_numbers_or_of_pairs_is_one_range_and_comes_back_as_pairs(http, force):
     given = {"force": force, "moment": [[-5, 90], 90, 90]}
     pairs = {"force": [[-900, 900]] * 3, "moment": [[-5, 90], [-90, 90], [-90, 90]]}
-    made = http.post("/v1/components", json={**TABLE_ONLY, "range": given}).json()
-    assert made["range"] == http.get("/v1/components/rig").json()["range"] == pairs
-    again = {**TABLE_ONLY, "name": "again", "range": made["range"]}
+    created = http.post("/v1/components", json={**TABLE_ONLY, "range": given}).json()
+    assert created["range"] == http.get("/v1/components/rig").json()["range"] == pairs
+    again = {**TABLE_ONLY, "name": "again", "range": created["range"]}
     assert http.post("/v1/components", json=again).json()["range"] == pairs
 
 
 def test_the_range_that_a_component_has_is_taken_by_fill_and_by_a_scene_plan(http):
     range_ = http.get("/v1/components/plate_thin").json()["range"]
     narrow = {word: [span[1] / 2 for span in spans] for word, spans in range_.items()}
-    for one in (range_, narrow):
-        filled = http.post("/v1/components/plate_thin/fill", json={"range": one, "budget": 1})
+    for item in (range_, narrow):
+        filled = http.post("/v1/components/plate_thin/fill", json={"range": item, "budget": 1})
         assert filled.status_code == 202, filled.text
-        scene = {"components": {"plate_thin": one}}
+        scene = {"components": {"plate_thin": item}}
         assert http.post("/v1/scenes/plan", json=scene).status_code == 200
 
 
@@ -93,7 +93,9 @@ def test_a_bundle_is_uploaded_as_a_zip(http):
     point = reply.json()["interface"]["point"]
     assert len(point) == 3
     assert point[0] > 0
-    assert "beam" in [one["name"] for one in http.get("/v1/components").json()["components"]]
+    assert "beam" in [
+        component["name"] for component in http.get("/v1/components").json()["components"]
+    ]
 
 
 @pytest.mark.parametrize(
@@ -135,7 +137,7 @@ def test_a_job_is_listed_tells_its_progress_and_is_cancelled(http, stand_in):
     body = {"force": [1, 2, 3], "moment": [0, 0, 0]}
     job = http.post("/v1/components/plate_thin/solve", json=body).json()["job"]
     listed = http.get("/v1/jobs", params={"component": "plate_thin"}).json()["jobs"]
-    assert [one["id"] for one in listed] == [job["id"]]
+    assert [item["id"] for item in listed] == [job["id"]]
     progress = until(lambda: http.get(job["url"]).json().get("progress"))
     assert progress == {"fraction": 0.25, "message": "still going"}
     cancelled = http.delete(job["url"]).json()

@@ -63,11 +63,11 @@ def test_the_tangent_at_no_load_is_null_where_no_row_tells_it(http):
     partial = moved(wrenches)
     partial[:, 4] = np.nan
     add(http, "rig", as_rows(wrenches, partial))
-    told = http.get("/v1/components/rig/compliance").json()["tangent"]
-    assert [[value is not None for value in line] for line in told] == [
+    reported = http.get("/v1/components/rig/compliance").json()["tangent"]
+    assert [[value is not None for value in line] for line in reported] == [
         [load == 2 and output != 4 for load in range(6)] for output in range(6)
     ]
-    assert told[2][2] == pytest.approx(1e-6, rel=0.05)
+    assert reported[2][2] == pytest.approx(1e-6, rel=0.05)
 
 
 @pytest.mark.parametrize("call", ["coverage", "compliance"])

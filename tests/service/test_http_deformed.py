@@ -44,9 +44,9 @@ def solve(served):
     return answer
 
 
-def refused(call, *words, **more):
+def refused(call, *texts, **more):
     with pytest.raises(ProblemError) as caught:
-        call(*words, **more)
+        call(*texts, **more)
     return caught.value
 
 
@@ -59,37 +59,37 @@ def test_before_any_solve_it_says_how_to_get_a_surface(served):
 
 def test_at_a_solved_wrench_it_is_the_solvers_to_nine_digits(served, solve):
     client, folder, _ = served
-    found = client.deformed("sheet", FORCE, MOMENT)
+    result = client.deformed("sheet", FORCE, MOMENT)
     (true,), _ = solved(folder, np.array([[*FORCE, *MOMENT]]))
     size = np.abs(true.displacement).max()
-    assert np.abs(found.displacement - true.displacement).max() < 1e-9 * size
-    np.testing.assert_array_equal(found.triangles, true.triangles)
-    np.testing.assert_allclose(found.vertices, true.vertices, atol=1e-15)
-    assert (found.source, found.is_covered, found.reason) == ("row", True, "")
-    assert found.stress.largest == pytest.approx(true.largest, rel=1e-6)
-    assert found.stress.yield_strength == 60e6
-    np.testing.assert_allclose(found.deformed(10.0), true.vertices + 10 * true.displacement)
+    assert np.abs(result.displacement - true.displacement).max() < 1e-9 * size
+    np.testing.assert_array_equal(result.triangles, true.triangles)
+    np.testing.assert_allclose(result.vertices, true.vertices, atol=1e-15)
+    assert (result.source, result.is_covered, result.reason) == ("row", True, "")
+    assert result.stress.largest == pytest.approx(true.largest, rel=1e-6)
+    assert result.stress.yield_strength == 60e6
+    np.testing.assert_allclose(result.deformed(10.0), true.vertices + 10 * true.displacement)
 
 
 def test_its_middle_moves_as_the_displacement_says(served, solve):
     client, *_ = served
-    found = client.deformed("sheet", FORCE, MOMENT)
-    inside = np.linalg.norm(found.vertices[:, :2], axis=1) < 0.0601
-    inside &= np.abs(found.vertices[:, 2]) < 1e-9
-    patch = found.triangles[inside[found.triangles].all(axis=1)]
-    corners = found.vertices[patch]
+    result = client.deformed("sheet", FORCE, MOMENT)
+    inside = np.linalg.norm(result.vertices[:, :2], axis=1) < 0.0601
+    inside &= np.abs(result.vertices[:, 2]) < 1e-9
+    patch = result.triangles[inside[result.triangles].all(axis=1)]
+    corners = result.vertices[patch]
     area = np.linalg.norm(
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
     )
-    mean = area @ found.displacement[patch].mean(axis=1) / area.sum()
+    mean = area @ result.displacement[patch].mean(axis=1) / area.sum()
     # Flat triangles between the nodes are not quite the section's own shape functions.
     assert np.linalg.norm(mean - solve.translation) < 1e-2 * np.linalg.norm(solve.translation)
 
 
 def test_elsewhere_it_is_flagged(served, solve):
     client, *_ = served
-    found = client.deformed("sheet", [0, 0, 500])
-    assert (found.source, found.coverage, found.error) == ("rows", "thin", None)
+    result = client.deformed("sheet", [0, 0, 500])
+    assert (result.source, result.coverage, result.error) == ("rows", "thin", None)
     assert client.deformed("sheet", [1500, 0, 0]).coverage == "outside"
     assert refused(client.deformed, "sheet", [1e300, 0, 0]).status == 409
 
@@ -105,8 +105,8 @@ def test_the_linear_plate_answers_every_wrench_once_one_is_solved(served):
     client, *_ = served
     client.displacement("flat", FORCE, on_thin="wait", wait_s=120)
     for force in ([10.0, 0, 0], [0, 0, -3.0]):
-        found = client.deformed("flat", force)
-        assert (found.source, found.coverage) == ("linear", "covered")
+        result = client.deformed("flat", force)
+        assert (result.source, result.coverage) == ("linear", "covered")
     one, ten = client.deformed("flat", [0, 0, -1]), client.deformed("flat", [0, 0, -10])
     np.testing.assert_allclose(ten.displacement, 10 * one.displacement, rtol=1e-12)
     assert ten.stress.largest == pytest.approx(10 * one.stress.largest, rel=1e-9)
@@ -130,7 +130,7 @@ def test_many_at_once_are_answered_and_others_with_them(served, solve):
     with ThreadPoolExecutor(12) as pool:
         shapes = list(pool.map(lambda one: client.deformed("sheet", one), asked))
         quick = client.displacement("sheet", FORCE, MOMENT, on_thin="estimate")
-    assert len({one.displacement.tobytes() for one in shapes}) == 12
+    assert len({shape.displacement.tobytes() for shape in shapes}) == 12
     assert quick.translation is not None
 
 
@@ -154,11 +154,11 @@ def client(served, solve):
 
 @pytest.mark.parametrize("name", ["sheet", "flat"])
 def test_the_middle_of_the_interface_has_at_least_the_bar_of_the_displacement(client, name):
-    found = client.deformed(name, FORCE, MOMENT)
-    middle = np.linalg.norm(found.vertices, axis=1).argmin()
-    assert np.linalg.norm(found.vertices[middle]) < 1e-9
+    result = client.deformed(name, FORCE, MOMENT)
+    middle = np.linalg.norm(result.vertices, axis=1).argmin()
+    assert np.linalg.norm(result.vertices[middle]) < 1e-9
     own = sum(shares_of(client, name).values())
-    assert found.error[middle] >= np.linalg.norm(own[:3]) > 1e-6
+    assert result.error[middle] >= np.linalg.norm(own[:3]) > 1e-6
 
 
 def test_the_reply_tells_the_largest_of_each_share_and_where_it_is_from(client):
@@ -172,8 +172,8 @@ def test_a_glb_tells_the_shares_in_its_extras_and_a_header(client):
     reply = client.call("GET", f"/v1/components/sheet/deformed?{QUERY}&format=gltf")
     size = int.from_bytes(reply.content[12:16], "little")
     (mesh,) = json.loads(reply.content[20 : 20 + size])["meshes"]
-    told = client.deformed("sheet", FORCE, MOMENT)
-    assert mesh["extras"]["error_parts"] == told.error_parts
+    reported = client.deformed("sheet", FORCE, MOMENT)
+    assert mesh["extras"]["error_parts"] == reported.error_parts
     assert mesh["extras"]["within_tolerance"] is False
     assert reply.headers["Wrenchbook-Within-Tolerance"] == "false"
 
@@ -209,12 +209,12 @@ def test_where_nothing_tells_of_the_mesh_the_reply_says_that_and_how_to_learn_it
         db.execute("DELETE FROM solver_errors")
     db.close()
     with server_of(tmp_path / "data") as client:
-        found = client.deformed("sheet", FORCE, MOMENT)
+        result = client.deformed("sheet", FORCE, MOMENT)
         sweep = client.call("GET", "/v1/components/sheet/response?load=fz&points=3").json()
-    assert found.error_parts["mesh"] is None
-    assert "the next solve of this component estimates it" in found.error_parts["mesh_basis"]
-    assert found.within_tolerance is None
-    assert found.error.max() == found.error_parts["table"]
+    assert result.error_parts["mesh"] is None
+    assert "the next solve of this component estimates it" in result.error_parts["mesh_basis"]
+    assert result.within_tolerance is None
+    assert result.error.max() == result.error_parts["table"]
     assert sweep["bars_are_whole"] is False
 
 
@@ -231,6 +231,6 @@ def test_a_row_without_a_surface_gets_one_as_the_text_says(served, solve):
     answer = client.solve("sheet", asked)
     if answer.job is not None:
         client.wait(answer.job.id, 120)
-    found = client.deformed("sheet", asked)
-    assert found.source == "row"
-    np.testing.assert_array_equal(found.displacement, kept)
+    result = client.deformed("sheet", asked)
+    assert result.source == "row"
+    np.testing.assert_array_equal(result.displacement, kept)

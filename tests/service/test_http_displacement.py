@@ -322,9 +322,9 @@ def test_the_reason_names_every_load_beyond_the_range(bar, on_thin):
 def test_a_linear_component_just_added_names_the_job_that_will_tell_it(http, stand_in):
     """The reason was that the table has no rows, while the unit solve ran."""
     stand_in("endless")
-    told = estimate(http, [1, 2, 3])["reason"]
+    reported = estimate(http, [1, 2, 3])["reason"]
     job = http.get("/v1/jobs").json()["jobs"][-1]["id"]
-    assert f"job {job} solves" in told
+    assert f"job {job} solves" in reported
     assert f"job {job} solves" in estimate(http, [1, 2, 3], on_thin="reject")["detail"]
 
 

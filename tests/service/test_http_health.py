@@ -72,7 +72,7 @@ def test_a_table_whose_file_a_full_disk_does_not_take_is_not_ready_and_broken_at
         until((tmp_path / "tables" / "fine.h5").exists)
         monkeypatch.setattr(TableStore, "save", full)
         add(http, "rig")
-        body = until(lambda: (found := http.get(READY).json())["broken"] and found)
+        body = until(lambda: (result := http.get(READY).json())["broken"] and result)
         assert (body["status"], body["ready"]) == ("degraded", False)
         assert (body["tables"]["rig"], body["tables"]["fine"]) == ("degraded", "ready")
         # Its rows answer, so a proxy goes on sending it queries.

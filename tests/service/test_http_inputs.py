@@ -92,7 +92,7 @@ def test_the_mesh_adds_no_error_at_the_reference_temperature(hot):
 
 
 def test_temperature_and_acceleration_add_up(hot):
-    both, warm, pulled = (ask(hot, *one).json() for one in ((90, -9.81), (90, 0), (20, -9.81)))
+    both, warm, pulled = (ask(hot, *item).json() for item in ((90, -9.81), (90, 0), (20, -9.81)))
     for place in range(3):
         total = warm["translation"][place] + pulled["translation"][place]
         assert both["translation"][place] == pytest.approx(total, rel=1e-9, abs=1e-15)
@@ -101,7 +101,11 @@ def test_temperature_and_acceleration_add_up(hot):
 def test_a_missing_input_is_422_with_its_place_and_unit(hot):
     reply = hot.post(f"{HOT_URL}/displacement", json={**STILL, "inputs": {"temperature": 30}})
     assert reply.status_code == 422
-    assert [one["loc"] for one in reply.json()["errors"]] == ["inputs.ax", "inputs.ay", "inputs.az"]
+    assert [error["loc"] for error in reply.json()["errors"]] == [
+        "inputs.ax",
+        "inputs.ay",
+        "inputs.az",
+    ]
     assert "m/s^2" in reply.text
 
 
@@ -113,7 +117,7 @@ def test_a_temperature_beyond_its_range_is_named_with_the_range(hot):
 
 def test_a_job_has_its_inputs_by_name(hot):
     jobs = hot.get("/v1/jobs").json()["jobs"]
-    job = next(one for one in jobs if one["inputs"] == inputs(60.0, -9.81))
+    job = next(item for item in jobs if item["inputs"] == inputs(60.0, -9.81))
     assert job["force"] == job["moment"] == [0.0] * 3
     assert job["translation"][0] == pytest.approx(LENGTH * EXPANSION * 40.0, rel=1e-6)
 
@@ -129,8 +133,8 @@ def test_the_compliance_has_the_displacement_where_all_inputs_are_zero(hot):
 
 
 def test_a_component_names_the_state_that_a_displacement_is_relative_to(hot):
-    words = hot.get(HOT_URL).json()["interface"]["displacement"]
-    assert words == "relative to the part without loads, at temperature 20 degC, ax 0 m/s^2, " + (
+    text = hot.get(HOT_URL).json()["interface"]["displacement"]
+    assert text == "relative to the part without loads, at temperature 20 degC, ax 0 m/s^2, " + (
         "ay 0 m/s^2, az 0 m/s^2"
     )
 
@@ -153,7 +157,7 @@ def solved(http):
 
 def test_the_component_names_its_inputs_its_range_and_its_interfaces(solved):
     body = solved.get(URL).json()
-    assert [one["name"] for one in body["space"]["inputs"]][6:8] == ["right.fx", "right.fy"]
+    assert [item["name"] for item in body["space"]["inputs"]][6:8] == ["right.fx", "right.fy"]
     assert body["range"]["loads"]["right"]["force"][2] == [-200.0, 200.0]
     assert body["interfaces"]["left"]["held"] is True
     assert body["interface"] is None
@@ -201,7 +205,7 @@ def test_coverage_has_no_gaps_by_axis(solved):
 
 def test_a_job_has_loads_and_displacements_by_interface(solved):
     jobs = solved.get("/v1/jobs").json()["jobs"]
-    job = next(one for one in jobs if one["loads"]["right"]["force"] == [0.0, 10.0, 1.0])
+    job = next(item for item in jobs if item["loads"]["right"]["force"] == [0.0, 10.0, 1.0])
     assert job["loads"]["left"]["moment"] == [0.0] * 3
     assert job["displacements"]["left"]["translation"] == [0.0] * 3
     assert job["displacements"]["right"]["translation"][1] != 0.0

@@ -44,7 +44,7 @@ def rows(count, seed=1):
 
 def names(http, **query):
     listed = http.get("/v1/components", params=query).json()["components"]
-    return [one["name"] for one in listed]
+    return [item["name"] for item in listed]
 
 
 def test_a_search_looks_into_names_titles_and_notes(http):
@@ -68,8 +68,12 @@ def test_a_copy_has_the_setup_and_the_rows_and_goes_its_own_way(http):
     load(http, rows(20))
     reply = http.post("/v1/components/rig/copy", json={"name": "rig2", "title": 'The "second"'})
     assert reply.status_code == 201, reply.text
-    made = reply.json()
-    assert (made["rows"], made["title"], made["copied_from"]) == (20, 'The "second"', "rig")
+    created = reply.json()
+    assert (created["rows"], created["title"], created["copied_from"]) == (
+        20,
+        'The "second"',
+        "rig",
+    )
     load(http, rows(5, 9), "rig2")
     assert http.get("/v1/components/rig").json()["rows"] == 20
     bare = http.post("/v1/components/rig/copy", json={"name": "rig3", "rows": False})
@@ -81,8 +85,8 @@ def test_a_copied_setup_keeps_its_fingerprint_so_that_its_solves_stay_solves(htt
     fingerprint = workspace.library["plate_thin"].fingerprint
     solve = NewRow((1.0, 2, 3, 0, 0, 0), (1e-6,) * 6, "fea")
     insert(workspace.ledger, "plate_thin", fingerprint, [solve])
-    made = http.post("/v1/components/plate_thin/copy", json={"name": "mine"}).json()
-    assert (made["fingerprint"], made["solved"]) == (fingerprint, 1)
+    created = http.post("/v1/components/plate_thin/copy", json={"name": "mine"}).json()
+    assert (created["fingerprint"], created["solved"]) == (fingerprint, 1)
 
 
 def test_a_renamed_component_has_its_rows_and_the_old_name_says_so(http):
@@ -110,10 +114,10 @@ def test_notes_outlive_the_server(http, tmp_path):
 
 def test_a_row_tells_where_it_comes_from(http):
     load(http, rows(3), note="run 7", filename="run7.csv")
-    told = http.get("/v1/components/rig/table/2").json()
-    assert told["source"] == "measured"
-    assert told["withdrawn"] is False
-    brought = told["provenance"]["import"]
+    reported = http.get("/v1/components/rig/table/2").json()
+    assert reported["source"] == "measured"
+    assert reported["withdrawn"] is False
+    brought = reported["provenance"]["import"]
     assert (brought["filename"], brought["note"], brought["format"]) == ("run7.csv", "run 7", "csv")
     assert len(brought["sha256"]) == 64
     (listed,) = http.get("/v1/components/rig/imports").json()["imports"]
@@ -127,9 +131,13 @@ def test_a_solve_tells_its_job_its_mesh_and_its_material(http):
     job, _ = workspace.ledger.accept("plate_thin", fingerprint, (1.0, 0, 0, 0, 0, 0))
     workspace.ledger.claim("me")
     row = workspace.ledger.commit(job.id, 1, (1e-6,) * 6)
-    told = http.get(f"/v1/components/plate_thin/table/{row.seq}").json()["provenance"]
-    assert (told["job"]["id"], told["job"]["engine"], told["import"]) == (job.id, "local", None)
-    setup = told["setup"]
+    reported = http.get(f"/v1/components/plate_thin/table/{row.seq}").json()["provenance"]
+    assert (reported["job"]["id"], reported["job"]["engine"], reported["import"]) == (
+        job.id,
+        "local",
+        None,
+    )
+    setup = reported["setup"]
     assert (setup["present"], setup["solver"], setup["mesh"]["generator"]) == (
         *(True, "embedded", "plate"),
     )
@@ -167,11 +175,11 @@ def test_measured_rows_outside_of_the_solves_bars_are_named_with_their_offset(ht
         moved[2] += 1e-4 if at < 3 else 0.0
         measured.append(NewRow(wrench.tolist(), moved.tolist(), uncertainty=(1e-7,) * 6))
     insert(workspace.ledger, "bar", "", measured)
-    told = http.get("/v1/components/bar/disagreement").json()
-    assert (told["measured"], told["solved"], told["compared"]) == (10, 60, 10)
-    assert told["outside"] == 3
-    assert {row["row"] for row in told["rows"] if row["output"] == "uz"} == {61, 62, 63}
-    assert told["outputs"]["uz"]["mean_difference"] == pytest.approx(3e-5, rel=0.1)
+    reported = http.get("/v1/components/bar/disagreement").json()
+    assert (reported["measured"], reported["solved"], reported["compared"]) == (10, 60, 10)
+    assert reported["outside"] == 3
+    assert {row["row"] for row in reported["rows"] if row["output"] == "uz"} == {61, 62, 63}
+    assert reported["outputs"]["uz"]["mean_difference"] == pytest.approx(3e-5, rel=0.1)
     empty = http.get("/v1/components/rig/disagreement").json()
     assert (empty["compared"], empty["reason"]) == (0, "there is no solved row")
 
@@ -189,11 +197,11 @@ def test_the_demand_map_has_what_was_asked_in_vain_and_nothing_else(http):
         "/v1/components/rig/displacements",
         json={"wrenches": [[441, 0, 0, 0, 0, 0], [0, -800, 0, 0, 0, 0]], "on_thin": "estimate"},
     )
-    told = http.get("/v1/components/rig/demand").json()
-    assert told["asked"] == 6
-    assert (told["cells"][0]["count"], told["cells"][0]["coverage"]) == (4, "outside")
-    assert told["cells"][0]["wrench"][0] == pytest.approx(440, abs=90)
-    assert told["latest"][-1]["wrench"] == [440, 0, 0, 0, 0, 0]
+    reported = http.get("/v1/components/rig/demand").json()
+    assert reported["asked"] == 6
+    assert (reported["cells"][0]["count"], reported["cells"][0]["coverage"]) == (4, "outside")
+    assert reported["cells"][0]["wrench"][0] == pytest.approx(440, abs=90)
+    assert reported["latest"][-1]["wrench"] == [440, 0, 0, 0, 0, 0]
     assert http.delete("/v1/components/rig/demand").json()["asked"] == 0
     assert http.get("/v1/components/rig/demand").json()["cells"] == []
 
@@ -209,9 +217,9 @@ def test_the_demand_map_does_not_grow_without_bound(ledger):
     demand, span = QueryStatistics(ledger), LoadRange(-np.ones(6), np.ones(6))
     wrenches = np.random.default_rng(1).uniform(-3, 3, (20_000, 6))
     demand.note_batch("rig", span, wrenches, np.ones(20_000, dtype=int))
-    told = demand.map_of("rig", span)
-    assert len(told["cells"]) == MAX_CELLS
-    assert told["asked"] == 20_000
+    reported = demand.map_of("rig", span)
+    assert len(reported["cells"]) == MAX_CELLS
+    assert reported["asked"] == 20_000
     demand.note("rig", span, (1e300,) * 6, "outside")
     assert demand.map_of("rig", span)["asked"] == 20_001
 
@@ -223,7 +231,7 @@ def test_the_demand_map_of_two_processes_is_their_sum(ledger, tmp_path):
     for demand in (first, second, second):
         demand.note("rig", span, (2.0, 0, 0, 0, 0, 0), "outside")
         demand.save()
-    assert [one.map_of("rig", span)["asked"] for one in (first, second)] == [3, 3]
+    assert [item.map_of("rig", span)["asked"] for item in (first, second)] == [3, 3]
     assert len(first.map_of("rig", span)["latest"]) == 3
     first.stop()
     assert QueryStatistics(other).map_of("rig", span)["cells"][0]["outside"] == 3

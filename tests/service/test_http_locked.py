@@ -31,9 +31,9 @@ def test_the_table_answers_a_full_wrench_by_the_row_without_the_idle_loads(http)
     solved = http.post(f"{NAME}/solve", json={**bare, "wait_s": 60}).json()
     full = {"force": [0.5, -0.5, -6], "moment": [0.001, 0.002, 0.003], "on_thin": "estimate"}
     until(lambda: http.post(f"{NAME}/displacement", json=full).json()["method"] == "row")
-    found = http.post(f"{NAME}/displacement", json=full).json()
-    assert found["translation"] == solved["translation"]
-    assert found["coverage"] == "covered"
+    result = http.post(f"{NAME}/displacement", json=full).json()
+    assert result["translation"] == solved["translation"]
+    assert result["coverage"] == "covered"
 
 
 @pytest.mark.parametrize("on_thin", ["queue", "wait"])
@@ -52,9 +52,9 @@ def test_a_fill_asks_for_no_wrench_twice_and_for_none_that_is_known(http):
     for _ in range(6):
         reply = http.post(f"{NAME}/fill", json={"budget": 30}).json()
         for job in reply["jobs"]:
-            found = http.get(f"/v1/jobs/{job['id']}", params={"wait_s": 60}).json()
-            assert found["status"] == "done"
-            wrench = (*found["force"], *found["moment"])
+            result = http.get(f"/v1/jobs/{job['id']}", params={"wait_s": 60}).json()
+            assert result["status"] == "done"
+            wrench = (*result["force"], *result["moment"])
             assert wrench not in seen
             assert not np.array(wrench)[[0, 1, 3, 4]].any()
             seen.add(wrench)

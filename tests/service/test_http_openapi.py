@@ -66,11 +66,11 @@ def test_every_error_is_documented_as_a_problem_and_never_as_json(document):
     for method, path, operation in operations(document):
         if path.startswith(("/health", "/metrics", "/umbridge")):  # errors of their own form
             continue
-        found = problems(operation)
-        assert {"500", "503"} <= found.keys(), (method, path)
+        result = problems(operation)
+        assert {"500", "503"} <= result.keys(), (method, path)
         if "{" in path:
-            assert {"404", "422"} <= found.keys(), (method, path)
-        for code, one in found.items():
+            assert {"404", "422"} <= result.keys(), (method, path)
+        for code, one in result.items():
             reference = one["content"]["application/problem+json"]["schema"]["$ref"]
             assert reference == "#/components/schemas/Problem", (method, path, code)
             assert set(one["content"]) == {"application/problem+json"}, (method, path, code)
@@ -80,7 +80,7 @@ def test_every_error_is_documented_as_a_problem_and_never_as_json(document):
 
 def test_the_path_and_the_bodies_of_every_call_are_in_the_document(document):
     for method, path, operation in operations(document):
-        named = {one["name"] for one in operation.get("parameters", []) if one["in"] == "path"}
+        named = {item["name"] for item in operation.get("parameters", []) if item["in"] == "path"}
         assert all(f"{{{name}}}" in path for name in named)
         assert path.count("{") == len(named), (method, path)
         for kind in BODIES.get((method, path), ()):
@@ -94,7 +94,7 @@ def test_the_binary_batch_is_in_the_document(document):
     batch = document["paths"][f"{COMPONENT}/displacements"]["post"]
     assert "octet-stream" in str(list(batch["responses"]["200"]["content"]))
     assert "octet-stream" in str(list(batch["responses"]["202"]["content"]))
-    names = {one["name"] for one in batch["parameters"]}
+    names = {parameter["name"] for parameter in batch["parameters"]}
     assert names >= {"on_thin", "wait_s", "method", "translation", "rotation", "beyond_range"}
 
 
@@ -158,7 +158,7 @@ GENERATE_S = 300.0  # it takes 2 s
 
 @pytest.fixture(scope="module")
 def operation_ids(document):
-    return [one["operationId"] for path in document["paths"].values() for one in path.values()]
+    return [item["operationId"] for path in document["paths"].values() for item in path.values()]
 
 
 @pytest.fixture(scope="module")
@@ -168,10 +168,10 @@ def generated(document, tmp_path_factory):
     (folder / "openapi.json").write_text(json.dumps(document))
     command = [sys.executable, "-m", "openapi_python_client", "generate", "--meta", "none"]
     command += ["--path", "openapi.json", "--output-path", BY_NAME]
-    made = subprocess.run(
+    created = subprocess.run(
         command, cwd=folder, capture_output=True, text=True, timeout=GENERATE_S, check=False
     )
-    assert made.returncode == 0, made.stdout + made.stderr
+    assert created.returncode == 0, created.stdout + created.stderr
     sys.path.insert(0, str(folder))
     yield lambda module: importlib.import_module(f"{BY_NAME}.{module}")
     sys.path.remove(str(folder))

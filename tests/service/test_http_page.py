@@ -89,9 +89,9 @@ def test_all_that_modules_import_is_served(page):
 
 def test_no_file_of_the_page_names_another_host():
     named = {
-        path.name: found
+        path.name: result
         for path in texts()
-        if (found := re.findall(r"https?://(?!www\.w3\.org/2000/svg)[\w.]+", path.read_text()))
+        if (result := re.findall(r"https?://(?!www\.w3\.org/2000/svg)[\w.]+", path.read_text()))
     }
     assert named == {}
 
@@ -116,10 +116,10 @@ def test_nothing_but_the_page_is_served(page, name):
 
 
 def test_rows_to_draw_are_as_many_as_asked_for_those_of_the_axis_first(rig):
-    told = rig.get(f"{RIG}/drawing?axis=z&most=12").json()
-    assert (told["of"], told["shown"], len(told["wrench"])) == (65, 12, 12)
-    assert sum(told["clean"]) == 9  # the corners of the axis, and zero load
-    assert told["row"] == sorted(told["row"])
+    reported = rig.get(f"{RIG}/drawing?axis=z&most=12").json()
+    assert (reported["of"], reported["shown"], len(reported["wrench"])) == (65, 12, 12)
+    assert sum(reported["clean"]) == 9  # the corners of the axis, and zero load
+    assert reported["row"] == sorted(reported["row"])
 
 
 def test_rows_along_a_load_have_no_other(rig):
@@ -131,18 +131,18 @@ def test_rows_along_a_load_have_no_other(rig):
 def test_the_grid_of_an_axis_is_covered_as_queries_are(rig):
     grid = rig.get(f"{RIG}/drawing?axis=x").json()["grid"]
     asked = {"wrenches": grid["wrench"], "on_thin": "estimate"}
-    told = rig.post(f"{RIG}/displacements", json=asked).json()["coverage"]
-    assert [("covered", "thin", "outside")[code] for code in grid["coverage"]] == told
+    reported = rig.post(f"{RIG}/displacements", json=asked).json()["coverage"]
+    assert [("covered", "thin", "outside")[code] for code in grid["coverage"]] == reported
 
 
 def test_a_response_is_what_queries_answer(rig):
-    told = rig.get(f"{RIG}/response?load=fz&my=3&points=5").json()
-    assert told["at"] == np.linspace(-FULL[2], FULL[2], 5).tolist()
-    wrenches = [[0, 0, load, 0, 3, 0] for load in told["at"]]
+    reported = rig.get(f"{RIG}/response?load=fz&my=3&points=5").json()
+    assert reported["at"] == np.linspace(-FULL[2], FULL[2], 5).tolist()
+    wrenches = [[0, 0, load, 0, 3, 0] for load in reported["at"]]
     asked = {"wrenches": wrenches, "on_thin": "estimate"}
     answers = rig.post(f"{RIG}/displacements", json=asked).json()
-    assert told["displacement"] == answers["displacements"]
-    assert told["error"] == told["interpolation"] == answers["errors"]
+    assert reported["displacement"] == answers["displacements"]
+    assert reported["error"] == reported["interpolation"] == answers["errors"]
 
 
 def test_looking_at_a_table_counts_as_no_query(rig):
@@ -154,21 +154,23 @@ def test_looking_at_a_table_counts_as_no_query(rig):
 
 
 def test_a_glance_tells_what_parts_of_the_range_are_covered(rig):
-    told = rig.get(f"{RIG}/glance").json()
-    for shares in (told["whole"], *told["axes"].values()):
+    reported = rig.get(f"{RIG}/glance").json()
+    for shares in (reported["whole"], *reported["axes"].values()):
         assert sum(shares) == pytest.approx(1.0)
         assert min(shares) >= 0.0
-    assert told["axes"].keys() == {"x", "y", "z"}
-    assert told["interpolation"] == told["error"]  # measured rows: no discretisation error
-    assert told["within_tolerance"] is None or told["within_tolerance"] <= told["whole"][0]
+    assert reported["axes"].keys() == {"x", "y", "z"}
+    assert reported["interpolation"] == reported["error"]  # measured rows: no discretisation error
+    assert (
+        reported["within_tolerance"] is None or reported["within_tolerance"] <= reported["whole"][0]
+    )
     empty = rig.get("/v1/components/plate_thin/glance").json()
     assert empty["whole"] == [0.0, 0.0, 1.0]
 
 
 def test_the_surface_of_an_unsolved_part_is_there_to_draw(http):
-    told = http.get("/v1/components/plate_thin/surface").json()
-    assert len(told["triangles"]) > 100
-    assert max(map(max, told["triangles"])) < len(told["vertices"]) <= 2000
+    reported = http.get("/v1/components/plate_thin/surface").json()
+    assert len(reported["triangles"]) > 100
+    assert max(map(max, reported["triangles"])) < len(reported["vertices"]) <= 2000
 
 
 def faces_of(http, files):
@@ -182,20 +184,20 @@ def faces_of(http, files):
 
 
 def test_the_faces_of_a_part_are_those_of_its_check_with_a_trace_that_has_their_toml(http):
-    told = http.get("/v1/components/plate_thin/faces").json()
+    reported = http.get("/v1/components/plate_thin/faces").json()
     folder = http.app.state.workspace.library["plate_thin"].folder
     checked = report(folder, surface=surface_in(folder))["faces"]
-    assert told["faces"] == json.loads(json.dumps(checked))
-    lines = {one["meta"] for one in told["figure"]["data"] if one["type"] == "mesh3d"}
-    assert lines == {face["toml"] for face in told["faces"]}
+    assert reported["faces"] == json.loads(json.dumps(checked))
+    lines = {item["meta"] for item in reported["figure"]["data"] if item["type"] == "mesh3d"}
+    assert lines == {face["toml"] for face in reported["faces"]}
 
 
 def test_a_bundle_shows_its_faces_before_the_rest_is_written_and_is_not_added(http):
     blocks = Path(__file__).parents[1] / "fea/good/blocks/blocks.msh"
     toml = 'name = "half"\n[mesh]\nfile = "part.msh"\nunit = "mm"\n'
-    told = faces_of(http, {"component.toml": toml, "part.msh": blocks.read_bytes()})
-    assert told.status_code == 200
-    assert told.json()["faces"][0]["toml"] == '{plane = "x", at = 0.0}'
+    reported = faces_of(http, {"component.toml": toml, "part.msh": blocks.read_bytes()})
+    assert reported.status_code == 200
+    assert reported.json()["faces"][0]["toml"] == '{plane = "x", at = 0.0}'
     assert http.get("/v1/components/half").status_code == 404
 
 
@@ -205,9 +207,9 @@ def test_a_bundle_shows_its_faces_before_the_rest_is_written_and_is_not_added(ht
 )
 def test_a_bundle_whose_faces_cannot_be_read_is_refused_with_the_reason(http, file, why):
     mesh = f'[mesh]\nfile = "{file}"\nunit = "mm"\n' if file else ""
-    told = faces_of(http, {"component.toml": f'name = "half"\n{mesh}'})
-    assert told.status_code == 422
-    assert why in told.json()["detail"]
+    reported = faces_of(http, {"component.toml": f'name = "half"\n{mesh}'})
+    assert reported.status_code == 422
+    assert why in reported.json()["detail"]
 
 
 @pytest.mark.parametrize(
@@ -221,9 +223,9 @@ def test_a_bundle_whose_faces_cannot_be_read_is_refused_with_the_reason(http, fi
 def test_a_bundle_whose_mesh_file_is_wrong_is_refused_with_its_mistake(http, toml, deck, why):
     nodes = "*NODE\n1,0,0,0\n2,1,0,0\n3,0,1,0\n4,0,0,1\n*ELEMENT,TYPE=C3D4\n"
     mesh = f'[mesh]\nfile = "m.inp"\nunit = "mm"\n{toml}'
-    told = faces_of(http, {"component.toml": mesh, "m.inp": nodes + deck + "\n"})
-    assert told.status_code == 422
-    assert why in told.json()["detail"]
+    reported = faces_of(http, {"component.toml": mesh, "m.inp": nodes + deck + "\n"})
+    assert reported.status_code == 422
+    assert why in reported.json()["detail"]
 
 
 def test_a_table_without_a_mesh_has_no_faces(rig):
@@ -242,16 +244,16 @@ def test_the_log_of_a_failed_job_names_no_folder_of_the_machine(http, failed, fo
     (failed / LOG).write_text(
         f'File "{folder.absolute()}/jobs/1/1/deck", in {Path(problems.__file__).parents[2]}'
     )
-    told = http.get("/v1/jobs/1/log")
-    assert told.headers["content-type"].startswith("text/plain")
-    assert told.text == 'File "<data>/jobs/1/1/deck", in <wrenchbook>'
+    reported = http.get("/v1/jobs/1/log")
+    assert reported.headers["content-type"].startswith("text/plain")
+    assert reported.text == 'File "<data>/jobs/1/1/deck", in <wrenchbook>'
 
 
 def test_of_a_long_log_the_end_is_told_and_how_much_is_missing(http, failed):
     (failed / LOG).write_bytes(b"x" * 10 + b"y" * MAX_LOG_BYTES)
-    told = http.get("/v1/jobs/1/log").text
-    assert told.startswith("[the first 10 bytes are in .../files]\ny")
-    assert "x" not in told.removeprefix("[the first 10 bytes are in .../files]")
+    reported = http.get("/v1/jobs/1/log").text
+    assert reported.startswith("[the first 10 bytes are in .../files]\ny")
+    assert "x" not in reported.removeprefix("[the first 10 bytes are in .../files]")
 
 
 def test_a_log_that_is_a_link_is_not_followed(http, failed, tmp_path):
@@ -264,5 +266,5 @@ def test_a_log_that_is_a_link_is_not_followed(http, failed, tmp_path):
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: path.name)
 def test_no_text_of_others_is_made_markup_or_script(path):
-    made = r"(inner|outer)HTML|insertAdjacentHTML|document\.write|\beval\(|new Function|srcdoc"
-    assert not re.search(made, path.read_text(encoding="utf-8"))
+    created = r"(inner|outer)HTML|insertAdjacentHTML|document\.write|\beval\(|new Function|srcdoc"
+    assert not re.search(created, path.read_text(encoding="utf-8"))

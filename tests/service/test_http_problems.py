@@ -48,7 +48,7 @@ def changing(http):
     """What no wrong call may change."""
     workspace, settings = http.app.state.workspace, http.app.state.workspace.settings
     with workspace.ledger.reading() as db:
-        counts = [db.execute(f"SELECT count(*) FROM {one}").fetchone() for one in CHANGING]
+        counts = [db.execute(f"SELECT count(*) FROM {item}").fetchone() for item in CHANGING]
     return counts, workspace.library.names(), list((settings.data / "components").iterdir())
 
 
@@ -84,18 +84,18 @@ def test_a_wrong_call_is_refused_as_documented_and_changes_nothing(http, documen
     reply = http.request(method, address, **request_of(case))
     assert reply.status_code == case["status"], reply.text
     assert changing(http) == before
-    told, kind = reply.json(), reply.headers["content-type"]
+    reported, kind = reply.json(), reply.headers["content-type"]
     assert kind == "application/problem+json"
-    assert told["status"] == case["status"]
-    assert set(document["components"]["schemas"]["Problem"]["required"]) <= told.keys()
-    assert told["detail"]
+    assert reported["status"] == case["status"]
+    assert set(document["components"]["schemas"]["Problem"]["required"]) <= reported.keys()
+    assert reported["detail"]
     _, documented = operation(document, method.lower(), address)
     if documented is not None:
         assert kind in documented["responses"][str(case["status"])]["content"]
-    places = [one.get("loc", one.get("field")) for one in told.get("errors", ())]
+    places = [item.get("loc", item.get("field")) for item in reported.get("errors", ())]
     assert places == case.get("places", places)
     assert case.get("place", "") in ("", *places)
-    assert all(one["msg"] for one in told.get("errors", ()) if "loc" in one)
+    assert all(item["msg"] for item in reported.get("errors", ()) if "loc" in item)
     assert [words for words in case.get("words", ()) if words not in reply.text] == []
 
 

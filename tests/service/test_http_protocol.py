@@ -52,16 +52,16 @@ def port(client):
 @pytest.fixture
 def straight(monkeypatch):
     """Return how many questions were answered straight so far."""
-    found = []
+    results = []
     ask = FastPath.answer
 
     def counted(self, head, body):
         content = ask(self, head, body)
-        found.append(isinstance(content, bytes))
+        results.append(isinstance(content, bytes))
         return content
 
     monkeypatch.setattr(FastPath, "answer", counted)
-    return lambda: sum(found)
+    return lambda: sum(results)
 
 
 def request(body=BODY, path=PATH, verb="POST", fields=(), length=None):
@@ -72,8 +72,8 @@ def request(body=BODY, path=PATH, verb="POST", fields=(), length=None):
 
 def chunked(*pieces):
     head = f"POST {PATH} HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\n\r\n".encode()
-    told = b"".join(b"%x\r\n%b\r\n" % (len(piece), piece) for piece in pieces)
-    return head + told + b"0\r\n\r\n"
+    reported = b"".join(b"%x\r\n%b\r\n" % (len(piece), piece) for piece in pieces)
+    return head + reported + b"0\r\n\r\n"
 
 
 class Wire:
@@ -115,8 +115,8 @@ class Wire:
 
 @pytest.fixture
 def wire(port):
-    with closing(Wire(port)) as found:
-        yield found
+    with closing(Wire(port)) as result:
+        yield result
 
 
 def same(body):
@@ -140,9 +140,9 @@ def test_an_estimate_is_counted_on_both_ways_and_says_which_job_solves_a_complia
     assert "solves the component's compliance: ask again once it is done" in reason
     far = body.replace(b"10.0", b"1e4")
     counts = []
-    for one in (None, far, far[:-1] + b', "detail": false}'):
-        if one:
-            assert orjson.loads(wire.ask(request(one))[2])["coverage"] == "outside"
+    for item in (None, far, far[:-1] + b', "detail": false}'):
+        if item:
+            assert orjson.loads(wire.ask(request(item))[2])["coverage"] == "outside"
         demand = wire.ask(request(b"", "/v1/components/solved/demand", "GET"))[2]
         counts.append(orjson.loads(demand)["asked"])
     assert np.diff(counts).tolist() == [1, 1]
@@ -227,8 +227,10 @@ def test_pipelined_questions_are_answered_in_their_order(wire):
     wire.send(b"".join(map(request, bodies)))
     replies = [wire.reply() for _ in bodies]
     assert [status for status, _, _ in replies] == [422 if k == 3 else 200 for k in range(30)]
-    told = [orjson.loads(body)["translation"][0] for status, _, body in replies if status == 200]
-    assert (np.diff(told) > 0).all()  # as the pushes do
+    reported = [
+        orjson.loads(body)["translation"][0] for status, _, body in replies if status == 200
+    ]
+    assert (np.diff(reported) > 0).all()  # as the pushes do
 
 
 def test_a_piece_that_ends_like_a_whole_question_inside_another_is_not_taken_for_one(wire):
@@ -314,10 +316,10 @@ BAD = {name: case["text"].encode() for name, case in tables(__file__)["bodies"].
 @pytest.mark.parametrize("body", BAD.values(), ids=BAD)
 def test_a_bad_body_is_a_problem_and_the_connection_goes_on(wire, body):
     for way in (request, chunked):
-        status, headers, told = wire.ask(way(body) if body else request(body))
+        status, headers, reported = wire.ask(way(body) if body else request(body))
         assert status == 422
         assert headers["content-type"] == "application/problem+json"
-        problem = orjson.loads(told)
+        problem = orjson.loads(reported)
         assert problem["status"] == 422
         assert problem["errors"][0]["loc"]
         assert wire.ask(request())[0] == 200
@@ -343,9 +345,9 @@ ALIKE = (
 
 @pytest.mark.parametrize(("body", "status"), ALIKE.values(), ids=ALIKE)
 def test_both_ways_read_the_same_numbers(wire, body, status):
-    found, _, straight = wire.ask(request(body))
+    result, _, straight = wire.ask(request(body))
     other, _, usual = wire.ask(request(body[:-1] + b', "detail": false}'))
-    assert found == other == status
+    assert result == other == status
     assert same(straight) == same(usual)
     assert not re.search(rb"NaN|Infinity", straight)
 
@@ -388,8 +390,8 @@ CALLS = {
 @pytest.mark.parametrize(("call", "status"), CALLS.values(), ids=CALLS)
 def test_a_call_that_there_is_not_is_a_problem(wire, call, status):
     for _ in range(2):
-        found, headers, body = wire.ask(call)
-        assert (found, orjson.loads(body)["status"]) == (status, status)
+        result, headers, body = wire.ask(call)
+        assert (result, orjson.loads(body)["status"]) == (status, status)
         assert headers["content-type"] == "application/problem+json"
 
 
@@ -485,11 +487,13 @@ def logged(monkeypatch):
 @pytest.fixture
 def connections(monkeypatch):
     """Return the server's sides of the connections that begin from now on."""
-    made, begin = [], FastPathProtocol.connection_made
+    created, begin = [], FastPathProtocol.connection_made
     monkeypatch.setattr(
-        FastPathProtocol, "connection_made", lambda self, to: (made.append(self), begin(self, to))
+        FastPathProtocol,
+        "connection_made",
+        lambda self, to: (created.append(self), begin(self, to)),
     )
-    return made
+    return created
 
 
 GET = b"GET /docs HTTP/1.1\r\nHost: x\r\n\r\n"
@@ -525,7 +529,11 @@ def test_a_caller_that_leaves_before_its_requests_are_answered_is_not_logged(
             leaving.send(GET * 3)
             # Close with a reset, whatever the server sends.
             leaving.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-    until(lambda: len(connections) == 20 and all(one.parser is None for one in connections))
+    until(
+        lambda: (
+            len(connections) == 20 and all(connection.parser is None for connection in connections)
+        )
+    )
     with closing(Wire(port)) as other:
         assert other.ask(request())[0] == 200
     until(lambda: not connections[0].tasks)
@@ -601,8 +609,8 @@ def test_an_uncovered_query_costs_its_key_one_request(tmp_path, monkeypatch):
             uncovered = uncovered.replace(b'reject  "', b'reject"  ')
             bodies = [uncovered, covered, uncovered, covered, b"{", b"{"]
             key = [f"Authorization: Bearer {loop}"]
-            found = [wire.ask(request(body, fields=key))[0] for body in bodies]
-    assert found == [409, 200, 409, 200, 422, 422]
+            result = [wire.ask(request(body, fields=key))[0] for body in bodies]
+    assert result == [409, 200, 409, 200, 422, 422]
     assert len(counted) == len(bodies)
 
 

@@ -121,8 +121,8 @@ def test_wait_gets_its_own_exact_solve_beside_an_open_job_near_by(http, scale):
     assert reply.status_code == 202
     job = reply.json()["job"]
     assert job["id"] != first
-    told = http.get(job["url"]).json()
-    assert told["force"] + told["moment"] == wrench.tolist()
+    reported = http.get(job["url"]).json()
+    assert reported["force"] + reported["moment"] == wrench.tolist()
 
 
 def test_a_batch_of_100000_thin_wrenches_queues_at_most_64(http, scale):
@@ -279,7 +279,7 @@ def test_the_solves_of_a_fill_lie_within_its_range(http):
     force = [[-10.0, 10.0], [0.0, 0.0], [-50.0, -20.0]]
     reply = http.post(FILL, json={"budget": 5, "range": {"force": force, "moment": NONE}})
     assert reply.status_code == 202
-    jobs = [http.get(one["url"]).json() for one in reply.json()["jobs"]]
+    jobs = [http.get(item["url"]).json() for item in reply.json()["jobs"]]
     wrenches = np.array([job["force"] + job["moment"] for job in jobs])
     assert len(wrenches) == 5
     low, high = np.array(force + NONE).T
@@ -321,14 +321,14 @@ def accept(http, count):
 
 
 def test_pages_follow_each_other_and_hold_each_job_once(idle):
-    ids, found, url = accept(idle, 25), [], "/v1/jobs?component=spring&status=waiting&limit=10"
+    ids, result, url = accept(idle, 25), [], "/v1/jobs?component=spring&status=waiting&limit=10"
     while url:
         reply = idle.get(url)
-        found += [job["id"] for job in reply.json()["jobs"]]
+        result += [job["id"] for job in reply.json()["jobs"]]
         linked = re.search(r'<(.*)>; rel="next"', reply.headers.get("link", ""))
         url = reply.json()["next"]
         assert (linked.group(1) if linked else None) == url
-    assert found == ids[::-1]
+    assert result == ids[::-1]
 
 
 def test_jobs_that_come_while_pages_are_read_shift_none(idle):

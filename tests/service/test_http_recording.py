@@ -47,8 +47,8 @@ def test_a_block_sent_twice_counts_once(http, call):
     assert not post(http, call, wrenches_of(5), **block).json()["duplicate"]
     again = post(http, call, wrenches_of(5), **block)
     assert (again.status_code, again.json()["duplicate"]) == (200, True)
-    found = http.get(f"{PLATE}/{call}").json()
-    assert found.get("total", found.get("count")) == 5
+    result = http.get(f"{PLATE}/{call}").json()
+    assert result.get("total", result.get("count")) == 5
 
 
 def test_a_key_used_for_other_wrenches_is_refused_and_says_what_to_do(http):
@@ -62,12 +62,12 @@ def test_a_key_used_for_other_wrenches_is_refused_and_says_what_to_do(http):
 def test_more_than_ten_thousand_are_thinned_and_the_reply_says_so(http):
     for seed in (1, 2):
         post(http, "recording", wrenches_of(6000, seed))
-    found = http.get(f"{PLATE}/recording").json()
-    assert found["total"] == 12_000
-    assert len(found["wrenches"]) == found["kept"] <= 10_000
-    assert found["kept"] + found["merged"] + found["thinned"] == 12_000
-    assert "thinned out" in found["reason"]
-    assert found["within"] < 1
+    result = http.get(f"{PLATE}/recording").json()
+    assert result["total"] == 12_000
+    assert len(result["wrenches"]) == result["kept"] <= 10_000
+    assert result["kept"] + result["merged"] + result["thinned"] == 12_000
+    assert "thinned out" in result["reason"]
+    assert result["within"] < 1
 
 
 def test_a_flood_of_blows_takes_no_place_from_what_is_within_the_range(http):
@@ -75,10 +75,10 @@ def test_a_flood_of_blows_takes_no_place_from_what_is_within_the_range(http):
     post(http, "recording", usual)
     for seed in (2, 3):
         post(http, "recording", wrenches_of(9000, seed) * 1e6)
-    found = http.get(f"{PLATE}/recording").json()
-    assert found["wrenches"][:2000] == usual.tolist()
-    assert found["within"] == 0.0
-    assert found["kept"] <= 3000
+    result = http.get(f"{PLATE}/recording").json()
+    assert result["wrenches"][:2000] == usual.tolist()
+    assert result["within"] == 0.0
+    assert result["kept"] <= 3000
 
 
 def test_a_wrench_outside_the_range_is_kept_told_and_not_solved_by_itself(http, stand_in):
@@ -104,9 +104,9 @@ def test_wrenches_of_any_size_are_taken_and_break_nothing(http, part):
     huge = {"wrenches": [[1e308] * 6, [-1e308] * 6, [5e-324] * 6]}
     for call in ("recording", "envelope"):
         assert http.post(f"{part}/{call}", json=huge).status_code in (200, 201)
-        found = http.get(f"{part}/{call}")
-        assert found.status_code == 200
-        assert found.json()["outside"] == 2
+        result = http.get(f"{part}/{call}")
+        assert result.status_code == 200
+        assert result.json()["outside"] == 2
     assert http.get(f"{part}/envelope").json()["negligible"] is None
 
 
@@ -191,12 +191,12 @@ def test_an_envelope_has_the_extremes_of_each_load_and_the_whole_wrenches_there(
     wrenches = wrenches_of(500)
     for start in range(0, 500, 100):
         post(http, "envelope", wrenches[start : start + 100])
-    found = http.get(f"{PLATE}/envelope").json()
-    assert found["count"] == 500
-    assert found["min"] == wrenches.min(axis=0).tolist()
-    assert found["max"] == wrenches.max(axis=0).tolist()
-    assert found["at_min"] == wrenches[wrenches.argmin(axis=0)].tolist()
-    assert found["at_max"] == wrenches[wrenches.argmax(axis=0)].tolist()
+    result = http.get(f"{PLATE}/envelope").json()
+    assert result["count"] == 500
+    assert result["min"] == wrenches.min(axis=0).tolist()
+    assert result["max"] == wrenches.max(axis=0).tolist()
+    assert result["at_min"] == wrenches[wrenches.argmin(axis=0)].tolist()
+    assert result["at_max"] == wrenches[wrenches.argmax(axis=0)].tolist()
 
 
 def test_the_extremes_are_solved_each_once(http):
@@ -210,10 +210,10 @@ def test_the_extremes_are_solved_each_once(http):
 
 def test_nothing_is_called_negligible_while_nothing_is_known(http):
     post(http, "envelope", np.zeros((1, 6)) + 1e-9)
-    found = http.get(f"{PLATE}/envelope").json()
-    assert found["negligible"] is None
-    assert found["displacement_bound"] == [None] * 6
-    assert "start" in found["reason"]
+    result = http.get(f"{PLATE}/envelope").json()
+    assert result["negligible"] is None
+    assert result["displacement_bound"] == [None] * 6
+    assert "start" in result["reason"]
 
 
 def linear_rows():
@@ -232,12 +232,12 @@ def test_the_bound_of_an_envelope_is_the_largest_answer_in_its_box(tmp_path):
         add_table(client, "part", rows, tolerance=tolerance)
         wrenches = 0.5 * full_wrenches(30, 7)
         client.widen_envelope("part", wrenches)
-        found = client.envelope("part")
+        result = client.envelope("part")
         low, high = wrenches.min(axis=0), wrenches.max(axis=0)
         corners = np.array(list(product(*zip(low, high, strict=True))))
         largest = np.abs(corners @ matrix.T).max(axis=0)
-        assert (found.displacement_bound >= largest * (1 - 1e-9)).all()
-        assert (found.displacement_bound <= largest * 1.5 + 1e-9).all()
-        assert (found.bound, found.negligible) == ("estimate", True)
+        assert (result.displacement_bound >= largest * (1 - 1e-9)).all()
+        assert (result.displacement_bound <= largest * 1.5 + 1e-9).all()
+        assert (result.bound, result.negligible) == ("estimate", True)
         tight = {"translation": largest[:3].max() / 2, "rotation": 1.0}
         assert client.envelope("part", tolerance=tight).negligible is False

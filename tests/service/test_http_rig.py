@@ -51,9 +51,9 @@ def test_moments_about_a_load_point_are_those_of_the_interface_after_the_import(
     about = rows.wrench.copy()
     about[:, 3:] -= np.cross(POINT, about[:, :3])
     file = csv_of(Rows.of(about, rows.displacement))
-    (found,) = send(http, file, dry_run=True).json()["findings"]
-    assert found["cause"] == "lever"
-    np.testing.assert_allclose(found["lever"], np.negative(POINT), atol=0.01)
+    (result,) = send(http, file, dry_run=True).json()["findings"]
+    assert result["cause"] == "lever"
+    np.testing.assert_allclose(result["lever"], np.negative(POINT), atol=0.01)
     reply = send(http, file, load_point=TEXT).json()
     assert (reply["findings"], reply["rig"]["load_point"]) == ([], POINT)
     wrench = [six(row, LOADS) for row in sole(http)]
@@ -67,9 +67,9 @@ def test_the_point_that_a_lever_finding_names_silences_it(http, measured, option
     about = rows.wrench.copy()
     about[:, 3:] -= np.cross(POINT, about[:, :3])
     file = csv_of(Rows.of(about, rows.displacement))
-    (found,) = send(http, file, dry_run=True).json()["findings"]
-    words = found["message"].split(f"--{option.replace('_', '-')} ")[1]
-    reply = send(http, file, **{option: words.split(" ")[0].rstrip(";")}).json()
+    (result,) = send(http, file, dry_run=True).json()["findings"]
+    texts = result["message"].split(f"--{option.replace('_', '-')} ")[1]
+    reply = send(http, file, **{option: texts.split(" ")[0].rstrip(";")}).json()
     assert reply["findings"] == []
 
 
@@ -89,8 +89,8 @@ def test_a_rig_file_is_kept_named_in_the_source_and_read_back(http, measured):
     text = "# load cell 4711\nname = 'bench 3'\nframe = 'x=-y,y=x,z=z'\nload_point = [0, 0, 0.05]\n"
     reply = send(http, f"{HEADER}\n{ONE}\n", rig=text).json()
     frame = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
-    told = {"name": "bench 3", "left_handed": False, "frame": frame}
-    assert reply["rig"].items() >= told.items()
+    reported = {"name": "bench 3", "left_handed": False, "frame": frame}
+    assert reply["rig"].items() >= reported.items()
     (row,) = sole(http)
     assert row["source"] == "measured, rig bench 3"
     assert six(row, LOADS) == [0, -100, 0, 5, 0, 0]
@@ -182,8 +182,8 @@ def test_rows_of_json_are_taken_to_the_interface_and_their_mistakes_name_their_p
     solve = {**good, "source": "fea"}
     point = {"displacement_point": "0,0,1"}
     refused = http.post(CALL, json={"rows": [good, bad, solve]}, params=point).json()
-    found = [(one["row"], one["field"]) for one in refused["errors"]]
-    assert found == [(2, "displacement[4]"), (3, "source")]
+    result = [(error["row"], error["field"]) for error in refused["errors"]]
+    assert result == [(2, "displacement[4]"), (3, "source")]
     assert http.post(CALL, json={"rows": [good]}, params=point).status_code == 200
 
 
@@ -209,7 +209,7 @@ def on_the_ground(wrench, displacement):
 
 def text(wrench, displacement):
     rows = np.hstack((wrench, displacement)).tolist()
-    lines = (",".join("" if np.isnan(one) else repr(one) for one in row) for row in rows)
+    lines = (",".join("" if np.isnan(item) else repr(item) for item in row) for row in rows)
     return "\n".join([HEADER, *lines])
 
 
@@ -352,9 +352,9 @@ def test_each_interface_of_a_part_has_its_own_cell(solved):
     wrench, moved = np.hstack((solved[0], solved[0][::-1])), np.hstack((solved[1], solved[1][::-1]))
     ground = [on_the_ground(wrench[:, k : k + 6], moved[:, k : k + 6]) for k in (0, 6)]
     report = ReadReport()
-    (found,) = rigged(iter(pieces_of(np.hstack(ground), moved, space=space)), options, report)
+    (result,) = rigged(iter(pieces_of(np.hstack(ground), moved, space=space)), options, report)
     assert not report.mistakes
-    np.testing.assert_allclose(found.wrench, wrench, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(result.wrench, wrench, rtol=0, atol=1e-12)
 
 
 def test_the_client_and_the_command_line_take_the_load_cell(tmp_path, solved):

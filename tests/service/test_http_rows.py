@@ -220,7 +220,7 @@ def serving(folder, unused, before):
     reader = threading.Thread(target=lambda: log.extend(server.stdout))
     reader.start()
     try:
-        until(lambda: server.poll() is not None or any(b"Uvicorn running" in one for one in log))
+        until(lambda: server.poll() is not None or any(b"Uvicorn running" in item for item in log))
         assert server.poll() is None, log
         yield
     finally:

@@ -54,11 +54,11 @@ KEYS = {
 
 @pytest.fixture(scope="module")
 def client(tmp_path_factory) -> Iterator[Client]:
-    with served(tmp_path_factory.mktemp("scenes") / "workspace") as made:
+    with served(tmp_path_factory.mktemp("scenes") / "workspace") as created:
         # The corners of the scene too: a bound takes answers whose errors are known there.
         wrenches = np.concatenate((full_wrenches(40), CORNERS))
-        add_table(made, "rig", as_rows(wrenches, moved(wrenches), tangents(wrenches)))
-        yield made
+        add_table(created, "rig", as_rows(wrenches, moved(wrenches), tangents(wrenches)))
+        yield created
 
 
 def body(**more: object) -> dict:
@@ -68,23 +68,23 @@ def body(**more: object) -> dict:
 def test_a_plan_tells_what_is_needed_and_what_is_left_out(http):
     reply = http.post(CALL, json=body(outputs=["uz", "rx"]))
     assert reply.status_code == 200
-    told = reply.json()["components"]["plate_thin"]
-    assert told.keys() >= KEYS
-    assert told["loads"] == ["fx", "fz", "my"]
-    assert told["outputs"] == ["uz", "rx"]
-    assert told["axes"]["z"] == {"inputs": ["fz", "my"], "dimensions": 2}
-    assert told["solves"] == {"whole": 9, "scene": 6}
-    assert told["displacement_bound"] == [None] * 6
-    assert told["saves"] == {"build_s": None, "memory_bytes": None, "us_per_answer": None}
-    assert "no rows yet" in told["saves_from"]["build_s"]
+    reported = reply.json()["components"]["plate_thin"]
+    assert reported.keys() >= KEYS
+    assert reported["loads"] == ["fx", "fz", "my"]
+    assert reported["outputs"] == ["uz", "rx"]
+    assert reported["axes"]["z"] == {"inputs": ["fz", "my"], "dimensions": 2}
+    assert reported["solves"] == {"whole": 9, "scene": 6}
+    assert reported["displacement_bound"] == [None] * 6
+    assert reported["saves"] == {"build_s": None, "memory_bytes": None, "us_per_answer": None}
+    assert "no rows yet" in reported["saves_from"]["build_s"]
 
 
 def test_a_scene_narrower_than_wrenches_are_told_apart_is_planned_too(http):
     speck = {"force": [[-1e-308, 1e-308], [0, 0], [0, 0]], "moment": NONE}
     reply = http.post(CALL, json={"components": {"plate_thin": speck}})
     assert reply.status_code == 200
-    told = reply.json()["components"]["plate_thin"]
-    assert told["solves"] == {"whole": 9, "scene": 1}
+    reported = reply.json()["components"]["plate_thin"]
+    assert reported["solves"] == {"whole": 9, "scene": 1}
 
 
 def test_a_fill_of_the_scene_queues_the_solves_of_its_plan_and_no_others(http, stand_in):
@@ -93,7 +93,7 @@ def test_a_fill_of_the_scene_queues_the_solves_of_its_plan_and_no_others(http, s
     wanted = {"range": PLANAR, "budget": 100}
     reply = http.post("/v1/components/plate_thin/fill", json=wanted)
     assert reply.status_code == 202
-    jobs = [http.get(one["url"]).json() for one in reply.json()["jobs"]]
+    jobs = [http.get(item["url"]).json() for item in reply.json()["jobs"]]
     assert len(jobs) == planned == 6
     wrenches = np.array([job["force"] + job["moment"] for job in jobs])
     assert (wrenches[:, [1, 3, 5]] == 0).all()
@@ -132,10 +132,10 @@ def test_outputs_that_a_scene_leaves_out_are_unknown_and_the_others_as_of_the_wh
     part, whole = client.download("rig", scene=Scene(ON_RIG)), client.download("rig")
     asked = full_wrenches(50, 3) * np.isin(np.arange(6), READ)
     asked[:, 2] = -np.abs(asked[:, 2])
-    found, full = part.batch(asked, derivatives=True), whole.batch(asked)
-    np.testing.assert_array_equal(found.displacements[:, READ], full.displacements[:, READ])
-    np.testing.assert_array_equal(found.errors[:, READ], full.errors[:, READ])
-    for unknown in (found.displacements[:, [1, 3, 5]], found.derivatives[:, [1, 3, 5]]):
+    result, full = part.batch(asked, derivatives=True), whole.batch(asked)
+    np.testing.assert_array_equal(result.displacements[:, READ], full.displacements[:, READ])
+    np.testing.assert_array_equal(result.errors[:, READ], full.errors[:, READ])
+    for unknown in (result.displacements[:, [1, 3, 5]], result.derivatives[:, [1, 3, 5]]):
         assert np.isnan(unknown).all()
 
 
@@ -283,9 +283,9 @@ def test_a_linear_component_has_the_matrix_of_the_loads_that_occur(link):
     matrix = link.app.state.workspace.surrogate("straight").fit.matrix
     assert plan["decision"] == "linear"
     occurring = [0, 3, N - 1]
-    found = np.array(plan["compliance"])
-    np.testing.assert_array_equal(found[:, occurring], matrix[:, occurring])
-    assert not np.delete(found, occurring, axis=1).any()
+    result = np.array(plan["compliance"])
+    np.testing.assert_array_equal(result[:, occurring], matrix[:, occurring])
+    assert not np.delete(result, occurring, axis=1).any()
 
 
 def test_a_further_input_that_is_left_out_has_its_whole_range(link):
@@ -335,10 +335,10 @@ def test_compliance_coverage_and_envelope_have_the_names_of_the_space(link):
     assert (heads[1], heads[-1]) == ("left.fx", "temperature")
     assert link.get("/v1/components/two_ends/coverage").status_code == 200
     link.post("/v1/components/two_ends/envelope", json={"wrenches": [[0.1] * N]})
-    found = link.get("/v1/components/two_ends/envelope").json()
-    assert found["inputs"][-1] == "temperature"
-    assert len(found["inputs"]) == len(found["min"]) == N
-    assert len(found["outputs"]) == len(found["displacement_bound"])
+    result = link.get("/v1/components/two_ends/envelope").json()
+    assert result["inputs"][-1] == "temperature"
+    assert len(result["inputs"]) == len(result["min"]) == N
+    assert len(result["outputs"]) == len(result["displacement_bound"])
 
 
 def test_the_demand_map_of_many_inputs_outlasts_a_restart(tmp_path):
@@ -349,10 +349,10 @@ def test_the_demand_map_of_many_inputs_outlasts_a_restart(tmp_path):
     counts.save()
     ledger.close()
     ledger = Ledger(tmp_path / "ledger.sqlite")
-    found = QueryStatistics(ledger).map_of("two_ends", span)
+    result = QueryStatistics(ledger).map_of("two_ends", span)
     ledger.close()
-    assert found["asked"] == 1
-    assert len(found["cells"][0]["wrench"]) == N
+    assert result["asked"] == 1
+    assert len(result["cells"][0]["wrench"]) == N
 
 
 def test_a_method_of_axes_is_422_for_several_interfaces(link):

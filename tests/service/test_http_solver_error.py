@@ -56,21 +56,21 @@ def six(bars):
 
 
 def test_a_bar_is_the_sum_of_its_parts_and_not_zero(client):
-    told = told_of(client)
-    parts = told["error_parts"]
-    assert told["coverage"] == "covered"
+    reported = told_of(client)
+    parts = reported["error_parts"]
+    assert reported["coverage"] == "covered"
     assert (six(parts["mesh"]) > 0).all()
     assert (six(parts["linearity"]) > 0).all()
     total = sum(six(parts[cause]) for cause in ("table", "mesh", "linearity"))
-    np.testing.assert_allclose(six(told["error"]), total, rtol=1e-9)
+    np.testing.assert_allclose(six(reported["error"]), total, rtol=1e-9)
     assert "coarser mesh" in parts["mesh_basis"]
 
 
 def test_the_component_tells_it_at_full_range_with_its_buckling_factor(client):
-    told = client.component("bar")["solver_error"]
-    assert 1e-6 < told["mesh"][2] < 1e-4
-    assert told["buckling"] == pytest.approx(6.8, rel=0.05)
-    assert told["linearity"][2] > 1e-4
+    reported = client.component("bar")["solver_error"]
+    assert 1e-6 < reported["mesh"][2] < 1e-4
+    assert reported["buckling"] == pytest.approx(6.8, rel=0.05)
+    assert reported["linearity"][2] > 1e-4
 
 
 def test_copies_and_renames_keep_the_meshes_share(client):
@@ -79,10 +79,10 @@ def test_copies_and_renames_keep_the_meshes_share(client):
     post(client, "bar", "copy", {"name": "bar_copy"})
     post(client, "bar_copy", "rename", {"name": "bar_renamed"})
     for name in ("bar_copy", "bar_renamed"):
-        told = json.loads(ask(client, name, DETAIL).content)
-        assert told["error"] == own["error"]
-        assert told["error_parts"] == own["error_parts"]
-        assert told["within_tolerance"] == own["within_tolerance"]
+        reported = json.loads(ask(client, name, DETAIL).content)
+        assert reported["error"] == own["error"]
+        assert reported["error_parts"] == own["error_parts"]
+        assert reported["within_tolerance"] == own["within_tolerance"]
         assert client.component(name)["solver_error"] == client.component("bar")["solver_error"]
     np.testing.assert_array_equal(
         client.download("bar_renamed").answer(WRENCH).error_vector, six(own["error"])
@@ -124,23 +124,23 @@ def test_a_copy_keeps_what_a_solve_has_told_since_the_check(tmp_path, monkeypatc
     newer = WHOLE | {"mesh_basis": "newer"}
     workspace.errors.record("plate", workspace.library["plate"].fingerprint, newer)
     monkeypatch.setattr("wrenchbook.service.workspace.solver_error_of", lambda *_: WHOLE)
-    made = workspace.library.add_copy("plate", "second", None)
-    assert workspace.errors.read("second", made.fingerprint).values == newer
+    created = workspace.library.add_copy("plate", "second", None)
+    assert workspace.errors.read("second", created.fingerprint).values == newer
     workspace.close()
 
 
 def test_a_component_that_was_never_solved_says_how_to_have_an_estimate(client):
-    told = client.component("plate")["solver_error"]
-    assert told["mesh"] is None
-    assert "next solve" in told["mesh_basis"]
+    reported = client.component("plate")["solver_error"]
+    assert reported["mesh"] is None
+    assert "next solve" in reported["mesh_basis"]
 
 
 def test_a_measured_table_has_no_mesh_part(client):
     wrenches = full_wrenches(30)
     add_table(client, "rig", as_rows(wrenches, moved(wrenches)))
     body = {"force": [1.0, 2.0, 3.0], "moment": [0.1, 0.2, 0.3], "detail": True}
-    told = json.loads(ask(client, "rig", body).content)
-    assert told["error_parts"].keys() == {"table"}
+    reported = json.loads(ask(client, "rig", body).content)
+    assert reported["error_parts"].keys() == {"table"}
     assert client.component("rig")["solver_error"] is None
 
 
@@ -152,15 +152,15 @@ def test_an_attempt_estimates_only_if_it_is_asked_to(tmp_path, monkeypatch):
     bundle.mkdir()
     (bundle / "component.toml").write_text(BUNDLE.format(height=0.1, across=2, poisson=0.3))
     fingerprint = read_bundle(bundle).fingerprint
-    found = []
+    results = []
     for number, estimate in enumerate((False, True)):
         spec = Attempt(number, 1, "block", str(bundle), fingerprint, (1.0,) * 6, estimate)
         prepare(replace(spec, folder=tmp_path / str(number)))
         assert solver.run_attempt(tmp_path / str(number)) == solver.DONE
-        found.append(read_outcome(replace(spec, folder=tmp_path / str(number), estimate=False)))
-    assert found[0].solver_error is None
-    assert np.shape(found[1].solver_error["mesh"]) == (6, 6)
-    assert found[0].displacement == found[1].displacement
+        results.append(read_outcome(replace(spec, folder=tmp_path / str(number), estimate=False)))
+    assert results[0].solver_error is None
+    assert np.shape(results[1].solver_error["mesh"]) == (6, 6)
+    assert results[0].displacement == results[1].displacement
 
 
 @pytest.fixture
@@ -198,9 +198,9 @@ def test_a_damaged_estimate_is_as_none_and_is_made_again(errors):
 
 
 def test_a_covered_answer_whose_mesh_is_over_the_tolerance_says_so(client):
-    told = told_of(client, detail=False)
-    assert told["coverage"] == "covered"
-    assert told["within_tolerance"] is False
+    reported = told_of(client, detail=False)
+    assert reported["coverage"] == "covered"
+    assert reported["within_tolerance"] is False
     wide = told_of(client, tolerance={"translation": 1.0, "rotation": 1.0})
     assert wide["within_tolerance"] is True
     solved = client.solve("bar", WRENCH, wait_s=60)
@@ -209,9 +209,13 @@ def test_a_covered_answer_whose_mesh_is_over_the_tolerance_says_so(client):
 
 
 def test_the_component_warns_once_of_what_more_rows_cannot_mend(client):
-    warnings = [one for one in client.component("bar")["warnings"] if one["where"] == "tolerance"]
+    warnings = [
+        warning
+        for warning in client.component("bar")["warnings"]
+        if warning["where"] == "tolerance"
+    ]
     assert len(warnings) == 2
-    mesh, linearity = (one["message"] for one in warnings)
+    mesh, linearity = (warning["message"] for warning in warnings)
     assert "the mesh is too coarse" in mesh
     assert "cells about" in mesh
     assert "nonlinear = true" in linearity
@@ -234,9 +238,9 @@ def test_nobody_is_told_that_a_bar_without_the_solvers_share_is_within_the_toler
     for lost in (None, SolverError(TOLD | {"mesh": None})):
         table = build(rows, meta.load_range, linear=True, solver_error=lost)
         served = ServedTable(PackedTable.from_bytes(b"".join(pack(table))), built=table)
-        found = answer(served, query)
-        assert found.error is not None
-        assert found.within_tolerance is None
+        result = answer(served, query)
+        assert result.error is not None
+        assert result.within_tolerance is None
 
 
 def test_a_row_that_came_just_now_has_the_solvers_share_though_its_table_is_not_built(tmp_path):
@@ -259,7 +263,7 @@ def test_an_upload_estimates_so_that_the_first_answer_has_its_bar(client, tmp_pa
     client.add_component(folder)
     about = client.component("coarse")
     assert about["solver_error"]["mesh"][0] > 0
-    assert any("the mesh is too coarse" in one["message"] for one in about["warnings"])
+    assert any("the mesh is too coarse" in warning["message"] for warning in about["warnings"])
     answer = client.solve("coarse", [0.0, 0.0, 1.0, 0.0, 0.0, 0.0], wait_s=60)
     assert answer.error_vector[2] > 0
     assert answer.within_tolerance is False

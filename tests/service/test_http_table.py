@@ -329,7 +329,9 @@ def test_a_component_and_its_readiness_have_the_rows_that_are_being_built(
         load(rig, as_csv(measured(before)))
         slow_build.clear()
     load(rig, as_csv(measured(30, seed=8)), wait_s=0)
-    listed = {one["name"]: one for one in rig.get("/v1/components").json()["components"]}
+    listed = {
+        component["name"]: component for component in rig.get("/v1/components").json()["components"]
+    }
     for card in (listed["rig"], rig.get("/v1/components/rig").json()):
         assert (card["rows"], card["pending_rows"]) == (before, 30)
     ready = rig.get("/health/ready", params={"component": "rig"})

@@ -48,10 +48,10 @@ def add(client, folder, name="hanging", *, nonlinear=False, density="", gravity=
     """Add the bar to a server; return its solver."""
     place = folder / name
     place.mkdir(parents=True)
-    words = BUNDLE.format(
+    text = BUNDLE.format(
         name=name, density=density, gravity=gravity, nonlinear=str(nonlinear).lower()
     )
-    (place / "component.toml").write_text(words, "utf-8")
+    (place / "component.toml").write_text(text, "utf-8")
     client.add_component(place)
     return Solver(read_bundle(place))
 
@@ -74,20 +74,20 @@ def six(answer):
 @pytest.mark.parametrize("part", [0.0, 1.0, -0.7])
 def test_a_linear_component_answers_the_sag_and_the_matrix(hanging, part):
     client, solver = hanging
-    found = client.displacement("hanging", part * WRENCH[:3], part * WRENCH[3:])
+    result = client.displacement("hanging", part * WRENCH[:3], part * WRENCH[3:])
     expected = solver.linear.sag_displacement + solver.compliance @ (part * WRENCH)
-    assert six(found) == pytest.approx(expected, rel=1e-9, abs=1e-13)
-    assert found.coverage == "covered"
-    told = client.component("hanging")["interface"]
-    assert told["gravity"] == [0, 0, -9.81]
-    assert "without its weight" in told["displacement"]
+    assert six(result) == pytest.approx(expected, rel=1e-9, abs=1e-13)
+    assert result.coverage == "covered"
+    reported = client.component("hanging")["interface"]
+    assert reported["gravity"] == [0, 0, -9.81]
+    assert "without its weight" in reported["displacement"]
 
 
 def test_the_surface_hangs_at_zero_load(hanging):
     client, solver = hanging
-    found = client.deformed("hanging", (0, 0, 0))
+    result = client.deformed("hanging", (0, 0, 0))
     lowest = solver.linear.sag[:, 2].min()
-    assert np.asarray(found.displacement)[:, 2].min() == pytest.approx(lowest, rel=1e-6)
+    assert np.asarray(result.displacement)[:, 2].min() == pytest.approx(lowest, rel=1e-6)
 
 
 def test_the_own_weight_that_is_left_out_is_a_warning(hanging, tmp_path):
@@ -107,5 +107,5 @@ def test_gravity_without_a_density_is_refused(hanging, tmp_path):
 def test_a_nonlinear_component_answers_its_sag_at_zero_load(hanging, tmp_path):
     client, _ = hanging
     solver = add(client, tmp_path, "bent", nonlinear=True, **HANGS)
-    found = client.displacement("bent", (0, 0, 0), on_thin="wait", wait_s=120)
-    assert six(found) == pytest.approx(solver.solve(np.zeros(6)).displacement, rel=1e-7, abs=1e-12)
+    result = client.displacement("bent", (0, 0, 0), on_thin="wait", wait_s=120)
+    assert six(result) == pytest.approx(solver.solve(np.zeros(6)).displacement, rel=1e-7, abs=1e-12)

@@ -24,9 +24,9 @@ HEADER = (
 @pytest.fixture
 def rig():
     """Return a rig of 90 rows, whose table a busy machine builds in seconds."""
-    found = Rig(7, ("random",))
-    found.wrench, found.displacement = found.wrench[:90], found.displacement[:90]
-    return found
+    result = Rig(7, ("random",))
+    result.wrench, result.displacement = result.wrench[:90], result.displacement[:90]
+    return result
 
 
 def csv_of(rows):
@@ -53,14 +53,14 @@ def test_outliers_are_named_by_their_rows_of_the_file(http, rig):
     rows = rig.measured()
     rows.displacement[[11, 80], 2] += [2 * rig.size[2], -rig.size[2]]
     for query in ({"dry_run": True}, {}):
-        (found,) = load(http, rows, **query).json()["findings"]
-        assert (found["cause"], found["rows"], found["count"]) == ("outlier", [13, 82], 2)
+        (result,) = load(http, rows, **query).json()["findings"]
+        assert (result["cause"], result["rows"], result["count"]) == ("outlier", [13, 82], 2)
 
 
 def test_loads_of_the_wrong_sign_are_loaded_and_said(http, rig):
     add(http, rig)
     reply = load(http, rig.measured("all loads with the wrong sign")).json()
-    assert [one["cause"] for one in reply["findings"]] == ["sign"]
+    assert [finding["cause"] for finding in reply["findings"]] == ["sign"]
     assert reply["inserted"] == len(rig.wrench)
 
 
@@ -90,7 +90,7 @@ def test_of_many_pieces_rows_of_one_distance_are_kept(sizes):
 def findings_of(http):
     """Return what the component warns of its imports."""
     warnings = http.get("/v1/components/rig").json()["warnings"]
-    return [one for one in warnings if "import" in one]
+    return [warning for warning in warnings if "import" in warning]
 
 
 def rows_of(http, count):
@@ -107,15 +107,15 @@ def with_outliers(rig):
 def test_findings_stay_visible_after_the_import(http, rig):
     add(http, rig)
     reply = load(http, with_outliers(rig), filename="rig.csv").json()
-    (found,) = findings_of(http)
-    assert (found["cause"], found["import"], found["count"]) == ("outlier", reply["import"], 2)
-    assert found["where"] == f"import {reply['import']}"
-    assert found["filename"] == "rig.csv"
-    assert found["message"] == reply["findings"][0]["message"]
-    worst = http.get(f"{CALL}/{found['rows'][0]}").json()
+    (result,) = findings_of(http)
+    assert (result["cause"], result["import"], result["count"]) == ("outlier", reply["import"], 2)
+    assert result["where"] == f"import {reply['import']}"
+    assert result["filename"] == "rig.csv"
+    assert result["message"] == reply["findings"][0]["message"]
+    worst = http.get(f"{CALL}/{result['rows'][0]}").json()
     assert worst["provenance"]["import"]["id"] == reply["import"]
     (listed,) = http.get("/v1/components/rig/imports").json()["imports"]
-    assert [one["cause"] for one in listed["findings"]] == ["outlier"]
+    assert [finding["cause"] for finding in listed["findings"]] == ["outlier"]
 
 
 def test_a_finding_is_visible_while_the_table_of_its_import_is_not_built(http, rig, monkeypatch):
@@ -123,7 +123,7 @@ def test_a_finding_is_visible_while_the_table_of_its_import_is_not_built(http, r
     monkeypatch.setattr(MappedTables, "_map", lambda *_: False)  # no table is ever ready
     monkeypatch.setattr("wrenchbook.service.http.routes.CATCH_UP_S", 0.0)
     load(http, with_outliers(rig), wait_s=0)
-    assert [one["cause"] for one in findings_of(http)] == ["outlier"]
+    assert [finding["cause"] for finding in findings_of(http)] == ["outlier"]
 
 
 def test_a_finding_whose_rows_are_withdrawn_one_by_one_disappears(http, rig):
@@ -131,11 +131,11 @@ def test_a_finding_whose_rows_are_withdrawn_one_by_one_disappears(http, rig):
     load(http, with_outliers(rig))
     first, second = findings_of(http)[0]["rows"]
     http.delete(f"{CALL}/{first}")
-    assert [one["rows"] for one in findings_of(http)] == [[second]]
+    assert [finding["rows"] for finding in findings_of(http)] == [[second]]
     http.delete(f"{CALL}/{second}")
     assert findings_of(http) == []
     http.post(f"{CALL}/{first}/restore")
-    assert [one["rows"] for one in findings_of(http)] == [[first]]
+    assert [finding["rows"] for finding in findings_of(http)] == [[first]]
 
 
 def test_one_call_withdraws_the_rows_that_a_finding_names_and_loses_none(http, rig):
@@ -157,12 +157,12 @@ def test_a_finding_of_all_rows_withdraws_the_import_and_no_other(http, rig):
     add(http, rig)
     wrong = load(http, rig.measured("all loads with the wrong sign")).json()["import"]
     load(http, rig.measured())
-    campaign, found = findings_of(http)  # the second differs from the first
+    campaign, result = findings_of(http)  # the second differs from the first
     assert (campaign["cause"], campaign["rows"]) == ("campaign", [])
-    assert (found["cause"], found["import"], found["rows"]) == ("sign", wrong, [])
+    assert (result["cause"], result["import"], result["rows"]) == ("sign", wrong, [])
     reply = http.delete(f"/v1/components/rig/imports/{wrong}", params={"finding": "sign"}).json()
     assert reply["rows"] == len(rig.wrench)
-    assert [one["cause"] for one in findings_of(http)] == ["campaign"]
+    assert [finding["cause"] for finding in findings_of(http)] == ["campaign"]
     assert rows_of(http, len(rig.wrench))
 
 
@@ -181,7 +181,7 @@ def test_a_second_import_of_the_same_rows_keeps_the_findings_of_the_first(http, 
     rows = with_outliers(rig)
     first = load(http, rows).json()["import"]
     assert load(http, rows).json()["import"] is None
-    assert [one["import"] for one in findings_of(http)] == [first]
+    assert [finding["import"] for finding in findings_of(http)] == [first]
 
 
 def test_a_second_campaign_that_is_softer_is_said_and_one_that_agrees_is_not(http, rig):
@@ -190,9 +190,9 @@ def test_a_second_campaign_that_is_softer_is_said_and_one_that_agrees_is_not(htt
     again = rig.measured()
     assert load(http, again, dry_run=True).json()["findings"] == []
     again.displacement[:] *= 1.1
-    (found,) = load(http, again, dry_run=True).json()["findings"]
-    assert (found["cause"], found["rows"]) == ("campaign", [])
-    assert all(abs(one["factor"] - 1.1) < 0.03 for one in found["differ"].values())
+    (result,) = load(http, again, dry_run=True).json()["findings"]
+    assert (result["cause"], result["rows"]) == ("campaign", [])
+    assert all(abs(item["factor"] - 1.1) < 0.03 for item in result["differ"].values())
 
 
 BAR_TABLE = "/v1/components/bar/table"
@@ -224,8 +224,8 @@ def test_a_measurement_that_agrees_with_the_solves_has_no_finding(http, wrench):
 
 def test_millimetres_under_a_header_of_metres_are_named_against_the_solves(http, wrench):
     moved = wrench @ COMPLIANCE.T * np.repeat([1000.0, 1.0], 3)
-    (found,) = findings(http, wrench, moved, load_cell="moving")
-    assert (found["cause"], found["quantity"]) == ("unit", "translations")
+    (result,) = findings(http, wrench, moved, load_cell="moving")
+    assert (result["cause"], result["quantity"]) == ("unit", "translations")
 
 
 # -- clocks of two logs: a lag is named, and applied only where it is requested ------------------
@@ -261,7 +261,7 @@ def join(http, logs, **query):
 
 
 def causes(reply):
-    return [one["cause"] for one in reply["findings"]]
+    return [finding["cause"] for finding in reply["findings"]]
 
 
 def test_a_clock_shift_in_a_join_is_named_and_nothing_is_applied_silently(http, motion):
@@ -315,9 +315,9 @@ def test_a_file_that_is_read_twice_in_two_ways_is_named_with_its_earlier_import(
     first = send(http, content, load_cell="moving").json()["import"]
     assert send(http, content, load_cell="moving").json()["findings"] == []  # the same rows
     for query in ({"dry_run": True}, {}):
-        (found,) = send(http, content, **other, **query).json()["findings"]
-        assert found["cause"] == "twice"
-        assert f"withdraw rig {first}" in found["message"]
+        (result,) = send(http, content, **other, **query).json()["findings"]
+        assert result["cause"] == "twice"
+        assert f"withdraw rig {first}" in result["message"]
     last = http.get("/v1/components/rig/imports").json()["imports"][0]["id"]
     for number in (first, last):
         http.delete(f"/v1/components/rig/imports/{number}")

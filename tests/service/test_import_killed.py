@@ -73,7 +73,7 @@ def test_a_killed_import_leaves_nothing_and_each_row_is_there_once(tmp_path):
         assert ledger.count_rows("rig") == before
         assert len(ledger.imports("rig")) == before // ROWS
         loads = ledger.audit(action="import.load", limit=2 * KILLS + 2)
-        assert [int(entry.object) for entry in loads] == [one.id for one in ledger.imports("rig")]
+        assert [int(entry.object) for entry in loads] == [item.id for item in ledger.imports("rig")]
         if before == whole * ROWS:
             broken += 1
             at = np.array(chance.sample(range(ROWS), 7))

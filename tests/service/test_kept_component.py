@@ -120,9 +120,9 @@ def test_two_components_in_turn_on_one_solver_each_get_their_own_rows(site):
     thick, thin = site.block(), site.block("thin", height=0.05)
     wrench, warm = wrenches(1)[0] / 10, site.engine()
     expected = [site.solved(site.engine(lives=1), bundle, wrench)[0] for bundle in (thick, thin)]
-    found = [site.solved(warm, bundle, wrench) for bundle in (thick, thin, thick, thin)]
-    assert [outcome for outcome, _ in found] == expected * 2
-    assert len({pid for _, pid in found}) == 1
+    results = [site.solved(warm, bundle, wrench) for bundle in (thick, thin, thick, thin)]
+    assert [outcome for outcome, _ in results] == expected * 2
+    assert len({pid for _, pid in results}) == 1
 
 
 def test_a_solve_beyond_its_memory_fails_by_name_and_the_next_one_has_a_new_solver(
@@ -155,10 +155,10 @@ def test_decks_are_solved_one_after_the_other_by_one_solver_without_a_memory_lim
     write_table(folder, bundle)
     warm, block = site.engine(), site.block()
     site.solved(warm, block, wrenches(1)[0])
-    found = [site.solved(warm, folder, LOAD * factor / 1e3) for factor in (0.5, 1.0)]
-    assert {outcome.status for outcome, _ in found} == {"done"}
-    assert len({pid for _, pid in found}) == 1
-    for outcome, factor in zip((one for one, _ in found), (0.5, 1.0), strict=True):
+    results = [site.solved(warm, folder, LOAD * factor / 1e3) for factor in (0.5, 1.0)]
+    assert {outcome.status for outcome, _ in results} == {"done"}
+    assert len({pid for _, pid in results}) == 1
+    for outcome, factor in zip((one for one, _ in results), (0.5, 1.0), strict=True):
         assert outcome.displacement == pytest.approx((LOAD * factor * 1e-9).tolist())
     printed = next(site.folder.rglob("jobs/3/deck/wrench/printed.txt")).read_text()
     assert "(-1, -1)" in printed

@@ -136,8 +136,8 @@ def test_the_first_key_is_for_admin_printed_once_and_made_once(tmp_path, capsys)
 
 
 def test_keys_are_added_listed_and_revoked_by_commands(tmp_path):
-    def run(*words):
-        return CliRunner().invoke(app, ["keys", *words, "--data", str(tmp_path)])
+    def run(*texts):
+        return CliRunner().invoke(app, ["keys", *texts, "--data", str(tmp_path)])
 
     secret = run("add", "ann", "--scope", "read").stdout.splitlines()[0]
     assert Keyring(tmp_path).find(secret).name == "ann"

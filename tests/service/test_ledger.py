@@ -359,7 +359,9 @@ ledger.close()
 def test_threads_of_processes_that_open_accept_and_claim_at_once_share_each_job_once(tmp_path):
     path, pipe = tmp_path / "ledger.sqlite", subprocess.PIPE
     commands = [[sys.executable, "-c", WORK, str(path), f"worker {n}", "100"] for n in range(3)]
-    workers = [subprocess.Popen(one, stdin=pipe, stdout=pipe, text=True) for one in commands]
+    workers = [
+        subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) for command in commands
+    ]
     for worker in workers:
         assert worker.stdout.readline() == "ready\n"
     for worker in workers:
@@ -482,7 +484,7 @@ def pruned(ledger, settings, *, stopping=False):
 
 
 def left(ledger):
-    return sorted(int(one.name) for one in (ledger.path.parent / "jobs").iterdir())
+    return sorted(int(path.name) for path in (ledger.path.parent / "jobs").iterdir())
 
 
 def test_the_newest_folders_are_kept_and_failed_ones_longer(ledger):
@@ -511,7 +513,7 @@ def test_what_waits_runs_or_is_unknown_is_left_alone(ledger):
     (folder / "owners").mkdir()
     (folder / "4711" / "1").mkdir(parents=True)
     assert pruned(ledger, NONE) == 0
-    assert {one.name for one in folder.iterdir()} == {str(reopened), "owners", "4711"}
+    assert {path.name for path in folder.iterdir()} == {str(reopened), "owners", "4711"}
 
 
 def test_pruning_ends_when_it_is_told_to(ledger):

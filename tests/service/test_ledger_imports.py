@@ -32,8 +32,8 @@ def columns(count, seed=1):
 
 
 def blocks(count, seed=1, lots=3):
-    for one in range(lots):
-        wrench, moved, *_ = columns(count, seed * 100 + one)
+    for index in range(lots):
+        wrench, moved, *_ = columns(count, seed * 100 + index)
         yield NotedRows(Rows.of(wrench, moved, source=["measured"] * count), ["note"] * count)
 
 
@@ -73,7 +73,7 @@ def test_rows_of_a_block_have_the_bytes_of_rows_that_come_alone():
     assert (alone[35].compliance, alone[35].uncertainty) == (None, None)
     together = NotedRows(table.take(np.arange(0, 40, 2)), ["note"] * 20)
     (record,) = records_of("rig", together, keys[::2], 100, 5.0)
-    assert record.key == b"".join(one.key for one in alone[::2])
+    assert record.key == b"".join(item.key for item in alone[::2])
     assert record.sound() == [True] * 20
     for at in range(20):
         single = alone[2 * at]._replace(seq=100 + at, origin="note")
@@ -172,8 +172,8 @@ def test_a_row_that_somebody_else_brings_meanwhile_stays_though_the_import_ends(
 
 @pytest.mark.parametrize("when", ["before its keys", "after its keys"])
 def test_a_row_that_another_writer_brings_during_an_import_is_there_once(ledger, monkeypatch, when):
-    made = next(blocks(10)).rows
-    wrench, moved = made.wrench, made.displacement
+    created = next(blocks(10)).rows
+    wrench, moved = created.wrench, created.displacement
     same = NewRow(wrench[4].tolist(), moved[4].tolist(), "measured", origin="note")
     enter = rows.enter
 
@@ -236,8 +236,8 @@ def test_two_imports_at_once_come_one_after_the_other(ledger):
 def test_a_row_tells_who_brought_it(ledger):
     ledger.import_rows("rig", blocks(5), ImportOrigin("kl", "a.csv", "csv", "ab12", "run 3"))
     first = stored(ledger, "rig")[0]
-    told = ledger.import_of(first.seq)
-    assert (told.who, told.filename, told.digest, told.note, told.rows) == (
+    reported = ledger.import_of(first.seq)
+    assert (reported.who, reported.filename, reported.digest, reported.note, reported.rows) == (
         *("kl", "a.csv", "ab12", "run 3"),
         15,
     )
@@ -256,13 +256,13 @@ def test_known_rows_are_those_in_the_ledger_by_their_keys(ledger):
 
 def test_each_part_of_an_import_is_on_the_disk_before_the_next_begins(ledger, monkeypatch):
     """Else the next durable transaction, which is somebody else's, waits for all of them."""
-    told, sync = [], Ledger.sync
+    reported, sync = [], Ledger.sync
 
     def heard(self):
         with self.writing():  # nobody holds the ledger meanwhile
-            told.append("synced")
+            reported.append("synced")
         sync(self)
 
     monkeypatch.setattr(Ledger, "sync", heard)
     assert ledger.import_rows("rig", blocks(5), ImportOrigin())[:2] == (15, 0)
-    assert len(told) == 4  # three blocks, and the keys
+    assert len(reported) == 4  # three blocks, and the keys

@@ -424,8 +424,8 @@ def test_a_server_with_a_damaged_ledger_says_so_and_answers_from_its_table_file(
         assert refused.status_code == 503
         assert "damaged" in refused.json()["detail"]
         asked = {"force": [0.5, 0, 0], "moment": [0, 0, 0], "on_thin": "estimate"}
-        found = http.post("/v1/components/rig/displacement", json=asked).json()
-        assert found["translation"][0] == pytest.approx(5e-7)
+        result = http.post("/v1/components/rig/displacement", json=asked).json()
+        assert result["translation"][0] == pytest.approx(5e-7)
 
 
 @pytest.mark.parametrize(
@@ -446,8 +446,8 @@ def test_an_import_on_a_disk_that_takes_no_lock_answers_500_with_a_trace_each_ti
     span = {"force": [1] * 3, "moment": [1] * 3}
     row = {"wrench": [1, 0, 0, 0, 0, 0], "displacement": [1e-6, 0, 0, 0, 0, 0]}
     with TestClient(create_app(Settings(folder, solvers=0))) as http:
-        made = {"name": "rig", "title": "a rig", "range": span}
-        assert http.post("/v1/components", json=made).is_success
+        created = {"name": "rig", "title": "a rig", "range": span}
+        assert http.post("/v1/components", json=created).is_success
         monkeypatch.setattr("wrenchbook.service.ledger.imports.take", take)
         caplog.clear()
         for _ in range(3):
@@ -455,8 +455,8 @@ def test_an_import_on_a_disk_that_takes_no_lock_answers_500_with_a_trace_each_ti
             assert refused.status_code == status
             assert remedy in refused.json()["detail"]
             assert os.strerror(number) in refused.json()["detail"]
-        assert [one.levelname for one in caplog.records if one.exc_info] == []
-        errors = [one for one in caplog.records if one.levelname == "ERROR"]
+        assert [record.levelname for record in caplog.records if record.exc_info] == []
+        errors = [record for record in caplog.records if record.levelname == "ERROR"]
         assert len(errors) == 1
         monkeypatch.undo()
         assert http.post("/v1/components/rig/table", json={"rows": [row]}).is_success

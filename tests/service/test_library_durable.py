@@ -188,10 +188,10 @@ def test_a_component_edited_while_it_is_read_is_read_again(library, tmp_path, mo
     (file,) = (tmp_path / "components").glob("rig/component.toml")
 
     def read_and_edit(folder):
-        found = read_bundle(folder)
+        result = read_bundle(folder)
         monkeypatch.setattr("wrenchbook.service.library.library.read_bundle", read_bundle)
         file.write_text(file.read_text().replace('title = "', 'title = "After: ', 1))
-        return found
+        return result
 
     monkeypatch.setattr("wrenchbook.service.library.library.read_bundle", read_and_edit)
     file.write_text(file.read_text().replace('title = "', 'title = "Before: ', 1))
@@ -206,7 +206,7 @@ def test_a_small_library_is_told_as_a_whole():
 
 def test_of_a_large_library_the_names_most_like_it_are_told():
     known = [f"rig_{number:04d}" for number in range(1000)] + ["bracket"]
-    told = str(UnknownComponentError("brakcet", known))
-    assert "bracket" in told
-    assert f"and {len(known) - MAX_NAMES} more" in told
-    assert len(told) < 400
+    reported = str(UnknownComponentError("brakcet", known))
+    assert "bracket" in reported
+    assert f"and {len(known) - MAX_NAMES} more" in reported
+    assert len(reported) < 400

@@ -124,9 +124,9 @@ def test_a_batch_read_in_pieces_is_the_batch_read_whole_or_left_to_that(monkeypa
     body = orjson.dumps({"on_thin": "reject", "wrenches": wrenches.tolist(), "wait_s": 3})
     whole = batch_parts(body)
     monkeypatch.setattr(batch, "PIECE", max(piece, 60))
-    fields, found = batch.in_pieces(body)
+    fields, result = batch.in_pieces(body)
     assert fields == whole[0]
-    np.testing.assert_array_equal(found, whole[1])
+    np.testing.assert_array_equal(result, whole[1])
     rows = b"[1,2,3,4,5,6]"
     for text in (
         b'{"wrenches":[%b%b]}' % (rows, rows),
@@ -202,12 +202,12 @@ def test_a_connection_that_asks_within_the_time_is_answered(live):
 )
 def test_a_head_that_is_longer_than_any_is_refused(live, head):
     with opened(live) as connection:
-        told = b""
+        reported = b""
         with contextlib.suppress(ConnectionResetError, BrokenPipeError):
             connection.sendall(head)
             while piece := connection.recv(1000):
-                told += piece
-        assert told.startswith(b"HTTP/1.1 431") or b"HTTP/1.1 431".startswith(told)
+                reported += piece
+        assert reported.startswith(b"HTTP/1.1 431") or b"HTTP/1.1 431".startswith(reported)
     assert live.is_ready()
 
 
@@ -232,7 +232,7 @@ def test_who_leaves_before_the_request_is_whole_is_no_mistake_of_ours(asked, cal
         await asked.app(scope, receive, send)
 
     asked.portal.call(leave)
-    assert [one["status"] for one in sent if "status" in one] in ([], [499])
+    assert [item["status"] for item in sent if "status" in item] in ([], [499])
 
 
 def test_no_more_connections_are_held_than_there_may_be(live, monkeypatch):
@@ -256,7 +256,7 @@ class Jobs:
 
     def ended(self, job_ids):
         self.looks += 1
-        return {one for one in job_ids if one in self.over}
+        return {job_identifier for job_identifier in job_ids if job_identifier in self.over}
 
 
 async def entered(waiting, count):
@@ -274,8 +274,8 @@ def test_two_thousand_polls_take_one_look_and_no_thread_each():
         ledger.looks = 0
         ledger.over = set(range(2000))
         waiting.notify()
-        found = await asyncio.gather(*tasks)
-        assert all(jobs[0].is_final for jobs in found)
+        results = await asyncio.gather(*tasks)
+        assert all(jobs[0].is_final for jobs in results)
         assert ledger.looks <= 2
         assert not waiting._waiters
 

@@ -52,9 +52,9 @@ def test_a_reply_names_the_id_of_its_request_as_given(http):
 @pytest.mark.parametrize("given", [None, "", "a b", "x" * 129, "\u00e4", "a\tb"])
 def test_an_id_that_no_log_line_should_carry_is_replaced(http, given):
     headers = {} if given is None else {"X-Request-ID": given.encode("latin-1")}
-    made = [http.get("/v1/jobs", headers=headers).headers["x-request-id"] for _ in range(2)]
-    assert made[0] != made[1]
-    assert all(len(one) == 16 and one.isalnum() for one in made)
+    created = [http.get("/v1/jobs", headers=headers).headers["x-request-id"] for _ in range(2)]
+    assert created[0] != created[1]
+    assert all(len(item) == 16 and item.isalnum() for item in created)
 
 
 def test_a_fault_that_lasts_is_logged_once_a_minute(monkeypatch):
@@ -88,7 +88,7 @@ def test_a_500_and_the_lines_of_its_request_share_the_id(crashing, lines):
     reply = crashing.get("/v1/jobs/1", headers={"X-Request-ID": "req-7"})
     assert (reply.status_code, reply.json()["request_id"]) == (500, "req-7")
     assert reply.headers["x-request-id"] == "req-7"
-    (line,) = [one for one in lines() if one["message"] == "about to fail"]
+    (line,) = [item for item in lines() if item["message"] == "about to fail"]
     assert line["request_id"] == "req-7"
 
 
@@ -113,18 +113,18 @@ def test_the_access_log_has_a_line_of_every_request(folder, stand_in, lines):
         client.post(CALL, json=QUERY, headers={"X-Request-ID": "q"})
         client.get("/v1/jobs?limit=3")
         client.get("/v1/x%0AINFO%20forged")  # which makes no line of its own
-    found = [one for one in lines() if one["logger"] == "wrenchbook.access"]
-    assert [one["message"].rpartition(" ms")[0].rpartition(" ")[0] for one in found] == [
+    results = [line for line in lines() if line["logger"] == "wrenchbook.access"]
+    assert [result["message"].rpartition(" ms")[0].rpartition(" ")[0] for result in results] == [
         f'testclient (anonymous) "POST {CALL}" 200',
         'testclient (anonymous) "GET /v1/jobs?limit=3" 200',
         'testclient (anonymous) "GET /v1/x%0AINFO%20forged" 404',
     ]
-    assert found[0]["request_id"] == "q"
+    assert results[0]["request_id"] == "q"
 
 
 def test_a_server_without_the_option_logs_no_request(http, lines):
     http.get("/v1/jobs")
-    assert [one for one in lines() if one["logger"] == "wrenchbook.access"] == []
+    assert [line for line in lines() if line["logger"] == "wrenchbook.access"] == []
 
 
 # -- a line an event, for people or for programs -------------------------------------------------
@@ -137,11 +137,11 @@ def test_the_end_of_each_job_is_a_line_with_its_number(lines, ledger):
     row = ledger.commit(job.id, job.attempt, [0.0] * 6)
     job = ledger.claim("me")
     ledger.fail(job.id, job.attempt, {"kind": "died", "message": "a\nb", "remedy": ""})
-    found = {(one["job"], one["level"]): one for one in lines() if "job" in one}
-    ended = found[done.id, "info"]
+    result = {(line["job"], line["level"]): line for line in lines() if "job" in line}
+    ended = result[done.id, "info"]
     assert f"row {row.seq}" in ended["message"]
     assert (ended["component"], ended["attempt"]) == ("rig", 1)
-    assert "died" in found[job.id, "warning"]["message"]
+    assert "died" in result[job.id, "warning"]["message"]
 
 
 def record(message, *arguments, **extra):
@@ -159,8 +159,8 @@ def test_a_traceback_is_part_of_its_line_in_json():
     try:
         raise ValueError("why")
     except ValueError as error:
-        told = record("failed", exc_info=(ValueError, error, error.__traceback__))
-    line = json.loads(JsonLines().format(told))
+        reported = record("failed", exc_info=(ValueError, error, error.__traceback__))
+    line = json.loads(JsonLines().format(reported))
     assert "ValueError: why" in line["exception"]
 
 

@@ -157,8 +157,8 @@ def test_a_component_that_was_unreadable_for_a_moment_is_built_again(both, tmp_p
     _, reader = both
     setup, away = tmp_path / "components" / "new" / "component.toml", tmp_path / "away"
     setup.rename(away)
-    for one in both:
-        assert "new" not in one.library.names()
+    for item in both:
+        assert "new" not in item.library.names()
     away.rename(setup)
     insert(reader.ledger, "new", "", new_rows(2, 4))
     assert reader.tables.catch_up("new", 600)

@@ -40,7 +40,7 @@ def measured(http, count=80):
 
 
 def csv_of(space, inputs, outputs):
-    heads = [f"{one.name} [{one.unit}]" for one in (*space.inputs, *space.outputs)]
+    heads = [f"{item.name} [{item.unit}]" for item in (*space.inputs, *space.outputs)]
     lines = [",".join(map(repr, row)) for row in np.hstack([inputs, outputs]).tolist()]
     return "\n".join([",".join(heads), *lines]) + "\n"
 
@@ -61,13 +61,13 @@ def test_an_imported_table_answers_loads_and_inputs_between_its_rows(http, entri
     query = 0.3 * inputs[3] + 0.3 * inputs[11] + 0.4 * inputs[40]
     reply = http.post("/v1/components/rig/displacement", json=space.by_name(query.tolist())).json()
     assert (reply["coverage"], reply["method"]) == ("covered", "kriging"), reply
-    found = reply.get("displacements") or {"": reply}
+    result = reply.get("displacements") or {"": reply}
     got = np.concatenate(
-        [[*found[name]["translation"], *found[name]["rotation"]] for name in space.interfaces]
+        [[*result[name]["translation"], *result[name]["rotation"]] for name in space.interfaces]
     )
     bars = np.concatenate(
         [
-            [*found[name]["error"]["translation"], *found[name]["error"]["rotation"]]
+            [*result[name]["error"]["translation"], *result[name]["error"]["rotation"]]
             for name in space.interfaces
         ]
     )
@@ -86,7 +86,7 @@ def test_the_component_has_its_ranges_by_interface(http):
     assert body["interface"] is None
     assert body["interfaces"] == {}
     read = read_bundle(component.folder)
-    assert [one.name for one in read.interfaces] == ["left", "right"]
+    assert [interface.name for interface in read.interfaces] == ["left", "right"]
     assert read.range.low.tolist() == [-100, -100, -100, -5, -2, -5] * 2
     assert read.further[0].reference == 20.0
 

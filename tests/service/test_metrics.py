@@ -16,9 +16,9 @@ def samples(http):
     assert reply.status_code == 200
     assert reply.headers["content-type"].startswith("text/plain")
     return {
-        (one.name, *sorted(one.labels.values())): one.value
+        (sample.name, *sorted(sample.labels.values())): sample.value
         for family in text_string_to_metric_families(reply.text)
-        for one in family.samples
+        for sample in family.samples
     }
 
 
@@ -32,11 +32,11 @@ def rig(http):
     return http
 
 
-def queries(found, coverage):
+def queries(result, coverage):
     return sum(
         value
-        for (name, *words), value in found.items()
-        if name == "wrenchbook_queries_total" and coverage in words
+        for (name, *texts), value in result.items()
+        if name == "wrenchbook_queries_total" and coverage in texts
     )
 
 
@@ -55,11 +55,11 @@ def test_each_wrench_is_counted_once_by_coverage_whichever_way_it_was_asked(rig)
     assert after[count] - before[count] == 4
 
 
-def requests(found, route):
+def requests(result, route):
     return {
-        tuple(words): value
-        for (name, *words), value in found.items()
-        if name == "wrenchbook_http_requests_total" and route in words
+        tuple(texts): value
+        for (name, *texts), value in result.items()
+        if name == "wrenchbook_http_requests_total" and route in texts
     }
 
 
@@ -78,22 +78,22 @@ def test_requests_are_counted_by_route_template_method_and_status(rig):
 def test_a_query_of_the_fast_path_and_of_the_usual_one_are_counted_as_requests(rig):
     route = "/v1/components/{name}/displacement"
     body = b'{"force": [0, 0, 5], "moment": [0, 0, 0], "on_thin": "estimate"}'
-    found = samples(rig)
+    result = samples(rig)
     assert isinstance(answer_fast(rig.app, "rig", body), bytes)
     assert rig.post(route.format(name="rig"), content=body).status_code == 200
-    before, found = found, samples(rig)
-    assert requests(found, route) == {(route, "200", "POST"): 2}
+    before, result = result, samples(rig)
+    assert requests(result, route) == {(route, "200", "POST"): 2}
     count = ("wrenchbook_query_seconds_count",)
-    assert found[count] - before[count] == 2
-    assert found["wrenchbook_http_request_seconds_count", route] == 2
+    assert result[count] - before[count] == 2
+    assert result["wrenchbook_http_request_seconds_count", route] == 2
 
 
 def test_the_build_and_the_process_are_in_the_metrics(rig):
-    found = samples(rig)
-    (build,) = [words for name, *words in found if name == "wrenchbook_build_info"]
+    results = samples(rig)
+    (build,) = [texts for name, *texts in results if name == "wrenchbook_build_info"]
     assert wrenchbook.__version__ in build
     for what in ("cpu_seconds_total", "resident_memory_bytes", "open_fds", "start_time_seconds"):
-        assert found[f"process_{what}", "1"] > 0
+        assert results[f"process_{what}", "1"] > 0
 
 
 def test_counts_of_requests_survive_a_restart_and_add_up():
@@ -110,8 +110,8 @@ def test_the_histogram_is_cumulative_and_ends_with_all():
     counts = Counts()
     for elapsed in (1.0, 19.9, 20.0, 1e9):
         counts.add("thin", None, elapsed)
-    told = dict(counts.histogram())
-    assert (told[repr(EDGES[0])], told["10.0"], told["+Inf"]) == (3, 3, 4)
+    reported = dict(counts.histogram())
+    assert (reported[repr(EDGES[0])], reported["10.0"], reported["+Inf"]) == (3, 3, 4)
     counts.add_batch(np.array([0, 0, 2], dtype=np.uint8), "griddata", 10.0)
     assert counts.queries() == {
         ("thin", "none"): 4, ("covered", "griddata"): 2, ("outside", "griddata"): 1
@@ -123,35 +123,35 @@ def test_jobs_solves_and_failures_are_told_by_status_and_kind(http, stand_in):
     http.post("/v1/components/spring/solve", json={"force": [0, 0, -5], "wait_s": 60})
     stand_in("diverges")
     http.post("/v1/components/spring/solve", json={"force": [0, 0, -7], "wait_s": 60})
-    found = samples(http)
-    assert found["wrenchbook_jobs", "done"] == 1
-    assert found["wrenchbook_failed_jobs", "not_converged"] == 1
-    assert found["wrenchbook_solve_seconds_count",] == 1
-    assert found["wrenchbook_ledger_usable",] == 1
+    result = samples(http)
+    assert result["wrenchbook_jobs", "done"] == 1
+    assert result["wrenchbook_failed_jobs", "not_converged"] == 1
+    assert result["wrenchbook_solve_seconds_count",] == 1
+    assert result["wrenchbook_ledger_usable",] == 1
 
 
 def test_tables_tell_version_rows_and_the_age_of_their_file(rig):
     rig.app.state.workspace.stop_building()  # writes what is not written yet
-    found = samples(rig)
-    assert found["wrenchbook_table_rows", "rig"] == 25
-    assert found["wrenchbook_table_version", "rig"] == 25
-    assert found["wrenchbook_table_file_age_seconds", "rig"] >= 0
+    result = samples(rig)
+    assert result["wrenchbook_table_rows", "rig"] == 25
+    assert result["wrenchbook_table_version", "rig"] == 25
+    assert result["wrenchbook_table_file_age_seconds", "rig"] >= 0
 
 
 def test_metrics_are_told_while_the_ledger_cannot_be_used(rig, folder, monkeypatch):
     (folder / "ledger.sqlite").rename(folder / "elsewhere.sqlite")
     monkeypatch.setattr("wrenchbook.service.ops.metrics.FRESH_S", 0.0)  # no cached statistics
-    found = samples(rig)
-    assert found["wrenchbook_ledger_usable",] == 0
-    assert found["wrenchbook_ready",] == 0
-    assert found["wrenchbook_table_rows", "rig"] == 25
+    result = samples(rig)
+    assert result["wrenchbook_ledger_usable",] == 0
+    assert result["wrenchbook_ready",] == 0
+    assert result["wrenchbook_table_rows", "rig"] == 25
 
 
 def test_no_more_than_a_bounded_number_of_components_becomes_labels(rig, monkeypatch):
     monkeypatch.setattr("wrenchbook.service.ops.metrics.MAX_COMPONENTS", 2)
-    found = samples(rig)
-    assert sum(name == "wrenchbook_table_version" for name, *_ in found) <= 2
-    assert found["wrenchbook_components",] == len(rig.app.state.workspace.library.names())
+    results = samples(rig)
+    assert sum(name == "wrenchbook_table_version" for name, *_ in results) <= 2
+    assert results["wrenchbook_components",] == len(rig.app.state.workspace.library.names())
 
 
 def test_kinds_of_failures_beyond_a_number_are_told_together(ledger, monkeypatch):
@@ -161,5 +161,5 @@ def test_kinds_of_failures_beyond_a_number_are_told_together(ledger, monkeypatch
         job = ledger.claim("me")
         error = {"kind": f"k{number}", "message": "", "remedy": ""}
         ledger.fail(job.id, job.attempt, error)
-    found = ledger.statistics().failures
-    assert (len(found), found["other"]) == (4, 3)
+    results = ledger.statistics().failures
+    assert (len(results), results["other"]) == (4, 3)

@@ -88,12 +88,12 @@ def test_a_loop_whose_server_is_killed_loses_nothing_and_doubles_nothing(site, k
         recorder.close(60)
         assert recorder.recorded == len(wrenches)
         assert client.jobs() == []
-        found = client.recording("plate_thin") if kind == "recording" else None
-        count = found.total if found else client.envelope("plate_thin").count
+        results = client.recording("plate_thin") if kind == "recording" else None
+        count = results.total if results else client.envelope("plate_thin").count
         assert count == len(wrenches)
-        if found is None:
+        if results is None:
             assert np.array_equal(client.envelope("plate_thin").max, wrenches.max(axis=0))
-        elif found.thinned:
-            assert len(found) + found.merged + found.thinned == len(wrenches)
+        elif results.thinned:
+            assert len(results) + results.merged + results.thinned == len(wrenches)
         else:
-            assert np.array_equal(found.wrenches, wrenches)
+            assert np.array_equal(results.wrenches, wrenches)

@@ -32,9 +32,9 @@ class Reference:
     def take(self, kind, block):
         if kind == "recording":
             self.total += len(block)
-            self.outside += sum(abs(max(one, key=abs)) > 10 for one in block)
+            self.outside += sum(abs(max(item, key=abs)) > 10 for item in block)
             for wrench in block:
-                if all(self.apart(wrench, one) > MERGE for one in self.kept):
+                if all(self.apart(wrench, item) > MERGE for item in self.kept):
                     self.kept.append(wrench)
             return
         self.count += len(block)
@@ -86,7 +86,7 @@ class RecordingAgainstReference(RuleBasedStateMachine):
             return
         assert took.known == (before is not None)
         if before is None:
-            self.expected[name].take(kind, [tuple(one) for one in wrenches.tolist()])
+            self.expected[name].take(kind, [tuple(wrench) for wrench in wrenches.tolist()])
             if sequence is not None:
                 self.keys[name, kind, sequence] = packed(wrenches)
 
@@ -103,9 +103,9 @@ class RecordingAgainstReference(RuleBasedStateMachine):
     @invariant()
     def all_agree(self):
         for name, expected in self.expected.items():
-            found = self.gathering.recording(name)
-            assert [tuple(one) for one in found.wrenches.tolist()] == expected.kept
-            tally = found.tally
+            result = self.gathering.recording(name)
+            assert [tuple(wrench) for wrench in result.wrenches.tolist()] == expected.kept
+            tally = result.tally
             assert (tally.offered, tally.outside) == (expected.total, expected.outside)
             assert tally.offered - tally.merged - tally.thinned == len(expected.kept)
             envelope = self.gathering.envelope(name)

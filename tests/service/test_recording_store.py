@@ -135,9 +135,9 @@ def test_the_bound_of_13_inputs_is_that_of_the_matrix_and_judges_each_output(wor
     envelope = store.envelope("link")
     low, high = envelope.box
     largest = np.maximum(matrix * low, matrix * high).sum(axis=1)
-    found = bound_of(table, envelope, Tolerance(1e3, 1e3))
-    assert (found.kind, found.negligible) == ("bound", True)
-    assert (found.displacement >= largest * (1 - 1e-9)).all()
+    result = bound_of(table, envelope, Tolerance(1e3, 1e3))
+    assert (result.kind, result.negligible) == ("bound", True)
+    assert (result.displacement >= largest * (1 - 1e-9)).all()
     assert bound_of(table, envelope, Tolerance(1e3, 1.0)).negligible is False
 
 
@@ -162,8 +162,8 @@ def test_the_bound_of_a_matrix_is_the_largest_at_the_corners_of_the_box():
     envelope = EnvelopeState(Tally(), np.diag(low), np.diag(high))
     corners = np.array(list(product(*zip(low, high, strict=True))))
     expected = np.abs(corners @ matrix.T).max(axis=0)
-    found = bound_of(table, envelope, Tolerance(1e3, 1e3)).displacement
-    assert np.allclose(found, expected, rtol=1e-12)
+    result = bound_of(table, envelope, Tolerance(1e3, 1e3)).displacement
+    assert np.allclose(result, expected, rtol=1e-12)
 
 
 # -- farthest-point thinning: what is kept lies apart, and all are counted -----------------------
@@ -248,7 +248,7 @@ def test_a_wrench_of_any_size_is_taken(small):
 def test_spaced_is_the_greedy_choice_one_by_one(points):
     kept: list[int] = []
     for place, point in enumerate(points):
-        if all(np.abs(point - points[one]).max() > 0.15 for one in kept):
+        if all(np.abs(point - points[item]).max() > 0.15 for item in kept):
             kept.append(place)
     assert np.flatnonzero(spaced(points, 0.15)).tolist() == kept
 

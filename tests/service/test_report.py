@@ -132,10 +132,10 @@ def test_the_advice_says_within_the_tolerance_of_the_interpolation_error_alone(r
 
 
 def test_errors_are_rms_quantile_and_largest():
-    found = errors(np.array([[1.0] * 6, [2.0] * 6, [np.nan] * 6]), np.full(6, 10.0))
-    assert found["rms"] == pytest.approx([2.5**0.5] * 6)
-    assert found["max"] == [2.0] * 6
-    assert found["rms_relative"] == pytest.approx([0.25**0.5 * 10**0.5 / 10] * 6, rel=1e-12)
+    result = errors(np.array([[1.0] * 6, [2.0] * 6, [np.nan] * 6]), np.full(6, 10.0))
+    assert result["rms"] == pytest.approx([2.5**0.5] * 6)
+    assert result["max"] == [2.0] * 6
+    assert result["rms_relative"] == pytest.approx([0.25**0.5 * 10**0.5 / 10] * 6, rel=1e-12)
 
 
 def test_the_pareto_front_leaves_out_what_is_slower_and_worse():

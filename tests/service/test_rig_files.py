@@ -232,9 +232,9 @@ def opaque(kind: bytes) -> bytes:
     size, link = struct.pack("<ii", 6, 1), struct.pack("<6I", 0xDD000000, 2, 1, 1, 1, 1)
     flags = [element(6, struct.pack("<II", number, 0)) for number in (13, 17)]
     value = flags[0] + element(5, size) + element(1, b"") + element(6, link)
-    words = b"".join(element(1, word) for word in (b"T", b"MCOS", kind))
+    texts = b"".join(element(1, word) for word in (b"T", b"MCOS", kind))
     head = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"
-    return head + element(14, flags[1] + words + element(14, value))
+    return head + element(14, flags[1] + texts + element(14, value))
 
 
 def hdf5(tmp_path, fill) -> bytes:

@@ -27,16 +27,16 @@ def shared_http(tmp_path_factory):
 def sent(shared_http):
     """Send each file to a table of its own."""
     replies = {}
-    for number, (name, told) in enumerate(REPLIES.items()):
+    for number, (name, reported) in enumerate(REPLIES.items()):
         rig = f"rig{number}"
         body = {"name": rig, "title": name, "range": RANGE}
         assert shared_http.post("/v1/components", json=body).status_code == 201
         path = f"/v1/components/{rig}/table"
-        query = {**told.get("query", {}), "preview": 3}
+        query = {**reported.get("query", {}), "preview": 3}
         content = (FOLDER / name).read_bytes()
-        if "displacements" in told:
-            other = (FOLDER / told["displacements"]).read_bytes()
-            files = {"loads": (name, content), "displacements": (told["displacements"], other)}
+        if "displacements" in reported:
+            other = (FOLDER / reported["displacements"]).read_bytes()
+            files = {"loads": (name, content), "displacements": (reported["displacements"], other)}
             replies[name] = shared_http.post(path, params=query, files=files)
         else:
             head = {"content-type": "application/octet-stream"}
@@ -46,23 +46,25 @@ def sent(shared_http):
 
 @pytest.mark.parametrize("name", REPLIES)
 def test_a_sample_file_gets_the_reply_that_is_told(sent, name: str):
-    told, reply = REPLIES[name], sent[name]
-    assert reply.status_code == told["status"], reply.text
+    reported, reply = REPLIES[name], sent[name]
+    assert reply.status_code == reported["status"], reply.text
     body = reply.json()
-    errors = told.get("errors", [])
-    found = [(error["row"], error["field"]) for error in body["errors"]]
-    assert found == [(row, field) for row, field, _ in errors]
+    errors = reported.get("errors", [])
+    result = [(error["row"], error["field"]) for error in body["errors"]]
+    assert result == [(row, field) for row, field, _ in errors]
     for error, (_, _, says) in zip(body["errors"], errors, strict=True):
         assert says in error["message"]
     for word in ("inserted", "format", "gzip", "ignored", "above", "sheets", "sheet"):
-        if word in told:
-            assert body[word] == told[word], word
+        if word in reported:
+            assert body[word] == reported[word], word
     for word in ROWS:
-        if word in told:
-            assert body["rows"][word] == told[word], word
+        if word in reported:
+            assert body["rows"][word] == reported[word], word
 
 
-@pytest.mark.parametrize("name", [name for name, told in REPLIES.items() if told["status"] == 200])
+@pytest.mark.parametrize(
+    "name", [name for name, reported in REPLIES.items() if reported["status"] == 200]
+)
 def test_every_row_of_a_sample_file_is_accounted_for(sent, name: str):
     rows = sent[name].json()["rows"]
     assert rows["read"] == sum(rows[word] for word in ROWS[1:])

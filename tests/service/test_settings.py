@@ -23,23 +23,23 @@ def shown(tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", "1000")
     monkeypatch.delenv("WRENCHBOOK_DATA", raising=False)
 
-    def ask(*words, **variables):
+    def ask(*texts, **variables):
         for name, value in variables.items():
             monkeypatch.setenv(name, value)
-        line = ["serve", "--data", str(tmp_path), *words, "--show-settings"]
-        found = CliRunner().invoke(app, line)
-        return tomllib.loads(found.output) if found.exit_code == 0 else found.output
+        line = ["serve", "--data", str(tmp_path), *texts, "--show-settings"]
+        result = CliRunner().invoke(app, line)
+        return tomllib.loads(result.output) if result.exit_code == 0 else result.output
 
     return ask
 
 
 def test_the_line_wins_over_the_environment_and_that_over_the_file(shown, tmp_path):
     (tmp_path / "wrenchbook.toml").write_text("port = 1\nqueue_limit = 1\nsolvers = 1\n")
-    found = shown("--port", "3", WRENCHBOOK_PORT="2", WRENCHBOOK_QUEUE_LIMIT="2")
-    assert (found["port"], found["queue_limit"], found["solvers"]) == (3, 2, 1)
-    assert found["host"] == "127.0.0.1"
-    found = shown("--queue-limit", "64", WRENCHBOOK_PORT="")  # a default, and an empty variable
-    assert (found["queue_limit"], found["port"]) == (64, 1)
+    result = shown("--port", "3", WRENCHBOOK_PORT="2", WRENCHBOOK_QUEUE_LIMIT="2")
+    assert (result["port"], result["queue_limit"], result["solvers"]) == (3, 2, 1)
+    assert result["host"] == "127.0.0.1"
+    result = shown("--queue-limit", "64", WRENCHBOOK_PORT="")  # a default, and an empty variable
+    assert (result["queue_limit"], result["port"]) == (64, 1)
     other = tmp_path / "other.toml"
     other.write_text('log_format = "json"\n')
     assert shown("--config", str(other))["log_format"] == "json"
@@ -48,10 +48,10 @@ def test_the_line_wins_over_the_environment_and_that_over_the_file(shown, tmp_pa
 def test_a_data_directory_that_cannot_be_written_is_refused_at_the_start():
     """It printed that it serves, and answered every call with 503."""
     words = ["serve", "--data", "/proc/sys", "--port", "0"]  # nobody can write there
-    found = CliRunner().invoke(app, words, env={"COLUMNS": "1000"})
-    assert found.exit_code == 2
-    assert "/proc/sys cannot be read and written" in found.output
-    assert len(found.output.splitlines()) == 1
+    result = CliRunner().invoke(app, words, env={"COLUMNS": "1000"})
+    assert result.exit_code == 2
+    assert "/proc/sys cannot be read and written" in result.output
+    assert len(result.output.splitlines()) == 1
 
 
 @pytest.mark.parametrize(
@@ -72,9 +72,9 @@ def test_a_port_in_use_is_named(tmp_path):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         words = ["serve", "--data", str(tmp_path / "data"), "--port", str(port)]
-        found = CliRunner().invoke(app, words, env={"COLUMNS": "40"})
-    assert found.exit_code == 2
-    assert found.output == (
+        result = CliRunner().invoke(app, words, env={"COLUMNS": "40"})
+    assert result.exit_code == 2
+    assert result.output == (
         f"Address already in use: 127.0.0.1:{port}; name another address with --host and --port\n"
     )
 
@@ -100,9 +100,9 @@ def test_what_is_shown_is_a_file_that_says_the_same(shown, tmp_path):
 
 
 def test_every_option_of_serve_is_a_setting(shown):
-    found = CliRunner().invoke(app, ["serve", "--help"], env={"COLUMNS": "1000"})
+    result = CliRunner().invoke(app, ["serve", "--help"], env={"COLUMNS": "1000"})
     for name in shown():
-        assert f"--{name.replace('_', '-')}" in found.output
+        assert f"--{name.replace('_', '-')}" in result.output
 
 
 CALL = "/v1/components/rig"

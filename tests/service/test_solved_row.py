@@ -59,11 +59,11 @@ def test_a_solves_reply_and_its_row_in_the_table_tell_the_same_error_bar(
     """Without a tangent the reply's error knew nothing of what other rows vary by."""
     solved = row(0.3 * SCALE * [1, 0, -1, 0, 0.5, 0], tangent=tangent)
     asked = (solved.wrench[0] + 4e-7 * SCALE).tolist()
-    found = row_table(COMPONENT, solved, None, served(others)).packed.answer(asked)
+    result = row_table(COMPONENT, solved, None, served(others)).packed.answer(asked)
     after = served(joined([solved, others])).packed.answer(asked)
-    assert found == after
-    assert found.method == "row"
-    assert min(found.error) > 1e-9 or tangent
+    assert result == after
+    assert result.method == "row"
+    assert min(result.error) > 1e-9 or tangent
 
 
 def test_a_row_at_rest_alone_tells_no_error_of_a_load_near_it() -> None:
@@ -77,9 +77,9 @@ def test_the_row_of_a_first_solve_has_no_error_before_its_meshs_is_known(compone
     solved = row(0.3 * SCALE, tangent=True, bar=np.nan)
     asked = solved.wrench[0].tolist()
     empty = served(Rows.empty(), component)
-    found = row_table(component, solved, None, empty).packed.answer(asked)
-    assert (found.coverage, found.error, found.within_tolerance) == ("covered", None, None)
-    assert found.interpolation == (0.0,) * 6
+    result = row_table(component, solved, None, empty).packed.answer(asked)
+    assert (result.coverage, result.error, result.within_tolerance) == ("covered", None, None)
+    assert result.interpolation == (0.0,) * 6
     assert served(solved, component).packed.answer(asked).error is None
     known = row_table(component, solved, MESH, empty).packed.answer(asked)
     np.testing.assert_allclose(known.error, 0.3e-9 * SCALE)

@@ -27,11 +27,11 @@ WRENCH = np.array([1.0, -2, 3, 0.1, 0.2, -0.3])
 
 def rigid(points):
     """How points of a rigid body follow it, shape (v, 3, 6), m/m and m/rad."""
-    found = np.zeros((len(points), 3, 6))
-    found[:, :, :3] = np.eye(3)
+    result = np.zeros((len(points), 3, 6))
+    result[:, :, :3] = np.eye(3)
     for axis, turn in enumerate(np.eye(3)):
-        found[:, :, 3 + axis] = np.cross(turn, points)
-    return found
+        result[:, :, 3 + axis] = np.cross(turn, points)
+    return result
 
 
 def compliance():
@@ -59,17 +59,17 @@ def test_a_rigid_body_follows_its_interface_as_one():
 def test_a_locked_freedom_moves_nothing():
     own = compliance()
     own[2], own[:, 2] = 0.0, 0.0
-    found = vertex_modes(rigid(POINTS) @ own, own)
-    np.testing.assert_allclose(found[:, :, 2], 0.0, atol=1e-9)
+    result = vertex_modes(rigid(POINTS) @ own, own)
+    np.testing.assert_allclose(result[:, :, 2], 0.0, atol=1e-9)
     kept = [0, 1, 3, 4, 5]
-    np.testing.assert_allclose(found[:, :, kept], rigid(POINTS)[:, :, kept], atol=1e-9)
+    np.testing.assert_allclose(result[:, :, kept], rigid(POINTS)[:, :, kept], atol=1e-9)
 
 
 def test_at_the_interface_the_meshs_share_is_at_least_the_interfaces_own():
-    found, own = parts(told()), np.array(told().parts(WRENCH.tolist())["mesh"])
-    assert found.shares["mesh"][0] >= np.linalg.norm(own[:3])
+    result, own = parts(told()), np.array(told().parts(WRENCH.tolist())["mesh"])
+    assert result.shares["mesh"][0] >= np.linalg.norm(own[:3])
     turned = own[:3] + np.array([0.0, own[5], own[4]])  # t + r x (1, 0, 0), of whatever signs
-    assert found.shares["mesh"][2] >= np.linalg.norm(turned)
+    assert result.shares["mesh"][2] >= np.linalg.norm(turned)
 
 
 def test_a_vertex_that_is_held_has_no_share():
@@ -86,11 +86,11 @@ def test_a_vertex_that_moves_by_a_load_alone_has_the_local_share():
 
 
 def test_the_total_is_the_sum_of_the_parts_and_names_its_sources():
-    found = parts(told(linearity=[1e-7] * 6, linearity_basis="bent"))
-    assert list(found.shares) == ["table", "mesh", "linearity"]
-    np.testing.assert_allclose(found.total, sum(found.shares.values()))
-    assert found.bases == {"mesh_basis": "words", "linearity_basis": "bent"}
-    assert found.largest()["mesh"] == found.shares["mesh"].max()
+    result = parts(told(linearity=[1e-7] * 6, linearity_basis="bent"))
+    assert list(result.shares) == ["table", "mesh", "linearity"]
+    np.testing.assert_allclose(result.total, sum(result.shares.values()))
+    assert result.bases == {"mesh_basis": "words", "linearity_basis": "bent"}
+    assert result.largest()["mesh"] == result.shares["mesh"].max()
 
 
 @pytest.mark.parametrize(
@@ -101,16 +101,16 @@ def test_the_total_is_the_sum_of_the_parts_and_names_its_sources():
     ],
 )
 def test_a_mesh_that_nothing_tells_of_is_said_to_be_unknown(error, words):
-    found = parts(error)
-    assert found.largest() == {"table": 1e-9, "mesh": None, "mesh_basis": words}
-    assert not found.are_complete
-    np.testing.assert_array_equal(found.total, 1e-9)
+    result = parts(error)
+    assert result.largest() == {"table": 1e-9, "mesh": None, "mesh_basis": words}
+    assert not result.are_complete
+    np.testing.assert_array_equal(result.total, 1e-9)
 
 
 def test_a_surface_that_nothing_ties_to_its_interface_says_so():
     assert vertex_modes(rigid(POINTS), np.full((6, 6), np.nan)) is None
-    found = error_parts(np.ones(3), None, told(), WRENCH)
-    assert found.largest() == {"table": 1.0, "mesh": None, "mesh_basis": NOT_FOLLOWED}
+    result = error_parts(np.ones(3), None, told(), WRENCH)
+    assert result.largest() == {"table": 1.0, "mesh": None, "mesh_basis": NOT_FOLLOWED}
 
 
 def test_the_bars_of_a_bent_block_hold_what_twice_the_cells_change():
@@ -159,17 +159,19 @@ def test_a_surface_has_the_meshs_share_at_a_row_and_between_rows(plate, source):
     own, rows, mesh, shapes = plate
     wrench = asked_of(plate)[source]
     without = shapes.answer(own, rows, wrench)
-    found = shapes.answer(own, rows, wrench, solver=mesh)
-    assert found.source == source
-    np.testing.assert_array_equal(found.displacement, without.displacement)
-    np.testing.assert_allclose(found.error - without.error, found.parts.shares["mesh"], atol=1e-18)
+    result = shapes.answer(own, rows, wrench, solver=mesh)
+    assert result.source == source
+    np.testing.assert_array_equal(result.displacement, without.displacement)
+    np.testing.assert_allclose(
+        result.error - without.error, result.parts.shares["mesh"], atol=1e-18
+    )
     # On the patch, which is the interface, at least the interface's own bar for that point.
-    patch = np.linalg.norm(found.geometry.vertices[:, :2], axis=1) < 0.0599
-    patch &= np.abs(found.geometry.vertices[:, 2]) < 1e-9
+    patch = np.linalg.norm(result.geometry.vertices[:, :2], axis=1) < 0.0599
+    patch &= np.abs(result.geometry.vertices[:, 2]) < 1e-9
     bars = np.array(mesh.parts(wrench.tolist())["mesh"])
-    rigidly = np.linalg.norm(np.abs(rigid(found.geometry.vertices[patch])) @ bars, axis=1)
+    rigidly = np.linalg.norm(np.abs(rigid(result.geometry.vertices[patch])) @ bars, axis=1)
     assert patch.sum() > 20
-    assert (found.error[patch] >= rigidly).all()
+    assert (result.error[patch] >= rigidly).all()
 
 
 def test_the_meshs_share_leaves_coverage_alone_and_is_held_against_the_tolerance(plate):
@@ -180,15 +182,15 @@ def test_the_meshs_share_leaves_coverage_alone_and_is_held_against_the_tolerance
         (Tolerance(1.0, 1.0), mesh, True),
         (Tolerance(1.0, 1.0), None, None),
     ):
-        found = shapes.answer(replace(own, tolerance=limit), rows, wrench, solver=error)
-        assert (found.coverage, found.within_tolerance) == ("covered", within)
+        result = shapes.answer(replace(own, tolerance=limit), rows, wrench, solver=error)
+        assert (result.coverage, result.within_tolerance) == ("covered", within)
 
 
 def test_without_a_bar_of_the_table_there_are_no_parts(plate):
     own, rows, mesh, shapes = plate
     few = rows.take([0, 1])
-    found = shapes.answer(own, few, wrenches(own, 1, seed=9)[0], solver=mesh)
-    assert (found.error, found.parts, found.within_tolerance) == (None, None, None)
+    result = shapes.answer(own, few, wrenches(own, 1, seed=9)[0], solver=mesh)
+    assert (result.error, result.parts, result.within_tolerance) == (None, None, None)
 
 
 def test_a_linear_surface_has_its_meshs_and_its_linearitys_share(tmp_path):
@@ -200,13 +202,13 @@ def test_a_linear_surface_has_its_meshs_and_its_linearitys_share(tmp_path):
     keep(store, own, asked[0], fields[0])
     shapes = DeformedSurfaces(store)
     mesh = SolverError(accuracy_of(solver(folder)))
-    found = shapes.answer(own, rows, asked[1], solver=mesh)
-    assert list(found.parts.shares) == ["table", "mesh", "linearity"]
-    assert (found.parts.shares["linearity"] > 0).any()
-    np.testing.assert_allclose(found.error, found.parts.total)
+    result = shapes.answer(own, rows, asked[1], solver=mesh)
+    assert list(result.parts.shares) == ["table", "mesh", "linearity"]
+    assert (result.parts.shares["linearity"] > 0).any()
+    np.testing.assert_allclose(result.error, result.parts.total)
     alone = shapes.answer(own, Rows.empty(), asked[1], solver=mesh)
     assert alone.parts.largest()["mesh_basis"] == NOT_FOLLOWED
-    assert b'Name="error_linearity"' in write_vtu(found)
+    assert b'Name="error_linearity"' in write_vtu(result)
     shapes.close()
 
 

@@ -30,13 +30,15 @@ def wrenches(submission, count, seed):
 def test_the_limit_holds_when_many_threads_of_two_processes_queue_at_once(opened):
     def ask(turn):
         submission = opened[turn % 2]
-        return [submission.queue(NAME, one[None])[0] for one in wrenches(submission, 20, turn)]
+        return [
+            submission.queue(NAME, wrench[None])[0] for wrench in wrenches(submission, 20, turn)
+        ]
 
     with ThreadPoolExecutor(8) as pool:
-        placed = [one for found in pool.map(ask, range(8)) for one in found]
+        placed = [result for results in pool.map(ask, range(8)) for result in results]
     assert len(opened[0].pending_wrenches(NAME)) == 10
-    assert {one.job.id for one in placed if one.job} == set(range(1, 11))
-    assert any(one.job is None for one in placed)
+    assert {item.job.id for item in placed if item.job} == set(range(1, 11))
+    assert any(item.job is None for item in placed)
 
 
 def test_wrenches_that_round_to_the_same_are_one_job_and_its_own(opened):
@@ -103,7 +105,7 @@ def test_a_loop_on_a_linear_component_queues_one_solve_not_sixty_four(opened):
     some = span * np.random.default_rng(3).uniform(-1, 1, (40, 6))
     placed = [
         *submission.queue("bar", some[:20]),
-        *(submission.queue("bar", one[None])[0] for one in some),
+        *(submission.queue("bar", item[None])[0] for item in some),
     ]
-    assert {one.job.id for one in placed} == {1}
-    assert [one.exact for one in placed[:20]] == [True] + 19 * [False]
+    assert {item.job.id for item in placed} == {1}
+    assert [item.exact for item in placed[:20]] == [True] + 19 * [False]

@@ -99,11 +99,11 @@ def test_a_dialect_is_read_as_its_rows_and_mistakes(case):
             assert [(error.row, error.field) for error in errors] == [
                 (e[0], e[1]) for e in expected
             ]
-            for error, (_, _, *words) in zip(errors, expected, strict=True):
-                assert all(word in error.message for word in words), error.message
+            for error, (_, _, *texts) in zip(errors, expected, strict=True):
+                assert all(word in error.message for word in texts), error.message
         for name, values in case.get("columns", {}).items():
-            found = column(table, name, options.space)
-            np.testing.assert_allclose(found, values, rtol=1e-15, atol=0, err_msg=name)
+            result = column(table, name, options.space)
+            np.testing.assert_allclose(result, values, rtol=1e-15, atol=0, err_msg=name)
         assert case.get("titles", report.titles) == report.titles
         for name in ("source", "note", "seq"):
             if name in case:
@@ -544,8 +544,8 @@ def test_a_sheet_of_more_rows_than_a_sheet_can_have_is_refused(monkeypatch):
 def test_a_file_of_empty_lines_is_refused_as_soon_as_there_are_too_many(begin, monkeypatch):
     monkeypatch.setattr(csv_table, "MAX_BLANK", 1000)
     for line in ("\n", "#\n", ",,\n"):
-        found = errors((begin + 2000 * line).encode())
-        assert any("1,000 lines without a row" in message for *_, message in found)
+        results = errors((begin + 2000 * line).encode())
+        assert any("1,000 lines without a row" in message for *_, message in results)
 
 
 def test_one_long_source_does_not_take_the_memory_of_all_rows():

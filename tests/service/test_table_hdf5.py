@@ -57,8 +57,8 @@ def test_an_uncertainty_below_zero_and_half_a_tangent_are_named():
     compliance[4, 0, 0] = 1.0
     rows = Rows.of(ROWS.wrench, ROWS.displacement, uncertainty=uncertainty, compliance=compliance)
     table = read_hdf5(write_hdf5(rows, range(6), META))
-    found = [(error.row, error.field) for error in table.errors]
-    assert found == [(2, "uncertainty[2]"), (3, "uncertainty[0]"), (5, "compliance[0][1]")]
+    result = [(error.row, error.field) for error in table.errors]
+    assert result == [(2, "uncertainty[2]"), (3, "uncertainty[0]"), (5, "compliance[0][1]")]
     assert "all 36 tangents or none" in table.errors[2].message
 
 
@@ -269,8 +269,8 @@ def test_matlab_vectors_are_columns(tmp_path: Path, content: dict[str, Any]):
 
 def test_an_empty_cell_of_a_load_is_named(tmp_path: Path):
     path = write(tmp_path / "a", {**COLUMNS, "Fz [kN]": [-0.5, np.nan, -1.5]})
-    found, messages = read_columns(path)
-    assert found[0] == [-500.0, -1500.0]
+    result, messages = read_columns(path)
+    assert result[0] == [-500.0, -1500.0]
     assert messages == ["is empty; write 0 for no load"]
 
 
@@ -283,8 +283,8 @@ def test_an_empty_cell_of_a_load_is_named(tmp_path: Path):
     ],
 )
 def test_hdf5_that_is_no_table_says_why(tmp_path: Path, columns: dict[str, Any], says: str):
-    found, (message,) = read_columns(write(tmp_path / "a", columns))
-    assert found == ([], [])
+    result, (message,) = read_columns(write(tmp_path / "a", columns))
+    assert result == ([], [])
     assert says in message
 
 
@@ -293,8 +293,8 @@ def test_data_in_another_file_is_refused(tmp_path: Path):
     with h5py.File(tmp_path / "a", "w") as file:
         file["uz"] = h5py.ExternalLink(str(other), "uz")
         file["Fz [kN]"] = COLUMNS["Fz [kN]"]
-    found, (message,) = read_columns(tmp_path / "a")
-    assert found == ([], [])
+    result, (message,) = read_columns(tmp_path / "a")
+    assert result == ([], [])
     assert "points to data in other files" in message
 
 
@@ -309,8 +309,8 @@ def test_data_in_another_file_is_refused(tmp_path: Path):
 )
 def test_a_matlab_file_that_is_no_table_says_why(tmp_path: Path, content: dict, says: str):
     savemat(tmp_path / "a.mat", content)
-    found, (message,) = read_columns(tmp_path / "a.mat")
-    assert found == ([], [])
+    result, (message,) = read_columns(tmp_path / "a.mat")
+    assert result == ([], [])
     assert says in message
 
 
@@ -319,6 +319,6 @@ def test_a_damaged_matlab_file_is_named(tmp_path: Path, cut: int):
     savemat(tmp_path / "a.mat", NAMED)
     path = tmp_path / "b.mat"
     path.write_bytes((tmp_path / "a.mat").read_bytes()[:cut])
-    found, (message,) = read_columns(path)
-    assert found == ([], [])
+    result, (message,) = read_columns(path)
+    assert result == ([], [])
     assert "is no readable MATLAB file" in message or "no table" in message

@@ -123,8 +123,8 @@ def test_an_export_is_read_back_to_the_same_floats_and_texts(write, table: ReadT
 @settings(max_examples=30)
 @given(tables(280), any_units)
 def test_an_export_in_any_unit_is_read_back_to_rounding(table: ReadTable, units):
-    found, report = read(gzip.compress(write_csv(table, units).encode()))
-    same_to_rounding(table, found)
+    result, report = read(gzip.compress(write_csv(table, units).encode()))
+    same_to_rounding(table, result)
     assert (report.format, report.gzip) == ("csv", True)
     same_to_rounding(table, read(written(write_xlsx, table, units))[0])
 

@@ -70,8 +70,8 @@ def write(path: Path, kind: str, table: ParsedTable, load_range: LoadRange) -> N
         path.write_text("".join(json_text([table], names)), encoding="utf-8")
     elif kind == "records":
         records = [
-            {one.label: None if v != v else v for one in columns.numbers
-             for v in [float(one.values(table)[at])]} | {"note": table.note[at]}
+            {number.label: None if v != v else v for number in columns.numbers
+             for v in [float(number.values(table)[at])]} | {"note": table.note[at]}
             for at in range(len(table))
         ]  # fmt: skip
         path.write_text(json.dumps(records), encoding="utf-8")
@@ -88,10 +88,10 @@ def test_an_export_of_any_space_is_read_back_to_the_same_floats(
 ):
     table = table_of(load_range.space)
     write(tmp_path / "table", kind, table, load_range)
-    found = read(tmp_path / "table", load_range)
-    assert found.report["errors"] == []
-    assert found.report["findings"] == []
-    (again,) = found.pieces()
+    result = read(tmp_path / "table", load_range)
+    assert result.report["errors"] == []
+    assert result.report["findings"] == []
+    (again,) = result.pieces()
     for name in ("wrench", "displacement", "uncertainty", "compliance"):
         assert np.array_equal(getattr(again, name), getattr(table, name), equal_nan=True), name
     assert again.note == table.note
@@ -104,9 +104,9 @@ def test_two_logs_of_a_link_are_joined_by_their_time(tmp_path):
     }.items():
         (tmp_path / name).write_text(text)
     options = Options(load_range=LINK_RANGE, missing_loads="zero")
-    found = read_untrusted([tmp_path / "loads", tmp_path / "moved"], options)
-    assert found.report["errors"] == []
-    (piece,) = found.pieces()
+    result = read_untrusted([tmp_path / "loads", tmp_path / "moved"], options)
+    assert result.report["errors"] == []
+    (piece,) = result.pieces()
     assert piece.wrench[0, [0, 12]].tolist() == [2.0, 21.0]
 
 
@@ -114,9 +114,9 @@ def test_two_logs_of_a_link_are_joined_by_their_time(tmp_path):
 def test_a_table_of_another_space_is_refused_with_both(tmp_path, kind: str):
     other = LoadRange(-np.ones(13), np.ones(13), space_of(["base", "tip"], [WARM]))
     write(tmp_path / "table", kind, table_of(other.space), other)
-    found = read(tmp_path / "table", LINK_RANGE)
-    assert found.report["whole"]
-    assert "left.fx" in found.report["errors"][0]["message"]
+    result = read(tmp_path / "table", LINK_RANGE)
+    assert result.report["whole"]
+    assert "left.fx" in result.report["errors"][0]["message"]
 
 
 def test_the_columns_of_one_interface_are_those_of_before():

@@ -45,12 +45,12 @@ def body(call, value=0.0, /, **changed):
 
 def refused(reply, kind, status=400):
     assert reply.status_code == status, reply.text
-    told = reply.json()
-    assert told.keys() == {"error"}
-    assert told["error"].keys() == {"type", "message"}
-    assert told["error"]["type"] == kind
-    assert isinstance(told["error"]["message"], str)
-    return told["error"]["message"]
+    reported = reply.json()
+    assert reported.keys() == {"error"}
+    assert reported["error"].keys() == {"type", "message"}
+    assert reported["error"]["type"] == kind
+    assert isinstance(reported["error"]["message"], str)
+    return reported["error"]["message"]
 
 
 # --- the public suite
@@ -59,11 +59,11 @@ def refused(reply, kind, status=400):
 def test_the_suites_model_is_the_first_that_has_rows(rig):
     reply = rig.get("/umbridge/Info")
     assert reply.status_code == 200
-    told = reply.json()
-    assert told.keys() == {"protocolVersion", "models"}
-    assert told["protocolVersion"] == 1.0
-    assert told["models"][0] == "rig"
-    assert {"bar", "plate_thin"} <= set(told["models"])
+    reported = reply.json()
+    assert reported.keys() == {"protocolVersion", "models"}
+    assert reported["protocolVersion"] == 1.0
+    assert reported["models"][0] == "rig"
+    assert {"bar", "plate_thin"} <= set(reported["models"])
 
 
 def test_model_info_names_all_four_features_as_truths(rig):
@@ -213,10 +213,10 @@ def test_reject_refuses_it_and_estimate_flags_it_in_a_header(rig):
     fields = {"input": [[9.0, 9, -9, 0.9, 0.9, -0.9]]}  # near the rows: there errors are known
     tolerance = {"translation": 1e-12, "rotation": 1e-12}
     config = {"tolerance": tolerance, "on_thin": "reject"}
-    told = refused(
+    reported = refused(
         ask(rig, "Evaluate", **body("Evaluate", config=config, **fields)), "InvalidInput"
     )
-    assert "tolerance" in told
+    assert "tolerance" in reported
     config["on_thin"] = "estimate"
     reply = ask(rig, "Evaluate", **body("Evaluate", config=config, **fields))
     assert reply.status_code == 200
@@ -226,13 +226,13 @@ def test_reject_refuses_it_and_estimate_flags_it_in_a_header(rig):
 def test_a_solve_that_outlasts_wait_s_or_fails_is_no_output(http, stand_in):
     fields = {"name": "plate", "input": [[0.0, 0, -8, 0, 0, 0]]}
     stand_in("endless")
-    told = refused(ask(http, "Evaluate", **fields, config={"wait_s": 0}), "InvalidOutput", 500)
-    assert "job 1" in told
+    reported = refused(ask(http, "Evaluate", **fields, config={"wait_s": 0}), "InvalidOutput", 500)
+    assert "job 1" in reported
     fields["input"][0][2] = -700.0
     assert http.delete("/v1/jobs/1").status_code == 200  # it may not have begun yet
     stand_in("diverges")
-    told = refused(ask(http, "Evaluate", **fields), "InvalidOutput", 500)
-    assert "equilibrium" in told
+    reported = refused(ask(http, "Evaluate", **fields), "InvalidOutput", 500)
+    assert "equilibrium" in reported
 
 
 def test_beyond_the_load_range_nothing_is_solved_unasked(http):
@@ -249,7 +249,7 @@ def test_a_row_without_a_tangent_has_no_derivative_to_give(http):
 
 def test_the_calls_are_in_the_openapi_document_with_their_errors(http):
     paths = document(http)["paths"]
-    found = paths["/umbridge/Evaluate"]["post"]
-    assert "requestBody" in found
-    assert {"200", "400", "500"} == found["responses"].keys()
-    assert "ModelNotFound" in str(found["responses"]["400"])
+    result = paths["/umbridge/Evaluate"]["post"]
+    assert "requestBody" in result
+    assert {"200", "400", "500"} == result["responses"].keys()
+    assert "ModelNotFound" in str(result["responses"]["400"])

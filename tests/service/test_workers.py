@@ -60,11 +60,11 @@ class SeveralProcesses:
         self.seen = psutil.Process(self.supervisor.pid)
 
     def workers(self, word):
-        found = []
-        for one in self.seen.children(recursive=True):
+        result = []
+        for child in self.seen.children(recursive=True):
             with suppress(psutil.Error):  # it has ended just now
-                found += [one] if one.name() == f"wb-{word}" else []
-        return found
+                result += [child] if child.name() == f"wb-{word}" else []
+        return result
 
     def client(self):
         return Client(self.address[0], timeout=LIMIT_S)
@@ -94,52 +94,52 @@ def several(tmp_path_factory):
 def clients_of_each(several):
     """Give a client of each process that answers, told by the port its connection has."""
     answering = several.workers("webworker")
-    found, rest = {}, []
+    results, rest = {}, []
     try:
-        while len(found) < len(answering):
+        while len(results) < len(answering):
             client = several.client()
             rest.append(client)
             client.health()
             assert len(rest) < 200, "one process takes no connections"
-            holders = {one.pid: len(one.net_connections()) for one in answering}
+            holders = {item.pid: len(item.net_connections()) for item in answering}
             for pid, number in holders.items():
-                if number > 1 + sum(1 for held in found.values() if held[0] == pid):
-                    found.setdefault(pid, (pid, client))
-        yield [client for _, client in found.values()]
+                if number > 1 + sum(1 for held in results.values() if held[0] == pid):
+                    results.setdefault(pid, (pid, client))
+        yield [client for _, client in results.values()]
     finally:
         for client in rest:
             client.close()
 
 
 def answers(client, wrenches):
-    found = client.displacements("clean", wrenches, on_thin="estimate")
-    return found.displacements.tobytes() + found.errors.tobytes()
+    result = client.displacements("clean", wrenches, on_thin="estimate")
+    return result.displacements.tobytes() + result.errors.tobytes()
 
 
 def statuses(several, headers):
     """What connections of their own are answered, which several processes take."""
-    found = set()
+    result = set()
     for _ in range(12):
         one = http.client.HTTPConnection(
             several.address[0].removeprefix("http://"), timeout=LIMIT_S
         )
         one.request("GET", "/v1/jobs", headers=headers)
-        found.add(one.getresponse().status)
+        result.add(one.getresponse().status)
         one.close()
-    return found
+    return result
 
 
 def statuses_of_each(clients, method="GET", key=None):
     """What each process answers on the connection that is its own, kept open."""
-    found = set()
+    result = set()
     for client in clients:
         headers = {"Authorization": f"Bearer {key}"} if key else {}
         try:
             client.call(method, "/v1/jobs", headers=headers)
-            found.add(200)
+            result.add(200)
         except ProblemError as problem:
-            found.add(problem.status)
-    return found
+            result.add(problem.status)
+    return result
 
 
 def test_every_process_has_the_same_access_control(several):
@@ -166,8 +166,8 @@ def test_a_key_has_one_rate_for_all_processes(several):
         key = keyring.add("slow", "read", rate=1e-4)  # one now, and the next in hours
         try:
             until(lambda: statuses_of_each(clients) == {401})
-            found = [statuses_of_each([client], key=key) for client in [*clients, *clients]]
-            assert sorted(map(min, found)) == [200, 429, 429, 429]
+            result = [statuses_of_each([client], key=key) for client in [*clients, *clients]]
+            assert sorted(map(min, result)) == [200, 429, 429, 429]
         finally:
             keyring.revoke("slow")
             until(lambda: statuses_of_each(clients) == {200})
@@ -179,8 +179,8 @@ def test_a_row_taken_by_one_process_is_answered_by_all(several):
         version = clients[0].import_table("clean", body, format="json")["table_version"]
         for client in clients:
             until(lambda one=client: one.component("clean")["table_version"] >= version)
-            told = client.displacement("clean", [50.0, 0, 0], [0, 1, 2], on_thin="estimate")
-            assert told.table_version == version
+            reported = client.displacement("clean", [50.0, 0, 0], [0, 1, 2], on_thin="estimate")
+            assert reported.table_version == version
 
 
 def test_metrics_are_of_all_processes_whichever_is_asked(several):
@@ -216,23 +216,26 @@ def test_a_job_that_one_process_has_taken_is_told_to_listeners_of_all(several):
             assert next(feed).kind == "hello"
         job = clients[0].solve("bar", [0.0, 0.0, -11.0], [0.0, 0.0, 0.0]).job
         for feed in feeds:
-            told = next(
-                one
-                for one in feed
-                if (one.body.get("id"), one.body.get("status")) == (job.id, "done")
+            reported = next(
+                item
+                for item in feed
+                if (item.body.get("id"), item.body.get("status")) == (job.id, "done")
             )
-            assert told.body["component"] == "bar"
+            assert reported.body["component"] == "bar"
             feed.close()
 
 
 def test_a_killed_process_is_started_again_and_the_others_answer_meanwhile(several):
-    before = {one.pid for one in several.workers("webworker")}
+    before = {worker.pid for worker in several.workers("webworker")}
     victim = min(before)
     os.kill(victim, signal.SIGKILL)
     with several.client() as client:
         assert client.component("clean")["rows"] > 0
         until(
-            lambda: len({one.pid for one in several.workers("webworker")} - {victim}) == len(before)
+            lambda: (
+                len({worker.pid for worker in several.workers("webworker")} - {victim})
+                == len(before)
+            )
         )
         until(client.is_ready)
 
@@ -246,7 +249,7 @@ def test_a_killed_builder_loses_nothing_that_was_accepted(several):
         job = client.solve("bar", [0.0, 0.0, -10.0], [0.0, 0.0, 0.0]).job
         assert job is not None
         until(lambda: client.job(job.id).status == "done")
-        assert {one.pid for one in several.workers("builder")} != {victim.pid}
+        assert {worker.pid for worker in several.workers("builder")} != {victim.pid}
         until(client.is_ready)
 
 
@@ -294,8 +297,8 @@ def test_at_a_signal_who_waits_is_answered_and_no_accepted_job_is_lost(several):
     """The last test of this server: it ends here."""
     with several.client() as client:
         accepted = [
-            client.solve("bar", [0.0, 0.0, -20.0 - one / 10], [0.0, 0.0, 0.0]).job.id
-            for one in range(100)
+            client.solve("bar", [0.0, 0.0, -20.0 - index / 10], [0.0, 0.0, 0.0]).job.id
+            for index in range(100)
         ]
     waiting = http.client.HTTPConnection(
         several.address[0].removeprefix("http://"), timeout=LIMIT_S
@@ -307,7 +310,7 @@ def test_at_a_signal_who_waits_is_answered_and_no_accepted_job_is_lost(several):
     waiting.close()
     assert several.supervisor.wait(LIMIT_S) == 0
     ledger = Ledger(several.folder / "ledger.sqlite")
-    assert {ledger.job(one).status for one in accepted} <= {"waiting", "done", "running"}
+    assert {ledger.job(item).status for item in accepted} <= {"waiting", "done", "running"}
     assert not ledger.losses()
     ledger.close()
     with pytest.raises(ConnectionRefusedError):
@@ -349,11 +352,11 @@ def serving(folder, processes, temporary):
 
 
 def web_workers(server):
-    found = set()
-    for one in psutil.Process(server.pid).children(recursive=True):
+    result = set()
+    for child in psutil.Process(server.pid).children(recursive=True):
         with suppress(psutil.NoSuchProcess):  # it ended meanwhile
-            found |= {one.pid} if one.name() == "wb-webworker" else set()
-    return found
+            result |= {child.pid} if child.name() == "wb-webworker" else set()
+    return result
 
 
 class Load:
@@ -556,9 +559,9 @@ def test_twenty_restarts_that_wait_are_one(supervisor):
 
 
 def test_an_end_waits_neither_for_restarts_nor_for_a_web_worker_that_starts(supervisor):
-    made = supervisor(signal.SIGHUP)
-    made._signals += [signal.SIGHUP, signal.SIGTERM, signal.SIGHUP]
-    made.run()
+    created = supervisor(signal.SIGHUP)
+    created._signals += [signal.SIGHUP, signal.SIGTERM, signal.SIGHUP]
+    created.run()
     assert [child.got for child in StandIn.all] == [[signal.SIGTERM, "joined"]] * 4
 
 
@@ -575,10 +578,10 @@ def test_a_web_worker_that_does_not_start_leaves_the_others(supervisor, monkeypa
 @pytest.mark.parametrize("place", [0, 1])
 def test_a_process_without_heartbeat_is_killed_and_started_again(supervisor, place):
     StandIn.all[place].healthy = False
-    made = supervisor()
+    created = supervisor()
     assert StandIn.all[place].got == ["killed"]
     assert StandIn.all[3].name == StandIn.all[place].name
-    assert not made.failed
+    assert not created.failed
 
 
 def test_heartbeats_are_read_without_waiting_for_one(monkeypatch):

@@ -67,20 +67,20 @@ class Calibration(NamedTuple):
         calibrated : bool
             Whether bars must hold everywhere; if not, only where the table says it covers.
         """
-        found = []
+        results = []
         if self.covered_inside < COVERED_INSIDE:
-            found.append(f"{self.covered_inside:.1%} of what is called covered inside")
+            results.append(f"{self.covered_inside:.1%} of what is called covered inside")
         if not calibrated:
-            return found
+            return results
         if np.isnan(self.inside).any():
-            return [*found, "no error is known"]
+            return [*results, "no error is known"]
         if self.inside.min() < INSIDE:
-            found.append(f"{self.inside.min():.1%} inside")
+            results.append(f"{self.inside.min():.1%} inside")
         ratio = self.tail_ratio if piecewise else self.ratio
         over = float(np.median(ratio / np.where(self.median < TINY, SHARP_TINY, SHARP)))
         if over > 1:
-            found.append(f"median bar {over:.2f} x what it may be")
-        return found
+            results.append(f"median bar {over:.2f} x what it may be")
+        return results
 
 
 class Shipped(NamedTuple):
@@ -103,18 +103,18 @@ def calibration(
 
     `accuracy`, of the largest displacement, is what the truth itself is known to.
     """
-    told = surrogate.batch(wrenches, None, method)
-    error = np.abs(told.displacement - true)
+    reported = surrogate.batch(wrenches, None, method)
+    error = np.abs(reported.displacement - true)
     size = np.maximum(np.ptp(true, axis=0), np.finfo(float).tiny)
     # What no load moves errs by rounding, and so does its bar.
     rounding = accuracy * np.abs(true).max(axis=0) + 1e-16
-    held, covered = error <= told.error + rounding, told.coverage == 0
-    known = (told.coverage != 2) & np.isfinite(told.error).all(axis=1)
+    held, covered = error <= reported.error + rounding, reported.coverage == 0
+    known = (reported.coverage != 2) & np.isfinite(reported.error).all(axis=1)
     if not known.any():  # a table that knows no error claims nothing, and covers nothing
         assert not covered.any()
         nothing = np.full(6, np.nan)
         return Calibration(nothing, nothing, nothing, nothing, nothing, 0.0, 1.0)
-    error, bars = error[known], told.error[known]
+    error, bars = error[known], reported.error[known]
     least = np.maximum(rounding, FLOOR * true.std(axis=0))
     middle = np.maximum(np.median(error, axis=0), least)
     tail = np.maximum(np.quantile(error, 0.9, axis=0), least)

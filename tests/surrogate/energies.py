@@ -95,4 +95,4 @@ def part(slopes: Slopes, seed: int, nonlinear: float = 0.3, count: int = 8) -> P
     return Part(stiff, directions, slopes, size)
 
 
-PARTS = {one.__name__: one for one in (stiffening, saturating, waving, rising)}
+PARTS = {item.__name__: item for item in (stiffening, saturating, waving, rising)}

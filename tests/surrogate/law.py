@@ -68,9 +68,9 @@ class Law:
         method: str | None = None,
     ) -> Answer:
         """Answer one wrench of six floats, N and N·m."""
-        told = packed_of(self.table).answer(wrench, tolerance and allowed_by(tolerance), method)
-        words = told.coverage, told.reason, told.method, told.missing
-        return Answer(told.outputs, told.interpolation, *words)
+        reported = packed_of(self.table).answer(wrench, tolerance and allowed_by(tolerance), method)
+        words = reported.coverage, reported.reason, reported.method, reported.missing
+        return Answer(reported.outputs, reported.interpolation, *words)
 
     def batch(
         self,
@@ -85,8 +85,10 @@ class Law:
         )
         table = self.table
         if table.solver_error or table.rig_error.any() or not table.bars_are_complete:
-            told = [self.answer(wrench, tolerance, method).error for wrench in asked.tolist()]
-            errors = np.array([one or (None,) * 6 for one in told], dtype=float).reshape(-1, 6)
+            reported = [self.answer(wrench, tolerance, method).error for wrench in asked.tolist()]
+            errors = np.array([item or (None,) * 6 for item in reported], dtype=float).reshape(
+                -1, 6
+            )
         return Batch(outputs, errors, coverage)
 
     def by_method(self, wrenches: Floats, method: str = "griddata") -> Batch:

@@ -184,16 +184,16 @@ def judged(truth: Truth, parts: np.ndarray, asked: np.ndarray) -> Verdict:
     """Return what the answers of a table with rows at some parts are worth at others."""
     table = _table(truth, parts)
     wrenches = truth.at(asked)
-    true, found = truth.rows(wrenches).displacement, table.batch(wrenches)
-    covered = found.coverage == 0
-    error = np.abs(found.displacement - true)
+    true, result = truth.rows(wrenches).displacement, table.batch(wrenches)
+    covered = result.coverage == 0
+    error = np.abs(result.displacement - true)
     rounding = ROUNDING * np.abs(true).max(axis=0)
-    out = ~(error <= found.error + rounding)[covered]
-    known = np.isfinite(found.error).all(axis=1)
+    out = ~(error <= result.error + rounding)[covered]
+    known = np.isfinite(result.error).all(axis=1)
     ratio = np.full(6, np.nan)
     if known.any():
         typical = np.maximum(np.median(error[known], axis=0), rounding + np.finfo(float).tiny)
-        ratio = np.median(found.error[known], axis=0) / typical
+        ratio = np.median(result.error[known], axis=0) / typical
     return Verdict(
         float(covered.mean()),
         float(out.any(axis=1).mean()) if covered.any() else 0.0,

@@ -38,56 +38,56 @@ def gaps_of(rows, load_range):
 
 
 def test_a_linear_elastic_table_passes_and_a_6x6_suffices() -> None:
-    told = checks(LINEAR, compliance=TANGENTS)
-    assert told["ok"]
-    assert all(check["ok"] for check in told["checks"].values())
-    assert told["checks"]["linear"]["says"].startswith("one 6x6 compliance describes")
-    assert told["checks"]["linear"]["index"] < 1e-9
+    reported = checks(LINEAR, compliance=TANGENTS)
+    assert reported["ok"]
+    assert all(check["ok"] for check in reported["checks"].values())
+    assert reported["checks"]["linear"]["says"].startswith("one 6x6 compliance describes")
+    assert reported["checks"]["linear"]["index"] < 1e-9
 
 
 def test_nonlinearity_is_measured_and_breaks_no_law() -> None:
     bent = LINEAR.copy()
     bent[:, 2] *= 1 + 0.1 * np.abs(SCALED).max(axis=1)
-    told = checks(bent)
-    assert told["ok"]
-    assert not told["checks"]["linear"]["ok"]
-    assert 0.005 < told["checks"]["linear"]["per_output"]["uz"] < 0.1
-    assert len(told["checks"]["linear"]["rows"]) == 5
+    reported = checks(bent)
+    assert reported["ok"]
+    assert not reported["checks"]["linear"]["ok"]
+    assert 0.005 < reported["checks"]["linear"]["per_output"]["uz"] < 0.1
+    assert len(reported["checks"]["linear"]["rows"]) == 5
 
 
 def test_a_displacement_at_no_load_is_named() -> None:
     offset = LINEAR + np.abs(LINEAR).max(axis=0) * 0.01
-    told = checks(offset)["checks"]["zero_at_zero_load"]
-    assert not told["ok"]
-    assert told["rows"] == [1]
+    reported = checks(offset)["checks"]["zero_at_zero_load"]
+    assert not reported["ok"]
+    assert reported["rows"] == [1]
 
 
 @pytest.mark.parametrize("row", [40, 77])
 def test_a_row_with_a_wrong_sign_gives_work_back_and_is_named(row: int) -> None:
     wrong = LINEAR.copy()
     wrong[row] *= -1
-    told = checks(wrong)
-    assert not told["ok"]
-    assert row + 1 in told["checks"]["work"]["rows"]
-    assert len(told["checks"]["work"]["rows"]) < 5
+    reported = checks(wrong)
+    assert not reported["ok"]
+    assert row + 1 in reported["checks"]["work"]["rows"]
+    assert len(reported["checks"]["work"]["rows"]) < 5
 
 
 def test_tangents_that_are_unsymmetric_negative_or_lead_elsewhere_are_named() -> None:
     tangents = TANGENTS.copy()
     tangents[5, 0, 1] += 0.5 * np.abs(MATRIX[0, 0] * HIGH[0] / HIGH[1])
     tangents[9] *= -1
-    told = checks(LINEAR, compliance=tangents)["checks"]
-    assert 6 in told["symmetric"]["rows"]
-    assert told["positive"]["rows"] == [10]
-    assert 10 in told["tangents"]["rows"]
+    reported = checks(LINEAR, compliance=tangents)["checks"]
+    assert 6 in reported["symmetric"]["rows"]
+    assert reported["positive"]["rows"] == [10]
+    assert 10 in reported["tangents"]["rows"]
 
 
 @pytest.mark.parametrize("source", ["fea", "measured"])
 def test_a_tangent_a_thousandth_off_symmetry_is_named_if_it_is_a_solves(source: str) -> None:
     tangents = TANGENTS.copy()
     tangents[5, 0, 1] += 1e-3 * np.abs(MATRIX[0, 0] * HIGH[0] / HIGH[1])
-    told = checks(LINEAR, compliance=tangents, source=[source] * len(SCALED))["checks"]
-    assert told["symmetric"]["rows"] == ([6] if source == "fea" else [])
+    reported = checks(LINEAR, compliance=tangents, source=[source] * len(SCALED))["checks"]
+    assert reported["symmetric"]["rows"] == ([6] if source == "fea" else [])
 
 
 def test_nonlinear_solves_are_symmetric_by_the_loads_of_the_energy() -> None:
@@ -96,41 +96,41 @@ def test_nonlinear_solves_are_symmetric_by_the_loads_of_the_energy() -> None:
         places = slice(len(tangents))
         about = {"compliance": tangents, "source": ["fea"] * len(tangents)}
         rows = Rows.of(file["wrench"][places], file["displacement"][places], **about)
-    told = check_physics(rows, span, fit_compliance(rows, span, linear=False))["checks"]
-    assert told["symmetric"]["asymmetry_of_solves"] < 1e-8  # 4e-3 by force and moment
-    assert told["symmetric"]["rows"] == []
+    reported = check_physics(rows, span, fit_compliance(rows, span, linear=False))["checks"]
+    assert reported["symmetric"]["asymmetry_of_solves"] < 1e-8  # 4e-3 by force and moment
+    assert reported["symmetric"]["rows"] == []
 
 
 def test_rows_too_far_apart_for_their_tangents_are_not_called_broken() -> None:
     far = 2 * np.eye(6)[[2, 2, 4]] * [[1.0], [-1.0], [1.0]] * HIGH
     stiff = np.stack([MATRIX, 0.1 * MATRIX, 3 * MATRIX])
     rows = Rows.of(far, far @ MATRIX.T, compliance=stiff)
-    told = check_physics(rows, RANGE, fit_compliance(rows, RANGE, linear=False))
-    assert told["checks"]["tangents"]["ok"] is None
-    assert told["checks"]["tangents"]["reason"].endswith("solve rows between")
+    reported = check_physics(rows, RANGE, fit_compliance(rows, RANGE, linear=False))
+    assert reported["checks"]["tangents"]["ok"] is None
+    assert reported["checks"]["tangents"]["reason"].endswith("solve rows between")
 
 
 def test_noise_of_a_thousandth_of_the_largest_displacement_breaks_no_law() -> None:
     largest = np.repeat([np.abs(LINEAR[:, :3]).max(), np.abs(LINEAR[:, 3:]).max()], 3)
     noise = 5e-4 * largest * np.random.default_rng(1).uniform(-1, 1, LINEAR.shape)
-    told = checks(LINEAR + noise)["checks"]
-    assert (told["zero_at_zero_load"]["ok"], told["work"]["ok"]) == (True, True)
+    reported = checks(LINEAR + noise)["checks"]
+    assert (reported["zero_at_zero_load"]["ok"], reported["work"]["ok"]) == (True, True)
 
 
 def test_a_load_a_guide_holds_is_told_to_have_no_influence() -> None:
     held = MATRIX.copy()
     held[[1, 3]] = held[:, [1, 3]] = 0
-    told = checks((SCALED * HIGH) @ held.T)["checks"]["positive"]
-    assert told["ok"]
-    assert told["loads_without_influence"] == ["fy", "mx"]
+    reported = checks((SCALED * HIGH) @ held.T)["checks"]["positive"]
+    assert reported["ok"]
+    assert reported["loads_without_influence"] == ["fy", "mx"]
 
 
 def test_rows_without_all_outputs_are_left_out_of_the_checks() -> None:
     partial = LINEAR.copy()
     partial[::2, 3:] = np.nan
     rows = Rows.of(SCALED * HIGH, partial)
-    told = check_physics(rows, RANGE, build(rows, RANGE).groups[0].fit)
-    assert told["rows_checked"] == len(SCALED) // 2
+    reported = check_physics(rows, RANGE, build(rows, RANGE).groups[0].fit)
+    assert reported["rows_checked"] == len(SCALED) // 2
 
 
 def test_rows_that_contradict_each_other_are_listed_and_repeats_are_not() -> None:
@@ -140,9 +140,9 @@ def test_rows_that_contradict_each_other_are_listed_and_repeats_are_not() -> Non
     moved[1, 2] += 1e-4
     rows = table(smooth, SCALED) + Rows.of(wrench, moved, seq=[101, 102, 103, 104])
     rows = rows.take(np.delete(np.arange(len(rows)), [5, 6]))
-    found = row_conflicts(rows, RANGE)["conflicts"]
-    assert [one["rows"] for one in found] == [[101, 102]]
-    assert found[0]["spread"] == pytest.approx({"uz": 1e-4})
+    results = row_conflicts(rows, RANGE)["conflicts"]
+    assert [result["rows"] for result in results] == [[101, 102]]
+    assert results[0]["spread"] == pytest.approx({"uz": 1e-4})
     doubtful = Rows.of(wrench, moved, uncertainty=np.full((4, 6), 1e-4))
     assert row_conflicts(doubtful, RANGE)["conflicts"] == []
     summary = build(rows, RANGE).coverage_summary()
@@ -168,9 +168,9 @@ def test_a_compliance_that_is_negative_by_its_own_asymmetry_breaks_no_law() -> N
     held[[1, 3]] = held[:, [1, 3]] = 0
     moved = (SCALED * HIGH) @ held.T
     noise = 1e-3 * np.abs(moved).max() * np.random.default_rng(1).uniform(-1, 1, moved.shape)
-    told = checks(moved + noise)["checks"]
-    assert told["positive"]["smallest_over_largest_eigenvalue"] < -1e-6
-    assert told["positive"]["ok"]
+    reported = checks(moved + noise)["checks"]
+    assert reported["positive"]["smallest_over_largest_eigenvalue"] < -1e-6
+    assert reported["positive"]["ok"]
     assert not checks(-(moved + noise))["checks"]["positive"]["ok"]
 
 
@@ -183,14 +183,14 @@ def test_laws_of_physics_are_checked_over_all_interfaces() -> None:
     inputs = spread_wrenches(load_range, 40)
     inputs[0] = space.zero
     rows = Rows.of(inputs, (inputs - space.zero) @ matrix.T, space)
-    found = check_physics(rows, load_range, fit_compliance(rows, load_range, linear=False))
-    assert found["ok"]
-    assert found["checks"]["zero_at_zero_load"]["ok"]
-    assert found["checks"]["symmetric"]["asymmetry"] < 1e-9
-    assert found["checks"]["work"]["ok"] is None
+    result = check_physics(rows, load_range, fit_compliance(rows, load_range, linear=False))
+    assert result["ok"]
+    assert result["checks"]["zero_at_zero_load"]["ok"]
+    assert result["checks"]["symmetric"]["asymmetry"] < 1e-9
+    assert result["checks"]["work"]["ok"] is None
     wrong = rows.displacement.copy()
     wrong[0, 7] = 1.0
     moved = replace(rows, displacement=wrong, seq=np.arange(40))
-    found = check_physics(moved, load_range, fit_compliance(moved, load_range, linear=False))
-    assert found["checks"]["zero_at_zero_load"]["rows"] == [0]
-    assert found["checks"]["zero_at_zero_load"]["displacement"]["right.uy"] == 1.0
+    result = check_physics(moved, load_range, fit_compliance(moved, load_range, linear=False))
+    assert result["checks"]["zero_at_zero_load"]["rows"] == [0]
+    assert result["checks"]["zero_at_zero_load"]["displacement"]["right.uy"] == 1.0

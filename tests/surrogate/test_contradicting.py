@@ -51,10 +51,10 @@ def others(plate: Shipped) -> np.ndarray:
 def inside(plate: Shipped, table: Table) -> np.ndarray:
     """Part of the solver's displacements inside the bars that the kriging gives, (6,)."""
     chosen = others(plate)
-    told = table.batch(plate.asked[chosen], None, "kriging")
-    known = ~np.isnan(told.error)
+    reported = table.batch(plate.asked[chosen], None, "kriging")
+    known = ~np.isnan(reported.error)
     assert known.mean() > 0.85  # elsewhere wrenches are further from the rows than any row is
-    missed = np.abs(told.displacement - plate.true[chosen]) > told.error
+    missed = np.abs(reported.displacement - plate.true[chosen]) > reported.error
     return 1 - (missed & known).sum(axis=0) / known.sum(axis=0)
 
 
@@ -65,8 +65,8 @@ def covered(plate: Shipped, table: Table) -> float:
 
 def test_rows_that_measured_one_output_leave_the_kriging_the_default(plate: Shipped) -> None:
     table = build(plate.rows + uz_alone(measured(plate)), plate.load_range)
-    told = table.coverage_summary()
-    assert told["method"] == "kriging"
+    reported = table.coverage_summary()
+    assert reported["method"] == "kriging"
     # As much as the solves alone: what lies further from the rows than any row has no error bar.
     solves = build(plate.rows, plate.load_range)
     assert covered(plate, table) > 0.97 * covered(plate, solves) > 0.85

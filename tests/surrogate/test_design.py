@@ -154,9 +154,9 @@ def test_refinement_ends_when_bars_are_within_the_tolerance_and_they_are() -> No
     assert stages[-1] == "met"
     assert not len(design.wrenches)
     asked = full_wrenches(500, 1)
-    told = surrogate.batch(asked * HIGH)
-    assert (told.coverage == 0).mean() > ENOUGH - 0.03
-    error = np.abs(told.displacement - smooth(asked))
+    reported = surrogate.batch(asked * HIGH)
+    assert (reported.coverage == 0).mean() > ENOUGH - 0.03
+    error = np.abs(reported.displacement - smooth(asked))
     assert (error <= allowed_by(tolerance)).all(axis=1).mean() > ENOUGH - 0.03
 
 

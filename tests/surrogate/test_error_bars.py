@@ -47,9 +47,9 @@ def but(names: dict[str, str]) -> list[object]:
     return [pytest.param(name, marks=marks.get(name, [])) for name in RESPONSES]
 
 
-def together(found: list[Calibration]) -> np.ndarray:
+def together(results: list[Calibration]) -> np.ndarray:
     """Return the part of errors inside per output, the mean of tables that know their errors."""
-    inside = np.array([one.inside for one in found])
+    inside = np.array([result.inside for result in results])
     assert np.isfinite(inside).any()
     return np.nanmean(inside, axis=0)
 
@@ -58,7 +58,7 @@ def together(found: list[Calibration]) -> np.ndarray:
 def of_sixty_solves(name: str) -> list[Calibration]:
     response = RESPONSES[name]
     rows = [solved(response, full_wrenches(60, seed)) for seed in SEEDS]
-    return [synthetic(response, one) for one in rows]
+    return [synthetic(response, row) for row in rows]
 
 
 @pytest.mark.parametrize("name", RESPONSES)
@@ -69,23 +69,23 @@ def test_bars_of_sixty_solves_hold(name: str) -> None:
 @pytest.mark.parametrize("name", RESPONSES)
 def test_bars_of_a_filled_table_hold(name: str) -> None:
     response = RESPONSES[name]
-    found = [synthetic(response, filled(response, 39, seed)) for seed in SEEDS]
-    assert together(found).min() >= INSIDE
+    result = [synthetic(response, filled(response, 39, seed)) for seed in SEEDS]
+    assert together(result).min() >= INSIDE
 
 
 @pytest.mark.parametrize("name", RESPONSES)
 def test_bars_without_tangents_hold_with_forty_full_wrenches(name: str) -> None:
     response = RESPONSES[name]
     rows = [table(response, spread_wrenches(30, 40, seed)) for seed in SEEDS]
-    assert together([synthetic(response, one) for one in rows]).min() >= INSIDE
+    assert together([synthetic(response, row) for row in rows]).min() >= INSIDE
 
 
 @pytest.mark.parametrize("name", but(NOT_SHARP))
 def test_bars_are_sharp(name: str) -> None:
     texts = [
         text
-        for one in of_sixty_solves(name)
-        for text in one.complaints(piecewise=name in PIECEWISE)
+        for of_sixty_solve in of_sixty_solves(name)
+        for text in of_sixty_solve.complaints(piecewise=name in PIECEWISE)
     ]
     assert not [text for text in texts if "median bar" in text]
 
@@ -102,8 +102,8 @@ def test_bars_are_sharp(name: str) -> None:
 def test_bars_hold_on_the_shipped_components(name: str, clean: int | None) -> None:
     component = shipped(name, 40 if name == "plate_thin" else 20, clean)
     surrogate = build(component.rows, component.load_range)
-    found = calibration(surrogate, component.asked, component.true, accuracy=SOLVES)
-    assert found.inside.min() >= INSIDE
+    result = calibration(surrogate, component.asked, component.true, accuracy=SOLVES)
+    assert result.inside.min() >= INSIDE
 
 
 @pytest.mark.parametrize(("full", "worst"), [(15, 0.003), (30, 0.0015), (60, 0.0008)])
@@ -111,14 +111,14 @@ def test_few_solves_of_a_shipped_component_answer_within_sharp_bars(
     full: int, worst: float
 ) -> None:
     """Of three tables together: 73 wrenches tell one table's share to a thirtieth."""
-    found = []
+    results = []
     for begin in (0, 10, 20):
         own = shipped("plate_thin", full, 0, begin)
         surrogate = build(own.rows, own.load_range)
-        found.append(calibration(surrogate, own.asked, own.true, accuracy=SOLVES))
-    assert together(found).min() >= INSIDE
-    assert found[0].rms.max() < worst
-    assert np.median(found[0].ratio) <= 8
+        results.append(calibration(surrogate, own.asked, own.true, accuracy=SOLVES))
+    assert together(results).min() >= INSIDE
+    assert results[0].rms.max() < worst
+    assert np.median(results[0].ratio) <= 8
 
 
 def test_a_table_that_cannot_know_what_loads_do_together_covers_no_full_wrench() -> None:
@@ -131,17 +131,17 @@ def test_what_is_called_covered_is_inside_under_a_tolerance_too() -> None:
     rows = solved(coupled, full_wrenches(40, 5))
     surrogate = build(rows, RANGE, tolerance=Tolerance(1e-4, 1e-4))
     asked = full_wrenches(1000, 6)
-    found = calibration(surrogate, asked * HIGH, coupled(asked))
-    assert 0.05 < found.covered < 0.95
-    assert found.covered_inside >= INSIDE
+    result = calibration(surrogate, asked * HIGH, coupled(asked))
+    assert 0.05 < result.covered < 0.95
+    assert result.covered_inside >= INSIDE
 
 
 @pytest.mark.parametrize("told", [True, False])
 @pytest.mark.parametrize("per_axis", [30, 100])
 def test_bars_hold_under_noise(per_axis: int, told: bool) -> None:
     """Against the response itself: what the rows' noise makes of an answer, not of a new row."""
-    found = [synthetic(smooth, noisy(per_axis, 40, seed, told)) for seed in SEEDS]
-    assert together(found).min() >= INSIDE
+    result = [synthetic(smooth, noisy(per_axis, 40, seed, told)) for seed in SEEDS]
+    assert together(result).min() >= INSIDE
 
 
 @pytest.mark.parametrize("method", ["kriging", "griddata"])
@@ -221,5 +221,5 @@ def test_a_table_whose_left_out_rows_tell_no_size_covers_nothing_and_says_why() 
     surrogate = build(rows, RANGE, tolerance=Tolerance(1.0, 1.0))
     asked = full_wrenches(20, 1) * HIGH
     assert (surrogate.batch(asked).coverage == 1).all()
-    told = surrogate.answer(asked[0].tolist())
-    assert (told.coverage, told.reason) == ("thin", ERRORS_UNKNOWN)
+    reported = surrogate.answer(asked[0].tolist())
+    assert (reported.coverage, reported.reason) == ("thin", ERRORS_UNKNOWN)

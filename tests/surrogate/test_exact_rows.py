@@ -33,11 +33,11 @@ def test_a_reading_whose_uncertainty_nobody_stated_has_no_error() -> None:
     """It was covered with an error of 0, at 3 % noise."""
     rows = table(smooth, 0.9 * full_wrenches(6, 3))
     stated = replace(rows, uncertainty=np.full((6, 6), 2e-6))
-    found = [packed_of(build(one, RANGE)).batch(rows.wrench) for one in (rows, stated)]
-    assert (found[0].coverage == 1).all()
-    assert np.isnan(found[0].errors).all()
-    assert (found[1].coverage == 0).all()
-    assert (found[1].errors == 2e-6).all()
+    result = [packed_of(build(item, RANGE)).batch(rows.wrench) for item in (rows, stated)]
+    assert (result[0].coverage == 1).all()
+    assert np.isnan(result[0].errors).all()
+    assert (result[1].coverage == 0).all()
+    assert (result[1].errors == 2e-6).all()
 
 
 def test_readings_that_repeat_tell_their_noise_without_a_kriging() -> None:
@@ -46,10 +46,10 @@ def test_readings_that_repeat_tell_their_noise_without_a_kriging() -> None:
         wrench = 0.9 * full_wrenches(3, 3) * RANGE.scale
         moved = smooth(0.9 * full_wrenches(3, 3)) + rng.normal(size=(4, 3, 6)) * sigma
         rows = Rows.of(np.tile(wrench, (4, 1)), moved.reshape(12, 6))
-        found = packed_of(build(rows, RANGE)).batch(wrench)
-        assert (found.coverage == 0).all()
-        held.append(np.abs(found.outputs - smooth(0.9 * full_wrenches(3, 3))) <= found.errors)
-        known.append(found.errors)
+        result = packed_of(build(rows, RANGE)).batch(wrench)
+        assert (result.coverage == 0).all()
+        held.append(np.abs(result.outputs - smooth(0.9 * full_wrenches(3, 3))) <= result.errors)
+        known.append(result.errors)
     assert np.mean(held) == pytest.approx(0.95, abs=0.02)
     assert np.median(known) == pytest.approx(sigma, rel=0.5)  # 2.26 sigma over the root of four
 
@@ -65,15 +65,15 @@ def test_a_rounding_error_beside_a_row_is_covered_as_the_row_is(tangents: bool) 
     for row, step in zip(table.rows.wrench, steps(6), strict=True):
         for share in BESIDE:
             asked = row + share * step
-            found = table.answer(asked.tolist())
-            assert (found.coverage, found.method) == ("covered", "row")
-            assert found.displacement is not None
-            assert found.error is not None
-            missed = np.abs(np.array(found.displacement) - SMOOTH(asked[None] / HIGH)[0])
-            assert (missed <= np.array(found.error) + 1e-18).all()  # of numbers below 0.01
-            told = packed_of(table).answer(asked.tolist())
-            assert told.exact == bool((asked == row).all())
-            assert told.source == table.rows.source[0]
+            result = table.answer(asked.tolist())
+            assert (result.coverage, result.method) == ("covered", "row")
+            assert result.displacement is not None
+            assert result.error is not None
+            missed = np.abs(np.array(result.displacement) - SMOOTH(asked[None] / HIGH)[0])
+            assert (missed <= np.array(result.error) + 1e-18).all()  # of numbers below 0.01
+            reported = packed_of(table).answer(asked.tolist())
+            assert reported.exact == bool((asked == row).all())
+            assert reported.source == table.rows.source[0]
         assert table.answer((row + 3e-6 * step).tolist()).coverage != "covered"
 
 
@@ -94,11 +94,11 @@ def test_single_answers_batches_and_derivatives_beside_a_row_agree() -> None:
     table = few()
     asked = np.concatenate([table.rows.wrench + share * steps(6) for share in (*BESIDE, 3e-6)])
     packed = packed_of(table)
-    found, slopes = packed.batch(asked), packed.derivatives(asked)
+    result, slopes = packed.batch(asked), packed.derivatives(asked)
     for place, wrench in enumerate(asked.tolist()):
         answer = packed.answer(wrench)
-        np.testing.assert_array_equal(answer.outputs, found.outputs[place])
-        np.testing.assert_array_equal(six(answer.error), found.errors[place])
+        np.testing.assert_array_equal(answer.outputs, result.outputs[place])
+        np.testing.assert_array_equal(six(answer.error), result.errors[place])
         np.testing.assert_array_equal(packed.derivative(wrench), slopes[place])
     np.testing.assert_array_equal(slopes[:36], np.tile(table.rows.compliance, (6, 1, 1)))
 
@@ -107,8 +107,8 @@ def test_the_answer_beside_a_row_has_the_slope_that_is_told() -> None:
     table, step = few(), steps(1)[0]
     ends = table.rows.wrench[2] + np.array([[-8e-7], [8e-7]]) * step
     low, high = table.batch(ends).displacement
-    told = table.rows.compliance[2] @ step
-    np.testing.assert_allclose((high - low) / 16e-7, told, rtol=1e-6, atol=1e-9)
+    reported = table.rows.compliance[2] @ step
+    np.testing.assert_allclose((high - low) / 16e-7, reported, rtol=1e-6, atol=1e-9)
 
 
 def test_a_row_stands_for_no_wrench_where_that_alone_moves_more_than_is_allowed() -> None:

@@ -24,9 +24,9 @@ def bent(asked):
     return value, (1 + 0.1 * inner)[:, :, None] * slopes / RANGE.scale
 
 
-def applied(found, values, slopes):
+def applied(result, values, slopes):
     """Return the weighted sum of values (k, d) and slopes (k, d, 6)."""
-    weights, _ = found
+    weights, _ = result
     return weights[:, 0] @ values + np.einsum("kl,kdl->d", weights[:, 1:], slopes)
 
 
@@ -37,9 +37,9 @@ def test_they_give_the_answer_of_the_tables_kriging():
     kriging = Kriging.build(rows, RANGE)
     weights = FieldWeights.of(asked, RANGE, kriging.hyperparameters)
     for wrench in wrenches(5, seed=2):
-        told = applied(weights.at(wrench), 1e-3 * value, 1e-3 * slopes)
+        reported = applied(weights.at(wrench), 1e-3 * value, 1e-3 * slopes)
         (expected,), _ = kriging.answer_many(wrench[None])
-        np.testing.assert_allclose(told, expected, atol=1e-6 * np.abs(expected).max())
+        np.testing.assert_allclose(reported, expected, atol=1e-6 * np.abs(expected).max())
 
 
 def test_what_is_linear_in_the_wrench_comes_out_exactly():
@@ -47,17 +47,17 @@ def test_what_is_linear_in_the_wrench_comes_out_exactly():
     weights = FieldWeights.of(asked, RANGE)
     slopes = np.broadcast_to(matrix, (12, 9, 6))
     for wrench in wrenches(4, seed=3):
-        told = applied(weights.at(wrench), 2.0 + asked @ matrix.T, slopes)
-        np.testing.assert_allclose(told, 2.0 + matrix @ wrench, rtol=1e-4)
+        reported = applied(weights.at(wrench), 2.0 + asked @ matrix.T, slopes)
+        np.testing.assert_allclose(reported, 2.0 + matrix @ wrench, rtol=1e-4)
 
 
 def test_at_a_row_the_row_answers():
     asked = wrenches(12)
     value, slopes = bent(asked)
     weights = FieldWeights.of(asked, RANGE)
-    found = weights.at(asked[3])
-    np.testing.assert_allclose(applied(found, value, slopes), value[3], atol=1e-7)
-    assert found[1] < 1e-4 < weights.at(wrenches(1, seed=9)[0])[1]
+    result = weights.at(asked[3])
+    np.testing.assert_allclose(applied(result, value, slopes), value[3], atol=1e-7)
+    assert result[1] < 1e-4 < weights.at(wrenches(1, seed=9)[0])[1]
 
 
 def test_rows_left_out_err_as_a_table_without_them_does():
@@ -68,26 +68,26 @@ def test_rows_left_out_err_as_a_table_without_them_does():
     errors, sigmas = weights.left_out(columns)
     for row in range(8):
         others = np.delete(np.arange(8), row)
-        found = FieldWeights.of(asked[others], RANGE).at(asked[row])
-        missed = value[row] - applied(found, value[others], slopes[others])
+        result = FieldWeights.of(asked[others], RANGE).at(asked[row])
+        missed = value[row] - applied(result, value[others], slopes[others])
         np.testing.assert_allclose(errors[row], missed, atol=1e-6 * np.abs(value).max())
-        assert sigmas[row] == pytest.approx(found[1], rel=1e-3)
+        assert sigmas[row] == pytest.approx(result[1], rel=1e-3)
 
 
 def test_one_row_is_led_by_its_slopes():
     asked = wrenches(1)
     value, slopes = bent(asked)
     step = 0.05 * RANGE.scale
-    told = applied(FieldWeights.of(asked, RANGE).at(asked[0] + step), value, slopes)
-    np.testing.assert_allclose(told, value[0] + slopes[0] @ step, rtol=1e-3)
+    reported = applied(FieldWeights.of(asked, RANGE).at(asked[0] + step), value, slopes)
+    np.testing.assert_allclose(reported, value[0] + slopes[0] @ step, rtol=1e-3)
 
 
 def test_a_load_that_cannot_occur_takes_no_part():
     flat = LoadRange(np.append(RANGE.low[:5], 0.0), np.append(RANGE.high[:5], 0.0))
     asked = wrenches(6) * [1, 1, 1, 1, 1, 0]
-    found, _ = FieldWeights.of(asked, flat).at(asked[0])
-    assert (found[:, 6] == 0.0).all()
-    assert np.isfinite(found).all()
+    result, _ = FieldWeights.of(asked, flat).at(asked[0])
+    assert (result[:, 6] == 0.0).all()
+    assert np.isfinite(result).all()
 
 
 def test_the_nearest_rows_are_told_in_shares_of_the_range():

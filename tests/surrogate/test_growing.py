@@ -104,11 +104,11 @@ def test_no_version_holds_the_one_before() -> None:
     rows = table(smooth, clean_wrenches(30, 1))
     before = build(rows, RANGE)
     after = build(one_more(rows, [0.3, 0, 0, 0, 0.1, 0.2]), RANGE, before=before)
-    shapes = [one.triangulation for one in after.axes.tables]
+    shapes = [item.triangulation for item in after.axes.tables]
     assert all(cut.shape in shapes for cuts in after.axes.cuts for cut in cuts)
-    assert all(one not in after.axes.tables for one in before.axes.tables)
+    assert all(item not in after.axes.tables for item in before.axes.tables)
     holders = after.table, after.groups[0]
-    assert all(value is not before.table for one in holders for value in vars(one).values())
+    assert all(value is not before.table for holder in holders for value in vars(holder).values())
     assert all(value is not before.groups[0] for value in vars(after.groups[0]).values())
 
 
@@ -118,9 +118,9 @@ def test_a_thinned_axis_is_told(
     monkeypatch.setattr(thinning, "MAX_POINTS", 1000)
     rows = table(smooth, clean_wrenches(3500, 1))
     surrogate = build(rows, RANGE, tolerance=Tolerance(1.0, 1.0))
-    told = [axis["rows"] for axis in surrogate.coverage_summary()["axes"]]
-    assert told == [len(one.values) for one in surrogate.axes.tables]
-    assert all(len(one.values) < 1500 for one in surrogate.axes.tables if one)
+    reported = [axis["rows"] for axis in surrogate.coverage_summary()["axes"]]
+    assert reported == [len(item.values) for item in surrogate.axes.tables]
+    assert all(len(item.values) < 1500 for item in surrogate.axes.tables if item)
 
 
 def test_a_thinned_table_that_grows_has_the_digits_of_one_built_at_once(

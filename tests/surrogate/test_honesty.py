@@ -39,8 +39,8 @@ def test_one_solve_at_25_times_the_range_changes_no_answer_but_its_own() -> None
     odd.seq[:] = 1000
     with_odd, without = build(rows + odd, RANGE), build(rows, RANGE)
     for method in (None, "linear", "griddata"):
-        told, expected = (s.batch(ASKED * HIGH, method=method) for s in (with_odd, without))
-        for one, other in zip(told, expected, strict=True):
+        reported, expected = (s.batch(ASKED * HIGH, method=method) for s in (with_odd, without))
+        for one, other in zip(reported, expected, strict=True):
             np.testing.assert_array_equal(one, other)
     np.testing.assert_array_equal(with_odd.fit.matrix, without.fit.matrix)
     own = with_odd.answer(odd.wrench[0].tolist())
@@ -66,8 +66,8 @@ def test_almost_equal_rows_do_not_make_slopes_of_their_noise() -> None:
     x = ASKED[:, [0, 4, 5]] * 1.2
     asked = np.zeros((len(x), 6))
     asked[:, [0, 4, 5]] = x
-    told = surrogate.batch(asked * HIGH)
-    assert np.abs(told.displacement).max() < 2 * np.abs(smooth(asked)).max()
+    reported = surrogate.batch(asked * HIGH)
+    assert np.abs(reported.displacement).max() < 2 * np.abs(smooth(asked)).max()
     merged = surrogate.answer((CLEAN[10] * HIGH * (1 - 1e-8)).tolist())
     assert merged.displacement is not None
     assert merged.error is not None
@@ -107,17 +107,17 @@ def test_errors_are_known_of_wrenches_that_load_as_much_at_once_as_a_row_does(
 
 def test_forty_full_wrenches_show_the_errors_of_most_full_wrenches() -> None:
     rows = table(coupled, np.concatenate((CLEAN, full_wrenches(40, 5))))
-    found = build(rows, RANGE).batch(ASKED * HIGH, Tolerance(1.0, 1.0))
-    assert (found.coverage == 0).mean() > 0.8
+    result = build(rows, RANGE).batch(ASKED * HIGH, Tolerance(1.0, 1.0))
+    assert (result.coverage == 0).mean() > 0.8
 
 
 def test_tangents_of_clean_rows_alone_cover_no_full_wrench() -> None:
     """A product of three forces, and its slopes, are zero wherever one axis is loaded."""
     product = RESPONSES["strongly_coupled"]
     surrogate = build(with_slopes(product, CLEAN), RANGE)
-    told = surrogate.batch(ASKED * HIGH)
-    assert np.isnan(told.error).all()
-    assert (told.coverage == 1).all()
+    reported = surrogate.batch(ASKED * HIGH)
+    assert np.isnan(reported.error).all()
+    assert (reported.coverage == 1).all()
     one = surrogate.answer((ASKED[0] * HIGH).tolist())
     assert one.reason == UNKNOWN_TOGETHER
 
@@ -133,11 +133,11 @@ def test_linear_asked_of_a_few_nonlinear_rows_has_an_unknown_error_or_one_that_h
     rows.source[:] = "fea"
     surrogate = build(rows, RANGE)
     asked = scaled * 0.5
-    told = surrogate.batch(asked * HIGH, method="linear")
-    missed = np.abs(told.displacement - smooth(asked))
-    unknown = np.isnan(told.error)
-    assert (unknown | (missed <= told.error + 1e-12)).mean() >= 0.9
-    assert (told.coverage[unknown.any(axis=1)] != 0).all()
+    reported = surrogate.batch(asked * HIGH, method="linear")
+    missed = np.abs(reported.displacement - smooth(asked))
+    unknown = np.isnan(reported.error)
+    assert (unknown | (missed <= reported.error + 1e-12)).mean() >= 0.9
+    assert (reported.coverage[unknown.any(axis=1)] != 0).all()
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -147,8 +147,8 @@ def test_no_bar_is_nothing_off_a_row(method: str) -> None:
         table(smooth, CLEAN * [0, 0, 1, 0, 0, 0]),
         table(lambda x: 0 * x, np.concatenate((CLEAN, np.zeros((1, 6))))),
     ):
-        told = build(rows, RANGE).batch(ASKED[:5] * HIGH * [0, 0, 1, 0, 0, 0], method=method)
-        assert not (told.error == 0).any()
+        reported = build(rows, RANGE).batch(ASKED[:5] * HIGH * [0, 0, 1, 0, 0, 0], method=method)
+        assert not (reported.error == 0).any()
 
 
 def test_source_of_a_partly_measured_table_is_that_of_the_row_itself() -> None:
@@ -157,11 +157,11 @@ def test_source_of_a_partly_measured_table_is_that_of_the_row_itself() -> None:
     source = [f"rig {place}" for place in range(len(CLEAN))]
     surrogate = build(Rows.of(CLEAN * HIGH, moved, source=source), RANGE)
     assert surrogate.rows.partial
-    told = [
+    reported = [
         packed_of(surrogate).answer(surrogate.rows.wrench[place].tolist(), [0.0] * 6).source
         for place in (20, 50, 0)
     ]
-    assert told == ["rig 20", "rig 50", None]  # the first rows lack outputs, which others tell
+    assert reported == ["rig 20", "rig 50", None]  # the first rows lack outputs, which others tell
     assert packed_of(surrogate).answer([1.0] * 6).source is None
 
 
@@ -198,12 +198,12 @@ def test_estimates_are_continuous_across_the_hull_along_any_line(seed: int, slop
     start, end = rng.uniform(-0.1, 0.1, 3), rng.normal(size=3)
     asked = np.zeros((len(line), 6))
     asked[:, [0, 4, 5]] = start + line * (1.6 * end / np.linalg.norm(end) - start)
-    told = surrogate.batch(asked * HIGH)
-    assert set(told.coverage) >= {2}
-    assert len(set(told.coverage)) > 1
+    reported = surrogate.batch(asked * HIGH)
+    assert set(reported.coverage) >= {2}
+    assert len(set(reported.coverage)) > 1
     outputs = [0, 3, 4, 5]
-    out = told.coverage == 2
-    steps = np.abs(np.diff(told.displacement[:, outputs], axis=0))
+    out = reported.coverage == 2
+    steps = np.abs(np.diff(reported.displacement[:, outputs], axis=0))
     assert steps[out[1:] & out[:-1]].max() < 4e-5  # of 4e-4 of the way, outside as well
     for place in np.flatnonzero(np.diff(out.astype(int)))[:6]:
         near, far = asked[place], asked[place + 1]
@@ -262,9 +262,9 @@ def test_rows_at_three_values_of_each_load_cover_nothing_between_them(method, no
     x = composite()
     moved = 1e-3 * np.tanh(2 * x)
     moved += noise * np.random.default_rng(1).normal(size=moved.shape)
-    found = build(Rows.of(x * HIGH, moved), RANGE)
+    result = build(Rows.of(x * HIGH, moved), RANGE)
     asked = full_wrenches(200, 2) * HIGH
-    assert (found.batch(asked, None, method).coverage > 0).all()
+    assert (result.batch(asked, None, method).coverage > 0).all()
 
 
 def sweeps(response: Response) -> Any:
@@ -285,7 +285,7 @@ def test_loads_swept_one_at_a_time_cover_no_two_of_them_at_once_and_say_why() ->
 
 
 def test_loads_swept_one_at_a_time_cover_each_alone() -> None:
-    found = sweeps(twisted)
+    result = sweeps(twisted)
     for load in range(6):
         wrench = (HIGH * 0.44 * np.eye(6)[load]).tolist()
-        assert found.answer(wrench, Tolerance(5e-5, 5e-5)).coverage == "covered"
+        assert result.answer(wrench, Tolerance(5e-5, 5e-5)).coverage == "covered"

@@ -20,10 +20,10 @@ from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 
 def interpolate(points: np.ndarray, values: np.ndarray, x: np.ndarray) -> np.ndarray:
     shape = Triangulation(points)
-    found = shape.locate(x)
-    weights = shape.barycentric(np.maximum(found, 0), x)
-    answer = np.einsum("ki,ki->k", weights, values[shape.simplices[np.maximum(found, 0)]])
-    return np.where(found < 0, np.nan, answer)
+    result = shape.locate(x)
+    weights = shape.barycentric(np.maximum(result, 0), x)
+    answer = np.einsum("ki,ki->k", weights, values[shape.simplices[np.maximum(result, 0)]])
+    return np.where(result < 0, np.nan, answer)
 
 
 def test_it_equals_griddata_in_three_dimensions() -> None:
@@ -95,9 +95,9 @@ def test_inputs_over_twelve_orders_of_magnitude_do_not_break_it() -> None:
     rng = np.random.default_rng(7)
     points = rng.choice([-1.0, 1.0], (300, 3)) * 10 ** rng.uniform(-12, 0, (300, 3))
     shape = Triangulation(points)
-    found = shape.locate(points * 0.999)
-    assert (found >= 0).mean() > 0.99
-    weights = shape.barycentric(np.maximum(found, 0), points * 0.999)
+    result = shape.locate(points * 0.999)
+    assert (result >= 0).mean() > 0.99
+    weights = shape.barycentric(np.maximum(result, 0), points * 0.999)
     assert np.isfinite(weights).all()
 
 
@@ -217,10 +217,10 @@ def test_points_of_a_rounded_grid_are_compared_with_few_simplices(
         return barycentric(self, simplices, x)
 
     monkeypatch.setattr(Triangulation, "barycentric", counted)
-    found = shape.locate(asked)
+    result = shape.locate(asked)
     assert sum(compared) < 50 * len(asked)
     every = np.flatnonzero(~shape.degenerate)
-    for simplex, point in zip(found.tolist(), asked, strict=True):
+    for simplex, point in zip(result.tolist(), asked, strict=True):
         weights = shape.barycentric(every, np.broadcast_to(point, (len(every), 3))).min(axis=1)
         assert (simplex >= 0) == (weights.max() >= -1e-9)
         assert simplex < 0 or weights[every == simplex] >= -1e-9  # and it is not flat

@@ -38,12 +38,12 @@ EDGE = [
 def test_one_answer_and_a_batch_draw_the_same_line(
     moved: tuple[float | None, ...], given: bool
 ) -> None:
-    told = np.zeros((6, 6))
-    told[0] = np.array(moved, dtype=float) / 2
-    told[1:, np.isnan(told[0])] = np.nan
+    reported = np.zeros((6, 6))
+    reported[0] = np.array(moved, dtype=float) / 2
+    reported[1:, np.isnan(reported[0])] = np.nan
     for high, coverage in ((2.0, "covered"), (1.0, "outside")):
         span = LoadRange(-np.full(6, high), np.full(6, high))
-        packed = packed_of(build(Rows.of(np.eye(6), told), span, linear=True))
+        packed = packed_of(build(Rows.of(np.eye(6), reported), span, linear=True))
         wrench = [2.0, 0, 0, 0, 0, 0]
         one, many = packed.answer(wrench, [1e9] * 6), packed.batch([wrench], [1e9] * 6)
         assert one.coverage == coverage
@@ -74,12 +74,12 @@ def test_a_table_leaves_out_estimates_beyond_the_limits(partial: bool) -> None:
     assert table.answer([0, 0, 1.3, 0, 0, 0]).displacement is not None
     for load in (2.5, 20.0):
         wrench = [0, 0, load, 0, 0, 0]
-        answer, found = packed_of(table).answer(wrench), table.batch([wrench])
+        answer, result = packed_of(table).answer(wrench), table.batch([wrench])
         assert (answer.outputs, answer.error) == (None, None)
         assert LEAVES_LIMITS in answer.reason
         assert answer.coverage == "outside"
-        assert np.isnan(found.displacement).all()
-        assert np.isnan(found.error).all()
+        assert np.isnan(result.displacement).all()
+        assert np.isnan(result.error).all()
 
 
 def test_a_row_beyond_the_limits_answers_its_own_wrench() -> None:
@@ -115,9 +115,9 @@ def test_no_call_of_a_table_sees_the_loads_on_locked_freedoms(partial: bool) -> 
     bare = np.concatenate((table.rows.wrench[:5], table.rows.wrench[5:15] * 0.7))
     full = bare + np.isin(np.arange(6), LOCKED) * 2.0 * HIGH  # beyond the range
     packed = packed_of(table)
-    found, expected = packed.batch(full), packed.batch(bare)
+    results, expected = packed.batch(full), packed.batch(bare)
     assert not expected.coverage.any()
-    for one, other in zip(found, expected, strict=True):
+    for one, other in zip(results, expected, strict=True):
         np.testing.assert_array_equal(one, other)
     slopes = packed.derivatives(full)
     np.testing.assert_array_equal(slopes, packed.derivatives(bare))
@@ -130,7 +130,7 @@ def test_no_call_of_a_table_sees_the_loads_on_locked_freedoms(partial: bool) -> 
         for axis in chain(*axes):
             del axis["inputs"]
         assert axes[0] == axes[1]
-    assert [packed.answer(one, [0.0] * 6).method == "row" for one in full] == [True] * 5 + [
+    assert [packed.answer(item, [0.0] * 6).method == "row" for item in full] == [True] * 5 + [
         False
     ] * 10
 

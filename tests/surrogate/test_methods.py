@@ -27,9 +27,9 @@ def test_axes_of_the_axes_alone_answers_as_that_of_a_whole_table() -> None:
     rows = table(smooth, np.concatenate((clean_wrenches(20, 1), full_wrenches(10, 2))))
     asked = np.concatenate((full_wrenches(100, 3), clean_wrenches(10, 4))) * 1.05 * HIGH
     alone, whole = axes_of(rows).by_method(asked), build(rows, RANGE)
-    told = whole.batch(asked, method="griddata")
-    np.testing.assert_array_equal(alone.displacement, told.displacement)
-    np.testing.assert_array_equal(alone.coverage == 2, told.coverage == 2)
+    reported = whole.batch(asked, method="griddata")
+    np.testing.assert_array_equal(alone.displacement, reported.displacement)
+    np.testing.assert_array_equal(alone.coverage == 2, reported.coverage == 2)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -48,9 +48,9 @@ def test_every_method_has_the_derivative_of_its_own_answer(method: str) -> None:
         PLATE_TABLE.batch(wrench + sign * np.diag(step), None, method).displacement
         for sign in (1, -1)
     ]
-    told = ((ends[0] - ends[1]) / (2 * step[:, None])).T
+    reported = ((ends[0] - ends[1]) / (2 * step[:, None])).T
     np.testing.assert_allclose(
-        slope * step, told * step, rtol=1e-3, atol=1e-3 * np.abs(slope * step).max(axis=1).min()
+        slope * step, reported * step, rtol=1e-3, atol=1e-3 * np.abs(slope * step).max(axis=1).min()
     )
 
 

@@ -20,8 +20,8 @@ def _one_axis():
 @pytest.mark.parametrize("method", ["griddata", "additive"])
 def test_steps_by_loads_that_no_row_has_make_the_error_bar_unknown(method: str) -> None:
     table, asked = _one_axis(), 1.1 * full_wrenches(40, 6) * HIGH
-    found = table.batch(asked, None, method)
-    assert np.isnan(found.error).all()
+    result = table.batch(asked, None, method)
+    assert np.isnan(result.error).all()
     assert all(table.answer(wrench, None, method).error is None for wrench in asked)
 
 
@@ -53,17 +53,17 @@ def test_the_derivative_off_what_the_rows_span_is_that_of_the_answer(asked, meth
     """It was 0 by the only row's own load, and twice as much by a moment of two axes."""
     for rows in ([[0, 0, 500, 0, 0, 0]], [[0, 0, z, 0, 0, 0] for z in (-9, 0, 9)]):
         table = packed_of(proportional(rows))
-        found = table.derivative(asked, None, method)[:, [2, 3]]
-        np.testing.assert_allclose(found, np.diag([1e-6] * 6)[:, [2, 3]], rtol=1e-12, atol=1e-18)
+        result = table.derivative(asked, None, method)[:, [2, 3]]
+        np.testing.assert_allclose(result, np.diag([1e-6] * 6)[:, [2, 3]], rtol=1e-12, atol=1e-18)
 
 
 def test_the_derivative_by_a_load_that_no_row_tells_is_unknown() -> None:
     """It was 0 in a covered answer."""
     loads = np.linspace(-1, 1, 9)[:, None] * np.array([0, 0, 1000.0, 0, 0, 0])
     table = packed_of(build(Rows.of(loads, 1e-6 * loads), RANGE))
-    found = table.derivative([0, 0, 150.0, 0, 0, 0])
-    assert found[2, 2] == pytest.approx(1e-6, rel=1e-5)  # the kriging's, of its nugget
-    assert np.isnan(found[2, [3, 4]]).all()
+    result = table.derivative([0, 0, 150.0, 0, 0, 0])
+    assert result[2, 2] == pytest.approx(1e-6, rel=1e-5)  # the kriging's, of its nugget
+    assert np.isnan(result[2, [3, 4]]).all()
 
 
 SCALED = clean_wrenches(40, 1)
@@ -131,8 +131,8 @@ def test_whole_fields_are_told_by_the_kriging_of_whole_rows_though_others_lack_o
     wrong = np.full((2, 6), np.nan)
     wrong[:, 2] = 1.2 * smooth(ASKED[:2])[:, 2]
     measured = Rows.of(ASKED[:2] * HIGH, wrong, source=["measured"] * 2)
-    found = build(joined([whole, measured]), RANGE)
-    assert found.rows.partial
-    fullest, _ = found.groups
+    result = build(joined([whole, measured]), RANGE)
+    assert result.rows.partial
+    fullest, _ = result.groups
     assert len(fullest.rows) == len(whole)
     assert fullest.kriging is not None

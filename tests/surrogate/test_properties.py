@@ -40,12 +40,12 @@ def some_table(seed: int, most: int = 40) -> Rows:
 @given(SEEDS)
 def test_a_row_returns_itself(seed: int) -> None:
     rows = some_table(seed)
-    told = axes_of(rows).by_method(rows.wrench)  # rounding may put those on the hull beyond it
+    reported = axes_of(rows).by_method(rows.wrench)  # rounding may put those on the hull beyond it
     off = np.array([[1, 2, 3], [0, 2, 4], [0, 1, 5]])
     for axis in range(3):
         mine = (rows.wrench[:, off[axis]] == 0).all(axis=1)
         exact = rows.displacement[mine, axis]
-        np.testing.assert_allclose(told.displacement[mine, axis], exact, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(reported.displacement[mine, axis], exact, rtol=0, atol=1e-12)
 
 
 @FEW
@@ -53,11 +53,11 @@ def test_a_row_returns_itself(seed: int) -> None:
 def test_a_row_of_a_table_of_one_axis_returns_all_its_outputs(seed: int) -> None:
     rows = some_table(seed)
     rows = rows.take((rows.wrench[:, 1:4] == 0).all(axis=1))
-    told = axes_of(rows).by_method(rows.wrench)
-    inside = told.coverage != 2
+    reported = axes_of(rows).by_method(rows.wrench)
+    inside = reported.coverage != 2
     outputs = [0, 3, 4, 5]
     np.testing.assert_allclose(
-        told.displacement[inside][:, outputs],
+        reported.displacement[inside][:, outputs],
         rows.displacement[inside][:, outputs],
         rtol=0,
         atol=1e-12,

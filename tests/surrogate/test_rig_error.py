@@ -33,8 +33,8 @@ def noisy(kind: str, count: int, noise: float, seed: int = 0) -> tuple[Rows, np.
 def bars_of(kind: str, count: int, noise: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Error bars and true errors of the mean, (k, 6), and whether answers are covered, (k,)."""
     rows, _ = noisy(kind, count, noise)
-    found = packed_of(build(rows, RANGE)).batch(ASKED * HIGH)
-    return found.errors, np.abs(found.outputs - RESPONSES[kind](ASKED)), found.coverage == 0
+    result = packed_of(build(rows, RANGE)).batch(ASKED * HIGH)
+    return result.errors, np.abs(result.outputs - RESPONSES[kind](ASKED)), result.coverage == 0
 
 
 @pytest.mark.parametrize("kind", ["smooth", "hardening", "clearance"])
@@ -69,12 +69,12 @@ def test_the_error_bar_of_a_reading_holds_readings() -> None:
     packed = packed_of(table)
     rng, held = np.random.default_rng(5), []
     for wrench in ASKED[:200]:
-        found = packed.answer(wrench * HIGH)
-        if found.error is None or None in found.error:
+        result = packed.answer(wrench * HIGH)
+        if result.error is None or None in result.error:
             continue
-        parts = np.array(found.error), np.array(found.interpolation), table.observation_noise
+        parts = np.array(result.error), np.array(result.interpolation), table.observation_noise
         reading = RESPONSES["clearance"](wrench[None])[0] + 0.01 * size * rng.normal(size=6)
-        held.append(np.abs(reading - found.outputs) <= error_of_a_reading(*parts))
+        held.append(np.abs(reading - result.outputs) <= error_of_a_reading(*parts))
     assert np.mean(held) > 0.9
 
 
@@ -92,14 +92,14 @@ def loop(width: float) -> Rows:
 @pytest.mark.parametrize("width", [0.02, 0.08])
 def test_hysteresis_on_equal_wrenches_is_not_averaged_away(width: float) -> None:
     """A loop of 8 % from 177.0 to 209.9 um was answered as 193.4 +- 1.4 um, covered."""
-    found = packed_of(build(loop(width), AXIAL)).answer([0, 0, 450, 0, 0, 0])
+    result = packed_of(build(loop(width), AXIAL)).answer([0, 0, 450, 0, 0, 0])
     up, down = 4e-4 * (0.5 - width / 2), 4e-4 * (0.5 + width / 2)
-    assert found.outputs is not None
-    assert found.error is not None
-    assert found.outputs[2] - found.error[2] <= up
-    assert found.outputs[2] + found.error[2] >= down
-    assert found.measurement is not None
-    assert found.measurement[2] == pytest.approx(width / 2 * 4e-4, rel=0.3)
+    assert result.outputs is not None
+    assert result.error is not None
+    assert result.outputs[2] - result.error[2] <= up
+    assert result.outputs[2] + result.error[2] >= down
+    assert result.measurement is not None
+    assert result.measurement[2] == pytest.approx(width / 2 * 4e-4, rel=0.3)
 
 
 @pytest.mark.parametrize("noise", [0.001, 0.01])
@@ -123,11 +123,11 @@ def test_both_branches_of_motions_are_inside() -> None:
         rig.noise = 0.003
         rows = rig.measured("hysteresis of 2 %")
         asked = rig.wrench[::5] * 0.98
-        found = packed_of(build(rows, rig.range)).batch(asked)
-        known = np.isfinite(found.errors).all(axis=1)
+        result = packed_of(build(rows, rig.range)).batch(asked)
+        known = np.isfinite(result.errors).all(axis=1)
         for sign in (-1, 1):
             true = rig.respond(asked) + sign * 0.01 * rig.size
-            held.append((np.abs(found.outputs - true) <= found.errors)[known].mean())
+            held.append((np.abs(result.outputs - true) <= result.errors)[known].mean())
     assert np.mean(held) > 0.9
 
 
@@ -164,10 +164,10 @@ def test_bars_hold_sessions_that_differ_by_a_factor(
 ) -> None:
     """Of covered answers 21 to 53 % were outside of either session's truth."""
     rows, scales = sessions(counts, factors, noise, output)
-    found, truth = packed_of(build(rows, RANGE)).batch(ASKED * HIGH), RESPONSES["clearance"](ASKED)
-    known = np.isfinite(found.errors).all(axis=1)
+    result, truth = packed_of(build(rows, RANGE)).batch(ASKED * HIGH), RESPONSES["clearance"](ASKED)
+    known = np.isfinite(result.errors).all(axis=1)
     for scale in scales:
-        outside = np.abs(found.outputs - scale * truth) > found.errors
+        outside = np.abs(result.outputs - scale * truth) > result.errors
         assert outside[known].mean(axis=0).max() <= 0.1
 
 

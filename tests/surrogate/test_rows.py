@@ -104,9 +104,9 @@ def test_an_infinite_or_missing_third_derivative_is_refused_by_row(wrong: float)
 
 def test_the_kernel_calls_the_same_wrenches_one_and_the_same_loads_none() -> None:
     lines = [line.split() for line in HEADER.read_text().splitlines()]
-    found = {line[1]: float(line[2]) for line in lines if line[:1] == ["#define"] and line[2:]}
+    result = {line[1]: float(line[2]) for line in lines if line[:1] == ["#define"] and line[2:]}
     same = {f"WB_{name}": getattr(limits, name) for name in ("ZERO_LOAD", "NEAR", "ROUNDING")}
-    assert found.items() >= {**same, "WB_STEEPER": STEEPER}.items()
+    assert result.items() >= {**same, "WB_STEEPER": STEEPER}.items()
 
 
 @pytest.mark.parametrize("dimensions", [1, 3, 7])
@@ -118,8 +118,8 @@ def test_groups_are_those_that_all_distances_give(dimensions):
     groups = close_groups(points)
     for first, second in KDTree(points).query_pairs(0.995 * NEAR, p=np.inf):
         assert groups[first] == groups[second]
-    for one in np.unique(groups):
-        members = points[groups == one]
+    for item in np.unique(groups):
+        members = points[groups == item]
         if len(members) == 2:
             assert np.abs(members[0] - members[1]).max() <= 1.0001 * NEAR
     assert 1000 < len(np.unique(groups)) < 1500

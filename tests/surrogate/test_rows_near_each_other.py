@@ -29,9 +29,9 @@ def verdict(name: str, scenario: str, seed: int) -> Verdict:
 @pytest.mark.parametrize("apart", ["1e-5", "1e-4", "1e-3", "1e-2"])
 def test_twins_of_solves_hold_their_errors(apart: str) -> None:
     """Of 15 solves with twins 1e-4 of the range away all 220 answers were covered and outside."""
-    found = verdict("plate_thin", f"15 and twins {apart}", 3)
-    assert found.outside <= OUTSIDE
-    assert found.covered > 0.1
+    result = verdict("plate_thin", f"15 and twins {apart}", 3)
+    assert result.outside <= OUTSIDE
+    assert result.covered > 0.1
 
 
 @pytest.mark.parametrize("name", ["plate_thin", "hardening", "strongly_coupled"])
@@ -41,29 +41,29 @@ def test_rows_along_a_motion_alone_cover_nothing_wrongly(name: str, scenario: st
 
     Of three tables together: each has some ten groups of rows to tell a tail by.
     """
-    found = [verdict(name, scenario, seed) for seed in (1, 2, 3)]
-    outside = sum(one.covered * one.outside for one in found)
-    assert outside <= OUTSIDE * sum(one.covered for one in found)
+    results = [verdict(name, scenario, seed) for seed in (1, 2, 3)]
+    outside = sum(result.covered * result.outside for result in results)
+    assert outside <= OUTSIDE * sum(result.covered for result in results)
 
 
 @pytest.mark.parametrize(("scenario", "covered"), [("spread 13", 0.6), ("spread 40", 0.8)])
 def test_spread_rows_besides_a_motion_make_it_covered(scenario: str, covered: float) -> None:
-    found = verdict("plate_thin", f"motion 60, {scenario}", 1)
-    assert found.outside <= OUTSIDE
-    assert found.covered >= covered
+    result = verdict("plate_thin", f"motion 60, {scenario}", 1)
+    assert result.outside <= OUTSIDE
+    assert result.covered >= covered
 
 
 def test_what_a_loop_queues_from_empty_is_never_covered_wrongly() -> None:
-    found = verdict("plate_thin", "on demand from empty", 2)
-    assert found.outside <= OUTSIDE
+    result = verdict("plate_thin", "on demand from empty", 2)
+    assert result.outside <= OUTSIDE
 
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_spread_rows_stay_covered(seed: int) -> None:
     """At least 0.8 of what version 0.2 covered, which was 0.94 of it."""
-    found = verdict("plate_thin", "spread 30", seed)
-    assert found.covered >= 0.8 * 0.94
-    assert found.worst <= OUTSIDE
+    result = verdict("plate_thin", "spread 30", seed)
+    assert result.covered >= 0.8 * 0.94
+    assert result.worst <= OUTSIDE
 
 
 def test_rows_that_only_pull_cover_no_push() -> None:

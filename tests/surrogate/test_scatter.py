@@ -47,7 +47,7 @@ def test_scattered_sweeps_of_single_loads_cover_no_several_loads(
     deviation: float, values: int
 ) -> None:
     """At 1e-3 of the range all were covered, 99 % outside, by up to half of the range."""
-    sweeps = [value * one for one in np.eye(6) for value in np.linspace(-1, 1, values)]
+    sweeps = [value * item for item in np.eye(6) for value in np.linspace(-1, 1, values)]
     loads = scattered(np.array(sweeps), deviation)
     rng = np.random.default_rng(0)
     first, second = np.array(list(combinations(range(6), 2))).T
@@ -63,12 +63,12 @@ def test_error_bars_of_noisy_sweeps_hold_the_noise(
 ) -> None:
     """Of what was covered 63 to 92 % lay outside, by up to 1,600 error bars."""
     rng = np.random.default_rng(seed)
-    sweeps = np.array([value * one for one in np.eye(6) for value in np.linspace(-1, 1, values)])
+    sweeps = np.array([value * item for item in np.eye(6) for value in np.linspace(-1, 1, values)])
     table = table_of(sweeps, 5e-4 * sweeps + rng.normal(0, noise, sweeps.shape))
-    asked = np.array([value * one for one in np.eye(6) for value in LINE])
-    found = table.batch(asked * SCALE, (1e-3,) * 6, method)
-    outside = np.abs(found.outputs - 5e-4 * asked) > found.errors
-    assert not found.coverage.any()
+    asked = np.array([value * item for item in np.eye(6) for value in LINE])
+    result = table.batch(asked * SCALE, (1e-3,) * 6, method)
+    outside = np.abs(result.outputs - 5e-4 * asked) > result.errors
+    assert not result.coverage.any()
     assert outside.mean() < 0.1
 
 

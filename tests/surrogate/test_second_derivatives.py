@@ -47,11 +47,11 @@ def response(space: Space) -> tuple[Floats, Floats, Floats, Floats]:
         return (a @ q + (b @ q) ** 2 * b / 2)[:outputs]
 
     def wrench(q: Floats) -> Floats:
-        found, y = q.copy(), moved(q)
+        result, y = q.copy(), moved(q)
         for first in range(3, outputs, 6):
             own = slice(first, first + 3)
-            found[own] = np.linalg.solve(spin_per_vector(y[own]).T, q[own])
-        return found
+            result[own] = np.linalg.solve(spin_per_vector(y[own]).T, q[own])
+        return result
 
     by_q = (a + (b @ q) * np.outer(b, b))[:outputs]
     return wrench(q), moved(q), by_q @ np.linalg.inv(differences(wrench, q)), by_q
@@ -83,8 +83,8 @@ def test_unit_moments_give_the_columns_of_the_transposed_jacobian() -> None:
 @pytest.mark.parametrize("space", [DEFAULT, TWO_AND_HEAT], ids=["one interface", "two and heat"])
 def test_a_tangent_by_force_and_moment_becomes_that_by_the_loads_of_an_energy(space: Space) -> None:
     wrench, moved, tangent, expected = response(space)
-    found = symmetric_tangents(wrench[None], moved[None], tangent[None], space)[0]
-    assert found == pytest.approx(expected, abs=1e-9)
+    result = symmetric_tangents(wrench[None], moved[None], tangent[None], space)[0]
+    assert result == pytest.approx(expected, abs=1e-9)
 
 
 def test_solved_tangents_become_symmetric() -> None:
@@ -100,13 +100,13 @@ def test_a_load_on_a_locked_freedom_takes_no_part() -> None:
     wrench, moved, tangent, _ = response(DEFAULT)
     tangent[3], tangent[:, 3], moved[3] = 0.0, 0.0, 0.0
     without = np.where(np.arange(6) == 3, 0.0, wrench)
-    found, expected = (
-        symmetric_tangents(one[None], moved[None], tangent[None], DEFAULT)
-        for one in (wrench, without)
+    result, expected = (
+        symmetric_tangents(item[None], moved[None], tangent[None], DEFAULT)
+        for item in (wrench, without)
     )
-    assert found.tobytes() == expected.tobytes()
-    assert not found[0, 3].any()
-    assert not found[0, :, 3].any()
+    assert result.tobytes() == expected.tobytes()
+    assert not result[0, 3].any()
+    assert not result[0, :, 3].any()
 
 
 def test_a_tangent_without_a_counterpart_by_the_loads_is_not_a_number() -> None:
@@ -118,14 +118,14 @@ def test_a_tangent_without_a_counterpart_by_the_loads_is_not_a_number() -> None:
 
 def test_an_unknown_tangent_stays_unknown() -> None:
     wrench, moved, tangent, _ = response(DEFAULT)
-    found = symmetric_tangents(
+    result = symmetric_tangents(
         np.array([wrench] * 2),
         np.array([moved] * 2),
         np.array([tangent, np.nan * tangent]),
         DEFAULT,
     )
-    assert np.isfinite(found[0]).all()
-    assert np.isnan(found[1]).all()
+    assert np.isfinite(result[0]).all()
+    assert np.isnan(result[1]).all()
 
 
 RANGE = LoadRange(-1.1 * HIGH, 1.1 * HIGH)
@@ -138,8 +138,8 @@ def places(count: int, seed: int) -> np.ndarray:
 
 def error(kriging: Kriging, truth: Rows) -> np.ndarray:
     """Return the RMS errors of the outputs over their ranges."""
-    found = kriging.answer_many(truth.wrench)[0] - truth.displacement
-    return np.sqrt((found**2).mean(axis=0)) / np.ptp(truth.displacement, axis=0)
+    result = kriging.answer_many(truth.wrench)[0] - truth.displacement
+    return np.sqrt((result**2).mean(axis=0)) / np.ptp(truth.displacement, axis=0)
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +151,7 @@ def test_made_up_rows_are_consistent(stiffening: Part) -> None:
     """Tangents and second derivatives by (F, M) are differences along rows of nearby loads."""
     at, step = places(4, 1), 1e-4
     rows = stiffening.rows(at)
-    found = second_derivatives(
+    result = second_derivatives(
         rows.wrench, rows.displacement, rows.compliance, rows.curvature, rows.space
     )
     for way in step * np.eye(6):
@@ -161,7 +161,7 @@ def test_made_up_rows_are_consistent(stiffening: Part) -> None:
         np.testing.assert_allclose(
             moved, ahead.displacement - behind.displacement, rtol=1e-5, atol=1e-10
         )
-        bent = np.einsum("noab,nb->noa", found, change)
+        bent = np.einsum("noab,nb->noa", result, change)
         size = np.abs(rows.compliance).max()
         np.testing.assert_allclose(
             bent / size, (ahead.compliance - behind.compliance) / size, atol=1e-7
@@ -182,13 +182,13 @@ def test_answers_at_rows_have_their_values_slopes_and_second_derivatives(stiffen
     slopes = slopes_at(rows.wrench) * HIGH / spread[:, None]
     np.testing.assert_allclose(slopes, rows.compliance * HIGH / spread[:, None], atol=1e-5)
     step = 1e-3
-    found = second_derivatives(
+    result = second_derivatives(
         rows.wrench, rows.displacement, rows.compliance, rows.curvature, rows.space
     )
     for load, way in enumerate(step * np.diag(HIGH)):
         ends = (slopes_at(rows.wrench + sign * way) for sign in (1, -1))
         bent = np.subtract(*ends) / (2 * step) * HIGH / spread[:, None]
-        expected = found[..., load] * HIGH[load] * HIGH / spread[:, None]
+        expected = result[..., load] * HIGH[load] * HIGH / spread[:, None]
         np.testing.assert_allclose(bent, expected, atol=2e-3)
 
 
@@ -199,8 +199,8 @@ def test_second_derivatives_lower_the_error(name: str, count: int) -> None:
     at = places(count, count)
     truth = own.rows(places(200, 99), second=False)
     without = error(Kriging.build(own.rows(at, second=False), RANGE), truth)
-    found = error(Kriging.build(own.rows(at), RANGE), truth)
-    assert np.median(found) < 0.85 * np.median(without)
+    result = error(Kriging.build(own.rows(at), RANGE), truth)
+    assert np.median(result) < 0.85 * np.median(without)
 
 
 @pytest.mark.parametrize("name", ["stiffening", "saturating", "waving"])
@@ -225,11 +225,11 @@ def test_rows_with_and_without_second_derivatives_stand_in_one_table(stiffening:
     at = places(20, 3)
     truth = stiffening.rows(places(200, 98), second=False)
     mixed = stiffening.rows(at[:8]) + stiffening.rows(at[8:], second=False)
-    found = [
+    result = [
         np.median(error(Kriging.build(rows, RANGE), truth))
         for rows in (stiffening.rows(at), mixed, stiffening.rows(at, second=False))
     ]
-    assert found[0] < found[1] < found[2]
+    assert result[0] < result[1] < result[2]
 
 
 def test_beyond_one_factor_rows_far_apart_keep_their_second_derivatives(stiffening: Part) -> None:

@@ -24,19 +24,19 @@ def test_the_parts_add_up_to_what_a_bar_grows_by():
     np.testing.assert_allclose(parts["mesh"], MESH @ np.abs(wrench), rtol=1e-5)
     np.testing.assert_allclose(parts["linearity"], 0.2**2 * np.array(BENT["linearity"]))
     rows = Rows.of([wrench], np.ones(6), source=["fea"])
-    found = packed_of(build(rows, UNIT, solver_error=error)).answer(rows.wrench[0].tolist())
+    result = packed_of(build(rows, UNIT, solver_error=error)).answer(rows.wrench[0].tolist())
     grown = np.sum([parts["mesh"], parts["linearity"]], axis=0)
-    assert found.interpolation == (0.0,) * 6
-    np.testing.assert_allclose(found.error, grown, rtol=1e-5)
+    assert result.interpolation == (0.0,) * 6
+    np.testing.assert_allclose(result.error, grown, rtol=1e-5)
 
 
 def test_what_is_not_known_stays_unknown():
     error = SolverError({"mesh": None, "loads": LOADS, "mesh_basis": "why"})
     assert error.parts([1.0] * 6) == {"mesh": None}
     rows = Rows.of(0.5 * np.eye(6), 1e-3 * np.eye(6), source=["fea"] * 6)
-    found = packed_of(build(rows, UNIT, solver_error=error)).answer([0.1] * 6)
-    assert found.discretisation is None
-    assert found.error == found.interpolation
+    result = packed_of(build(rows, UNIT, solver_error=error)).answer([0.1] * 6)
+    assert result.discretisation is None
+    assert result.error == result.interpolation
     nothing = packed_of(build(Rows.empty(), UNIT, solver_error=SolverError(TOLD)))
     assert nothing.answer([0.1] * 6).error is None
 
@@ -70,17 +70,17 @@ def shares_of(rows, tangents):
 
 def test_the_meshs_share_is_that_of_each_answer_where_a_part_softens():
     rows = column([0.0, 0.5, 0.8])
-    lacking, told = np.abs(lacking_of(rows)), shares_of(rows, rows.compliance)
+    lacking, reported = np.abs(lacking_of(rows)), shares_of(rows, rows.compliance)
     assert lacking[2, 2] > 24 * lacking[0, 2]
     # T D u is the first order of what the mesh changes: at 0.8 a few in a hundred are left out.
-    assert (told >= 0.96 * lacking).all()
-    assert (told[:, 2] <= 1.01 * lacking[:, 2]).all()
+    assert (reported >= 0.96 * lacking).all()
+    assert (reported[:, 2] <= 1.01 * lacking[:, 2]).all()
 
 
 def test_an_output_of_second_order_has_its_meshs_share():
     rows = column([0.5])
-    told = shares_of(rows, rows.compliance)
-    assert told[0, 0] == pytest.approx(abs(lacking_of(rows)[0, 0]), rel=0.05)
+    reported = shares_of(rows, rows.compliance)
+    assert reported[0, 0] == pytest.approx(abs(lacking_of(rows)[0, 0]), rel=0.05)
 
 
 def test_where_no_tangent_is_known_the_compliance_at_small_loads_stands_for_it():
@@ -92,7 +92,9 @@ def test_where_no_tangent_is_known_the_compliance_at_small_loads_stands_for_it()
 
 def test_an_estimate_of_an_older_version_still_gives_a_bar():
     """It has what its mesh lacks of the compliance, and no stiffness."""
-    old = SolverError({name: told for name, told in SOFT.items() if name != "mesh_stiffness"})
+    old = SolverError(
+        {name: reported for name, reported in SOFT.items() if name != "mesh_stiffness"}
+    )
     assert not old.can_grow
     table = build(softening_table().rows, UNIT, solver_error=old)
     wrench = column([0.62]).wrench[0].tolist()
@@ -103,12 +105,12 @@ def test_an_estimate_of_an_older_version_still_gives_a_bar():
 def test_whole_bars_hold_what_the_mesh_lacks_and_not_twice_as_much():
     packed, pushed = packed_of(softening_table()), [0.05, 0.33, 0.62, 0.8]
     wrenches = column(pushed).wrench
-    found = [packed.answer(wrench) for wrench in wrenches.tolist()]
-    share = np.array([one.discretisation[2] for one in found])
-    for one, errors in zip(found, packed.batch(wrenches).errors, strict=True):
+    results = [packed.answer(wrench) for wrench in wrenches.tolist()]
+    share = np.array([result.discretisation[2] for result in results])
+    for one, errors in zip(results, packed.batch(wrenches).errors, strict=True):
         own = (np.nan,) * 6 if one.interpolation is None else one.interpolation
         np.testing.assert_allclose(np.add(own, one.discretisation), errors, rtol=1e-12)
-    moved = np.array([one.outputs[2] for one in found])
+    moved = np.array([result.outputs[2] for result in results])
     true = column(pushed, stiffer=-SHORT).displacement[:, 2] - moved
     assert (1.05 * share >= np.abs(true)).all()
     assert (share < 2 * np.abs(true)).all()
@@ -116,21 +118,21 @@ def test_whole_bars_hold_what_the_mesh_lacks_and_not_twice_as_much():
 
 def test_a_row_beyond_the_range_has_its_own_share_whatever_the_others_say():
     rows, span = column([0.0, 0.1, 0.2, 0.8]), LoadRange(-0.3 * np.ones(6), np.ones(6))
-    told = SOFT | {"loads": [0.3, 1.0, 0.01, 1.0, 1.0, 1.0]}
-    packed = packed_of(build(rows, span, solver_error=SolverError(told)))
-    found = packed.answer(rows.wrench[3].tolist())
-    assert found.method == "row"
-    assert 1.05 * found.error[2] >= lacking_of(rows)[3, 2]
-    np.testing.assert_array_equal(packed.batch(rows.wrench[3:]).errors[0], found.error)
+    reported = SOFT | {"loads": [0.3, 1.0, 0.01, 1.0, 1.0, 1.0]}
+    packed = packed_of(build(rows, span, solver_error=SolverError(reported)))
+    result = packed.answer(rows.wrench[3].tolist())
+    assert result.method == "row"
+    assert 1.05 * result.error[2] >= lacking_of(rows)[3, 2]
+    np.testing.assert_array_equal(packed.batch(rows.wrench[3:]).errors[0], result.error)
 
 
 def test_a_row_without_a_tangent_has_the_meshs_share_by_that_of_the_method():
     rows = column(np.linspace(0.0, 0.85, 18))
     rows.compliance[9] = np.nan
     table = build(rows, UNIT, solver_error=SolverError(SOFT))
-    found = packed_of(table).answer(rows.wrench[9].tolist(), [1e-12] * 6)
-    assert found.method == "row"
-    assert found.discretisation[2] == pytest.approx(abs(lacking_of(rows)[9, 2]), rel=0.15)
+    result = packed_of(table).answer(rows.wrench[9].tolist(), [1e-12] * 6)
+    assert result.method == "row"
+    assert result.discretisation[2] == pytest.approx(abs(lacking_of(rows)[9, 2]), rel=0.15)
 
 
 def test_a_table_file_carries_it_and_a_table_keeps_its_own_bars(tmp_path):

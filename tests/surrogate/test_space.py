@@ -81,12 +81,12 @@ def test_error_bars_of_a_nonlinear_table_hold(space: Space):
     rows = solved(space, spread_wrenches(load_range, 40))
     table = packed_of(build(rows, load_range, tolerance=Tolerance(0.003, 0.003)))
     queries = np.random.default_rng(2).uniform(-1, 1, (300, len(space.inputs)))
-    found = table.batch(queries)
-    errors = np.abs(found.outputs - response_of(space).moved(queries))
-    known = np.isfinite(found.errors)
+    result = table.batch(queries)
+    errors = np.abs(result.outputs - response_of(space).moved(queries))
+    known = np.isfinite(result.errors)
     assert known.mean() > 0.85
-    assert (errors <= found.errors)[known].mean() > 0.9
-    assert np.median(found.errors[known]) < 8 * np.median(errors[known])
+    assert (errors <= result.errors)[known].mean() > 0.9
+    assert np.median(result.errors[known]) < 8 * np.median(errors[known])
 
 
 @pytest.mark.parametrize("space", SPACES.values(), ids=SPACES)
@@ -107,9 +107,9 @@ def test_a_linear_component_answers_by_its_matrix(space: Space):
     row = Rows.of(np.ones((1, n)), [matrix.sum(axis=1)], space, compliance=[matrix], source=["fea"])
     table = packed_of(build(row, load_range, linear=True, tolerance=Tolerance(1e-6, 1e-6)))
     queries = np.random.default_rng(1).uniform(-1, 1, (50, n))
-    found = table.batch(queries)
-    np.testing.assert_allclose(found.outputs, queries @ matrix.T, rtol=1e-13, atol=1e-15)
-    assert not found.coverage.any()
+    result = table.batch(queries)
+    np.testing.assert_allclose(result.outputs, queries @ matrix.T, rtol=1e-13, atol=1e-15)
+    assert not result.coverage.any()
     assert table.answer([2.0] * n).coverage == "outside"
 
 
@@ -117,9 +117,9 @@ def test_too_few_rows_give_no_answer_but_at_themselves():
     rows = solved(LINK, spread_wrenches(range_of(LINK), 3))
     rows = Rows.of(rows.wrench, rows.displacement, LINK, source=["measured"] * 3)
     table = packed_of(build(rows, range_of(LINK)))
-    found = table.answer([0.5] * 12)
-    assert (found.outputs, found.coverage) == (None, "outside")
-    assert "too few rows" in found.reason
+    result = table.answer([0.5] * 12)
+    assert (result.outputs, result.coverage) == (None, "outside")
+    assert "too few rows" in result.reason
     at_row = table.answer(rows.wrench[1].tolist())
     assert (at_row.method, at_row.outputs) == ("row", tuple(rows.displacement[1]))
 
@@ -129,9 +129,9 @@ def test_a_file_holds_the_space(space: Space, tmp_path: Path):
     load_range = range_of(space)
     rows = solved(space, spread_wrenches(load_range, 5))
     write_table(tmp_path / "t.h5", rows, TableMeta("link", 5, load_range))
-    found, meta = read_table(tmp_path / "t.h5")
-    assert found.space == meta.load_range.space == space
-    np.testing.assert_array_equal(found.compliance, rows.compliance)
+    result, meta = read_table(tmp_path / "t.h5")
+    assert result.space == meta.load_range.space == space
+    np.testing.assert_array_equal(result.compliance, rows.compliance)
     assert Space.read(json.loads(json.dumps(space.as_json()))) == space
 
 
@@ -156,8 +156,8 @@ def test_a_fill_chooses_full_loads_until_the_tolerance_is_met(space: Space):
         rounds += 1
     assert design.stage == "met"
     queries = np.random.default_rng(5).uniform(-1, 1, (200, len(space.inputs)))
-    found = packed_of(table).batch(queries)
-    within = (np.abs(found.outputs - own.moved(queries)) <= 0.004).all(axis=1)
+    result = packed_of(table).batch(queries)
+    within = (np.abs(result.outputs - own.moved(queries)) <= 0.004).all(axis=1)
     assert within.mean() > 0.95
 
 

@@ -52,8 +52,8 @@ def test_what_is_written_is_read_back(rows: Rows, last_seq: int, title: str) -> 
     meta = TableMeta("bar", last_seq, RANGE, "f00", title)
     with tempfile.TemporaryDirectory() as folder:
         write_table(Path(folder) / "bar.h5", rows, meta)
-        found, about = read_table(Path(folder) / "bar.h5")
-    assert_same(found, rows)
+        result, about = read_table(Path(folder) / "bar.h5")
+    assert_same(result, rows)
     assert (about.component, about.last_seq, about.title) == ("bar", last_seq, title)
     assert about.fingerprint == "f00"
     np.testing.assert_array_equal(about.load_range.high, HIGH)
@@ -64,16 +64,16 @@ def test_third_derivatives_of_some_rows_are_read_back_to_the_bit(tmp_path: Path)
     curvature[1] = np.nan
     rows = Rows.of(np.eye(6)[:3], np.eye(6)[:3], curvature=curvature)
     write_table(tmp_path / "plate.h5", rows, META)
-    found, _ = read_table(tmp_path / "plate.h5")
-    assert found.curvature.tobytes() == rows.curvature.tobytes()
+    result, _ = read_table(tmp_path / "plate.h5")
+    assert result.curvature.tobytes() == rows.curvature.tobytes()
 
 
 def test_a_file_has_no_third_derivatives_where_no_row_brings_one(tmp_path: Path) -> None:
     write_table(tmp_path / "plate.h5", table(smooth, clean_wrenches(10, 1)), META)
     with h5py.File(tmp_path / "plate.h5") as file:
         assert "rows/curvature" not in file
-    found, _ = read_table(tmp_path / "plate.h5")
-    assert found.curvature.shape == (len(found), 0)
+    results, _ = read_table(tmp_path / "plate.h5")
+    assert results.curvature.shape == (len(results), 0)
 
 
 def test_a_file_with_another_number_of_third_derivatives_is_refused(tmp_path: Path) -> None:
@@ -168,11 +168,11 @@ def test_no_flipped_bit_is_read_as_another_row(tmp_path: Path) -> None:
         damaged[place] ^= 1 << int(rng.integers(8)) if trial % 2 else int(rng.integers(1, 256))
         path.write_bytes(damaged)
         try:
-            found, about = read_table(path)
+            result, about = read_table(path)
         except TableFileError:
             refused += 1
             continue
-        assert_same(found, rows)
+        assert_same(result, rows)
         assert (about.last_seq, about.fingerprint) == (META.last_seq, META.fingerprint)
     assert refused > 550  # the others hit bytes of the user block that hold nothing
 
@@ -182,8 +182,8 @@ def test_a_table_of_the_first_schema_without_a_digest_is_read(tmp_path: Path) ->
     with h5py.File(tmp_path / "plate.h5", "w") as file:
         store._write_meta(file, TableMeta("plate", 41, RANGE, schema_version=1))
         store._write_rows(file, rows)
-    found, about = read_table(tmp_path / "plate.h5")
-    assert_same(found, rows)
+    result, about = read_table(tmp_path / "plate.h5")
+    assert_same(result, rows)
     assert (about.last_seq, about.ledger) == (41, "")
 
 
@@ -221,7 +221,7 @@ def test_an_hdf5_table_answers_as_it_did(then):
     rows, meta = read_table(FOLDER / "table.h5")
     assert meta.load_range.space.is_default
     table = build(rows, meta.load_range, tolerance=meta.tolerance, linear=False)
-    found = packed_of(table).batch(then["wrenches"]).outputs
+    result = packed_of(table).batch(then["wrenches"]).outputs
     # At no load the kriging answers too, and its sum has rounding errors.
     rounding = 1e-12 * np.abs(then["kriging"]).max()
-    np.testing.assert_allclose(found, then["kriging"], rtol=1e-9, atol=rounding)
+    np.testing.assert_allclose(result, then["kriging"], rtol=1e-9, atol=rounding)

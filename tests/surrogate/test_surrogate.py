@@ -29,10 +29,10 @@ def test_a_clean_row_returns_itself(seed: int) -> None:
     surrogate = build(rows, RANGE)
     for row in (3, 22, 34):
         axis = row // 12
-        found = surrogate.explain(rows.wrench[row].tolist())[axis]["outputs"]
+        result = surrogate.explain(rows.wrench[row].tolist())[axis]["outputs"]
         outputs = [axis, 3, 4, 5]
         expected = rows.displacement[row, outputs]
-        np.testing.assert_allclose(list(found.values()), expected, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(list(result.values()), expected, rtol=0, atol=1e-12)
 
 
 def test_linear_components_answer_by_their_stored_compliance_in_the_whole_range() -> None:
@@ -125,7 +125,7 @@ def test_a_linear_answer_is_explained_by_what_each_axis_contributes():
     table = build(rows, LoadRange(np.full(6, -9.0), np.full(6, 9.0)), linear=True)
     wrench = [1.0, 2.0, 3.0, 0.0, 0.0, 4.0]
     axes = table.explain(wrench)
-    told = table.answer(wrench).displacement
-    assert [axis["outputs"][f"u{axis['axis']}"] for axis in axes] == pytest.approx(told[:3])
+    reported = table.answer(wrench).displacement
+    assert [axis["outputs"][f"u{axis['axis']}"] for axis in axes] == pytest.approx(reported[:3])
     assert {axis["coverage"] for axis in axes} == {"covered"}
     assert all(axis["rows"] for axis in axes)

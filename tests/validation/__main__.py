@@ -47,10 +47,10 @@ def ordered() -> list[Case]:
 
 def run(topic: str) -> Iterator[tuple[Case, Finding]]:
     """Run the cases of a topic, or of ``"all"``, and yield their findings as they come."""
-    for one in ordered():
-        if topic in ("all", one.topic):
-            for finding in one.check():
-                yield one, finding
+    for item in ordered():
+        if topic in ("all", item.topic):
+            for finding in item.check():
+                yield item, finding
 
 
 def cells(finding: Finding) -> tuple[str, ...]:
@@ -62,11 +62,11 @@ def cells(finding: Finding) -> tuple[str, ...]:
     return finding.quantity, finding.source, *numbers, allowed, finding.verdict
 
 
-def markdown(found: Iterable[tuple[Case, Finding]]) -> str:
+def markdown(results: Iterable[tuple[Case, Finding]]) -> str:
     """Return findings as one Markdown table for each case."""
     lines: list[str] = []
     last: Case | None = None
-    for one, finding in found:
+    for one, finding in results:
         if one is not last:
             lines += ["", f"**{one.title}**", "", _row(_HEADINGS), _row(["---"] * len(_HEADINGS))]
             last = one
@@ -88,15 +88,15 @@ def replace_table(page: str, table: str) -> str:
     return f"{above}{BEGIN}\n\n{table}\n\n{END}{rest.split(END, 1)[1]}"
 
 
-def _row(words: Iterable[str]) -> str:
-    return "| " + " | ".join(words) + " |"
+def _row(text: Iterable[str]) -> str:
+    return "| " + " | ".join(text) + " |"
 
 
-def _lines(topic: str, found: list[tuple[Case, Finding]]) -> Iterator[str]:
+def _lines(topic: str, results: list[tuple[Case, Finding]]) -> Iterator[str]:
     """Yield the plain table as the findings come; keep them in `found`."""
     last: Case | None = None
     for one, finding in run(topic):
-        found.append((one, finding))
+        results.append((one, finding))
         if one is not last:
             yield f"\n{one.topic}: {one.title}"
             last = one
@@ -108,12 +108,12 @@ def _lines(topic: str, found: list[tuple[Case, Finding]]) -> Iterator[str]:
         )
 
 
-def _plain(topic: str, found: list[tuple[Case, Finding]]) -> None:
+def _plain(topic: str, result: list[tuple[Case, Finding]]) -> None:
     print(
         f"  {'verdict':<9} {'quantity':<62} {'computed':>13} {'reference':>13} "
         f"{'error':>9} {'most':>6}  source of the reference"
     )
-    for line in _lines(topic, found):
+    for line in _lines(topic, result):
         print(line, flush=True)
 
 
@@ -127,16 +127,16 @@ def main(arguments: list[str] | None = None) -> int:
     shape.add_argument("--update", type=Path, metavar="PAGE", help="put the tables into a page")
     options = parser.parse_args(arguments)
     started = time.perf_counter()
-    found: list[tuple[Case, Finding]] = []
+    results: list[tuple[Case, Finding]] = []
     if options.markdown or options.json:
-        found.extend(run(options.topic))
-        print(markdown(found) if options.markdown else _json(found))
+        results.extend(run(options.topic))
+        print(markdown(results) if options.markdown else _json(results))
     else:
-        _plain(options.topic, found)
+        _plain(options.topic, results)
     if options.update is not None:
         page = options.update.read_text(encoding="utf-8")
-        options.update.write_text(replace_table(page, markdown(found)), encoding="utf-8")
-    verdicts = [finding.verdict for _, finding in found]
+        options.update.write_text(replace_table(page, markdown(results)), encoding="utf-8")
+    verdicts = [finding.verdict for _, finding in results]
     if not (options.markdown or options.json):
         print(f"\n{_summary(verdicts)}, {time.perf_counter() - started:.0f} s")
     return 1 if "FAIL" in verdicts else 0
@@ -147,9 +147,9 @@ def _summary(verdicts: list[str]) -> str:
     return ", ".join(f"{verdicts.count(k)} {k}" for k in kinds if k in verdicts)
 
 
-def _json(found: list[tuple[Case, Finding]]) -> str:
+def _json(results: list[tuple[Case, Finding]]) -> str:
     rows = []
-    for one, finding in found:
+    for one, finding in results:
         row = {"topic": one.topic, "case": one.title, **asdict(finding)}
         rows.append(row | {"verdict": finding.verdict})
         if finding.missing:

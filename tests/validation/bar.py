@@ -84,9 +84,9 @@ def circle() -> Iterator[Finding]:
     mesh = box("hex20", (2, 2, 32), (0.01, 0.01, 1.0))
     part = clamped(mesh, "z0", "z1", (young, 0.0), coupling="distributed", nonlinear=True)
     moment = young * 0.01**4 / 12 * angle
-    found = Solver(part).solve([0, 0, 0, 0, moment, 0]).displacement
+    result = Solver(part).solve([0, 0, 0, 0, moment, 0]).displacement
     expected = ((1 - np.cos(angle)) / angle, np.sin(angle) / angle - 1, angle)
     for place, value in zip((0, 2, 4), expected, strict=True):
         unit = "m" if place < 3 else "rad"
         quantity = f"{_NAMES[place]} at 19 degrees, {unit}"
-        yield Finding(quantity, "circular arc, Euler", value, float(found[place]), 5e-4)
+        yield Finding(quantity, "circular arc, Euler", value, float(result[place]), 5e-4)

@@ -84,7 +84,7 @@ def solve_rigid(
     if rotation is not None:
         for own, turn in zip(each_interface(loads), np.atleast_2d(rotation), strict=True):
             own[3:] = spin_per_vector(turn).T @ own[3:]
-    deck, places = deck_of(part), [one.name for one in part.interfaces]
+    deck, places = deck_of(part), [interface.name for interface in part.interfaces]
     for name, own in zip(places, each_interface(loads), strict=True):
         for placeholder, load in zip(placeholders(name), own, strict=True):
             deck = deck.replace(placeholder, f"{load:.12e}")
@@ -160,8 +160,8 @@ def _run(deck: str, timeout: float) -> tuple[dict[int, list[float]], float]:
 
 
 def _rows(text: str) -> dict[int, list[float]]:
-    words = (line.split() for line in text.splitlines())
-    return {int(w[0]): [float(x) for x in w[1:]] for w in words if len(w) == 4 and w[0].isdigit()}
+    texts = (line.split() for line in text.splitlines())
+    return {int(w[0]): [float(x) for x in w[1:]] for w in texts if len(w) == 4 and w[0].isdigit()}
 
 
 LINEAR, NONLINEAR = 1e-5, 1e-4
@@ -180,21 +180,21 @@ def same_mesh(
     if not installed():
         yield Finding(quantity, _SOURCE, missing=ABSENT)
         return
-    found = Solver(part).solve(wrench).displacement
+    result = Solver(part).solve(wrench).displacement
     if part.interfaces[0].coupling == "rigid":
-        reply = solve_rigid(part, wrench, found[3:] if nonlinear else None)
+        reply = solve_rigid(part, wrench, result[3:] if nonlinear else None)
     else:
         reply = solve_distributed(part, wrench)
     tolerance = NONLINEAR if nonlinear else LINEAR
-    gap = worst_gap(found, reply.displacement)
+    gap = worst_gap(result, reply.displacement)
     yield Finding(quantity, _SOURCE, 0.0, gap, tolerance, "absolute")
 
 
-def worst_gap(found: Array, expected: Array) -> float:
+def worst_gap(result: Array, expected: Array) -> float:
     """Return the largest relative difference of two displacements, shape (6,), m and rad.
 
     Both are exactly zero in what a guide holds.
     """
-    zero = (found == 0) & (expected == 0)
+    zero = (result == 0) & (expected == 0)
     scale = np.where(zero, 1.0, np.abs(expected))
-    return float(np.abs((found - expected) / scale).max())
+    return float(np.abs((result - expected) / scale).max())

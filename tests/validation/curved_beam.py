@@ -59,13 +59,13 @@ def thin_beam() -> tuple[float, float]:
 @case("curved_beam")
 def macneal_harder() -> Iterator[Finding]:
     """Curved cantilever of 90 degrees, unit load at the tip, 32 x 3 x 3 cells."""
-    found = tip_deflections(32, 3)
+    results = tip_deflections(32, 3)
     for name, value, expected in zip(
-        ("in the plane", "across it"), found, (_IN_PLANE, _OUT_OF_PLANE), strict=True
+        ("in the plane", "across it"), results, (_IN_PLANE, _OUT_OF_PLANE), strict=True
     ):
         yield Finding(f"deflection along the load, {name}", _SOURCE, expected, value, 0.02)
     for name, value, expected in zip(
-        ("in the plane", "across it"), found, thin_beam(), strict=True
+        ("in the plane", "across it"), results, thin_beam(), strict=True
     ):
         quantity = f"the same against the thin curved beam, {name}"
         yield Finding(quantity, "Castigliano, bending and torsion", expected, value, 0.01)
@@ -74,9 +74,9 @@ def macneal_harder() -> Iterator[Finding]:
 @case("curved_beam")
 def macneal_harder_coarse() -> Iterator[Finding]:
     """Curved cantilever on the published mesh of 6 x 1 x 1 cells, normalised."""
-    found = tip_deflections(6, 1)
+    results = tip_deflections(6, 1)
     for name, value, expected, theirs in zip(
-        ("in the plane", "across it"), found, (_IN_PLANE, _OUT_OF_PLANE), _COMMERCIAL, strict=True
+        ("in the plane", "across it"), results, (_IN_PLANE, _OUT_OF_PLANE), _COMMERCIAL, strict=True
     ):
         quantity = f"deflection over theory, {name}"
         yield Finding(quantity, "a commercial hex20, OS-V:0710", theirs, value / expected, 0.02)

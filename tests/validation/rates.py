@@ -40,8 +40,8 @@ def _energy(kind: str, divisions: int) -> float:
     """Return twice the strain energy, J, of the unit cube whose surface moves harmonically."""
     mesh = box(kind, (divisions,) * 3)
     body = body_of(mesh, on_the_surface(mesh), "full")
-    found = solve_with_boundary(body, harmonic_gradient(mesh.points))
-    return float(body.strain_energy_products(found[:, :, None])[0, 0])
+    result = solve_with_boundary(body, harmonic_gradient(mesh.points))
+    return float(body.strain_energy_products(result[:, :, None])[0, 0])
 
 
 def harmonic_gradient(points: Array) -> Array:

@@ -126,12 +126,12 @@ def second_opinion(solver: Solver, wrench: Sequence[float], timeout: float = TIM
     )
 
 
-def difference(found: Array, expected: Array) -> float:
+def difference(result: Array, expected: Array) -> float:
     """Return the largest difference relative to the largest of its kind, shapes (6,), m and rad."""
     worst = 0.0
     for kind in (slice(0, 3), slice(3, 6)):
         size = np.abs(expected[kind]).max()
-        gap = np.abs(found[kind] - expected[kind]).max()
+        gap = np.abs(result[kind] - expected[kind]).max()
         if gap > 0:
             worst = max(worst, float(gap / size) if size > 0 else math.inf)
     return worst
@@ -210,9 +210,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if not options.json:
             print(table(opinions[-1]), flush=True)
     if options.json:
-        rows = [asdict(one) | {"agrees": one.agrees} for one in opinions]
+        rows = [asdict(opinion) | {"agrees": opinion.agrees} for opinion in opinions]
         print(json.dumps([row | {"difference": _number(row["difference"])} for row in rows]))
-    return 0 if all(one.agrees for one in opinions) else 1
+    return 0 if all(opinion.agrees for opinion in opinions) else 1
 
 
 def _made_ready(
@@ -224,7 +224,7 @@ def _made_ready(
     if bundle.deck is not None:
         message = "answers in place of the embedded solver, so there is nothing to compare with"
         raise BundleError([BundleProblem("deck", message)])
-    keys = ["interface" for _ in bundle.others] + [one.key for one in bundle.further]
+    keys = ["interface" for _ in bundle.others] + [item.key for item in bundle.further]
     for key in keys[:1]:
         message = "comparisons of several interfaces or further inputs are not there yet"
         raise BundleError([BundleProblem(key, message)])

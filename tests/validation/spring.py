@@ -124,14 +124,14 @@ def pressed() -> Iterator[Finding]:
     part = shipped("spring")
     rod, solver = rod_of(part), Solver(part)
     for load in FORCES:
-        found = solver.solve([0, 0, -load, 0, 0, 0]).displacement
-        force, rotation = rod.pressed(-found[2])
-        computed = float(-np.degrees(found[5]))
-        at = f"at {-1e3 * found[2]:.2f} mm"
+        result = solver.solve([0, 0, -load, 0, 0, 0]).displacement
+        force, rotation = rod.pressed(-result[2])
+        computed = float(-np.degrees(result[5]))
+        at = f"at {-1e3 * result[2]:.2f} mm"
         yield Finding(f"force {at}, N", _ROD, force, load, 5e-3)
         yield Finding(f"rotation {at}, degrees", _ROD, float(np.degrees(rotation)), computed, 1e-2)
-        if -1e3 * found[2] <= PRINTED_14[0][-1]:
-            printed = float(np.interp(-1e3 * found[2], *PRINTED_14))
+        if -1e3 * result[2] <= PRINTED_14[0][-1]:
+            printed = float(np.interp(-1e3 * result[2], *PRINTED_14))
             yield Finding(f"rotation {at}, degrees", f"{_PAPER}, equation 14", printed, computed)
 
 

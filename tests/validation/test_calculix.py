@@ -31,8 +31,8 @@ def saddle(kind="hex20", **changes):
     return component(mesh, fixed="x0", section="x1", **options)
 
 
-def gap(found, expected):
-    return np.abs(found - expected).max() / np.abs(expected).max()
+def gap(result, expected):
+    return np.abs(result - expected).max() / np.abs(expected).max()
 
 
 @pytest.mark.parametrize("kind", ["hex20", "tet10"])
@@ -40,9 +40,9 @@ def test_rigid_linear(kind, tmp_path):
     part = saddle(kind)
     wrench = [1000.0, 500, -800, 30, -20, 10]
     displacement, nodes = calculix.solve(part, wrench, tmp_path)
-    found = Solver(part).solve(wrench)
-    np.testing.assert_allclose(found.displacement, displacement, rtol=PRINTED)
-    assert gap(found.nodes, nodes) < PRINTED
+    result = Solver(part).solve(wrench)
+    np.testing.assert_allclose(result.displacement, displacement, rtol=PRINTED)
+    assert gap(result.nodes, nodes) < PRINTED
 
 
 def test_distributed_linear(tmp_path):
@@ -57,20 +57,20 @@ def test_distributed_linear(tmp_path):
 def test_rigid_nonlinear_with_moments_about_all_axes(kind, tmp_path):
     part = saddle(kind, nonlinear=True)
     wrench = np.array([2e4, 1e4, -2e4, 600, -1500, 900])
-    found = Solver(part).solve(wrench)
-    turn = found.displacement[3:]
+    result = Solver(part).solve(wrench)
+    turn = result.displacement[3:]
     assert np.degrees(np.linalg.norm(turn)) > 3
-    told = wrench.copy()
-    told[3:] = spin_per_vector(turn).T @ wrench[3:]  # its moment works on the rotation vector
-    displacement, nodes = calculix.solve(part, told, tmp_path, nonlinear=True)
-    np.testing.assert_allclose(found.displacement, displacement, rtol=1e-5)
-    assert gap(found.nodes, nodes) < 1e-5
+    reported = wrench.copy()
+    reported[3:] = spin_per_vector(turn).T @ wrench[3:]  # its moment works on the rotation vector
+    displacement, nodes = calculix.solve(part, reported, tmp_path, nonlinear=True)
+    np.testing.assert_allclose(result.displacement, displacement, rtol=1e-5)
+    assert gap(result.nodes, nodes) < 1e-5
 
 
 def test_rigid_nonlinear_with_a_guide(tmp_path):
     part = saddle(nonlinear=True, locked=("uy", "rx", "rz"))
     wrench = [5e3, 0, -2e4, 0, 500, 0]
-    found = Solver(part).solve(wrench)
+    result = Solver(part).solve(wrench)
     displacement, nodes = calculix.solve(part, wrench, tmp_path, nonlinear=True)
-    np.testing.assert_allclose(found.displacement, displacement, rtol=1e-5, atol=1e-14)
-    assert gap(found.nodes, nodes) < 1e-5
+    np.testing.assert_allclose(result.displacement, displacement, rtol=1e-5, atol=1e-14)
+    assert gap(result.nodes, nodes) < 1e-5

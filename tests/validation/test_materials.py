@@ -15,15 +15,15 @@ from wrenchbook.fea.solve import Solver
 
 
 def findings(name):
-    (one,) = [one for one in CASES if one.check.__name__ == name]
+    (one,) = [item for item in CASES if item.check.__name__ == name]
     return list(one.check())
 
 
 def test_laminated_strips_are_as_stiff_as_classical_laminate_theory_says():
-    found = findings("laminated_strips")
-    assert len(found) == 7
-    assert [one.verdict for one in found] == ["pass"] * 7, found
-    coupled = [one for one in found if "u_x/M_y" in one.quantity]
+    results = findings("laminated_strips")
+    assert len(results) == 7
+    assert [result.verdict for result in results] == ["pass"] * 7, results
+    coupled = [result for result in results if "u_x/M_y" in result.quantity]
     assert coupled[0].reference > 1e-3  # [0/90] stretches when bent
 
 
@@ -41,9 +41,9 @@ def test_a_laminate_of_one_angle_is_the_ply_itself():
 )
 def test_calculix_finds_the_same_on_the_same_mesh(name):
     require_ccx()
-    found = findings(name)
-    assert [one.tolerance for one in found] == [1e-5, 1e-4] * (len(found) // 2)
-    assert {one.verdict for one in found} == {"pass"}, found
+    results = findings(name)
+    assert [result.tolerance for result in results] == [1e-5, 1e-4] * (len(results) // 2)
+    assert {result.verdict for result in results} == {"pass"}, results
 
 
 @pytest.mark.ccx
@@ -62,15 +62,15 @@ def test_rubber_at_0_4999_is_calculixs_where_neither_projects():
         for own in cells
     ]
     wrench = 0.3 * np.array(SQUEEZE)
-    found = solver.solve(wrench).displacement
-    reply = calculix.solve_rigid(replace(part, materials=(nearly,)), wrench, found[3:])
-    assert worst_gap(found, reply.displacement) < 1e-4
+    result = solver.solve(wrench).displacement
+    reply = calculix.solve_rigid(replace(part, materials=(nearly,)), wrench, result[3:])
+    assert worst_gap(result, reply.displacement) < 1e-4
 
 
 def test_rubber_at_0_4999_keeps_its_volume_and_does_not_lock():
     """Two meshes of hex27 apart by what the bonded corners are; five iterations, not ninety."""
     squeezed = [300.0, 0.0, -1200.0, 0.0, 0.0, 0.0]
-    found = []
+    results = []
     for divisions in ((2, 2, 2), (3, 3, 3)):
         part = rubber_block("hex27", 0.4999, divisions)
         part = replace(part, analysis=replace(part.analysis, nonlinear=True))
@@ -78,8 +78,8 @@ def test_rubber_at_0_4999_keeps_its_volume_and_does_not_lock():
         solution = Solver(part).solve(squeezed)
         assert len(solution.history) <= 8
         assert solution.displacement[0] > 4e-3
-        found.append(solution.displacement[[0, 2]])
-    assert np.abs(found[0] / found[1] - 1).max() < 0.02
+        results.append(solution.displacement[[0, 2]])
+    assert np.abs(results[0] / results[1] - 1).max() < 0.02
 
 
 @pytest.mark.parametrize("law", ["orthotropic", "neo-hookean"])

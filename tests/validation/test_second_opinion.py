@@ -32,10 +32,10 @@ def test_a_linear_component_agrees_in_both_couplings(tmp_path, coupling, capsys)
     require_ccx()
     folder = bar(tmp_path, ('coupling = "distributed"', f'coupling = "{coupling}"'))
     assert main([WRENCH, "--wrench=0,0,-100,0,0,0", folder]) == 0
-    told = capsys.readouterr().out
-    assert told.count("agrees:") == 2
-    assert "CalculiX does not report" not in told
-    assert all(f"  {name} " in told for name in ("ux", "uy", "uz", "rx", "ry", "rz"))
+    reported = capsys.readouterr().out
+    assert reported.count("agrees:") == 2
+    assert "CalculiX does not report" not in reported
+    assert all(f"  {name} " in reported for name in ("ux", "uy", "uz", "rx", "ry", "rz"))
 
 
 @pytest.mark.ccx
@@ -43,9 +43,9 @@ def test_a_nonlinear_distributed_component_is_compared_rigid_and_says_so(tmp_pat
     require_ccx()
     folder = bar(tmp_path, ("nonlinear = false", "nonlinear = true"))
     assert main([WRENCH, folder]) == 0
-    told = capsys.readouterr().out
-    assert 'with coupling = "rigid" in its place' in told
-    assert "at most 1e-04" in told
+    reported = capsys.readouterr().out
+    assert 'with coupling = "rigid" in its place' in reported
+    assert "at most 1e-04" in reported
 
 
 @pytest.mark.ccx
@@ -75,9 +75,9 @@ def test_without_wrenches_half_the_range_is_taken_and_json_is_json(tmp_path, cap
 def test_a_wrench_that_cannot_be_solved_does_not_stop_the_others(tmp_path, capsys):
     require_ccx()
     assert main(["--wrench=0,0,-1e6,0,0,0", WRENCH, bar(tmp_path)]) == 1
-    told = capsys.readouterr().out
-    assert "not solved: " in told
-    assert "agrees:" in told
+    reported = capsys.readouterr().out
+    assert "not solved: " in reported
+    assert "agrees:" in reported
 
 
 @pytest.mark.parametrize("text", ["1,2", "1,2,3,4,5,x", "nan,0,0,0,0,0", "inf,0,0,0,0,0", ""])

@@ -28,10 +28,10 @@ def test_the_spring_without_its_guide_tips_over_by_name(spring):
 
 def test_the_spring_at_ten_newtons_takes_a_few_iterations(spring):
     """How long they take is in the benchmarks."""
-    found = spring.solve([0, 0, -10, 0, 0, 0])
-    assert len(found.history) <= 10
-    assert found.unknowns > 10_000
-    assert (found.displacement[[0, 1, 3, 4]] == 0).all()
+    result = spring.solve([0, 0, -10, 0, 0, 0])
+    assert len(result.history) <= 10
+    assert result.unknowns > 10_000
+    assert (result.displacement[[0, 1, 3, 4]] == 0).all()
 
 
 @pytest.mark.parametrize("name", ["bar", "plate", "plate_thin", "spring", "link", "hot_bracket"])
@@ -50,9 +50,9 @@ def test_the_plates_corners_of_the_load_range_converge_in_one_load_step():
         bundle = read_bundle(SHIPPED / name)
         built = Solver(bundle)
         for signs in ([1, 1, 1, 1, 1, 1], [1, -1, -1, 1, -1, 1], [-1, 1, -1, -1, -1, -1]):
-            found = built.solve(np.array(signs) * bundle.range.high)
-            assert {step.load_factor for step in found.history} == {1.0}, name
-            assert len(found.history) <= 10
+            result = built.solve(np.array(signs) * bundle.range.high)
+            assert {step.load_factor for step in result.history} == {1.0}, name
+            assert len(result.history) <= 10
 
 
 def test_the_thick_plate_is_nearly_twice_as_soft_distributed_as_rigid():

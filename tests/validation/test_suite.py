@@ -50,8 +50,8 @@ def test_every_finding_of_a_topic_is_within_its_tolerance(topic, capsys):
 
 
 def test_every_topic_has_cases_each_with_a_title_of_its_own():
-    assert {one.topic for one in CASES} == set(TOPICS)
-    titles = [one.title for one in CASES]
+    assert {item.topic for item in CASES} == set(TOPICS)
+    titles = [item.title for item in CASES]
     assert len(set(titles)) == len(titles)
     assert all(titles)
 
@@ -120,7 +120,7 @@ def test_the_page_holds_the_cases_that_there_are_and_no_other():
     page = PAGE.read_text(encoding="utf-8")
     table = page.split(validate.BEGIN)[1].split(validate.END)[0]
     titles = [line.strip("*") for line in table.splitlines() if line.startswith("**")]
-    assert titles == [one.title for one in validate.ordered()], "run: make validate-table"
+    assert titles == [item.title for item in validate.ordered()], "run: make validate-table"
     assert "FAIL" not in table
     assert "not run" not in table
 

@@ -27,5 +27,5 @@ def first_frequency() -> Iterator[Finding]:
         whole[:6, :6] += riding.matrix
         square = eigh(part.stiffness[6:, 6:], whole, eigvals_only=True)[0]
         quantity = f"{name} with {mass:g} kg: first natural frequency, Hz"
-        exact, found = solver.vibration(riding).frequency, np.sqrt(square) / (2 * np.pi)
-        yield Finding(quantity, "the whole part's equations", exact, float(found), 1e-3)
+        exact, result = solver.vibration(riding).frequency, np.sqrt(square) / (2 * np.pi)
+        yield Finding(quantity, "the whole part's equations", exact, float(result), 1e-3)

@@ -54,12 +54,15 @@ def test_near_buckling_the_mesh_counts_for_more(tmp_path):
     bundle = read_bundle(tmp_path)
     own, fine = Solver(bundle), Solver(refined(bundle, 2.0))
     wrenches = np.array([[-0.8 * 3598, 5, 3, 0, 0, 0], [-0.5 * 3598, 5, 3, 0, 0, 0]])
-    found = [own.solve(wrench) for wrench in wrenches]
+    results = [own.solve(wrench) for wrench in wrenches]
     true = np.abs(
-        [fine.solve(w).displacement - f.displacement for w, f in zip(wrenches, found, strict=True)]
+        [
+            fine.solve(w).displacement - f.displacement
+            for w, f in zip(wrenches, results, strict=True)
+        ]
     )
-    moved = np.array([one.displacement for one in found])
-    tangents = np.array([one.compliance for one in found])
+    moved = np.array([result.displacement for result in results])
+    tangents = np.array([result.compliance for result in results])
     known = SolverError(accuracy_of(own))
     at_small = np.array([known.parts(wrench)["mesh"] for wrench in wrenches])
     by_tangent = mesh_errors(known, wrenches, moved, tangents)
@@ -72,23 +75,23 @@ def test_near_buckling_the_mesh_counts_for_more(tmp_path):
 def test_a_load_that_the_guide_takes_widens_no_bar(tmp_path):
     guided = COLUMN.replace('coupling = "rigid"', 'coupling = "rigid"\nlocked = ["uy", "rz"]')
     (tmp_path / "component.toml").write_text(guided)
-    told = accuracy_of(Solver(read_bundle(tmp_path)))
-    assert told["loads"] == [3000, 0, 10, 1, 1, 0]
-    error = SolverError(told)
+    reported = accuracy_of(Solver(read_bundle(tmp_path)))
+    assert reported["loads"] == [3000, 0, 10, 1, 1, 0]
+    error = SolverError(reported)
     alone, taken = [-100.0, 0, 1, 0, 0, 0], [-100.0, 10, 1, 0, 0, 1]
     assert error.parts(alone) == error.parts(taken)
 
 
 def test_the_bar_of_a_bracket_at_12_mm_holds_what_its_mesh_is_off(bracket):
     """Cells of half the size, round the hole too, answer 3.0 % more; those of a quarter 5.2 %."""
-    told = accuracy_of(bracket)
+    reported = accuracy_of(bracket)
     fine = Solver(refined(bracket.component.bundle, 2.0)).compliance
-    bar, own = np.array(told["mesh"]), bracket.compliance
+    bar, own = np.array(reported["mesh"]), bracket.compliance
     assert (fine - own)[0, 0] == pytest.approx(0.03 * own[0, 0], rel=0.05)
     assert (np.diag(bar) >= np.diag(fine - own)).all()
     assert np.median(np.diag(bar) / np.diag(fine - own)) <= 5
     assert bar[0, 0] >= 0.052 * own[0, 0]
-    assert "finer mesh" in told["mesh_basis"]
+    assert "finer mesh" in reported["mesh_basis"]
 
 
 @pytest.fixture(scope="module")
@@ -130,10 +133,10 @@ def test_a_coarser_mesh_that_is_no_coarser_where_the_error_is_leaves_it_unknown(
     small_holes, monkeypatch
 ):
     monkeypatch.setattr(estimate, "MIN_RATIO", 3.0)
-    told = accuracy_or_why(small_holes)
-    assert told["mesh"] is None
-    assert "no coarser where the error is" in told["mesh_basis"]
-    assert told["loads"] == [200, 200, 200, 5, 5, 5]
+    reported = accuracy_or_why(small_holes)
+    assert reported["mesh"] is None
+    assert "no coarser where the error is" in reported["mesh_basis"]
+    assert reported["loads"] == [200, 200, 200, 5, 5, 5]
 
 
 def test_a_large_mesh_file_has_the_recovered_estimate_with_a_margin(bracket, monkeypatch):
@@ -142,11 +145,11 @@ def test_a_large_mesh_file_has_the_recovered_estimate_with_a_margin(bracket, mon
     bundle = replace(bracket.component.bundle, mesh=source)
     alone = Solver(replace(bracket.component, bundle=bundle))
     assert coarser(alone) is None
-    told = accuracy_of(alone)
+    reported = accuracy_of(alone)
     lacks = 1.25 * np.abs(recovered_error(alone).total)
     own = np.sqrt(np.diag(lacks))
-    np.testing.assert_allclose(told["mesh"], lacks + 0.02 * np.outer(own, own))
-    assert "no second mesh" in told["mesh_basis"]
+    np.testing.assert_allclose(reported["mesh"], lacks + 0.02 * np.outer(own, own))
+    assert "no second mesh" in reported["mesh_basis"]
 
 
 def test_entries_near_zero_hold_a_share_of_what_bounds_them(bar):
@@ -199,8 +202,8 @@ def test_a_load_of_nothing_buckles_nothing(bar):
 def test_the_bar_of_a_linear_component_holds_its_nonlinear_answers(bar):
     bundle = bar.component.bundle
     coarse = Solver(refined(bundle, 0.5))
-    found = beyond_linear(coarse, bundle.range)
-    assert found.buckling == pytest.approx(6.8, rel=0.05)  # Euler's, less for the bending
+    result = beyond_linear(coarse, bundle.range)
+    assert result.buckling == pytest.approx(6.8, rel=0.05)  # Euler's, less for the bending
     nonlinear = replace(
         coarse.component, analysis=replace(coarse.component.analysis, nonlinear=True)
     )
@@ -208,23 +211,23 @@ def test_the_bar_of_a_linear_component_holds_its_nonlinear_answers(bar):
     chance = np.random.default_rng(1)
     for share in (*chance.uniform(-1, 1, (2, 6)), np.eye(6)[4]):
         missed = solver.solve(share * scale).displacement - coarse.compliance @ (share * scale)
-        assert (np.abs(missed) <= found.deviation * np.abs(share).max() ** 2).all()
+        assert (np.abs(missed) <= result.deviation * np.abs(share).max() ** 2).all()
 
 
 def test_a_range_beyond_the_buckling_load_is_told_with_its_factor(bar):
     coarse = Solver(refined(bar.component.bundle, 0.5))
     most = np.array([2e4, 20.0, 20.0, 1.0, 1.0, 1.0])
-    found = beyond_linear(coarse, DeclaredRange(-most, most))
-    assert found.buckling == pytest.approx(6908.7 / 2e4, rel=0.05)
-    assert "it buckles at" in found.why
-    assert np.isfinite(found.deviation).all()
+    result = beyond_linear(coarse, DeclaredRange(-most, most))
+    assert result.buckling == pytest.approx(6908.7 / 2e4, rel=0.05)
+    assert "it buckles at" in result.why
+    assert np.isfinite(result.deviation).all()
 
 
 @pytest.mark.parametrize(("push", "pull"), [(1000.0, 1000.0), (1000.0, 900.0), (900.0, 1000.0)])
 def test_a_range_of_unequal_ends_buckles_at_the_end_that_pushes(bar, push, pull):
     coarse, along = Solver(refined(bar.component.bundle, 0.5)), np.eye(6)[0]
-    found = beyond_linear(coarse, DeclaredRange(-push * along, pull * along))
-    assert found.buckling == pytest.approx(6908.7 / push, rel=0.01)  # Euler's
+    result = beyond_linear(coarse, DeclaredRange(-push * along, pull * along))
+    assert result.buckling == pytest.approx(6908.7 / push, rel=0.01)  # Euler's
 
 
 def test_what_the_estimate_fails_with_is_told_and_not_raised(bar, monkeypatch):
@@ -232,6 +235,6 @@ def test_what_the_estimate_fails_with_is_told_and_not_raised(bar, monkeypatch):
         raise MemoryError
 
     monkeypatch.setattr("wrenchbook.fea.accuracy.estimate.recovered_error", fails)
-    told = accuracy_or_why(bar)
-    assert told["mesh"] is None
-    assert "MemoryError" in told["mesh_basis"]
+    reported = accuracy_or_why(bar)
+    assert reported["mesh"] is None
+    assert "MemoryError" in reported["mesh_basis"]

@@ -83,17 +83,17 @@ def rounded(solver):
 @pytest.mark.parametrize("cells", [12, 16, 32])
 def test_the_change_is_that_of_a_tube_with_round_edges(tmp_path, cells, wall):
     solver = Solver(tube(tmp_path, cells, wall))
-    found = np.diag(roundness(solver).change)
+    result = np.diag(roundness(solver).change)
     truth = np.diag(solver.linear.compliance - rounded(solver).linear.compliance)
-    np.testing.assert_allclose(found, truth, rtol=0.05)
+    np.testing.assert_allclose(result, truth, rtol=0.05)
 
 
 def test_cells_that_it_would_turn_inside_out_are_bent_less(tmp_path):
     solver = Solver(tube(tmp_path, 12, 0.04, layers=3))
-    found = np.diag(roundness(solver).change)
+    result = np.diag(roundness(solver).change)
     one = Solver(tube(tmp_path, 12, 0.04))
     truth = np.diag(one.linear.compliance - rounded(one).linear.compliance)
-    np.testing.assert_allclose(found, truth, rtol=0.25)
+    np.testing.assert_allclose(result, truth, rtol=0.25)
 
 
 @pytest.mark.parametrize("cells", [12, 16, 24])
@@ -109,11 +109,11 @@ def test_the_bar_of_the_mesh_holds_the_error_of_a_polygon_for_a_tube(tmp_path, c
 def test_the_check_warns_of_straight_edges_and_prints_their_own_part_of_the_bar(tmp_path):
     tube(tmp_path, 16, 0.05)
     report = check(tmp_path)
-    (words,) = (one["message"] for one in report["warnings"])
-    assert "turn by up to 22.5 degrees a cell, change it by 5 %" in words
-    assert "with 36 cells round it is 1 %" in words
-    found = report["solver_error"]
-    np.testing.assert_array_less(found["rounded"]["mesh"], np.array(found["mesh"]) + 1e-300)
+    (text,) = (warning["message"] for warning in report["warnings"])
+    assert "turn by up to 22.5 degrees a cell, change it by 5 %" in text
+    assert "with 36 cells round it is 1 %" in text
+    result = report["solver_error"]
+    np.testing.assert_array_less(result["rounded"]["mesh"], np.array(result["mesh"]) + 1e-300)
     assert "of that by straight edges: (3e-08, 3e-08, 1e-09) m" in as_text(report)
     tube(tmp_path, 64, 0.05)
     assert check(tmp_path)["warnings"] == []
@@ -166,8 +166,8 @@ def test_what_is_lacking_at_first_order_is_the_distance_to_the_limit():
 @pytest.mark.parametrize("order", [1.0, 1.5, 2.0, 4.0])
 def test_what_is_lacking_covers_higher_orders_at_no_more_than_twice_the_error(order):
     own, fine = (limit_less(order, size) for size in (1.0, 0.5))
-    found = Study([1, 2], [1.0, 0.5], np.array([own, fine])).lacking[0, 0]
-    assert 0.1 - 1e-12 <= found <= 0.2
+    result = Study([1, 2], [1.0, 0.5], np.array([own, fine])).lacking[0, 0]
+    assert 0.1 - 1e-12 <= result <= 0.2
 
 
 def limit_less(order, size):
@@ -247,9 +247,9 @@ def test_mistakes_of_a_finer_mesh_are_under_its_name(tmp_path):
 def test_a_finer_mesh_with_too_many_unknowns_is_not_made(tmp_path):
     own = Solver(block(tmp_path))
     assert finer(own, 5000) is None
-    made = finer(own, 20000)
-    assert made is not None
-    assert made.component.mesh.unknowns < 20000
+    created = finer(own, 20000)
+    assert created is not None
+    assert created.component.mesh.unknowns < 20000
 
 
 def test_where_the_finer_mesh_cannot_be_solved_the_coarser_one_counts(tmp_path, monkeypatch):
@@ -282,6 +282,6 @@ TOLD = {"mesh": MESH, "loads": [1.0, 1.0, 100.0, 1.0, 1.0, 1.0], "cell_size": 0.
     ],
 )
 def test_what_is_over_the_tolerance_is_told_with_what_mends_it(told, translation, rotation, words):
-    found = [one.message for one in over_tolerance(told, translation, rotation)]
-    assert len(found) == (words is not None)
-    assert all(words in message for message in found)
+    results = [item.message for item in over_tolerance(told, translation, rotation)]
+    assert len(results) == (words is not None)
+    assert all(words in message for message in results)

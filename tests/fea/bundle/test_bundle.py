@@ -79,15 +79,15 @@ def test_a_table_only_bundle_needs_a_name_a_title_and_a_range(tmp_path):
 
 def test_solver_tables_without_a_mesh_are_mistakes(tmp_path):
     text = PLATE.replace("[mesh]", "[msh]")
-    found = mistakes(tmp_path, text)
-    assert 'did you mean "mesh"' in found["msh"]
-    assert {"material", "supports", "interface", "analysis"} <= set(found)
+    results = mistakes(tmp_path, text)
+    assert 'did you mean "mesh"' in results["msh"]
+    assert {"material", "supports", "interface", "analysis"} <= set(results)
 
 
 def test_a_mesh_without_solver_tables_is_a_mistake(tmp_path):
     text = PLATE[: PLATE.index("[[material]]")] + PLATE[PLATE.index("[range]") :]
-    found = mistakes(tmp_path, text)
-    assert set(found) == {"material", "supports", "interface", "analysis"}
+    results = mistakes(tmp_path, text)
+    assert set(results) == {"material", "supports", "interface", "analysis"}
 
 
 def test_all_mistakes_are_told_at_once(tmp_path):
@@ -103,9 +103,9 @@ def test_all_mistakes_are_told_at_once(tmp_path):
 
 
 def test_bad_toml_is_named_by_its_line(tmp_path):
-    found = mistakes(tmp_path, 'name = "x"\ntitle = \n')
-    assert list(found) == ["line 2"]
-    assert "TOML" in found["line 2"]
+    results = mistakes(tmp_path, 'name = "x"\ntitle = \n')
+    assert list(results) == ["line 2"]
+    assert "TOML" in results["line 2"]
     (tmp_path / "component.toml").write_bytes(b'name = "x"\ntitle = "\xff"\n')
     with pytest.raises(BundleError, match="line 2: is not UTF-8"):
         read_bundle(tmp_path)
@@ -168,8 +168,8 @@ def test_any_value_at_any_place_gives_a_bundle_or_told_mistakes(path, value):
     for key in path[:-1]:
         at = at[key]
     at[path[-1]] = value
-    told = outcome(table)
-    assert len(told) == 16 or all(problem.where and problem.message for problem in told)
+    reported = outcome(table)
+    assert len(reported) == 16 or all(problem.where and problem.message for problem in reported)
 
 
 def outcome(table):
@@ -194,8 +194,8 @@ def written_link(folder, *changes):
 
 def test_a_link_has_two_interfaces_in_the_order_of_the_file(tmp_path):
     bundle = read_bundle(written_link(tmp_path))
-    assert [one.name for one in bundle.interfaces] == ["left", "right"]
-    assert [one.held for one in bundle.interfaces] == [True, False]
+    assert [interface.name for interface in bundle.interfaces] == ["left", "right"]
+    assert [interface.held for interface in bundle.interfaces] == [True, False]
     assert bundle.interfaces[0].locked == FREEDOMS
     np.testing.assert_array_equal(bundle.range.high, [0] * 6 + [20, 20, 200, 5, 5, 5])
     np.testing.assert_array_equal(bundle.range.low, -bundle.range.high)
@@ -245,7 +245,7 @@ CARBON = {
 def read(table):
     problems = []
     material = validated(MaterialTable, table, "material[0]", problems)
-    return material, [str(one) for one in problems]
+    return material, [str(problem) for problem in problems]
 
 
 def test_nine_constants_and_their_directions_are_read():
@@ -294,9 +294,9 @@ def test_law_and_constants_are_in_the_fingerprint_and_an_isotropic_ones_is_as_it
     carbon, _ = read(CARBON)
     turned, _ = read(CARBON | {"axes": [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]})
     kinds = [plain, replace(plain, law="neo-hookean"), carbon, turned]
-    found = [fingerprint(parts | {"materials": (one,)}) for one in kinds]
-    assert len(set(found)) == 4
-    assert found[0] == bundle.fingerprint
+    results = [fingerprint(parts | {"materials": (kind,)}) for kind in kinds]
+    assert len(set(results)) == 4
+    assert results[0] == bundle.fingerprint
 
 
 def test_a_linear_deck_of_rubber_is_elastic_because_calculix_makes_hyperelastic_nonlinear():

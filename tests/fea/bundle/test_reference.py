@@ -40,11 +40,11 @@ def test_each_key_has_an_example_that_its_type_takes(heading, key, info):
 
 
 def test_what_the_models_require_is_missed(tmp_path):
-    told = {"mesh": {"generator": "bar"}, "material": [{}]}
+    reported = {"mesh": {"generator": "bar"}, "material": [{}]}
     names = ("supports", "interface", "analysis", "range", "tolerance")
     with pytest.raises(BundleError) as caught:
-        bundle_of(told | {name: {} for name in names}, tmp_path)
-    missed = {re.sub(r"\[\d+\]", "", one.where) for one in caught.value.problems}
+        bundle_of(reported | {name: {} for name in names}, tmp_path)
+    missed = {re.sub(r"\[\d+\]", "", problem.where) for problem in caught.value.problems}
     for name in ("material", *names):
         cls = tables().get(f"[{name}]", tables().get(f"[[{name}]]"))[0]
         for key, info in keys_of(cls).items():

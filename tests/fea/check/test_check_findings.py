@@ -93,8 +93,8 @@ def test_bodies_joined_on_one_edge_are_a_hinge_about_it():
     held, loose = motions(mesh, fixed="first x0", section="second x1")
     assert (len(held), len(loose)) == (0, 1)
     size = np.linalg.norm([2, 1, 1])
-    words = describe(loose[0], np.array([1, 0.5, 0.5]), size)
-    assert words == "turn about the line through (1, 0.5, 0) m along (0, 1, 0)"
+    text = describe(loose[0], np.array([1, 0.5, 0.5]), size)
+    assert text == "turn about the line through (1, 0.5, 0) m along (0, 1, 0)"
 
 
 def test_a_rigid_section_over_two_bodies_joins_them_and_a_mean_one_does_not():
@@ -213,41 +213,41 @@ def messages(told, kind):
 
 
 def test_a_good_bundle_has_no_warnings_and_an_estimate(tmp_path):
-    told = report(write_inp(tmp_path, box("hex20", (4, 2, 2), (4, 1, 1))))
-    assert (told["ok"], told["problems"], told["warnings"]) == (True, [], [])
-    assert told["cells"] == {"hex20": 16}
-    assert told["quality"]["scaled_jacobian"]["worst"] == pytest.approx(1.0)
-    assert [part["size"] for part in told["parts"]] == [pytest.approx([4, 1, 1])]
-    assert told["coincident_nodes"] == 0
-    assert told["section"]["area"] == pytest.approx(1.0)
-    one = told["estimate"]
-    assert one["unknowns"] == told["unknowns"] - 3 * told["supports"]["nodes"]
+    reported = report(write_inp(tmp_path, box("hex20", (4, 2, 2), (4, 1, 1))))
+    assert (reported["ok"], reported["problems"], reported["warnings"]) == (True, [], [])
+    assert reported["cells"] == {"hex20": 16}
+    assert reported["quality"]["scaled_jacobian"]["worst"] == pytest.approx(1.0)
+    assert [part["size"] for part in reported["parts"]] == [pytest.approx([4, 1, 1])]
+    assert reported["coincident_nodes"] == 0
+    assert reported["section"]["area"] == pytest.approx(1.0)
+    one = reported["estimate"]
+    assert one["unknowns"] == reported["unknowns"] - 3 * reported["supports"]["nodes"]
     assert 0 < one["linear_seconds"] < one["nonlinear_seconds"] < 60
     assert 1e8 < one["memory_bytes"] < 1e9
-    assert as_text(told).endswith("ready to solve")
+    assert as_text(reported).endswith("ready to solve")
 
 
 def test_two_parts_that_only_look_joined_are_an_error_that_says_merge(tmp_path):
-    told = report(write_inp(tmp_path, cubes()))
-    (problem,) = messages(told, "problems")
+    reported = report(write_inp(tmp_path, cubes()))
+    (problem,) = messages(reported, "problems")
     assert problem.startswith("part 2 of 2 (8 cells, 1000 x 1000 x 1000 mm, middle at (1.5, 0.5")
     assert "it can move in all six ways" in problem
     assert "has 21 nodes in the places of another part's nodes: merge them" in problem
-    (warning,) = messages(told, "warnings")
+    (warning,) = messages(reported, "warnings")
     assert warning.startswith("21 pairs of nodes of part 1 and part 2, which touch")
-    assert told["coincident_nodes"] == 21
-    assert "part 2: 8 cells, 1000 x 1000 x 1000 mm" in as_text(told)
+    assert reported["coincident_nodes"] == 21
+    assert "part 2: 8 cells, 1000 x 1000 x 1000 mm" in as_text(reported)
 
 
 def test_a_part_beside_the_others_is_named_with_its_distance(tmp_path):
-    told = report(write_inp(tmp_path, cubes(offset=(1.25, 0, 0))))
-    (problem,) = messages(told, "problems")
+    reported = report(write_inp(tmp_path, cubes(offset=(1.25, 0, 0))))
+    (problem,) = messages(reported, "problems")
     assert "nearest is part 1, 250 mm away" in problem
 
 
 def test_a_hinge_is_an_error_that_names_its_axis(tmp_path):
-    told = report(write_inp(tmp_path, cubes(merge=lambda x: x[2] == 0)))
-    (problem,) = messages(told, "problems")
+    reported = report(write_inp(tmp_path, cubes(merge=lambda x: x[2] == 0)))
+    (problem,) = messages(reported, "problems")
     assert "turn about the line through (1, 0.5, 0) m along (0, 1, 0)" in problem
     assert "a hinge" in problem
 
@@ -259,9 +259,9 @@ def test_supports_that_hold_points_only_are_a_warning(tmp_path):
         for p in ([0, 0, 0], [0, 1, 0], [0, 0, 1])
     ]
     pins = "*NSET, NSET=pins\n" + "\n".join(map(str, corner)) + "\n"
-    told = report(write_inp(tmp_path, mesh, supports='["pins"]', extra=pins))
-    assert told["ok"]
-    (warning,) = messages(told, "warnings")
+    reported = report(write_inp(tmp_path, mesh, supports='["pins"]', extra=pins))
+    assert reported["ok"]
+    (warning,) = messages(reported, "warnings")
     assert warning.startswith("holds 3 nodes and no whole face")
 
 
@@ -271,9 +271,9 @@ def test_steel_in_megapascals_and_a_point_in_millimetres_are_warnings(tmp_path):
     text = setup.read_text()
     text = text.replace("poisson_ratio", "density = 7.85e-9\npoisson_ratio")
     setup.write_text(text.replace("[interface]", "[interface]\npoint = [400, 50, 50]"))
-    told = report(folder)
-    assert told["ok"]
-    modulus, density, point, turned = messages(told, "warnings")
+    reported = report(folder)
+    assert reported["ok"]
+    modulus, density, point, turned = messages(reported, "warnings")
     assert "write it in kg/m^3" in density
     assert "degrees at the full range" in turned
     assert "write it in Pa" in modulus
@@ -281,28 +281,28 @@ def test_steel_in_megapascals_and_a_point_in_millimetres_are_warnings(tmp_path):
 
 
 def test_supports_that_touch_the_section_are_an_error(tmp_path):
-    told = report(write_inp(tmp_path, box("hex20", (4, 2, 2), (4, 1, 1)), section="root"))
-    assert any("are fixed by [supports]" in text for text in messages(told, "problems"))
-    assert "quality" in told  # the mesh is reported all the same
+    reported = report(write_inp(tmp_path, box("hex20", (4, 2, 2), (4, 1, 1)), section="root"))
+    assert any("are fixed by [supports]" in text for text in messages(reported, "problems"))
+    assert "quality" in reported  # the mesh is reported all the same
 
 
 def test_one_layer_between_section_and_supports_is_a_warning(tmp_path):
-    told = report(write_inp(tmp_path, box("hex20", (1, 2, 2), (0.2, 1, 1))))
-    assert told["ok"]
-    assert not told["warnings"]  # midside nodes are free
+    reported = report(write_inp(tmp_path, box("hex20", (1, 2, 2), (0.2, 1, 1))))
+    assert reported["ok"]
+    assert not reported["warnings"]  # midside nodes are free
     pinned = "*NSET, NSET=most\n" + "\n".join(
         str(i + 1) for i, x in enumerate(box("hex20", (2, 2, 2)).points[:, 0]) if x < 0.9
     )
     folder = tmp_path / "held"
     folder.mkdir()
-    told = report(write_inp(folder, box("hex20", (2, 2, 2)), supports='["most"]', extra=pinned))
-    assert any("8 cells have every node fixed" in text for text in messages(told, "warnings"))
+    reported = report(write_inp(folder, box("hex20", (2, 2, 2)), supports='["most"]', extra=pinned))
+    assert any("8 cells have every node fixed" in text for text in messages(reported, "warnings"))
 
 
 def test_badly_shaped_cells_are_a_warning_with_their_place(tmp_path):
     mesh = box("hex20", (4, 2, 2), (4, 0.01, 1))
-    told = report(write_inp(tmp_path, mesh))
-    (warning,) = messages(told, "warnings")
+    reported = report(write_inp(tmp_path, mesh))
+    (warning,) = messages(reported, "warnings")
     assert "16 cells are long and thin (aspect ratio over 50; the worst, a hex20 near (" in warning
 
 
@@ -318,14 +318,14 @@ def two_bars(folder, groups, size="0.015", **drawn):
 
 
 def test_a_geometry_lists_its_faces_even_where_the_bundle_has_mistakes(tmp_path):
-    told = two_bars(tmp_path, 'wall = {plane = "x", at = 7}\n')
-    assert [entry["where"] for entry in told["problems"]] == ["mesh.groups.wall.plane"]
-    assert len(told["faces"]) == 11
-    assert len(told["bodies"]) == 2
+    reported = two_bars(tmp_path, 'wall = {plane = "x", at = 7}\n')
+    assert [entry["where"] for entry in reported["problems"]] == ["mesh.groups.wall.plane"]
+    assert len(reported["faces"]) == 11
+    assert len(reported["bodies"]) == 2
     (tmp_path / "component.toml").write_text('[mesh]\nfile = "bars.step"\n')
-    told = report(tmp_path)
-    assert "mesh.size" in {entry["where"] for entry in told["problems"]}
-    text = as_text(told)
+    reported = report(tmp_path)
+    assert "mesh.size" in {entry["where"] for entry in reported["problems"]}
+    text = as_text(reported)
     assert "plane, normal (-1, 0, 0)" in text
     assert text.endswith("errors")
 
@@ -347,16 +347,16 @@ def test_the_text_is_printed_by_the_program(tmp_path):
 
 
 def test_every_report_is_json(tmp_path):
-    told = report(write_inp(tmp_path, cubes()))
-    assert json.loads(json.dumps(told)) == told
+    reported = report(write_inp(tmp_path, cubes()))
+    assert json.loads(json.dumps(reported)) == reported
 
 
 def test_a_cell_that_names_a_node_twice_is_refused(tmp_path):
     mesh = box("hex20", (4, 2, 2), (4, 1, 1))
     mesh.blocks[0].nodes[5, 1] = mesh.blocks[0].nodes[5, 0]
-    told = report(write_inp(tmp_path, mesh))
-    assert not told["ok"]
-    assert messages(told, "problems")
+    reported = report(write_inp(tmp_path, mesh))
+    assert not reported["ok"]
+    assert messages(reported, "problems")
 
 
 def test_the_largest_displacement_over_a_range_is_that_of_its_worst_corner():
@@ -409,8 +409,8 @@ def test_a_range_that_cannot_be_solved_stays_first_order_and_says_why():
 def test_von_mises_says_little_of_an_orthotropic_material():
     part = strip((0, 90), (4, 1))
     loads = DeclaredRange(-np.ones(6), np.ones(6))
-    materials = tuple(replace(one, yield_strength=1e12) for one in part.materials)
+    materials = tuple(replace(material, yield_strength=1e12) for material in part.materials)
     part = replace(part, bundle=replace(part.bundle, range=loads), materials=materials)
-    found, warnings = strength(Solver(part), nonlinear=False)
-    assert len(found) == 2
+    results, warnings = strength(Solver(part), nonlinear=False)
+    assert len(results) == 2
     assert "a poor measure" in warnings[0].message

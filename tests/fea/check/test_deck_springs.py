@@ -75,8 +75,8 @@ DECKS = {
 
 @pytest.mark.parametrize("name", DECKS)
 def test_a_deck_is_taken_over_whole_and_moves_as_in_calculix(tmp_path, name):
-    found = proposal(tmp_path, DECKS[name])
-    assert (found["left"], found["check"]["warnings"]) == ([], [])
+    result = proposal(tmp_path, DECKS[name])
+    assert (result["left"], result["check"]["warnings"]) == ([], [])
     assert tip(tmp_path) == pytest.approx(tips_by_calculix(tmp_path, DECKS[name])[0], rel=1e-5)
 
 
@@ -107,8 +107,8 @@ def test_springs_of_nastran_along_own_axes_are_those_of_abaqus(tmp_path, kind):
         lines += [f"{kind},{90 + i},{size if kind == 'CELAS2' else 190 + i},,0,9100,{i}"]
         lines += [f"PELAS,{190 + i},{size}"] if kind == "CELAS1" else []
     text = bulk().replace("SPC = 1", "SPC = 2").replace("ENDDATA", "\n".join([*lines, "ENDDATA"]))
-    found = proposal(tmp_path, text, name="deck.bdf")
-    assert [line for line in found["left"] if "SPC set" not in line] == []
+    result = proposal(tmp_path, text, name="deck.bdf")
+    assert [line for line in result["left"] if "SPC set" not in line] == []
     (tmp_path / "b").mkdir()
     proposal(tmp_path / "b", DECKS["to the ground, turned"])
     assert tip(tmp_path) == pytest.approx(tip(tmp_path / "b"), rel=1e-6)
@@ -149,9 +149,9 @@ REFUSED = {
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_springs_that_are_no_bushing_or_another_are_named(tmp_path, name):
-    old, new, words = REFUSED[name]
+    old, new, texts = REFUSED[name]
     text = DECKS["to the ground"]
     proposal(tmp_path, text)
     (tmp_path / "new" / "deck.inp").write_text(text.replace(old, new))
     warnings = [warning["message"] for warning in check(tmp_path / "new")["warnings"]]
-    assert any(words in warning for warning in warnings), warnings
+    assert any(texts in warning for warning in warnings), warnings

@@ -105,22 +105,22 @@ def test_a_component_of_a_deck_of_steps_gives_as_calculix_does_in_the_last(tmp_p
 
 def test_steps_that_hold_different_nodes_are_listed_and_named_at_choice(tmp_path):
     text = HEAD + RIGID + "".join(STEPS["a step releases the middle"])
-    found = proposal(tmp_path, text)
+    result = proposal(tmp_path, text)
     assert tip(tmp_path) == pytest.approx(ROOT_HELD, rel=1e-5)
-    line = next(words for words in found["decide"] if words.startswith("case:"))
+    line = next(words for words in result["decide"] if words.startswith("case:"))
     assert '"step 2" stands (--case NAME)' in line
     assert '"step 1" holds MID (xyz), ROOT (xyz); loads TIP (0, 0, 100, 0, 0, 0)' in line
     (tmp_path / "other").mkdir()
-    found = proposal(tmp_path / "other", text, "STEP 1")
+    result = proposal(tmp_path / "other", text, "STEP 1")
     assert tip(tmp_path / "other") == pytest.approx(MIDDLE_HELD_TOO, rel=1e-5)
-    assert not any(words.startswith("case:") for words in found["decide"])
+    assert not any(words.startswith("case:") for words in result["decide"])
 
 
 @pytest.mark.parametrize("case", ["step 1", "step 2"])
 def test_the_check_finds_no_contradiction_to_a_case_that_was_chosen(tmp_path, case):
     text = HEAD + RIGID + "".join(STEPS["a step releases the middle"])
     check = proposal(tmp_path, text, case)["check"]
-    assert [one for one in check["warnings"] if one["where"] == "mesh.file"] == []
+    assert [warning for warning in check["warnings"] if warning["where"] == "mesh.file"] == []
 
 
 def test_loads_add_up_within_a_step_and_replace_those_of_an_earlier_one(tmp_path):
@@ -211,10 +211,10 @@ def test_a_deck_in_another_encoding_is_read(tmp_path, encoding):
 @pytest.mark.parametrize(("kind", "element"), [("hex8", "C3D8"), ("hex20", "C3D20R")])
 def test_a_single_stack_of_cells_is_integrated_fully(tmp_path, kind, element):
     stack = head(box(kind, (8, 1, 1), (100.0, 10.0, 10.0)), element)
-    found = proposal(tmp_path, stack + HELD[len(HEAD) :])
-    assert found["check"]["ok"], found["check"]["problems"]
+    result = proposal(tmp_path, stack + HELD[len(HEAD) :])
+    assert result["check"]["ok"], result["check"]["problems"]
     assert read_bundle(tmp_path / "new").analysis.integration == "full"
-    assert any(words.startswith('integration = "full"') for words in found["decide"])
+    assert any(words.startswith('integration = "full"') for words in result["decide"])
 
 
 def test_a_proposal_prints_the_warnings_of_its_check(tmp_path, capsys):
@@ -243,7 +243,7 @@ def block(folder, more=AGREES, element="C3D20R", case=None):
 def warnings(folder):
     report = check(folder)
     assert report["ok"], report["problems"]
-    return [one["message"] for one in report["warnings"] if one["where"] == "mesh.file"]
+    return [warning["message"] for warning in report["warnings"] if warning["where"] == "mesh.file"]
 
 
 def test_a_deck_that_agrees_with_its_component_gives_no_warning(tmp_path):
@@ -252,9 +252,9 @@ def test_a_deck_that_agrees_with_its_component_gives_no_warning(tmp_path):
 
 @cases(__file__, "warned")
 def test_what_a_deck_says_otherwise_is_a_warning_with_its_line(tmp_path, case):
-    (found,) = warnings(block(tmp_path, case=case))
-    assert_told(case, [found])
-    assert found.startswith("line ")
+    (result,) = warnings(block(tmp_path, case=case))
+    assert_told(case, [result])
+    assert result.startswith("line ")
 
 
 def test_read_and_ignored_keywords_are_listed_with_their_lines(tmp_path):
@@ -278,8 +278,8 @@ def test_the_integration_is_that_of_the_decks_elements(tmp_path, element, integr
 
 def test_an_integration_other_than_the_decks_is_a_warning(tmp_path):
     case = {"change": {"[analysis]": '[analysis]\nintegration = "reduced"'}}
-    (found,) = warnings(block(tmp_path, element="C3D20", case=case))
-    assert "has C3D20; [analysis] says" in found
+    (result,) = warnings(block(tmp_path, element="C3D20", case=case))
+    assert "has C3D20; [analysis] says" in result
 
 
 def test_a_hybrid_element_is_named_with_what_is_solved_instead(tmp_path):

@@ -64,8 +64,8 @@ CASES = {
 @pytest.mark.parametrize("name", CASES)
 def test_a_deck_goes_from_file_to_the_answer_of_a_component_written_by_hand(tmp_path, name):
     mesh, options = CASES[name]
-    found = propose(cards.HERE / name, tmp_path / "new")
-    assert found["check"]["ok"], found["check"]["problems"]
+    result = propose(cards.HERE / name, tmp_path / "new")
+    assert result["check"]["ok"], result["check"]["problems"]
     answer = Solver(read_bundle(tmp_path / "new")).linear.compliance @ LOAD
     expected = reference(tmp_path / "hand", mesh, **options) @ LOAD
     np.testing.assert_allclose(answer, expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
@@ -99,40 +99,42 @@ def test_what_a_deck_lacks_or_cannot_say_is_named(tmp_path, capsys, case):
     if place == "refused":
         with pytest.raises(BundleError) as caught:
             proposed(tmp_path, case)
-        told = [str(problem) for problem in caught.value.problems]
+        reported = [str(problem) for problem in caught.value.problems]
     elif place == "printed":
         deck = tmp_path / case["deck"]
         deck.write_text(changed(DECKS[deck.name], case), "utf-8")
         assert main(["new", str(deck), str(tmp_path / "new")]) == 1
-        told = capsys.readouterr().out.splitlines()
+        reported = capsys.readouterr().out.splitlines()
     else:
-        told = proposed(tmp_path, case)[place]
-    assert_told(case, told)
-    assert len(told) == case.get("of", len(told))
+        reported = proposed(tmp_path, case)[place]
+    assert_told(case, reported)
+    assert len(reported) == case.get("of", len(reported))
     if place == "decide":
         assert case["words"][0] in (tmp_path / "new" / "component.toml").read_text()
 
 
 @cases(__file__, "component")
 def test_what_a_deck_says_is_in_its_component(tmp_path, case):
-    found = proposed(tmp_path, case)
+    result = proposed(tmp_path, case)
     for place in ("left", "decide"):
         for words in case.get(place, ()):
-            assert any(words in line for line in found[place]), (words, found[place])
+            assert any(words in line for line in result[place]), (words, result[place])
         assert not any(
-            words in line for words in case.get(f"no_{place}", ()) for line in found[place]
+            words in line for words in case.get(f"no_{place}", ()) for line in result[place]
         )
-        assert len(found[place]) == case.get(f"{place}_count", len(found[place]))
+        assert len(result[place]) == case.get(f"{place}_count", len(result[place]))
     setup = (tmp_path / "new" / "component.toml").read_text()
     assert all(words in setup for words in case.get("toml", ()))
     deck = "".join(path.read_text() for path in (tmp_path / "new").glob("*.inp"))
     assert all(words in deck for words in case.get("written", ()))
-    problems = [f"{one['where']}: {one['message']}" for one in found["check"]["problems"]]
+    problems = [
+        f"{problem['where']}: {problem['message']}" for problem in result["check"]["problems"]
+    ]
     for words in case.get("problems", ()):
-        assert any(words in one for one in problems), (words, problems)
+        assert any(words in problem for problem in problems), (words, problems)
     if "problems" in case:
         return
-    assert found["check"]["ok"], problems
+    assert result["check"]["ok"], problems
     bundle = read_bundle(tmp_path / "new")
     if "holds" in case:
         tip = 100 * Solver(bundle).linear.compliance[2, 2]
@@ -229,17 +231,20 @@ def test_instances_of_two_parts_have_each_their_section_and_a_tie_is_named(tmp_p
     text = text.replace("*Material, name=Aluminium", "*Material, name=Steel", 1)
     tie = "*Tie, name=Tie-1\nFoot, Head\n"
     (tmp_path / "a.inp").write_text(text.replace("*Step,", f"{tie}*Step,"))
-    found = propose(tmp_path / "a.inp", tmp_path / "new", "mm")
-    moduli = {one.region: one.youngs_modulus for one in read_bundle(tmp_path / "new").materials}
+    result = propose(tmp_path / "a.inp", tmp_path / "new", "mm")
+    moduli = {
+        material.region: material.youngs_modulus
+        for material in read_bundle(tmp_path / "new").materials
+    }
     assert moduli == {"Block-1.Set-1": 70e9, "Bolt-1.Set-1": 210e9}
-    assert ["TIE" in one for one in found["left"]] == [True]
-    assert "part 2 of 2" in found["check"]["problems"][0]["message"]
+    assert ["TIE" in item for item in result["left"]] == [True]
+    assert "part 2 of 2" in result["check"]["problems"][0]["message"]
 
 
 def test_first_order_cells_are_proposed_with_midside_nodes(tmp_path):
     text = head(box("hex8", (10, 2, 2), (100.0, 10.0, 10.0)), "C3D8R") + HELD[len(head()) :]
     (tmp_path / "a.inp").write_text(text)
-    found = propose(tmp_path / "a.inp", tmp_path / "new", "mm")
-    assert found["check"]["ok"], found["check"]["problems"]
-    assert found["check"]["cells"] == {"hex20": 40}
-    assert any("midside" in one for one in found["decide"])
+    result = propose(tmp_path / "a.inp", tmp_path / "new", "mm")
+    assert result["check"]["ok"], result["check"]["problems"]
+    assert result["check"]["cells"] == {"hex20": 40}
+    assert any("midside" in item for item in result["decide"])

@@ -16,7 +16,7 @@ GOOD = {"slender": BAR, "link": LINK}
 
 
 def entries(told, kind):
-    return [f"{one['where']}: {one['message']}" for one in told[kind]]
+    return [f"{item['where']}: {item['message']}" for item in told[kind]]
 
 
 @cases(__file__, "reported")
@@ -29,23 +29,23 @@ def test_what_the_check_reports(tmp_path, case):
         shutil.copytree(SHIPPED / case["good"], folder)
         text = (folder / "component.toml").read_text("utf-8")
     (folder / "component.toml").write_text(changed(text, case), "utf-8")
-    told = report(folder, *([Riding.of(case["riding"])] if "riding" in case else []))
-    assert told["ok"] is ("problems" not in case), told["problems"]
+    reported = report(folder, *([Riding.of(case["riding"])] if "riding" in case else []))
+    assert reported["ok"] is ("problems" not in case), reported["problems"]
     for kind in ("problems", "warnings"):
         for words in case.get(kind, ()):
-            assert_told({"words": [words]}, entries(told, kind))
+            assert_told({"words": [words]}, entries(reported, kind))
         for words in case.get(f"no_{kind}", ()):
-            assert not any(words in one for one in entries(told, kind))
+            assert not any(words in entry for entry in entries(reported, kind))
     for words in case.get("text", ()):
-        assert words in as_text(told)
+        assert words in as_text(reported)
     for words in case.get("no_text", ()):
-        assert words not in as_text(told)
+        assert words not in as_text(reported)
     for path, expected in case.get("values", {}).items():
-        found = told
+        result = reported
         for key in path.split("."):
-            found = found[int(key) if key.isdigit() else key]
+            result = result[int(key) if key.isdigit() else key]
         exact = isinstance(expected, str | list) and not (
             expected and isinstance(expected[0], float)
         )
         near = expected if exact else pytest.approx(expected, rel=case.get("near", 1e-6))
-        assert found == near, path
+        assert result == near, path

@@ -69,9 +69,9 @@ def in_files(folder, text, name, parts, include):
 def test_a_deck_of_several_files_is_the_deck_of_its_lines(tmp_path, text, name, parts, include):
     (tmp_path / name.replace("a", "whole")).write_text(text)
     propose(tmp_path / name.replace("a", "whole"), tmp_path / "one", "mm")
-    found = propose(in_files(tmp_path, text, name, parts, include), tmp_path / "new", "mm")
+    result = propose(in_files(tmp_path, text, name, parts, include), tmp_path / "new", "mm")
     assert "INCLUDE" not in (tmp_path / "new" / "a.inp").read_text()  # the proposal is complete
-    assert found["check"]["ok"]
+    assert result["check"]["ok"]
     assert (compliance(tmp_path / "new") == compliance(tmp_path / "one")).all()
 
 
@@ -129,8 +129,8 @@ def laminate(rows, constants=PLY):
 )
 def test_an_orientation_turns_nine_constants_as_in_calculix(tmp_path, name, constants):
     text = laminate(ORIENTATIONS[name], constants) + step(HOLD + PULL)
-    found = proposal(tmp_path, text)
-    assert (found["left"], found["check"]["warnings"]) == ([], [])
+    result = proposal(tmp_path, text)
+    assert (result["left"], result["check"]["warnings"]) == ([], [])
     assert tip(tmp_path) == pytest.approx(tips_by_calculix(tmp_path, text)[0], rel=1e-5)
 
 
@@ -182,8 +182,8 @@ SLIDING = HEAD + TURNED + RIGID + step(f"{HOLD}MID, 3\n{PULL}")
 
 
 def test_nodes_of_turned_axes_are_held_along_these_as_in_calculix(tmp_path):
-    found = proposal(tmp_path, SLIDING)
-    assert (found["left"], found["check"]["warnings"]) == ([], [])
+    result = proposal(tmp_path, SLIDING)
+    assert (result["left"], result["check"]["warnings"]) == ([], [])
     assert tip(tmp_path) == pytest.approx(tips_by_calculix(tmp_path, SLIDING)[0], rel=1e-5)
     assert tip(tmp_path) < 0.5 * ROOT_HELD
 
@@ -242,12 +242,12 @@ def test_nastran_systems_of_nodes_supports_and_loads(tmp_path):
     text = bulk().replace("FORCE,2,9000,,100.,0.,0.,1.\n", "")
     text = text[: text.index("GRID")] + "".join(grids) + text[text.index("GRID        9000") :]
     middle = "\n".join(cards.card("SPC1", 1, 3, *MID))
-    found = proposal(
+    result = proposal(
         tmp_path,
         text.replace("ENDDATA", SYSTEMS).replace("SPC1,1,3,MIDDLE", middle),
         name="deck.bdf",
     )
-    assert [line for line in found["left"] if "SPC set 7" not in line] == []
+    assert [line for line in result["left"] if "SPC set 7" not in line] == []
     points = read_mesh(tmp_path / "new" / "deck.inp", "mm").points
     np.testing.assert_allclose(points, BAR.points / 1e3, atol=1e-9)
     assert read_bundle(tmp_path / "new").range.high[:3] == pytest.approx(100)
@@ -260,8 +260,8 @@ def test_midside_nodes_that_cells_lack_are_another_cells_or_new_and_held_as_ends
     middles = np.setdiff1d(np.arange(len(BAR.points)) + 1, corners)
     lacking, shared = middles[::3], middles[1::3]
     text = bulk(lambda cell, node: node in (shared if cell == 1 else () if cell else lacking))
-    found = proposal(tmp_path, text, name="deck.bdf")
-    (note,) = [line for line in found["decide"] if "midside nodes that cells lack" in line]
+    result = proposal(tmp_path, text, name="deck.bdf")
+    (note,) = [line for line in result["decide"] if "midside nodes that cells lack" in line]
     assert f"{len(lacking)} new, in their middle" in note
     mesh = read_mesh(tmp_path / "new" / "deck.inp", "mm")
     assert (len(mesh.points), mesh.cell_counts) == (len(BAR.points), BAR.cell_counts)
@@ -277,8 +277,8 @@ def test_a_mean_of_weighted_nodes_moves_as_in_calculix(tmp_path):
     mean = "*ELEMENT, TYPE=DCOUP3D, ELSET=Mean\n8000, 9000\n*DISTRIBUTING COUPLING, ELSET=MEAN\n"
     rows = "".join(f"{node}, {weight}\n" for node, weight in zip(TIP, WEIGHTS, strict=True))
     text = head + mean + rows + step(HOLD + PULL)
-    found = proposal(tmp_path, text)
-    assert (found["left"], found["check"]["warnings"]) == ([], [])
+    result = proposal(tmp_path, text)
+    assert (result["left"], result["check"]["warnings"]) == ([], [])
     assert tip(tmp_path) == pytest.approx(tips_by_calculix(tmp_path, text)[0], rel=1e-5)
 
 
@@ -294,8 +294,8 @@ def weighted(weights):
 def test_an_rbe3_spreads_a_wrench_by_its_weights_as_these_forces_do_in_calculix(tmp_path, weights):
     """Its law: F w_i + w_i A^-1 M x b_i with A = sum w (b.b I - b b^T), of weights of sum 1."""
     calculix.require_ccx()
-    found = proposal(tmp_path, weighted(weights), name="deck.bdf")
-    assert ["SPC set 7" in line for line in found["left"]] == [True]
+    result = proposal(tmp_path, weighted(weights), name="deck.bdf")
+    assert ["SPC set 7" in line for line in result["left"]] == [True]
     w, points, wrench = weights / weights.sum(), BAR.points[np.array(TIP) - 1], np.arange(1.0, 7)
     arms = points - w @ points
     inertia = np.einsum("i,ij,ij", w, arms, arms) * np.eye(3) - (arms.T * w) @ arms

@@ -65,13 +65,13 @@ def test_the_bordered_tangent_is_the_derivative_of_what_is_out_of_balance(coupli
 def test_supports_carry_the_wrench_in_the_deformed_state(coupling):
     built = solver(coupling)
     wrench = np.array([2e-3, -1e-3, 5e-3, 1.5e-3, 2e-3, -3e-3])
-    found = built.solve(wrench)
-    assert np.degrees(np.linalg.norm(found.displacement[3:])) > 0.5
+    result = built.solve(wrench)
+    assert np.degrees(np.linalg.norm(result.displacement[3:])) > 0.5
     mesh = built.component.mesh
-    forces = built._system.body.forces(found.nodes)[0]
+    forces = built._system.body.forces(result.nodes)[0]
     fixed = built.component.fixed_nodes
     places = mesh.points[fixed]
-    acting_at = np.array(POINT) + found.displacement[:3]
+    acting_at = np.array(POINT) + result.displacement[:3]
     np.testing.assert_allclose(forces[fixed].sum(axis=0), -wrench[:3], atol=1e-12)
     moment = np.cross(places, forces[fixed]).sum(axis=0) + np.cross(acting_at, wrench[:3])
     np.testing.assert_allclose(moment, -wrench[3:], atol=1e-12)
@@ -79,28 +79,28 @@ def test_supports_carry_the_wrench_in_the_deformed_state(coupling):
 
 def test_a_rigid_section_moves_as_one_piece_through_a_finite_rotation():
     built = solver("rigid")
-    found = built.solve([2e-3, -1e-3, 5e-3, 1.5e-3, 2e-3, -3e-3])
+    result = built.solve([2e-3, -1e-3, 5e-3, 1.5e-3, 2e-3, -3e-3])
     section = built.component.interfaces[0].section.node_ids
     arms = built.component.mesh.points[section] - POINT
-    turned = arms @ rotation(found.displacement[3:]).T
+    turned = arms @ rotation(result.displacement[3:]).T
     np.testing.assert_allclose(
-        found.nodes[section], found.displacement[:3] + turned - arms, atol=1e-15
+        result.nodes[section], result.displacement[:3] + turned - arms, atol=1e-15
     )
 
 
 def test_a_distributed_interface_is_the_best_fitting_rigid_motion_of_its_section():
     built = solver("distributed")
-    found = built.solve([2e-3, -1e-3, 5e-3, 1.5e-3, 2e-3, -3e-3])
+    result = built.solve([2e-3, -1e-3, 5e-3, 1.5e-3, 2e-3, -3e-3])
     section = built.component.interfaces[0].section
     before = built.component.mesh.points[section.node_ids]
-    after = before + found.nodes[section.node_ids]
+    after = before + result.nodes[section.node_ids]
     weights = section.weights / section.weights.sum()
     spread = (before - weights @ before).T @ (weights[:, None] * (after - weights @ after))
     left, _, right = np.linalg.svd(spread)  # Kabsch
     fit = right.T @ np.diag([1, 1, np.linalg.det(right.T @ left.T)]) @ left.T
-    np.testing.assert_allclose(rotation(found.displacement[3:]), fit, atol=1e-13)
+    np.testing.assert_allclose(rotation(result.displacement[3:]), fit, atol=1e-13)
     centre = weights @ before
-    moved = centre + found.displacement[:3] + (fit - np.eye(3)) @ (centre - POINT)
+    moved = centre + result.displacement[:3] + (fit - np.eye(3)) @ (centre - POINT)
     np.testing.assert_allclose(weights @ after, moved, atol=1e-14)
 
 
@@ -109,19 +109,19 @@ def test_a_distributed_interface_is_the_best_fitting_rigid_motion_of_its_section
 def test_locked_freedoms_stay_put_and_loads_on_them_do_nothing(coupling, nonlinear):
     built = solver(coupling, ("ux", "rx", "rz"), nonlinear)
     wrench = np.array([0, 1e-3, 3e-3, 0, 2e-3, 0])
-    found = built.solve(wrench)
-    assert (found.displacement[[0, 3, 5]] == 0).all()
-    assert (found.compliance[[0, 3, 5]] == 0).all()
-    assert (found.compliance[:, [0, 3, 5]] == 0).all()
+    result = built.solve(wrench)
+    assert (result.displacement[[0, 3, 5]] == 0).all()
+    assert (result.compliance[[0, 3, 5]] == 0).all()
+    assert (result.compliance[:, [0, 3, 5]] == 0).all()
     loaded = built.solve(wrench + np.array([9, 0, 0, 9, 0, 9]))
-    np.testing.assert_array_equal(loaded.displacement, found.displacement)
+    np.testing.assert_array_equal(loaded.displacement, result.displacement)
 
 
 @pytest.mark.parametrize("nonlinear", [False, True])
 @pytest.mark.parametrize("coupling", COUPLINGS)
 def test_an_interface_that_is_locked_throughout_does_not_move(coupling, nonlinear):
     built = solver(coupling, FREEDOMS, nonlinear)
-    found = built.solve([1, 2, 3, 4, 5, 6])
-    assert not found.displacement.any()
-    assert not found.compliance.any()
-    assert found.strain_energy == 0
+    result = built.solve([1, 2, 3, 4, 5, 6])
+    assert not result.displacement.any()
+    assert not result.compliance.any()
+    assert result.strain_energy == 0

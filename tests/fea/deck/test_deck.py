@@ -46,37 +46,37 @@ def test_other_words_with_a_dollar_stay_and_a_placeholder_may_come_twice():
 def test_a_deck_without_a_placeholder_is_refused_before_anything_runs(tmp_path):
     bundle = component(tmp_path)
     bundle.deck.file.write_text("$FX $FY $FZ $MX $MY")
-    found = failure(bundle)
-    assert found.kind == "bad_deck"
-    assert "no $MZ" in found.message
+    result = failure(bundle)
+    assert result.kind == "bad_deck"
+    assert "no $MZ" in result.message
 
 
 def test_a_nonlinear_deck_answers_the_displacement_and_knows_no_compliance(tmp_path):
-    found = solve(component(tmp_path), WRENCH)
-    np.testing.assert_allclose(found.displacement, 1e-6 * np.array(WRENCH), rtol=1e-12)
-    assert found.compliance.shape == (6, 6)
-    assert np.isnan(found.compliance).all()
-    assert np.isnan([found.strain_energy, found.work]).all()
-    assert found.wrench.tolist() == WRENCH
-    assert found.seconds > 0
+    result = solve(component(tmp_path), WRENCH)
+    np.testing.assert_allclose(result.displacement, 1e-6 * np.array(WRENCH), rtol=1e-12)
+    assert result.compliance.shape == (6, 6)
+    assert np.isnan(result.compliance).all()
+    assert np.isnan([result.strain_energy, result.work]).all()
+    assert result.wrench.tolist() == WRENCH
+    assert result.seconds > 0
 
 
 def test_a_linear_deck_answers_its_compliance_as_well(tmp_path):
     script = "answer(w[0] + w[4] / 2, 2 * w[1], 3 * w[2], w[3], w[4] + w[0] / 2, w[5] / 64)"
-    told = []
-    found = solve(
+    reported = []
+    result = solve(
         component(tmp_path, script, nonlinear=False),
         [1e-4] * 6,
-        lambda fraction, message: told.append((fraction, message)),
+        lambda fraction, message: reported.append((fraction, message)),
     )
     expected = np.diag([1, 2, 3, 1, 1, 1 / 64])
     expected[0, 4] = expected[4, 0] = 0.5
-    np.testing.assert_allclose(found.compliance, expected, atol=1e-15)
-    assert found.work == pytest.approx(found.displacement.sum() * 1e-4)
-    assert found.strain_energy == pytest.approx(found.work / 2)
-    assert told[0] == (0.0, "wrench: starting")
-    assert told[-1] == (1.0, "done")
-    assert [fraction for fraction, _ in told] == sorted(fraction for fraction, _ in told)
+    np.testing.assert_allclose(result.compliance, expected, atol=1e-15)
+    assert result.work == pytest.approx(result.displacement.sum() * 1e-4)
+    assert result.strain_energy == pytest.approx(result.work / 2)
+    assert reported[0] == (0.0, "wrench: starting")
+    assert reported[-1] == (1.0, "done")
+    assert [fraction for fraction, _ in reported] == sorted(fraction for fraction, _ in reported)
 
 
 def test_a_millimetre_deck_gets_newton_millimetres_and_is_read_in_millimetres(tmp_path):
@@ -95,8 +95,8 @@ def test_a_conjugate_moment_is_found_for_the_spatial_one_that_was_asked_for(tmp_
     script = f"answer(0, 0, 0, *(c * m for c, m in zip({soft.tolist()}, w[3:])))"
     bundle = component(tmp_path, script, moment="conjugate")
     runs = set()
-    found = solve(bundle, [0, 0, 0, *moment], lambda f, m: runs.add(m.split(":")[0]))
-    turn = found.displacement[3:]
+    result = solve(bundle, [0, 0, 0, *moment], lambda f, m: runs.add(m.split(":")[0]))
+    turn = result.displacement[3:]
     assert 0.8 * degrees < np.degrees(np.linalg.norm(turn)) < 1.1 * degrees
     gap = turn - soft * (spin_per_vector(turn).T @ moment)
     assert np.linalg.norm(gap) < 1e-5 * np.linalg.norm(turn)
@@ -135,27 +135,27 @@ def test_without_a_folder_nothing_is_left(tmp_path, monkeypatch):
 
 def test_the_solver_sees_the_threads_it_may_use(tmp_path, monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "3")
-    found = solve(
+    result = solve(
         component(tmp_path, 'answer(int(os.environ["OMP_NUM_THREADS"]), *[0] * 5)'), WRENCH
     )
-    assert found.displacement[0] == 3
+    assert result.displacement[0] == 3
 
 
 @cases(__file__, "runs")
 def test_a_run_that_went_wrong_is_a_named_failure(tmp_path, case):
     bundle = component(tmp_path, case.get("script", SOFT), **case.get("deck", {}))
-    found = failure(bundle, folder=tmp_path / "attempt")
-    assert found.kind == case["kind"]
-    assert_told(case, [found.message + found.remedy])
-    assert str(tmp_path) not in found.message + found.remedy
-    assert list((tmp_path / "attempt").rglob("printed.txt")) or found.kind == "no_solver"
+    result = failure(bundle, folder=tmp_path / "attempt")
+    assert result.kind == case["kind"]
+    assert_told(case, [result.message + result.remedy])
+    assert str(tmp_path) not in result.message + result.remedy
+    assert list((tmp_path / "attempt").rglob("printed.txt")) or result.kind == "no_solver"
 
 
 def test_a_missing_ccx_is_told_with_its_debian_package(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
-    found = failure(component(tmp_path, command=["ccx", "{job}"]))
-    assert found.kind == "no_solver"
-    assert "calculix-ccx" in found.remedy
+    result = failure(component(tmp_path, command=["ccx", "{job}"]))
+    assert result.kind == "no_solver"
+    assert "calculix-ccx" in result.remedy
 
 
 def alive(pid):
@@ -184,9 +184,9 @@ def pids_in(folder):
 
 @pytest.mark.parametrize("deaf", ["", "signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"])
 def test_a_run_out_of_time_is_ended_with_all_that_it_started(tmp_path, deaf):
-    found = failure(component(tmp_path, deaf + ENDLESS, timeout=1.0), folder=tmp_path / "attempt")
-    assert found.kind == "timed_out"
-    assert "after 1 s" in found.message
+    result = failure(component(tmp_path, deaf + ENDLESS, timeout=1.0), folder=tmp_path / "attempt")
+    assert result.kind == "timed_out"
+    assert "after 1 s" in result.message
     assert all(gone(pid) for pid in pids_in(tmp_path / "attempt"))
 
 
@@ -219,8 +219,8 @@ def test_the_solver_ends_with_the_program_that_runs_it(tmp_path, how):
 
 def test_a_linear_deck_may_hold_freedoms_and_print_roundoff(tmp_path):
     script = "answer(0, 0, 1e-6 * w[2] + 1e-7 * w[5], 1e-22 * w[0], 0, 1e-7 * w[2] + 1e-6 * w[5])"
-    found = solve(component(tmp_path, script, nonlinear=False), WRENCH)
-    assert found.compliance[2, 5] == pytest.approx(1e-7)
+    result = solve(component(tmp_path, script, nonlinear=False), WRENCH)
+    assert result.compliance[2, 5] == pytest.approx(1e-7)
 
 
 @pytest.mark.parametrize("wrench", [[1, 2, 3], [np.nan, 0, 0, 0, 0, 0], [np.inf] * 6])
@@ -266,20 +266,20 @@ def test_another_package_can_offer_a_reader(tmp_path, monkeypatch):
     monkeypatch.setattr(EntryPoint, "load", lambda self: Halves)
     monkeypatch.setattr(readers, "_offered", lambda: [entry])
     assert readers.reader_names() == ("calculix-dat", "halves", "numbers")
-    found = solve(component(tmp_path, output={"reader": "halves"}), [0] * 6, None)
-    assert found.displacement[0] == 0.5
+    result = solve(component(tmp_path, output={"reader": "halves"}), [0] * 6, None)
+    assert result.displacement[0] == 0.5
 
 
 def test_the_check_says_where_the_program_is_and_how_the_deck_is_read(tmp_path):
-    told, warnings = deck_report(component(tmp_path).deck)
+    reported, warnings = deck_report(component(tmp_path).deck)
     assert warnings == []
-    assert told["program"] == sys.executable
-    assert told["reader"] == "numbers"
+    assert reported["program"] == sys.executable
+    assert reported["reader"] == "numbers"
 
 
 def test_the_check_warns_of_a_program_that_is_not_here(tmp_path):
-    told, warnings = deck_report(component(tmp_path, command=["no-such-solver"]).deck)
-    assert told["program"] is None
+    reported, warnings = deck_report(component(tmp_path, command=["no-such-solver"]).deck)
+    assert reported["program"] is None
     assert '"no-such-solver" is not on the PATH' in warnings[0].message
 
 
@@ -291,7 +291,7 @@ def test_the_check_names_every_missing_placeholder_set_and_include(tmp_path):
     )
     with pytest.raises(BundleError) as caught:
         deck_report(bundle.deck)
-    told = [problem.message for problem in caught.value.problems]
-    assert len(told) == 3
-    for said, message in zip(("no $MZ", 'the set "ROT"', '"mesh.inp"'), told, strict=True):
+    reported = [problem.message for problem in caught.value.problems]
+    assert len(reported) == 3
+    for said, message in zip(("no $MZ", 'the set "ROT"', '"mesh.inp"'), reported, strict=True):
         assert said in message

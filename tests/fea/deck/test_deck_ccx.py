@@ -66,9 +66,9 @@ def written(folder, bundle, **changes):
     return replace(bundle, deck=replace(deck, **changes))
 
 
-def gap(found, expected):
+def gap(result, expected):
     """The largest error of translation and rotation, each over the largest of its kind."""
-    apart = np.abs(found - expected).reshape(2, 3).max(axis=1)
+    apart = np.abs(result - expected).reshape(2, 3).max(axis=1)
     return (apart / np.abs(expected).reshape(2, 3).max(axis=1)).max()
 
 
@@ -81,10 +81,10 @@ def test_the_shipped_deck_is_what_the_command_writes(capsys):
 
 
 def test_the_shipped_deck_passes_the_check():
-    told = report(FOLDER)
-    assert told["ok"]
-    assert told["deck"]["moment"] == "conjugate"
-    assert told["has_fea"]
+    reported = report(FOLDER)
+    assert reported["ok"]
+    assert reported["deck"]["moment"] == "conjugate"
+    assert reported["has_fea"]
 
 
 def test_the_deck_and_the_embedded_example_claim_the_same_loads():
@@ -115,18 +115,18 @@ class TestWithCalculix:
         monkeypatch.setenv("OMP_NUM_THREADS", "1")
 
     def test_the_shipped_deck_agrees_with_the_embedded_solver(self, plate, tmp_path):
-        found = solve(read_bundle(FOLDER), CORNER, folder=tmp_path)
+        result = solve(read_bundle(FOLDER), CORNER, folder=tmp_path)
         expected = plate.solve(CORNER)
-        np.testing.assert_allclose(found.displacement, expected.displacement, rtol=1e-5)
-        assert found.unknowns == expected.unknowns
+        np.testing.assert_allclose(result.displacement, expected.displacement, rtol=1e-5)
+        assert result.unknowns == expected.unknowns
         assert len(list((tmp_path / "deck").iterdir())) == 2
 
     @pytest.mark.parametrize("load", [1e-9, 1e-3])
     def test_small_loads_keep_their_digits(self, plate, load):
         wrench = [load] * 6
-        found = solve(read_bundle(FOLDER), wrench)
+        result = solve(read_bundle(FOLDER), wrench)
         expected = plate.compliance @ wrench
-        np.testing.assert_allclose(found.displacement, expected, rtol=2e-6)
+        np.testing.assert_allclose(result.displacement, expected, rtol=2e-6)
 
     def test_no_load_is_no_displacement(self):
         assert (solve(read_bundle(FOLDER), [0] * 6).displacement == 0).all()
@@ -136,27 +136,27 @@ class TestWithCalculix:
         bundle = nonlinear(bar(tmp_path))
         expected = Solver(bundle).solve(BENT).displacement
         assert 15 < np.degrees(np.linalg.norm(expected[3:])) < 20
-        found = solve(written(tmp_path, bundle), BENT).displacement
-        assert gap(found, expected) < 1e-4
+        result = solve(written(tmp_path, bundle), BENT).displacement
+        assert gap(result, expected) < 1e-4
         raw = solve(written(tmp_path, bundle, moment="spatial"), BENT).displacement
         assert gap(raw, expected) > 1e-2
 
     def test_a_linear_deck_gives_the_whole_compliance(self, tmp_path):
         bundle = bar(tmp_path)
-        found = solve(written(tmp_path, bundle), BENT)
+        result = solve(written(tmp_path, bundle), BENT)
         expected = Solver(bundle).solve(BENT)
-        np.testing.assert_allclose(found.displacement, expected.displacement, rtol=1e-5)
+        np.testing.assert_allclose(result.displacement, expected.displacement, rtol=1e-5)
         size = np.sqrt(np.outer(*2 * [np.diagonal(expected.compliance)]))
-        assert (np.abs(found.compliance - expected.compliance) < 1e-5 * size).all()
-        assert found.strain_energy == pytest.approx(expected.strain_energy, rel=1e-5)
+        assert (np.abs(result.compliance - expected.compliance) < 1e-5 * size).all()
+        assert result.strain_energy == pytest.approx(expected.strain_energy, rel=1e-5)
 
     def test_a_turned_and_guided_component_is_written_in_its_own_frame(self, tmp_path):
         axes = [[0, 1, 0], [0, 0, 1], [1, 0, 0]]
         bundle = bar(tmp_path, axes=axes, locked=["ux", "rz"])
-        found = solve(written(tmp_path, bundle), BENT)
+        result = solve(written(tmp_path, bundle), BENT)
         expected = Solver(bundle).solve(BENT).displacement
         assert expected[0] == expected[5] == 0
-        np.testing.assert_allclose(found.displacement, expected, rtol=1e-5)
+        np.testing.assert_allclose(result.displacement, expected, rtol=1e-5)
 
     def test_an_nlgeom_deck_said_to_be_linear_is_found_out(self, tmp_path):
         bundle = written(tmp_path, nonlinear(bar(tmp_path)))

@@ -112,8 +112,8 @@ def test_the_directions_are_radial_circumferential_and_axial():
 
 
 def test_on_the_axis_the_directions_are_still_square_to_each_other():
-    found = WOUND.directions(np.array(CENTRE))
-    np.testing.assert_allclose(found @ found.T, np.eye(3), atol=1e-14)
+    result = WOUND.directions(np.array(CENTRE))
+    np.testing.assert_allclose(result @ result.T, np.eye(3), atol=1e-14)
 
 
 def test_an_axis_far_away_has_the_directions_of_a_plane():
@@ -122,9 +122,9 @@ def test_an_axis_far_away_has_the_directions_of_a_plane():
     far = np.array(own.axes[0]) * -1e7
     cylinder = Cylinder(tuple(far.tolist()), tuple(own.axes[2].tolist()))
     curved = replace(own, axes=np.eye(3), cylinder=cylinder)
-    found = Solver(replace(beam, materials=(curved,))).compliance
+    result = Solver(replace(beam, materials=(curved,))).compliance
     expected = Solver(beam).compliance
-    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max())
+    np.testing.assert_allclose(result, expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max())
 
 
 def test_a_tube_of_many_blocks_with_axes_of_their_own_comes_near():
@@ -133,8 +133,8 @@ def test_a_tube_of_many_blocks_with_axes_of_their_own_comes_near():
     directions = WOUND.directions(one.mesh.points[nodes].mean(axis=1))
     flat = [replace(WOUND, cylinder=None, axes=own) for own in directions]
     blocks = replace(one, materials=tuple(flat), material_of_cells=(np.arange(len(nodes)),))
-    found, expected = Solver(one).compliance, Solver(blocks).compliance
-    np.testing.assert_allclose(np.diag(found), np.diag(expected), rtol=5e-3)
+    result, expected = Solver(one).compliance, Solver(blocks).compliance
+    np.testing.assert_allclose(np.diag(result), np.diag(expected), rtol=5e-3)
 
 
 def test_a_bundle_gives_the_point_and_the_direction_of_the_axis(tmp_path):

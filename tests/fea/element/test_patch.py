@@ -59,8 +59,8 @@ def test_a_distorted_patch_reproduces_every_constant_strain(kind, integration):
     mesh = patch(kind)
     body = body_of(mesh, on_the_surface(mesh), integration)
     affine = mesh.points @ RNG.standard_normal((3, 3)) + [1.0, 2.0, 3.0]
-    found = solve_with_boundary(body, affine)
-    np.testing.assert_allclose(found, affine, atol=1e-12)
+    result = solve_with_boundary(body, affine)
+    np.testing.assert_allclose(result, affine, atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", ["hex20", "hex27"])
@@ -106,8 +106,8 @@ def harmonic_gradient(points):
 def energy_of(kind, divisions, integration):
     mesh = box(kind, (divisions,) * 3)
     body = body_of(mesh, on_the_surface(mesh), integration)
-    found = solve_with_boundary(body, harmonic_gradient(mesh.points))
-    return float(body.strain_energy_products(found[:, :, None])[0, 0])
+    result = solve_with_boundary(body, harmonic_gradient(mesh.points))
+    return float(body.strain_energy_products(result[:, :, None])[0, 0])
 
 
 @pytest.mark.parametrize(

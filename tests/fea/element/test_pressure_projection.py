@@ -35,8 +35,8 @@ def body_of(mesh, poisson, held):
 def displacement_error(kind, divisions, poisson, warp=None):
     mesh = box(kind, divisions, warp=warp)
     exact = harmonic_gradient(mesh.points)
-    found = solve_with_boundary(body_of(mesh, poisson, on_the_surface(mesh)), exact)
-    return np.abs(found - exact).max() / np.abs(exact).max()
+    result = solve_with_boundary(body_of(mesh, poisson, on_the_surface(mesh)), exact)
+    return np.abs(result - exact).max() / np.abs(exact).max()
 
 
 @pytest.mark.parametrize("poisson", [0.49, 0.4999])
@@ -97,8 +97,8 @@ def test_a_flat_rubber_strip_is_as_stiff_as_the_closed_form_of_a_layer():
     moved.ravel()[free] = -np.linalg.solve(
         stiffness[np.ix_(free, free)], (stiffness @ moved.ravel())[free]
     )
-    found = moved.ravel() @ stiffness @ moved.ravel()
-    assert found == pytest.approx(layer_stiffness(young, poisson, width, height) * 0.02, rel=0.01)
+    result = moved.ravel() @ stiffness @ moved.ravel()
+    assert result == pytest.approx(layer_stiffness(young, poisson, width, height) * 0.02, rel=0.01)
 
 
 def layer_stiffness(young, poisson, width, height):
@@ -164,11 +164,11 @@ def test_the_modes_reproduce_every_linear_function_of_the_place():
 
 def test_a_rubber_block_sheared_far_converges_and_keeps_its_energy():
     part = bonded("hex27", (4, 4, 2), 0.4999, nonlinear=True)
-    found = Solver(part).solve([150.0, 0, -500.0, 0, 0, 0])
-    assert found.displacement[0] > 0.5e-3
-    assert found.work == pytest.approx(found.strain_energy, rel=1e-4)
-    small = Solver(part).compliance @ found.wrench
-    assert np.abs(found.displacement[[0, 2]] / small[[0, 2]] - 1).max() < 0.1
+    result = Solver(part).solve([150.0, 0, -500.0, 0, 0, 0])
+    assert result.displacement[0] > 0.5e-3
+    assert result.work == pytest.approx(result.strain_energy, rel=1e-4)
+    small = Solver(part).compliance @ result.wrench
+    assert np.abs(result.displacement[[0, 2]] / small[[0, 2]] - 1).max() < 0.1
 
 
 def test_a_mesh_of_several_kinds_names_the_one_that_locks():

@@ -91,10 +91,10 @@ def test_an_indefinite_tangent_is_still_solved_and_said_to_be_so():
     matrix = matrix_of(body, tangent)
     assert sparse_linalg.eigsh(matrix, k=1, which="SA", return_eigenvectors=False)[0] < 0
     loads = RNG.standard_normal((matrix.shape[0], 2))
-    found = tangent.factor.solve(loads)
+    result = tangent.factor.solve(loads)
     assert not tangent.factor.definite
-    roundoff = 1e-13 * np.abs(matrix).max() * np.abs(found).max()
-    np.testing.assert_allclose(matrix @ found, loads, atol=roundoff)
+    roundoff = 1e-13 * np.abs(matrix).max() * np.abs(result).max()
+    np.testing.assert_allclose(matrix @ result, loads, atol=roundoff)
 
 
 def test_a_body_that_nothing_holds_leaves_no_pivot():
@@ -129,7 +129,7 @@ def test_a_factorisation_runs_on_one_thread_and_leaves_the_callers_as_they_were(
 
 def blas_threads():
     """Threads of each BLAS that is loaded."""
-    return [one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"]
+    return [item["num_threads"] for item in threadpool_info() if item["user_api"] == "blas"]
 
 
 @pytest.mark.parametrize("thickness", [1.0, 0.1, 0.01])

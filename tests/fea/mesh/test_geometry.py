@@ -24,12 +24,12 @@ BRACKET = tomllib.loads((GOOD / "bracket" / "component.toml").read_text("utf-8")
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    made = tmp_path_factory.mktemp("geometry")
-    draw_bracket(made / "bracket.step")
-    draw_two_bars(made / "bars.step")
-    draw_two_bars(made / "apart.stp", space=1.0)
-    (made / "broken.step").write_text("ISO-10303-21; nothing")
-    return made
+    created = tmp_path_factory.mktemp("geometry")
+    draw_bracket(created / "bracket.step")
+    draw_two_bars(created / "bars.step")
+    draw_two_bars(created / "apart.stp", space=1.0)
+    (created / "broken.step").write_text("ISO-10303-21; nothing")
+    return created
 
 
 def with_mesh(**keys):
@@ -86,9 +86,9 @@ def test_another_process_makes_the_same_mesh_to_the_last_bit(folder):
         "print(hashlib.sha256(m.points.tobytes() + m.blocks[0].nodes.tobytes()).hexdigest())"
     )
     command = [sys.executable, "-c", code, str(folder / "bracket.step")]
-    told = {subprocess.run(command, capture_output=True, check=True).stdout for _ in range(2)}
-    assert len(told) == 1
-    assert len(told.pop()) == 65
+    reported = {subprocess.run(command, capture_output=True, check=True).stdout for _ in range(2)}
+    assert len(reported) == 1
+    assert len(reported.pop()) == 65
 
 
 def test_a_size_in_millimetres_is_warned_of(folder):

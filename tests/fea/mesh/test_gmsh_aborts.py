@@ -75,11 +75,11 @@ def test_a_second_mesh_at_which_gmsh_aborts_leaves_the_bar_unknown_and_the_part_
     part, tmp_path, monkeypatch
 ):
     abort_gmsh(monkeypatch, tmp_path / "fake", f"size > {1.1 * SIZE}")
-    told = report(part)
-    assert told["ok"]
-    assert told["solver_error"]["mesh"] is None
-    assert "no second mesh can be made" in told["solver_error"]["mesh_basis"]
-    assert any("error bar is not known" in warning["message"] for warning in told["warnings"])
+    reported = report(part)
+    assert reported["ok"]
+    assert reported["solver_error"]["mesh"] is None
+    assert "no second mesh can be made" in reported["solver_error"]["mesh_basis"]
+    assert any("error bar is not known" in warning["message"] for warning in reported["warnings"])
 
 
 def test_memory_that_ends_in_gmsh_is_named(part, tmp_path, monkeypatch):

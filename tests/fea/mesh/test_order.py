@@ -203,7 +203,7 @@ def test_a_node_group_of_two_faces_does_not_get_what_lies_within():
 @pytest.mark.parametrize("kind", ["hex20", "hex27", "tet10", "wedge15"])
 def test_a_finer_mesh_yields_more_as_it_holds_the_fields_of_the_coarser_one(kind):
     mesh = box(kind, (2, 2, 2), (0.1, 0.1, 0.2))
-    own, fine = (component(one, integration="full") for one in (mesh, halved(mesh)))
+    own, fine = (component(item, integration="full") for item in (mesh, halved(mesh)))
     more = Solver(fine).linear.compliance - Solver(own).linear.compliance
     assert (np.linalg.eigvalsh(0.5 * (more + more.T)) > 0).all()
 
@@ -227,9 +227,11 @@ def bar():
 def test_swapped_corners_that_no_quadrature_point_sees_are_an_error_of_the_check(tmp_path, count):
     mesh = with_swapped_corners(bar(), count)
     assert (determinants(mesh.points, mesh.blocks[0]) > 0).all()
-    told = report(write_inp(tmp_path, mesh))
-    assert not told["ok"]
-    assert any(f"{count} of 40 hex20 cells are {FOLDED}" in m for m in messages(told, "problems"))
+    reported = report(write_inp(tmp_path, mesh))
+    assert not reported["ok"]
+    assert any(
+        f"{count} of 40 hex20 cells are {FOLDED}" in m for m in messages(reported, "problems")
+    )
 
 
 def test_a_bundle_with_a_folded_cell_is_neither_built_nor_solved(tmp_path):

@@ -36,16 +36,16 @@ def test_files_with_pyramids_are_read_and_first_order_gets_midside_nodes(tmp_pat
     (tmp_path / "a.inp").write_text("\n".join(deck_lines(mesh, 1e-3)))
     for file, kind in (("a.vtu", "vtu"), ("a.msh", "gmsh22")):
         meshio.Mesh(mesh.points * 1e3, cells).write(tmp_path / file, file_format=kind)
-    found = second_order(read_mesh(tmp_path / name, "mm"))
-    assert (found.cell_counts, cell_problems(found)) == (second_order(mesh).cell_counts, [])
-    assert volume(found) == pytest.approx(np.prod(LENGTHS), rel=1e-12)
+    result = second_order(read_mesh(tmp_path / name, "mm"))
+    assert (result.cell_counts, cell_problems(result)) == (second_order(mesh).cell_counts, [])
+    assert volume(result) == pytest.approx(np.prod(LENGTHS), rel=1e-12)
 
 
 def test_a_bar_with_pyramids_bends_and_twists_as_one_of_hexahedra():
     bars = mixed(DIVISIONS, LENGTHS), box("hex20", DIVISIONS, LENGTHS)
     parts = (component(bar, fixed="x0", section="x1") for bar in bars)
-    found, expected = (np.diag(Solver(part).linear.compliance) for part in parts)
-    np.testing.assert_allclose(found, expected, rtol=1e-2)
+    result, expected = (np.diag(Solver(part).linear.compliance) for part in parts)
+    np.testing.assert_allclose(result, expected, rtol=1e-2)
 
 
 def single(height=60.0):
@@ -66,15 +66,15 @@ def test_pyramids_of_nastran_and_collapsed_hexahedra_of_ansys_keep_their_nodes(t
     text = "\n".join(lines) if name == "a.bdf" else cards.archive(mesh, "", collapsed)
     (tmp_path / name).write_text(text)
     propose(tmp_path / name, tmp_path / "new", "mm")
-    found = read_mesh(tmp_path / "new" / "a.inp", "mm")
-    assert (found.cell_counts, cell_problems(found)) == ({"pyramid13": 1}, [])
-    np.testing.assert_allclose(found.points[found.blocks[0].nodes[0]], mesh.points / 1e3)
+    result = read_mesh(tmp_path / "new" / "a.inp", "mm")
+    assert (result.cell_counts, cell_problems(result)) == ({"pyramid13": 1}, [])
+    np.testing.assert_allclose(result.points[result.blocks[0].nodes[0]], mesh.points / 1e3)
 
 
 def test_pyramids_numbered_as_in_a_mirror_are_turned(tmp_path):
     (tmp_path / "a.inp").write_text("\n".join(deck_lines(single(-60.0), 1.0)))
-    found = read_mesh(tmp_path / "a.inp", "mm")
-    assert (volume(found), cell_problems(found)) == (pytest.approx(8e-6, rel=1e-12), [])
+    result = read_mesh(tmp_path / "a.inp", "mm")
+    assert (volume(result), cell_problems(result)) == (pytest.approx(8e-6, rel=1e-12), [])
 
 
 def test_an_export_and_a_finer_mesh_refuse_pyramids_by_name():

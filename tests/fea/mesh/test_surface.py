@@ -192,8 +192,8 @@ def test_check_lists_planes_and_cylinders_of_a_mesh_without_groups(
     faces = json.loads(capsys.readouterr().out)["faces"]
     assert [face["number"] for face in faces] == [*range(1, len(faces) + 1)]
     assert sum(face["kind"] == "Plane" for face in faces) == planes
-    found = sorted(1e3 * face["radius"] for face in faces if face["kind"] == "Cylinder")
-    assert found == pytest.approx(radii, rel=1e-3)
+    result = sorted(1e3 * face["radius"] for face in faces if face["kind"] == "Cylinder")
+    assert result == pytest.approx(radii, rel=1e-3)
     assert len(faces) == planes + len(radii)
     assert all(json.dumps(face["toml"])[1:-1] in page.read_text("utf-8") for face in faces)
 

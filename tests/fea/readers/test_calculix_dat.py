@@ -45,9 +45,9 @@ def run(tmp_path):
 
 
 def test_the_motion_of_the_last_time_is_read(run):
-    found = CalculixDat().read(run, TOLD)
-    assert found.displacement == LAST
-    assert found.unknowns == 2170
+    result = CalculixDat().read(run, TOLD)
+    assert result.displacement == LAST
+    assert result.unknowns == 2170
 
 
 def test_names_of_sets_are_read_in_any_case(run):
@@ -79,17 +79,17 @@ def test_errors_are_quoted_and_a_missing_equilibrium_is_recognised(run):
     reader = CalculixDat()
     assert reader.complaint(run) is None
     run.printed.write_text(CUTBACKS)
-    found = reader.complaint(run)
-    assert found.not_converged
-    assert found.quoted == (
+    result = reader.complaint(run)
+    assert result.not_converged
+    assert result.quoted == (
         "*ERROR: too many cutbacks best solution and residuals are in the frd file"
     )
     run.printed.write_text(NO_SET)
-    found = reader.complaint(run)
-    assert not found.not_converged
-    assert "node set FIXD has not yet been defined.; *ERROR reading" in found.quoted
-    assert "small" not in found.quoted
-    assert "INFO" not in found.quoted
+    result = reader.complaint(run)
+    assert not result.not_converged
+    assert "node set FIXD has not yet been defined.; *ERROR reading" in result.quoted
+    assert "small" not in result.quoted
+    assert "INFO" not in result.quoted
 
 
 @pytest.mark.parametrize(
@@ -144,6 +144,6 @@ def test_a_silent_exit_code_is_a_failure_even_with_output(tmp_path):
 
 
 def test_a_good_run_is_the_answer(tmp_path):
-    found = solve(scripted(tmp_path, "number of equations\n 12", 0), [0] * 6)
-    assert tuple(found.displacement) == LAST
-    assert found.unknowns == 12
+    result = solve(scripted(tmp_path, "number of equations\n 12", 0), [0] * 6)
+    assert tuple(result.displacement) == LAST
+    assert result.unknowns == 12

@@ -41,37 +41,37 @@ def fields_of(built, wrench=WRENCH):
 @pytest.mark.parametrize("nonlinear", [False, True])
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_pulled_bar_without_poissons_effect_bears_force_over_area(kind, nonlinear):
-    found = fields_of(Solver(short(kind, poisson=0.0, nonlinear=nonlinear)), [0, 0, 1e4, 0, 0, 0])
+    result = fields_of(Solver(short(kind, poisson=0.0, nonlinear=nonlinear)), [0, 0, 1e4, 0, 0, 0])
     expected = 1e4 / (0.1 * 0.12)
     # Cauchy's stress of the stretched bar is larger by its stretch, sigma/E = 4e-6.
-    np.testing.assert_allclose(found.stress[:, 2], expected, rtol=1e-5)
-    np.testing.assert_allclose(found.stress[:, [0, 1, 3, 4, 5]], 0.0, atol=1e-6 * expected)
-    assert found.largest == pytest.approx(expected, rel=1e-5)
+    np.testing.assert_allclose(result.stress[:, 2], expected, rtol=1e-5)
+    np.testing.assert_allclose(result.stress[:, [0, 1, 3, 4, 5]], 0.0, atol=1e-6 * expected)
+    assert result.largest == pytest.approx(expected, rel=1e-5)
 
 
 @pytest.mark.parametrize("coupling", ["rigid", "distributed"])
 @pytest.mark.parametrize("locked", [(), ("ux", "rz")])
 def test_slopes_are_those_of_solves_beside_it(coupling, locked):
     built = Solver(short(coupling=coupling, young=2e9, nonlinear=True, locked=locked))
-    found = fields_of(built)
+    result = fields_of(built)
     step = 1e-3 * WRENCH * [1, -1, 1, 1, 1, -1]
     more, less = fields_of(built, WRENCH + step), fields_of(built, WRENCH - step)
     for name, slopes in (("displacement", "displacement_slopes"), ("stress", "stress_slopes")):
         change = (getattr(more, name) - getattr(less, name)) / 2
-        told = getattr(found, slopes) @ step
-        np.testing.assert_allclose(told, change, atol=2e-6 * np.abs(change).max())
+        reported = getattr(result, slopes) @ step
+        np.testing.assert_allclose(reported, change, atol=2e-6 * np.abs(change).max())
 
 
 def test_a_linear_components_slopes_are_its_whole_answer():
     built = Solver(short(nonlinear=False))
-    found = fields_of(built)
-    assert found.linear
+    result = fields_of(built)
+    assert result.linear
     np.testing.assert_allclose(
-        found.displacement_slopes @ WRENCH,
-        found.displacement,
-        atol=1e-14 * np.abs(found.displacement).max(),
+        result.displacement_slopes @ WRENCH,
+        result.displacement,
+        atol=1e-14 * np.abs(result.displacement).max(),
     )
-    np.testing.assert_array_equal(found.stress_slopes @ WRENCH, found.stress)
+    np.testing.assert_array_equal(result.stress_slopes @ WRENCH, result.stress)
 
 
 def test_vertices_and_displacements_are_in_the_interface_frame():
@@ -90,9 +90,9 @@ def test_vertices_and_displacements_are_in_the_interface_frame():
 def test_the_surface_of_a_rigid_section_moves_as_the_answer_says():
     built = Solver(short(coupling="rigid", young=1e9, nonlinear=True))
     solution = built.solve(WRENCH)
-    found = built.fields(solution)
-    section = np.abs(found.vertices[:, 2]) < 1e-12
-    middle = found.displacement[section & (np.abs(found.vertices[:, :2]).max(axis=1) < 1e-9)]
+    result = built.fields(solution)
+    section = np.abs(result.vertices[:, 2]) < 1e-12
+    middle = result.displacement[section & (np.abs(result.vertices[:, :2]).max(axis=1) < 1e-9)]
     np.testing.assert_allclose(middle, solution.displacement[None, :3], rtol=1e-12)
 
 
@@ -105,13 +105,13 @@ def test_each_cells_material_names_its_points():
         materials=(part.materials[0], soft),
         material_of_cells=(low.astype(int),),
     )
-    found = fields_of(Solver(two))  # the soft cells project their volume: they are sorted apart
-    below = found.places[:, 2] < -0.3
-    assert (found.materials[below] == 1).all()
-    assert (found.materials[~below] == 0).all()
-    assert found.regions == ("all", "soft")
-    worst = von_mises(found.stress).argmax()
-    np.testing.assert_array_equal(found.places[worst], found.largest_at)
+    result = fields_of(Solver(two))  # the soft cells project their volume: they are sorted apart
+    below = result.places[:, 2] < -0.3
+    assert (result.materials[below] == 1).all()
+    assert (result.materials[~below] == 0).all()
+    assert result.regions == ("all", "soft")
+    worst = von_mises(result.stress).argmax()
+    np.testing.assert_array_equal(result.places[worst], result.largest_at)
     # Stresses pass from one material to the other: the pull is the same above and below.
     pull = fields_of(Solver(two), [0, 0, 1e4, 0, 0, 0]).stress[:, 2]
     assert pull[below].mean() == pytest.approx(pull[~below].mean(), rel=2e-2)
@@ -122,18 +122,18 @@ def test_of_too_many_points_only_the_largest_stress_is_kept(monkeypatch, nonline
     built = Solver(short(nonlinear=nonlinear))
     whole = fields_of(built)
     monkeypatch.setattr(recovery, "MAX_POINTS", 10)
-    found = fields_of(built)
-    assert (len(found.stress), len(found.stress_slopes), len(found.places)) == (0, 0, 0)
-    assert (found.largest, found.largest_at) == (whole.largest, whole.largest_at)
+    result = fields_of(built)
+    assert (len(result.stress), len(result.stress_slopes), len(result.places)) == (0, 0, 0)
+    assert (result.largest, result.largest_at) == (whole.largest, whole.largest_at)
 
 
 def test_solve_gives_its_fields_to_whoever_asks():
-    told = []
+    reported = []
     part = short(nonlinear=True)
-    solution = solve(part, WRENCH, on_fields=told.append)
-    (found,) = told
+    solution = solve(part, WRENCH, on_fields=reported.append)
+    (result,) = reported
     nodes = outer_surface(part.mesh.blocks).node_ids
-    np.testing.assert_allclose(found.displacement, solution.nodes[nodes], rtol=1e-12, atol=1e-20)
+    np.testing.assert_allclose(result.displacement, solution.nodes[nodes], rtol=1e-12, atol=1e-20)
 
 
 @pytest.mark.ccx
@@ -144,14 +144,14 @@ def test_calculix_finds_the_same_linear_stresses(kind, coupling, tmp_path):
     calculix.require_ccx()
     part = short(kind, coupling=coupling)
     wrench = np.array([3e3, 0, 4e4, 0, 0, 0.0])
-    found = fields_of(Solver(part), wrench)
+    result = fields_of(Solver(part), wrench)
     theirs = calculix.stresses(part, wrench, tmp_path, nonlinear=False)
     if kind == "tet10":  # the four points of each cell in another order
         ours, theirs = (
-            np.sort(von_mises(one).reshape(-1, 4), axis=1) for one in (found.stress, theirs)
+            np.sort(von_mises(item).reshape(-1, 4), axis=1) for item in (result.stress, theirs)
         )
     else:
-        ours = found.stress
+        ours = result.stress
     assert np.abs(ours - theirs).max() < 1e-5 * np.abs(theirs).max()
 
 
@@ -164,11 +164,11 @@ def test_calculix_finds_the_same_stresses_in_the_thin_plate(seed, tmp_path):
     wrench = 0.4 * np.random.default_rng(seed).uniform(loads.low, loads.high)
     built = Solver(part)
     solution = built.solve(wrench)
-    found = built.fields(solution)
+    result = built.fields(solution)
     conjugate = calculix.conjugate(wrench, solution.displacement)
     theirs = calculix.stresses(part, conjugate, tmp_path, nonlinear=True)
-    assert np.abs(found.stress - theirs).max() < 1e-5 * np.abs(theirs).max()
-    assert found.largest == pytest.approx(von_mises(theirs).max(), rel=1e-5)
+    assert np.abs(result.stress - theirs).max() < 1e-5 * np.abs(theirs).max()
+    assert result.largest == pytest.approx(von_mises(theirs).max(), rel=1e-5)
 
 
 SIDES = (0.2, 0.3, 0.5)
@@ -186,8 +186,8 @@ def edges(triangles):
 @pytest.mark.parametrize("kind", NODES_PER_CELL)
 def test_the_triangles_look_outwards_and_hold_the_volume(kind):
     mesh = box(kind, (2, 3, 2), SIDES)
-    found = surface_of(mesh)
-    assert volume(mesh.points[found.nodes], found.triangles) == pytest.approx(0.03, rel=1e-12)
+    result = surface_of(mesh)
+    assert volume(mesh.points[result.nodes], result.triangles) == pytest.approx(0.03, rel=1e-12)
 
 
 @pytest.mark.parametrize("kind", NODES_PER_CELL)
@@ -200,38 +200,38 @@ def test_each_edge_has_one_triangle_on_each_side(kind):
 
 def test_midside_nodes_are_vertices():
     mesh = Mesh(node_coordinates("hex20"), (CellBlock("hex20", np.arange(20)[None]),))
-    found = surface_of(mesh)
-    assert found.nodes.tolist() == list(range(20))
-    assert len(found.triangles) == 6 * 6
+    result = surface_of(mesh)
+    assert result.nodes.tolist() == list(range(20))
+    assert len(result.triangles) == 6 * 6
 
 
 def test_a_node_within_is_no_vertex():
     mesh = box("hex8", (3, 3, 3))
-    found = surface_of(mesh)
-    assert (len(mesh.points), len(found.nodes), found.full_count) == (64, 56, 56)
+    result = surface_of(mesh)
+    assert (len(mesh.points), len(result.nodes), result.full_count) == (64, 56, 56)
 
 
 def test_a_large_surface_is_simplified_and_says_so():
     mesh = box("hex20", (12, 12, 12), SIDES)
-    whole, found = surface_of(mesh), surface_of(mesh, max_vertices=500)
-    assert found.full_count == len(whole.nodes) > 2000
-    assert 200 < len(found.nodes) <= 500
-    assert set(found.nodes.tolist()) <= set(whole.nodes.tolist())
-    points = mesh.points[found.nodes]
-    assert volume(points, found.triangles) == pytest.approx(0.03, rel=0.25)
-    assert (found.triangles.max(), found.triangles.min()) == (len(found.nodes) - 1, 0)
-    corners = np.sort(found.triangles, axis=1)
+    whole, result = surface_of(mesh), surface_of(mesh, max_vertices=500)
+    assert result.full_count == len(whole.nodes) > 2000
+    assert 200 < len(result.nodes) <= 500
+    assert set(result.nodes.tolist()) <= set(whole.nodes.tolist())
+    points = mesh.points[result.nodes]
+    assert volume(points, result.triangles) == pytest.approx(0.03, rel=0.25)
+    assert (result.triangles.max(), result.triangles.min()) == (len(result.nodes) - 1, 0)
+    corners = np.sort(result.triangles, axis=1)
     assert len(np.unique(corners, axis=0)) == len(corners)
     assert (np.diff(corners, axis=1) > 0).all()
 
 
 def test_a_thin_plate_that_is_simplified_keeps_both_faces():
     mesh = box("hex8", (40, 40, 1), (0.4, 0.4, 0.004))
-    found = surface_of(mesh, max_vertices=500)
-    points = mesh.points[found.nodes]
+    result = surface_of(mesh, max_vertices=500)
+    points = mesh.points[result.nodes]
     assert len(points) <= 500
     assert np.unique(points[:, 2]).tolist() == [0.0, 0.004]
-    assert volume(points, found.triangles) == pytest.approx(0.4 * 0.4 * 0.004, rel=0.1)
+    assert volume(points, result.triangles) == pytest.approx(0.4 * 0.4 * 0.004, rel=0.1)
 
 
 STRENGTH = 100e6
@@ -271,20 +271,20 @@ def test_a_bar_that_does_not_yield_has_no_note(strength):
 
 
 def test_stresses_of_an_answer_are_found_only_where_the_loads_may_make_it_yield(monkeypatch):
-    solver, found = bar(), []
-    monkeypatch.setattr("wrenchbook.fea.solve.yielding", lambda *_: found.append(1) or "")
+    solver, results = bar(), []
+    monkeypatch.setattr("wrenchbook.fea.solve.yielding", lambda *_: results.append(1) or "")
     for share in (0.4, 0.49, 0.51, 1.2):
         force, moment = share * STRENGTH * AREA, share * STRENGTH * MODULUS
         solver.solve([0, 0, force, 0, moment, 0])
-    assert 1 <= len(found) <= 2
+    assert 1 <= len(results) <= 2
 
 
 def test_loads_that_show_no_yielding_have_none():
     solver, chance = bar(), np.random.default_rng(3)
     scale = STRENGTH * np.array([2e-5, 2e-5, AREA, MODULUS, MODULUS, MODULUS])
     for wrench in chance.uniform(-0.7, 0.7, (40, 6)) * scale:
-        found = solver.solve(wrench)
-        assert bool(of_yielding(found)) == bool(yielding(solver.component, solver.body, found))
+        result = solver.solve(wrench)
+        assert bool(of_yielding(result)) == bool(yielding(solver.component, solver.body, result))
 
 
 def test_a_component_that_must_not_yield_has_no_answer_where_it_does():

@@ -19,7 +19,7 @@ GUIDE = ("ux", "uy", "rx", "ry", "rz")
 
 
 def refuse_load_control(monkeypatch):
-    monkeypatch.setattr(LoadPath, "_explained", lambda path, found, target: False)
+    monkeypatch.setattr(LoadPath, "_explained", lambda path, result, target: False)
 
 
 @pytest.mark.parametrize("coupling", ["rigid", "distributed"])
@@ -29,13 +29,13 @@ def test_where_load_control_is_refused_the_length_of_the_path_leads_to_the_same_
     built = Solver(plate(coupling))
     expected = built.solve(PLATE_WRENCH)
     refuse_load_control(monkeypatch)
-    found = built.solve(PLATE_WRENCH)
-    np.testing.assert_allclose(found.displacement, expected.displacement, rtol=1e-6, atol=1e-10)
+    result = built.solve(PLATE_WRENCH)
+    np.testing.assert_allclose(result.displacement, expected.displacement, rtol=1e-6, atol=1e-10)
     scale = np.sqrt(np.abs(np.diagonal(expected.compliance)))
-    gap = (found.compliance - expected.compliance) / np.outer(scale, scale)
+    gap = (result.compliance - expected.compliance) / np.outer(scale, scale)
     assert np.abs(gap).max() < 1e-5
-    assert found.work == pytest.approx(found.strain_energy, rel=1e-4)
-    factors = [step.load_factor for step in found.history]
+    assert result.work == pytest.approx(result.strain_energy, rel=1e-4)
+    factors = [step.load_factor for step in result.history]
     assert len(set(factors)) > 10
     assert factors[-1] == 1.0
 
@@ -48,12 +48,12 @@ def test_loads_over_eighteen_decades_move_a_guided_bar_by_the_closed_form():
     bar = Solver(guided(box("hex20", (2, 2, 4), (0.1, 0.1, 0.4))))
     for force in (*(10.0**n for n in range(-9, 8)), -1.0, -1e3, -1e6):
         strain = force / (YOUNG * 0.01)
-        found = bar.solve([0, 0, force, 0, 0, 0]).displacement[2] / 0.4
+        result = bar.solve([0, 0, force, 0, 0, 0]).displacement[2] / 0.4
         expected = strain - 1.5 * strain**2  # of (1 + e) (e + e^2/2) = strain
         if abs(strain) > 1e-6:
             law = np.polynomial.Polynomial([-strain, 1.0, 1.5, 0.5])
             expected = brentq(law, -0.4, 5, xtol=1e-15)
-        assert found == pytest.approx(expected, rel=1e-9)
+        assert result == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize("times", [1.2, 4.0, 1000.0])
@@ -98,10 +98,10 @@ def test_a_chain_of_starts_ends_where_one_solve_does():
     turned = PLATE_WRENCH * np.array([1, -1, 0.5, 1, -1, 1])
     for share in (0.3, 0.6, 0.8, 1.0):
         wrench = share * PLATE_WRENCH + (1 - share) * turned
-        found = built.solve(wrench, start=state)
-        state = found.state
+        result = built.solve(wrench, start=state)
+        state = result.state
     cold = built.solve(PLATE_WRENCH)
-    np.testing.assert_allclose(found.displacement, cold.displacement, rtol=1e-6, atol=1e-10)
+    np.testing.assert_allclose(result.displacement, cold.displacement, rtol=1e-6, atol=1e-10)
 
 
 @pytest.fixture(scope="module")
@@ -117,11 +117,11 @@ def snapped():
         ahead = sign * path._length / point.speed
         normal = path._field(point) / point.speed
         rate = (ahead * part for part in point.rate)
-        found = path._correct(*rate, point.size + ahead, normal)
-        if found is None:
+        results = path._correct(*rate, point.size + ahead, normal)
+        if results is None:
             path._length *= 0.5
             continue
-        path._point, before = path._point_at(*found), point
+        path._point, before = path._point_at(*results), point
         moved = path._point.equilibrium.balance.state.nodes - before.equilibrium.balance.state.nodes
         sign = np.sign(np.vdot(path._field(path._point), moved))
         sunk = path._point.equilibrium.balance.state.interface[2]

@@ -19,7 +19,7 @@ from wrenchbook.fea.spec.schema import FREEDOMS
 from wrenchbook.fea.tensors import rotation, skew
 
 COUPLINGS = ["rigid", "distributed"]
-PAIRS = [(one, other) for one in COUPLINGS for other in COUPLINGS]
+PAIRS = [(item, other) for item in COUPLINGS for other in COUPLINGS]
 TURN = rotation(np.array([0.3, -0.8, 1.1]))
 WRENCH = 1e-3 * np.array([2, -1, 1.5, 3, -2, 1, -1, 2, -2.5, 1, 2, -3])
 LENGTH, SIDE, YOUNG = 1.0, 0.05, 70e9
@@ -47,19 +47,19 @@ def link(*, first="rigid", coupling="rigid", nonlinear=False):
 
 @pytest.mark.parametrize(("first", "second"), PAIRS)
 def test_the_compliance_of_two_interfaces_is_symmetric_and_equal_to_its_energies(first, second):
-    found = Solver(column(first, second, axes=TURN, point=[0.4, 0.5, 4.3])).linear
-    assert found.compliance.shape == (12, 12)
-    assert max(found.asymmetry, found.energy_gap) < 1e-9
-    assert np.abs(found.compliance[:6, 6:]).max() > 1e-3 * np.abs(found.compliance).max()
+    result = Solver(column(first, second, axes=TURN, point=[0.4, 0.5, 4.3])).linear
+    assert result.compliance.shape == (12, 12)
+    assert max(result.asymmetry, result.energy_gap) < 1e-9
+    assert np.abs(result.compliance[:6, 6:]).max() > 1e-3 * np.abs(result.compliance).max()
 
 
 @pytest.mark.parametrize("first", COUPLINGS)
 def test_a_free_second_interface_changes_nothing_of_the_first(first):
     both = column(first, "distributed", axes=TURN)
     alone = Solver(replace(both, interfaces=both.interfaces[:1]))
-    found = Solver(both).compliance[:6, :6]
-    scale = np.sqrt(np.outer(*(2 * [np.diagonal(found)])))
-    assert (np.abs(found - alone.compliance) <= 1e-14 * scale).all()
+    result = Solver(both).compliance[:6, :6]
+    scale = np.sqrt(np.outer(*(2 * [np.diagonal(result)])))
+    assert (np.abs(result - alone.compliance) <= 1e-14 * scale).all()
     large = Solver(replace(both, analysis=replace(both.analysis, nonlinear=True)))
     only = Solver(replace(alone.component, analysis=large.component.analysis))
     wrench = np.concatenate([WRENCH[:6], np.zeros(6)])
@@ -71,10 +71,10 @@ def test_a_free_second_interface_changes_nothing_of_the_first(first):
 def test_loads_at_both_ends_stretch_a_rod_as_statics_says():
     """Each half carries what pulls beyond the supports in its middle plane."""
     solver = Solver(rod("distributed"))
-    found = solver.solve({"left": [0, 0, -300, 0, 0, 0], "right": [0, 0, 500, 0, 0, 0]})
+    result = solver.solve({"left": [0, 0, -300, 0, 0, 0], "right": [0, 0, 500, 0, 0, 0]})
     half = LENGTH / 2 / (YOUNG * SIDE**2)
-    assert found.displacement[2] == pytest.approx(-300 * half, rel=1e-9)
-    assert found.displacement[8] == pytest.approx(500 * half, rel=1e-9)
+    assert result.displacement[2] == pytest.approx(-300 * half, rel=1e-9)
+    assert result.displacement[8] == pytest.approx(500 * half, rel=1e-9)
 
 
 @pytest.mark.parametrize("nonlinear", [False, True])
@@ -104,8 +104,8 @@ def test_holding_the_other_end_of_a_link_gives_the_same_relative_motion(coupling
     arm = np.eye(6)
     arm[:3, 3:] = skew(second.point - first.point)
     relative = arm @ Solver(left).compliance[6:, 6:] @ arm.T
-    found = Solver(right).compliance[:6, :6]
-    np.testing.assert_allclose(found, relative, atol=1e-11 * np.abs(relative).max())
+    result = Solver(right).compliance[:6, :6]
+    np.testing.assert_allclose(result, relative, atol=1e-11 * np.abs(relative).max())
 
 
 @pytest.mark.parametrize("nonlinear", [False, True])
@@ -114,35 +114,35 @@ def test_a_link_held_in_the_mean_stands_still_there_and_its_tangent_is_that_of_i
 ):
     solver = Solver(link(first="distributed", nonlinear=nonlinear))
     wrench = np.array([900.0, -500.0, 2e4, 40.0, 60.0, 50.0])
-    found = solver.solve({"right": wrench})
+    result = solver.solve({"right": wrench})
     section = solver.component.interfaces[0].section
-    mean = section.weights @ found.nodes[section.node_ids] / section.area
-    assert not found.displacement[:6].any()
+    mean = section.weights @ result.nodes[section.node_ids] / section.area
+    assert not result.displacement[:6].any()
     np.testing.assert_allclose(mean, 0.0, atol=1e-15)
-    assert np.abs(found.nodes[section.node_ids]).max() > 1e-7
+    assert np.abs(result.nodes[section.node_ids]).max() > 1e-7
     step = np.array([10.0, 20, 30, 1, 2, 3])
     ahead, behind = (
-        solver.solve({"right": wrench + s * step}, start=found.state).displacement
+        solver.solve({"right": wrench + s * step}, start=result.state).displacement
         for s in (0.1, -0.1)
     )
     slope = (ahead - behind) / 0.2
     np.testing.assert_allclose(
-        found.compliance[:, 6:] @ step, slope, atol=1e-7 * np.abs(slope).max()
+        result.compliance[:, 6:] @ step, slope, atol=1e-7 * np.abs(slope).max()
     )
-    energy = found.work / (1 if nonlinear else 2)
-    assert energy == pytest.approx(found.strain_energy, rel=1e-3)
+    energy = result.work / (1 if nonlinear else 2)
+    assert energy == pytest.approx(result.strain_energy, rel=1e-3)
 
 
 def test_the_nodes_that_anchor_a_link_held_in_the_mean_change_no_answer(monkeypatch):
     part = link(first="distributed", nonlinear=True)
     wrench = {"right": [900.0, -500.0, 2e4, 40.0, 60.0, 50.0]}
-    found = Solver(part).solve(wrench)
+    result = Solver(part).solve(wrench)
     nodes = part.interfaces[0].section.node_ids[[0, 1, -2]]
     assert set(nodes) != set(solve._anchors(part))
     monkeypatch.setattr(solve, "_anchors", lambda _: nodes)
     other = Solver(part).solve(wrench)
-    np.testing.assert_allclose(other.displacement, found.displacement, rtol=1e-9, atol=1e-15)
-    np.testing.assert_allclose(other.nodes, found.nodes, atol=1e-13)
+    np.testing.assert_allclose(other.displacement, result.displacement, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(other.nodes, result.nodes, atol=1e-13)
 
 
 def test_a_link_held_in_the_mean_swings_and_buckles_about_as_one_held_rigidly():
@@ -164,19 +164,19 @@ def test_loads_on_a_held_interface_do_nothing():
 
 @pytest.mark.parametrize(("first", "second"), PAIRS)
 def test_the_work_at_both_interfaces_is_the_strain_energy(first, second):
-    found = Solver(column(first, second, nonlinear=True, axes=TURN)).solve(WRENCH)
-    assert found.work == pytest.approx(found.strain_energy, rel=1e-3)
+    result = Solver(column(first, second, nonlinear=True, axes=TURN)).solve(WRENCH)
+    assert result.work == pytest.approx(result.strain_energy, rel=1e-3)
 
 
 def test_supports_carry_the_wrenches_of_both_interfaces_in_the_deformed_state():
     solver = Solver(column("rigid", "distributed", nonlinear=True))
-    found = solver.solve(WRENCH)
+    result = solver.solve(WRENCH)
     part = solver.component
-    forces = solver.body.forces(found.nodes)[0]
+    forces = solver.body.forces(result.nodes)[0]
     places = part.mesh.points - part.interfaces[0].point
     moment, pull = np.zeros(3), np.zeros(3)
     for i, one in enumerate(part.interfaces):
-        own, moved = WRENCH[6 * i : 6 * i + 6], found.displacement[6 * i : 6 * i + 6]
+        own, moved = WRENCH[6 * i : 6 * i + 6], result.displacement[6 * i : 6 * i + 6]
         pull += own[:3]
         moment += own[3:] + np.cross(one.point - part.interfaces[0].point + moved[:3], own[:3])
     fixed = part.fixed_nodes
@@ -200,11 +200,11 @@ def test_calculix_finds_the_same_on_the_same_mesh(nonlinear):
     require_ccx()
     solver = Solver(rod(side=(0.02, 0.02), poisson=0.33, nonlinear=nonlinear))
     wrench = 3 * np.array([300, -200, 900, 30, -40, 25, -250, 400, -700, 50, 20, -35.0])
-    found = solver.solve(wrench)
-    turns = found.displacement.reshape(2, 6)[:, 3:] if nonlinear else None
+    result = solver.solve(wrench)
+    turns = result.displacement.reshape(2, 6)[:, 3:] if nonlinear else None
     reply = calculix.solve_rigid(solver.component, wrench, turns)
     limit = calculix.NONLINEAR if nonlinear else calculix.LINEAR
-    assert calculix.worst_gap(found.displacement, reply.displacement) < limit
+    assert calculix.worst_gap(result.displacement, reply.displacement) < limit
 
 
 @pytest.mark.parametrize("nonlinear", [False, True])
@@ -212,22 +212,22 @@ def test_calculix_finds_the_same_of_a_link_that_is_held(nonlinear):
     require_ccx()
     solver = Solver(link(nonlinear=nonlinear))
     wrench = np.array([0.0] * 6 + [900.0, -500.0, 2e4, 40.0, 60.0, 50.0])
-    found = solver.solve(wrench)
-    turns = found.displacement.reshape(2, 6)[:, 3:] if nonlinear else None
+    result = solver.solve(wrench)
+    turns = result.displacement.reshape(2, 6)[:, 3:] if nonlinear else None
     reply = calculix.solve_rigid(solver.component, wrench, turns)
     limit = calculix.NONLINEAR if nonlinear else calculix.LINEAR
-    assert calculix.worst_gap(found.displacement, reply.displacement) < limit
+    assert calculix.worst_gap(result.displacement, reply.displacement) < limit
 
 
 @pytest.mark.parametrize(("first", "second"), PAIRS[1:2])
 def test_the_length_of_the_path_leads_two_interfaces_to_the_same_answer(first, second, monkeypatch):
     solver = Solver(column(first, second, nonlinear=True, axes=TURN))
     expected = solver.solve(WRENCH)
-    monkeypatch.setattr(LoadPath, "_explained", lambda path, found, target: False)
-    found = solver.solve(WRENCH)
-    assert len({step.load_factor for step in found.history}) > 5
-    np.testing.assert_allclose(found.displacement, expected.displacement, rtol=1e-6, atol=1e-9)
-    assert found.work == pytest.approx(found.strain_energy, rel=1e-4)
+    monkeypatch.setattr(LoadPath, "_explained", lambda path, result, target: False)
+    result = solver.solve(WRENCH)
+    assert len({step.load_factor for step in result.history}) > 5
+    np.testing.assert_allclose(result.displacement, expected.displacement, rtol=1e-6, atol=1e-9)
+    assert result.work == pytest.approx(result.strain_energy, rel=1e-4)
 
 
 def test_a_column_between_two_pushing_interfaces_buckles_by_euler_s_load():
@@ -260,10 +260,10 @@ def test_two_free_interfaces_swing_with_the_part_and_a_mass_on_one_is_refused():
     part = replace(part, materials=(replace(part.materials[0], density=1.0),))
     alone = column("distributed")
     alone = Solver(replace(alone, materials=part.materials, interfaces=alone.interfaces[:1]))
-    found = Solver(part).vibration(Riding.of())
-    assert found.interface.shape == (12,)
-    assert np.linalg.norm(found.interface) == pytest.approx(1.0)
-    assert 0.2 < found.frequency / alone.vibration(Riding.of()).frequency < 2
+    result = Solver(part).vibration(Riding.of())
+    assert result.interface.shape == (12,)
+    assert np.linalg.norm(result.interface) == pytest.approx(1.0)
+    assert 0.2 < result.frequency / alone.vibration(Riding.of()).frequency < 2
     with pytest.raises(ValueError, match="mass on one of several interfaces is not there yet"):
         Solver(part).vibration(Riding.of(1.0))
 

@@ -56,18 +56,18 @@ def test_the_compliance_is_symmetric_positive_and_equal_to_its_strain_energies(k
 def test_work_is_twice_the_strain_energy():
     built = Solver(slender())
     for wrench in np.random.default_rng(1).standard_normal((5, 6)):
-        found = built.solve(wrench)
-        assert found.work == pytest.approx(2 * found.strain_energy, rel=1e-10)
-        assert found.work == pytest.approx(wrench @ found.displacement, rel=1e-14)
+        result = built.solve(wrench)
+        assert result.work == pytest.approx(2 * result.strain_energy, rel=1e-10)
+        assert result.work == pytest.approx(wrench @ result.displacement, rel=1e-14)
 
 
 def test_no_load_is_no_displacement_and_still_has_a_compliance():
     for nonlinear in (False, True):
         built = Solver(slender(nonlinear=nonlinear))
-        found = built.solve(np.zeros(6))
-        assert not found.displacement.any()
-        assert not found.nodes.any()
-        np.testing.assert_array_equal(found.compliance, built.compliance)
+        result = built.solve(np.zeros(6))
+        assert not result.displacement.any()
+        assert not result.nodes.any()
+        np.testing.assert_array_equal(result.compliance, built.compliance)
 
 
 def test_six_loads_and_every_later_solve_take_one_factorisation(monkeypatch):

@@ -46,8 +46,8 @@ PLATE_WRENCH = np.array([300.0, 150.0, -25.0, 2.0, 4.0, 3.0])
 def test_a_tip_moment_bends_a_strip_into_a_circle(coupling, thickness):
     angle = np.radians(19)
     moment = YOUNG * 0.01 * thickness**3 / 12 * angle
-    found = Solver(strip(coupling, thickness)).solve([0, 0, 0, 0, moment, 0])
-    ux, _, uz, _, ry, _ = found.displacement
+    result = Solver(strip(coupling, thickness)).solve([0, 0, 0, 0, moment, 0])
+    ux, _, uz, _, ry, _ = result.displacement
     assert ry == pytest.approx(angle, rel=2e-4)
     assert ux == pytest.approx((1 - np.cos(angle)) / angle, rel=2e-4)
     assert uz == pytest.approx(np.sin(angle) / angle - 1, rel=2e-4)
@@ -71,25 +71,25 @@ def elastica(force):
 def test_a_tip_force_bends_a_strip_into_the_elastica(coupling):
     force = 0.65 * BENDING
     sideways, along, theta = elastica(force)
-    found = Solver(strip(coupling)).solve([force, 0, 0, 0, 0, 0])
-    assert found.displacement[0] == pytest.approx(sideways, rel=3e-4)
-    assert found.displacement[2] == pytest.approx(along, rel=5e-4)
-    assert found.displacement[4] == pytest.approx(theta, rel=3e-4)
+    result = Solver(strip(coupling)).solve([force, 0, 0, 0, 0, 0])
+    assert result.displacement[0] == pytest.approx(sideways, rel=3e-4)
+    assert result.displacement[2] == pytest.approx(along, rel=5e-4)
+    assert result.displacement[4] == pytest.approx(theta, rel=3e-4)
 
 
 @pytest.mark.parametrize("coupling", COUPLINGS)
 def test_the_compliance_is_the_derivative_of_the_displacement(coupling):
     built = Solver(plate(coupling))
-    found = built.solve(PLATE_WRENCH)
+    result = built.solve(PLATE_WRENCH)
     linear = built.solve(1e-6 * PLATE_WRENCH)
-    assert np.abs(found.displacement / (1e6 * linear.displacement) - 1).max() > 0.1
+    assert np.abs(result.displacement / (1e6 * linear.displacement) - 1).max() > 0.1
     for load in range(6):
         step = np.zeros(6)
         step[load] = 1e-3 * (1.0 if load < 3 else 0.1)
         ahead, behind = (built.solve(PLATE_WRENCH + s * step).displacement for s in (1, -1))
         slope = (ahead - behind) / (2 * step[load])
-        scale = np.sqrt(np.abs(np.diagonal(found.compliance) * found.compliance[load, load]))
-        assert np.abs((found.compliance[:, load] - slope) / scale).max() < 1e-5
+        scale = np.sqrt(np.abs(np.diagonal(result.compliance) * result.compliance[load, load]))
+        assert np.abs((result.compliance[:, load] - slope) / scale).max() < 1e-5
 
 
 @pytest.mark.parametrize("coupling", COUPLINGS)
@@ -97,11 +97,11 @@ def test_small_loads_give_the_linear_answer_down_to_1e_minus_12_of_the_range(cou
     built = Solver(plate(coupling))
     expected = built.compliance @ PLATE_WRENCH
     for size in (1e-6, 1e-9, 1e-12):
-        found = built.solve(size * PLATE_WRENCH)
+        result = built.solve(size * PLATE_WRENCH)
         scale = np.abs(expected).reshape(2, 3).max(axis=1).repeat(3)
-        gap = np.abs(found.displacement / size - expected) / scale
+        gap = np.abs(result.displacement / size - expected) / scale
         assert gap.max() < 1e-3 * max(size, 1e-6) / 1e-6
-        assert found.work == pytest.approx(found.strain_energy, rel=1e-5)
+        assert result.work == pytest.approx(result.strain_energy, rel=1e-5)
 
 
 def test_the_answer_does_not_depend_on_the_load_steps(monkeypatch):
@@ -118,11 +118,11 @@ def test_the_answer_does_not_depend_on_the_load_steps(monkeypatch):
 def test_external_work_becomes_strain_energy(coupling, monkeypatch):
     built = Solver(plate(coupling))
     force = [*PLATE_WRENCH[:3], 0, 0, 0]  # dead forces have a potential, spatial moments have not
-    found = built.solve(force)
-    assert found.work == pytest.approx(found.strain_energy, rel=0.02)
+    result = built.solve(force)
+    assert result.work == pytest.approx(result.strain_energy, rel=0.02)
     monkeypatch.setattr(path, "FIRST_STEP", 0.02)
     monkeypatch.setattr(path, "GROWTH", 1.0)
-    assert built.solve(force).work == pytest.approx(found.strain_energy, rel=1e-5)
+    assert built.solve(force).work == pytest.approx(result.strain_energy, rel=1e-5)
 
 
 @pytest.mark.parametrize("share", [0.5, 1.0, 2.0])
@@ -130,14 +130,14 @@ def test_corrections_with_an_old_tangent_save_a_factorisation_and_change_no_answ
     share, monkeypatch
 ):
     solver = Solver(plate())
-    made = []
+    created = []
     linearise = System.linearise
-    monkeypatch.setattr(System, "linearise", lambda *a: made.append(1) or linearise(*a))
+    monkeypatch.setattr(System, "linearise", lambda *a: created.append(1) or linearise(*a))
     answer = solver.solve(share * PLATE_WRENCH)
-    with_chords = len(made)
+    with_chords = len(created)
     monkeypatch.setattr(newton, "_MAX_CHORDS", 0)
     plain = solver.solve(share * PLATE_WRENCH)
-    assert with_chords < len(made) - with_chords
+    assert with_chords < len(created) - with_chords
     scale = np.abs(plain.displacement).max()
     np.testing.assert_allclose(answer.displacement, plain.displacement, rtol=0, atol=1e-10 * scale)
 
@@ -173,9 +173,9 @@ def test_the_first_correction_of_a_small_load_is_the_whole_strain_energy(couplin
 
 def test_steps_of_a_slender_part_aim_at_the_stress_of_the_next():
     """With the stress of the state itself a spring at nearly its full load takes 13 iterations."""
-    found = Solver(shipped("spring", cells_per_turn=8)).solve([0, 0, -8.0, 0, 0, 0])
-    assert {step.load_factor for step in found.history} == {1.0}
-    assert len(found.history) <= 7
+    result = Solver(shipped("spring", cells_per_turn=8)).solve([0, 0, -8.0, 0, 0, 0])
+    assert {step.load_factor for step in result.history} == {1.0}
+    assert len(result.history) <= 7
 
 
 @pytest.mark.parametrize("size", [1e-5, 1e-2])
@@ -184,10 +184,10 @@ def test_corrections_that_stay_small_are_given_up_as_roundoff(size, monkeypatch)
     tangent = SimpleNamespace(correction=lambda _: (None, None), release=lambda: None)
     step = newton.Correction(balance, (None, None), size, 1.0)
     monkeypatch.setattr(newton, "correct", lambda *_: step)
-    system, told = SimpleNamespace(linearise=lambda *_: tangent), []
+    system, reported = SimpleNamespace(linearise=lambda *_: tangent), []
     with pytest.raises(newton.Stuck) as caught:
-        newton.find_equilibrium(system, balance, tangent, lambda *one: told.append(one))
-    assert (caught.value.at_roundoff, len(told)) == ((True, 3) if size < 1e-3 else (False, 16))
+        newton.find_equilibrium(system, balance, tangent, lambda *one: reported.append(one))
+    assert (caught.value.at_roundoff, len(reported)) == ((True, 3) if size < 1e-3 else (False, 16))
 
 
 @pytest.mark.parametrize(("coupling", "most"), [("rigid", 15), ("distributed", 14)])
@@ -198,15 +198,15 @@ def test_an_iteration_that_turns_the_interface_beyond_half_a_turn_is_given_up(co
 
 
 def test_the_history_and_the_progress_tell_each_iteration():
-    told = []
-    found = Solver(plate()).solve(PLATE_WRENCH, lambda done, text: told.append((done, text)))
-    assert [step.iteration for step in found.history] == list(range(1, len(found.history) + 1))
-    assert {step.load_factor for step in found.history} == {1.0}
-    assert found.history[-1].residual_norm < 1e-4
-    fractions = [done for done, _ in told]
+    reported = []
+    result = Solver(plate()).solve(PLATE_WRENCH, lambda done, text: reported.append((done, text)))
+    assert [step.iteration for step in result.history] == list(range(1, len(result.history) + 1))
+    assert {step.load_factor for step in result.history} == {1.0}
+    assert result.history[-1].residual_norm < 1e-4
+    fractions = [done for done, _ in reported]
     assert fractions == sorted(fractions)
-    assert told[-1][0] == 1.0
-    assert told[0][1] == "load factor 1.00, iteration 1"
+    assert reported[-1][0] == 1.0
+    assert reported[0][1] == "load factor 1.00, iteration 1"
 
 
 def test_a_spatial_moment_about_several_axes_is_not_conservative_but_in_balance():
@@ -225,9 +225,9 @@ def test_every_kind_of_cell_converges(kind):
     part = component(mesh, fixed="x0", section="x1", young=YOUNG, nonlinear=True)
     linear = Solver(replace(part, analysis=replace(part.analysis, nonlinear=False)))
     wrench = [0, 0, -800, 0, 0, 20]
-    found, small = Solver(part).solve(wrench), linear.solve(wrench)
-    assert found.displacement[2] == pytest.approx(small.displacement[2], rel=0.1)
-    assert found.displacement[2] != pytest.approx(small.displacement[2], rel=1e-7)
+    result, small = Solver(part).solve(wrench), linear.solve(wrench)
+    assert result.displacement[2] == pytest.approx(small.displacement[2], rel=0.1)
+    assert result.displacement[2] != pytest.approx(small.displacement[2], rel=1e-7)
 
 
 @pytest.mark.parametrize("load", ["wrench", "weight", "near"])
@@ -243,7 +243,7 @@ def test_a_solve_holds_one_factor_at_a_time(load, monkeypatch):
     near = Solver(plate()).solve(0.9 * PLATE_WRENCH).state if load == "near" else None
     part = plate()
     if load == "weight":
-        heavy = tuple(replace(one, density=2700.0) for one in part.materials)
+        heavy = tuple(replace(material, density=2700.0) for material in part.materials)
         pulled = replace(part.analysis, gravity=(0.0, 0.0, -9.81))
         part = replace(part, materials=heavy, analysis=pulled)
     built = Solver(part)

@@ -32,7 +32,7 @@ def extrapolated_difference(solver, wrench, direction, step, start):
 
     def central(h):
         ends = (solver.solve(wrench + s * h * direction, start=start) for s in (1, -1))
-        above, below = (found.displacement for found in ends)
+        above, below = (result.displacement for result in ends)
         return (above - below) / (2 * h)
 
     coarse, fine = central(2 * step), central(step)
@@ -43,15 +43,15 @@ def extrapolated_difference(solver, wrench, direction, step, start):
 def test_the_tangent_of_the_slender_spring_is_that_of_its_answers(loads):
     solver = solver_of("spring")
     wrench = np.array([0, 0, loads[0], 0, 0, loads[1]], dtype=float)
-    found = solver.solve(wrench)
+    result = solver.solve(wrench)
     for column, step in ((2, 1e-2), (5, 1e-4)):
         truth, own_error = extrapolated_difference(
-            solver, wrench, np.eye(6)[column], step, found.state
+            solver, wrench, np.eye(6)[column], step, result.state
         )
-        told = found.compliance[:, column]
+        reported = result.compliance[:, column]
         moving = [2, 5]
         assert (own_error[moving] <= 5e-7 * np.abs(truth[moving])).all()
-        assert told[moving] == pytest.approx(truth[moving], rel=1e-6, abs=0)
+        assert reported[moving] == pytest.approx(truth[moving], rel=1e-6, abs=0)
 
 
 @pytest.mark.parametrize("name", ["plate_thin", "plate"])
@@ -62,19 +62,19 @@ def test_the_tangent_of_a_plate_is_that_of_its_answers(name):
     for share in (0.2, 0.9):
         wrench = share * scale * random.uniform(-1, 1, 6)
         direction = scale * random.uniform(-1, 1, 6)
-        found = solver.solve(wrench)
-        truth, own_error = extrapolated_difference(solver, wrench, direction, 2.5e-4, found.state)
-        told = found.compliance @ direction
+        result = solver.solve(wrench)
+        truth, own_error = extrapolated_difference(solver, wrench, direction, 2.5e-4, result.state)
+        reported = result.compliance @ direction
         size = np.array([np.abs(truth[:3]).max()] * 3 + [np.abs(truth[3:]).max()] * 3)
         assert (own_error <= 5e-7 * size).all()
-        assert (np.abs(told - truth) <= 1e-6 * size).all()
+        assert (np.abs(reported - truth) <= 1e-6 * size).all()
 
 
 @pytest.mark.parametrize("load", [-9.5, -9.9, -7.0, -3.0])
 def test_a_slender_part_s_answer_is_not_moved_by_more_newton_steps(load):
     solver = solver_of("spring")
     wrench = np.array([0, 0, load, 0, 0, 0], dtype=float)
-    found = solver.solve(wrench)
-    again = solver.solve(wrench, start=found.state)
+    result = solver.solve(wrench)
+    again = solver.solve(wrench, start=result.state)
     moving = [2, 5]
-    assert again.displacement[moving] == pytest.approx(found.displacement[moving], rel=1e-9, abs=0)
+    assert again.displacement[moving] == pytest.approx(result.displacement[moving], rel=1e-9, abs=0)

@@ -134,17 +134,17 @@ def case(name, share):
 @pytest.mark.parametrize("name", OTHERS)
 def test_tangents_are_the_derivatives_of_answers_of_all_nodes_and_of_stresses(name):
     solver, inputs, scale = case(name, 0.9)
-    found = solver.solve(inputs)
-    fields = solver.fields(found)
+    result = solver.solve(inputs)
+    fields = solver.fields(result)
     direction = 2e-4 * scale * np.random.default_rng(9).uniform(-1, 1, len(scale))
-    ahead, behind = (solver.solve(inputs + s * direction, start=found.state) for s in (1, -1))
-    for told, ends in (
-        (found.compliance, (ahead.displacement, behind.displacement)),
-        (found.tangents, (ahead.nodes, behind.nodes)),
+    ahead, behind = (solver.solve(inputs + s * direction, start=result.state) for s in (1, -1))
+    for reported, ends in (
+        (result.compliance, (ahead.displacement, behind.displacement)),
+        (result.tangents, (ahead.nodes, behind.nodes)),
         (fields.stress_slopes, (solver.stresses(ahead), solver.stresses(behind))),
     ):
         slope = (ends[0] - ends[1]) / 2
-        assert np.abs(told @ direction - slope).max() <= 1e-5 * np.abs(slope).max()
+        assert np.abs(reported @ direction - slope).max() <= 1e-5 * np.abs(slope).max()
 
 
 @pytest.mark.parametrize("share", [0.3, 0.9])
@@ -188,10 +188,10 @@ def test_third_derivatives_are_symmetric_under_permutations(name):
 def test_a_solution_has_the_entries_of_ascending_indices():
     solver, inputs, _ = case("orthotropic", 0.9)
     tensor = third_derivatives(solver._system, *state_of(solver, inputs))
-    found = solver.solve(inputs).curvature
-    assert found is not None
-    assert found.shape == (56,)
-    gap = np.abs(unpacked(found) - tensor).max()
+    result = solver.solve(inputs).curvature
+    assert result is not None
+    assert result.shape == (56,)
+    gap = np.abs(unpacked(result) - tensor).max()
     assert gap <= 1e-7 * np.abs(tensor).max()  # of a state that Newton's method takes further
 
 

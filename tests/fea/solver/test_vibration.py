@@ -30,10 +30,10 @@ def beam(kind="hex20", divisions=(2, 2, 24), density=DENSITY, **changes):
 @pytest.mark.parametrize("coupling", ["rigid", "distributed"])
 @pytest.mark.parametrize(("kind", "divisions"), FORMS)
 def test_a_clamped_beam_swings_as_euler_and_bernoulli_say(kind, divisions, coupling):
-    found = Solver(beam(kind, divisions, coupling=coupling)).vibration(Riding.of())
+    result = Solver(beam(kind, divisions, coupling=coupling)).vibration(Riding.of())
     # Shear and the section's turning, left out by the theory, lower it by 2e-4 at 1:50.
-    assert found.frequency == pytest.approx(1.8751040687**2 * SLENDER, rel=5e-4)
-    assert found.mass == pytest.approx(DENSITY * AREA * LENGTH, rel=1e-12)
+    assert result.frequency == pytest.approx(1.8751040687**2 * SLENDER, rel=5e-4)
+    assert result.mass == pytest.approx(DENSITY * AREA * LENGTH, rel=1e-12)
 
 
 @pytest.mark.parametrize("coupling", ["rigid", "distributed"])
@@ -45,26 +45,26 @@ def test_a_beam_with_a_mass_at_its_tip_meets_the_transcendental_equation(times, 
 
     expected = brentq(zero, 0.1, 1.87) ** 2 * SLENDER
     mass = times * DENSITY * AREA * LENGTH
-    found = Solver(beam(coupling=coupling)).vibration(Riding.of(mass))
-    assert found.frequency == pytest.approx(expected, rel=5e-4)
+    result = Solver(beam(coupling=coupling)).vibration(Riding.of(mass))
+    assert result.frequency == pytest.approx(expected, rel=5e-4)
 
 
 def test_rayleighs_quotient_bounds_it_from_above():
     # The static shape under a tip force is a guess: 33/140 of the beam's own mass takes part.
     own = DENSITY * AREA * LENGTH
     built = Solver(beam())
-    found = built.vibration(Riding.of(own)).frequency
+    result = built.vibration(Riding.of(own)).frequency
     guess = np.sqrt(1 / (built.compliance[0, 0] * own * (1 + 33 / 140))) / (2 * np.pi)
-    assert guess * (1 - 5e-3) < found < guess
+    assert guess * (1 - 5e-3) < result < guess
 
 
 @pytest.mark.parametrize("coupling", ["rigid", "distributed"])
 def test_a_massless_component_is_a_spring_under_its_mass(coupling):
     built = Solver(beam(density=None, coupling=coupling))
-    found = built.vibration(Riding.of(5.0))
-    assert found.mass == 0.0
+    result = built.vibration(Riding.of(5.0))
+    assert result.mass == 0.0
     expected = np.sqrt(1 / (5.0 * built.compliance[0, 0])) / (2 * np.pi)
-    assert found.frequency == pytest.approx(expected, rel=1e-9)
+    assert result.frequency == pytest.approx(expected, rel=1e-9)
 
 
 def test_a_component_that_weighs_next_to_nothing_is_no_other_than_a_massless_one():
@@ -82,8 +82,8 @@ def test_the_centre_of_mass_takes_its_distance_to_the_inertia():
     built = Solver(beam(density=None))
     energies = Riding.of(4.0, None, arm).matrix
     values = np.linalg.eigvals(built.compliance @ energies).real
-    found = built.vibration(Riding.of(4.0, None, arm)).frequency
-    assert found == pytest.approx(1 / (2 * np.pi * np.sqrt(values.max())), rel=1e-9)
+    result = built.vibration(Riding.of(4.0, None, arm)).frequency
+    assert result == pytest.approx(1 / (2 * np.pi * np.sqrt(values.max())), rel=1e-9)
 
 
 def test_a_locked_freedom_carries_no_inertia():
@@ -147,13 +147,13 @@ def test_calculix_finds_the_same_frequency_on_the_same_mesh(kind, tmp_path):
 def test_a_beams_condensed_mass_is_that_of_its_static_shapes():
     """Cubic shapes of bending: 13/35, 11/210 and 1/105; a linear one along the axis: 1/3."""
     mass = DENSITY * AREA * LENGTH
-    found = Solver(beam(coupling="rigid")).vibration(Riding.of()).condensed
-    np.testing.assert_allclose(found, found.T, atol=1e-12 * mass)
-    along, across = found[2, 2], found[0, 0]
+    result = Solver(beam(coupling="rigid")).vibration(Riding.of()).condensed
+    np.testing.assert_allclose(result, result.T, atol=1e-12 * mass)
+    along, across = result[2, 2], result[0, 0]
     assert along == pytest.approx(mass / 3, rel=1e-3)
     assert across == pytest.approx(13 / 35 * mass, rel=2e-3)
-    assert abs(found[0, 4]) == pytest.approx(11 / 210 * mass * LENGTH, rel=3e-3)
-    assert found[4, 4] == pytest.approx(mass * LENGTH**2 / 105, rel=5e-3)
+    assert abs(result[0, 4]) == pytest.approx(11 / 210 * mass * LENGTH, rel=3e-3)
+    assert result[4, 4] == pytest.approx(mass * LENGTH**2 / 105, rel=5e-3)
 
 
 LIGHT, SIZE = 2700.0, (0.05, 0.03, 0.4)
@@ -181,9 +181,9 @@ def frequencies(solver, held):
 
 def test_the_frequencies_are_those_of_the_whole_part():
     solver = bar()
-    found = solver.craig_bampton(20)
-    np.testing.assert_allclose(found.held, frequencies(solver, held=True)[:20], rtol=1e-6)
-    np.testing.assert_allclose(found.free[:10], frequencies(solver, held=False)[:10], rtol=1e-3)
+    result = solver.craig_bampton(20)
+    np.testing.assert_allclose(result.held, frequencies(solver, held=True)[:20], rtol=1e-6)
+    np.testing.assert_allclose(result.free[:10], frequencies(solver, held=False)[:10], rtol=1e-3)
 
 
 @pytest.mark.parametrize("coupling", ["rigid", "distributed"])
@@ -202,14 +202,14 @@ def test_the_stiffness_is_that_of_the_part():
 
 
 def test_a_rigid_motion_costs_no_energy_and_moves_the_whole_mass():
-    found = bar().craig_bampton(4)
-    arm = found.origins[1] - found.origins[0]
+    result = bar().craig_bampton(4)
+    arm = result.origins[1] - result.origins[0]
     moved = np.hstack([np.eye(3), -skew(arm)])
     rigid = np.vstack([np.eye(6), moved, np.eye(6)[3:], np.zeros((4, 6))])
-    scale = np.sqrt(np.abs(np.diag(found.stiffness)))
-    forces = (found.stiffness @ rigid) / scale[:, None]
+    scale = np.sqrt(np.abs(np.diag(result.stiffness)))
+    forces = (result.stiffness @ rigid) / scale[:, None]
     assert np.abs(forces).max() < 1e-9 * scale.max()
-    mass = rigid.T @ found.mass @ rigid
+    mass = rigid.T @ result.mass @ rigid
     whole, centre = LIGHT * np.prod(SIZE), np.array(SIZE) / 2
     np.testing.assert_allclose(mass[:3, :3], whole * np.eye(3), atol=1e-9 * whole)
     np.testing.assert_allclose(mass[3:, :3], whole * skew(centre), atol=1e-9 * whole)
@@ -218,21 +218,21 @@ def test_a_rigid_motion_costs_no_energy_and_moves_the_whole_mass():
 
 
 def test_a_mode_has_unit_mass_and_its_frequency_as_stiffness():
-    found = bar().craig_bampton(4)
-    np.testing.assert_allclose(found.mass[12:, 12:], np.eye(4), atol=1e-6)
-    square = (2 * np.pi * found.held) ** 2
-    np.testing.assert_allclose(found.stiffness[12:, 12:], np.diag(square), rtol=1e-12)
-    assert not found.stiffness[:12, 12:].any()
+    result = bar().craig_bampton(4)
+    np.testing.assert_allclose(result.mass[12:, 12:], np.eye(4), atol=1e-6)
+    square = (2 * np.pi * result.held) ** 2
+    np.testing.assert_allclose(result.stiffness[12:, 12:], np.diag(square), rtol=1e-12)
+    assert not result.stiffness[:12, 12:].any()
 
 
 def test_a_link_has_a_frame_at_each_end():
     solver = Solver(shipped("link"))
-    found = solver.craig_bampton(2)
-    assert found.names == ("left", "right")
-    assert found.stiffness.shape == found.mass.shape == (14, 14)
+    result = solver.craig_bampton(2)
+    assert result.names == ("left", "right")
+    assert result.stiffness.shape == result.mass.shape == (14, 14)
     translation = np.concatenate([*[np.eye(6)[2]] * 2, np.zeros(2)])  # of both ends
     whole = solver.vibration(Riding.of()).mass
-    assert translation @ found.mass @ translation == pytest.approx(whole, rel=1e-6)
+    assert translation @ result.mass @ translation == pytest.approx(whole, rel=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -49,21 +49,21 @@ def test_the_sag_is_the_work_of_the_weight_on_the_fields_of_unit_loads(coupling)
 
 def test_a_linear_answer_is_the_sag_and_the_compliance_times_the_wrench():
     solver = Solver(bar(poisson=0.3))
-    found = solver.solve(WRENCH)
+    result = solver.solve(WRENCH)
     expected = solver.linear.sag_displacement + solver.compliance @ WRENCH
-    assert (found.displacement == expected).all()
-    assert found.work == pytest.approx(2 * found.strain_energy, rel=1e-9)
+    assert (result.displacement == expected).all()
+    assert result.work == pytest.approx(2 * result.strain_energy, rel=1e-9)
 
 
 @pytest.mark.parametrize("nonlinear", [False, True])
 @pytest.mark.parametrize("coupling", ["rigid", "distributed"])
 def test_the_supports_carry_the_weight_and_the_wrench(coupling, nonlinear):
     solver = Solver(bar(nonlinear, coupling=coupling, poisson=0.3))
-    found = solver.solve(WRENCH)
+    result = solver.solve(WRENCH)
     if nonlinear:
-        internal = solver.body.forces(found.nodes)[0]
+        internal = solver.body.forces(result.nodes)[0]
     else:
-        internal = solver.body.small_strain_forces(found.nodes[:, :, None])[:, :, 0]
+        internal = solver.body.small_strain_forces(result.nodes[:, :, None])[:, :, 0]
     weight = DENSITY * LENGTH * SIDE**2 * GRAVITY
     carried = (internal - solver._system.weight)[solver.component.fixed_nodes].sum(axis=0)
     expected = -WRENCH[:3] + [0.0, 0.0, weight]
@@ -91,10 +91,10 @@ def test_gravity_without_a_density_is_a_mistake_of_the_bundle(tmp_path):
 def test_gravity_and_density_change_the_fingerprint_and_no_gravity_does_not(tmp_path):
     plain = bundle_of(table(), tmp_path).fingerprint
     assert bundle_of(table(gravity=[0, 0, 0]), tmp_path).fingerprint == plain
-    made = {plain}
+    created = {plain}
     for density, down in ((2700.0, -9.81), (2700.0, -1.62), (7800.0, -9.81)):
         own = table(gravity=[0, 0, down])
         own["material"][0]["density"] = density
-        made.add(bundle_of(own, tmp_path).fingerprint)
+        created.add(bundle_of(own, tmp_path).fingerprint)
         assert build(bundle_of(own, tmp_path)).analysis.gravity == (0.0, 0.0, down)
-    assert len(made) == 4
+    assert len(created) == 4

@@ -64,14 +64,14 @@ class ScriptedTable(LinearTable):
         self._answers = list(answers)
 
     def answer(self, wrench, **_) -> Displacement:
-        told = self._answers.pop(0)
-        if isinstance(told, Exception):
-            raise told
-        return told
+        reported = self._answers.pop(0)
+        if isinstance(reported, Exception):
+            raise reported
+        return reported
 
 
 def client_with(**calls: Callable) -> SimpleNamespace:
     """A server's client with these calls, and a component that has finite elements."""
-    told = {"has_fea": True, "tolerance": TOLERANCE}
-    calls = {"component": lambda _: told, "displacement": None, "solve": None} | calls
+    reported = {"has_fea": True, "tolerance": TOLERANCE}
+    calls = {"component": lambda _: reported, "displacement": None, "solve": None} | calls
     return SimpleNamespace(**calls)

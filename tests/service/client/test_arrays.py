@@ -33,7 +33,7 @@ class OnJax:
         self.evaluator = arrays.jax
 
     def answers(self, own: Any, asked: np.ndarray) -> list[np.ndarray]:
-        return [np.asarray(one) for one in self.jax.jit(own)(asked)]
+        return [np.asarray(item) for item in self.jax.jit(own)(asked)]
 
     def jacobians(self, function: Any, *asked: np.ndarray) -> np.ndarray:
         return np.asarray(self.jax.jit(self.jax.vmap(self.jax.jacfwd(function)))(*asked))
@@ -51,7 +51,7 @@ class OnTorch:
         self.evaluator = arrays.torch
 
     def answers(self, own: Any, asked: np.ndarray) -> list[np.ndarray]:
-        return [one.numpy() for one in own(self.torch.tensor(asked))]
+        return [item.numpy() for item in own(self.torch.tensor(asked))]
 
     def jacobians(self, function: Any, *asked: np.ndarray) -> np.ndarray:
         func = self.torch.func
@@ -67,14 +67,14 @@ class OnTorch:
 
 @pytest.fixture(params=[OnJax, OnTorch])
 def on(request):
-    found = request.param()
+    result = request.param()
     if request.param is OnTorch:
-        yield found
+        yield result
         return
-    before = found.jax.config.jax_enable_x64
-    found.jax.config.update("jax_enable_x64", True)
-    yield found
-    found.jax.config.update("jax_enable_x64", before)
+    before = result.jax.config.jax_enable_x64
+    result.jax.config.update("jax_enable_x64", True)
+    yield result
+    result.jax.config.update("jax_enable_x64", before)
 
 
 @cache
@@ -147,18 +147,18 @@ def test_a_batch_is_one_call_of_the_kernel_under_vmap(on, monkeypatch):
 def test_the_inverse_is_the_kernels_with_the_stiffness_as_its_derivative(on):
     table, asked = downloaded("solved"), asked_of(table_of("solved"), 12, 7, 0.5)
     own, moved = on.evaluator(table, "kriging"), table.packed.batch(asked, None, "kriging").outputs
-    expected = [table.packed.inverse(one, None, "kriging") for one in moved]
-    np.testing.assert_allclose([one[0] for one in expected], asked, rtol=1e-6, atol=1e-6)
+    expected = [table.packed.inverse(item, None, "kriging") for item in moved]
+    np.testing.assert_allclose([item[0] for item in expected], asked, rtol=1e-6, atol=1e-6)
     starts = np.zeros_like(asked)
     stiffness = on.jacobians(own.inverse, moved, starts)
-    np.testing.assert_array_equal(stiffness, [one[1] for one in expected])
+    np.testing.assert_array_equal(stiffness, [item[1] for item in expected])
     gradients = on.gradients(own.inverse, moved, starts)
     np.testing.assert_allclose(gradients, stiffness.sum(axis=1), rtol=1e-9)
     moved[3], moved[4] = np.nan, 1e3
-    found = np.asarray(own.inverse(moved))
+    result = np.asarray(own.inverse(moved))
     known = np.arange(12)[~np.isin(np.arange(12), (3, 4))]
-    np.testing.assert_array_equal(found[known], [expected[k][0] for k in known])
-    assert np.isnan(found[3:5]).all()
+    np.testing.assert_array_equal(result[known], [expected[k][0] for k in known])
+    assert np.isnan(result[3:5]).all()
 
 
 def test_beyond_the_range_the_start_decides_between_wrenches_of_one_displacement(on):
@@ -166,11 +166,11 @@ def test_beyond_the_range_the_start_decides_between_wrenches_of_one_displacement
     asked = asked_of(source, 150, 3, 2.5)
     moved = table.packed.batch(asked).outputs
     own, scale = on.evaluator(table), source.load_range.scale
-    found = np.asarray(own.inverse(moved))
-    known = np.isfinite(found).all(axis=1)
-    back = table.packed.batch(found[known]).outputs
+    result = np.asarray(own.inverse(moved))
+    known = np.isfinite(result).all(axis=1)
+    back = table.packed.batch(result[known]).outputs
     np.testing.assert_allclose(back, moved[known], rtol=1e-6, atol=1e-12)
-    another = known & (np.abs(found - asked) > 0.1 * scale).any(axis=1)
+    another = known & (np.abs(result - asked) > 0.1 * scale).any(axis=1)
     assert another.any()
     assert (np.abs(asked[another]) > source.load_range.high).any(axis=1).all()
     near = np.asarray(own.inverse(moved[another], 0.999 * asked[another]))

@@ -49,9 +49,9 @@ def test_the_kernels_rate_is_the_sum_over_the_modes(dt):
     rng = np.random.default_rng(1)
     half = rng.normal(size=(6, 6))
     mass = half @ half.T + 0.1 * np.eye(6)
-    found = TABLE.packed.joint_rate(K, mass, dt, 0.03)
+    result = TABLE.packed.joint_rate(K, mass, dt, 0.03)
     expected = reference_rate(K, mass, dt, 0.03)
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
+    np.testing.assert_allclose(result, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize(
@@ -62,7 +62,7 @@ def test_a_hanging_mass_sags_as_its_weight_bends_the_bar(dt, at):
     joint = MujocoJoint(model, data, TABLE, damping=0.3)
     for _ in range(int(8 / dt)):
         joint.step()
-    lever = np.array([float(one) for one in at.split()])
+    lever = np.array([float(part) for part in at.split()])
     moved, turned = joint.displacement[:3], joint.displacement[3:]
     arm = rotation_matrix(turned) @ lever
     load = np.concatenate([[0, 0, -WEIGHT], np.cross(arm, [0, 0, -WEIGHT])])
@@ -111,17 +111,17 @@ def test_a_base_shaken_through_resonance_moves_the_mass_as_the_closed_form():
     sweep = np.linspace(0, 4, 4001)
     phase = omega * (0.8 * sweep + 0.05 * sweep**2)
     pushed = 0.5 * np.sin(phase)  # m/s^2
-    found = []
-    for one in pushed[:-1]:
-        data.qfrc_applied[0] = 1e7 * one
+    results = []
+    for item in pushed[:-1]:
+        data.qfrc_applied[0] = 1e7 * item
         joint.step()
-        found.append(data.qpos[3])
+        results.append(data.qpos[3])
 
     def law(t, y):
         return [y[1], -(omega**2) * y[0] - 2 * 0.02 * omega * y[1] - np.interp(t, sweep, pushed)]
 
     truth = solve_ivp(law, (0, 4), [0, 0], t_eval=sweep[1:], rtol=1e-9, atol=1e-12, max_step=1e-3)
-    error = np.sqrt(np.mean((np.array(found) - truth.y[0]) ** 2))
+    error = np.sqrt(np.mean((np.array(results) - truth.y[0]) ** 2))
     assert error < 0.02 * np.sqrt(np.mean(truth.y[0] ** 2))
 
 
@@ -318,8 +318,8 @@ def test_a_scene_that_has_not_the_parts_freedoms_is_refused_by_name(pieces, opti
 
 def test_two_joints_of_one_tip_or_of_two_scenes_are_refused():
     one, other = (MujocoJoint(*scene(sphere(3)), TABLE) for _ in range(2))
-    for joints, words in (((one, one), "two joints have one tip"), ((one, other), "of one scene")):
-        with pytest.raises(JointError, match=words):
+    for joints, text in (((one, one), "two joints have one tip"), ((one, other), "of one scene")):
+        with pytest.raises(JointError, match=text):
             step_joints(*joints)
 
 

@@ -111,10 +111,10 @@ def test_a_shipped_components_check_is_of_its_setup(folder):
 
 def test_the_shipped_bars_mass_and_frequency_are_those_of_its_check():
     stored = json.loads((SHIPPED / "bar" / "check.json").read_text())["vibration"]
-    found = shipped_checks.vibration(SHIPPED / "bar")["vibration"]
+    result = shipped_checks.vibration(SHIPPED / "bar")["vibration"]
     for name in ("mass", "first_frequency"):
-        assert stored[name] == pytest.approx(found[name], rel=1e-6)
-    np.testing.assert_allclose(stored["condensed_mass"], found["condensed_mass"], atol=1e-6)
+        assert stored[name] == pytest.approx(result[name], rel=1e-6)
+    np.testing.assert_allclose(stored["condensed_mass"], result["condensed_mass"], atol=1e-6)
 
 
 def test_the_mass_of_a_link_is_that_of_the_end_that_moves():

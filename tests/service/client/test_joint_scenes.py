@@ -59,12 +59,12 @@ def chain(dt):
 def angles(model, data, step, every, count=1000):
     """Run 2 s and return the angles of the first and the last hinge, rad, each 2 ms."""
     data.joint("last").qpos[0] = 0.5
-    found = []
+    results = []
     for _ in range(count):
         for _ in range(every):
             step()
-        found.append([data.joint("first").qpos[0], data.joint("last").qpos[0]])
-    return np.array(found)
+        results.append([data.joint("first").qpos[0], data.joint("last").qpos[0]])
+    return np.array(results)
 
 
 def test_a_flexible_link_between_two_moving_bodies_moves_as_a_fine_chain():
@@ -75,8 +75,8 @@ def test_a_flexible_link_between_two_moving_bodies_moves_as_a_fine_chain():
         half.format(-0.25) + TIP + SWING, base=BASE, base_geom=HEAVY + half.format(0.25)
     )
     joint = MujocoJoint(model, data, linear_table(link_compliance()), damping=0.0)
-    found = angles(model, data, joint.step, 2)
-    error = np.sqrt(((found - truth) ** 2).mean(axis=0) / (truth**2).mean(axis=0))
+    result = angles(model, data, joint.step, 2)
+    error = np.sqrt(((result - truth) ** 2).mean(axis=0) / (truth**2).mean(axis=0))
     assert (error < 0.02).all(), error
 
 
@@ -89,12 +89,12 @@ REACH = np.array([0.02, 0.02, 0.02, 0.2, 0.2, 0.2])  # m and rad
 
 def spatial(moved):
     """The wrench of a displacement: F, and M = T^-T mu of the moment mu on the rotation vector."""
-    found = STIFF @ moved
+    result = STIFF @ moved
     # d(moved) = T d(angle), by central differences of the rotations themselves.
     turned, small = Rotation.from_rotvec(moved[3:]), 1e-6 * np.eye(3)
     ahead, behind = (Rotation.from_rotvec(sign * small) * turned for sign in (1, -1))
-    found[3:] = (ahead.as_rotvec() - behind.as_rotvec()) / 2e-6 @ found[3:]
-    return found
+    result[3:] = (ahead.as_rotvec() - behind.as_rotvec()) / 2e-6 @ result[3:]
+    return result
 
 
 def turning_table():
@@ -103,14 +103,14 @@ def turning_table():
     moved = rng.uniform(-1, 1, (120, 6)) * REACH
     moved[0] = 0
     tangents = []
-    for one in moved:
+    for item in moved:
         steps = 1e-6 * REACH
         columns = [
-            (spatial(one + step) - spatial(one - step)) / (2 * size)
+            (spatial(item + step) - spatial(item - step)) / (2 * size)
             for step, size in zip(np.diag(steps), steps, strict=True)
         ]
         tangents.append(np.linalg.inv(np.array(columns).T))
-    wrenches = np.array([spatial(one) for one in moved])
+    wrenches = np.array([spatial(item) for item in moved])
     high = np.abs(wrenches).max(axis=0)
     rows = Rows.of(wrenches, moved, compliance=np.array(tangents), source=["fea"] * len(moved))
     return packed_table(rows, LoadRange(-high, high))

@@ -191,9 +191,9 @@ def states(count: int) -> Any:
 def test_many_links_have_the_bits_of_each_alone_and_go_on_from_what_was_kept():
     joints, (*given, turned) = Joints(link(), 5), states(5)
     assert joints.coverage.tolist() == [[None, None]] * 5
-    found = joints.step(*given, 1e-3, threads=2)
+    results = joints.step(*given, 1e-3, threads=2)
     assert (joints.coverage == "covered").all()
-    for wrench, pose, R, velocity, mass in zip(found, given[0], turned, *given[1:], strict=True):
+    for wrench, pose, R, velocity, mass in zip(results, given[0], turned, *given[1:], strict=True):
         single = Joint(link())
         np.testing.assert_array_equal(wrench, single.step(R, pose[:, :3], velocity, mass, 1e-3))
         assert single.coverage == {"left": "covered", "right": "covered"}
@@ -208,9 +208,9 @@ def test_links_in_jax_have_the_bits_of_joints():
     package, (*given, _) = pytest.importorskip("jax", reason="the extra 'jax'"), states(3)
     with package.enable_x64(True):
         step, size = arrays.jax_joint(link(), 1e-3)
-        found = package.vmap(step)(np.zeros((3, size)), *given)
-    np.testing.assert_array_equal(found.wrench, Joints(link(), 3).step(*given, 1e-3))
-    assert found.coverage.tolist() == [[0, 0]] * 3
+        result = package.vmap(step)(np.zeros((3, size)), *given)
+    np.testing.assert_array_equal(result.wrench, Joints(link(), 3).step(*given, 1e-3))
+    assert result.coverage.tolist() == [[0, 0]] * 3
 
 
 def test_links_of_many_environments_have_the_bits_of_each_alone():

@@ -186,11 +186,11 @@ def test_each_of_two_joints_warns_by_the_name_of_its_tip_at_the_line_of_the_step
     with warnings.catch_warnings(record=True) as issued:
         warnings.simplefilter("default")
         step_joints(*joints)
-    assert [str(one.message).split(":")[0] for one in issued] == [
+    assert [str(item.message).split(":")[0] for item in issued] == [
         "bar at tip 'tip0'",
         "bar at tip 'tip1'",
     ]
-    assert {one.filename for one in issued} == {__file__}
+    assert {item.filename for item in issued} == {__file__}
 
 
 def test_a_joint_steps_by_itself_once_the_other_is_gone():
@@ -226,16 +226,16 @@ WARM = warm_table()
 
 
 def answer(wrench, temperature):
-    found = WARM.answer(wrench[:3], wrench[3:], inputs={"temperature": temperature})
-    return np.concatenate([found.translation, found.rotation])
+    result = WARM.answer(wrench[:3], wrench[3:], inputs={"temperature": temperature})
+    return np.concatenate([result.translation, result.rotation])
 
 
 @pytest.mark.parametrize("temperature", [20.0, 70.0, 120.0])
 def test_the_wrench_is_that_of_the_temperature(temperature):
     wrench = np.array([400.0, -80.0, 120.0, 5.0, -10.0, 8.0])
     moved = answer(wrench, temperature)
-    found, stiffness = Joint(WARM, inputs={"temperature": temperature}).state(moved[:3], moved[3:])
-    np.testing.assert_allclose(found, wrench, atol=1e-9 * np.abs(wrench).max())
+    result, stiffness = Joint(WARM, inputs={"temperature": temperature}).state(moved[:3], moved[3:])
+    np.testing.assert_allclose(result, wrench, atol=1e-9 * np.abs(wrench).max())
     softer = 1 + SOFTER * (temperature - 20.0)
     assert stiffness[0, 0] == pytest.approx(1 / C[0, 0] / softer, rel=1e-3)
 

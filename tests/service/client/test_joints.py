@@ -39,11 +39,11 @@ def states(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def test_joints_have_the_wrenches_displacements_and_errors_of_each_joint():
     poses, velocities, turned = states(9)
     joints = Joints(table(), 9, damping=0.05)
-    found = joints.step(poses, velocities, MASSES, 1e-3, threads=2)
+    result = joints.step(poses, velocities, MASSES, 1e-3, threads=2)
     for k in range(9):
         one = Joint(table(), damping=0.05)
         expected = one.step(turned[k], poses[k, :3], velocities[k], MASSES, 1e-3)
-        np.testing.assert_array_equal(found[k], expected)
+        np.testing.assert_array_equal(result[k], expected)
         np.testing.assert_array_equal(joints.displacements[k], one.displacement)
         assert joints.coverage[k] == one.coverage
     assert (joints.status == "ok").all()
@@ -68,10 +68,10 @@ def test_a_copy_of_a_joint_goes_on_by_itself(copied):
     joint = Joint(table())
     joint.step(turned[0], poses[0, :3], velocities[0], MASSES, 1e-3)
     before, other = joint.wrench, copied(joint)
-    found = other.step(turned[1], poses[1, :3], velocities[1], MASSES, 1e-3)
+    result = other.step(turned[1], poses[1, :3], velocities[1], MASSES, 1e-3)
     np.testing.assert_array_equal(joint.wrench, before)
     np.testing.assert_array_equal(
-        joint.step(turned[1], poses[1, :3], velocities[1], MASSES, 1e-3), found
+        joint.step(turned[1], poses[1, :3], velocities[1], MASSES, 1e-3), result
     )
     assert joint.report() == other.report()
 
@@ -108,13 +108,15 @@ def test_a_joint_without_a_wrench_is_named_and_does_not_stop_the_others():
     alone = Joints(table(), 6).step(poses, velocities, masses, 1e-3)
     poses[1, 0], poses[2, :3], masses[4, 0, 0] = np.nan, 0.2, -1.0
     joints = Joints(table(), 6)
-    with pytest.warns(JointWarning) as told:
-        found = joints.step(poses, velocities, masses, 1e-3)
+    with pytest.warns(JointWarning) as reported:
+        result = joints.step(poses, velocities, masses, 1e-3)
     failed = {1: "not finite", 2: "beyond twice the range", 4: "no inverse mass"}
     assert {k: str(joints.status[k]) for k in np.flatnonzero(joints.failed)} == failed
-    assert np.isnan(found[[1, 2, 4]]).all()
-    np.testing.assert_array_equal(found[[0, 3, 5]], alone[[0, 3, 5]])
-    assert "3 of 6 joints have no wrench in this step, NaN: 1 not finite" in str(told[0].message)
+    assert np.isnan(result[[1, 2, 4]]).all()
+    np.testing.assert_array_equal(result[[0, 3, 5]], alone[[0, 3, 5]])
+    assert "3 of 6 joints have no wrench in this step, NaN: 1 not finite" in str(
+        reported[0].message
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         joints.step(poses, velocities, masses, 1e-3)  # said once
@@ -168,15 +170,15 @@ def test_a_step_in_jax_has_the_bits_of_joints_in_one_call_of_the_kernel(in_float
     poses, velocities, _ = states(6)
     for scale in (1.0, 0.9):
         poses[:, :3] *= scale
-        found = each(memory, poses, velocities, np.tile(MASSES, (6, 1, 1)))
-        expected, memory = joints.step(poses, velocities, MASSES, 1e-3), found.memory
-        np.testing.assert_array_equal(found.wrench, expected)
-        np.testing.assert_array_equal(found.error, joints.errors[1])
+        result = each(memory, poses, velocities, np.tile(MASSES, (6, 1, 1)))
+        expected, memory = joints.step(poses, velocities, MASSES, 1e-3), result.memory
+        np.testing.assert_array_equal(result.wrench, expected)
+        np.testing.assert_array_equal(result.error, joints.errors[1])
     assert calls == [6, 6, 6, 6]
     poses[2, 0] = np.nan
-    found = step(memory, poses, velocities, np.tile(MASSES, (6, 1, 1)))
-    assert found.status.tolist() == [0, 0, 1, 0, 0, 0]
-    assert np.flatnonzero(np.isnan(found.wrench).all(axis=1)).tolist() == [2]
+    result = step(memory, poses, velocities, np.tile(MASSES, (6, 1, 1)))
+    assert result.status.tolist() == [0, 0, 1, 0, 0, 0]
+    assert np.flatnonzero(np.isnan(result.wrench).all(axis=1)).tolist() == [2]
     with pytest.raises(InvalidArgument, match=r"\(6, 6\)\], not"):
         step(memory[0], poses[0], velocities[0], np.eye(5))
     for wrong in ({"dt": 0.0}, {"dt": 1e-3, "axes": np.eye(2)}):
@@ -240,9 +242,9 @@ def test_further_inputs_are_those_of_all_environments():
     for degrees in (21.0, 22.0):
         joints.inputs = {"temperature": degrees}
         joints.step()
-        for one in single:
-            one.inputs = {"temperature": degrees}
-            one.step()
+        for item in single:
+            item.inputs = {"temperature": degrees}
+            item.step()
     assert [d.qpos.tobytes() for d in many] == [d.qpos.tobytes() for d in alone]
     assert joints.joints[1].inputs == joints.inputs == {"temperature": 22.0}
 
@@ -262,8 +264,8 @@ def test_an_environment_whose_part_is_torn_stays_and_the_others_go_on():
     joints.step()
     assert [data.time for data in datas] == [2e-3, 1e-3, 2e-3]
     other = mujoco.MjData(mujoco.MjModel.from_xml_string("<mujoco/>"))
-    for wrong, words in ((datas[0], "each once"), (other, "of another model")):
-        with pytest.raises(InvalidArgument, match=words):
+    for wrong, text in ((datas[0], "each once"), (other, "of another model")):
+        with pytest.raises(InvalidArgument, match=text):
             MujocoJoints(model, [datas[0], wrong], linear_table())
     with pytest.raises(InvalidArgument, match="of another model"):
         MujocoJoint(model, other, linear_table())

@@ -112,11 +112,11 @@ def test_the_error_of_a_part_that_stiffens_is_named():
 
 def test_a_file_of_the_part_has_plain_numbers():
     mass = np.diag([1.0, 1.1, 1.1, 1e-3, 0.03, 0.03])
-    found = json.loads(json.dumps(LinearPart.of(linear_table()).to_dict(mass)))
-    np.testing.assert_allclose(np.linalg.inv(found["stiffness"]), bar_compliance(), rtol=1e-9)
-    assert found["mass"] == mass.tolist()
+    result = json.loads(json.dumps(LinearPart.of(linear_table()).to_dict(mass)))
+    np.testing.assert_allclose(np.linalg.inv(result["stiffness"]), bar_compliance(), rtol=1e-9)
+    assert result["mass"] == mass.tolist()
     assert LinearPart.of(linear_table()).to_dict()["mass"] is None
-    assert found["loads"] == ["fx", "fy", "fz", "mx", "my", "mz"]
+    assert result["loads"] == ["fx", "fy", "fz", "mx", "my", "mz"]
 
 
 def test_springs_of_a_part_that_locks_one_rotation_are_two_hinges(tmp_path):

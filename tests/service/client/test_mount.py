@@ -55,19 +55,19 @@ def test_the_pose_is_the_undeformed_one_moved_in_its_own_frame_and_turned_after_
 @given(vectors, vectors, vectors, vectors)
 def test_a_wrench_read_in_the_world_is_what_the_conventions_make_of_it(force, moment, point, turn):
     axes = Rotation.from_rotvec(turn).as_matrix()
-    found = from_world(force, moment, point, (axes, POINT))
+    result = from_world(force, moment, point, (axes, POINT))
     there = np.concatenate([force, moment])
     lever = axes.T @ (point - POINT)
     expected = conventions.moved(there, rotation=axes.T, point=lever)
-    assert np.allclose(found, expected, rtol=0, atol=1e-12)
+    assert np.allclose(result, expected, rtol=0, atol=1e-12)
 
 
 def test_a_moment_is_about_the_interface_point_where_it_is_now():
     mount = mounted()
     _, present = mount.step(WEIGHT)
     assert np.abs(present - POINT).max() > 1e-4
-    found = mount.wrench_of([0, 0, -100.0], [0, 0, 0], present + np.array([0.01, 0.0, 0.0]))
-    assert np.allclose(TURNED @ found[3:], [0, 1.0, 0], rtol=0, atol=1e-12)
+    result = mount.wrench_of([0, 0, -100.0], [0, 0, 0], present + np.array([0.01, 0.0, 0.0]))
+    assert np.allclose(TURNED @ result[3:], [0, 1.0, 0], rtol=0, atol=1e-12)
     on_the_ground = mount.wrench_of([0, 0, -100.0], [0, 0, 0], POINT)
     lever = np.cross(POINT - present, [0, 0, -100.0])
     assert np.allclose(TURNED @ on_the_ground[3:], lever, rtol=0, atol=1e-12)
@@ -114,14 +114,14 @@ def test_a_reading_that_is_not_finite_is_named_and_moves_nothing(bad):
 def test_thin_and_outside_are_warned_of_once_and_counted():
     reasons = {"thin": "too few rows", "outside": "fz is beyond -2000"}
     kinds = ["covered", "thin", "thin", "outside", "covered", "outside"]
-    told = [answer(np.zeros(6), WEIGHT, kind, reason=reasons.get(kind, "")) for kind in kinds]
-    mount = mounted(ScriptedTable(*told))
+    reported = [answer(np.zeros(6), WEIGHT, kind, reason=reasons.get(kind, "")) for kind in kinds]
+    mount = mounted(ScriptedTable(*reported))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         for _ in kinds:
             mount.step(WEIGHT)
-    assert [str(one.message).count("too few rows") for one in caught] == [1, 0]
-    assert [one.filename for one in caught] == [__file__] * 2  # the caller's line, not ours
+    assert [str(item.message).count("too few rows") for item in caught] == [1, 0]
+    assert [item.filename for item in caught] == [__file__] * 2  # the caller's line, not ours
     seen = mount.coverage
     assert (seen.covered, seen.thin, seen.outside, seen.unknown) == (2, 2, 2, 0)
     assert seen.first["outside"].step == 4
@@ -214,30 +214,30 @@ def test_a_solve_that_takes_too_long_is_named():
 
 @pytest.mark.parametrize(("mode", "kind"), [("record", "recording"), ("envelope", "envelope")])
 def test_wrenches_are_saved_while_the_component_stays_rigid(monkeypatch, mode, kind):
-    made = {}
+    created = {}
 
     class Recorder:
         def __init__(self, client, component, kind, block):
-            made.update(component=component, kind=kind, block=block, added=[], self=self)
+            created.update(component=component, kind=kind, block=block, added=[], self=self)
 
         def add(self, wrench):
-            made["added"].append(wrench.tolist())
+            created["added"].append(wrench.tolist())
 
         def start(self):
             return {"jobs": [1]}
 
         def close(self):
-            made["closed"] = True
+            created["closed"] = True
 
     monkeypatch.setattr("wrenchbook.service.client.mount.mount.Recorder", Recorder)
     mount = mounted(client_with(), mode=mode, block=7)
     R, p = mount.step(WEIGHT)
     assert np.array_equal(R, TURNED)
     assert np.array_equal(p, POINT)
-    assert (made["kind"], made["block"], made["added"]) == (kind, 7, [WEIGHT.tolist()])
+    assert (created["kind"], created["block"], created["added"]) == (kind, 7, [WEIGHT.tolist()])
     assert mount.start() == {"jobs": [1]}
     mount.close()
-    assert made["closed"]
+    assert created["closed"]
     with pytest.raises(ValueError, match="lets nothing move"):
         mount.settle(lambda R, p: WEIGHT)
 
@@ -291,7 +291,7 @@ def test_what_is_no_pose_load_or_number_is_refused_and_the_mount_stays(call, wor
 
 def test_rounding_at_a_resting_load_does_not_slow_what_follows():
     ups = [1e-3 + (-1) ** step * 1e-17 for step in range(40)]
-    scripted = [answer(np.full(6, one)) for one in (*ups, 2e-3)]
+    scripted = [answer(np.full(6, item)) for item in (*ups, 2e-3)]
     mount = mounted(ScriptedTable(*scripted))
     for _ in scripted:
         mount.step(WEIGHT)
@@ -300,7 +300,7 @@ def test_rounding_at_a_resting_load_does_not_slow_what_follows():
 
 def test_a_load_between_a_row_and_its_neighbourhood_does_not_slow_what_follows():
     row, beside = 1e-3, 1e-3 + 4e-4 * 1e-6  # m: 4e-4 of the tolerance beside the row
-    scripted = [answer(np.full(6, one)) for one in (*[row, beside] * 10, 2e-3)]
+    scripted = [answer(np.full(6, item)) for item in (*[row, beside] * 10, 2e-3)]
     mount = mounted(ScriptedTable(*scripted), tolerance=(1e-6, 1e-6))
     for _ in scripted:
         mount.step(WEIGHT)
@@ -371,4 +371,4 @@ def test_loads_that_build_up_within_eight_periods_are_warned_of(make, options, w
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         make(**options)
-    assert [words in str(one.message) for one in caught] == ([] if words is None else [True])
+    assert [words in str(item.message) for item in caught] == ([] if words is None else [True])

@@ -71,8 +71,8 @@ def test_an_interface_apart_from_the_mocap_bodys_frame_is_moved_rigidly_with_it(
     turn = R @ R0.T
     assert np.allclose(data.mocap_pos[0], p + turn @ (before[1] - p0), rtol=0, atol=1e-14)
     w, x, y, z = data.mocap_quat[0]
-    found = Rotation.from_quat([x, y, z, w]).as_matrix()
-    assert np.allclose(found, turn @ before[0], rtol=0, atol=1e-14)
+    result = Rotation.from_quat([x, y, z, w]).as_matrix()
+    assert np.allclose(result, turn @ before[0], rtol=0, atol=1e-14)
     assert np.abs(mount.mount.displacement).max() > 1e-6
 
 
@@ -81,8 +81,8 @@ def test_a_base_that_is_placed_elsewhere_takes_the_scene_along():
     mounted((model, data)).place(frame(TURNED), [1.0, 2.0, 3.0])
     np.testing.assert_allclose(data.mocap_pos[0], [1.0, 2.0, 3.0], rtol=1e-15)
     w, x, y, z = data.mocap_quat[0]
-    found = Rotation.from_quat([x, y, z, w]).as_matrix()
-    np.testing.assert_allclose(found, frame(TURNED), atol=1e-14)
+    result = Rotation.from_quat([x, y, z, w]).as_matrix()
+    np.testing.assert_allclose(result, frame(TURNED), atol=1e-14)
 
 
 def test_a_scene_at_rest_settles_where_the_closed_form_of_the_coupling_says():

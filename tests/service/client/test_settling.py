@@ -32,9 +32,9 @@ def lever_at_rest(compliance: np.ndarray) -> np.ndarray:
     def off(u: np.ndarray) -> np.ndarray:
         return compliance @ lever(Rotation.from_rotvec(u[3:]).as_matrix(), u[:3]) - u
 
-    found = root(off, np.zeros(6), tol=1e-15)
-    assert np.abs(off(found.x)).max() < 1e-15
-    return found.x
+    result = root(off, np.zeros(6), tol=1e-15)
+    assert np.abs(off(result.x)).max() < 1e-15
+    return result.x
 
 
 @pytest.mark.parametrize(("relaxation", "most"), [("newton", 4), ("aitken", 10)])
@@ -88,8 +88,8 @@ def test_a_factor_just_below_the_stable_one_converges_and_one_just_above_does_no
     read, expected = press(G)
     bound = 2.0 / (1.0 + G)
     below = Mount(LinearTable(), "plate", *STILL, relaxation=min(1.0, 0.97 * bound))
-    found = below.settle(read, most=2000).displacement[2]
-    assert found == pytest.approx(expected, abs=1e-8)
+    result = below.settle(read, most=2000).displacement[2]
+    assert result == pytest.approx(expected, abs=1e-8)
     if bound < 1.0:
         above = Mount(LinearTable(), "plate", *STILL, relaxation=1.03 * bound)
         with pytest.raises(CouplingDiverged):

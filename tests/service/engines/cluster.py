@@ -78,9 +78,9 @@ class Cluster:
         name = worker.name
 
         async def drop(dask_scheduler):
-            for one in dask_scheduler.workers.values():
-                if one.name == name:
-                    one.last_seen -= 3600
+            for worker in dask_scheduler.workers.values():
+                if worker.name == name:
+                    worker.last_seen -= 3600
             await dask_scheduler.check_worker_ttl()
 
         with Client(self.address) as client:

@@ -194,16 +194,16 @@ def test_an_attempt_nobody_handed_in_is_lost(bench):
 
 def test_what_ends_is_told(bench):
     engine, attempt = bench.engine(), bench.attempt("quick")
-    told = []
-    stop = engine.listen(told.append)
+    reported = []
+    stop = engine.listen(reported.append)
     engine.submit(attempt)
     bench.end(engine, attempt)
-    until(lambda: attempt.task in told)
+    until(lambda: attempt.task in reported)
     stop()
     again = bench.attempt("quick")
     engine.submit(again)
     bench.end(engine, again)
-    assert again.task not in told
+    assert again.task not in reported
 
 
 def test_many_attempts_at_once_each_have_their_own_end(bench):

@@ -53,18 +53,18 @@ def test_a_scheduler_that_dies_is_found_again_with_the_attempts(own, cluster):
     attempt = own.started("counted_until_go", engine)
     until(lambda: own.has_begun(attempt))
     waiting = [own.attempt("quick") for _ in range(3)]
-    for one in waiting:
-        engine.submit(one)
+    for item in waiting:
+        engine.submit(item)
     cluster.kill_scheduler()
     until(lambda: engine.trouble)
     assert engine.slots == 0
-    assert all(engine.poll(one) in (*ALIVE, "finished") for one in (attempt, *waiting))
+    assert all(engine.poll(item) in (*ALIVE, "finished") for item in (attempt, *waiting))
     cluster.mend(1)
     until(lambda: cluster.mend(1) or not engine.trouble)  # workers end with their scheduler
     until(lambda: own.starts(attempt) == 2)  # solvers end with their workers
     own.go(attempt)
-    for one in (attempt, *waiting):
-        assert own.end(engine, one) == "finished"
+    for item in (attempt, *waiting):
+        assert own.end(engine, item) == "finished"
     assert own.starts(attempt) == 2
 
 
@@ -133,7 +133,7 @@ def test_a_higher_priority_goes_first_of_what_no_worker_has_yet(own, cluster):
     high = own.attempt("counts", priority=5)
     for one in (*low, high):
         engine.submit(one)
-    until(lambda: all(cluster.knows(one.task) for one in (*low, high)))
+    until(lambda: all(cluster.knows(item.task) for item in (*low, high)))
     own.go(busy)
     for one in (busy, *low, high):
         assert own.end(engine, one) == "finished"

@@ -50,19 +50,19 @@ def pe_exports(content: bytes) -> set[str]:
 
     exports = place(struct.unpack_from("<I", content, optional + 112)[0])
     names, addresses = struct.unpack_from("<I4xI", content, exports + 24)
-    found = struct.unpack_from(f"<{names}I", content, place(addresses))
-    return {text(content, place(name)) for name in found}
+    results = struct.unpack_from(f"<{names}I", content, place(addresses))
+    return {text(content, place(name)) for name in results}
 
 
 def macho_slices(content: bytes) -> list[Slice]:
     """The libraries of a universal Mach-O."""
     magic, count = struct.unpack_from(">2I", content)
     assert magic == FAT_MAGIC
-    found = []
+    results = []
     for number in range(count):
         kind, _, offset, size, exponent = struct.unpack_from(">5I", content, 8 + 20 * number)
-        found.append(Slice(kind, offset, exponent, content[offset : offset + size]))
-    return found
+        results.append(Slice(kind, offset, exponent, content[offset : offset + size]))
+    return results
 
 
 def macho_commands(content: bytes) -> Iterator[tuple[int, int]]:
@@ -80,12 +80,12 @@ def macho_exports(content: bytes) -> set[str]:
     """The names of the symbols that a 64-bit Mach-O defines for others."""
     at = dict(macho_commands(content))[SYMTAB]
     symbols, count, strings, _ = struct.unpack_from("<4I", content, at + 8)
-    found = set()
+    result = set()
     for number in range(count):
         name, kind = struct.unpack_from("<IB", content, symbols + 16 * number)
         if kind & (EXTERNAL | SECTION | PRIVATE) == EXTERNAL | SECTION:
-            found.add(text(content, strings + name).removeprefix("_"))
-    return found
+            result.add(text(content, strings + name).removeprefix("_"))
+    return result
 
 
 def macho_name(content: bytes) -> str:

@@ -35,18 +35,18 @@ def need_compiler() -> list[str]:
 
 def cpp_compiler() -> list[str]:
     """The C++ compiler's command: g++, else that of ziglang, which the tests install."""
-    found = shutil.which("g++")
-    return [found] if found else [sys.executable, "-m", "ziglang", "c++"]
+    result = shutil.which("g++")
+    return [result] if result else [sys.executable, "-m", "ziglang", "c++"]
 
 
 def solved(name: str, clean: int, full: int, *, tangents: bool = True, **more: object) -> Table:
     """A table of real solves of a shipped component."""
     with np.load(SOLVED / f"{name}.npz") as file:
-        found = dict(file)
-    chosen = np.r_[:clean, found["clean"] : found["clean"] + full]
-    columns = {"compliance": found["compliance"][chosen]} if tangents else {}
-    rows = Rows.of(found["wrench"][chosen], found["displacement"][chosen], **columns)
-    return build(rows, LoadRange(found["low"], found["high"]), **more)
+        result = dict(file)
+    chosen = np.r_[:clean, result["clean"] : result["clean"] + full]
+    columns = {"compliance": result["compliance"][chosen]} if tangents else {}
+    rows = Rows.of(result["wrench"][chosen], result["displacement"][chosen], **columns)
+    return build(rows, LoadRange(result["low"], result["high"]), **more)
 
 
 def packed(table: Table) -> PackedTable:
@@ -81,38 +81,40 @@ class Opened:
     def instance(self, kind=FMU2Slave, *, guid: str | None = None, folder: Path | None = None):
         """An instance, instantiated; its messages are in `.said`."""
         identifier = self.description.coSimulation.modelIdentifier
-        found = kind(
+        result = kind(
             guid=guid or self.guid,
             unzipDirectory=str(folder or self.folder),
             modelIdentifier=identifier,
             instanceName="one",
         )
-        found.said = []
+        result.said = []
         callbacks = fmpy.fmi2.fmi2CallbackFunctions()
 
         def say(environment, name, status, category, message):
-            found.said.append(message.decode())
+            result.said.append(message.decode())
 
         callbacks.logger = fmpy.fmi2.fmi2CallbackLoggerTYPE(say)
         callbacks.allocateMemory = fmpy.fmi2.fmi2CallbackAllocateMemoryTYPE(fmpy.calloc)
         callbacks.freeMemory = fmpy.fmi2.fmi2CallbackFreeMemoryTYPE(fmpy.free)
-        found.instantiate(callbacks=callbacks)
-        return found
+        result.instantiate(callbacks=callbacks)
+        return result
 
     @contextmanager
     def running(self, kind=FMU2Slave, tolerance=(0.0, 0.0)):
         """An instance that answers."""
-        found = self.instance(kind)
-        named = {one.name: one.valueReference for one in self.description.modelVariables}
-        found.setReal([named[f"tolerance_{k}"] for k in ("translation", "rotation")], tolerance)
-        found.setupExperiment()
-        found.enterInitializationMode()
-        found.exitInitializationMode()
+        result = self.instance(kind)
+        named = {
+            variable.name: variable.valueReference for variable in self.description.modelVariables
+        }
+        result.setReal([named[f"tolerance_{k}"] for k in ("translation", "rotation")], tolerance)
+        result.setupExperiment()
+        result.enterInitializationMode()
+        result.exitInitializationMode()
         if kind is FMU2Model:
-            found.newDiscreteStates()
-            found.enterContinuousTimeMode()
-        yield found
-        found.freeInstance()
+            result.newDiscreteStates()
+            result.enterContinuousTimeMode()
+        yield result
+        result.freeInstance()
 
 
 def opened(table: Table, folder: Path, method: str | None = None) -> Opened:
@@ -134,21 +136,21 @@ def answers(instance, wrenches: np.ndarray, m: int = 6) -> tuple[np.ndarray, ...
 
 def judged(instance, wrenches: np.ndarray, m: int = 6) -> list[bool | None]:
     """What an instance says of each wrench: whether the whole bar is within the tolerance."""
-    found: list[bool | None] = []
+    results: list[bool | None] = []
     n = wrenches.shape[1]
     for wrench in wrenches:
         instance.setReal(list(range(n)), wrench)
-        found.append({1: True, 0: False, -1: None}[instance.getInteger([n + 2 * m + 3])[0]])
-    return found
+        results.append({1: True, 0: False, -1: None}[instance.getInteger([n + 2 * m + 3])[0]])
+    return results
 
 
 def slopes(instance, wrenches: np.ndarray, m: int = 6) -> np.ndarray:
     """du/dw, (k, m, n), by directional derivatives along one load after another."""
     k, n = wrenches.shape
-    found = np.empty((k, m, n))
+    result = np.empty((k, m, n))
     for place, wrench in enumerate(wrenches):
         instance.setReal(list(range(n)), wrench)
         for load in range(n):
             along = instance.getDirectionalDerivative(list(range(n, n + m)), [load], [1.0])
-            found[place, :, load] = along
-    return found
+            result[place, :, load] = along
+    return result

@@ -42,9 +42,9 @@ def test_a_name_that_is_no_c_identifier_is_made_one(name, identifier):
 @pytest.mark.parametrize("name", ["plate-2", "1rig"])
 def test_a_component_of_any_name_instantiates(table, tmp_path, name):
     need_compiler()
-    made = Opened(make_fmu(name, packed(table)), tmp_path, name)
-    assert made.description.modelName == name
-    with made.running() as instance:
+    created = Opened(make_fmu(name, packed(table)), tmp_path, name)
+    assert created.description.modelName == name
+    with created.running() as instance:
         instance.setReal(LOADS, [1.0] * 6)
         assert np.isfinite(instance.getReal(OUTPUTS)).all()
 
@@ -66,13 +66,13 @@ def test_variables_of_several_interfaces_have_the_names_and_units_of_the_space()
     hot = Input("temperature", "degC", "scalar", zero=20.0)
     space = space_of(("left", "right"), [hot])
     root = ElementTree.fromstring(describe("ends", "{0}", "now", "a table", space))
-    found = [(one.get("name"), one.find("*").attrib) for one in root.iter("ScalarVariable")]
-    assert (found[0][0], found[0][1]["unit"]) == ("left.fx", "N")
-    assert found[12] == ("temperature", {"unit": "degC", "start": "20"})
-    names = [name for name, _ in found[13:]]
+    result = [(item.get("name"), item.find("*").attrib) for item in root.iter("ScalarVariable")]
+    assert (result[0][0], result[0][1]["unit"]) == ("left.fx", "N")
+    assert result[12] == ("temperature", {"unit": "degC", "start": "20"})
+    names = [name for name, _ in result[13:]]
     assert names[:12] == list(space.output_names)
     assert names[12] == "error_left.ux"
-    assert [one.get("name") for one in root.iter("Unit")][-1] == "degC"
+    assert [item.get("name") for item in root.iter("Unit")][-1] == "degC"
 
 
 def guid(content):
@@ -105,18 +105,18 @@ def test_without_a_compiler_the_fmu_holds_sources_that_compile_elsewhere(
         patch.setenv("PATH", "")
         patch.delenv("CC", raising=False)
         patch.setattr(export.build.importlib.util, "find_spec", lambda name: None)
-        made = make_fmu("plate-2", packed(table))
-    assert made.platforms == ()
-    found = Opened(made, tmp_path)
-    assert not (found.folder / "binaries").exists()
-    sources = found.folder / "sources"
-    root = ElementTree.parse(found.folder / "modelDescription.xml")
-    named = [one.get("name") for one in root.findall("CoSimulation/SourceFiles/File")]
-    assert named == [one.get("name") for one in root.findall("ModelExchange/SourceFiles/File")]
+        created = make_fmu("plate-2", packed(table))
+    assert created.platforms == ()
+    result = Opened(created, tmp_path)
+    assert not (result.folder / "binaries").exists()
+    sources = result.folder / "sources"
+    root = ElementTree.parse(result.folder / "modelDescription.xml")
+    named = [item.get("name") for item in root.findall("CoSimulation/SourceFiles/File")]
+    assert named == [item.get("name") for item in root.findall("ModelExchange/SourceFiles/File")]
     assert set(named) < {path.name for path in sources.iterdir()}
     assert "SHARED" in (sources / "CMakeLists.txt").read_text()
     assert "2-Clause BSD License" in (sources / "fmi2Functions.h").read_text()
-    binary = found.folder / "binaries" / "linux64" / "plate_2.so"
+    binary = result.folder / "binaries" / "linux64" / "plate_2.so"
     binary.parent.mkdir(parents=True)
     warn = ["-Wall", "-Wextra", "-pedantic", "-Werror"]
     command = [
@@ -133,10 +133,10 @@ def test_without_a_compiler_the_fmu_holds_sources_that_compile_elsewhere(
     ]
     subprocess.run([*command, "-lm", "-lpthread"], cwd=sources, check=True, timeout=600)
     asked = table.rows.wrench[3] * 0.7
-    with found.running() as instance:
+    with result.running() as instance:
         instance.setReal(LOADS, asked)
-        told = instance.getReal(OUTPUTS)
-    np.testing.assert_array_equal(told, packed(table).batch([asked]).outputs[0])
+        reported = instance.getReal(OUTPUTS)
+    np.testing.assert_array_equal(reported, packed(table).batch([asked]).outputs[0])
 
 
 def test_a_compiler_that_fails_is_told_with_what_it_said(table, tmp_path, monkeypatch):
@@ -152,11 +152,11 @@ def test_a_compiler_that_fails_is_told_with_what_it_said(table, tmp_path, monkey
 def test_undefined_behaviour_and_stray_reads_are_found_by_the_compilers_own_checks(table, tmp_path):
     """The whole of it, answered by a program with address and undefined-behaviour sanitizers."""
     compiler = need_compiler()
-    made = Opened(make_fmu("plate", packed(table), "griddata"), tmp_path)
+    created = Opened(make_fmu("plate", packed(table), "griddata"), tmp_path)
     program, wrenches = tmp_path / "rate", tmp_path / "wrenches.bin"
     asked = np.concatenate((full_wrenches(60) * 30, np.full((1, 6), 1e300), np.zeros((1, 6))))
     asked.astype("<f8").tofile(wrenches)
-    sources = made.folder / "sources"
+    sources = created.folder / "sources"
     flags = [
         "-std=c11",
         "-fopenmp-simd",
@@ -173,8 +173,8 @@ def test_undefined_behaviour_and_stray_reads_are_found_by_the_compilers_own_chec
         [*flags, f"-I{sources}", "-rdynamic", "-o", str(program), driver, "-ldl"],
     ):
         subprocess.run([*compiler, *extra], check=True, timeout=600)
-    resources = (made.folder / "resources").as_uri()
-    command = [program, library, resources, made.guid, wrenches, "0.2"]
+    resources = (created.folder / "resources").as_uri()
+    command = [program, library, resources, created.guid, wrenches, "0.2"]
     ran = subprocess.run(list(map(str, command)), capture_output=True, text=True, timeout=600)
     assert ran.returncode == 0, ran.stderr[-3000:]
 
@@ -190,8 +190,8 @@ def test_the_command_downloads_the_table_and_writes_the_fmu(tmp_path, capsys):
         there = client.displacements("1rig", wrenches * 0.5, on_thin="estimate", method="griddata")
     with Opened(Fmu(path.read_bytes(), (), ""), tmp_path, "again").running() as instance:
         instance.setReal(LOADS, wrenches[0] * 0.5)
-        told = instance.getReal(OUTPUTS)
-    np.testing.assert_allclose(told, there.displacements[0], rtol=0, atol=1e-12)
+        reported = instance.getReal(OUTPUTS)
+    np.testing.assert_allclose(reported, there.displacements[0], rtol=0, atol=1e-12)
     assert not list(tmp_path.glob("*.part"))
 
 
@@ -200,5 +200,5 @@ def test_the_command_refuses_a_method_for_other_formats(tmp_path):
         run(["export", "plate", str(tmp_path / "t.csv"), "--method", "griddata"])
 
 
-def run(words):
-    app(words, standalone_mode=False)
+def run(text):
+    app(text, standalone_mode=False)

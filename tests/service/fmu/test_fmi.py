@@ -32,8 +32,8 @@ def test_fmpy_finds_nothing_to_object_to(fmu):
 
 
 def test_the_variables_their_units_and_their_causality_are_those_of_the_contract(fmu):
-    told = {one.name: one for one in fmu.description.modelVariables}
-    assert list(told) == [
+    reported = {variable.name: variable for variable in fmu.description.modelVariables}
+    assert list(reported) == [
         *NAMES,
         *[f"error_{name}" for name in NAMES[6:]],
         "coverage",
@@ -41,28 +41,28 @@ def test_the_variables_their_units_and_their_causality_are_those_of_the_contract
         "tolerance_rotation",
         "within_tolerance",
     ]
-    assert [told[name].unit for name in ("Fx", "Mz", "uz", "rx", "error_rz")] == [
+    assert [reported[name].unit for name in ("Fx", "Mz", "uz", "rx", "error_rz")] == [
         "N",
         "N.m",
         "m",
         "rad",
         "rad",
     ]
-    assert {told[name].causality for name in NAMES[:6]} == {"input"}
+    assert {reported[name].causality for name in NAMES[:6]} == {"input"}
     for name in ("coverage", "within_tolerance"):
-        assert (told[name].type, told[name].causality) == ("Integer", "output")
-    units = {one.name: one.baseUnit for one in fmu.description.unitDefinitions}
+        assert (reported[name].type, reported[name].causality) == ("Integer", "output")
+    units = {definition.name: definition.baseUnit for definition in fmu.description.unitDefinitions}
     assert (units["N.m"].kg, units["N.m"].m, units["N.m"].s) == (1, 2, -2)
 
 
 @pytest.mark.parametrize(("kind", "lag"), [("CoSimulation", 0.25), ("ModelExchange", 0.0)])
 def test_fmpy_simulates_it_either_way_with_the_tables_numbers(fmu, table, kind, lag):
     asked = wrenches_of(table, 2)
-    names = [one.name for one in fmu.description.modelVariables]
+    names = [variable.name for variable in fmu.description.modelVariables]
     columns = [(name, float) for name in ("time", *names[:6])]
     ramp = np.array([(0.0, *asked[0]), (1.0, *asked[1])], dtype=columns)
     outputs = names[6:12]
-    told = simulate_fmu(
+    reported = simulate_fmu(
         str(fmu.path),
         stop_time=1.0,
         output_interval=0.25,
@@ -70,8 +70,8 @@ def test_fmpy_simulates_it_either_way_with_the_tables_numbers(fmu, table, kind, 
         output=outputs,
         fmi_type=kind,
     )
-    assert len(told) >= 5
-    for row in told[1:]:  # in co-simulation FMPy sets inputs before a step and reads after it
+    assert len(reported) >= 5
+    for row in reported[1:]:  # in co-simulation FMPy sets inputs before a step and reads after it
         wrench = asked[0] + (row["time"] - lag) * (asked[1] - asked[0])
         expected = packed(table).batch([wrench]).outputs[0]
         np.testing.assert_allclose([row[name] for name in outputs], expected, rtol=0, atol=1e-12)
@@ -91,27 +91,27 @@ def test_inputs_are_zero_at_first_and_after_a_reset(fmu):
 def test_a_state_is_kept_put_back_and_written(fmu):
     with fmu.running() as instance, fmu.running() as other:
         instance.setReal(LOADS, INNER)
-        told = instance.getReal(OUTPUTS + BARS)
+        reported = instance.getReal(OUTPUTS + BARS)
         state = instance.getFMUstate()
         written = instance.serializeFMUstate(state)
         instance.setReal(LOADS, [0.0] * 6)
-        assert instance.getReal(OUTPUTS + BARS) != told
+        assert instance.getReal(OUTPUTS + BARS) != reported
         instance.setFMUstate(state)
-        assert instance.getReal(OUTPUTS + BARS) == told
+        assert instance.getReal(OUTPUTS + BARS) == reported
         instance.freeFMUstate(state)
         again = other.deSerializeFMUstate(written)
         other.setFMUstate(again)
-        assert other.getReal(LOADS + OUTPUTS) == INNER + told[:6]
+        assert other.getReal(LOADS + OUTPUTS) == INNER + reported[:6]
         other.freeFMUstate(again)
 
 
 def test_instances_in_many_threads_do_not_disturb_each_other(fmu, table):
     asked = [wrenches_of(table, 300, seed=seed) for seed in range(6)]
-    found = [None] * len(asked)
+    results = [None] * len(asked)
 
     def run(place):
         with fmu.running() as instance:
-            found[place] = answers(instance, asked[place])
+            results[place] = answers(instance, asked[place])
 
     threads = [threading.Thread(target=run, args=(place,)) for place in range(len(asked))]
     for thread in threads:
@@ -119,8 +119,8 @@ def test_instances_in_many_threads_do_not_disturb_each_other(fmu, table):
     for thread in threads:
         thread.join(600)
     with fmu.running() as alone:
-        for told, wrenches in zip(found, asked, strict=True):
-            for mine, theirs in zip(answers(alone, wrenches), told, strict=True):
+        for reported, wrenches in zip(results, asked, strict=True):
+            for mine, theirs in zip(answers(alone, wrenches), reported, strict=True):
                 np.testing.assert_array_equal(mine, theirs)
 
 
@@ -201,12 +201,12 @@ def test_a_huge_or_tiny_load_is_flagged_and_never_ends_the_program(table, tmp_pa
 def test_nothing_is_set_once_it_is_terminated(fmu):
     with fmu.running() as instance:
         instance.setReal(LOADS, INNER)
-        told = instance.getReal(OUTPUTS)
+        reported = instance.getReal(OUTPUTS)
         instance.terminate()
         with pytest.raises(fmpy.fmi1.FMICallException):
             instance.setReal(LOADS, INNER)
         assert "reset" in instance.said[-1]
-        assert instance.getReal(OUTPUTS) == told
+        assert instance.getReal(OUTPUTS) == reported
         with pytest.raises(fmpy.fmi1.FMICallException):
             instance.doStep(0.0, 0.1)
         instance.reset()
@@ -286,9 +286,9 @@ def test_instances_come_and_go_without_leaving_memory_behind(fmu):
 
 
 def test_every_moment_says_about_which_point_it_is(fmu):
-    told = {one.name: one.description for one in fmu.description.modelVariables}
+    reported = {variable.name: variable.description for variable in fmu.description.modelVariables}
     for name in ("Mx", "My", "Mz"):
-        assert told[name] == "load, N.m, about the interface point where it is now"
+        assert reported[name] == "load, N.m, about the interface point where it is now"
     assert "interface point where it is now" in fmu.description.description
 
 
@@ -297,5 +297,5 @@ def test_a_directional_derivative_of_error_bars_is_what_they_differ_by(fmu, tabl
     low, high = packed(table).batch([asked - step, asked + step]).errors
     with fmu.running() as instance:
         instance.setReal(LOADS, asked)
-        found = instance.getDirectionalDerivative(BARS, LOADS, step)
-    np.testing.assert_allclose(found, (high - low) / 2, rtol=1e-2)
+        result = instance.getDirectionalDerivative(BARS, LOADS, step)
+    np.testing.assert_allclose(result, (high - low) / 2, rtol=1e-2)

@@ -30,14 +30,14 @@ HEADER = (kernel_build.FOLDER / "wrenchbook.h").read_text()
 @pytest.fixture(scope="module")
 def folder(table, tmp_path_factory):
     """The exported library, unpacked."""
-    found = tmp_path_factory.mktemp("library")
+    result = tmp_path_factory.mktemp("library")
     with zipfile.ZipFile(BytesIO(make_library("plate_thin", packed(table)))) as archive:
-        archive.extractall(found)
-    return found
+        archive.extractall(result)
+    return result
 
 
-def run(program, *words, **more):
-    command = [str(program), *map(str, words)]
+def run(program, *text, **more):
+    command = [str(program), *map(str, text)]
     ran = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False, **more)
     return ran.returncode, ran.stdout.splitlines(), ran.stderr
 
@@ -92,8 +92,8 @@ def test_the_example_takes_all_inputs_of_several_interfaces(example, tmp_path):
     known = packed_kind("two interfaces")
     with zipfile.ZipFile(BytesIO(make_library("ends", known))) as archive:
         archive.extractall(tmp_path)
-    words = readmes_line(tmp_path, "./example ").split()[1:]
-    code, lines, error = run(example, *words, cwd=tmp_path)
+    texts = readmes_line(tmp_path, "./example ").split()[1:]
+    code, lines, error = run(example, *texts, cwd=tmp_path)
     assert code == 0, error
     assert tuple(float(line.split()[0]) for line in lines[1:]) == known.answer([1.0] * 12).outputs
 
@@ -114,8 +114,8 @@ def test_cmake_builds_and_installs_the_library_with_the_bits_of_python(
     compiled([cmake, "--build", place])
     assert_answers_are_those_of_python(place / "example", folder, table)
     compiled([cmake, "--install", place, "--prefix", tmp_path / "out"])
-    found = {path.name for path in (tmp_path / "out").rglob("*") if path.is_file()}
-    assert found == {"wrenchbook.h", f"libwrenchbook.{'so' if shared == 'ON' else 'a'}"}
+    result = {path.name for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    assert result == {"wrenchbook.h", f"libwrenchbook.{'so' if shared == 'ON' else 'a'}"}
 
 
 @pytest.mark.slow
@@ -173,9 +173,9 @@ def test_the_command_writes_the_library_and_describes_it_as_json(table, tmp_path
     with running_stub() as stub:
         stub.answers(Answer(b"".join(pack(table)), kind="application/octet-stream"))
         words = ["export", "plate", str(path), "--json", "--server", stub.url]
-        found = CliRunner().invoke(app, words)
-    assert found.exit_code == 0, found.output
-    assert f'"bytes": {path.stat().st_size}' in found.stdout
+        result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, result.output
+    assert f'"bytes": {path.stat().st_size}' in result.stdout
     assert path.read_bytes() == make_library("plate", packed(table))
 
 
@@ -187,29 +187,29 @@ def fields_of_header(name):
     """Type, name and whether an array, of each field of a struct of wrenchbook.h."""
     body = re.search(rf"typedef struct \{{([^}}]*)\}} {name};", HEADER)[1]
     body = re.sub(r"/\*.*?\*/", "", body, flags=re.S)
-    found = []
-    for kind, words in re.findall(r"((?:const )?\w+ \*?)\s*([^;]+);", body):
-        for word in words.split(","):
+    results = []
+    for kind, text in re.findall(r"((?:const )?\w+ \*?)\s*([^;]+);", body):
+        for word in text.split(","):
             short = re.sub(r"\[.*", "", word).strip()
-            found.append((C_SHARP.get(kind.strip(), kind.strip()), short, "[" in word))
-    return found
+            results.append((C_SHARP.get(kind.strip(), kind.strip()), short, "[" in word))
+    return results
 
 
 def fields_of_csharp(name):
     """The same of a struct of Lookup.cs."""
     text = (SCENES / "Lookup.cs").read_text()
     body = re.search(rf"internal struct {name}\s*\{{([^}}]*)\}}", text)[1]
-    found = []
-    for fixed, kind, words in re.findall(r"public (fixed )?(\S+) ([^;]+);", body):
-        names = (re.sub(r"\[.*", "", word).strip() for word in words.split(","))
-        found += [(kind, short, bool(fixed)) for short in names]
-    return found
+    result = []
+    for fixed, kind, texts in re.findall(r"public (fixed )?(\S+) ([^;]+);", body):
+        names = (re.sub(r"\[.*", "", word).strip() for word in texts.split(","))
+        result += [(kind, short, bool(fixed)) for short in names]
+    return result
 
 
 @pytest.mark.parametrize("name", ["options", "reason", "reply"])
 def test_the_structs_of_the_example_in_csharp_are_those_of_the_header(name):
     there = fields_of_header(f"wb_{name}")
-    there = [("byte", *one[1:]) if one[0] == "wb_reason" else one for one in there]
+    there = [("byte", *item[1:]) if item[0] == "wb_reason" else item for item in there]
     assert fields_of_csharp(name.capitalize()) == there
     assert len(there) > 1
 
@@ -220,8 +220,8 @@ def test_the_entry_points_of_the_example_in_csharp_are_those_of_the_header():
     used = dict(re.findall(r"extern \w+ (\w+)\(\s*([^)]*)\);", text))
     assert len(used) == 6
     for name, parameters in used.items():
-        there = [re.sub(r".*\W", "", one.strip()) for one in declared[name].split(",")]
-        assert [one.split()[-1] for one in parameters.split(",")] == there
+        there = [re.sub(r".*\W", "", part.strip()) for part in declared[name].split(",")]
+        assert [part.split()[-1] for part in parameters.split(",")] == there
     assert set(re.findall(r"Native\.(wb_\w+)", text)) == set(used)
 
 

@@ -89,13 +89,13 @@ def test_the_windows_binary_exports_the_functions_of_fmi_and_no_others(fmu):
 @pytest.mark.slow
 def test_the_macos_binary_has_a_signed_slice_for_each_processor_with_the_functions_of_fmi(fmu):
     slices = binaries.macho_slices(binary(fmu, "darwin64", ".dylib"))
-    assert [one.processor for one in slices] == [X86_64, ARM64]
-    for one in slices:
-        assert one.offset % 2**14 == 0
-        assert one.exponent == 14
-        assert struct.unpack_from("<I", one.content, 4)[0] == one.processor
-        assert binaries.macho_exports(one.content) - LINKERS == FUNCTIONS
-        assert binaries.macho_name(one.content) == "@rpath/fmu.dylib"
+    assert [item.processor for item in slices] == [X86_64, ARM64]
+    for item in slices:
+        assert item.offset % 2**14 == 0
+        assert item.exponent == 14
+        assert struct.unpack_from("<I", item.content, 4)[0] == item.processor
+        assert binaries.macho_exports(item.content) - LINKERS == FUNCTIONS
+        assert binaries.macho_name(item.content) == "@rpath/fmu.dylib"
     # macOS on arm64 loads no code without a signature.
     kinds = [kind for kind, _ in binaries.macho_commands(slices[1].content)]
     assert binaries.CODE_SIGNATURE in kinds
@@ -112,8 +112,8 @@ def test_no_binary_holds_a_path_of_the_machine_that_compiled_it(fmu):
 def test_a_universal_file_holds_its_slices_as_they_were():
     parts = [struct.pack("<3I", 0xFEEDFACF, kind, 3) + bytes(20000) for kind in (X86_64, ARM64)]
     slices = binaries.macho_slices(universal(parts))
-    assert [one.content for one in slices] == parts
-    assert [one.offset for one in slices] == [2**14, 3 * 2**14]
+    assert [item.content for item in slices] == parts
+    assert [item.offset for item in slices] == [2**14, 3 * 2**14]
 
 
 def test_an_unknown_platform_is_refused_with_those_there_are():
@@ -142,7 +142,7 @@ def test_an_fmu_of_this_machine_needs_no_ziglang(table, monkeypatch):
     monkeypatch.setattr(export.build, "compiler_command", lambda target=None: ["cc"])
     monkeypatch.setattr(export.platform, "system", lambda: "Linux")
     monkeypatch.setattr(export.platform, "machine", lambda: "x86_64")
-    made = make_fmu("plate", packed(table))
-    assert made.platforms == ("linux64",)
-    with zipfile.ZipFile(BytesIO(made.content)) as archive:
+    created = make_fmu("plate", packed(table))
+    assert created.platforms == ("linux64",)
+    with zipfile.ZipFile(BytesIO(created.content)) as archive:
         assert archive.read("binaries/linux64/plate.so") == b"None"

@@ -36,8 +36,8 @@ def programs() -> tuple[str, str]:
     """Return Chromium and its driver; without them tests are skipped, and fail in CI."""
     browser, driver = shutil.which("chromium"), shutil.which("chromedriver")
     if browser is None or driver is None:
-        told = "needs the Debian packages chromium and chromium-driver"
-        pytest.fail(told) if os.environ.get("CI") == "true" else pytest.skip(told)
+        reported = "needs the Debian packages chromium and chromium-driver"
+        pytest.fail(reported) if os.environ.get("CI") == "true" else pytest.skip(reported)
     return browser, driver
 
 
@@ -178,8 +178,8 @@ class Browser:
 
     def mistakes(self) -> list[str]:
         """Return what the console tells of since it was last asked, but for refused calls."""
-        told = [entry for entry in self.driver.get_log("browser") if entry["level"] == "SEVERE"]
-        return [one["message"] for one in told if one["source"] != "network"]
+        reported = [entry for entry in self.driver.get_log("browser") if entry["level"] == "SEVERE"]
+        return [item["message"] for item in reported if item["source"] != "network"]
 
     def hosts(self) -> set[str]:
         """Return the hosts that the page has asked for anything."""

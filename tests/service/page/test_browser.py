@@ -76,8 +76,8 @@ def test_an_uploaded_part_is_queued_solved_and_then_covered(browser, client, tmp
     browser.named(".pill", "covered")
     (job,) = client.call_json("GET", "/v1/jobs?component=rod")["jobs"]
     assert job["status"] == "done"
-    told = browser.one("table.answer").text
-    assert "± " in told
+    reported = browser.one("table.answer").text
+    assert "± " in reported
     assert client.component("rod")["rows"] >= 1
     assert browser.mistakes() == []
 
@@ -113,9 +113,9 @@ def test_bad_rows_of_a_measured_file_are_named_mended_imported_and_exported(
     browser.named("h1", "rig")
     browser.named("nav.tabs a", "Import").click()
     browser.drop(".drop", "measured.csv", MEASURED)
-    told = browser.one("#mistakes").text
-    assert "Line 4" in told
-    assert "Line 6" in told
+    reported = browser.one("#mistakes").text
+    assert "Line 4" in reported
+    assert "Line 6" in reported
     assert client.component("rig")["rows"] == 0
     browser.type("[aria-label='Line 4']", "0,0,-200,0,0,0,0,0,-0.2,0,0,0")
     browser.type("[aria-label='Line 6']", "0,0,-400,0,0,0,0,0,-0.4,0,0,0")
@@ -171,9 +171,9 @@ def test_the_axes_and_points_of_a_rig_are_drawn_while_they_are_typed(browser, ga
     browser.one("#rig-options summary").click()
     browser.type("#rig-frame", "x=-y,y=z,z=x")
     browser.type("#rig-load-point", "0,0,0.05")
-    words = browser.one("#rig-picture svg").get_attribute("aria-label")
-    assert "the rig's x axis points along −y" in words
-    assert words.endswith("the load point is at 0, 0, 0.05 m")
+    text = browser.one("#rig-picture svg").get_attribute("aria-label")
+    assert "the rig's x axis points along −y" in text
+    assert text.endswith("the load point is at 0, 0, 0.05 m")
     assert "left-handed" in browser.one("#rig-picture").text
     browser.type("#rig-load-point", "0,0,here")
     assert "three numbers in metres" in browser.one("#rig-picture").text
@@ -297,8 +297,8 @@ def test_an_entry_is_noted_renamed_put_away_and_brought_back_by_keyboard(browser
     browser.tab_to("#unarchive")
     browser.press(Keys.ENTER)
     browser.one("#archive")
-    told = gauged.component("gauged2")
-    assert (told["notes"], told["rows"]) == ("gauge 7 drifts", about["rows"])
+    reported = gauged.component("gauged2")
+    assert (reported["notes"], reported["rows"]) == ("gauge 7 drifts", about["rows"])
     browser.visit("#/")
     browser.one("#archived").click()
     assert "archived" in browser.named(".card", "gauged\n").text
@@ -320,16 +320,16 @@ def test_rows_of_another_setup_are_told_and_solved_again_by_one_button(
     assert client.component("reworked")["rows"] > 0
     browser.visit("#/c/reworked")
     browser.named("h2", "Method and rows")
-    assert not [one for one in browser.all(".note") if "another setup" in one.text]
+    assert not [item for item in browser.all(".note") if "another setup" in item.text]
     assert browser.mistakes() == []
 
 
 def saved(browser, start):
     folder = browser.downloads
-    found = browser.until(
+    result = browser.until(
         lambda: [p for p in folder.glob(f"{start}*") if p.suffix != ".crdownload"]
     )
-    return found[0]
+    return result[0]
 
 
 def test_the_deformed_plate_is_magnified_and_turned(browser, plate):
@@ -445,9 +445,9 @@ def test_words_stand_out_from_what_is_behind_them(browser, plate, scheme):
     browser.visit(f"{PLATE}/query")
     ask(browser, fz=-900)
     browser.one("table.answer")
-    found = browser.run((Path(__file__).parent / "contrast.js").read_text())
-    assert len(found) > 20
-    assert [one for one in found if one["ratio"] < 4.5] == []  # WCAG 2.2, level AA
+    results = browser.run((Path(__file__).parent / "contrast.js").read_text())
+    assert len(results) > 20
+    assert [result for result in results if result["ratio"] < 4.5] == []  # WCAG 2.2, level AA
 
 
 def test_a_key_that_is_typed_goes_with_every_call(browser, plate):

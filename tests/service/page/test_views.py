@@ -256,7 +256,7 @@ def test_jobs_that_run_are_above_waiting_ones_with_the_time_they_have_left(brows
     )
     browser.go("#/jobs")
     browser.one("#job-4")
-    assert [one.get_attribute("id") for one in browser.all("tr[id]")][:2] == ["job-2", "job-4"]
+    assert [item.get_attribute("id") for item in browser.all("tr[id]")][:2] == ["job-2", "job-4"]
     browser.named("#job-2", "about 10 min left")
     assert browser.named("#queue", "waiting").text == "2 waiting; all are solved in about 19 min."
 
@@ -281,7 +281,7 @@ def test_a_component_has_at_most_six_groups_and_the_views_of_the_chosen_one(brow
     browser.visit(f"{PLATE}/checks")
     browser.one(".views")
     groups, views = (
-        [one.text for one in browser.all(f".tabs > {row} a")]
+        [item.text for item in browser.all(f".tabs > {row} a")]
         for row in ("div:first-child", ".views")
     )
     assert groups == ["Overview", "Ask", "Table", "Import & export", "Jobs & demand", "Part"]
@@ -313,7 +313,7 @@ def test_a_click_on_the_page_of_check_gives_the_lines_of_the_face(browser, clien
 def test_the_audit_offers_each_action_that_the_service_writes(browser, client):
     browser.visit("#/audit")
     browser.one("select[name=action]")
-    offered = {one.get_attribute("value") for one in browser.all("select option")}
+    offered = {item.get_attribute("value") for item in browser.all("select option")}
     source = "".join(file.read_text("utf-8") for file in (ROOT / "service").rglob("*.py"))
     written = set(re.findall(r'(?:note|noted|_by_caller)\([^"()]*"([a-z]+\.[a-z]+)"', source))
     events = re.findall(r'_by_caller\([^"]*"([a-z]+)"', source)
@@ -363,7 +363,7 @@ def measured(client, name, *pulls):
     """Add a component for measured rows, and import a row for each pull, N."""
     spans = {"force": [600] * 3, "moment": [60] * 3}
     about = {"name": name, "title": "Measured", "range": spans}
-    if not any(one["name"] == name for one in client.components()):
+    if not any(component["name"] == name for component in client.components()):
         client.call_json("POST", "/v1/components", about)
     lines = [f"0,0,{pull},0,0,0,{pull * 1e-3}" for pull in pulls]
     text = "\n".join([f"{LOADS},uz [mm]", *lines])
@@ -463,7 +463,7 @@ def test_loads_by_interface_are_asked_and_each_interface_has_its_displacement(br
     browser.type("input[name='right.fz']", "-150")
     browser.named("form button", "Ask").click()
     browser.until(lambda: browser.all("table.answer"))
-    captions = [one.text for one in browser.all("table.answer caption")]
+    captions = [item.text for item in browser.all("table.answer caption")]
     assert captions == ["left", "right"]
     assert "uz −3.89 mm" in browser.all("table.answer")[1].text
     assert "No loads at left" in browser.one("main").text
@@ -489,7 +489,7 @@ def test_arrows_follow_the_loads_that_are_typed(browser):
     browser.until(
         lambda: browser.run("return document.querySelector('#loads').dataset.drawn") != before
     )
-    browser.until(lambda: any(one["v"][0] > 0.1 for one in browser.run(arrows)))
+    browser.until(lambda: any(item["v"][0] > 0.1 for item in browser.run(arrows)))
 
 
 @pytest.mark.parametrize("name", ["link", "hot_bracket"])

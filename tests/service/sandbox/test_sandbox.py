@@ -127,17 +127,17 @@ def test_no_more_files_are_read_at_once_than_there_are_places(sandbox, run, monk
 
 
 def test_several_threads_get_their_own_answers(run):
-    found = {}
+    result = {}
 
     def ask(number):
-        found[number] = run("doubled", factor=number)[0].fields["factor"]
+        result[number] = run("doubled", factor=number)[0].fields["factor"]
 
     threads = [threading.Thread(target=ask, args=(number,)) for number in range(8)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert found == {number: number for number in range(8)}
+    assert result == {number: number for number in range(8)}
 
 
 def test_no_descriptor_is_left_open_in_the_server(run):

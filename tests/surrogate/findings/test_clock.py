@@ -26,8 +26,8 @@ def rigs(seeds):
 
 @pytest.mark.parametrize("lag", [0.05, 0.1, 0.35, 0.5, -0.2])
 def test_a_clock_shift_is_named_with_its_size_in_nine_of_ten_measurements(lag):
-    found = [estimate_lag(logs_of(rig, lag)) for rig in rigs(SEEDS)]
-    assert sum(one.named and abs(one.seconds - lag) < 0.01 for one in found) >= 9
+    results = [estimate_lag(logs_of(rig, lag)) for rig in rigs(SEEDS)]
+    assert sum(result.named and abs(result.seconds - lag) < 0.01 for result in results) >= 9
 
 
 def test_fifty_pairs_of_logs_with_one_clock_have_no_finding():
@@ -131,7 +131,7 @@ def test_loads_that_repeat_have_several_lags_and_no_lag_auto(frequency, shift):
         loads[:, 2] = 800 * np.sin(2 * np.pi * frequency * at)
     lag = estimate_lag(Logs(time, wrench, when + shift, 1e-6 * moved))
     assert lag.others
-    assert min(abs(one + shift) for one in (lag.seconds, *lag.others)) < 1e-3
+    assert min(abs(item + shift) for item in (lag.seconds, *lag.others)) < 1e-3
     (finding,) = clock_findings(lag, 0.0)
     assert "the loads repeat" in finding.message
     assert "lag=auto" not in finding.message

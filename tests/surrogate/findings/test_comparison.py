@@ -31,12 +31,12 @@ def test_twenty_campaigns_of_one_part_agree():
 def test_another_factor_or_offset_is_named_with_its_size(factor, offset):
     for seed in range(20):
         rig = Rig(seed)
-        (found,) = compared(rig, factor, offset)
-        assert (found.cause, set(found.numbers["differ"])) == (
+        (result,) = compared(rig, factor, offset)
+        assert (result.cause, set(result.numbers["differ"])) == (
             "campaign",
             {"ux", "uy", "uz", "rx", "ry", "rz"},
         )
-        one = found.numbers["differ"]["uz"]
+        one = result.numbers["differ"]["uz"]
         assert abs(one["factor"] - factor) < 0.01
         assert abs(one["offset"] / rig.size[2] - offset) < 0.01
 
@@ -44,9 +44,9 @@ def test_another_factor_or_offset_is_named_with_its_size(factor, offset):
 def test_a_rig_ten_percent_softer_than_the_solves_is_named_from_six_rows():
     rig = Rig(3, ("random",))
     expected = rig.displacement[:6]
-    (found,) = comparison_findings(1.1 * expected, expected, 1e-3 * np.abs(expected), solves=True)
-    assert found.cause == "solves"
-    assert "1.1 times" in found.message
+    (result,) = comparison_findings(1.1 * expected, expected, 1e-3 * np.abs(expected), solves=True)
+    assert result.cause == "solves"
+    assert "1.1 times" in result.message
 
 
 def test_outputs_that_the_table_does_not_know_are_not_compared():
@@ -64,11 +64,11 @@ def test_bars_of_solves_and_of_a_softer_rig_at_some_of_their_wrenches_hold_both(
     solves = replace(solved(response, x), source=np.full(len(x), "fea"))
     rig = Rows.of(measured * HIGH, moved, seq=np.arange(100, 108), source=["rig"] * 8)
     table = build(solves + rig, RANGE)
-    found = packed_of(table).batch(asked * HIGH)
-    known = np.isfinite(found.errors)
+    result = packed_of(table).batch(asked * HIGH)
+    known = np.isfinite(result.errors)
     for factor in (1.0, softer):
-        off = np.abs(found.outputs - factor * response(asked))
-        assert (off > found.errors)[known].mean() < 0.05
+        off = np.abs(result.outputs - factor * response(asked))
+        assert (off > result.errors)[known].mean() < 0.05
     # Noise of readings at the solves' wrenches is in the answers there, and tells of no rig.
     size = np.ptp(response(asked), axis=0)
     assert (table.rig_error > 1e-3 * size).any() == (softer > 1)

@@ -19,7 +19,7 @@ def rig_of(error, seed):
 
 
 def causes_of(rows, rig, **more):
-    return [one.cause for one in find(rows, rig.range, **more)]
+    return [finding.cause for finding in find(rows, rig.range, **more)]
 
 
 @pytest.mark.parametrize("error", CAUSES)
@@ -30,17 +30,17 @@ def test_the_cause_is_named_in_nine_of_ten_measurements(error):
 
 
 def test_fifty_clean_measurements_have_no_finding():
-    found = {seed: causes_of(Rig(seed).measured(), Rig(seed)) for seed in CLEAN}
-    assert {seed: causes for seed, causes in found.items() if causes} == {}
+    result = {seed: causes_of(Rig(seed).measured(), Rig(seed)) for seed in CLEAN}
+    assert {seed: causes for seed, causes in result.items() if causes} == {}
 
 
 def test_the_rows_of_outliers_are_the_wrong_ones():
     rig = Rig(7, ("random",))
     rows = rig.measured()
     rows.displacement[[11, 80], 2] += [2 * rig.size[2], -rig.size[2]]
-    (found,) = find(rows, rig.range)
-    assert found.rows == (rows.seq[11], rows.seq[80])  # the worst first
-    assert found.body()["count"] == 2
+    (result,) = find(rows, rig.range)
+    assert result.rows == (rows.seq[11], rows.seq[80])  # the worst first
+    assert result.body()["count"] == 2
 
 
 def test_the_lever_is_that_of_the_measurement():
@@ -49,8 +49,8 @@ def test_the_lever_is_that_of_the_measurement():
     turned = rows.wrench.copy()
     turned[:, 3:] += np.cross(lever, turned[:, :3])
     moved = Rows.of(turned, rows.displacement, source=rows.source)
-    (found,) = find(moved, rig.range)
-    np.testing.assert_allclose(found.numbers["lever"], lever, atol=0.01)
+    (result,) = find(moved, rig.range)
+    np.testing.assert_allclose(result.numbers["lever"], lever, atol=0.01)
 
 
 @pytest.mark.parametrize(
@@ -64,8 +64,10 @@ def test_solves_name_the_quantity_whose_unit_is_wrong(columns, factor, quantity)
     rig = Rig(9, ("random",))
     rows = rig.measured()
     rows.displacement[:, columns] *= factor
-    found = [one for one in find(rows, rig.range, rig.compliance) if one.cause == "unit"]
-    assert quantity in [one.numbers["quantity"] for one in found]
+    results = [
+        finding for finding in find(rows, rig.range, rig.compliance) if finding.cause == "unit"
+    ]
+    assert quantity in [result.numbers["quantity"] for result in results]
 
 
 def test_measurements_of_the_translations_alone_are_looked_at_too():
@@ -91,8 +93,10 @@ def test_solves_name_a_load_cell_with_another_scale(factor):
     for rig in rigs:
         rows = rig.measured()
         rows.wrench[:, :3] *= factor
-        found = [one for one in find(rows, rig.range, rig.compliance) if one.cause == "unit"]
-        named += [one.numbers["quantity"] for one in found] == ["forces"]
+        results = [
+            finding for finding in find(rows, rig.range, rig.compliance) if finding.cause == "unit"
+        ]
+        named += [result.numbers["quantity"] for result in results] == ["forces"]
     assert named >= 9
 
 
@@ -102,25 +106,27 @@ def test_solves_name_the_load_or_displacement_with_the_wrong_sign(load):
     for rig in (Rig(seed) for seed in SEEDS):
         rows = rig.measured()
         rows.wrench[:, load] *= -1
-        found = [one for one in find(rows, rig.range, rig.compliance) if one.cause == "sign"]
-        named += [one.numbers.get("quantities") for one in found] == [[LOADS[load]]]
+        results = [
+            finding for finding in find(rows, rig.range, rig.compliance) if finding.cause == "sign"
+        ]
+        named += [result.numbers.get("quantities") for result in results] == [[LOADS[load]]]
     assert named >= 9
 
 
 def test_fifty_clean_measurements_agree_with_their_solves():
-    found = {
+    result = {
         seed: causes_of(Rig(seed).measured(), Rig(seed), solved=Rig(seed).compliance)
         for seed in CLEAN
     }
-    assert {seed: causes for seed, causes in found.items() if causes} == {}
+    assert {seed: causes for seed, causes in result.items() if causes} == {}
 
 
 def test_the_message_of_a_lever_has_its_length():
     rig = Rig(8, ("random",))
     rows, lever = rig.measured(), np.array([0.12, -0.05, 0.08])
     rows.wrench[:, 3:] += np.cross(lever, rows.wrench[:, :3])
-    (found,) = find(rows, rig.range)
-    length = float(found.message.split("measured, about ")[1].split(" m")[0])
+    (result,) = find(rows, rig.range)
+    length = float(result.message.split("measured, about ")[1].split(" m")[0])
     assert abs(length - np.linalg.norm(lever)) < 0.02
 
 
@@ -145,8 +151,8 @@ def test_a_load_cell_at_the_end_of_its_range_or_stuck_is_named_with_its_rows(sha
         load.clip(share * load.min(), share * load.max(), out=load)
     else:
         load[held] = load[0]
-    found = [one for one in find(rows, rig.range) if one.cause == cause]
-    named = np.isin(rows.seq, np.concatenate([one.rows for one in found]))
+    results = [finding for finding in find(rows, rig.range) if finding.cause == cause]
+    named = np.isin(rows.seq, np.concatenate([result.rows for result in results]))
     assert named[load != true].all()
     assert named[load == true].sum() <= 2  # the first of those held, and the largest within
 

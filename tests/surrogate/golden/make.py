@@ -45,16 +45,16 @@ def several(clean: int, full: int) -> np.ndarray:
 
 def partial() -> Table:
     """Rows of which none tells r_y, and some u_z."""
-    told = moved(several(2, 14))
-    told[:, 4], told[::3, 2] = np.nan, np.nan
-    return build(Rows.of(several(2, 14), told), kinds.RANGE)
+    reported = moved(several(2, 14))
+    reported[:, 4], reported[::3, 2] = np.nan, np.nan
+    return build(Rows.of(several(2, 14), reported), kinds.RANGE)
 
 
 def rig_error() -> Table:
     """Readings of two rigs 3 % apart, which may be off by some micrometres."""
     wrenches = several(2, 12)
-    told = moved(wrenches) * np.where(np.arange(len(wrenches)) % 2, 1.03, 1.0)[:, None]
-    table = build(Rows.of(wrenches, told, source=["rig", "other rig"] * 9), kinds.RANGE)
+    reported = moved(wrenches) * np.where(np.arange(len(wrenches)) % 2, 1.03, 1.0)[:, None]
+    table = build(Rows.of(wrenches, reported, source=["rig", "other rig"] * 9), kinds.RANGE)
     return replace(table, rig_error=1e-6 * np.arange(1.0, 7.0))
 
 
@@ -107,8 +107,8 @@ TABLES = {
 
 def packed(kind: str) -> PackedTable:
     """The packed table of a kind, built now."""
-    made = TABLES[kind]()
-    return made if isinstance(made, PackedTable) else packed_of(made)
+    created = TABLES[kind]()
+    return created if isinstance(created, PackedTable) else packed_of(created)
 
 
 def asked_of(table: PackedTable) -> np.ndarray:
@@ -166,12 +166,12 @@ def main() -> None:
     for kind in TABLES:
         table = packed(kind)
         asked = asked_of(table)
-        told = told_by(table, asked)
+        reported = told_by(table, asked)
         for name in ("words", "axes"):
-            told[name] = np.frombuffer(json.dumps(told[name]).encode(), dtype=np.uint8)
+            reported[name] = np.frombuffer(json.dumps(reported[name]).encode(), dtype=np.uint8)
         content = np.frombuffer(table.content, dtype=np.uint8)
         np.savez_compressed(
-            FOLDER / f"{kind}.npz", commit=commit, table=content, asked=asked, **told
+            FOLDER / f"{kind}.npz", commit=commit, table=content, asked=asked, **reported
         )
 
 

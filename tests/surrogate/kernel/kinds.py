@@ -30,11 +30,11 @@ SOLVED = Path(__file__).parents[1] / "tables"
 def solved(name: str, clean: int, full: int, **more: object) -> Table:
     """A table of real solves of a shipped component, with tangents."""
     with np.load(SOLVED / f"{name}.npz") as file:
-        found = dict(file)
-    chosen = np.r_[:clean, found["clean"] : found["clean"] + full]
-    columns = {"compliance": found["compliance"][chosen], "source": ["fea"] * len(chosen)}
-    rows = Rows.of(found["wrench"][chosen], found["displacement"][chosen], **columns)
-    return build(rows, LoadRange(found["low"], found["high"]), **more)
+        result = dict(file)
+    chosen = np.r_[:clean, result["clean"] : result["clean"] + full]
+    columns = {"compliance": result["compliance"][chosen], "source": ["fea"] * len(chosen)}
+    rows = Rows.of(result["wrench"][chosen], result["displacement"][chosen], **columns)
+    return build(rows, LoadRange(result["low"], result["high"]), **more)
 
 
 def measured(wrenches: np.ndarray, **columns: object) -> Table:
@@ -63,17 +63,21 @@ def linear(count: int) -> Table:
     """A linear component of which so many unit solves are known."""
     compliance = np.random.default_rng(3).normal(size=(6, 6)) * 1e-6
     loads = np.eye(6)[:count] * FULL
-    told = {"mesh": (1e-8 * np.eye(6)).tolist(), "linearity": [1e-6] * 6, "loads": FULL.tolist()}
+    reported = {
+        "mesh": (1e-8 * np.eye(6)).tolist(),
+        "linearity": [1e-6] * 6,
+        "loads": FULL.tolist(),
+    }
     rows = Rows.of(loads, loads @ compliance.T, source=["fea"] * count)
-    return build(rows, RANGE, linear=True, solver_error=SolverError(told))
+    return build(rows, RANGE, linear=True, solver_error=SolverError(reported))
 
 
 def partial() -> Table:
     """A rig that measured r_y never, and u_z in some rows only."""
     wrenches = np.concatenate((clean(30), full_wrenches(24)))
-    told = moved(wrenches)
-    told[:, 4], told[30:, 2] = np.nan, np.nan
-    return build(Rows.of(wrenches, told), RANGE)
+    reported = moved(wrenches)
+    reported[:, 4], reported[30:, 2] = np.nan, np.nan
+    return build(Rows.of(wrenches, reported), RANGE)
 
 
 def uncertain() -> Table:
@@ -204,12 +208,12 @@ def size_of(table: Table) -> np.ndarray:
 
 def rounding_of(table: Table) -> np.ndarray:
     """What sums of a kriging may lose to rounding, (m,), m and rad: no error bar is below it."""
-    found = np.zeros(table.rows.displacement.shape[1])
+    result = np.zeros(table.rows.displacement.shape[1])
     for group in table.groups:
         if group.kriging is not None:
             lost = group.kriging.rounding * group.kriging.scaling.spread
-            found[list(group.outputs)] += lost[list(group.outputs)]
-    return found
+            result[list(group.outputs)] += lost[list(group.outputs)]
+    return result
 
 
 SAME = 1e-12  # of an output's range

@@ -23,10 +23,10 @@ def test_no_answer_jumps_between_two_wrenches(method, number, seed):
     kind = "clean" if method in BY_AXES else KRIGED[number]
     first, last = asked_of(table_of(kind), 2, seed, span=0.4)
     steps = np.linspace(0.0, 1.0, 4001)[:, None]
-    found = told_by(kind, (1 - steps) * first + steps * last, method)
-    assume(method not in BY_AXES or (found.coverage < 2).all())  # hulls end in steps
+    result = told_by(kind, (1 - steps) * first + steps * last, method)
+    assume(method not in BY_AXES or (result.coverage < 2).all())  # hulls end in steps
     fine, coarse = (
-        np.abs(np.diff(found.outputs[::every], axis=0)).max(axis=0) for every in (1, 10)
+        np.abs(np.diff(result.outputs[::every], axis=0)).max(axis=0) for every in (1, 10)
     )
     assert (fine <= 0.2 * coarse + 1e-9 * size_of(table_of(kind))).all()  # a tenth, of slopes
 

@@ -37,11 +37,11 @@ def test_other_optimisation_and_vectors_change_no_bit(kind, plain_library, monke
     binding.kernel.cache_clear()
     try:
         again = packed_of.__wrapped__(kind)
-        found = again.batch(asked), again.derivatives(asked[:50])
+        result = again.batch(asked), again.derivatives(asked[:50])
     finally:
         monkeypatch.undo()
         binding.kernel.cache_clear()
-    for one, two in zip((*found[0], found[1]), (*expected[0], expected[1]), strict=True):
+    for one, two in zip((*result[0], result[1]), (*expected[0], expected[1]), strict=True):
         np.testing.assert_array_equal(one, two)
 
 
@@ -49,8 +49,8 @@ def test_many_python_threads_share_a_table():
     packed, asked = packed_of("solved"), asked_of(table_of("solved"), 400)
     alone = [packed.answer(wrench) for wrench in asked.tolist()]
     with ThreadPoolExecutor(4) as pool:
-        for found in pool.map(lambda _: [packed.answer(w) for w in asked.tolist()], range(8)):
-            assert found == alone
+        for result in pool.map(lambda _: [packed.answer(w) for w in asked.tolist()], range(8)):
+            assert result == alone
 
 
 def test_what_is_no_wrench_or_method_is_refused():
@@ -83,12 +83,12 @@ def test_the_inverse_of_a_displacement_is_its_wrench(kind):
     table, packed = table_of(kind), packed_of(kind)
     scale = table.load_range.scale
     for wrench in asked_of(table, 20, span=0.8):
-        found = packed.answer(wrench.tolist())
-        again, stiffness = packed.inverse(found.outputs)
+        result = packed.answer(wrench.tolist())
+        again, stiffness = packed.inverse(result.outputs)
         np.testing.assert_allclose(again / scale, wrench / scale, atol=1e-9)
         slopes = packed.derivative(again)
         np.testing.assert_allclose(stiffness @ slopes, np.eye(6), atol=1e-9)
-        near, _ = packed.inverse(found.outputs, start=wrench + 0.05 * scale)
+        near, _ = packed.inverse(result.outputs, start=wrench + 0.05 * scale)
         np.testing.assert_allclose(near / scale, wrench / scale, atol=1e-9)
 
 
@@ -156,12 +156,12 @@ def test_a_library_of_other_sources_is_compiled_anew(tmp_path, monkeypatch):
     monkeypatch.setattr(kernel_build, "FLAGS", quick)
     monkeypatch.setattr(kernel_build, "library_path", lambda *_: library)
     assert kernel_build.ready_library() == library
-    made = library.stat().st_mtime_ns
+    created = library.stat().st_mtime_ns
     kernel_build.ready_library()
-    assert library.stat().st_mtime_ns == made
+    assert library.stat().st_mtime_ns == created
     monkeypatch.setattr(kernel_build, "sources_hash", lambda: "other")
     kernel_build.ready_library()
-    assert library.stat().st_mtime_ns > made
+    assert library.stat().st_mtime_ns > created
     assert b"wb:other" in library.read_bytes()
 
 

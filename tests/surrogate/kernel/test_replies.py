@@ -44,21 +44,21 @@ ROOT = 1e-5  # of the process deviation: sigma near a row is the root of a diffe
 def test_the_kriging_answers_as_the_one_that_was_calibrated(kind):
     table = table_of(kind)
     asked = np.concatenate((asked_of(table, 200, span=1.3), special_of(table, 80)))
-    found = packed_of(kind).batch(asked, None, "kriging", without_rows=True)
+    result = packed_of(kind).batch(asked, None, "kriging", without_rows=True)
     for group in table.groups:
         if group.kriging is None:
             continue
         outputs = list(group.outputs)
         moved, errors = (part[:, outputs] for part in group.kriging.answer_many(asked))
-        given = np.isfinite(found.outputs[:, outputs])
-        near = SAME * np.fmax(size_of(table), np.abs(found.outputs)) + rounding_of(table)
+        given = np.isfinite(result.outputs[:, outputs])
+        near = SAME * np.fmax(size_of(table), np.abs(result.outputs)) + rounding_of(table)
         near = near[:, outputs]
-        assert (np.abs(found.outputs[:, outputs] - moved) <= near)[given].all()
+        assert (np.abs(result.outputs[:, outputs] - moved) <= near)[given].all()
         known = given & np.isfinite(errors).all(axis=1, keepdims=True)
-        np.testing.assert_array_equal(np.isfinite(found.errors[:, outputs]), known)
+        np.testing.assert_array_equal(np.isfinite(result.errors[:, outputs]), known)
         deviation = (group.kriging.deviation * group.kriging.scaling.spread)[outputs]
         loose = near + ROOT * (errors + deviation)
-        assert (np.abs(found.errors[:, outputs] - errors) <= loose)[known].all()
+        assert (np.abs(result.errors[:, outputs] - errors) <= loose)[known].all()
 
 
 def test_the_kernel_takes_the_same_of_equally_near_rows_as_the_build():
@@ -90,8 +90,8 @@ def test_derivatives_are_differences_of_values(kind, method):
         asked = shares @ table.rows.wrench
     here = packed.batch(asked, None, method, without_rows=True)
     scale = table.load_range.scale
-    found = packed.derivatives(asked, None, method, without_rows=True) * scale
-    size = np.fmax(size_of(table), np.nanmax(np.abs(found), axis=2, initial=0.0))
+    result = packed.derivatives(asked, None, method, without_rows=True) * scale
+    size = np.fmax(size_of(table), np.nanmax(np.abs(result), axis=2, initial=0.0))
     limit = size * 1e-6 + rounding_of(table) / STEP
     for load, step in enumerate(STEP * np.diag(scale)):
         ahead, behind = (
@@ -99,7 +99,7 @@ def test_derivatives_are_differences_of_values(kind, method):
             for sign in (1, -1)
         )
         slope, bend = (ahead - behind) / (2 * STEP), (ahead + behind - 2 * here.outputs) / STEP
-        apart = np.abs(found[:, :, load] - slope)
+        apart = np.abs(result[:, :, load] - slope)
         known = np.isfinite(apart)
         if by_axes:  # a kink between two simplices is no slope
             known &= (np.abs(bend) <= limit) & (here.coverage < 2)[:, None]
@@ -111,28 +111,28 @@ def test_derivatives_are_differences_of_values(kind, method):
 def test_a_reply_of_a_row_names_it_and_its_sources(kind):
     table, packed = table_of(kind), packed_of(kind)
     for wrench in table.rows.wrench[:10]:
-        found = packed.answer(wrench.tolist(), [0.0] * 6)
-        if found.method == "row":
+        result = packed.answer(wrench.tolist(), [0.0] * 6)
+        if result.method == "row":
             same = (table.rows.wrench == wrench).all(axis=1)
-            assert found.exact
+            assert result.exact
             own = table.rows.compliance[same][-1]
             np.testing.assert_array_equal(packed.derivative(wrench, [0.0] * 6), own)
-            assert found.row in table.rows.seq[same]
-            assert found.source == ", ".join(dict.fromkeys(table.rows.source[same].tolist()))
+            assert result.row in table.rows.seq[same]
+            assert result.source == ", ".join(dict.fromkeys(table.rows.source[same].tolist()))
 
 
 def test_the_reason_tells_the_rows_of_every_group_of_outputs_that_is_off_its_rows():
     """The kernel told those of the first group alone."""
     wrenches = clean(12)
-    told = moved(wrenches)
-    told[::2, 2] = np.nan
-    told[::3, 4] = np.nan
-    table = build(Rows.of(wrenches, told), RANGE)
+    reported = moved(wrenches)
+    reported[::2, 2] = np.nan
+    reported[::3, 4] = np.nan
+    table = build(Rows.of(wrenches, reported), RANGE)
     packed, spans = pack(table), set()
     assert len(table.groups) == 3
     for wrench in asked_of(table, 40).tolist():
-        found = packed.answer(wrench, None, "griddata").reason
-        spans |= set(re.findall(r"axis x: [^;]*", found)) if "lies outside" in found else set()
+        result = packed.answer(wrench, None, "griddata").reason
+        spans |= set(re.findall(r"axis x: [^;]*", result)) if "lies outside" in result else set()
     assert len(spans) > 40
 
 
@@ -148,49 +148,49 @@ def test_whole_errors_are_judged_by_the_tolerance(kind):
     expected = within_tolerance_many(replies.outputs, replies.errors, tolerance)
     if not table.bars_are_complete:
         expected = [None] * len(asked)
-    found = [
+    result = [
         packed.answer(w, tolerance and allowed_by(tolerance)).within_tolerance
         for w in asked.tolist()
     ]
-    assert found == expected
+    assert result == expected
 
 
 def test_the_parts_of_an_error_are_those_of_the_solver():
     table, packed = table_of("linear"), packed_of("linear")
     for wrench in asked_of(table, 5).tolist():
-        found, shares = packed.answer(wrench), table.solver_error.parts(wrench)
-        np.testing.assert_allclose(found.discretisation, shares["mesh"], rtol=1e-13)
-        np.testing.assert_allclose(found.linearity, shares["linearity"], rtol=1e-13)
-        total = np.add(found.interpolation, np.add(found.discretisation, found.linearity))
-        np.testing.assert_allclose(found.error, total, rtol=1e-13)
+        result, shares = packed.answer(wrench), table.solver_error.parts(wrench)
+        np.testing.assert_allclose(result.discretisation, shares["mesh"], rtol=1e-13)
+        np.testing.assert_allclose(result.linearity, shares["linearity"], rtol=1e-13)
+        total = np.add(result.interpolation, np.add(result.discretisation, result.linearity))
+        np.testing.assert_allclose(result.error, total, rtol=1e-13)
     unknown = packed_of("solved").answer(asked_of(table_of("solved"), 1)[0].tolist())
     assert unknown.discretisation is None
     assert unknown.error == unknown.interpolation
-    told = packed_of("clean").answer([1.0] * 6)
-    assert told.discretisation == (0.0,) * 6
+    reported = packed_of("clean").answer([1.0] * 6)
+    assert reported.discretisation == (0.0,) * 6
 
 
 def test_a_table_of_partial_outputs_names_those_that_no_row_holds():
     table, packed = table_of("partial"), packed_of("partial")
     assert table.rows.partial
-    found = packed.answer([1.0] * 6)
-    assert found.missing == ("ry",)
-    assert found.outputs[OUTPUTS.index("ry")] is None
-    assert "not measured in any row: ry" in found.reason
+    result = packed.answer([1.0] * 6)
+    assert result.missing == ("ry",)
+    assert result.outputs[OUTPUTS.index("ry")] is None
+    assert "not measured in any row: ry" in result.reason
 
 
 def test_estimates_beyond_the_limits_of_tables_are_not_given():
     asked = asked_of(table_of("huge"), 300, span=4.0)
-    found = packed_of("huge").batch(asked)
-    gone = np.isnan(found.outputs).all(axis=1)
+    result = packed_of("huge").batch(asked)
+    gone = np.isnan(result.outputs).all(axis=1)
     assert gone.any()
     assert not gone.all()
-    assert (found.coverage[gone] > 0).all()
+    assert (result.coverage[gone] > 0).all()
     reply = packed_of("huge").answer(asked[gone][0].tolist())
     assert reply.outputs is None
     assert "20 degrees" in reply.reason
     assert reply.within_tolerance is None
-    assert np.nanmax(np.linalg.norm(found.outputs[:, 3:], axis=1)) <= math.radians(20.0)
+    assert np.nanmax(np.linalg.norm(result.outputs[:, 3:], axis=1)) <= math.radians(20.0)
 
 
 @pytest.mark.parametrize("locked", [(1,), (0, 4, 5)])

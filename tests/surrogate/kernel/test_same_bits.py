@@ -30,9 +30,9 @@ def singles(table: PackedTable, asked: np.ndarray, method: str | None) -> list[n
     unknown = (np.nan,) * table.outputs
     replies = [table.answer(wrench, None, method) for wrench in asked.tolist()]
     return [
-        np.array([one.outputs or unknown for one in replies], dtype=float),
-        np.array([one.error or unknown for one in replies], dtype=float),
-        np.array([NAMES.index(one.coverage) for one in replies], dtype=np.uint8),
+        np.array([reply.outputs or unknown for reply in replies], dtype=float),
+        np.array([reply.error or unknown for reply in replies], dtype=float),
+        np.array([NAMES.index(reply.coverage) for reply in replies], dtype=np.uint8),
         np.array([table.derivative(wrench, None, method) for wrench in asked]),
     ]
 

@@ -48,7 +48,7 @@ def _mixed_tables(name: str) -> list[tuple[np.ndarray, np.ndarray]]:
 
 @pytest.mark.parametrize("name", RESPONSES)
 def test_bars_hold_with_ten_clean_rows_an_axis_and_thirty_full_ones(name: str) -> None:
-    inside = np.array([one[0] for one in _mixed_tables(name)])
+    inside = np.array([mixed_table[0] for mixed_table in _mixed_tables(name)])
     assert np.isfinite(inside).all(axis=1).sum() >= 2  # tables that know their errors, of three
     assert np.nanmean(inside, axis=0).min() >= 0.9
 
@@ -63,7 +63,7 @@ def test_bars_hold_with_ten_clean_rows_an_axis_and_thirty_full_ones(name: str) -
     ],
 )
 def test_bars_of_such_a_table_are_sharp(name: str) -> None:
-    assert np.nanmedian([one[1] for one in _mixed_tables(name)]) <= 5
+    assert np.nanmedian([mixed_table[1] for mixed_table in _mixed_tables(name)]) <= 5
 
 
 @pytest.mark.parametrize("told", [True, False])

@@ -42,8 +42,8 @@ def test_few_rows_widen_bars_so_that_nearly_all_tables_hold() -> None:
     held = 0
     for _ in range(400):
         whole = RNG.normal(size=(15, 6, 7))
-        found = _factors(whole[..., 0], np.sqrt((whole**2).mean(axis=2)))
-        held += bool((found >= 1.645).all())  # 90 % of a normal distribution
+        result = _factors(whole[..., 0], np.sqrt((whole**2).mean(axis=2)))
+        held += bool((result >= 1.645).all())  # 90 % of a normal distribution
     assert held >= 0.95 * 400
 
 
@@ -82,10 +82,10 @@ def test_noise_of_a_left_out_row_is_no_error_of_its_answer() -> None:
     )
     errors, variances = np.array([[1.0], [0.5]]), np.array([1.0, 0.25])
     out = LeftOutRows(errors=errors, variances=variances, sizes=np.full((2, 1), 3.0))
-    found = errors_of(factor, out, np.arange(2))
-    np.testing.assert_allclose(found.errors, [[0.5], [0.5]])
-    np.testing.assert_allclose(found.sigma, 0.5)
-    np.testing.assert_allclose(found.sizes, [[1.0], [3.0]])
+    result = errors_of(factor, out, np.arange(2))
+    np.testing.assert_allclose(result.errors, [[0.5], [0.5]])
+    np.testing.assert_allclose(result.sigma, 0.5)
+    np.testing.assert_allclose(result.sizes, [[1.0], [3.0]])
 
 
 def test_ends_of_loads_are_beyond_rows_by_what_so_many_even_ones_may_leave() -> None:
@@ -116,21 +116,21 @@ def test_rows_of_one_axis_are_a_kind_of_their_own_beside_many_of_several(
     axis = np.zeros((24, 6))
     axis[:, 0] = np.linspace(-1, 1, 24)
     x = np.concatenate((spread(full, 5) * 0.1, axis))
-    found = kinds_of(x, scaling, span_of(x, scaling, DEFAULTS), DEFAULTS)
-    assert len(found) == kinds
+    results = kinds_of(x, scaling, span_of(x, scaling, DEFAULTS), DEFAULTS)
+    assert len(results) == kinds
     if kinds == 2:
-        assert found[0].rows.tolist() == [True] * full + [False] * 24
-        assert found[1].rows.tolist() == [False] * full + [True] * 24
+        assert results[0].rows.tolist() == [True] * full + [False] * 24
+        assert results[1].rows.tolist() == [False] * full + [True] * 24
     else:  # they stand beside the others, for queries of one axis
-        assert found[0].rows.all()
-    assert np.abs(found[-1].queries[:, 1:]).max() < 1e-5
+        assert results[0].rows.all()
+    assert np.abs(results[-1].queries[:, 1:]).max() < 1e-5
 
 
 def _shown(monkeypatch: pytest.MonkeyPatch, far: int, near: int, size: float = 1.0) -> Kriging:
     """Return the kriging of rows that show `far` errors of 1 and `near` ones of a size."""
     shown = (np.ones((far, 6)), np.full((near, 6), size))
-    found = tuple(Errors(one, one, np.ones(len(one))) for one in shown)
-    monkeypatch.setattr(calibration, "left_out_as_far", lambda *_: found)
+    result = tuple(Errors(item, item, np.ones(len(item))) for item in shown)
+    monkeypatch.setattr(calibration, "left_out_as_far", lambda *_: result)
     return _kriging("smooth", spread(12, 8))
 
 
@@ -154,8 +154,8 @@ def test_larger_errors_of_most_rows_near_others_hold(monkeypatch: pytest.MonkeyP
 def test_bars_of_noisy_rows_hold_the_posterior_at_least(monkeypatch: pytest.MonkeyPatch) -> None:
     """Left-out rows show little but noise: errors of nothing would be no bar."""
     none = np.full((20, 6), 1e-9)
-    found = Errors(none, none, np.ones(20))
-    monkeypatch.setattr(calibration, "left_out_as_far", lambda *_: (found, found))
+    result = Errors(none, none, np.ones(20))
+    monkeypatch.setattr(calibration, "left_out_as_far", lambda *_: (result, result))
     rows = noisy_rows(RESPONSES["smooth"], spread(60, 8), 8, told=True)
     kriging = Kriging.build(rows, RANGE)
     assert (kriging.calibrations[0].factors > DEFAULTS.posterior_width).all()
@@ -163,7 +163,7 @@ def test_bars_of_noisy_rows_hold_the_posterior_at_least(monkeypatch: pytest.Monk
 
 def _left_out(monkeypatch: pytest.MonkeyPatch, parts: np.ndarray) -> tuple[Errors, Errors, float]:
     """Return the errors of rows far and near, and the median deviation at random wrenches."""
-    found = []
+    results = []
     sound = calibration.left_out_as_far
 
     def noted(factor: KrigingFactor, *rest: object) -> tuple[Errors, Errors]:
@@ -171,12 +171,12 @@ def _left_out(monkeypatch: pytest.MonkeyPatch, parts: np.ndarray) -> tuple[Error
         value[:, 0] = True
         deviation = factor.variance_of(*factor.explained_at(points, value), factor.mean_covariance)
         pair = sound(factor, *rest)  # type: ignore[arg-type]
-        found.append((*pair, float(np.sqrt(np.median(deviation)))))
+        results.append((*pair, float(np.sqrt(np.median(deviation)))))
         return pair
 
     monkeypatch.setattr(calibration, "left_out_as_far", noted)
     _kriging("smooth", parts)
-    return found[0]
+    return results[0]
 
 
 def test_of_rows_that_are_left_out_together_one_counts(monkeypatch: pytest.MonkeyPatch) -> None:

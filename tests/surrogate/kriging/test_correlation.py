@@ -31,8 +31,8 @@ def test_each_derivative_of_matern_is_that_of_the_one_before(order: int, smoothn
     q = np.linspace(0.05, 6, 40)
     ends = (matern(q + way, 5, smoothness)[order] for way in (STEP, -STEP))
     difference = np.subtract(*ends) / (2 * STEP)
-    found = matern(q, 5, smoothness)[order + 1]
-    np.testing.assert_allclose(found, difference, rtol=1e-5)
+    result = matern(q, 5, smoothness)[order + 1]
+    np.testing.assert_allclose(result, difference, rtol=1e-5)
 
 
 def test_matern_7_2_is_its_closed_form() -> None:
@@ -44,8 +44,8 @@ def test_matern_7_2_is_its_closed_form() -> None:
 
 def test_the_value_is_one_where_places_coincide() -> None:
     value, first, second, third = matern(np.zeros(1))
-    found = [value[0], first[0], second[0], third[0]]
-    np.testing.assert_allclose(found, [1.0, -0.7, 49 / 60, -343 / 120], rtol=1e-15)
+    result = [value[0], first[0], second[0], third[0]]
+    np.testing.assert_allclose(result, [1.0, -0.7, 49 / 60, -343 / 120], rtol=1e-15)
 
 
 @pytest.mark.parametrize("held", [HELD, SMOOTH])

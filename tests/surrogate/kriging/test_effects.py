@@ -41,9 +41,9 @@ def test_a_loop_has_its_size_and_leaves_the_rows() -> None:
     for seed in SEEDS:
         rig = rig_of(seed)
         rows = rig.measured("hysteresis of 8 %")
-        found = effects(rows, rig.range)
-        np.testing.assert_allclose(np.abs(found.loop), 0.08 * rig.size, rtol=0.1)
-        np.testing.assert_allclose(found.bar, 0.04 * rig.size, rtol=0.15)
+        result = effects(rows, rig.range)
+        np.testing.assert_allclose(np.abs(result.loop), 0.08 * rig.size, rtol=0.1)
+        np.testing.assert_allclose(result.bar, 0.04 * rig.size, rtol=0.15)
         left = without_effects(rows, rig.range)[0].displacement - rig.displacement
         # Where the motion turns, a direction is not known, and the row keeps its part of the loop.
         assert (np.median(np.abs(left), axis=0) < NOISE * rig.size).all()
@@ -53,9 +53,9 @@ def test_a_loop_by_sweeps_has_its_size_where_most_of_them_hardly_move_an_output(
     """Uncertain directions made it up to 48 % smaller, and half of the covered was outside."""
     for seed in (777013, 880017):
         rig = rig_of(seed, "sweeps")
-        found = effects(rig.measured("hysteresis of 8 %"), rig.range)
-        np.testing.assert_allclose(np.abs(found.loop), 0.08 * rig.size, rtol=0.05)
-        assert (found.bar >= 0.04 * rig.size).all()
+        result = effects(rig.measured("hysteresis of 8 %"), rig.range)
+        np.testing.assert_allclose(np.abs(result.loop), 0.08 * rig.size, rtol=0.05)
+        assert (result.bar >= 0.04 * rig.size).all()
 
 
 def held(
@@ -81,8 +81,8 @@ def test_a_load_that_is_held_keeps_its_branch(readings: int) -> None:
     """As rows at rest, readings after the first denied the loop of every table of held loads."""
     for seed in SEEDS:
         rig, rows = held(seed, 60, readings, 0.05, NOISE)
-        found = effects(rows, rig.range)
-        np.testing.assert_allclose(np.abs(found.loop), 0.05 * rig.size, rtol=0.2)
+        result = effects(rows, rig.range)
+        np.testing.assert_allclose(np.abs(result.loop), 0.05 * rig.size, rtol=0.2)
         left = without_effects(rows, rig.range)[0].displacement - rig.respond(rows.wrench)
         assert (np.median(np.abs(left), axis=0) < 1.5 * NOISE * rig.size).all()
 
@@ -130,8 +130,8 @@ def test_outputs_that_other_rows_measure_have_loops_of_their_own() -> None:
     rows = rig.measured("hysteresis of 8 %")
     moved = rows.displacement.copy()
     moved[::7, :3] = np.nan
-    found = effects(replace(rows, displacement=moved), rig.range)
-    np.testing.assert_allclose(np.abs(found.loop), 0.08 * rig.size, rtol=0.1)
+    result = effects(replace(rows, displacement=moved), rig.range)
+    np.testing.assert_allclose(np.abs(result.loop), 0.08 * rig.size, rtol=0.1)
 
 
 def test_a_drift_has_its_size_and_rows_are_those_of_the_middle() -> None:
@@ -139,8 +139,8 @@ def test_a_drift_has_its_size_and_rows_are_those_of_the_middle() -> None:
     rows, slope = rig.measured(), 0.04 * rig.size
     time = np.linspace(0, 1, len(rows))[:, None]
     drifting = replace(rows, displacement=rows.displacement + slope * time)
-    found = effects(drifting, rig.range)
-    np.testing.assert_allclose(found.drift, [slope], rtol=0.1)
+    result = effects(drifting, rig.range)
+    np.testing.assert_allclose(result.drift, [slope], rtol=0.1)
     left, error = without_effects(drifting, rig.range)
     off = (left.displacement - rig.displacement).mean(axis=0)
     np.testing.assert_allclose(off, slope / 2, rtol=0.1)
@@ -152,9 +152,9 @@ def test_sessions_have_their_offsets_and_bars_hold_what_they_share() -> None:
     rows, offsets = rig.measured(), np.array([[0.01], [0.03], [0.02]]) * rig.size
     session = np.arange(len(rows)) * 3 // len(rows)
     moved = replace(rows, displacement=rows.displacement + offsets[session], session=1.0 + session)
-    found = effects(moved, rig.range)
+    result = effects(moved, rig.range)
     np.testing.assert_allclose(
-        found.session, offsets - offsets.mean(axis=0), atol=2e-3 * rig.size.max()
+        result.session, offsets - offsets.mean(axis=0), atol=2e-3 * rig.size.max()
     )
     left, error = without_effects(moved, rig.range)
     off = (left.displacement - rig.displacement).mean(axis=0)
@@ -169,9 +169,9 @@ def test_slow_loads_are_no_drift() -> None:
         phases = rig.rng.uniform(0, 6, (1, 6))
         rig.wrench = rig.high * np.sin(np.linspace(0, 6, 400)[:, None] + phases)
         rig.displacement = rig.respond(rig.wrench)
-        found = effects(rig.measured(), rig.range)
-        assert not found.drift.any()
-        assert not found.bar.any()
+        result = effects(rig.measured(), rig.range)
+        assert not result.drift.any()
+        assert not result.bar.any()
 
 
 @pytest.mark.parametrize("levels", [(60, 1, 1), (5, 5, 5), (12, 4, 1)])
@@ -210,8 +210,8 @@ def test_two_interfaces_have_loops_too() -> None:
     size = np.ptp(moved, axis=0)
     moved -= 0.02 * size * np.sign(np.diff(moved, axis=0, prepend=moved[:1]))
     rows = Rows.of(loads, moved, span.space, source=["rig"] * len(loads))
-    found = effects(rows, span)
-    np.testing.assert_allclose(np.abs(found.loop), 0.04 * size, rtol=0.15)
+    result = effects(rows, span)
+    np.testing.assert_allclose(np.abs(result.loop), 0.04 * size, rtol=0.15)
 
 
 def test_sessions_are_imports_of_several_rows() -> None:

@@ -47,11 +47,11 @@ def _answer(equations: Equations, factor: KrigingFactor, row: int) -> tuple[np.n
     value = np.zeros((1, 7), dtype=bool)
     value[0, 0] = True
     across = covariance(here.x, value, own.x, own.known, HELD)
-    told = mean_terms(here.x, value) @ factor.coefficients + across @ factor.weights
+    reported = mean_terms(here.x, value) @ factor.coefficients + across @ factor.weights
     reduced = across @ factor.T.T
     loose = mean_terms(here.x, value) - reduced @ factor.TF
     variance = HELD.prior(1)[0] - reduced @ reduced.T + loose @ factor.mean_covariance @ loose.T
-    return told[0], float(variance[0, 0])
+    return reported[0], float(variance[0, 0])
 
 
 def test_the_inverse_factor_is_that_of_the_covariance() -> None:
@@ -72,13 +72,13 @@ def test_left_out_groups_equal_refitting_without_them(measured: bool, size: int)
     equations = _equations(4, 10, measured)
     every = np.arange(len(equations))
     factor, labels = _factor(equations, every), every // size
-    told = left_out(factor, labels)
+    reported = left_out(factor, labels)
     for row in every[::3]:
         without = _factor(equations, every[labels != labels[row]])
         value, _ = _answer(equations, without, row)
-        np.testing.assert_allclose(told.errors[row], equations.data[row, 0] - value, atol=1e-8)
+        np.testing.assert_allclose(reported.errors[row], equations.data[row, 0] - value, atol=1e-8)
     one = left_out(factor, np.where(labels == labels[0], 0, -1))
-    np.testing.assert_array_equal(one.errors[:size], told.errors[:size])
+    np.testing.assert_array_equal(one.errors[:size], reported.errors[:size])
     assert np.isnan(one.errors[size:]).all()
 
 
@@ -88,14 +88,14 @@ def test_left_out_rows_with_the_mean_kept_equal_refitting_about_it() -> None:
     every = np.arange(len(equations))
     settings = KrigingSettings(nugget=1e-8, mean_variance=1e-14)
     factor = factorise(equations, HELD, OutputGroup(OUTPUTS, every, np.zeros(len(every))), settings)
-    told = left_out(factor, every)
+    reported = left_out(factor, every)
     for row in every[::4]:
         rest = np.delete(every, row)
         without = factorise(
             equations, HELD, OutputGroup(OUTPUTS, rest, np.zeros(len(rest))), settings
         )
         value, _ = _answer(equations, without, row)
-        np.testing.assert_allclose(told.errors[row], equations.data[row, 0] - value, atol=1e-8)
+        np.testing.assert_allclose(reported.errors[row], equations.data[row, 0] - value, atol=1e-8)
 
 
 def test_a_singular_covariance_takes_a_larger_nugget_and_says_so() -> None:

@@ -54,9 +54,9 @@ def estimate(equations: Equations, ratio: float) -> Estimate:
 
 def through(equations: Equations, ratio: float) -> Inducing:
     """Return the inducing wrenches of rows whose noise is guessed as so much of the process."""
-    found = induced(equations, estimate(equations, ratio), ALWAYS)
-    assert found is not None
-    return found
+    result = induced(equations, estimate(equations, ratio), ALWAYS)
+    assert result is not None
+    return result
 
 
 def answered(factor: KrigingFactor) -> tuple[np.ndarray, np.ndarray]:
@@ -75,10 +75,10 @@ def test_with_every_row_an_inducing_wrench_it_is_the_kriging_of_all_rows(
 ) -> None:
     monkeypatch.setattr(inducing, "spread_points", lambda x, *_: (np.arange(len(x)), True))
     equations = equations_of(measured(150, 0.01))
-    found = through(equations, 1e-2)
-    assert len(found.equations) == 150
-    noise = found.noise
-    for factor in found.factors:
+    result = through(equations, 1e-2)
+    assert len(result.equations) == 150
+    noise = result.noise
+    for factor in result.factors:
         outputs = factor.output_group.outputs
         ratio = float((noise[outputs] / factor.variance).mean())
         group = OutputGroup(outputs, np.arange(150), np.full(150, ratio))
@@ -92,8 +92,8 @@ def test_the_noise_is_that_of_all_rows() -> None:
     rows = measured(3000, 0.01)
     equations = equations_of(rows)
     true = 0.01 * np.ptp(coupled(rows.wrench / HIGH), axis=0) / np.std(rows.displacement, axis=0)
-    found = through(equations, 1e-3)
-    np.testing.assert_allclose(np.sqrt(found.noise), true, rtol=0.06)
+    result = through(equations, 1e-3)
+    np.testing.assert_allclose(np.sqrt(result.noise), true, rtol=0.06)
 
 
 @pytest.mark.parametrize("noise", [0.003, 0.02])
@@ -144,10 +144,10 @@ def test_readings_at_one_wrench_count_as_the_rows_they_are() -> None:
     )
     equations = equations_of(four)
     assert (equations.observations == 4).all()
-    found = through(equations, 1e-2)
+    result = through(equations, 1e-2)
     one = through(equations_of(rows), 1e-2)
-    np.testing.assert_allclose(found.noise, one.noise, rtol=0.35)
-    for ours, theirs in zip(found.factors, one.factors, strict=True):
+    np.testing.assert_allclose(result.noise, one.noise, rtol=0.35)
+    for ours, theirs in zip(result.factors, one.factors, strict=True):
         ratio = np.median(answered(ours)[1][:, 0]) / np.median(answered(theirs)[1][:, 0])
         assert 0.2 < ratio < 0.6
 
@@ -200,10 +200,10 @@ def test_bars_hold_and_are_of_the_errors_size_where_some_rows_lack_an_output() -
         table = build(
             replace(rows, displacement=np.where(lacking, np.nan, rows.displacement)), RANGE
         )
-        found = packed_of(table).batch(ASKED * HIGH, method="kriging")
-        error = np.abs(found.outputs - coupled(ASKED))
-        assert (error <= found.errors).mean(axis=0).min() >= 0.9
-        assert (np.nanmedian(found.errors, axis=0) <= 10 * np.median(error, axis=0)).all()
+        result = packed_of(table).batch(ASKED * HIGH, method="kriging")
+        error = np.abs(result.outputs - coupled(ASKED))
+        assert (error <= result.errors).mean(axis=0).min() >= 0.9
+        assert (np.nanmedian(result.errors, axis=0) <= 10 * np.median(error, axis=0)).all()
 
 
 def test_rows_that_tell_some_wrenches_and_others_not_at_all_have_a_factor(

@@ -75,10 +75,12 @@ def test_answers_do_not_depend_on_units(kriging: Kriging) -> None:
         compliance=ROWS.compliance * moved[:, None] / loads,
     )
     other = Kriging.build(rows, LoadRange(-HIGH * loads, HIGH * loads))
-    for told, expected in zip(
+    for reported, expected in zip(
         other.answer_many(ASKED * loads), kriging.answer_many(ASKED), strict=True
     ):
-        np.testing.assert_allclose(told / moved / _size(ROWS), expected / _size(ROWS), atol=1e-9)
+        np.testing.assert_allclose(
+            reported / moved / _size(ROWS), expected / _size(ROWS), atol=1e-9
+        )
 
 
 def test_a_pickled_kriging_answers_the_same(kriging: Kriging) -> None:
@@ -89,8 +91,8 @@ def test_a_pickled_kriging_answers_the_same(kriging: Kriging) -> None:
 
 def test_rows_outside_the_load_range_take_no_part(kriging: Kriging) -> None:
     far = Rows.of(ROWS.wrench[:2] * 25, np.ones((2, 6)))
-    told = Kriging.build(ROWS + far, RANGE).answer_many(ASKED)[0]
-    np.testing.assert_array_equal(told, kriging.answer_many(ASKED)[0])
+    reported = Kriging.build(ROWS + far, RANGE).answer_many(ASKED)[0]
+    np.testing.assert_array_equal(reported, kriging.answer_many(ASKED)[0])
 
 
 def test_rows_at_one_wrench_are_one_row() -> None:
@@ -156,8 +158,8 @@ def test_outputs_not_measured_are_answered_from_the_rows_that_bring_them() -> No
     displacement = ROWS.displacement.copy()
     displacement[1::2, 4] = np.nan
     kriging = Kriging.build(Rows.of(ROWS.wrench, displacement, compliance=ROWS.compliance), RANGE)
-    told, bar = kriging.answer_many(ASKED)
-    error = np.abs(told - COUPLED(ASKED / HIGH))
+    reported, bar = kriging.answer_many(ASKED)
+    error = np.abs(reported - COUPLED(ASKED / HIGH))
     assert (error <= bar).mean(axis=0).min() >= 0.9
     known = ROWS.take(np.arange(0, len(ROWS), 2))
     at_rows, _ = kriging.answer_many(known.wrench)
@@ -174,16 +176,16 @@ def test_measured_rows_are_smoothed_by_their_uncertainty() -> None:
     exact = Kriging.build(solves, RANGE)
     through = exact.answer_many(ASKED)[0] - true
     assert (smoothing**2).mean() < 0.6 * (through**2).mean()
-    told, _ = exact.answer_many(rows.wrench)
-    assert (np.abs(told - rows.displacement) / _size(rows)).max() < 1e-3
+    reported, _ = exact.answer_many(rows.wrench)
+    assert (np.abs(reported - rows.displacement) / _size(rows)).max() < 1e-3
 
 
 def test_measured_rows_are_smoothed_as_well_where_nobody_stated_their_noise() -> None:
     x, response = spread_wrenches(40, 60, 21), RESPONSES["smooth"]
     true = response(ASKED / HIGH)
     stated, unstated = (
-        Kriging.build(noisy_rows(response, x, 21, told), RANGE).answer_many(ASKED)[0] - true
-        for told in (True, False)
+        Kriging.build(noisy_rows(response, x, 21, reported), RANGE).answer_many(ASKED)[0] - true
+        for reported in (True, False)
     )
     assert (unstated**2).mean() < 1.2 * (stated**2).mean()
 
@@ -202,8 +204,8 @@ def test_rows_that_do_not_err_are_found_to_have_no_noise() -> None:
     rows = table(RESPONSES["smooth"], spread_wrenches(30, 40, 5))
     kriging = Kriging.build(rows, RANGE)
     assert np.sqrt(kriging.observation_variance).max() < 1e-3  # as the answers' errors are
-    told, _ = kriging.answer_many(rows.wrench)
-    assert (np.abs(told - rows.displacement) / _size(rows)).max() < 1e-3
+    reported, _ = kriging.answer_many(rows.wrench)
+    assert (np.abs(reported - rows.displacement) / _size(rows)).max() < 1e-3
 
 
 def test_pending_solves_lower_bars_where_they_are_and_nowhere_raise_them(kriging: Kriging) -> None:
@@ -211,10 +213,10 @@ def test_pending_solves_lower_bars_where_they_are_and_nowhere_raise_them(kriging
     after = kriging.sigma_with(ASKED[:3], ASKED)
     assert (after <= before * (1 + 1e-12)).all()
     assert (after[:3] < 0.05 * before[:3]).all()
-    told = kriging.answer_many(ASKED)[1]
-    known = np.isfinite(told).all(axis=1)
+    reported = kriging.answer_many(ASKED)[1]
+    known = np.isfinite(reported).all(axis=1)
     assert known.mean() > 0.9
-    np.testing.assert_allclose(told[known], before[known], rtol=1e-6)
+    np.testing.assert_allclose(reported[known], before[known], rtol=1e-6)
 
 
 def test_the_detail_tells_how_it_answers(kriging: Kriging) -> None:

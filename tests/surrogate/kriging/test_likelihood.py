@@ -48,11 +48,11 @@ TABLES = {
 
 def differences(function: Callable[[np.ndarray], float], place: np.ndarray) -> list[float]:
     """Return the slopes by each number, by central differences of fourth order."""
-    step, found = 1e-4, []
+    step, results = 1e-4, []
     for way in step * np.eye(len(place)):
         ahead, behind, ahead2, behind2 = (function(place + far * way) for far in (1, -1, 2, -2))
-        found.append((8 * (ahead - behind) - (ahead2 - behind2)) / (12 * step))
-    return found
+        results.append((8 * (ahead - behind) - (ahead2 - behind2)) / (12 * step))
+    return results
 
 
 def assert_gradient(place: np.ndarray, equations: Equations, near: float) -> None:
@@ -80,13 +80,13 @@ def test_the_maximum_is_no_worse_than_both_starts_and_in_bounds() -> None:
     equations = _equations(TABLES["solved"])
     groups = [OutputGroup(np.arange(6), np.arange(len(equations)), np.zeros(len(equations)))]
     settings = KrigingSettings()
-    found = maximise(equations, groups, settings=settings).logarithms
-    reached = negative_log_likelihood(found, equations, groups)[0]
+    result = maximise(equations, groups, settings=settings).logarithms
+    reached = negative_log_likelihood(result, equations, groups)[0]
     for theta in settings.theta_starts:
         start = np.array([theta] * 6 + [settings.weight_start])
         assert reached <= negative_log_likelihood(start, equations, groups)[0]
-    assert (found[:6] >= settings.theta_bounds[0] - 1e-12).all()
-    assert (found <= np.array([settings.theta_bounds[1]] * 6 + [settings.weight_bounds[1]])).all()
+    assert (result[:6] >= settings.theta_bounds[0] - 1e-12).all()
+    assert (result <= np.array([settings.theta_bounds[1]] * 6 + [settings.weight_bounds[1]])).all()
 
 
 def test_a_response_that_is_a_sum_over_axes_needs_no_full_kernel() -> None:

@@ -52,9 +52,11 @@ def measured(
 def test_the_gradient_equals_differences(name: str) -> None:
     groups = noise.noisy_rows(*prepared(TABLES[name]), ROUGH)
     _, gradient = noise.negative_log_posterior(PLACE, groups, ROUGH)
-    found = differences(lambda x: noise.negative_log_posterior(x, groups, ROUGH)[0], PLACE)
+    result = differences(lambda x: noise.negative_log_posterior(x, groups, ROUGH)[0], PLACE)
     # Beside solves the mean's wide prior leaves a billionth of the likelihood's digits.
-    assert gradient == pytest.approx(found, rel=1e-3 if name == "beside solves" else 1e-5, abs=1e-5)
+    assert gradient == pytest.approx(
+        result, rel=1e-3 if name == "beside solves" else 1e-5, abs=1e-5
+    )
 
 
 def test_the_spectrum_gives_the_restricted_likelihood_of_every_noise() -> None:
@@ -63,7 +65,7 @@ def test_the_spectrum_gives_the_restricted_likelihood_of_every_noise() -> None:
     settings = KrigingSettings(noise_prior=(0.0, 1e9))
     (rows,) = noise.noisy_rows(equations, scaling, settings)
     kernel, known = Hyperparameters.of_logarithms(PLACE), equations.known
-    found = noise.posterior(rows, noise.spectrum(rows, kernel, settings), settings).values
+    result = noise.posterior(rows, noise.spectrum(rows, kernel, settings), settings).values
     matrix = covariance(equations.x, known, equations.x, known, kernel)
     matrix += settings.nugget * kernel.prior(1)[0] * np.eye(len(matrix))
     terms, data = mean_terms(equations.x, known), equations.data[known]
@@ -77,7 +79,7 @@ def test_the_spectrum_gives_the_restricted_likelihood_of_every_noise() -> None:
         determinants = np.linalg.slogdet(precision)[1] - np.linalg.slogdet(inverse)[1]
         freedom = len(data) - terms.shape[1]
         expected.append(0.5 * (freedom * np.log(square) + determinants))
-    difference = found - np.array(expected)
+    difference = result - np.array(expected)
     some = ratios > 1e-4  # below it the inverse loses what is compared
     np.testing.assert_allclose(difference[some], difference[-1:] + 0 * difference[some], atol=1e-6)
 
@@ -86,18 +88,18 @@ def test_the_spectrum_gives_the_restricted_likelihood_of_every_noise() -> None:
 def test_the_noise_is_found_of_each_output(name: str) -> None:
     """One that bends by a load where the others are straight was taken for noise: 1.55 x."""
     rows, size = measured(name, full_wrenches(200, 5), 0.01, 5)
-    found = Kriging.build(rows, RANGE).observation_noise / (1.96 * 0.01 * size)
-    assert (found > 0.75).all()
-    assert (found < 1.3).all()
+    result = Kriging.build(rows, RANGE).observation_noise / (1.96 * 0.01 * size)
+    assert (result > 0.75).all()
+    assert (result < 1.3).all()
 
 
 @pytest.mark.parametrize("stated", [0.1, 1.0, 10.0])
 def test_the_factor_on_stated_errors_is_found(stated: float) -> None:
     rows, size = measured("smooth", full_wrenches(200, 6), 0.01, 6, stated)
     kriging = Kriging.build(rows, RANGE)
-    found = np.sqrt(kriging.equations.noise).mean(axis=0) * kriging.scaling.spread / (0.01 * size)
-    assert (found > 0.75).all()
-    assert (found < 1.3).all()
+    result = np.sqrt(kriging.equations.noise).mean(axis=0) * kriging.scaling.spread / (0.01 * size)
+    assert (result > 0.75).all()
+    assert (result < 1.3).all()
 
 
 @pytest.mark.parametrize("deviation", [0.001, 0.01])
@@ -143,7 +145,7 @@ def test_a_few_readings_among_many_solves_have_a_noise(count: int) -> None:
     readings, _ = measured("smooth", full_wrenches(count, 8), 0.01, 2)
     equations, scaling = prepared(solved(SMOOTH, full_wrenches(100, 3)) + readings)
     settings = KrigingSettings()
-    found = noise.estimate_noise(equations, scaling, full_wrenches(50, 4), settings)
-    assert np.isfinite(found.noise).all()
-    assert np.isfinite(found.variance).all()
-    assert (found.variance > 0).all()
+    result = noise.estimate_noise(equations, scaling, full_wrenches(50, 4), settings)
+    assert np.isfinite(result.noise).all()
+    assert np.isfinite(result.variance).all()
+    assert (result.variance > 0).all()

@@ -41,14 +41,14 @@ def test_arrays_and_words_come_back_as_they_were():
         "d": np.array([], dtype=np.int64),
         "e": np.ones((2, 1, 3), dtype=np.uint8),
     }
-    found = read(b"".join(pieces(arrays, {"words": ["ä", 1, None]})))
-    assert found.meta == {"words": ["ä", 1, None]}
-    assert found.arrays.keys() == arrays.keys()
+    result = read(b"".join(pieces(arrays, {"words": ["ä", 1, None]})))
+    assert result.meta == {"words": ["ä", 1, None]}
+    assert result.arrays.keys() == arrays.keys()
     for name, array in arrays.items():
-        np.testing.assert_array_equal(found.arrays[name], array)
-        assert found.arrays[name].dtype == array.dtype
-        assert not found.arrays[name].flags.writeable
-        assert found.arrays[name].ctypes.data % 8 == 0
+        np.testing.assert_array_equal(result.arrays[name], array)
+        assert result.arrays[name].dtype == array.dtype
+        assert not result.arrays[name].flags.writeable
+        assert result.arrays[name].ctypes.data % 8 == 0
 
 
 @pytest.mark.parametrize("kind", ["solved", "clean", "partial"])
@@ -134,11 +134,11 @@ def test_another_format_is_refused_by_name(tmp_path, number, words, monkeypatch)
 
 @pytest.mark.parametrize("kind", ["clean", "solved", "clean and full", "second derivatives"])
 def test_arrays_of_other_shapes_are_refused_or_lead_no_answer_beyond_them(kind):
-    found = read(bytes(content_of(kind)))
+    result = read(bytes(content_of(kind)))
     asked = asked_of(table_of(kind), 50)
-    for name, array in found.arrays.items():
+    for name, array in result.arrays.items():
         for other in (array[:-1], array[..., :-1], np.concatenate((array, array)), array[None]):
-            changed = b"".join(pieces({**found.arrays, name: other}, found.meta))
+            changed = b"".join(pieces({**result.arrays, name: other}, result.meta))
             try:
                 packed = PackedTable.from_bytes(changed)
                 packed.batch(asked)
@@ -150,16 +150,16 @@ def test_arrays_of_other_shapes_are_refused_or_lead_no_answer_beyond_them(kind):
 
 @pytest.mark.parametrize("kind", ["clean and full", "second derivatives"])
 def test_indices_that_lead_out_of_a_table_lead_no_answer_out_of_it(kind):
-    found = read(bytes(content_of(kind)))
+    result = read(bytes(content_of(kind)))
     asked = asked_of(table_of(kind), 100)
     rng = np.random.default_rng(1)
-    for name in found.arrays:
+    for name in result.arrays:
         for _ in range(5):
-            array = np.array(found.arrays[name])
+            array = np.array(result.arrays[name])
             whole = array.view(np.uint8).ravel()
             places = rng.integers(0, max(whole.size, 1), whole.size // 20)
             whole[places] = rng.integers(0, 256, len(places))
-            changed = b"".join(pieces({**found.arrays, name: array}, found.meta))
+            changed = b"".join(pieces({**result.arrays, name: array}, result.meta))
             try:
                 packed = PackedTable.from_bytes(changed)
             except PackedTableError:
@@ -194,11 +194,11 @@ def a_method_without_its_axes(arrays: dict[str, np.ndarray]) -> None:
 )
 def test_parts_that_do_not_fit_together_are_refused(change):
     """Such files, whole by their checksums, ended the process that answered from them."""
-    found = read(bytes(content_of("clean and full")))
-    arrays = {name: np.array(array) for name, array in found.arrays.items()}
+    result = read(bytes(content_of("clean and full")))
+    arrays = {name: np.array(array) for name, array in result.arrays.items()}
     change(arrays)
     with pytest.raises(PackedTableError, match="of another shape"):
-        PackedTable.from_bytes(b"".join(pieces(arrays, found.meta)))
+        PackedTable.from_bytes(b"".join(pieces(arrays, result.meta)))
 
 
 @pytest.mark.parametrize(
@@ -211,26 +211,26 @@ def test_parts_that_do_not_fit_together_are_refused(change):
 )
 def test_a_correlation_or_outputs_that_cannot_be_are_refused(kind, name, value, words):
     """A correlation that the kernel lacks, an output that two factors answer or none."""
-    found = read(bytes(content_of(kind)))
-    arrays = {**found.arrays, name: np.array(value, dtype=np.int32)}
+    result = read(bytes(content_of(kind)))
+    arrays = {**result.arrays, name: np.array(value, dtype=np.int32)}
     with pytest.raises(PackedTableError, match=words):
-        PackedTable.from_bytes(b"".join(pieces(arrays, found.meta)))
+        PackedTable.from_bytes(b"".join(pieces(arrays, result.meta)))
 
 
 def test_a_calibration_that_is_no_number_leads_no_answer_out_of_it():
-    found = read(bytes(content_of("solved")))
-    arrays = {name: np.array(array) for name, array in found.arrays.items()}
+    result = read(bytes(content_of("solved")))
+    arrays = {name: np.array(array) for name, array in result.arrays.items()}
     for name in ("scale", "max_sigma"):
         changed = np.full_like(arrays[f"g0/kriging/factor0/{name}"], np.nan)
-        content = pieces(arrays | {f"g0/kriging/factor0/{name}": changed}, found.meta)
+        content = pieces(arrays | {f"g0/kriging/factor0/{name}": changed}, result.meta)
         packed = PackedTable.from_bytes(b"".join(content))
         assert (packed.batch(asked_of(table_of("solved"), 50)).coverage != 0).all()
 
 
 def test_a_whole_table_with_another_description_is_refused():
-    found = read(bytes(content_of("linear")))
+    result = read(bytes(content_of("linear")))
     with pytest.raises(PackedTableError, match="description"):
-        PackedTable.from_bytes(b"".join(pieces(found.arrays, {"x": 1})))
+        PackedTable.from_bytes(b"".join(pieces(result.arrays, {"x": 1})))
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no pipes by name")
@@ -271,7 +271,7 @@ def test_an_interrupted_write_leaves_the_file_as_it_was(tmp_path):
     with pytest.raises(TypeError):
         write_file(path, [b"half", None])
     assert path.read_bytes() == b"before"
-    assert [one.name for one in tmp_path.iterdir()] == ["plate.wbt"]
+    assert [item.name for item in tmp_path.iterdir()] == ["plate.wbt"]
 
 
 FIRST = "axes/vertex", "kriging/x", "/state"

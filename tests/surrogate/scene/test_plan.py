@@ -65,8 +65,8 @@ PLANAR = {0: (-1.0, 1.0), 2: (-1.0, 1.0), 4: (-1.0, 1.0)}
 
 
 def test_loads_that_cannot_occur_drop_their_dimension_on_every_axis() -> None:
-    told = need({0: (-1, 1), 2: (0, 1), 4: (0.5, 0.5)}).axes()
-    assert told == {
+    reported = need({0: (-1, 1), 2: (0, 1), 4: (0.5, 0.5)}).axes()
+    assert reported == {
         "x": {"inputs": ["fx", "my"], "dimensions": 1},
         "z": {"inputs": ["fz", "my"], "dimensions": 1},
     }
@@ -124,8 +124,8 @@ def test_outputs_that_are_not_read_have_no_say_in_rigid() -> None:
 def test_the_bound_holds_what_the_solver_may_be_wrong_by() -> None:
     own = build(solved(RESPONSES["smooth"], spread(40)), RANGE)
     before = plan_of(own, need(PLANAR)).bound
-    told = {"mesh": np.full((6, 6), 1e-6).tolist(), "loads": HIGH.tolist()}
-    own.solver_error = SolverError(told)
+    reported = {"mesh": np.full((6, 6), 1e-6).tolist(), "loads": HIGH.tolist()}
+    own.solver_error = SolverError(reported)
     after = plan_of(own, need(PLANAR)).bound
     loads = np.abs([need(PLANAR).span.low, need(PLANAR).span.high]).max(axis=0)
     np.testing.assert_allclose(after - before, 1e-6 * loads.sum(), rtol=1e-6)
@@ -275,7 +275,9 @@ def test_what_is_saved_is_measured_and_says_how() -> None:
     assert saved.memory_bytes is not None
     assert 0 < saved.build_s < table.build_s  # type: ignore[union-attr]
     assert saved.memory_bytes > 0
-    assert all("measured" in told or "counted" in told for told in saved.origin.values())
+    assert all(
+        "measured" in reported or "counted" in reported for reported in saved.origin.values()
+    )
 
 
 def test_nothing_is_said_to_be_saved_where_there_are_no_rows() -> None:

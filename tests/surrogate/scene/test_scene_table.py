@@ -39,8 +39,8 @@ def built(kind: str) -> Table:
         rows = solved(RESPONSES["hardening"], full_wrenches(40, 3))
         return build(rows, RANGE, solver_error=MESH)
     if kind == "axes":  # of a linear component of which no row tells M_z there is no kriging
-        told = np.unique(clean_wrenches(14, 4) * np.array([1, 1, 1, 1, 1, 0]), axis=0)
-        return build(table(coupled, told), RANGE, linear=True)
+        reported = np.unique(clean_wrenches(14, 4) * np.array([1, 1, 1, 1, 1, 0]), axis=0)
+        return build(table(coupled, reported), RANGE, linear=True)
     if kind == "clean":
         return build(table(coupled, clean_wrenches(14, 4)), RANGE)
     if kind == "clean and full":
@@ -172,28 +172,28 @@ def test_an_output_that_is_not_read_is_not_answered_and_not_judged() -> None:
     tight = (1e-12,) * 3 + (1.0,) * 3  # no translation is that sure, every rotation is
     wanted = need(PLANAR, (3, 4))
     wrench = within(wanted, 1)[0].tolist()
-    found = scene_of(whole("kriging"), wanted).answer(wrench, tight)
-    assert found.coverage == "covered"
-    assert found.outputs is not None
-    assert [one is None for one in found.outputs] == [True] * 3 + [False, False, True]
-    assert found.missing == ("ux", "uy", "uz", "rz")
+    result = scene_of(whole("kriging"), wanted).answer(wrench, tight)
+    assert result.coverage == "covered"
+    assert result.outputs is not None
+    assert [output is None for output in result.outputs] == [True] * 3 + [False, False, True]
+    assert result.missing == ("ux", "uy", "uz", "rz")
     assert whole("kriging").answer(wrench, tight).coverage == "thin"
 
 
 def test_a_load_that_cannot_occur_has_no_answer_and_is_named() -> None:
     part = scene_of(whole("kriging"), need())
-    found = part.answer([10.0, 3.0, 0.0, 0.0, 0.0, 0.0])
-    assert (found.coverage, found.outputs, found.error) == ("outside", None, None)
-    assert found.reason == "fy = 3 N cannot occur in the scene: 0..0 N"
+    result = part.answer([10.0, 3.0, 0.0, 0.0, 0.0, 0.0])
+    assert (result.coverage, result.outputs, result.error) == ("outside", None, None)
+    assert result.reason == "fy = 3 N cannot occur in the scene: 0..0 N"
     assert np.isnan(part.batch([[10.0, 3.0, 0.0, 0.0, 0.0, 0.0]]).outputs).all()
 
 
 def test_a_load_beyond_the_scenes_range_is_flagged_and_estimated_without_an_error() -> None:
     part = scene_of(whole("kriging"), need_of(RANGE, np.array([[-10.0, 10.0]] * 6)))
     wrench = [11.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-    found = part.answer(wrench)
-    assert (found.coverage, found.error) == ("outside", None)
-    assert found.outputs == whole("kriging").answer(wrench).outputs
+    result = part.answer(wrench)
+    assert (result.coverage, result.error) == ("outside", None)
+    assert result.outputs == whole("kriging").answer(wrench).outputs
 
 
 def test_a_row_of_the_scene_answers_its_own_wrench_where_nothing_else_does() -> None:
@@ -202,9 +202,9 @@ def test_a_row_of_the_scene_answers_its_own_wrench_where_nothing_else_does() -> 
     occurring = rows[(rows[:, [1, 2, 3]] == 0).all(axis=1)]
     assert len(occurring)
     for wrench in occurring.tolist():
-        found = part.answer(wrench, (1e-12,) * 6)
-        assert found.method == "row"
-        assert found == whole("axes").answer(wrench, (1e-12,) * 6)
+        result = part.answer(wrench, (1e-12,) * 6)
+        assert result.method == "row"
+        assert result == whole("axes").answer(wrench, (1e-12,) * 6)
     assert len(part.arrays["g0/row/wrench"]) == len(occurring) < len(rows)
 
 
@@ -225,9 +225,9 @@ def test_the_derivative_by_loads_that_occur_is_that_of_the_whole_table(kind: str
 
 
 def test_the_derivative_by_a_load_of_an_axis_that_is_left_out_is_unknown() -> None:
-    found = scene_of(whole("axes"), need((2,))).derivatives(within(need((2,)), 3))
-    assert np.isnan(found[:, :, [0, 1, 3, 4, 5]]).all()
-    assert np.isfinite(found[:, :, 2]).all()
+    result = scene_of(whole("axes"), need((2,))).derivatives(within(need((2,)), 3))
+    assert np.isnan(result[:, :, [0, 1, 3, 4, 5]]).all()
+    assert np.isfinite(result[:, :, 2]).all()
 
 
 def test_a_method_that_is_not_kept_is_refused_by_name() -> None:
@@ -248,8 +248,8 @@ def test_a_load_on_a_locked_freedom_changes_nothing() -> None:
 
 def test_a_scene_without_rows_answers_that_there_are_none() -> None:
     part = scene_of(packed(build(Rows.empty(), RANGE)), need())
-    found = part.answer([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    assert (found.coverage, found.outputs, found.reason) == (
+    result = part.answer([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert (result.coverage, result.outputs, result.reason) == (
         "outside", None, "the table has no rows",
     )  # fmt: skip
 
@@ -261,6 +261,6 @@ def test_only_rotations_of_a_rig_that_measured_none_are_nothing() -> None:
     full = packed(build(Rows.of(rows.wrench, moved), RANGE))
     part = scene_of(full, need(PLANAR, (3, 4, 5)))
     for wrench in ([1.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0] * 6):
-        found = part.answer(wrench)
-        assert (found.outputs, found.coverage) == (None, "outside")
-        assert found.reason == "not measured in any row: rx, ry, rz"
+        result = part.answer(wrench)
+        assert (result.outputs, result.coverage) == (None, "outside")
+        assert result.reason == "not measured in any row: rx, ry, rz"

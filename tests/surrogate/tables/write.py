@@ -59,15 +59,15 @@ def write(name: str) -> None:
     save(name, low, high, [solver.solve(wrench) for wrench in wrenches], clean + kept)
 
 
-def save(name: str, low: np.ndarray, high: np.ndarray, found: list[Solution], kept: int) -> None:
+def save(name: str, low: np.ndarray, high: np.ndarray, results: list[Solution], kept: int) -> None:
     """Write what was found; compliances, of the kept ones."""
     np.savez_compressed(
         HERE / f"{name}.npz",
         low=low,
         high=high,
-        wrench=[one.wrench for one in found],
-        displacement=[one.displacement for one in found],
-        compliance=[one.compliance for one in found[:kept]],
+        wrench=[result.wrench for result in results],
+        displacement=[result.displacement for result in results],
+        compliance=[result.compliance for result in results[:kept]],
         clean=COUNTS[name][0],
     )
 
