@@ -113,7 +113,7 @@ def find_equilibrium(
     max_iterations: after which to give up.
     Raises Stuck if it does not converge.
     """
-    proper, sizes = False, []
+    proper, corrections = False, []
     for iteration in range(1, max_iterations + 1):
         step = correct(system, balance, tangent, *tangent.correction(balance))
         balance = step.balance
@@ -124,11 +124,13 @@ def find_equilibrium(
             raise Stuck("the iteration turned the interface by more than 115 degrees")
         if proper and step.converged:
             return Equilibrium(balance, tangent_after(system, step, tangent), iteration)
-        sizes.append(step.size)
-        recent = sizes[-_MAX_IDLE:]
-        if len(recent) == _MAX_IDLE and max(recent) < _NEARLY and min(recent) > 0.5 * max(recent):
+        corrections.append((step.size, step.energy))
+        recent = np.array(corrections[-_MAX_IDLE:])
+        # Before the last iterations one norm may stay while the other shrinks: that is no roundoff.
+        idle = (recent.min(axis=0) > 0.5 * recent.max(axis=0)).all()
+        if len(recent) == _MAX_IDLE and idle and recent[:, 0].max() < _NEARLY:
             raise Stuck(
-                f"corrections stay at {recent[-1]:.0e} of the displacement: roundoff",
+                f"corrections stay at {step.size:.0e} of the displacement: roundoff",
                 at_roundoff=True,
             )
         proper = step.nearly
