@@ -17,7 +17,6 @@ from wrenchbook.fea.mesh.deck_content import (
     LoadCase,
     SolidSection,
 )
-from wrenchbook.fea.mesh.element_order import SECOND
 from wrenchbook.fea.mesh.facets import FACES
 from wrenchbook.fea.mesh.io.abaqus import (
     SOLID_FACES,
@@ -36,6 +35,7 @@ from wrenchbook.fea.mesh.io.abaqus import (
     set_key,
     set_names,
 )
+from wrenchbook.fea.mesh.io.equations import following, take_constraints, take_equations
 from wrenchbook.fea.mesh.io.raw import RawMesh
 from wrenchbook.fea.mesh.io.reader import Coupling, Motion, Motions, Reader, Step
 from wrenchbook.fea.mesh.io.springs import NODES, join_springs, take_elements
@@ -77,11 +77,6 @@ _MISSING = {
     "TEMPERATURE": "is not taken over; write [inputs.temperature]",
 }
 
-_LOOSE = (
-    "ties nodes in a way that is not taken over: they move freely here. Nodes of second-order "
-    "solid cells may follow others with the same weights in all three directions; else bond them "
-    "in the mesh, or write [[tie]]"
-)
 
 _PARTLY = (
     "couples some directions only; here all three are: couple 1 to 3, or hold all freedoms of its "
@@ -153,7 +148,7 @@ def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
     for case in content.cases:
         _finish(case, content, groups, faces)
     content.ties = [(at, Tie(faces[a], faces[b], near)) for at, a, b, near in reader.ties]
-    return replace(raw_mesh(deck), follow=_following(reader, deck)), content
+    return replace(raw_mesh(deck), follow=following(reader, deck)), content
 
 
 def _take_loads(reader: Reader, deck: Deck, step: Step, case: LoadCase) -> None:
@@ -374,61 +369,6 @@ def _take_tie(reader: Reader, deck: Deck, keyword: Keyword) -> None:
         reader.ties.append((keyword.where, first, second, distance))
 
 
-def _take_equations(reader: Reader, deck: Deck, keyword: Keyword) -> None:
-    """Take equations: the number of terms, then node, freedom and factor of each."""
-    fields = [each for row in keyword.rows for each in row if each]
-    while fields and "REMOVE" not in keyword.options:
-        count = int(fields[0])
-        terms, fields = fields[1 : 3 * count + 1], fields[3 * count + 1 :]
-        nodes = [named(deck, deck.node_sets, name, keyword.frame) for name in terms[::3]]
-        labels = [label for each in nodes for label in each]
-        if not len(labels) == count == len(terms) / 3:
-            raise ValueError("an equation of sets, or without all of its terms")
-        factors = map(float, terms[2::3])
-        _equate(reader, keyword, list(zip(labels, terms[1::3], factors, strict=True)))
-
-
-def _take_constraints(reader: Reader, deck: Deck, keyword: Keyword) -> None:
-    """Take pairs of nodes that move alike."""
-    for kind, *names in keyword.rows:
-        labels = [named(deck, deck.node_sets, name, keyword.frame) for name in names]
-        alike = kind.upper() in ("TIE", "PIN") and [len(each) for each in labels] == [1, 1]
-        for axis in "123" if alike else "0":
-            _equate(reader, keyword, [(labels[0][0], axis, -1.0), (labels[-1][0], axis, 1.0)])
-
-
-def _equate(reader: Reader, keyword: Keyword, terms: list[tuple[int, str, float]]) -> None:
-    (node, freedom, factor), *others = terms
-    weights: dict[int, float] = defaultdict(float)
-    for label, _, other in others:
-        weights[label] -= other / factor if factor else math.nan
-    if not all(map(math.isfinite, weights.values())):
-        raise ValueError("factors that are no numbers, or zero")
-    rows, axis = reader.equations.setdefault(node, {}), int(freedom) - 1
-    alone = {other for _, other, _ in terms} == {freedom} and axis not in rows
-    rows[axis if alone else None] = keyword, weights
-
-
-def _following(reader: Reader, deck: Deck) -> list[tuple[int, int, float]]:
-    """Return nodes that follow others, these, and weights, by the rows of nodes.
-
-    All are of second-order cells, and have the same weights and axes in all three directions.
-    """
-    row, entries = {label: i for i, label in enumerate(deck.nodes)}, []
-    cells = [c for k, c in zip(deck.kinds, deck.cells, strict=True) if k in SECOND.values()]
-    solid = {label for block in cells for cell in block for label in cell}
-    for node, rows in reader.equations.items():
-        keyword, weights = next(iter(rows.values()))
-        nodes = {node, *weights}
-        alike = weights and all(other == weights for _, other in rows.values())
-        axes = {reader.turned.get(label) for label in nodes}
-        if {*rows} == {0, 1, 2} and alike and len(axes) == 1 and nodes <= solid:
-            entries += [(row[node], row[label], weight) for label, weight in weights.items()]
-        else:
-            reader.lack(keyword, _LOOSE)
-    return entries
-
-
 def _take_force(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     step = reader.steps[-1]
     step.begin(keyword)
@@ -493,8 +433,8 @@ _TAKERS: dict[str, Callable[[Reader, Deck, Keyword], None]] = {
     "RIGID BODY": _take_rigid,
     "SPRING": lambda reader, _, keyword: reader.spring_sections.append(keyword),
     "TIE": _take_tie,
-    "EQUATION": _take_equations,
-    "MPC": _take_constraints,
+    "EQUATION": take_equations,
+    "MPC": take_constraints,
     "CLOAD": _take_force,
     **dict.fromkeys(("STEP", "LOAD CASE"), _take_step),
 }
