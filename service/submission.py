@@ -23,7 +23,7 @@ from wrenchbook.service.settings import Settings
 Floats = NDArray[np.float64]
 
 GRAINS = 1e6  # to a load's scale: two wrenches that round to the same grains are one job
-REACH = 0.05  # of a load's scale: an open job as near as this is joined
+JOIN_DISTANCE = 0.05  # of a load's scale: an open job as near as this is joined
 MAX_FAILED = 100_000  # failed jobs that a fill leaves out: more than anyone lets happen
 BLOCK = 65_536  # differences of wrenches computed at once, 3 MB
 
@@ -120,14 +120,14 @@ class Submission:
         """Find or accept the jobs of queries' wrenches (n, inputs); raises NoSetupError.
 
         Each is rounded to whole grains, takes the job there is for it, else joins the open job
-        within `REACH`, else becomes a job unless `queue_limit` of them are open. A linear
+        within `JOIN_DISTANCE`, else becomes a job unless `queue_limit` of them are open. A linear
         component's open job serves every wrench: any solve gives its compliance.
         """
         component = self.solvable(name)
         # Divided at the end, not multiplied: a decimal wrench then stays the decimal it is.
         per_unit = GRAINS / component.load_range.scale
         rounded = np.round(component.acting(wrenches) * per_unit) / per_unit
-        return self._place(component, rounded, np.inf if component.linear else REACH)
+        return self._place(component, rounded, np.inf if component.linear else JOIN_DISTANCE)
 
     def each(self, name: str, wrenches: Floats) -> list[Placement]:
         """Find or accept the job of exactly each wrench, (n, inputs), up to the limit.

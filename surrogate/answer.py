@@ -51,7 +51,7 @@ def within_tolerance_many(outputs: Floats, bars: Floats, tolerance: Tolerance) -
     allowed = np.resize(allowed_by(tolerance), bars.shape[1])
     within = bars_within(outputs, bars, allowed)
     known = within | (bars > allowed).any(axis=1)
-    return [bool(yes) if told else None for yes, told in zip(within, known, strict=True)]
+    return [bool(inside) if sure else None for inside, sure in zip(within, known, strict=True)]
 
 
 def limits_of(rows: Rows, tolerance: Tolerance | None, outputs: Sequence[int]) -> Floats:

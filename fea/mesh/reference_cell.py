@@ -144,9 +144,9 @@ def tabulate(kind: str, points: Array) -> tuple[Array, Array]:
     return np.stack(values, axis=1), np.moveaxis(np.stack(slopes), (0, 1, 2), (1, 2, 0)).copy()
 
 
-# Shape functions that scikit-fem lacks, each a word: the product of its letters, the factors of
+# Shape functions that scikit-fem lacks, each a product: the product of its letters, the factors of
 # `_wedge_factors` or `_pyramid_factors`. The functions of corners come first. Those of the edges'
-# middles are four times their words.
+# middles are four times their products.
 _PYRAMID = "dqs dps dpr dqr h"
 _PRODUCTS = {
     "wedge15": "ad bd cd ah bh ch abd bcd cad abh bch cah adh bdh cdh",
@@ -158,14 +158,15 @@ _PRODUCTS = {
 def _products(kind: str, points: Array) -> tuple[Array, Array]:
     """Return values and slopes of the shape functions of `_PRODUCTS` at points; see `tabulate`."""
     factors, slopes = (_wedge_factors if kind == "wedge15" else _pyramid_factors)(*points.T)
-    words, ones = _PRODUCTS[kind].split(), np.ones(len(points))
-    N, dN = np.zeros((len(words), len(points))), np.zeros((len(words), len(points), 3))
-    for word, value, slope in zip(words, N, dN, strict=True):
-        value[:] = np.prod([factors[letter] for letter in word], axis=0)
-        for i, letter in enumerate(word):
-            others = np.prod([ones, *(factors[each] for each in word[:i] + word[i + 1 :])], axis=0)
-            slope += others[:, None] * np.stack(np.broadcast_arrays(*slopes[letter]), axis=1)
-    corners = len(words) if len(words) < 10 else int(np.max(EDGES[kind])) + 1
+    products, ones = _PRODUCTS[kind].split(), np.ones(len(points))
+    N, dN = np.zeros((len(products), len(points))), np.zeros((len(products), len(points), 3))
+    for product, value, slope in zip(products, N, dN, strict=True):
+        value[:] = np.prod([factors[letter] for letter in product], axis=0)
+        for i, letter in enumerate(product):
+            others = product[:i] + product[i + 1 :]
+            rest = np.prod([ones, *(factors[each] for each in others)], axis=0)
+            slope += rest[:, None] * np.stack(np.broadcast_arrays(*slopes[letter]), axis=1)
+    corners = len(products) if len(products) < 10 else int(np.max(EDGES[kind])) + 1
     for table in (N, dN):
         table[corners:] *= 4
         for edge, middle in zip(EDGES[kind], table[corners:], strict=False):

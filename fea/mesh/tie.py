@@ -279,15 +279,15 @@ def _intersections(*pairs: Array) -> tuple[Array, Array]:
     # Corners inside the other triangle, and crossings of the sides.
     off = _cross(sides[::-1, :, None], corners[:, :, :, None] - corners[::-1, :, None])
     inside = np.asarray((off >= -least[::-1, :, None, None]).all(axis=3))
-    one, two, between = sides[0][:, :, None], sides[1][:, None], corners[1][:, None]
+    first, second, between = sides[0][:, :, None], sides[1][:, None], corners[1][:, None]
     between = between - corners[0][:, :, None]
-    area = _cross(one, two)
-    lengths = np.linalg.norm(one, axis=-1) * np.linalg.norm(two, axis=-1)
+    area = _cross(first, second)
+    lengths = np.linalg.norm(first, axis=-1) * np.linalg.norm(second, axis=-1)
     area[np.abs(area) < _PARALLEL * lengths] = np.inf
-    along, across = _cross(between, two) / area, _cross(between, one) / area
+    along, across = _cross(between, second) / area, _cross(between, first) / area
     met = (np.minimum(along, across) >= 0) & (np.maximum(along, across) <= 1) & np.isfinite(area)
     inside = np.concatenate([*inside, met.reshape(-1, 9)], axis=1)
-    crossings = corners[0][:, :, None] + along[..., None] * one
+    crossings = corners[0][:, :, None] + along[..., None] * first
     points = np.concatenate([*corners, crossings.reshape(-1, 9, 2)], axis=1)
     pair = np.flatnonzero(inside.sum(axis=1) > 2)
     points, inside = points[pair], inside[pair]

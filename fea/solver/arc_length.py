@@ -25,7 +25,7 @@ _FEW_ITERATIONS = 5
 _GROWTH = 1.6
 _LEAST = 1.0 / 256  # of the first step
 _FINE = 1.0 / 8  # of the first step: short enough to tell a limit point from a bifurcation
-_REACH = 0.01  # of the part's size: the furthest that a node may go in one step
+_MAX_NODE_STEP = 0.01  # of the part's size: the furthest that a node may go in one step
 _LONGEST = 8.0  # times the first step
 _MIN_COSINE = 0.7  # cosine of a path that bends no more than it should in one step
 
@@ -76,7 +76,7 @@ class ArcPath:
         self._full = full
         self._report = report
         self._point = self._point_at(factor * full, start)
-        furthest = _REACH * system.body.extent * self._point.speed
+        furthest = _MAX_NODE_STEP * system.body.extent * self._point.speed
         farthest_node = np.abs(self._field(self._point)).max(initial=0.0)
         self._first = min(step * full * self._point.speed, furthest / max(farthest_node, 1e-300))
         self._length = self._first

@@ -62,7 +62,7 @@ class MujocoJoints(Joints):
         scenes = list(zip(*(batch.joints for batch in batches), strict=True))
         for joints in scenes:
             require_scene(joints)
-        self._share(self._begin, scenes, threads)
+        self._in_threads(self._begin, scenes, threads)
         for batch in batches:
             batch._steps.law(self._model.opt.timestep, batch._joint.damping, threads)
             batch._check_status()
@@ -71,7 +71,7 @@ class MujocoJoints(Joints):
             for joint in (batch.joints[at] for at in np.flatnonzero(batch.failed).tolist()):
                 joint._law = np.full(len(joint.free), np.nan), *joint._law[1:]
         advanced = [joints for joints, stays in zip(scenes, failed, strict=True) if not stays]
-        self._share(self._end, advanced, threads)
+        self._in_threads(self._end, advanced, threads)
 
     def _begin(self, joints: Sequence[MujocoJoint]) -> None:
         engine.mj_step1(self._model, joints[0]._data)
@@ -82,7 +82,7 @@ class MujocoJoints(Joints):
         push(joints)
         advance(joints)
 
-    def _share(self, work: Callable[[Any], None], scenes: Sequence[Any], threads: int) -> None:
+    def _in_threads(self, work: Callable[[Any], None], scenes: Sequence[Any], threads: int) -> None:
         """Do work on all scenes; MuJoCo leaves the interpreter to other threads."""
         parts = [scenes[k::threads] for k in range(threads)]
         list(self._pool.map(lambda part: [work(joints) for joints in part], parts))

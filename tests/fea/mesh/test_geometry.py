@@ -81,7 +81,7 @@ def test_another_process_makes_the_same_mesh_to_the_last_bit(folder):
     code = (
         "import hashlib, sys; from pathlib import Path;"
         "from wrenchbook.fea.mesh.cad.meshing import mesh_geometry;"
-        "from wrenchbook.fea.spec.schema import GeometryMeshing;"
+        "from wrenchbook.fea.spec.mesh_source import GeometryMeshing;"
         "m = mesh_geometry(Path(sys.argv[1]), GeometryMeshing(0.015));"
         "print(hashlib.sha256(m.points.tobytes() + m.blocks[0].nodes.tobytes()).hexdigest())"
     )
