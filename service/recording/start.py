@@ -84,7 +84,7 @@ def _solvable(workspace: Workspace, name: str) -> Component:
     component = workspace.library[name]
     if not component.has_fea:
         raise NoSetupError(
-            f"{name!r} is a table of measured rows, without a mesh to solve, so nothing was "
+            f"{name!r} is a table of measured rows, without a finite-element setup, so nothing was "
             "queued; the recorded wrenches stay. GET them, measure or solve them elsewhere, "
             f"and load the rows: POST /v1/components/{name}/table."
         )
