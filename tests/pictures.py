@@ -59,7 +59,7 @@ def machine() -> list[str]:
         '<path class="part" stroke-width="6" d="M34 194 C78 196 88 212 112 212 S146 196 190 194"/>',
         '<path d="M26 186v16M198 186v16" stroke="#5a6573" stroke-width="4"/>',
         words(123, 244, "cut at the interface of", "small"),
-        words(123, 262, "the one part that bends", "small"),
+        words(123, 262, "the deformable part", "small"),
     ]
 
 
@@ -69,8 +69,8 @@ def book() -> list[str]:
         box(396, 14, 494, 272, "card"),
         words(643, 42, "wrenchbook", "head"),
         box(420, 84, 128, 60, "step"),
-        words(484, 110, "table thick"),
-        words(484, 128, "enough here?"),
+        words(484, 110, "does the table"),
+        words(484, 128, "cover it?"),
         box(636, 84, 230, 60, "covered"),
         words(751, 110, "interpolate, with an error bar"),
         words(751, 130, "microseconds", "small"),
@@ -86,7 +86,7 @@ def book() -> list[str]:
         words(751, 246, "seconds", "small"),
         way("M548 230 H630"),
         way("M751 200 V182 Q751 172 741 172 H540 Q530 172 530 162 V150"),
-        words(646, 165, "its row makes the table thicker", "small"),
+        words(646, 165, "its row enters the table", "small"),
     ]
 
 

@@ -14,16 +14,16 @@ Table
 arrays
     A table on arrays of JAX and PyTorch, for many environments at once.
 Mount, MujocoMount, Settled
-    The joint between a rigid-body simulation and a component; in MuJoCo; where it is at rest.
+    The coupling of a rigid-body simulation to a component; in MuJoCo; its state at rest.
 Joint, MujocoJoint, step_joints, pull_joints, joints_in_mj_step, LinearPart, JointReport
-    A part that bends as a force element between two bodies that move; in MuJoCo, one or several;
+    A deformable part as a force element between two moving bodies; in MuJoCo, one or several;
     as springs.
 Joints, MujocoJoints
     Many of them in one call a step; in many MuJoCo environments.
 conventions
     Wrenches and poses of ROS, Drake, MuJoCo and PyBullet.
 Scene, ComponentPlan
-    What a simulation needs of its components, and what is left out.
+    The loads, outputs and tolerance that a simulation needs; the plan for each component.
 Job, Round, Event
     A queued solve, a round of filling a table, an event of the server.
 Recorder, Recording, Envelope, Started

@@ -169,7 +169,7 @@ typedef struct {
     const double *inputs; /* (n): the further inputs; its loads are ignored */
     const double *axes;   /* (k, 3, 3): interface frame's axes, its columns, in a tip whose quaternion,
                            * spin and moment have the tip's own axes; NULL: the frame's */
-    double dt, damping;   /* s; share of critical of each mode of the part between the bodies */
+    double dt, damping;   /* s; damping ratio of each mode of the part between the bodies */
     int errors;           /* not 0: also coverage and errors, by one more answer */
     int law;              /* not 0: force and C alone, by the velocities before the step, of freedoms
                             * whose velocities after it the simulator has; NaN: unknown. Modes of an
