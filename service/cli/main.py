@@ -337,7 +337,7 @@ def main() -> None:
         for cause in error.body.get("causes", error.errors):
             plain(out, f"  {mistake_line(cause)}")
         sys.exit(1)
-    except (ServerUnreachable, OSError, RuntimeError, ValueError) as error:
+    except (ServerUnreachable, ImportError, OSError, RuntimeError, ValueError) as error:
         if "--json" in sys.argv:
             print_json({"error": {"title": type(error).__name__, "detail": str(error)}})
         plain(Screen(stderr=True), str(error), style="red")

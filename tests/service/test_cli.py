@@ -325,3 +325,15 @@ def test_ctrl_c_cancels_the_solves_of_a_fill_and_no_others(tmp_path: Path):
         assert " ".join(errors.split()) == (
             f"Interrupted: {len(states)} solve(s) of this command cancelled."
         )
+
+
+def test_a_package_that_is_missing_is_named_with_its_installation(
+    run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    module = "wrenchbook.service.client.joint.mujoco_model"
+    monkeypatch.delitem(sys.modules, module, raising=False)
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    (tmp_path / "arm.xml").write_text("<mujoco/>")
+    status, _, error = run("joint", "bar", str(tmp_path / "arm.xml"))
+    assert status == 1
+    assert "pip install 'wrenchbook[mujoco]'" in error
