@@ -1,1 +1,1 @@
-"""Locks that die with their holder, and writes that last."""
+"""Locks that end with their holder, and durable writes."""

@@ -1,1 +1,1 @@
-"""The HTTP interface, version 1: one file per noun of the contract."""
+"""The HTTP interface, version 1: one file a resource."""

@@ -165,7 +165,7 @@ def plain_errors(error: ValidationError | RequestValidationError) -> list[dict[s
 
 
 def problem_of(error: Exception) -> HttpProblemError:
-    """Map a room's named error to its answer; an unmapped one is raised again."""
+    """Map a named error of a package to its answer; an unmapped one is raised again."""
     if isinstance(error, HttpProblemError):
         return error
     if isinstance(error, ValidationError | RequestValidationError):
