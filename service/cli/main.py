@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 from typing import Annotated, Any, cast
@@ -33,7 +34,7 @@ from wrenchbook.service.cli.render import Screen, plain, print_answer, print_jso
 from wrenchbook.service.cli.tables import TABLE_COMMANDS
 from wrenchbook.service.client import ProblemError, Scene, ServerUnreachable
 from wrenchbook.service.client.client import deformed_format
-from wrenchbook.service.client.errors import InvalidArgument, mistake_line
+from wrenchbook.service.client.errors import InvalidArgument, listed_mistakes, mistake_line
 from wrenchbook.service.contract import OnThin
 
 app = typer.Typer(
@@ -52,8 +53,13 @@ class NumbersCommand(TyperCommand):
             for name in set(option.opts) & set(args) if option.nargs > 1 else ():
                 place = args.index(name) + 1
                 for count, text in enumerate(args[place : place + option.nargs]):
+                    if "," in text:
+                        ctx.fail(f"{name} {text}: write {option.nargs} numbers with blanks between")
                     if text.startswith("--"):
                         ctx.fail(f"{name} needs {option.nargs} numbers; {text} follows {count}")
+        takes_wrench = any("--force" in option.opts for option in self.params)
+        if takes_wrench and len(args) > 1 and re.match(r"[-+]?\.?\d", args[1]):
+            ctx.fail(f"{args[1]}: write a wrench as --force FX FY FZ --moment MX MY MZ")
         return super().parse_args(ctx, args)
 
 
@@ -334,7 +340,7 @@ def main() -> None:
             print_json({"error": error.body or {"title": error.title, "detail": error.detail}})
         plain(out, error.title, style="red")
         plain(out, error.detail)
-        for cause in error.body.get("causes", error.errors):
+        for cause in listed_mistakes(error):
             plain(out, f"  {mistake_line(cause)}")
         sys.exit(1)
     except (ServerUnreachable, OSError, RuntimeError, ValueError) as error:

@@ -73,11 +73,20 @@ class ProblemError(WrenchbookError):
         lines = [f"{self.status} {self.title}"]
         if self.detail:
             lines[0] += f": {self.detail}"
-        mistakes = self.body.get("causes", self.errors)
+        mistakes = listed_mistakes(self)
         lines += [f"  {mistake_line(mistake)}" for mistake in mistakes[:_SHOWN]]
         if len(mistakes) > _SHOWN:
             lines.append(f"  and {len(mistakes) - _SHOWN} more")
         return "\n".join(lines)
+
+
+def listed_mistakes(error: ProblemError) -> list[Document]:
+    """Return the mistakes by cause to list below the detail; none of a single one that it names."""
+    mistakes: list[Document] = error.body.get("causes", error.errors)
+    if len(mistakes) == 1 and mistakes[0].get("count", 1) == 1:
+        text = mistakes[0].get("msg") or mistakes[0].get("message", "")
+        return [] if text in error.detail else mistakes
+    return mistakes
 
 
 class ServerUnreachable(WrenchbookError, ConnectionError):  # noqa: N818 (a state of the world, and a public name)

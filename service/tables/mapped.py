@@ -89,10 +89,10 @@ class ServedTable:
         self.sources: dict[str, int] = provenance["sources"]
         self.linear: bool = provenance["linear"]
         self.default: str = packed.meta["groups"][0]["method"]
-        self.needs_compliance = self.linear and not self.fit.complete
         self.bars_are_complete = bool(packed.arrays["solver/flags"][_ALL_PARTS])
         low, high = packed.arrays["space/range"]
         self.load_range = LoadRange(low, high, Space.read(packed.meta["space"]))
+        self.needs_compliance = self.linear and not self.fit.complete
         self.locked = tuple(np.flatnonzero(packed.arrays["space/locked"]).tolist())
         self.interfaces = self.load_range.space.several
         limit = packed.arrays["space/tolerance"][[0, 3]].tolist()
@@ -143,13 +143,20 @@ class ServedTable:
 
     @property
     def fit(self) -> ComplianceFit:
-        """The compliance of the outputs that the fewest rows hold."""
-        matrix, half_width, known = (
-            self.packed.arrays[f"g0/fit/{name}"] for name in ("matrix", "bar", "known")
+        """The compliance of each output's group; loads that all groups know."""
+        arrays, space = self.packed.arrays, self.load_range.space
+        matrix = np.zeros((len(space.outputs), len(space.inputs)))
+        half_width, offset = np.zeros((2, len(matrix)))
+        known = np.ones(len(space.inputs), dtype=bool)
+        for group in range(len(self.packed.meta["groups"])):
+            outputs = arrays[f"g{group}/outputs"].astype(bool)
+            matrix[outputs] = arrays[f"g{group}/fit/matrix"][outputs]
+            half_width[outputs] = arrays[f"g{group}/fit/bar"][outputs]
+            offset[outputs] = arrays.get(f"g{group}/fit/offset", np.zeros(len(matrix)))[outputs]
+            known &= arrays[f"g{group}/fit/known"].astype(bool)
+        return ComplianceFit(
+            matrix, known, half_width, self.summary["compliance"]["origin"], offset
         )
-        origin = self.summary["compliance"]["origin"]
-        offset = self.packed.arrays.get("g0/fit/offset", np.zeros(len(matrix)))
-        return ComplianceFit(matrix, known.astype(bool), half_width, origin, offset)
 
     @property
     def steepest(self) -> Floats:

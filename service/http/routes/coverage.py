@@ -59,6 +59,7 @@ def coverage(name: str, table: Newest) -> Response:
 )
 def compliance(name: str, table: Newest) -> Response:
     fit, tangent, space = table.fit, table.packed.tangent_at_zero(), table.load_range.space
+    measured = np.any(np.isfinite(table.rows.displacement), axis=0)
     return json_reply(
         Compliance(
             component=name,
@@ -66,12 +67,12 @@ def compliance(name: str, table: Newest) -> Response:
             tangent=tangent[0],
             tangent_origin=tangent[1],
             origin=cast(Any, fit.origin),
-            matrix=fit.matrix,
+            matrix=np.where(measured[:, None], fit.matrix, np.nan),
             offset=np.ascontiguousarray(np.broadcast_to(fit.offset, len(space.outputs))),
             known_loads=[
                 load for load, known in zip(space.input_names, fit.known, strict=True) if known
             ],
-            error=fit.error,
+            error=np.where(measured, fit.error, np.nan),
             rows=[f"{output.name} [{output.unit}]" for output in space.outputs],
             columns=[f"{load.name} [{load.unit}]" for load in space.inputs],
             **check_physics(table.rows, table.load_range, fit, table.tolerance),
