@@ -144,29 +144,24 @@ class ServedTable:
     @property
     def fit(self) -> ComplianceFit:
         """The compliance of each output's group; loads that all groups know."""
-        arrays, space = self.packed.arrays, self.load_range.space
-        matrix = np.zeros((len(space.outputs), len(space.inputs)))
-        half_width, offset = np.zeros((2, len(matrix)))
-        known = np.ones(len(space.inputs), dtype=bool)
-        for group in range(len(self.packed.meta["groups"])):
-            outputs = arrays[f"g{group}/outputs"].astype(bool)
-            matrix[outputs] = arrays[f"g{group}/fit/matrix"][outputs]
-            half_width[outputs] = arrays[f"g{group}/fit/bar"][outputs]
-            offset[outputs] = arrays.get(f"g{group}/fit/offset", np.zeros(len(matrix)))[outputs]
-            known &= arrays[f"g{group}/fit/known"].astype(bool)
-        return ComplianceFit(
-            matrix, known, half_width, self.summary["compliance"]["origin"], offset
-        )
+        names = [f"g{group}/fit/known" for group in range(len(self.packed.meta["groups"]))]
+        known = np.all([self.packed.arrays[name] for name in names], axis=0)
+        matrix, origin = self._of_groups("fit/matrix", len(known)), self.summary["compliance"]
+        half_width, offset = self._of_groups("fit/bar"), self._of_groups("fit/offset")
+        return ComplianceFit(matrix, known, half_width, origin["origin"], offset)
 
     @property
     def steepest(self) -> Floats:
         """The largest change of each output over half the load range, (6,), m and rad."""
-        arrays = self.packed.arrays
-        steepest = np.zeros(len(self.load_range.space.outputs))
+        return self._of_groups("row/steepest")
+
+    def _of_groups(self, name: str, *columns: int) -> Floats:
+        """Return an array by outputs, (m, ...): each line of the output's group, 0 without one."""
+        merged = np.zeros((len(self.load_range.space.outputs), *columns))
         for group in range(len(self.packed.meta["groups"])):
-            outputs = arrays[f"g{group}/outputs"].astype(bool)
-            steepest[outputs] = arrays[f"g{group}/row/steepest"][outputs]
-        return steepest
+            outputs = self.packed.arrays[f"g{group}/outputs"].astype(bool)
+            merged[outputs] = self.packed.arrays.get(f"g{group}/{name}", merged)[outputs]
+        return merged
 
     @property
     def hyperparameters(self) -> Hyperparameters | None:

@@ -19,7 +19,7 @@ from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.routes import Newest, Opened, json_reply
 from wrenchbook.service.library.bundles import faces_of, surface_of
 from wrenchbook.service.library.component import require_single_wrench
-from wrenchbook.service.messages import Compliance
+from wrenchbook.service.messages import Doc, Matrix, Message, Six, Slopes
 from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.table.axes import AXES, LoadAxis
@@ -36,6 +36,33 @@ Load = Literal["fx", "fy", "fz", "mx", "my", "mz"]
 Force = Annotated[float, Query(allow_inf_nan=False, description="N")]
 Moment = Annotated[float, Query(allow_inf_nan=False, description="N·m")]
 Positions = NDArray[np.intp]
+
+
+class Compliance(Message):
+    component: str
+    table_version: int
+    tangent: Annotated[Slopes, Doc("du/dw at zero load, as derivative is")]
+    tangent_origin: Annotated[
+        str,
+        Doc("row: that of the row at zero load; none: not known; else the interpolating method"),
+    ]
+    origin: Annotated[Literal["stored", "fitted", "none"], Doc("of matrix")]
+    matrix: Annotated[
+        Matrix,
+        Doc(
+            "the mean over the load range: the fit of one 6x6 to all rows; of a linear component "
+            "its compliance. Zero for loads without rows, see known_loads; null for an output that "
+            "no row measured"
+        ),
+    ]
+    offset: Annotated[Six, Doc("added to matrix times inputs: weight, a reference that is not 0")]
+    known_loads: Sequence[str]
+    error: Annotated[Six, Doc("95 % error bar of matrix at the rows, m and rad")]
+    rows: Sequence[str]
+    columns: Sequence[str]
+    rows_checked: int
+    ok: bool | None
+    checks: Annotated[dict[str, Any], Doc("by name: ok, and its evidence")]
 
 
 @router.get(
