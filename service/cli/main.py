@@ -34,7 +34,7 @@ from wrenchbook.service.cli.render import Screen, plain, print_answer, print_jso
 from wrenchbook.service.cli.tables import TABLE_COMMANDS
 from wrenchbook.service.client import ProblemError, Scene, ServerUnreachable
 from wrenchbook.service.client.client import deformed_format
-from wrenchbook.service.client.errors import InvalidArgument, listed_mistakes, mistake_line
+from wrenchbook.service.client.errors import InvalidArgument, mistake_line
 from wrenchbook.service.contract import OnThin
 
 app = typer.Typer(
@@ -340,7 +340,7 @@ def main() -> None:
             print_json({"error": error.body or {"title": error.title, "detail": error.detail}})
         plain(out, error.title, style="red")
         plain(out, error.detail)
-        for cause in listed_mistakes(error):
+        for cause in error.causes:
             plain(out, f"  {mistake_line(cause)}")
         sys.exit(1)
     except (ServerUnreachable, OSError, RuntimeError, ValueError) as error:

@@ -69,24 +69,22 @@ class ProblemError(WrenchbookError):
         self.errors = errors or []
         self.body = body or {}
 
+    @property
+    def causes(self) -> list[Document]:
+        """The mistakes by cause, but for a single one that the detail names."""
+        first, *more = causes = self.body.get("causes", self.errors) or [{}]
+        text = str(first.get("msg") or first.get("message", ""))
+        return causes if more or first.get("count", 1) > 1 or text not in self.detail else []
+
     def __str__(self) -> str:
         lines = [f"{self.status} {self.title}"]
         if self.detail:
             lines[0] += f": {self.detail}"
-        mistakes = listed_mistakes(self)
+        mistakes = self.causes
         lines += [f"  {mistake_line(mistake)}" for mistake in mistakes[:_SHOWN]]
         if len(mistakes) > _SHOWN:
             lines.append(f"  and {len(mistakes) - _SHOWN} more")
         return "\n".join(lines)
-
-
-def listed_mistakes(error: ProblemError) -> list[Document]:
-    """Return the mistakes by cause to list below the detail; none of a single one that it names."""
-    mistakes: list[Document] = error.body.get("causes", error.errors)
-    if len(mistakes) == 1 and mistakes[0].get("count", 1) == 1:
-        text = mistakes[0].get("msg") or mistakes[0].get("message", "")
-        return [] if text in error.detail else mistakes
-    return mistakes
 
 
 class ServerUnreachable(WrenchbookError, ConnectionError):  # noqa: N818 (a state of the world, and a public name)

@@ -59,7 +59,6 @@ MEDIA_TYPE = "application/problem+json"
 CLIENT_GONE = 499  # as nginx counts it: the caller left before its request was complete
 MAX_ERRORS = 1000
 MAX_TEXT = 1000  # characters of a message: it quotes the mistaken key or text
-MAX_SENT = 40  # characters of a value that a message quotes: a word or a number
 # By pydantic's type of an error, where its own text has no next action.
 _PLAIN = {
     "extra_forbidden": "unknown; correct its spelling, or leave it out (the fields are at /docs)",
@@ -168,9 +167,8 @@ def plain_errors(error: ValidationError | RequestValidationError) -> list[dict[s
         loc = ".".join(map(str, path))[:MAX_TEXT] or "body"
         text = _PLAIN.get(mistake["type"]) or mistake["msg"].removeprefix("Value error, ")
         text = text.replace("Input should be", "must be")
-        sent = mistake.get("input")
-        if text.startswith("must be") and isinstance(sent, str | int | float):
-            text += f", not {str(sent)[:MAX_SENT]!r}"
+        if text.startswith("must be") and isinstance(sent := mistake.get("input"), str | float):
+            text += f", not {str(sent)[:40]!r}"
         mistakes.append({"loc": loc, "msg": text[:MAX_TEXT]})
     return mistakes
 
