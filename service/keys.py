@@ -197,7 +197,8 @@ class Keyring:
         with self._changing() as keys:
             known = [key for key in keys.values() if key.name == name and key.is_valid()]
             if not known:
-                raise KeysError(f"there is no key {name!r} that is valid; make one with: keys add")
+                message = f"there is no key {name!r} that is valid; make one with: "
+                raise KeysError(f"{message}wrenchbook keys add {name}")
             if not 0.0 <= overlap_s < 1e9:
                 raise KeysError(f"the overlap is hours from 0, not {overlap_s / 3600.0:g}")
             if len(keys) >= MAX_KEYS:

@@ -235,11 +235,6 @@ class Gathered(Message):
     reason: Annotated[str, Doc("remarks; empty if there are none")]
 
 
-class Block(Gathered):
-    recorded: int
-    duplicate: Annotated[bool, Doc("the block was recorded before; nothing has changed")]
-
-
 class RecordingCounts(Message):
     total: Annotated[int, Doc("wrenches taken in since it was cleared, each once")]
     kept: Annotated[int, Doc("wrenches kept; start solves these")]
@@ -266,10 +261,6 @@ class Box(Message):
     max: Annotated[Six, Doc("largest value of each load, N and N·m; null before the first")]
 
 
-class Recorded(Block, RecordingCounts):
-    """What a block of wrenches changed in a recording."""
-
-
 class Recording(Gathered, RecordingCounts):
     """What the server has recorded of a component."""
 
@@ -279,10 +270,6 @@ class Recording(Gathered, RecordingCounts):
 
     def __len__(self) -> int:
         return len(self.wrenches)
-
-
-class Widened(Block, Box):
-    """What a block of wrenches changed in an envelope."""
 
 
 class _BoundKind(FloatArray):
@@ -315,11 +302,6 @@ class Envelope(Gathered, Box):
         bool | None, Doc("whether displacement_bound is within the tolerance; null: see reason")
     ]
     tolerance: dict[Part, float] | None
-
-
-class Cleared(Message):
-    component: str
-    cleared: Annotated[int, Doc("wrenches deleted")]
 
 
 class Plan(Message):
@@ -363,10 +345,6 @@ class Plan(Message):
         ),
     ] = left_out(default=None)
     table_version: int
-
-
-class Plans(Message):
-    components: dict[str, Plan]
 
 
 class Stress(Message):
@@ -549,38 +527,6 @@ class Problem(Message):
     request_id: Annotated[str, Doc("of a 5xx: as in the server's log")] = left_out(default="")
 
 
-class Compliance(Message):
-    component: str
-    table_version: int
-    tangent: Annotated[Slopes, Doc("du/dw at zero load, as derivative is")]
-    tangent_origin: Annotated[
-        str,
-        Doc("row: that of the row at zero load; none: not known; else the interpolating method"),
-    ]
-    origin: Annotated[Literal["stored", "fitted", "none"], Doc("of matrix")]
-    matrix: Annotated[
-        Matrix,
-        Doc(
-            "the mean over the load range: the fit of one 6x6 to all rows; of a linear component "
-            "its compliance. Zero for loads without rows, see known_loads"
-        ),
-    ]
-    offset: Annotated[Six, Doc("added to matrix times inputs: weight, a reference that is not 0")]
-    known_loads: Sequence[str]
-    error: Annotated[Six, Doc("95 % error bar of matrix at the rows, m and rad")]
-    rows: Sequence[str]
-    columns: Sequence[str]
-    rows_checked: int
-    ok: bool | None
-    checks: Annotated[dict[str, Any], Doc("by name: ok, and its evidence")]
-
-
-class Card(Message):
-    component: str
-    archived: bool
-    notes: str
-
-
 class ImportFinding(Message):
     cause: Annotated[
         str,
@@ -594,115 +540,6 @@ class ImportFinding(Message):
         Sequence[int], Doc("of the file, worst first, 500 at most; [] if all are meant")
     ]
     count: Annotated[int, Doc("the number of rows")]
-
-
-class FileImport(Message):
-    """Who loaded rows from which file."""
-
-    id: int
-    who: str
-    filename: str
-    format: str
-    sha256: str
-    note: str
-    rig: Annotated[str, Doc("the TOML of the rig; empty without one")]
-
-
-class Import(FileImport):
-    when: str
-    rows: int
-    table_version: Annotated[int | None, Doc("the first with all rows; null if it has none")]
-    findings: Annotated[Sequence[ImportFinding], Doc("of rows in the table; `rows` are their ids")]
-
-
-class Imports(Message):
-    imports: Sequence[Import]
-
-
-class DisagreeingRow(Message):
-    row: int
-    wrench: dict[str, float]
-    output: str
-    measured: float
-    expected: float
-    bar: float
-    ratio: float
-
-
-class Disagreement(Message):
-    component: str
-    table_version: int
-    measured: int
-    solved: int
-    beyond_range: int
-    compared: int
-    outside: int
-    not_told: Annotated[int | None, Doc("rows that cannot be compared")] = left_out(default=None)
-    outputs: Annotated[dict[str, Any], Doc("of each: compared, outside, mean_difference")]
-    rows: Sequence[DisagreeingRow]
-    reason: Annotated[str, Doc("why no row is compared")] = left_out(default="")
-
-
-class Comparison(Message):
-    """Measured rows beside a reference; arrays have a line a row, in the order of the rows."""
-
-    component: str
-    table_version: int
-    inputs: Sequence[str]
-    reference: Annotated[
-        dict[Literal["import", "rows", "of", "method", "bars_are_complete"], Any],
-        Doc("null: the solves, or an import: rows, evenly chosen, of how many, and its method"),
-    ]
-    measured: int
-    beyond_range: int
-    compared: Annotated[int, Doc("rows here: 3,000 at most, evenly chosen of those in the range")]
-    coverages: Annotated[dict[Coverage, int], Doc("of the rows by the reference")]
-    noise: Annotated[
-        Vector,
-        FloatArray(None),
-        Doc("95 % of one reading, which counts where a row states none; by the rows alone"),
-    ]
-    reason: Annotated[str, Doc("why no row is compared; empty if any is")]
-    outputs: Annotated[
-        dict[str, dict[str, Any]],
-        Doc(
-            "of each: rows compared, unanswered (outside the reference's rows, in no number here), "
-            "beyond_bars (of reference and reading), bars_unknown; mean and rms of the residuals; "
-            "factor: measured = factor x expected, half_width: its 95 %, of_reference: the part of "
-            "it that the reference's bar is"
-        ),
-    ]
-    campaigns: Annotated[
-        Sequence[dict[Literal["import", "rows", "outputs"], Any]],
-        Doc("the same by import; null: of rows without one"),
-    ]
-    row: Sequence[int]
-    campaign: Annotated[Sequence[int | None], Doc("the import of each row")]
-    coverage: Annotated[Sequence[Coverage], Doc("by the reference")]
-    wrench: Annotated[Vector, FiniteArray(None, None)]
-    displacement: Annotated[Vector, FloatArray(None, None), Doc("as measured, m and rad")]
-    expected: Annotated[Vector, FloatArray(None, None), Doc("null outside its rows")]
-    residual: Annotated[Vector, FloatArray(None, None), Doc("displacement - expected")]
-    bar: Annotated[Vector, FloatArray(None, None), Doc("95 % of expected")]
-    uncertainty: Annotated[Vector, FloatArray(None, None), Doc("95 % of displacement, as stated")]
-
-
-class DemandCell(Message):
-    wrench: Annotated[Six, Doc("the middle of the cell, N and N·m")]
-    count: int
-    thin: int
-    outside: int
-    coverage: Literal["thin", "outside"]
-
-
-class Demand(Message):
-    component: str
-    asked: Annotated[int, Doc("wrenches that were not covered")]
-    elsewhere: Annotated[int, Doc("of them those that are in none of the cells")]
-    since: Annotated[float | None, Doc("seconds since the epoch")]
-    cell_size: Annotated[Six, Doc("N and N·m")]
-    cells: Sequence[DemandCell]
-    latest: Sequence[dict[Literal["wrench", "coverage", "when"], Any]]
 
 
 class TableRow(Message):

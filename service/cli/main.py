@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 from typing import Annotated, Any, cast
@@ -52,8 +53,13 @@ class NumbersCommand(TyperCommand):
             for name in set(option.opts) & set(args) if option.nargs > 1 else ():
                 place = args.index(name) + 1
                 for count, text in enumerate(args[place : place + option.nargs]):
+                    if "," in text:
+                        ctx.fail(f"{name} {text}: write {option.nargs} numbers with blanks between")
                     if text.startswith("--"):
                         ctx.fail(f"{name} needs {option.nargs} numbers; {text} follows {count}")
+        takes_wrench = any("--force" in option.opts for option in self.params)
+        if takes_wrench and len(args) > 1 and re.match(r"[-+]?\.?\d", args[1]):
+            ctx.fail(f"{args[1]}: write a wrench as --force FX FY FZ --moment MX MY MZ")
         return super().parse_args(ctx, args)
 
 
@@ -334,7 +340,7 @@ def main() -> None:
             print_json({"error": error.body or {"title": error.title, "detail": error.detail}})
         plain(out, error.title, style="red")
         plain(out, error.detail)
-        for cause in error.body.get("causes", error.errors):
+        for cause in error.causes:
             plain(out, f"  {mistake_line(cause)}")
         sys.exit(1)
     except (ServerUnreachable, ImportError, OSError, RuntimeError, ValueError) as error:

@@ -155,6 +155,8 @@ def compliance_tables(body: dict[str, Any]) -> list[Table]:
         for line in body["matrix"]
     ]
     at_zero = f"tangent at zero load ({body['tangent_origin']})"
+    if body["tangent_origin"] == "none":
+        at_zero += f"; for a known one: wrenchbook fill {body['component']}, or import rows"
     return [
         matrix_table(at_zero, outputs, inputs, body["tangent"]),
         matrix_table(f"mean over the load range ({body['origin']})", outputs, inputs, mean),

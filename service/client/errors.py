@@ -69,11 +69,18 @@ class ProblemError(WrenchbookError):
         self.errors = errors or []
         self.body = body or {}
 
+    @property
+    def causes(self) -> list[Document]:
+        """The mistakes by cause, but for a single one that the detail names."""
+        first, *more = causes = self.body.get("causes", self.errors) or [{}]
+        text = str(first.get("msg") or first.get("message", ""))
+        return causes if more or first.get("count", 1) > 1 or text not in self.detail else []
+
     def __str__(self) -> str:
         lines = [f"{self.status} {self.title}"]
         if self.detail:
             lines[0] += f": {self.detail}"
-        mistakes = self.body.get("causes", self.errors)
+        mistakes = self.causes
         lines += [f"  {mistake_line(mistake)}" for mistake in mistakes[:_SHOWN]]
         if len(mistakes) > _SHOWN:
             lines.append(f"  and {len(mistakes) - _SHOWN} more")

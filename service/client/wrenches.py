@@ -172,7 +172,8 @@ def _numbers(values: ArrayLike, name: str) -> Vector:
     except ValueError:
         raise InvalidArgument(f"{name} must be a regular array of numbers") from None
     if block.dtype.kind not in "fiu" and block.size:
-        raise InvalidArgument(f"{name} must be numbers, not {block.dtype}")
+        kind = "text" if block.dtype.kind in "SU" else block.dtype
+        raise InvalidArgument(f"{name} must be numbers, not {kind}")
     if "numpy.ma" in sys.modules and np.ma.is_masked(values):  # np.ma takes 8 ms to load
         raise InvalidArgument(
             f"{name} must be numbers; some are masked, which means that there is none"

@@ -250,7 +250,9 @@ def make_fmu(
     if method is not None and method not in METHODS:
         raise UnknownMethodError(method)
     if not table.meta["provenance"]["rows"]:
-        raise NotExportableError("the table has no rows: fill or import it first, then export it")
+        raise NotExportableError(
+            "the table has no rows: run wrenchbook fill, or import a file, then export it"
+        )
     low, high = table.arrays["space/ends"]
     rows = [table.arrays[f"g{k}/row/wrench"] for k in range(len(table.meta["groups"]))]
     if not all(((low <= loads) & (loads <= high)).all(axis=1).any() for loads in rows):

@@ -341,7 +341,8 @@ def _numbers(name: str, value: Any, count: int) -> Array:
         numbers = np.empty(0)
     if len(numbers) != count or not (np.abs(numbers) <= _FARTHEST).all():
         example = "0,0,0.05" if count == 3 else "x=-y,y=x,z=z, or the rig's three axes"
-        raise RigError(f"{name}: is not {count} numbers up to {_FARTHEST:g} (m); write {example}")
+        given = f"{str(value)[:60]!r} is not {count} numbers up to {_FARTHEST:g} (m)"
+        raise RigError(f"{name}: {given}; write {example}")
     return numbers
 
 

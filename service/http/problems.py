@@ -59,6 +59,11 @@ MEDIA_TYPE = "application/problem+json"
 CLIENT_GONE = 499  # as nginx counts it: the caller left before its request was complete
 MAX_ERRORS = 1000
 MAX_TEXT = 1000  # characters of a message: it quotes the mistaken key or text
+# By pydantic's type of an error, where its own text has no next action.
+_PLAIN = {
+    "extra_forbidden": "unknown; correct its spelling, or leave it out (the fields are at /docs)",
+    "missing": "missing; add it (the fields are at /docs)",
+}
 _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     UnknownComponentError: (404, "unknown-component", "No such component"),
     ComponentExistsError: (409, "component-exists", "The name is taken"),
@@ -151,7 +156,7 @@ def bad_body(errors: Sequence[dict[str, Any]], detail: str | None = None) -> Htt
 
 
 def plain_errors(error: ValidationError | RequestValidationError) -> list[dict[str, str]]:
-    """Turn pydantic's errors into ``{loc, msg}`` with a dotted location, without what was sent."""
+    """Turn pydantic's errors into ``{loc, msg}``: a dotted location, and of a query the value."""
     if isinstance(error, RequestValidationError):
         errors = error.errors()
     else:
@@ -160,7 +165,11 @@ def plain_errors(error: ValidationError | RequestValidationError) -> list[dict[s
     for mistake in islice(errors, MAX_ERRORS):
         path = mistake["loc"][1:] if mistake["loc"][:1] == ("body",) else mistake["loc"]
         loc = ".".join(map(str, path))[:MAX_TEXT] or "body"
-        mistakes.append({"loc": loc, "msg": mistake["msg"][:MAX_TEXT]})
+        text = _PLAIN.get(mistake["type"]) or mistake["msg"].removeprefix("Value error, ")
+        text = text.replace("Input should be", "must be")
+        if text.startswith("must be") and isinstance(sent := mistake.get("input"), str | float):
+            text += f", not {str(sent)[:40]!r}"
+        mistakes.append({"loc": loc, "msg": text[:MAX_TEXT]})
     return mistakes
 
 

@@ -300,9 +300,8 @@ def edit_import(
     if record is None:
         listed = "SELECT id FROM imports WHERE component = ? ORDER BY id DESC LIMIT 10"
         last = ", ".join(str(known) for (known,) in db.execute(listed, (component,)))
-        raise UnknownImportError(
-            f"{component!r} has no import {number}; its last are {last or 'none yet'}"
-        )
+        known = f"its last are {last}" if last else "no file was imported into it"
+        raise UnknownImportError(f"{component!r} has no import {number}; {known}")
     lists = [finding["keys"] for finding in _stored(record[0]) if finding.get("cause") == cause]
     if cause is not None and not lists:
         raise UnknownImportError(f"import {number} of {component!r} has no finding {cause!r}")

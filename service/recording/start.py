@@ -18,6 +18,8 @@ from wrenchbook.surrogate.answer import COVERED
 
 Floats = NDArray[np.float64]
 
+_NOTHING = "nothing is recorded yet: run a simulation with a Recorder or a Mount, then start again"
+
 
 @dataclass(frozen=True)
 class StartedSolves:
@@ -141,7 +143,7 @@ def _start(
         )
     if not len(unknown) and not reasons:
         any_known = solved.any() or covered.any()
-        reasons.append("the table covers all of them" if any_known else "nothing was gathered yet")
+        reasons.append("the table covers all of them" if any_known else _NOTHING)
     return StartedSolves(
         queued + [job for job in accepted if not job.is_final],
         int(solved.sum()),
@@ -158,7 +160,7 @@ def _start_linear(
 ) -> StartedSolves:
     """Queue the solves of a linear component's compliance: it answers every wrench."""
     if not len(holds):
-        return StartedSolves([], reason="nothing was gathered yet")
+        return StartedSolves([], reason=_NOTHING)
     inside = int(holds.sum())
     beyond = len(holds) - inside
     if not workspace.tables.caught_up(component.name, CATCH_UP_S).needs_compliance:

@@ -59,9 +59,10 @@ def comparison(
     for each in (number, against):
         if each is not None and not (measured & (of_import == each)).any():
             listed = np.unique(of_import[measured & (of_import > 0)])[-10:].tolist()
-            known = ", ".join(map(str, listed)) or "none yet"
+            known = ", ".join(map(str, listed))
             raise UncomparableError(
-                f"the table has no measured rows of import {each}; its last are {known}"
+                f"the table has no measured rows of import {each}; "
+                + (f"its last are {known}" if known else "import a file of measured rows first")
             )
     if number is not None and number == against:
         raise UncomparableError(f"import {number} is its own reference; name two imports")

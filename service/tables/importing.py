@@ -24,9 +24,10 @@ from wrenchbook.surrogate.table.compliance import fit_compliance
 
 SAME = 1e-12  # of a number: what an export in other units and its import may lose
 TWICE = (
-    "import {0.id} has rows of this very file ({0.filename}), read with other options: unless they "
-    "are others, such as of another sheet, each test counts twice, and answers are between both. "
-    "Withdraw the wrong import: wrenchbook withdraw {0.component} {0.id}, or this one"
+    "import {0.id} has the rows of this file ({0.filename}) already, read with other options. Each "
+    "test then counts twice, and answers lie between both. Keep both only if the rows are others, "
+    "such as of another sheet. Else withdraw this import, or the earlier one: wrenchbook withdraw "
+    "{0.component} {0.id}"
 )
 _MAX_TRIED = 16  # stored rows of nearly one sum that a row is compared with; others hardly occur
 
@@ -128,9 +129,11 @@ def _compared(
 
     A wrong unit, sign or clock is another error of the same rows.
     """
-    if not table.row_count or any(item["cause"] in ("unit", "sign", "clock") for item in known):
+    good = read.report["rows"]["good"]
+    wrong = any(item["cause"] in ("unit", "sign", "clock") for item in known)
+    if not table.row_count or not good or wrong:
         return []
-    stride = max(read.report["rows"]["good"] // MAX_COMPARED, 1)
+    stride = max(good // MAX_COMPARED, 1)
     parts = [piece.take(np.arange(0, len(piece), stride)) for piece in read.pieces()]
     wrench, moved = (
         np.concatenate([getattr(part, name)[part.source != "fea"] for part in parts])

@@ -89,10 +89,10 @@ class ServedTable:
         self.sources: dict[str, int] = provenance["sources"]
         self.linear: bool = provenance["linear"]
         self.default: str = packed.meta["groups"][0]["method"]
-        self.needs_compliance = self.linear and not self.fit.complete
         self.bars_are_complete = bool(packed.arrays["solver/flags"][_ALL_PARTS])
         low, high = packed.arrays["space/range"]
         self.load_range = LoadRange(low, high, Space.read(packed.meta["space"]))
+        self.needs_compliance = self.linear and not self.fit.complete
         self.locked = tuple(np.flatnonzero(packed.arrays["space/locked"]).tolist())
         self.interfaces = self.load_range.space.several
         limit = packed.arrays["space/tolerance"][[0, 3]].tolist()
@@ -143,23 +143,25 @@ class ServedTable:
 
     @property
     def fit(self) -> ComplianceFit:
-        """The compliance of the outputs that the fewest rows hold."""
-        matrix, half_width, known = (
-            self.packed.arrays[f"g0/fit/{name}"] for name in ("matrix", "bar", "known")
-        )
-        origin = self.summary["compliance"]["origin"]
-        offset = self.packed.arrays.get("g0/fit/offset", np.zeros(len(matrix)))
-        return ComplianceFit(matrix, known.astype(bool), half_width, origin, offset)
+        """The compliance of each output's group; loads that all groups know."""
+        names = [f"g{group}/fit/known" for group in range(len(self.packed.meta["groups"]))]
+        known = np.all([self.packed.arrays[name] for name in names], axis=0)
+        matrix, origin = self._of_groups("fit/matrix", len(known)), self.summary["compliance"]
+        half_width, offset = self._of_groups("fit/bar"), self._of_groups("fit/offset")
+        return ComplianceFit(matrix, known, half_width, origin["origin"], offset)
 
     @property
     def steepest(self) -> Floats:
         """The largest change of each output over half the load range, (6,), m and rad."""
-        arrays = self.packed.arrays
-        steepest = np.zeros(len(self.load_range.space.outputs))
+        return self._of_groups("row/steepest")
+
+    def _of_groups(self, name: str, *columns: int) -> Floats:
+        """Return an array by outputs, (m, ...): each line of the output's group, 0 without one."""
+        merged = np.zeros((len(self.load_range.space.outputs), *columns))
         for group in range(len(self.packed.meta["groups"])):
-            outputs = arrays[f"g{group}/outputs"].astype(bool)
-            steepest[outputs] = arrays[f"g{group}/row/steepest"][outputs]
-        return steepest
+            outputs = self.packed.arrays[f"g{group}/outputs"].astype(bool)
+            merged[outputs] = self.packed.arrays.get(f"g{group}/{name}", merged)[outputs]
+        return merged
 
     @property
     def hyperparameters(self) -> Hyperparameters | None:

@@ -126,27 +126,34 @@ def clock_findings(lag: Lag | None, applied: float) -> list[RigFinding]:
     """Return a finding where the logs need another clock rate, or lag than the applied one."""
     if lag is not None and lag.rate:
         message = (
-            f"the clocks of the logs run at different rates: multiply the displacements' times by "
-            f"{1 + lag.rate:.6g} and import again with lag=auto (the misfit is "
-            f"{lag.misfit:.1%} at best with one lag, and {lag.misfit_rate:.1%} so)"
+            f"the clock of the displacement log runs {abs(lag.rate):.3%} "
+            f"{'slower' if lag.rate > 0 else 'faster'} than that of the load log. In the file, "
+            f"multiply the times of the displacements by {1 + lag.rate:.6g}. Then import again "
+            f"with lag=auto (--lag auto). The misfit is then {lag.misfit_rate:.1%} of the "
+            f"displacements' scatter, and with a shift alone {lag.misfit:.1%}"
         )
         return [RigFinding("clock", message, (), {"rate": lag.rate})]
     if lag is None or not lag.named or abs(applied - lag.seconds) <= lag.error:
         return []
     message = (
-        f"loads and displacements are shifted in time: they fit best with {lag.seconds:.4g} "
-        f"+- {lag.error:.1g} s added to the displacements' times, and {applied:g} s was added (the "
-        f"misfit is {lag.misfit_applied:.1%}, and {lag.misfit:.1%} with it). Withdraw this import "
-        f"and import again with lag={lag.seconds:.4g}"
+        f"the displacement log is shifted in time against the load log. They fit best with "
+        f"{lag.seconds:.4g} +- {lag.error:.1g} s added to the times of the displacements; "
+        f"{applied:g} s was added. The misfit is then {lag.misfit:.1%} of the displacements' "
+        f"scatter, now {lag.misfit_applied:.1%}. Withdraw this import, and import again with "
+        f"lag={lag.seconds:.4g} (--lag {lag.seconds:.4g})"
     )
-    message += f"; {repeated(lag)}" if lag.others else ", or lag=auto"
+    message += (
+        f". But {repeated(lag)}: look which fits a load that occurs once"
+        if lag.others
+        else " or lag=auto"
+    )
     return [RigFinding("clock", message, (), {"lag": lag.seconds, "uncertainty": lag.error})]
 
 
 def repeated(lag: Lag) -> str:
     """Return the remark that several lags fit."""
     others = " and ".join(f"{other:.4g}" for other in sorted(lag.others))
-    return f"the loads repeat, and with {others} s the logs fit as well as with {lag.seconds:.4g} s"
+    return f"the loads repeat, and the logs fit as well with {others} s as with {lag.seconds:.4g} s"
 
 
 def _clipped(moved: Floats) -> Floats:

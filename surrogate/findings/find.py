@@ -32,19 +32,23 @@ MIN_ROWS = 7  # rows: six loads and a constant
 MAX_ROWS = 5_000  # rows examined, some 0.5 s: every k-th of more
 # What only the order of the rows shows.
 EFFECTS: dict[Cause, str] = {
-    "hysteresis": "loading and unloading differ by {part:.1%} of the range of {name}: hysteresis "
-    "of the rig (friction, joints), or loads and displacements shifted in time (lag of joined "
-    "logs). Answers are in the middle, and their error bars hold both branches",
-    "drift": "the displacements drift by {part:.1%} of the range of {name} from the first row to "
-    "the last, whatever the load: warm the rig up, or return to zero between runs and import with "
-    "a zero offset. Answers are those of the middle of the time",
-    "session": "sessions differ by up to {part:.1%} of the range of {name} from their mean, "
-    "whatever the load: return to zero before each, and import with a zero offset. Answers are "
-    "those of the mean",
-    "scale": "a scale changes with the time or between sessions, by up to {part:.1%} of the range "
-    "of {name}: calibrate the rig before each, and look for play. Error bars hold all of them",
-    "zero": "{name} is {part:.1%} of its range at no load: import with a zero offset, unless the "
-    "part is preloaded, has a play, or the reference of its displacement is another one",
+    "hysteresis": "loading and unloading differ by {part:.1%} of the range of {name}. The cause is "
+    "friction or play in the rig, or two joined logs that are shifted in time. Answers are the "
+    "middle of both branches, and error bars hold both. For one of them, import again with "
+    "branch=loading (--branch loading)",
+    "drift": "at one load, {name} changes by {part:.1%} of its range from the first row to the "
+    "last (drift). Let the rig warm up. Or unload it between runs, and import each run with "
+    "tare=N (--tare N), N being its first rows without load. Answers are those of the middle of "
+    "the test",
+    "session": "at one load, {name} of a test session (an import) differs by up to {part:.1%} of "
+    "its range from the mean of the sessions. Unload the part before each session, and import it "
+    "with tare=N (--tare N), N being its first rows without load. Answers are those of the mean",
+    "scale": "the displacement per load changes with time or between test sessions (imports), by "
+    "up to {part:.1%} of the range of {name}. Calibrate the sensors before each session, and look "
+    "for play in the rig. Error bars hold all sessions",
+    "zero": "{name} is {part:.1%} of its range at no load. Import again with tare=N (--tare N), N "
+    "being the first rows without load. Leave it so if the part is preloaded, has play, or its "
+    "displacement has another reference",
 }
 
 

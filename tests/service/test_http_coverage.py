@@ -115,6 +115,20 @@ def test_what_was_not_measured_is_null_and_empty_in_answers_and_exports(rig):
     assert rig.post(f"{RIG}/table", json={"rows": rows}).json()["existing"] == 30
 
 
+def test_the_mean_compliance_is_null_of_an_output_that_no_row_measured(rig):
+    body = rig.get(f"{RIG}/compliance").json()
+    assert body["matrix"][2] == pytest.approx([0, 0, 1e-5, 1e-6, 0, 0])
+    assert (body["matrix"][0], body["error"][0]) == ([None] * 6, None)
+
+
+def test_the_mean_compliance_has_outputs_that_fewer_rows_measured_too(rig):
+    rows = as_rows(full_wrenches(20) / FULL, 1e-6 * full_wrenches(20) / FULL)
+    add(rig, "rig", rows)
+    matrix = np.array(rig.get(f"{RIG}/compliance").json()["matrix"], dtype=float)
+    assert matrix[0, 0] == pytest.approx(1e-6)
+    assert abs(matrix[2, 2]) > 5e-6
+
+
 def test_the_component_says_what_no_row_holds(rig):
     summary = rig.get(RIG).json()["coverage"]
     assert summary["unmeasured"] == ["ux", "uy", "rx", "ry", "rz"]

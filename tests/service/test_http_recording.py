@@ -161,7 +161,7 @@ def test_nothing_recorded_is_no_error_and_says_so(http):
     for call in ("recording", "envelope"):
         reply = http.post(f"{PLATE}/{call}/start")
         assert reply.status_code == 200
-        assert reply.json()["reason"] == "nothing was gathered yet"
+        assert reply.json()["reason"].startswith("nothing is recorded yet: run a simulation")
 
 
 @pytest.mark.parametrize("call", ["recording", "envelope"])

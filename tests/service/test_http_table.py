@@ -269,6 +269,15 @@ def test_a_file_that_is_no_table_is_not_said_to_have_good_rows(rig):
     assert "--partial" not in detail
 
 
+@pytest.mark.parametrize("text", ["fz [lbs],uz [mm]\n1,2\n", "fz [N],uz [mm]\n1,x\n"])
+def test_a_table_without_a_good_row_offers_no_partial_import(rig, text):
+    """The remedy ended in an error of the server where the table had rows to compare with."""
+    load(rig, "fx [N],fy [N],fz [N],uz [mm]\n1,2,3,4\n")
+    assert "--partial" not in load(rig, text, missing_loads="zero").json()["detail"]
+    reply = load(rig, "fz [N],uz [mm]\n1,x\n", missing_loads="zero", partial="true")
+    assert (reply.status_code, reply.json()["inserted"]) == (200, 0)
+
+
 @pytest.mark.parametrize("wait_s", [0, 0.05])
 def test_an_import_is_answered_before_its_table_is_built_once_it_may_wait_no_longer(
     rig, slow_build, wait_s

@@ -19,7 +19,7 @@ from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.routes import Newest, Opened, json_reply
 from wrenchbook.service.library.bundles import faces_of, surface_of
 from wrenchbook.service.library.component import require_single_wrench
-from wrenchbook.service.messages import Compliance
+from wrenchbook.service.messages import Doc, Matrix, Message, Six, Slopes
 from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.table.axes import AXES, LoadAxis
@@ -36,6 +36,33 @@ Load = Literal["fx", "fy", "fz", "mx", "my", "mz"]
 Force = Annotated[float, Query(allow_inf_nan=False, description="N")]
 Moment = Annotated[float, Query(allow_inf_nan=False, description="N·m")]
 Positions = NDArray[np.intp]
+
+
+class Compliance(Message):
+    component: str
+    table_version: int
+    tangent: Annotated[Slopes, Doc("du/dw at zero load, as derivative is")]
+    tangent_origin: Annotated[
+        str,
+        Doc("row: that of the row at zero load; none: not known; else the interpolating method"),
+    ]
+    origin: Annotated[Literal["stored", "fitted", "none"], Doc("of matrix")]
+    matrix: Annotated[
+        Matrix,
+        Doc(
+            "the mean over the load range: the fit of one 6x6 to all rows; of a linear component "
+            "its compliance. Zero for loads without rows, see known_loads; null for an output that "
+            "no row measured"
+        ),
+    ]
+    offset: Annotated[Six, Doc("added to matrix times inputs: weight, a reference that is not 0")]
+    known_loads: Sequence[str]
+    error: Annotated[Six, Doc("95 % error bar of matrix at the rows, m and rad")]
+    rows: Sequence[str]
+    columns: Sequence[str]
+    rows_checked: int
+    ok: bool | None
+    checks: Annotated[dict[str, Any], Doc("by name: ok, and its evidence")]
 
 
 @router.get(
@@ -59,6 +86,7 @@ def coverage(name: str, table: Newest) -> Response:
 )
 def compliance(name: str, table: Newest) -> Response:
     fit, tangent, space = table.fit, table.packed.tangent_at_zero(), table.load_range.space
+    measured = np.any(np.isfinite(table.rows.displacement), axis=0)
     return json_reply(
         Compliance(
             component=name,
@@ -66,12 +94,12 @@ def compliance(name: str, table: Newest) -> Response:
             tangent=tangent[0],
             tangent_origin=tangent[1],
             origin=cast(Any, fit.origin),
-            matrix=fit.matrix,
+            matrix=np.where(measured[:, None], fit.matrix, np.nan),
             offset=np.ascontiguousarray(np.broadcast_to(fit.offset, len(space.outputs))),
             known_loads=[
                 load for load, known in zip(space.input_names, fit.known, strict=True) if known
             ],
-            error=fit.error,
+            error=np.where(measured, fit.error, np.nan),
             rows=[f"{output.name} [{output.unit}]" for output in space.outputs],
             columns=[f"{load.name} [{load.unit}]" for load in space.inputs],
             **check_physics(table.rows, table.load_range, fit, table.tolerance),

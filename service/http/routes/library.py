@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -13,6 +14,7 @@ from starlette.responses import Response
 from typing_extensions import TypedDict
 
 from wrenchbook.service.actors import CALLER
+from wrenchbook.service.contract import Coverage
 from wrenchbook.service.formats.cells import text_problem
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import CopyBody, NotesBody, RenameBody
@@ -23,7 +25,16 @@ from wrenchbook.service.http.routes import Opened, json_reply
 from wrenchbook.service.http.routes.components import component_body
 from wrenchbook.service.http.routes.rows import file_fields
 from wrenchbook.service.ledger import ImportOrigin, UnknownImportError
-from wrenchbook.service.messages import Card, Comparison, Demand, Disagreement, Import, Imports
+from wrenchbook.service.messages import (
+    Doc,
+    FiniteArray,
+    FloatArray,
+    ImportFinding,
+    Message,
+    Six,
+    Vector,
+    left_out,
+)
 from wrenchbook.service.tables.comparison import (
     UncomparableError,
     comparison,
@@ -48,6 +59,121 @@ Finding = Annotated[
 ]
 _comparison_lock = asyncio.Lock()
 MAX_NOTES_BYTES = 1 << 20  # 100,000 characters, escaped
+
+
+class Card(Message):
+    component: str
+    archived: bool
+    notes: str
+
+
+class FileImport(Message):
+    """Who loaded rows from which file."""
+
+    id: int
+    who: str
+    filename: str
+    format: str
+    sha256: str
+    note: str
+    rig: Annotated[str, Doc("the TOML of the rig; empty without one")]
+
+
+class Import(FileImport):
+    when: str
+    rows: int
+    table_version: Annotated[int | None, Doc("the first with all rows; null if it has none")]
+    findings: Annotated[Sequence[ImportFinding], Doc("of rows in the table; `rows` are their ids")]
+
+
+class Imports(Message):
+    imports: Sequence[Import]
+
+
+class DisagreeingRow(Message):
+    row: int
+    wrench: dict[str, float]
+    output: str
+    measured: float
+    expected: float
+    bar: float
+    ratio: float
+
+
+class Disagreement(Message):
+    component: str
+    table_version: int
+    measured: int
+    solved: int
+    beyond_range: int
+    compared: int
+    outside: int
+    not_told: Annotated[int | None, Doc("rows that cannot be compared")] = left_out(default=None)
+    outputs: Annotated[dict[str, Any], Doc("of each: compared, outside, mean_difference")]
+    rows: Sequence[DisagreeingRow]
+    reason: Annotated[str, Doc("why no row is compared")] = left_out(default="")
+
+
+class Comparison(Message):
+    """Measured rows beside a reference; arrays have a line a row, in the order of the rows."""
+
+    component: str
+    table_version: int
+    inputs: Sequence[str]
+    reference: Annotated[
+        dict[Literal["import", "rows", "of", "method", "bars_are_complete"], Any],
+        Doc("null: the solves, or an import: rows, evenly chosen, of how many, and its method"),
+    ]
+    measured: int
+    beyond_range: int
+    compared: Annotated[int, Doc("rows here: 3,000 at most, evenly chosen of those in the range")]
+    coverages: Annotated[dict[Coverage, int], Doc("of the rows by the reference")]
+    noise: Annotated[
+        Vector,
+        FloatArray(None),
+        Doc("95 % of one reading, which counts where a row states none; by the rows alone"),
+    ]
+    reason: Annotated[str, Doc("why no row is compared; empty if any is")]
+    outputs: Annotated[
+        dict[str, dict[str, Any]],
+        Doc(
+            "of each: rows compared, unanswered (outside the reference's rows, in no number here), "
+            "beyond_bars (of reference and reading), bars_unknown; mean and rms of the residuals; "
+            "factor: measured = factor x expected, half_width: its 95 %, of_reference: the part of "
+            "it that the reference's bar is"
+        ),
+    ]
+    campaigns: Annotated[
+        Sequence[dict[Literal["import", "rows", "outputs"], Any]],
+        Doc("the same by import; null: of rows without one"),
+    ]
+    row: Sequence[int]
+    campaign: Annotated[Sequence[int | None], Doc("the import of each row")]
+    coverage: Annotated[Sequence[Coverage], Doc("by the reference")]
+    wrench: Annotated[Vector, FiniteArray(None, None)]
+    displacement: Annotated[Vector, FloatArray(None, None), Doc("as measured, m and rad")]
+    expected: Annotated[Vector, FloatArray(None, None), Doc("null outside its rows")]
+    residual: Annotated[Vector, FloatArray(None, None), Doc("displacement - expected")]
+    bar: Annotated[Vector, FloatArray(None, None), Doc("95 % of expected")]
+    uncertainty: Annotated[Vector, FloatArray(None, None), Doc("95 % of displacement, as stated")]
+
+
+class DemandCell(Message):
+    wrench: Annotated[Six, Doc("the middle of the cell, N and N·m")]
+    count: int
+    thin: int
+    outside: int
+    coverage: Literal["thin", "outside"]
+
+
+class Demand(Message):
+    component: str
+    asked: Annotated[int, Doc("wrenches that were not covered")]
+    elsewhere: Annotated[int, Doc("of them those that are in none of the cells")]
+    since: Annotated[float | None, Doc("seconds since the epoch")]
+    cell_size: Annotated[Six, Doc("N and N·m")]
+    cells: Sequence[DemandCell]
+    latest: Sequence[dict[Literal["wrench", "coverage", "when"], Any]]
 
 
 # A dataclass has no field of the name `import`.

@@ -52,6 +52,26 @@ router = APIRouter(
 )
 blocks = APIRouter(route_class=DirectRoute, responses=refused(409))  # read their own bodies
 _BLOCK = takes(BlockBody, BINARY_BODY, BlockKey)
+
+
+class Block(messages.Gathered):
+    recorded: int
+    duplicate: Annotated[bool, messages.Doc("the block was recorded before; nothing has changed")]
+
+
+class Recorded(Block, messages.RecordingCounts):
+    """What a block of wrenches changed in a recording."""
+
+
+class Widened(Block, messages.Box):
+    """What a block of wrenches changed in an envelope."""
+
+
+class Cleared(messages.Message):
+    component: str
+    cleared: Annotated[int, messages.Doc("wrenches deleted")]
+
+
 _QUEUED = answers(messages.Started, "solves are queued", 202) | refused(409, 429)
 
 
@@ -60,15 +80,15 @@ _QUEUED = answers(messages.Started, "solves are queued", 202) | refused(409, 429
     status_code=201,
     summary="LM_direct: save wrenches for later",
     description=CONTRACT_TEXT,
-    response_model=messages.Recorded,
-    responses=answers(messages.Recorded, "the block was recorded before"),
+    response_model=Recorded,
+    responses=answers(Recorded, "the block was recorded before"),
     openapi_extra=_BLOCK,
 )
 async def record(name: str, request: Request) -> Response:
     wrenches, block = await _block(name, request)
     result = await run_in_threadpool(_store(request).record, name, wrenches, block)
     fields = _block_fields(name, len(wrenches), result)
-    body = messages.Recorded(**fields, **_counts(result.tally))
+    body = Recorded(**fields, **_counts(result.tally))
     return json_reply(body, 200 if result.known else 201)
 
 
@@ -87,10 +107,10 @@ def get_recording(name: str, request: Request) -> Response:
     )
 
 
-@router.delete("/recording", summary="Forget what is recorded", response_model=messages.Cleared)
+@router.delete("/recording", summary="Forget what is recorded", response_model=Cleared)
 def clear_recording(name: str, request: Request) -> Response:
     before = _store(request).clear(name, "recording")
-    return json_reply(messages.Cleared(component=name, cleared=before.offered))
+    return json_reply(Cleared(component=name, cleared=before.offered))
 
 
 @router.post(
@@ -107,7 +127,7 @@ def solve_recording(name: str, request: Request, order: StartBody) -> Response:
     "/envelope",
     summary="LM_max: widen the extremes by wrenches",
     description=CONTRACT_TEXT,
-    response_model=messages.Widened,
+    response_model=Widened,
     openapi_extra=_BLOCK,
 )
 async def widen_envelope(name: str, request: Request) -> Response:
@@ -116,7 +136,7 @@ async def widen_envelope(name: str, request: Request) -> Response:
     envelope = await run_in_threadpool(_store(request).envelope, name)
     fields, (low, high) = _block_fields(name, len(wrenches), result), envelope.box
     count = envelope.tally.offered
-    return json_reply(messages.Widened(**fields, count=count, min=low, max=high))
+    return json_reply(Widened(**fields, count=count, min=low, max=high))
 
 
 @router.get(
@@ -153,10 +173,10 @@ def get_envelope(
     )
 
 
-@router.delete("/envelope", summary="Forget the extremes", response_model=messages.Cleared)
+@router.delete("/envelope", summary="Forget the extremes", response_model=Cleared)
 def clear_envelope(name: str, request: Request) -> Response:
     before = _store(request).clear(name, "envelope")
-    return json_reply(messages.Cleared(component=name, cleared=before.offered))
+    return json_reply(Cleared(component=name, cleared=before.offered))
 
 
 @router.post(

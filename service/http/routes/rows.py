@@ -97,7 +97,7 @@ def _nulls(values: tuple[float, ...]) -> list[float | None]:
 
 
 def file_fields(record: ImportRecord) -> dict[str, Any]:
-    """Who loaded rows from which file: the fields of `messages.FileImport`."""
+    """Who loaded rows from which file: the fields of `FileImport` in library.py."""
     return {
         "id": record.id,
         "who": record.who,

@@ -28,7 +28,7 @@ from wrenchbook.service.http.problems import bad_body
 from wrenchbook.service.http.routes import Newest, Opened, holds, json_reply, naming
 from wrenchbook.service.http.routes.table import PACKED_TYPE
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.messages import Plans
+from wrenchbook.service.messages import Message, Plan
 from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.scene.cut import cut
@@ -41,6 +41,10 @@ router = APIRouter(
     prefix="/v1", tags=["scenes"], responses=refused(404, 422), route_class=JsonRoute
 )
 SOLVES_TIMED = 32  # the last done ones, whose median is what a solve takes
+
+
+class Plans(Message):
+    components: dict[str, Plan]
 
 
 @router.post(

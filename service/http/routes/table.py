@@ -255,7 +255,8 @@ async def import_table(
         sheet = f" of sheet {reply['sheet']} (--sheet reads another)" if others else ""
         place = f"row {first['row']}, " * bool(first["row"])  # 0: of the file, or of a column
         cure = ""
-        if all(error["row"] for error in errors) and not query.partial:
+        rows = reply["rows"]  # none are read under a header with mistakes
+        if rows["read"] > rows["refused"] and all(error["row"] for error in errors):
             cure = ", or say --partial (over HTTP partial=true) to load the good rows"
         raise HttpProblemError(
             422,

@@ -27,6 +27,7 @@ export async function show(root, about, signal) {
     try {
       const reply = await get(`${of(about.name)}/comparison?${asked}`, signal);
       if (asked !== latest) return; // another choice was made meanwhile
+      reply.reason ||= nothing(reply);
       state.reply = reply;
       const first = ["output", "load"].map((kind) => varying(state.reply, kind));
       if (!first[0].includes(state.output)) [state.output] = first[0];
@@ -69,6 +70,9 @@ function varying(reply, kind) {
   const acting = LOADS.filter((_, k) => reply.wrench.some((one) => one[k] !== 0));
   return acting.length ? acting : LOADS;
 }
+
+// Why the plots would be empty, though rows are compared.
+const nothing = (reply) => (Object.values(reply.outputs).some((one) => one.compared) ? "" : "no measured row lies where the reference has an answer. Choose another reference, or solve or import rows at these loads");
 
 function words(reply, about) {
   const { reference, coverages } = reply, unanswered = Math.max(...Object.values(reply.outputs).map((one) => one.unanswered));

@@ -21,8 +21,16 @@ export function pill(text, kind = text) {
   return el("span", { class: `pill ${kind}` }, text);
 }
 
-// What takes seconds and does not say how far it is.
-export const working = (text) => el("div", { class: "working", role: "status" }, el("span", {}, text), el("progress", { "aria-label": text }));
+// A call whose end is not known: its name, and the seconds since it began, which no screen reader speaks.
+export function working(text) {
+  const began = Date.now(), took = el("span", { class: "muted small", "aria-hidden": "true" });
+  const root = el("div", { class: "stack tight" }, el("div", { class: "working", role: "status" }, el("span", {}, text), el("progress", { "aria-label": text })), took);
+  const timer = setInterval(() => {
+    if (root.isConnected) put(took, `for ${Math.round((Date.now() - began) / 1000)} s`);
+    else clearInterval(timer);
+  }, 1000);
+  return root;
+}
 
 export function note(kind, ...children) {
   return el("div", { class: `note ${kind}` }, ...children);

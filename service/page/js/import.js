@@ -86,7 +86,7 @@ function ready(state, result) {
 }
 
 function importButton(state, result) {
-  const button = el("button", { type: "button", class: "first", id: "import", onclick: () => load(state) }, `Import ${count(result.inserted)} rows`);
+  const button = el("button", { type: "button", class: "first", id: "import", onclick: () => load(state, result) }, `Import ${count(result.inserted)} rows`);
   button.disabled = result.inserted === 0;
   return button;
 }
@@ -123,11 +123,11 @@ function preview(result) {
   return shown;
 }
 
-async function load(state) {
-  put(state.place, working("1 of 2: the rows are written …"));
+async function load(state, checked) {
+  put(state.place, working(`Step 1 of 2: ${count(checked.inserted)} rows are written to the ledger …`));
   try {
     const result = await post(state, false);
-    put(state.place, working(`2 of 2: ${count(result.inserted)} rows are saved; the table is built …`));
+    put(state.place, working(`Step 2 of 2: ${count(result.inserted)} rows are saved; the table is built. This view may be left …`));
     await caughtUp(state.about.name, state.signal);
     const kept = result.import ? (await get(`${of(state.about.name)}/imports`, state.signal)).imports.find((one) => one.id === result.import) : null;
     const name = encodeURIComponent(state.about.name);

@@ -19,8 +19,8 @@ export async function jobList(root, component, signal) {
     const running = fresh && !status.value ? (await get(query("running"), signal)).jobs : [];
     if (fresh) { list.rows.clear(); put(list.root); put(list.running); }
     for (const job of [...running, ...page.jobs]) if (!list.rows.has(job.id)) place(list, rowOf(list, job));
-    if (fresh) list.count();
     following = page.next;
+    if (fresh) list.count();
     older.hidden = !following;
   };
   const query = (kind = status.value) => `v1/jobs?limit=${SHOWN}${component ? `&component=${encodeURIComponent(component)}` : ""}${kind ? `&status=${kind}` : ""}`;
@@ -30,6 +30,7 @@ export async function jobList(root, component, signal) {
   list.count = () => {
     empty.hidden = list.rows.size > 0;
     const waiting = [...list.rows.values()].map((row) => row.job).filter((job) => job.status === "waiting");
+    cancelAll.hidden = !waiting.length && !following && ["", "waiting"].includes(status.value);
     return waitingTime(waiting.sort((a, b) => b.id - a.id)[0], queue, signal);
   };
   const fresh = () => load(query(), true).catch((error) => { if (!signal.aborted) put(root, trouble(error)); });

@@ -44,7 +44,7 @@ function viewOf(address) {
 }
 
 function markWhereWeAre(address) {
-  const room = ["#/jobs", "#/scene", "#/audit"].find((one) => `#${address}`.startsWith(one)) || "#/";
+  const room = ["#/jobs", "#/scene", "#/audit"].find((one) => `#${address}`.startsWith(one)) || (viewOf(address)[0] ? "#/" : "");
   for (const link of document.querySelectorAll(".main-nav a")) {
     if (link.getAttribute("href") === room) link.setAttribute("aria-current", "page");
     else link.removeAttribute("aria-current");
@@ -89,6 +89,14 @@ function askForKey() {
 
 function markKey() {
   document.getElementById("key").textContent = key() ? "Key ✓" : "Key";
+  markAudit();
+}
+
+// Only a key for admin may read the audit; a server without keys shows it to everybody.
+async function markAudit() {
+  const link = document.querySelector(".main-nav a[href='#/audit']");
+  const refused = await send("GET", "v1/audit?limit=1", { quiet: true }).then(() => false, (error) => [401, 403].includes(error.status));
+  link.hidden = refused;
 }
 
 const THEMES = { auto: ["◐ Auto", "light dark"], light: ["○ Light", "light"], dark: ["● Dark", "dark"] };

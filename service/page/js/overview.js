@@ -43,7 +43,7 @@ function warnings(about, signal, done) {
       found.map((one) => el("div", { class: "stack" }, el("p", { class: "muted small" }, `Import ${one.import}${one.filename ? `, ${one.filename}` : ""}`),
         findingNote(about.name, one, one.import, signal, done)))) : null,
     ofRows.length ? note("thin", ofRows.map((one) => el("p", {}, textOf(one))), about.another_setup.wrenches ? resolve(about) : null) : null,
-    checked.length ? note("thin", el("strong", {}, "Warnings of the bundle check"), el("ul", {}, checked.map((one) => el("li", {}, VERB.test(textOf(one)) ? `${one.where} ${textOf(one)}` : sentence(textOf(one)))))) : null,
+    checked.length ? note("thin", el("strong", {}, "Warnings of the bundle check"), el("ul", {}, checked.map((one) => el("li", {}, VERB.test(textOf(one)) ? `${one.where} ${textOf(one)}` : sentence(textOf(one)).replace(/([^.])$/, "$1."))))) : null,
   ];
 }
 

@@ -59,7 +59,7 @@ function marks() {
     return el("li", {}, mark, text);
   };
   return el("ul", { class: "key-of-marks" }, one("", "accent", "row with loads of this axis only"), one("hollow", "card", "row with other loads too"),
-    one("square", "thin", "loads that are thin"), one("square", "outside", "loads outside the rows"), one("diamond", "query", "latest queries"));
+    one("square", "thin", "loads that are thin"), one("square", "outside", "loads outside the rows"), one("diamond", "query", "latest queries, within twice the load range"));
 }
 
 function picture(about, rows, gap, latest, shade, camera) {
@@ -74,13 +74,16 @@ function picture(about, rows, gap, latest, shade, camera) {
     dots(columns, clean, { size: many ? 2 : 4.5, color: shade.accent, opacity: many ? 0.6 : 1 }, "row"),
     dots(columns, at(1), { size: 4, symbol: "square", color: shade.thin, opacity: 0.55 }, "thin"),
     dots(columns, at(2), { size: 4, symbol: "square", color: shade.outside, opacity: 0.55 }, "outside"),
-    dots(columns, latest, { size: 6, symbol: "diamond", color: shade.query }, "asked"),
+    dots(columns, latest.filter((one) => isNear(about, one)), { size: 6, symbol: "diamond", color: shade.query }, "asked"),
     box(about, columns, shade),
   ];
   const axis = (load) => ({ title: { text: `${plain(load)}, ${unitOfLoad(load)}` }, nticks: 5 });
   const scene = { xaxis: axis(rows.inputs[0]), yaxis: axis(rows.inputs[1]), zaxis: axis(rows.inputs[2]), aspectmode: "cube", camera };
   return { data, layout: { scene, uirevision: "same" } };
 }
+
+// A query far outside the load range would shrink all else to a point.
+const isNear = (about, wrench) => [...about.range.force, ...about.range.moment].every(([low, high], k) => Math.abs(wrench[k]) <= 2 * Math.max(Math.abs(low), Math.abs(high)));
 
 function dots(columns, wrenches, marker, name) {
   const [x, y, z] = columns.map((k) => wrenches.map((one) => one[k]));

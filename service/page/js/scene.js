@@ -10,11 +10,12 @@ export async function show(root, _, signal) {
   const { components } = await listed(signal);
   const chosen = new Map();
   const forms = el("div", { class: "stack" }), plan = el("div", { class: "cards", "aria-live": "polite" });
-  const make = el("button", { class: "first", disabled: true }, "Plan");
+  const make = el("button", { class: "first", disabled: true }, "Plan"), hint = el("span", { class: "muted small" }, "Choose a component above.");
   const toggle = (one) => (event) => {
     if (event.target.checked) chosen.set(one.name, needForm(one)); else chosen.delete(one.name);
     put(forms, [...chosen.values()].map((form) => form.root));
     make.disabled = chosen.size === 0;
+    hint.hidden = !make.disabled;
   };
   const ask = async (event) => {
     event.preventDefault();
@@ -30,7 +31,7 @@ export async function show(root, _, signal) {
     el("form", { class: "stack", onsubmit: ask },
       el("fieldset", { class: "card" }, el("legend", { class: "unseen" }, "Components of the scene"),
         el("div", { class: "line" }, components.map((one) => el("label", { class: "check" }, el("input", { type: "checkbox", onchange: toggle(one) }), one.name)))),
-      forms, el("div", {}, make)),
+      forms, el("div", { class: "line" }, make, hint)),
     plan);
 }
 

@@ -34,10 +34,14 @@ export function wholeError(glance, about) {
   const k = errors.reduce((best, one, place) => ((one ?? 0) > (errors[best] ?? 0) ? place : best), 0);
   const exactly = (value) => quantity(value, "m", 2).replaceAll(" ", "\u00a0");
   const bar = (value) => (value > 0 && value < errors[k] / 1000 ? "negligible" : exactly(value));
+  if (errors[k] === null && !within) {
+    return el("div", { class: "stack tight" }, el("div", { class: "shares" }, el("span", {}, "within tolerance"), el("span", { class: "bar" }), el("span", {}, "–")),
+      el("span", { class: "muted small" }, `Not known: the rows are too few for an error bar. ${about.has_fea ? "Fill the table" : "Import more rows"}.`));
+  }
   const parts = !about.has_fea ? "interpolation"
     : known ? `interpolation ${bar(glance.interpolation[k])} + ${solverError(about)} ${bar(Math.max(0, errors[k] - glance.interpolation[k]))}`
       : "interpolation; the discretisation error is not known";
   return el("div", { class: "stack tight" },
     el("div", { class: "shares" }, el("span", {}, glance.within_tolerance === null && about.has_fea ? "covered" : "within tolerance"), sharesBar([within, Math.max(0, covered - within), 1 - covered], WHOLE), el("span", {}, `${Math.round(100 * within)} %`)),
-    errors[k] === null ? el("span", { class: "muted small" }, "The error bar is not known: see the overview.") : el("span", { class: "muted small" }, `Error bar ± ${bar(errors[k])}: ${parts}${about.tolerance ? `; tolerance ${exactly(about.tolerance.translation)}` : ""}`));
+    errors[k] === null ? el("span", { class: "muted small" }, "The size of the error bar is not known.") : el("span", { class: "muted small" }, `Error bar ± ${bar(errors[k])}: ${parts}${about.tolerance ? `; tolerance ${exactly(about.tolerance.translation)}` : ""}`));
 }

@@ -115,7 +115,7 @@ def test_clocks_of_different_rates_are_named_with_the_factor(rate):
         lag = estimate_lag(slow_logs(seed, 0.2, rate, 60.0))
         (finding,) = clock_findings(lag, lag.seconds)
         assert abs((1 + finding.numbers["rate"]) * (1 + rate) - 1) < 3e-4
-        assert "multiply the displacements' times by" in finding.message
+        assert "multiply the times of the displacements by" in finding.message
 
 
 def test_clocks_of_one_rate_have_no_finding_of_a_rate():
