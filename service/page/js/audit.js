@@ -53,7 +53,7 @@ function actionOf(name) {
 
 // A state as words: "status waiting, priority 0".
 function wordsOf(state) {
-  if (state === null || typeof state !== "object") return String(state).replace(/^([0-9a-f]{12})[0-9a-f]{52}$/, "$1…"); // a digest
+  if (state === null || typeof state !== "object") return String(state).replace(/^([0-9a-f]{12})[0-9a-f]{52}$/, "$1"); // a digest, shortened
   return Object.entries(state).filter(([, value]) => value !== null && value !== "").map(([name, value]) => (Array.isArray(state) ? wordsOf(value) : `${name.replaceAll("_", " ")} ${wordsOf(value)}`)).join(", ");
 }
 
