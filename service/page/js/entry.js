@@ -51,7 +51,7 @@ function naming(about, signal) {
     goTo((await post(`${of(about.name)}/copy`, { name: copied.value.trim(), rows: rows.checked }, signal)).name);
   });
   if (about.shipped || about.renamed_to) {
-    return el("div", { class: "stack" }, copy, el("p", { class: "muted small" }, about.shipped ? "It comes with the program and keeps its name." : "It has been renamed."));
+    return el("div", { class: "stack" }, copy, el("p", { class: "muted small" }, about.shipped ? "A shipped component keeps its name." : "It has been renamed."));
   }
   const rename = form(signal, { inputs: [field("Rename it to", renamed)], action: "Rename", id: "rename" }, async () => {
     goTo((await post(`${of(about.name)}/rename`, { name: renamed.value.trim() }, signal)).name);

@@ -28,7 +28,7 @@ export function importOptions(name, changed, signal) {
   const lag = el("input", { autocomplete: "off", placeholder: "0", onchange: changed, id: "lag" });
   const remove = el("button", { type: "button", class: "small", hidden: true, onclick: () => { file.value = ""; chosen(); } }, "Remove the second log");
   const chosen = () => { remove.hidden = !file.files[0]; changed(); };
-  const logs = el("details", { id: "logs" }, el("summary", {}, "Two logs: loads and displacements apart"),
+  const logs = el("details", { id: "logs" }, el("summary", {}, "Two logs: loads and displacements in separate files"),
     el("div", { class: "stack" },
       el("p", { class: "muted small" }, "The file above is the log of the loads. Each log has a column of time; each displacement becomes a row with the loads at its time."),
       el("div", { class: "halves" }, field("Log of the displacements", file), field("Lag: seconds added to the times of the displacements, or auto", lag)), el("div", {}, remove)));

@@ -28,7 +28,7 @@ export function tour(components) {
     say(`${step + 1} of ${STEPS.length}: ${head}`, body, step + 1 < STEPS.length ? "Next" : "Done");
     stop = pointTo(selector);
   };
-  say("New here?", `Three steps show the work with a table, at the part ${part.name}.`, "Begin");
+  say("New here?", `Three steps show how a table works, with the component ${part.name}.`, "Begin");
   document.body.append(dialog);
   dialog.show();
 }
