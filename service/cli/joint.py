@@ -82,13 +82,13 @@ def joint(
     if mass is not None:
         total, moving = facts["vibration"]["mass"], sum(mass[k][k] for k in range(3)) / 3
         shares = f"{moving:.4g} kg of the part's {total:.4g} kg move with {tip!r}"
-        sys.stderr.write(f"{shares}; give the base what no tip takes\n")
+        sys.stderr.write(f"{shares}. Add the mass that moves with no tip to the base's body\n")
     elif not massless:
-        sys.stderr.write(f"{name} has no known mass: give its materials a density\n")
+        sys.stderr.write(f"{name} has no known mass: write the density of its materials\n")
     if out is not None:
         out.write_text(text, encoding="utf-8")
         if ' file="' in text and out.resolve().parent != scene.resolve().parent:
-            sys.stderr.write(f"its files are named from the folder {scene.parent}: move it there\n")
+            sys.stderr.write(f"its files are relative to the folder {scene.parent}: move it there\n")
     if as_json:
         print_json({"component": name, "tip_mass": mass, "file": out, "mjcf": text})
     elif out is None:

@@ -385,6 +385,12 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
     of_scene = _JOINTS[joints[0]._data]
     if len(set(stepped)) < len(stepped):
         raise JointError("two joints have one tip, which would feel one of them: leave one out")
+    for joint in joints:
+        for start, tip in zip(joint._starts, joint._tips, strict=True):
+            if of_scene.setdefault(start, joint) is not joint:
+                raise JointError(
+                    f"a joint that was made later has the tip {tip!r}: step that joint, not this one"
+                )
     if len(of_scene) > len(stepped):
         others = dict.fromkeys(joint for at, joint in of_scene.items() if at not in stepped)
         sides = [[tip for joint in some for tip in joint._tips] for some in (joints, others)]

@@ -323,6 +323,14 @@ def test_two_joints_of_one_tip_or_of_two_scenes_are_refused():
             step_joints(*joints)
 
 
+def test_a_joint_whose_tip_has_a_later_joint_is_not_stepped():
+    model, data = scene(sphere(3))
+    first, later = (MujocoJoint(model, data, TABLE) for _ in range(2))
+    later.step()
+    with pytest.raises(JointError, match="made later has the tip 'tip'"):
+        first.step()
+
+
 def test_beyond_the_range_the_wrench_goes_on_linearly_with_one_warning():
     joint = Joint(linear_table(high=HIGH / 100))
     with pytest.warns(JointWarning, match="beyond the load range"):
