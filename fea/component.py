@@ -310,7 +310,11 @@ def _material_numbers(
             block[chosen] = i
     general = [i for i, material in enumerate(materials) if material.region == "all"]
     if len(general) > 1:
-        problems.append(BundleProblem(f"material[{general[1]}].region", '"all" is there twice'))
+        problems.append(
+            BundleProblem(
+                f"material[{general[1]}].region", '"all" is there twice; leave one of the two out'
+            )
+        )
     count = sum(int((block < 0).sum()) for block in numbers)
     if count and not general:
         message = f'{count} cells have no material; name their region or add one for "all"'
@@ -340,7 +344,10 @@ def _attach(
         section = InterfaceSection(nodes, np.empty(0), 0.0, np.zeros(3), by_area=False)
     else:
         if not _spans_a_plane(mesh.points[nodes]):
-            message = f'"{interface.section}" lies on one line, so it has no rotation; take a face'
+            message = (
+                f'"{interface.section}" lies on one line, so its rotation is not defined; choose a '
+                "face"
+            )
             problems.append(BundleProblem(key, message))
         if interface.section in mesh.facet_groups:
             section = section_of_facets(mesh.points, mesh.facet_groups[interface.section])
@@ -399,9 +406,9 @@ def _weights(
     """Return equal weights, or the deck's of these nodes, shape (s,)."""
     weights, message = np.ones(len(nodes)), ""
     if interface.coupling == "rigid":
-        message = "a rigid coupling has no mean, so no weights; leave it out"
+        message = "a rigid coupling forms no mean, so weights have no effect; leave them out"
     elif interface.weights == "deck" and interface.section not in mesh.node_weights:
-        message = f'the deck gives "{interface.section}" none; write "area" or "equal"'
+        message = f'the deck gives "{interface.section}" no weights; write "area" or "equal"'
     elif interface.weights == "deck":
         ids, sizes = mesh.node_weights[interface.section]
         inside = np.isin(ids, nodes)

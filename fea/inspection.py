@@ -297,7 +297,7 @@ def set_up_warnings(component: ComponentModel) -> list[BundleProblem]:
         if strength is not None and bolt.bolt.force > strength * bolt.area:
             message = (
                 f"is a mean stress of {bolt.bolt.force / bolt.area:.4g} Pa in the shank, more than "
-                f"its yield strength, {strength:.4g} Pa: materials here do not yield"
+                f"its yield strength, {strength:.4g} Pa: the solver does not model yielding"
             )
             problems.append(BundleProblem(f"{bolt.key}.force", message))
         angle, direction = shank_direction(component, bolt)
@@ -311,7 +311,9 @@ def set_up_warnings(component: ComponentModel) -> list[BundleProblem]:
             problems.append(BundleProblem(f"{bolt.key}.axis", message))
     for number, material in enumerate(component.bundle.materials if component.bundle else ()):
         if material.thermal_expansion is not None and component.temperature is None:
-            message = "counts for nothing without [inputs.temperature]"
+            message = (
+                "has no effect without [inputs.temperature]: add that input, or leave this key out"
+            )
             problems.append(BundleProblem(f"material[{number}].thermal_expansion", message))
     return problems
 

@@ -99,7 +99,7 @@ def number(word: str, where: str) -> float:
     except ValueError:
         raise OutputError(f'{where} has "{word}" where a number should be.') from None
     if not math.isfinite(value):
-        raise OutputError(f'{where} has "{word}": the solver came to no number.')
+        raise OutputError(f'{where} has "{word}": the solver found no finite result.')
     return value
 
 

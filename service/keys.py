@@ -180,14 +180,14 @@ class Keyring:
             if len(keys) >= MAX_KEYS:
                 raise KeysError(f"there are {MAX_KEYS} keys already; revoke some")
             if any(key.name == name for key in keys.values()):
-                raise KeysError(f"there is a key {name!r} already; revoke it or take another name")
+                raise KeysError(f"there is already a key {name!r}; revoke it or take another name")
             fields = {"name": name, "scope": scope, "digest": digest_of(secret)}
             try:
                 key = _checked({**fields, "created": time.time(), **limits})
             except ValueError as error:
                 raise KeysError(str(error)) from None
             if not key.is_valid():
-                raise KeysError("the key would have expired already; give an end that is to come")
+                raise KeysError("the key would have expired already; give an end in the future")
             keys[key.digest] = key
         return secret
 
@@ -200,7 +200,7 @@ class Keyring:
                 message = f"there is no key {name!r} that is valid; make one with: "
                 raise KeysError(f"{message}wrenchbook keys add {name}")
             if not 0.0 <= overlap_s < 1e9:
-                raise KeysError(f"the overlap is hours from 0, not {overlap_s / 3600.0:g}")
+                raise KeysError(f"the overlap must be 0 hours or more, not {overlap_s / 3600.0:g}")
             if len(keys) >= MAX_KEYS:
                 raise KeysError(f"there are {MAX_KEYS} keys already; revoke some")
             newest, now = max(known, key=lambda key: key.created), time.time()
@@ -229,7 +229,7 @@ class Keyring:
         self._path.parent.mkdir(parents=True, exist_ok=True)
         descriptor = take(self._path.with_name(f"{FILE}.lock"))
         if descriptor is None:
-            raise KeysError("another command is changing the keys; do it again")
+            raise KeysError("another command is changing the keys; run this command again")
         try:
             with self._lock:
                 self._read()

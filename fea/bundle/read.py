@@ -174,7 +174,7 @@ class _Reader:
         if analysis is not None and analysis.gravity is not None:
             self.check_densities(materials, "[analysis] gravity")
         if analysis is not None and analysis.zero != "preloaded" and "bolt" not in self.table:
-            self.wrong("analysis.zero", "is of no use without a [[bolt]]; leave it out")
+            self.wrong("analysis.zero", "has no effect without a [[bolt]]; leave it out")
         self.check_inputs(further, materials, interfaces)
         # A range whose corners are too many to look at each.
         if loads is not None:
@@ -253,7 +253,7 @@ class _Reader:
             self.wrong("interface", message)
         valid = [interface for interface in interfaces if interface is not None]
         if len({interface.name for interface in valid}) < len(valid):
-            self.wrong("interface", "a name is there twice; give each interface another name")
+            self.wrong("interface", "two interfaces have the same name; give each its own name")
         if sum(interface.held for interface in valid) > 1:
             message = "only one can be held: it is the reference of all displacements"
             self.wrong("interface", message)

@@ -113,7 +113,7 @@ def report(
             summary["deck"], warnings = deck_report(bundle.deck)
             summary["warnings"] += warnings
             if riding is not None:
-                message = "no natural frequency: its solver gives none, the mass counts for nothing"
+                message = "no natural frequency: its solver computes none, and --mass has no effect"
                 summary["warnings"].append(BundleProblem("deck", message))
         elif bundle.mesh is not None:
             if bundle.mesh.geometry is not None:

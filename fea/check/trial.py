@@ -146,7 +146,7 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[dict[str, Any], li
     warnings = []
     if without_density:
         names = ", ".join(f'"{name}"' for name in without_density)
-        message = f"no density for {names}: it counts as weightless in mass and frequency"
+        message = f"no density for {names}: mass and frequency leave it out. Write its density"
         warnings.append(BundleProblem("material", message))
     try:
         vibration = solver.vibration(carried)
@@ -310,7 +310,8 @@ def _yielding(component: ComponentModel, stresses: list[dict[str, Any]]) -> list
             if row["region"] == material.region and row["largest"] > strength:
                 message = (
                     f"is exceeded under the full range: {row['largest']:.4g} Pa, "
-                    f"{row['largest'] / strength:.2g} times it; materials here do not yield: "
+                    f"{row['largest'] / strength:.2g} times it; the solver does not model "
+                    "yielding: "
                     "answers there are too stiff. Narrow [range], or strengthen the part"
                 )
                 problems.append(BundleProblem(key, message))

@@ -101,7 +101,7 @@ def _run(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress) -> Re
     except OutOfTime:
         raise SolveFailed(
             "timed_out",
-            f'"{program}" was ended: it had not finished after {deck.timeout:g} s.',
+            f'"{program}" was stopped, because it had not finished after {deck.timeout:g} s.',
             "Give it more time with timeout (seconds) in [deck], or make the deck smaller.",
         ) from None
     except OSError as error:

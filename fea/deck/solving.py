@@ -96,8 +96,8 @@ def solve_deck(
                 gap = float((gaps / np.maximum(largest, 1e-300)).max())
                 raise SolveFailed(
                     "not_linear",
-                    f"The deck's answer to this wrench is {gap:.1e} off what its answers to single "
-                    "loads add up to.",
+                    f"The deck's answer to this wrench differs by {gap:.1e} from the sum of its "
+                    "answers to single loads.",
                     "Set nonlinear = true in [analysis], or take out of the deck what is not "
                     "linear: NLGEOM, contact, plasticity, loads other than the wrench.",
                 )

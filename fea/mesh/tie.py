@@ -131,7 +131,10 @@ def joined(
         dependents = Dependents.of(len(mesh.points), (rows, masters, weights))
     except CircularError as error:
         at = point_text(mesh.points[error.node])
-        message = f"the node at {at} m follows itself by several ties; swap the groups of one"
+        message = (
+            f"the node at {at} m depends on itself through several ties; swap the two groups of "
+            "one of them"
+        )
         problems.append(BundleProblem("tie", message))
         return mesh, ()
     points, nodes = mesh.points.copy(), np.concatenate([tied.nodes for tied in done])

@@ -119,7 +119,7 @@ def find_equilibrium(
         balance = step.balance
         report(iteration, balance.norm)
         if not np.isfinite(balance.norm):
-            raise Stuck("the iteration ran away to forces that are not finite")
+            raise Stuck("the iteration diverged to forces that are not finite")
         if largest_rotation(balance.state.interface) > _FAR_ROTATION:
             raise Stuck("the iteration turned the interface by more than 115 degrees")
         if proper and step.converged:
@@ -155,7 +155,7 @@ def correct(
     change = nodes + tangent.border.constraint @ border
     largest = np.abs(change).max(initial=0.0)
     if not (np.isfinite(border).all() and largest < _FAR * system.body.extent):
-        raise Stuck("the iteration ran away")
+        raise Stuck("the iteration diverged")
     state = system.coupling.moved(balance.state, nodes, border)
     after = system.balance(state, balance.wrench)
     work = abs(float(np.vdot(balance.nodal, nodes) + balance.border @ border))

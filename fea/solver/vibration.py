@@ -57,7 +57,7 @@ class Riding:
         if not np.isfinite(numbers).all():
             raise ValueError("mass, inertia and centre must be finite numbers")
         if self.mass < 0:
-            raise ValueError(f"a mass of {self.mass:g} kg cannot be; give zero or more")
+            raise ValueError(f"a mass of {self.mass:g} kg is not possible; give zero or more")
         if not np.array_equal(self.inertia, self.inertia.T):
             raise ValueError("the inertia must be symmetric")
         moments = np.linalg.eigvalsh(self.inertia)
@@ -130,7 +130,7 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     if count == PER_INTERFACE:
         interface_mass[np.ix_(active, active)] = riding.matrix[np.ix_(active, active)]
     elif riding.matrix.any():
-        raise ValueError("a mass on one of several interfaces is not there yet; leave it out")
+        raise ValueError("a mass at one of several interfaces is not supported; leave --mass out")
     inertia = Inertia(system, mass, interface_mass)
     cells = 1.0 - system.body.slips
     mass_of_part = float(cells @ (mass @ cells))

@@ -77,10 +77,10 @@ def deck_text(path: Path) -> DeckText:
             try:
                 if size > _MAX_CHARACTERS or len(stack) > _MAX_DEPTH or len(included) > _MAX_FILES:
                     most = f"{_MAX_CHARACTERS >> 20} MiB, {_MAX_FILES} in all and {_MAX_DEPTH} deep"
-                    raise ValueError(f"one file too many: they may be {most}")
+                    raise ValueError(f"too many files are included: at most {most}")
                 included.append(_inside(folder, stack[-1].parent, inner, beside))
                 if included[-1] in stack:
-                    raise ValueError("which includes itself; take one of the two out")
+                    raise ValueError("which includes itself; remove one of the two lines")
             except (OSError, RuntimeError, ValueError) as error:
                 where = f"line {at} of {name}: " if name else f"line {at}: "
                 word = "*" * (pattern is _ABAQUS) + match[1].upper()
@@ -113,7 +113,7 @@ def _inside(folder: Path, here: Path, name: str, beside: str) -> Path:
     paths = dict.fromkeys((root / name).resolve() for root in (folder, here))
     inside = [path for path in paths if path.is_relative_to(folder)]
     if re.match(r"/|\w:", name) or not inside:  # whatever is there: no sender may know
-        raise ValueError("which is outside the deck's folder; put the file there")
+        raise ValueError("which is outside the folder of the deck; move the file into it")
     files = [path for path in inside if path.is_file()]
     if len(files) != 1:
         why = "of which there are two" if files else "which is not there"

@@ -118,7 +118,8 @@ def _name(value: str) -> str:
     if is_slug(value):
         return value
     raise ValueError(
-        f'"{value}" will not do as a folder and in a URL; use 1 to 64 of a-z, 0-9, _ and -, '
+        f'"{value}" cannot be the name of a folder and a part of a URL; use 1 to 64 of a-z, 0-9, _ '
+        "and -, "
         "beginning with a letter or digit"
     )
 
@@ -126,7 +127,7 @@ def _name(value: str) -> str:
 def different(values: tuple[_T, ...]) -> tuple[_T, ...]:
     """Refuse a value that is there twice."""
     if len(set(values)) < len(values):
-        raise ValueError("names something twice; keep one of the two")
+        raise ValueError("has a name twice; remove one of the two")
     return values
 
 
@@ -245,9 +246,9 @@ def _orthonormal(rows: Sequence[Sequence[float]]) -> Array:
     axes = np.array(rows)
     # A direction that is far from a unit's length would overflow in the product.
     if np.abs(axes).max() > 2.0 or np.abs(axes @ axes.T - np.eye(3)).max() > 1e-6:
-        raise ValueError("must be three unit directions square to each other (to 1e-6)")
+        raise ValueError("must be three unit directions, perpendicular to each other (to 1e-6)")
     if np.linalg.det(axes) < 0.0:
-        raise ValueError("must be right-handed; turn one direction round")
+        raise ValueError("must be right-handed; reverse one direction")
     # An exact frame with the same x, in plain floats: the digits go into the fingerprint, so
     # they must not depend on a machine's linear algebra library.
     first, second, _ = axes.tolist()

@@ -47,7 +47,9 @@ def _alike(expansion: float | tuple[float, float, float]) -> tuple[float, float,
 
 def _no_list(expansion: object) -> object:
     if isinstance(expansion, list):  # a file's; a tuple is of a material that was read
-        raise ValueError("must be a finite number in 1/K; three are of an orthotropic material")
+        raise ValueError(
+            "must be a finite number in 1/K; three numbers are for an orthotropic material"
+        )
     return expansion
 
 
@@ -157,7 +159,8 @@ class Orthotropic(Solid):
     def __post_init__(self) -> None:
         if not self.stable:
             message = (
-                "no material has these: some strain would give energy back. Each |nu_ij| must be "
+                "no real material has these constants: some strain would release energy. Each "
+                "|nu_ij| must be "
                 "below sqrt(E_i / E_j); nu12 is the strain along 2 when pulled along 1 "
                 "(nu21 = nu12 E2 / E1)"
             )

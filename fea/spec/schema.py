@@ -179,7 +179,7 @@ def _stiffness(numbers: tuple[Any, ...]) -> Array:
     if np.abs(scaled - scaled.T).max() > _ROUNDING:
         raise ValueError("must be symmetric")
     if np.linalg.eigvalsh(scaled)[0] < -_ROUNDING:
-        raise ValueError("some motion would give energy back: no eigenvalue may be negative")
+        raise ValueError("some motion would release energy: no eigenvalue may be negative")
     if not matrix.any():
         raise ValueError("is zero; leave the bushing out")
     return 0.5 * matrix + 0.5 * matrix.T  # the sum may be no number
@@ -252,7 +252,12 @@ class Bolt:
         if (self.region is None) == (self.group is None):
             raise MistakesError(("region", "write a region, or a group in its place"))
         if self.group is not None and self.point is not None:
-            raise MistakesError(("point", "is of a region; a group has its place: leave it out"))
+            raise MistakesError(
+                (
+                    "point",
+                    "has an effect with a region only: a group has its own place; leave it out",
+                )
+            )
 
 
 @array_table
@@ -274,7 +279,7 @@ class Joint(Attached):
         if self.rigid == (self.stiffness is not None):
             raise MistakesError(("stiffness", "write it, or rigid = true in its place"))
         if self.rigid and self.coupling != "rigid":
-            raise MistakesError(("coupling", 'must be "rigid" of a rigid joint'))
+            raise MistakesError(("coupling", 'must be "rigid" for a rigid joint'))
 
 
 @table
@@ -332,7 +337,7 @@ class Interface(Attached):
 
     def __post_init__(self) -> None:
         if self.locked == FREEDOMS and not self.held:
-            raise MistakesError(("locked", "holds every freedom; nothing is left to move"))
+            raise MistakesError(("locked", "holds every freedom, so nothing can move; name fewer"))
 
 
 def _load(ends: float | tuple[float, float]) -> tuple[float, float]:
@@ -447,7 +452,7 @@ class DeclaredRange:
         """
         ends = [tuple(dict.fromkeys(pair)) for pair in zip(self.low, self.high, strict=True)]
         if math.prod(len(pair) for pair in ends) > 2**MAX_INPUTS:
-            raise ValueError(f"a range of more than {MAX_INPUTS} loads has too many corners")
+            raise ValueError(f"the range of more than {MAX_INPUTS} loads has too many corners")
         return np.array(list(product(*ends)))
 
 
@@ -499,7 +504,7 @@ class Deck:
     def __post_init__(self) -> None:
         if self.file in self.files:
             where = f"files[{self.files.index(self.file)}]"
-            raise MistakesError((where, "is the deck itself; leave it out"))
+            raise MistakesError((where, "is the deck itself; leave this entry out"))
 
 
 @dataclass(frozen=True, eq=False)

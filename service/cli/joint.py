@@ -88,7 +88,9 @@ def joint(
     if out is not None:
         out.write_text(text, encoding="utf-8")
         if ' file="' in text and out.resolve().parent != scene.resolve().parent:
-            sys.stderr.write(f"its files are relative to the folder {scene.parent}: move it there\n")
+            sys.stderr.write(
+                f"its files are relative to the folder {scene.parent}: move it there\n"
+            )
     if as_json:
         print_json({"component": name, "tip_mass": mass, "file": out, "mjcf": text})
     elif out is None:
@@ -102,7 +104,9 @@ def _moving(name: str, facts: dict[str, Any], interface: str | None = None) -> t
     at = moving[0] if interface is None and len(moving) == 1 else interface
     if at is None or at not in moving:
         ends = ", ".join(moving) or "one interface without a name"
-        raise typer.BadParameter(f"{name} moves at {ends}; --interface names the one at the tip")
+        raise typer.BadParameter(
+            f"{name} moves at {ends}; name the interface at the tip with --interface"
+        )
     of = slice(first := FREEDOMS * [*parts].index(at), first + FREEDOMS)
     matrix = (facts.get("vibration") or {}).get("condensed_mass") or []
     return parts[at], [row[of] for row in matrix[of]] or None

@@ -348,7 +348,7 @@ def rig(
     if (action == "list") == bool(name) or (action == "add") != (file is not None):
         raise typer.BadParameter("write list, show NAME, add NAME FILE.toml or remove NAME")
     if name and not RIG_NAME.fullmatch(name):
-        raise typer.BadParameter(f"{name!r}: a name is of letters, digits and .-_, 64 at most")
+        raise typer.BadParameter(f"{name!r}: a name has letters, digits, dots, - and _, at most 64")
     content = None if file is None else file.read_bytes()
     with connected(server, data) as client:
         reply = client.call(verb, path, content, kind="application/toml")

@@ -268,7 +268,9 @@ def jax_joint(
     first = joint.new_steps(1, None)
     square = shape_of(first.interfaces, 3, 3)
     if not 0.0 < dt < np.inf or (turned is not None and turned.shape != square):
-        raise InvalidArgument(f"a step is above zero, and axes are {square}, not {dt} s and {axes}")
+        raise InvalidArgument(
+            f"dt must be above zero, and axes must have the shape {square}, not {dt} s and {axes}"
+        )
     size, shapes = first.memory.shape[1], {n: first.replies[n].shape[1:] for n in REPLIED}
     buffers = first.memory, first.poses, first.velocities, first.inverse_masses
     entered = [place.shape[1:] for place in buffers]

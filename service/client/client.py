@@ -210,7 +210,8 @@ def deformed_format(file: str | Path) -> str:
     if suffix.lower() not in FORMATS:
         named = f"the ending {suffix}" if suffix else "no ending"
         raise InvalidArgument(
-            f"{file} has {named}, which is no form of a surface; there are {', '.join(FORMATS)}"
+            f"{file} has {named}, which is not a format of surfaces; use one of "
+            f"{', '.join(FORMATS)}"
         )
     return FORMATS[suffix.lower()]
 

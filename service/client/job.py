@@ -306,5 +306,5 @@ def _path(job: Job | int | Answer) -> str:
     except (TypeError, ValueError):
         why = ": it is complete, or nothing was queued" if number is None else ""
         raise InvalidArgument(
-            f"a job is a Job, its number, or an answer that has a job, not {job!r}{why}"
+            f"job must be a Job, its number, or an answer with a job, not {job!r}{why}"
         ) from None

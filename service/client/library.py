@@ -39,7 +39,8 @@ def table_format(file: str | Path) -> str:
     if suffix.lower() not in _ENDINGS:
         named = f"the ending {suffix}" if suffix else "no ending"
         raise InvalidArgument(
-            f"{file} has {named}, which is no form of a table; there are {', '.join(_ENDINGS)}, "
+            f"{file} has {named}, which is not a format of tables; use one of "
+            f"{', '.join(_ENDINGS)}, "
             "and with wrenchbook export .fmu and .zip"
         )
     return _ENDINGS[suffix.lower()]
@@ -479,7 +480,9 @@ def _profile(rig: str | Path) -> str:
 
 def _known(format_: str) -> str:
     if format_ not in _FORMATS:
-        raise InvalidArgument(f"{format_!r} is no form of a table; there are {', '.join(_FORMATS)}")
+        raise InvalidArgument(
+            f"{format_!r} is not a format of tables; use one of {', '.join(_FORMATS)}"
+        )
     return format_
 
 

@@ -402,7 +402,7 @@ class Table:
         """
         if self._client is None:
             raise InvalidArgument(
-                f"{self!r} is of a file: download the newest version from a server"
+                f"{self!r} was opened from a file: download the newest version from a server"
             )
         with self._fetching:
             fetched = _fetch(self._client, self.name, self._scene, self._now[1])

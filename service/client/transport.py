@@ -72,7 +72,7 @@ class Response:
 def component_path(name: str, call: str = "") -> str:
     """Return the path of a component's call, or of the component itself."""
     if not isinstance(name, str):
-        raise InvalidArgument(f"a component's name is a text, not {name!r}")
+        raise InvalidArgument(f"a component's name must be text, not {name!r}")
     return f"/v1/components/{quote(name, safe='')}" + (f"/{call}" if call else "")
 
 
@@ -94,7 +94,7 @@ class Connection:
                 raise ValueError
         except (TypeError, ValueError):  # no text, no port
             raise InvalidArgument(
-                f"{url!r} is no address of a server; write http://127.0.0.1:8000"
+                f"{url!r} is not the address of a server; write http://127.0.0.1:8000"
             ) from None
         if not (isinstance(timeout, Real) and timeout > 0.0):
             raise InvalidArgument(f"timeout is a number of seconds above 0, not {timeout!r}")
@@ -105,7 +105,7 @@ class Connection:
         self._key = key.strip()
         if not (self._key.isascii() and self._key.isprintable()) or " " in self._key:
             raise InvalidArgument(  # which does not show it
-                "the key holds blanks or characters that no key has; copy it again"
+                "the key has blanks or characters that no key contains; copy it again"
             )
         https = parts.scheme == "https"
         self._kind = http.client.HTTPSConnection if https else http.client.HTTPConnection
@@ -326,7 +326,7 @@ class Connection:
         lines += [f"{name}: {value}" for name, value in fields.items()]
         if not "".join(lines).isprintable():
             raise InvalidArgument(
-                f"a request's head is of printable characters alone, not {fields}"
+                f"the headers of a request must have printable characters only, not {fields}"
             )
         return "\r\n".join([*lines, "", ""]).encode("latin-1")
 

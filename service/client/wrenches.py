@@ -112,7 +112,7 @@ def wrench_of(body: Mapping[str, Json]) -> Vector:
 
 def _mapping(name: str, values: Mapping[str, T]) -> Mapping[str, T]:
     if not isinstance(values, Mapping):
-        raise InvalidArgument(f"{name} are a mapping by name, not {values!r}")
+        raise InvalidArgument(f"{name} must be a mapping by name, not {values!r}")
     return values
 
 
@@ -161,7 +161,7 @@ def tolerance_body(tolerance: Tolerance) -> dict[str, float]:
             f"a tolerance is {{'translation': m, 'rotation': rad}}, not {tolerance!r}"
         ) from None
     if not (0.0 < translation < np.inf and 0.0 < rotation < np.inf):
-        raise InvalidArgument(f"a tolerance is positive and finite, not {tolerance!r}")
+        raise InvalidArgument(f"a tolerance must be positive and finite, not {tolerance!r}")
     return {"translation": translation, "rotation": rotation}
 
 
@@ -176,7 +176,7 @@ def _numbers(values: ArrayLike, name: str) -> Vector:
         raise InvalidArgument(f"{name} must be numbers, not {kind}")
     if "numpy.ma" in sys.modules and np.ma.is_masked(values):  # np.ma takes 8 ms to load
         raise InvalidArgument(
-            f"{name} must be numbers; some are masked, which means that there is none"
+            f"{name} must be numbers; some are masked (missing); fill or remove them"
         )
     return block.astype(float)
 

@@ -106,7 +106,9 @@ class DeformedSurfaces:
         room, beyond = FARTHEST * loads.scale, why_beyond(loads, acting)
         low, high = np.minimum(loads.low, 0.0) - room, np.maximum(loads.high, 0.0) + room
         if ((acting < low) | (acting > high)).any():
-            raise TooFarError(f"{beyond}: too far beyond it for a surface; ask nearer to the range")
+            raise TooFarError(
+                f"{beyond}: too far beyond it for a surface; choose a wrench nearer to the range"
+            )
         if component.linear:
             shape = self._linear(component, rows, acting)
         else:
@@ -195,7 +197,7 @@ class DeformedSurfaces:
     ) -> Deformed:
         """Return the interpolation of the rows that have fields, one for each wrench in range."""
         if not len(rows):
-            raise NoFieldsError(component, "its table has no rows")
+            raise NoFieldsError(component, "its table has no rows: fill it, or import rows")
         inside = component.load_range.holds(rows.wrench)
         solved = np.flatnonzero((rows.fingerprint == component.fingerprint) & inside)
         wrenches = rows.wrench[solved]

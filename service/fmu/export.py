@@ -227,7 +227,7 @@ def platforms_of(text: str) -> tuple[str, ...]:
     unknown = [name for name in names if name not in PLATFORMS]
     if unknown:
         raise UnknownPlatformError(
-            f"{', '.join(map(repr, unknown))}: no such platform; there are all, "
+            f"{', '.join(map(repr, unknown))}: no such platform; use all, or one or more of "
             f"{', '.join(PLATFORMS)}"
         )
     build.compiler_command(next(iter(build.PLATFORMS.values())))  # any: one compiler makes all
@@ -257,7 +257,8 @@ def make_fmu(
     rows = [table.arrays[f"g{k}/row/wrench"] for k in range(len(table.meta["groups"]))]
     if not all(((low <= loads) & (loads <= high)).all(axis=1).any() for loads in rows):
         raise NotExportableError(
-            "all rows of the table are outside its load range: nothing answers within it"
+            "all rows of the table are outside its load range: no wrench within it has an answer. "
+            "Widen the load range"
         )
     table.answer(table.space.zero.tolist(), None, method)  # by this method, or not at all
     used = ", ".join(dict.fromkeys(method or group["method"] for group in table.meta["groups"]))

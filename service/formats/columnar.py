@@ -159,7 +159,7 @@ def _mat_variables(path: Path) -> dict[str, Any]:
             raise ValueError(f"it unpacks to more than {MAX_UNPACKED >> 20} MiB")
         values = loadmat(path, squeeze_me=True)
     except Exception as error:  # scipy raises many classes on damaged files
-        raise ValueError(f"is no readable MATLAB file: {error}") from error
+        raise ValueError(f"is not a readable MATLAB file: {error}") from error
     return {name: value for name, value in values.items() if not name.startswith("__")}
 
 
@@ -227,7 +227,7 @@ def _tdms_pieces(
         if c.properties.get("wf_increment")
     }
     if len(times) > 1:
-        raise ValueError("the waveforms of its channels are not of one time; resample them")
+        raise ValueError("the waveforms of its channels do not have the same times; resample them")
     names = [name for label in labels for name, _, _ in readings_of(label, columns)]
     named = any(name.startswith("time") for name in (*names, *options.mapping.values()))
     _, start, step = next(iter(times), (None, None, 0.0))

@@ -66,7 +66,10 @@ def _joined(parts: list[ParsedTable]) -> ParsedTable:
 def _retained_rows(rows: ParsedTable, options: Options, report: ReadReport) -> ParsedTable:
     """Return the rows that the cycle options leave; `report` counts the others."""
     if any(rows.compliance.strides) or ((rows.source == FEA) | (rows.fingerprint != "")).any():
-        message = "has solves or slopes, and cycles are of measured rows; leave their options out"
+        message = (
+            "has solves or slopes, and cycles are found in measured rows only; leave the options "
+            "of cycles out"
+        )
         raise _CycleError("file", message)
     loads, span = len(options.columns.loads), options.load_range
     size = np.abs(rows.wrench).max(axis=0) if span is None else largest_loads(span) / LOAD_LIMIT

@@ -124,7 +124,7 @@ def _positive(value: str) -> float:
     except ValueError:
         number = math.nan
     if not 0.0 < number < math.inf:
-        raise ValueError(f"'{value[:40]}' in the lines above the header is no number above zero")
+        raise ValueError(f"'{value[:40]}' in the lines above the header is not a number above zero")
     return number
 
 

@@ -109,7 +109,7 @@ def _records(values: Iterator[Any]) -> Iterator[Record]:
     for number, row in enumerate(rows, start=1):
         if not isinstance(row, dict) or any(isinstance(cell, dict) for cell in row.values()):
             raise JsonError(
-                f"row {number} is no object of named columns; write pandas' frames with "
+                f"row {number} is not an object of named columns; write pandas' frames with "
                 "to_json(orient='records')"
             )
         if number == 1:
@@ -118,7 +118,7 @@ def _records(values: Iterator[Any]) -> Iterator[Record]:
         if not row.keys() <= set(names):
             more = ", ".join(row.keys() - set(names))
             raise JsonError(
-                f"row {number} has columns that row 1 has not: {more}; write them as null"
+                f"row {number} has columns that row 1 does not have: {more}; write them as null"
             )
         for name, cell in row.items():
             if not (cell is None or isinstance(cell, str)):

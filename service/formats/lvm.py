@@ -118,6 +118,6 @@ def _segment(
     labels[0] = f"{_X} [{next(iter(values('X_Unit_Label').values()), 's')}]"
     clocks = set(zip(values("X0").values(), values("Delta_X").values(), strict=False))
     if len(clocks) > 1 or not (clocks or has_x):
-        raise ValueError("X0 and Delta_X of its channels are not of one time; resample them")
+        raise ValueError("X0 and Delta_X of its channels do not have the same times; resample them")
     start, step = (float(text.replace(",", ".")) for text in next(iter(clocks), ("0", "0")))
     return labels, None if has_x else (start, step)

@@ -275,6 +275,14 @@ def _columns(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         )
         report.mistakes.ruin(0, "file", message)
         return
+    if (
+        options.role == "table"
+        and options.sheet is not None
+        and report.format not in ("xlsx", "xls", "tdms")
+    ):
+        message = f"names one of several sheets, and {report.format} has none; leave it out"
+        report.mistakes.ruin(0, "sheet", message)
+        return
     try:
         yield from _READERS[report.format](path, options, report)
     except ModuleNotFoundError:
@@ -331,12 +339,13 @@ def _format_of(path: Path) -> Format:
         )
     if b"\0" in head and not utf16:
         raise ContentError(
-            "is no table: it holds zero bytes. Send CSV, XLSX, XLS, Parquet, JSON, HDF5, MAT, LVM "
+            "is not a table: it contains zero bytes. Send CSV, XLSX, XLS, Parquet, JSON, HDF5, "
+            "MAT, LVM "
             "or TDMS, each gzipped if you like"
         )
     text = head.removeprefix(codecs.BOM_UTF8).lstrip()
     if text[:1] == b"<":
-        raise ContentError("is a web page or XML and no table; export the table as CSV or XLSX")
+        raise ContentError("is a web page or XML, not a table; export the table as CSV or XLSX")
     return "json" if text[:1] in (b"{", b"[") else "csv"
 
 
@@ -348,7 +357,7 @@ def _format_of_zip(path: Path) -> Format:
         raise ContentError(f"is a damaged zip file or workbook ({error})") from error
     if "[Content_Types].xml" in names and any(name.startswith("xl/") for name in names):
         return "xlsx"
-    raise ContentError("is a zip file and no XLSX workbook; unpack it and send the table")
+    raise ContentError("is a zip file, not an XLSX workbook; unpack it and send the table")
 
 
 def _part(piece: ParsedTable) -> Part:

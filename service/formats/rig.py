@@ -110,7 +110,7 @@ class Rig:
         try:
             values = tomllib.loads(text)
         except (tomllib.TOMLDecodeError, RecursionError) as error:
-            raise RigError(f"the rig is not TOML: {error}") from None
+            raise RigError(f"the profile is not TOML: {error}") from None
         table = values.pop(_OWN, {})
         values |= table if isinstance(table, dict) else {_OWN: table}
         known = *_KEYS, *OPTIONS

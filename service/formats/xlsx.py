@@ -144,7 +144,8 @@ def chosen_sheet(
     if not fitting:
         known, missing = ", ".join(names) or "none", repr(wanted) if wanted else "with data"
         raise NoSheetError(
-            f"there is no sheet {missing}; it has {known}: say sheet=NAME (--sheet NAME)"
+            f"there is no sheet {missing}; it has {known}: choose one with sheet=NAME (--sheet "
+            "NAME)"
         )
     filled = (name for name in fitting if name != ABOUT_SHEET and is_filled(name))
     report.sheet = next(filled, fitting[0])

@@ -405,7 +405,10 @@ class AccessControl:
             is_server_key = bool(server_key) and compare_digest(secret.encode(), server_key)
             key = self._server_key if is_server_key else self.keyring.find(secret)
             if key is None:
-                raise _no_key("The request's key is none of this server's; revoked, or expired.")
+                raise _no_key(
+                    "The request's key is not a key of this server: it is wrong, revoked or "
+                    "expired."
+                )
             stored = None if is_server_key else self.keyring
             permission = self._permissions[secret] = Permission(key, self._rates, stored)
         return permission

@@ -149,7 +149,9 @@ class ImportQuery(Body):
     def _can_be_appended(self) -> ImportQuery:
         others = self.model_fields_set & _OF_FILES
         if self.append is not None and others:
-            raise ValueError(f"append takes no {', '.join(sorted(others))}: a block is no file")
+            raise ValueError(
+                f"append takes no {', '.join(sorted(others))}: a block of rows is not a file"
+            )
         return self
 
     @field_validator("note", "filename", "rig", "append")
@@ -165,7 +167,9 @@ class ImportQuery(Body):
         others = profile.model_fields_set & _OF_FILES
         if self.append is not None and others:
             names = ", ".join(sorted(others))
-            raise RigError(f"append takes no {names}, as this profile has: a block is no file")
+            raise RigError(
+                f"append takes no {names}, as this profile has: a block of rows is not a file"
+            )
         mapped, mapping = _pairs(self.mapping or "{}"), _pairs(profile.mapping or "{}")
         ignore = set(profile.ignore) - mapped.keys()
         query = profile.model_copy(update=self.model_dump(include=self.model_fields_set))

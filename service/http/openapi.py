@@ -13,6 +13,7 @@ from pydantic import TypeAdapter
 from starlette.requests import Request
 from starlette.responses import Response
 
+from wrenchbook.service.http.field_meanings import describe
 from wrenchbook.service.http.problems import MEDIA_TYPE
 from wrenchbook.service.http.routes import holds, naming
 from wrenchbook.service.messages import Problem
@@ -134,4 +135,5 @@ def _document(app: FastAPI, keys: bool, below: str) -> dict[str, Any]:
             )
             refusals = {str(status): text for status, text in refused(*more).items()}
             operation["responses"] = refusals | operation["responses"]
+    describe(document)
     return document

@@ -149,7 +149,7 @@ def bad_body(errors: Sequence[dict[str, Any]], detail: str | None = None) -> Htt
     return HttpProblemError(
         422,
         "bad-request-body",
-        "The request is not of this call's form",
+        "The request does not have the form of this call",
         detail or f"Nothing was changed. {len(errors)} mistake(s); the first is {first}.",
         errors=list(errors[:MAX_ERRORS]),
     )

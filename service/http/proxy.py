@@ -39,7 +39,9 @@ class ProxyTrust:
         if not sent or not self.trusts(head.get(PEER_FIELD, b"").decode()):
             return None
         if not _USER.fullmatch(sent):
-            raise _refused(f"The proxy names a user {sent[:100]!r}, which is no mail or id.")
+            raise _refused(
+                f"The proxy names a user {sent[:100]!r}, which is neither a mail address nor an id."
+            )
         groups = head.get(self.groups, b"").decode("latin-1").split(",")[:_MAX_GROUPS]
         named = {"*", *(group.strip() for group in groups)}
         allowed: list[Scope] = [self.scopes[group] for group in named & self.scopes.keys()]
@@ -67,7 +69,7 @@ def proxy_trust(settings: Settings) -> ProxyTrust | None:
         return None
     for header in filter(None, (user, groups)):
         if not _HEADER.fullmatch(header) or header.lower() in _OF_CALLERS:
-            raise SettingsError(f"{header!r} is no header that a proxy names a user by")
+            raise SettingsError(f"{header!r} is not a header in which a proxy can name a user")
     scopes: dict[str, Scope] = {}
     for part in settings.trust_proxy_scopes.split(","):
         group, _, word = part.strip().partition("=")

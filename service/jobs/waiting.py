@@ -121,7 +121,7 @@ class Polls:
                 return jobs
             if len(self._waiters) > MAX_WAITERS:
                 raise TooManyPollsError(
-                    f"{MAX_WAITERS} callers wait for jobs already. Ask again in some seconds, or "
+                    f"{MAX_WAITERS} callers wait for jobs already. Ask again in a few seconds, or "
                     "follow all jobs at once with GET /v1/events"
                 )
             if self._polling is None or self._polling.done():

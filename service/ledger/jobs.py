@@ -318,7 +318,8 @@ def cancel(db: Connection, job_id: int) -> JobRecord:
     job, caller = get(db, job_id), CALLER.get()
     if not caller.admin and job.actor != caller.actor:
         raise NotPermittedError(
-            f"job {job_id} is of {job.actor or 'an actor unknown'}; {caller.actor} may cancel its "
+            f"job {job_id} belongs to {job.actor or 'an actor unknown'}; {caller.actor} may cancel "
+            "its "
             "own jobs. Others' jobs need a key for admin"
         )
     if job.status == "cancelled":

@@ -48,7 +48,7 @@ def store_rig(ledger: Ledger, name: str, profile: str) -> None:
         others = db.execute("SELECT count(*) FROM rigs WHERE name != ?", (name,)).fetchone()[0]
         if others >= MAX_RIGS:
             raise RigError(
-                f"{others} rigs are stored, the most; remove one (wrenchbook rig remove)"
+                f"{others} rigs are stored, the largest number; remove one (wrenchbook rig remove)"
             )
         note(db, "rig.store", name, before=_stored(db, name), after=profile)
         db.execute("INSERT OR REPLACE INTO rigs VALUES (?, ?)", (name, profile))

@@ -76,7 +76,7 @@ def back_up(folder: Path, target: Path) -> Manifest:
     """
     folder, target = folder.absolute(), target.absolute()
     if not (folder / LEDGER).is_file():
-        raise BackupError(f"{folder} is no data directory: it has no {LEDGER}")
+        raise BackupError(f"{folder} is not a data directory: it has no {LEDGER}")
     root, real = folder.resolve(), target.parent.resolve() / target.name
     if real.is_relative_to(root) and HELD.fullmatch(real.relative_to(root).as_posix()):
         problem = f"{target} is among the files that backups hold: each would hold those before it"
@@ -162,7 +162,9 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
                 problem = f"{name} in {source} cannot be read ({error}); {_DAMAGED}"
                 raise BackupError(problem) from error
             if copied != expected:
-                raise BackupError(f"{name} in {source} is not what was written; {_DAMAGED}")
+                raise BackupError(
+                    f"{name} in {source} has changed since it was written; {_DAMAGED}"
+                )
     return manifest
 
 
@@ -181,17 +183,23 @@ def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
         files = {str(name): (int(n), str(digest)) for name, (n, digest) in fields["files"].items()}
         created, ledger_schema = float(fields["created"]), int(fields["ledger_schema"])
     except _UNREADABLE as error:
-        raise BackupError(f"{source} does not say what is in it ({error!r})") from error
+        raise BackupError(
+            f"{source} has no readable list of its content ({error!r}); take another backup"
+        ) from error
     held = {name: digest for name, digest in files.items() if HELD.fullmatch(name)}
     skipped = tuple(files.keys() - held.keys())
     outside = [name for name in skipped if name.startswith("/") or ".." in name.split("/")]
     if outside or (skipped and schema > 1):
         raise BackupError(
-            f"{source} holds {(outside or skipped)[0]!r}, which no backup does: it was changed. "
+            f"{source} holds {(outside or skipped)[0]!r}, which no backup contains: it was "
+            "changed. "
             "Nothing was restored; take another one"
         )
     if LEDGER not in held:
-        raise BackupError(f"{source} has no {LEDGER}: it is no backup of a data directory")
+        raise BackupError(
+            f"{source} has no {LEDGER}: it is not a backup of a data directory. Name a file that "
+            "wrenchbook backup wrote"
+        )
     return Manifest(created, ledger_schema, held, skipped=tuple(sorted(skipped)))
 
 

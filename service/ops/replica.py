@@ -83,7 +83,7 @@ class Manifest:
 def place_of(url: str) -> Place:
     """Return the storage of a URL as a mapping; raises ReplicaError."""
     if url.startswith(("http://", "https://")):
-        raise ReplicaError(f"{shown(url)} is no replica: write the URL of serve --replicate")
+        raise ReplicaError(f"{shown(url)} is not a replica: write the URL of serve --replicate")
     try:
         import fsspec  # half a second that only servers with a replica wait
 
@@ -144,7 +144,7 @@ class Replica:
             raise ReplicaError(f"the files of {self.url} are damaged: {error!r}") from error
         for name in files:
             if not is_held(name):
-                raise ReplicaError(f"{self.url} holds {name!r}, which no replica does")
+                raise ReplicaError(f"{self.url} holds {name!r}, which no replica contains")
         return {**files, LEDGER: manifest.ledger}
 
     def block(self, digest: str) -> bytes:
@@ -196,7 +196,7 @@ class Shipper:
         if again and not names:
             raise ReplicaError(
                 f"{replica.url} is empty and was not before; mount it, or start the server again "
-                "to ship all anew"
+                "to ship all files again"
             )
         try:
             newest = replica.newest() if names else None
@@ -261,7 +261,7 @@ class Shipper:
     def _check(self) -> None:
         """Raise ReplicaError unless the place is as it was left: blocks may be missing now."""
         if self._replica.place.get(LATEST, b"") != self._pointer:
-            raise ReplicaError(f"{self._replica.url} has changed or is gone, not by this server")
+            raise ReplicaError(f"{self._replica.url} was changed or removed by another program")
 
     def collect(self) -> None:
         """Remove the manifests that need not stay, and the blocks that no manifest needs."""

@@ -167,10 +167,16 @@ def _aligned(size: int) -> int:
 
 def _check(head: bytes, size: int, following: Iterable[bytes | memoryview]) -> None:
     if len(head) < _HEADER.itemsize:
-        raise PackedTableError(f"this is not a packed table: {size} bytes")
+        raise PackedTableError(
+            f"this is not a packed table (.wbt): it has {size} bytes; write one with wrenchbook "
+            "export NAME NAME.wbt"
+        )
     header = np.frombuffer(head, dtype=_HEADER)[0]
     if head[: len(MAGIC)] != MAGIC:
-        raise PackedTableError("this is not a packed table of wrenchbook")
+        raise PackedTableError(
+            "this is not a packed table (.wbt) of wrenchbook; write one with wrenchbook export "
+            "NAME NAME.wbt"
+        )
     if header["byte_order"] != _BYTE_ORDER:
         raise PackedTableError("the table has another byte order or is damaged")
     if header["format"] != FORMAT:

@@ -193,8 +193,11 @@ def mistake(code: int, method: str | None, packed: Packed) -> Exception:
         1: ValueError("wrenches and displacements must be finite numbers"),
         NO_METHOD: UnknownMethodError(method or "(default)"),
         3: MemoryError("no memory for a batch"),
-        4: InverseError("only a table with a load an output has an inverse"),
-        5: InverseError("the derivative has no inverse here, or is not known"),
+        4: InverseError("only a table with as many loads as outputs has an inverse"),
+        5: InverseError(
+            "the derivative has no inverse here, or is not known; more rows, or a load that the "
+            "part resists, give one"
+        ),
         6: InverseError(
             "no wrench of the table gives this displacement; it may be beyond the load range"
         ),

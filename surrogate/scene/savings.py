@@ -24,7 +24,7 @@ class Savings:
 
     build_s: float | None  # processor time of building; None where there is no table yet
     memory_bytes: int | None  # of the packed table
-    us_per_answer: float | None  # of one answer to a wrench of the scene; may be below zero
+    us_per_answer: float | None  # of one answer to a wrench of the scene
     origin: dict[str, str]  # where each number comes from
 
 
@@ -56,7 +56,11 @@ def measured(table: Table, plan: ScenePlan) -> Savings:
         "us_per_answer": f"measured now, best of {RUNS} runs of {ANSWERS} wrenches of the scene: "
         f"{before[2]:.3g} µs by the whole table, {after[2]:.3g} µs by the scene's",
     }
-    return Savings(before[0] - after[0], before[1] - after[1], before[2] - after[2], origin)
+    # Small tables can cost as much after the cut: nothing is saved then. `origin` has both figures.
+    build_s, memory, answer_us = (
+        max(whole - part, 0) for whole, part in zip(before, after, strict=True)
+    )
+    return Savings(build_s, int(memory), answer_us, origin)
 
 
 def _us(table: PackedTable, wrenches: Floats) -> float:

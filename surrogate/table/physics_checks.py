@@ -231,14 +231,13 @@ def _tangents(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, An
     moved = some.displacement[second] - some.displacement[first]
     residual = np.abs(moved - np.einsum("pij,pj->pi", mean, step))
     sizes = _sizes(some, load_range.space)
-    allowed = TANGENT * np.abs(moved) + 0.05 * sizes
-    allowed += stored[there][first] + stored[there][second]
-    over = (residual > allowed).any(axis=1)
+    residual -= stored[there][first] + stored[there][second]  # noise is no evidence
+    over = (residual > TANGENT * np.abs(moved) + 0.05 * sizes).any(axis=1)
     blamed = np.bincount(pairs[near][over].reshape(-1), minlength=len(some))
     wrong = blamed > 1 if (blamed > 1).any() else blamed > 0
     return {
         "ok": not over.any(),
-        "largest_miss": float((residual / sizes).max()),
+        "largest_miss": float((residual / sizes).max().clip(0.0)),
         "rows": _named(some, wrong),
     }
 

@@ -213,7 +213,7 @@ def test_own_jobs_may_be_cancelled_and_others_by_admin_alone(ledger):
         with acting_as(actor):
             jobs[actor] = ledger.accept("bar", "f", [len(jobs), 0, 0, 0, 0, 0])[0].id
     CALLER.set(Caller("ann", admin=False))
-    with pytest.raises(NotPermittedError, match="is of bob"):
+    with pytest.raises(NotPermittedError, match="belongs to bob"):
         ledger.cancel(jobs["bob"])
     assert ledger.cancel_many(None, "waiting") == 1
     CALLER.set(Caller("root"))
@@ -311,7 +311,7 @@ def test_a_rotated_key_has_two_secrets_until_the_old_one_ends(tmp_path):
     newest = keyring.rotate("ann", 0.0)
     assert (keyring.find(old), keyring.find(new)) == (None, None)
     assert keyring.find(newest).expires is None
-    for overlap, name, why in ((-1.0, "ann", "hours from 0"), (0.0, "eve", "no key 'eve'")):
+    for overlap, name, why in ((-1.0, "ann", "0 hours or more"), (0.0, "eve", "no key 'eve'")):
         with pytest.raises(KeysError, match=why):
             keyring.rotate(name, overlap)
     keyring.revoke("ann")

@@ -175,8 +175,8 @@ REFUSED = [
     *((partial(cut, kept=kept), None) for kept in (0, 1, 100, -5000, -30, -1)),
     (partial(planted, schema=99, program="9.9"), r"newer wrenchbook.*9\.9"),
     (partial(planted, files={}), r"has no ledger\.sqlite"),
-    *((partial(planted, name=name), "which no backup does") for name in (*OUT, *FOREIGN)),
-    *((partial(planted, name=name, schema=1), "which no backup does") for name in OUT),
+    *((partial(planted, name=name), "which no backup contains") for name in (*OUT, *FOREIGN)),
+    *((partial(planted, name=name, schema=1), "which no backup contains") for name in OUT),
     *((partial(planted, text=text), "planted") for text in NONSENSE),
     *((partial(planted, large=name), "compressed or overlapping entries") for name in LARGE),
 ]
@@ -277,7 +277,7 @@ def test_a_damaged_ledger_is_not_backed_up_over_a_good_backup(backup, folder):
 def test_a_backup_that_cannot_be_written_is_told_and_leaves_nothing(folder, tmp_path):
     with pytest.raises(BackupError, match="cannot be written"):
         back_up(folder, tmp_path / "none" / "b")
-    with pytest.raises(BackupError, match="no data directory"):
+    with pytest.raises(BackupError, match="not a data directory"):
         back_up(tmp_path, tmp_path / "b")
     assert not (tmp_path / "b").exists()
 

@@ -188,7 +188,7 @@ def test_a_bad_batch_or_option_is_named_before_anything_is_sent(stub: Stub, clie
 def test_a_problem_becomes_an_exception_that_reads_well(stub: Stub, client: Client):
     problem = {
         "type": "urn:x",
-        "title": "The request is not of this call's form",
+        "title": "The request does not have the form of this call",
         "status": 422,
         "detail": "Nothing was changed.",
         "errors": [{"loc": "force.1", "msg": "a number is needed"}],
@@ -201,7 +201,7 @@ def test_a_problem_becomes_an_exception_that_reads_well(stub: Stub, client: Clie
     assert caught.value.title == problem["title"]
     assert caught.value.errors == problem["errors"]
     assert str(caught.value) == (
-        "422 The request is not of this call's form: Nothing was changed.\n"
+        "422 The request does not have the form of this call: Nothing was changed.\n"
         "  force.1: a number is needed"
     )
 

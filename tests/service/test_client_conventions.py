@@ -61,9 +61,13 @@ def test_the_pose_as_one_matrix_equals_apply_at_the_origin():
     assert moved.matrix[3].tolist() == [0, 0, 0, 1]
 
 
-def test_a_pose_of_wrong_shape_is_refused():
-    with pytest.raises(ValueError, match=r"R0 must have shape \(3, 3\)"):
-        answer([1, 2, 3], [0, 0, 0]).apply(np.eye(4), np.zeros(3))
+@pytest.mark.parametrize(
+    ("R0", "words"),
+    [(np.eye(4), r"R0 must have shape \(3, 3\)"), (2 * np.eye(3), "R0 must be a rotation")],
+)
+def test_a_pose_that_is_none_is_refused(R0, words):
+    with pytest.raises(ValueError, match=words):
+        answer([1, 2, 3], [0, 0, 0]).apply(R0, np.zeros(3))
 
 
 def test_ros_messages_are_read_as_mapping_object_or_stamped():

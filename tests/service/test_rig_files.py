@@ -103,7 +103,7 @@ def test_of_two_tdms_groups_with_columns_the_sender_names_one():
     ("weg", "says"),
     [
         ((PATH[:5], MM), "(Kraft: 25, Weg: 5) are not at most 256 of one length; resample them"),
-        ((PATH, MM | WAVE | {"wf_increment": 0.1}), "are not of one time; resample them"),
+        ((PATH, MM | WAVE | {"wf_increment": 0.1}), "do not have the same times; resample them"),
     ],
 )
 def test_tdms_channels_of_two_clocks_are_refused_and_load_resampled(weg, says):

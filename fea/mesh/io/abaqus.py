@@ -474,7 +474,7 @@ def add(
     """Add members to a set, a new one or that of its name."""
     deck.entries += len(entries)
     if deck.entries > _MAX_MEMBERS:
-        raise MeshFileError(f"names a set too many: they have {deck.entries} members in all")
+        raise MeshFileError(f"makes the sets too large: they have {deck.entries} members in all")
     sets.setdefault(_key(deck, frame, name), []).extend(entries)
 
 

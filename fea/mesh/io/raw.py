@@ -123,7 +123,9 @@ def _dependents(raw: RawMesh, number: Array, points: Array) -> Dependents:
         return Dependents.of(len(points), (number[nodes], number[masters], weights))
     except CircularError as error:
         at = point_text(points[error.node])
-        raise MeshFileError(f"has equations by which the node at {at} m follows itself") from None
+        raise MeshFileError(
+            f"has equations by which the node at {at} m depends on itself; remove one of them"
+        ) from None
 
 
 def _without_twins(nodes: Array) -> tuple[Array, Array]:

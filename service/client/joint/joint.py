@@ -147,7 +147,9 @@ class Joint:
     @damping.setter
     def damping(self, damping: float) -> None:
         if not (isinstance(damping, Real) and 0.0 <= damping < math.inf):
-            raise InvalidArgument(f"damping is a share of critical, 0 or more, not {damping!r}")
+            raise InvalidArgument(
+                f"damping must be a fraction of critical damping, 0 or more, not {damping!r}"
+            )
         self._damping = float(damping)
 
     @property
@@ -428,7 +430,10 @@ def rotation_vector(R: ArrayLike) -> Vector:
     size = math.sqrt(float(sine @ sine))
     angle = math.atan2(size, 0.5 * (float(np.trace(matrix)) - 1.0))
     if size == 0.0 and angle > 1.0:
-        raise InvalidArgument("R turns by half a turn: its rotation vector has two directions")
+        raise InvalidArgument(
+            "R is a rotation by 180 degrees, whose rotation vector has two possible directions; a "
+            "joint covers at most 40 degrees"
+        )
     return sine * (angle / size if size > 0.0 else 1.0)
 
 

@@ -65,7 +65,7 @@ class Joints:
 
     def __copy__(self) -> Joints:
         """Refuse: it would share arrays."""
-        raise InvalidArgument("a copy of Joints would share their states: make others")
+        raise InvalidArgument("a copy of Joints would share their states; make new Joints instead")
 
     @property
     def inputs(self) -> Mapping[str, float]:

@@ -219,7 +219,9 @@ class MujocoJoint(Joint):
         They stay: a scene's arrays are where they were made, and so are the kernel's.
         """
         if data.signature != self._model.signature:
-            raise InvalidArgument("data is of another model than the one given")
+            raise InvalidArgument(
+                "data belongs to another model; make it with mujoco.MjData(model)"
+            )
         self._use(steps, at)
         self._data, self._pose, reply, self._scene = data, None, self._reply, self._model.opt
         self._solved = np.empty_like(self._units)
@@ -384,12 +386,16 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
     stepped = [start for joint in joints for start in joint._starts]
     of_scene = _JOINTS[joints[0]._data]
     if len(set(stepped)) < len(stepped):
-        raise JointError("two joints have one tip, which would feel one of them: leave one out")
+        raise JointError(
+            "two joints have the same tip, which would get the wrench of one of them only: leave "
+            "one out"
+        )
     for joint in joints:
         for start, tip in zip(joint._starts, joint._tips, strict=True):
             if of_scene.setdefault(start, joint) is not joint:
                 raise JointError(
-                    f"a joint that was made later has the tip {tip!r}: step that joint, not this one"
+                    f"a joint that was made later has the tip {tip!r}: step that joint, not this "
+                    "one"
                 )
     if len(of_scene) > len(stepped):
         others = dict.fromkeys(joint for at, joint in of_scene.items() if at not in stepped)
@@ -570,7 +576,10 @@ def joints_in_mj_step() -> Iterator[None]:
     if errors:
         raise errors[0]
     if exchanged:
-        raise JointError("a callback was set within joints_in_mj_step: since then no joint pulled")
+        raise JointError(
+            "a callback was set within joints_in_mj_step: since then the joints had no effect. Set "
+            "it outside"
+        )
 
 
 def _refuse_rk4(model: Model) -> None:

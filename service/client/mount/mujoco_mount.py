@@ -266,12 +266,14 @@ def _division(model: Model, mocap: str, force: str, torque: str) -> _Division:
     body = _named(model, _OBJECT.mjOBJ_BODY, mocap, "body")
     number = int(model.body_mocapid[body])
     if number < 0:
-        raise SensorError(f"body {mocap!r} is no mocap body; {_REMEDY}")
+        raise SensorError(f"body {mocap!r} is not a mocap body; {_REMEDY}")
     kinds = engine.mjtSensor
     forces, site = _sensor(model, force, kinds.mjSENS_FORCE, "force")
     torques, other = _sensor(model, torque, kinds.mjSENS_TORQUE, "torque")
     if site != other:
-        raise SensorError(f"sensors {force!r} and {torque!r} are at two sites; put both at one")
+        raise SensorError(
+            f"sensors {force!r} and {torque!r} are at two sites; put both at the same site"
+        )
     if model.opt.disableflags & _DISABLE.mjDSBL_SENSOR:
         raise SensorError('sensors are switched off: remove <flag sensor="disable"/>')
     mounted = int(model.site_bodyid[site])
@@ -316,8 +318,8 @@ def _floating(model: Model, division: _Division, gravcomp: str | None) -> Vector
     if gravcomp is None:
         names = ", ".join(repr(_name(model, body)) for body in np.flatnonzero(borne)[:5].tolist())
         raise SensorError(
-            f"gravcomp is set on {names}: the sensors read the full weight all the same. Say what "
-            "it stands for: gravcomp='motors' (joints carry the weight, the mount feels it) or "
+            f"gravcomp is set on {names}: the sensors read the full weight all the same. Choose "
+            "its meaning: gravcomp='motors' (joints carry the weight, the mount feels it) or "
             "gravcomp='float' (something outside carries it, the mount does not)"
         )
     if model.opt.integrator == engine.mjtIntegrator.mjINT_RK4:

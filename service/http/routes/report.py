@@ -45,7 +45,7 @@ def make_report(
     if not component.has_fea:
         raise NoSetupError(
             f"{name!r} has no finite-element setup, so there is no reference to report against. "
-            "GET .../coverage tells what its rows know."
+            "GET .../coverage has the coverage of its rows."
         )
     # The builder writes the file of a table after its rows.
     deadline, tables = time.monotonic() + CATCH_UP_S, workspace.tables

@@ -221,6 +221,11 @@ async def import_table(
     options = replace(query.options(rig), solved=solved, linear=component.linear)
     most = _MAX_APPENDED_BYTES if query.append else MAX_TABLE_BYTES
     async with received(request, most) as sent:
+        if len(sent.files) == 1 and (
+            clocks := query.model_fields_set & {"time_offset_s", "max_gap_s"}
+        ):
+            message = "is for two logs: send `loads` and `displacements` in a form, or leave it out"
+            raise bad_body([{"loc": f"query.{name}", "msg": message} for name in sorted(clocks)])
         key = permission_of(request.scope).key
         origin = ImportOrigin(
             who=key.name if key else "",
@@ -257,7 +262,7 @@ async def import_table(
         cure = ""
         rows = reply["rows"]  # none are read under a header with mistakes
         if rows["read"] > rows["refused"] and all(error["row"] for error in errors):
-            cure = ", or say --partial (over HTTP partial=true) to load the good rows"
+            cure = ", or use --partial (over HTTP partial=true) to load the good rows"
         raise HttpProblemError(
             422,
             "bad-rows",

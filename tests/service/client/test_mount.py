@@ -311,7 +311,7 @@ def test_a_sign_turned_round_is_told_from_a_sensor_that_reads_nothing():
     require_weight([0, 0, -98.1], 10.0)
     require_weight(TURNED.T @ [0, 0, -98.1], 10.0, axes=TURNED)
     require_weight([0, 0, 0], 10.0, gravity=[0, 0, 0])
-    with pytest.raises(SensorError, match="sign of the wrench is turned round"):
+    with pytest.raises(SensorError, match="sign of the wrench is reversed"):
         require_weight([0, 0, 98.1], 10.0)
     with pytest.raises(SensorError, match="free joint reads 0"):
         require_weight([0, 0, 0.0], 10.0)
