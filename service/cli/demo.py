@@ -155,7 +155,8 @@ def _compare(out: Console, client: Client) -> str | None:
     within = sum(answer.within_tolerance is True for answer in answers)
     bars = [answer.error_vector[2] for answer in answers if answer.error_vector is not None]
     solved = np.array([job.raw["translation"][2] for *_, job in compared])
-    error = np.abs([answer.vector[2] for answer, *_ in compared] - solved)
+    answered = np.array([answer.vector for answer, *_ in compared], dtype=float)[:, 2]
+    error = np.abs(answered - solved)
     rows, limit = client.component(COMPONENT)["rows"], component["tolerance"]
     out.print(
         f"The table of {rows} rows answers in {middle:.0f} µs; one solve takes {solve:.1f} s.\n"

@@ -39,7 +39,7 @@ def table_format(file: str | Path) -> str:
     if suffix.lower() not in _ENDINGS:
         named = f"the ending {suffix}" if suffix else "no ending"
         raise InvalidArgument(
-            f"{file} has {named}, which is not a format of tables; use one of "
+            f"{file} has {named}; the ending chooses the format: one of "
             f"{', '.join(_ENDINGS)}, "
             "and with wrenchbook export .fmu and .zip"
         )

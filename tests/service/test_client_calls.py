@@ -178,7 +178,7 @@ def test_a_bad_batch_or_option_is_named_before_anything_is_sent(stub: Stub, clie
         client.displacements("plate", np.zeros((3, 5)))
     with pytest.raises(ValueError, match="on_thin must be one of queue, wait"):
         client.displacement("plate", [0, 0, 0], on_thin="maybe")
-    with pytest.raises(ValueError, match="tolerance is positive"):
+    with pytest.raises(ValueError, match="tolerance must be positive"):
         client.fill("plate", tolerance={"translation": 0.0, "rotation": 1.0})
     with pytest.raises(ValueError, match="a tolerance is"):
         client.fill("plate", tolerance={"translation": 1.0})
@@ -244,9 +244,11 @@ def test_wait_takes_an_answer_that_has_a_job_and_says_what_else_it_takes(stub: S
     stub.answers(Answer(QUEUED, status=202), Answer({"id": 7, "status": "done"}))
     assert client.wait(client.solve("plate", [0, 0, 1])).status == "done"
     stub.answers(Answer(COVERED))
-    with pytest.raises(InvalidArgument, match=r"an answer that has a job, not.*complete"):
+    with pytest.raises(InvalidArgument, match=r"an answer with a job, not.*complete"):
         client.wait(client.displacement("plate", [0, 0, 1]))
-    with pytest.raises(InvalidArgument, match=r"a job is a Job, its number, or an answer.*'bar'"):
+    with pytest.raises(
+        InvalidArgument, match=r"job must be a Job, its number, or an answer.*'bar'"
+    ):
         client.wait("bar")  # type: ignore[arg-type]
 
 
@@ -307,12 +309,15 @@ def test_fill_until_stops_when_a_whole_round_fails(stub: Stub, client: Client):
 @pytest.mark.parametrize(
     ("call", "text"),
     [
-        (lambda client: client.component(5), "name is a text, not 5"),
-        (lambda client: client.displacement("plate", loads=[1] * 6), "loads are a mapping by name"),
-        (lambda client: client.displacement("plate", inputs=3), "inputs are a mapping by name"),
-        (lambda _: Client("127.0.0.1:99999"), "no address of a server"),
-        (lambda _: Client("http://127.0.0.1:x"), "no address of a server"),
-        (lambda _: Client(None), "None is no address of a server"),
+        (lambda client: client.component(5), "name must be text, not 5"),
+        (
+            lambda client: client.displacement("plate", loads=[1] * 6),
+            "loads must be a mapping by name",
+        ),
+        (lambda client: client.displacement("plate", inputs=3), "inputs must be a mapping by name"),
+        (lambda _: Client("127.0.0.1:99999"), "not the address of a server"),
+        (lambda _: Client("http://127.0.0.1:x"), "not the address of a server"),
+        (lambda _: Client(None), "None is not the address of a server"),
         (lambda _: Client(timeout="5"), "timeout is a number of seconds above 0, not '5'"),
         (lambda _: Client(timeout=-1), "timeout is a number of seconds above 0, not -1"),
     ],

@@ -31,7 +31,7 @@ def test_a_table_is_imported_from_a_file_a_text_or_bytes(stub: Stub, client, tmp
     client.import_table("bar", text, decimal=",", ignore=["a", "b"], missing_loads="zero")
     asked = f"{path}?decimal=%2C&ignore=a&ignore=b&missing_loads=zero"
     assert stub.seen[-1].path == asked
-    with pytest.raises(ValueError, match="'png' is no form of a table"):
+    with pytest.raises(ValueError, match="'png' is not a format of tables"):
         client.import_table("bar", text, format="png")
     with pytest.raises(FileNotFoundError):
         client.import_table("bar", "no such file.csv")
@@ -117,11 +117,11 @@ def test_an_export_has_the_format_of_its_ending_and_the_bytes_that_came(
 
 @pytest.mark.parametrize("name", ["x.png", "x.tsv", "x", "-"])
 def test_an_ending_that_is_no_tables_is_refused_with_those_there_are(stub, client, tmp_path, name):
-    with pytest.raises(ValueError, match=r"there are \.csv, \.json, \.h5, \.hdf5, "):
+    with pytest.raises(ValueError, match=r"one of \.csv, \.json, \.h5, \.hdf5, "):
         table_format(name)
     run = CliRunner().invoke(app, ["export", "bar", str(tmp_path / "x.png"), "--server", stub.url])
     assert run.exit_code == 1
-    with pytest.raises(InvalidArgument, match="are csv, xlsx, parquet, hdf5, json, packed"):
+    with pytest.raises(InvalidArgument, match="one of csv, xlsx, parquet, hdf5, json, packed"):
         client.export_table("bar", "mat")
     assert (stub.seen, list(tmp_path.iterdir())) == ([], [])
 

@@ -321,4 +321,4 @@ def test_a_damaged_matlab_file_is_named(tmp_path: Path, cut: int):
     path.write_bytes((tmp_path / "a.mat").read_bytes()[:cut])
     result, (message,) = read_columns(path)
     assert result == ([], [])
-    assert "is no readable MATLAB file" in message or "no table" in message
+    assert "is not a readable MATLAB file" in message or "no table" in message

@@ -299,8 +299,7 @@ class Joint:
             math.isfinite(dt) and dt > 0 and np.isfinite(p).all() and np.isfinite(velocity).all()
         ):
             raise InvalidArgument(
-                "a step is above zero, its p and velocity are finite numbers, not "
-                f"{dt} s, {p}, {velocity}"
+                f"dt must be above zero, p and velocity must be finite numbers, not {dt} s, {p}, {velocity}"
             )
         steps = self._steps
         rotations = list(np.asarray(R)) if self._several else [R]

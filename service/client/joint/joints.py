@@ -149,7 +149,7 @@ class Joints:
                 "{} and {}, not {}, {} and {}".format(n, *each, *shapes)
             )
         if not (math.isfinite(dt) and dt > 0):
-            raise InvalidArgument(f"a step is above zero, not {dt} s")
+            raise InvalidArgument(f"dt must be above zero, not {dt} s")
         steps.poses[:], steps.velocities[:], steps.inverse_masses[:] = inputs
         steps.step(dt, self._joint.damping, threads or os.cpu_count() or 1)
         self._check_status()

@@ -280,8 +280,8 @@ STATE = {"R": np.eye(3), "p": np.zeros(3), "velocity": np.zeros(6), "inverse_mas
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        *(({"dt": dt}, "a step is above zero") for dt in (0.0, -1e-3, np.nan)),
-        ({"velocity": np.full(6, np.nan)}, "a step is above zero"),
+        *(({"dt": dt}, "dt must be above zero") for dt in (0.0, -1e-3, np.nan)),
+        ({"velocity": np.full(6, np.nan)}, "dt must be above zero"),
         ({"p": np.zeros(2)}, r"not \(2,\), \(6,\)"),
         ({"velocity": np.zeros(3)}, r"\(3,\) and \(6, 6\)$"),
         ({"inverse_mass": np.eye(3)}, r"\(3, 3\)$"),
@@ -318,7 +318,10 @@ def test_a_scene_that_has_not_the_parts_freedoms_is_refused_by_name(pieces, opti
 
 def test_two_joints_of_one_tip_or_of_two_scenes_are_refused():
     one, other = (MujocoJoint(*scene(sphere(3)), TABLE) for _ in range(2))
-    for joints, text in (((one, one), "two joints have the same tip"), ((one, other), "of one scene")):
+    for joints, text in (
+        ((one, one), "two joints have the same tip"),
+        ((one, other), "of one scene"),
+    ):
         with pytest.raises(JointError, match=text):
             step_joints(*joints)
 

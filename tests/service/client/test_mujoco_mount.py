@@ -256,7 +256,7 @@ REFUSED = {  # pieces of the scene, options of the mount, and words of the error
         "has cutoff: its reading is not the wrench of now"),
     "no such body": (
         {}, {"mocap": "bse"}, "no body 'bse'; it has 'world', 'base', 'mounted', 'rod'"),
-    "no mocap body": ({}, {"mocap": "rod"}, "body 'rod' is no mocap body"),
+    "no mocap body": ({}, {"mocap": "rod"}, "body 'rod' is not a mocap body"),
     "no such sensor": (
         {}, {"force": "f"}, "no sensor 'f'; it has 'mount_force', 'mount_torque'"),
     "another kind of sensor": (
