@@ -299,7 +299,8 @@ class Joint:
             math.isfinite(dt) and dt > 0 and np.isfinite(p).all() and np.isfinite(velocity).all()
         ):
             raise InvalidArgument(
-                f"dt must be above zero, p and velocity must be finite numbers, not {dt} s, {p}, {velocity}"
+                f"dt must be above zero, p and velocity must be finite numbers, not {dt} s, {p}, "
+                f"{velocity}"
             )
         steps = self._steps
         rotations = list(np.asarray(R)) if self._several else [R]
