@@ -33,16 +33,6 @@ JobStatus = Literal["waiting", "running", "done", "failed", "cancelled"]
 Part = Literal["translation", "rotation"]
 
 
-class Doc:
-    """The description of a field, as OpenAPI shows it."""
-
-    def __init__(self, text: str) -> None:
-        self.text = text
-
-    def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> dict[str, Any]:
-        return {**handler(core), "description": self.text}
-
-
 class FloatArray:
     """Marks a field as an array of floats: `shape` of its JSON, None where it varies."""
 
@@ -90,15 +80,12 @@ class FiniteArray(FloatArray):
     number: ClassVar = {"type": "number"}, np.float64
 
 
-Wrench = Annotated[Vector, FiniteArray(6), Doc("N and N·m")]
+Wrench = Annotated[Vector, FiniteArray(6)]
 Three = Annotated[Vector, FloatArray(3)]
 Six = Annotated[Vector, FloatArray(6)]
 Sixes = Annotated[Vector, FloatArray(None, 6)]
 Matrix = Annotated[Vector, FloatArray(6, 6)]
-Slopes = Annotated[
-    Matrix | None,
-    Doc("du/dw, a line an output, m and rad over N and N·m; null where it is not known"),
-]
+Slopes = Matrix | None
 
 
 def left_out(*, default: Any) -> Any:
@@ -189,14 +176,12 @@ def _unless_none(read: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 
 class JobLink(Message):
-    """A job, in short."""
+    """State and address of a job."""
 
     id: int
     status: JobStatus
     url: str = ""
-    new: Annotated[
-        bool | None, Doc("whether this request queued it; false: it was queued before")
-    ] = left_out(default=False)
+    new: bool | None = left_out(default=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -205,68 +190,52 @@ class JobLink(Message):
 
 
 class Queued(Message):
-    """A round of solves that fill a table."""
+    """Solves that a fill has queued."""
 
     component: str = ""
-    jobs: Annotated[
-        tuple[JobLink, ...],
-        Doc("the solves queued; none when the interpolation error meets the tolerance"),
-    ]
-    stage: Annotated[str, Doc("first, refine or met")]
-    reason: Annotated[str, Doc("why these, or why none")]
+    jobs: tuple[JobLink, ...]
+    stage: str
+    reason: str
 
 
 class Started(Message):
-    """What a start has queued, and the count of wrenches that it has not."""
+    """Queued solves of a start, and counts of the other wrenches."""
 
     component: str = ""
-    jobs: Annotated[tuple[JobLink, ...], Doc("waiting or running for these wrenches")]
-    solved: Annotated[int, Doc("wrenches that a row of the table has")]
-    covered: Annotated[int, Doc("wrenches that the table covers: not solved")]
-    failed: Annotated[int, Doc("wrenches whose solve has failed before")]
-    beyond_range: Annotated[int, Doc("wrenches outside the load range: not solved")]
-    left: Annotated[int, Doc("wrenches that the budget leaves")]
-    reason: Annotated[str, Doc("why not all; empty if all are queued")]
+    jobs: tuple[JobLink, ...]
+    solved: int
+    covered: int
+    failed: int
+    beyond_range: int
+    left: int
+    reason: str
 
 
 class Gathered(Message):
     component: str = ""
-    outside: Annotated[int, Doc("of all taken in: outside the load range")]
-    reason: Annotated[str, Doc("remarks; empty if there are none")]
+    outside: int
+    reason: str
 
 
 class RecordingCounts(Message):
-    total: Annotated[int, Doc("wrenches taken in since it was cleared, each once")]
-    kept: Annotated[int, Doc("wrenches kept; start solves these")]
-    merged: Annotated[int, Doc("of total: within 1e-6 of the range of one kept")]
-    thinned: Annotated[
-        int,
-        Doc("of total: left out by thinning, beyond 10,000 kept, or 1,000 outside the load range"),
-    ]
-    within: Annotated[
-        float,
-        Doc(
-            "every wrench taken in within the load range is as near as this to one kept: the "
-            "largest difference of a load by its scale"
-        ),
-    ]
-    within_outside: Annotated[
-        float, Doc("the same of those outside the range; there the difference is by the load")
-    ]
+    total: int
+    kept: int
+    merged: int
+    thinned: int
+    within: float
+    within_outside: float
 
 
 class Box(Message):
-    count: Annotated[int, Doc("wrenches taken in since it was cleared, each once")]
-    min: Annotated[Six, Doc("least value of each load, N and N·m; null before the first")]
-    max: Annotated[Six, Doc("largest value of each load, N and N·m; null before the first")]
+    count: int
+    min: Six
+    max: Six
 
 
 class Recording(Gathered, RecordingCounts):
-    """What the server has recorded of a component."""
+    """Recorded wrenches of a component."""
 
-    wrenches: Annotated[
-        Sixes, Doc("those kept, in the order they came, shape (n, inputs), N and N·m")
-    ]
+    wrenches: Sixes
 
     def __len__(self) -> int:
         return len(self.wrenches)
@@ -286,127 +255,63 @@ class _BoundKind(FloatArray):
 class Envelope(Gathered, Box):
     """The extremes of each load, and a bound of the displacements under them."""
 
-    at_min: Annotated[
-        Sixes, Doc("the complete wrench at each least value, shape (inputs, inputs), N and N·m")
-    ]
-    at_max: Annotated[
-        Sixes, Doc("the complete wrench at each largest value, shape (inputs, inputs), N and N·m")
-    ]
-    inputs: Annotated[tuple[str, ...], Doc("the order of min and max")]
-    outputs: Annotated[tuple[str, ...], Doc("the order of displacement_bound")]
-    displacement_bound: Annotated[Six, Doc("m and rad; null where nothing is known")]
-    bound: Annotated[
-        Any, _BoundKind(), Doc("what displacement_bound is; its kind is bound, estimate or unknown")
-    ]
-    negligible: Annotated[
-        bool | None, Doc("whether displacement_bound is within the tolerance; null: see reason")
-    ]
+    at_min: Sixes
+    at_max: Sixes
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    displacement_bound: Six
+    bound: Annotated[Any, _BoundKind()]
+    negligible: bool | None
     tolerance: dict[Part, float] | None
 
 
 class Plan(Message):
-    """What a scene needs of one component."""
+    """Decision for one component of a scene."""
 
-    decision: Annotated[
-        Literal["rigid", "linear", "table"],
-        Doc("leave the component out; one compliance answers; its table does"),
-    ]
+    decision: Literal["rigid", "linear", "table"]
     reason: str
-    loads: Annotated[tuple[str, ...], Doc("the loads that can occur")]
-    axes: Annotated[
-        dict[str, dict[Literal["inputs", "dimensions"], Any]],
-        Doc("per axis that is composed its loads that can occur, and the number that vary"),
-    ]
-    outputs: Annotated[tuple[str, ...], Doc("the outputs that are read")]
-    tolerance: Annotated[
-        dict[Part, Any] | None, Doc("of the decision, m and rad: the scene's or the component's")
-    ]
-    displacement_bound: Annotated[
-        Six,
-        Doc(
-            "what no displacement within the scene exceeds, m and rad: by the compliance and the "
-            "answers at the scene's corners, bars included; null if not known"
-        ),
-    ]
-    solves: Annotated[
-        dict[Literal["whole", "scene"], int], Doc("of the first design, from an empty table")
-    ]
-    saves: Annotated[
-        dict[Literal["build_s", "memory_bytes", "us_per_answer"], Any],
-        Doc("what the scene's table needs less than the complete one"),
-    ]
-    saves_from: Annotated[dict[str, str], Doc("the source of each number of saves and solves")]
-    compliance: Annotated[
-        Vector | None,
-        FloatArray(None, 6),
-        Doc(
-            "with linear, where it is known: the displacement over the wrench, shape (6, 6), m and "
-            "rad over N and N·m; zero by loads that cannot occur"
-        ),
-    ] = left_out(default=None)
+    loads: tuple[str, ...]
+    axes: dict[str, dict[Literal["inputs", "dimensions"], Any]]
+    outputs: tuple[str, ...]
+    tolerance: dict[Part, Any] | None
+    displacement_bound: Six
+    solves: dict[Literal["whole", "scene"], int]
+    saves: dict[Literal["build_s", "memory_bytes", "us_per_answer"], Any]
+    saves_from: dict[str, str]
+    compliance: Annotated[Vector | None, FloatArray(None, 6)] = left_out(default=None)
     table_version: int
 
 
 class Stress(Message):
     """The largest von Mises stress of a component."""
 
-    largest: Annotated[float, Doc("Pa")]
-    error: Annotated[
-        float | None,
-        Doc("95 % error bar, Pa, of the table alone: without the mesh's; null if not known"),
-    ]
-    at: Annotated[
-        Vector, FloatArray(3), Doc("where, undeformed, m, in the interface frame from its point")
-    ]
-    region: Annotated[str, Doc("the material there")]
-    yield_strength: Annotated[float | None, Doc("of that material, Pa; null if it is not known")]
-    yields: Annotated[
-        bool | None,
-        Doc("whether it yields there; null without a strength, or if the bar lies across it"),
-    ]
+    largest: float
+    error: float | None
+    at: Annotated[Vector, FloatArray(3)]
+    region: str
+    yield_strength: float | None
+    yields: bool | None
 
 
 class DeformedShape(Message):
     """A component's surface under one wrench, in the undeformed interface frame from its point."""
 
     component: str = ""
-    force: Annotated[Vector | None, FloatArray(3), Doc("N")] = None
-    moment: Annotated[Vector | None, FloatArray(3), Doc("N·m")] = None
+    force: Annotated[Vector | None, FloatArray(3)] = None
+    moment: Annotated[Vector | None, FloatArray(3)] = None
     frame: dict[Literal["point", "axes"], Any] | None = None
-    vertices: Annotated[Vector, FloatArray(None, 3), Doc("undeformed, shape (v, 3), m")]
-    triangles: Annotated[
-        NDArray[np.int64],
-        IntArray(None, 3),
-        Doc("vertices, shape (t, 3), anticlockwise seen from outside"),
-    ]
-    displacement: Annotated[Vector, FloatArray(None, 3), Doc("shape (v, 3), m")]
-    error: Annotated[
-        Vector | None,
-        FloatArray(None),
-        Doc(
-            "95 % error bar of each vertex's displacement, shape (v,), m; null where it is not "
-            "known. The mesh's error is in it if error_parts has mesh"
-        ),
-    ]
-    error_parts: Annotated[
-        dict[str, Any] | None,
-        Doc("the largest of each part of error, m: table, mesh, linearity; mesh_basis as text"),
-    ] = None
-    within_tolerance: Annotated[
-        bool | None,
-        Doc(
-            "whether every bar is within the component's tolerance; null without one, or if the "
-            "discretisation error is not known"
-        ),
-    ] = None
+    vertices: Annotated[Vector, FloatArray(None, 3)]
+    triangles: Annotated[NDArray[np.int64], IntArray(None, 3)]
+    displacement: Annotated[Vector, FloatArray(None, 3)]
+    error: Annotated[Vector | None, FloatArray(None)]
+    error_parts: dict[str, Any] | None = None
+    within_tolerance: bool | None = None
     simplified: dict[Literal["from", "to"], int] | None = None
-    stress: Annotated[Stress | None, Doc("null where it is not known")]
-    source: Annotated[
-        str, Doc("row: a solve of this very wrench; rows: between them; linear: six unit fields")
-    ]
-    rows: Annotated[tuple[int, ...], Doc("the rows that it interpolates")] = ()
-    coverage: Annotated[Coverage, Doc("of the interpolation error alone")]
-    reason: Annotated[str, Doc("why it is not covered")] = left_out(default="")
+    stress: Stress | None
+    source: str
+    rows: tuple[int, ...] = ()
+    coverage: Coverage
+    reason: str = left_out(default="")
 
     @property
     def is_covered(self) -> bool:
@@ -418,92 +323,53 @@ class DeformedShape(Message):
         return self.vertices + scale * self.displacement
 
 
-_WITHIN = (
-    "whether the total error bar is within the tolerance, the request's or the component's. "
-    "coverage compares the interpolation error alone, which more rows lower: covered and false "
-    "means that the solver's own error is over the tolerance, and the component's warnings say "
-    "what to do. null without a tolerance, or if the error bar of an answered output is not known"
-)
-
-
 class Displacement(Message):
     component: str
-    translation: Annotated[Three | None, Doc("m")] = None
-    rotation: Annotated[Three | None, Doc("rotation vector, rad")] = None
-    error: Annotated[dict[Part, Three] | None, Doc("estimated 95 % error bars, m and rad")] = None
-    displacements: Annotated[
-        dict[str, dict[Literal["translation", "rotation", "error"], Any]] | None,
-        Doc("of several interfaces: translation, rotation and error of each by its name"),
-    ] = left_out(default=None)
+    translation: Three | None = None
+    rotation: Three | None = None
+    error: dict[Part, Three] | None = None
+    displacements: dict[str, dict[Literal["translation", "rotation", "error"], Any]] | None = (
+        left_out(default=None)
+    )
     coverage: Coverage
-    within_tolerance: Annotated[bool | None, Doc(_WITHIN)] = None
-    source: Annotated[str | None, Doc("table, or of the row that answers: fea, measured")]
+    within_tolerance: bool | None = None
+    source: str | None
     method: str | None
-    table_version: Annotated[
-        int,
-        Doc(
-            "the version of the table that answers; where source is fea the answer is that of row, "
-            "which may be newer than this version"
-        ),
-    ]
-    elapsed_us: Annotated[float, Doc("time spent on the answer, µs")]
-    reason: Annotated[str, Doc("why not covered, why no solve is queued")] = left_out(default="")
-    missing: Annotated[tuple[str, ...], Doc("the outputs that no row of the table holds")] = (
-        left_out(default=())
-    )
-    row: Annotated[
-        int | None, Doc("the row of the solve, in the ledger and in the table's exports")
-    ] = left_out(default=None)
-    notes: Annotated[tuple[str, ...], Doc("of the solver: doubtful cells, ill conditioning")] = (
-        left_out(default=())
-    )
+    table_version: int
+    elapsed_us: float
+    reason: str = left_out(default="")
+    missing: tuple[str, ...] = left_out(default=())
+    row: int | None = left_out(default=None)
+    notes: tuple[str, ...] = left_out(default=())
     derivative: Slopes = left_out(default=None)
-    axes: Annotated[
-        tuple[dict[str, Any], ...], Doc("with detail; empty if a row of the table answers")
-    ] = left_out(default=())
-    method_detail: Annotated[str, Doc("with detail: the method's way of answering")] = left_out(
-        default=""
-    )
-    error_parts: Annotated[
-        dict[str, Any] | None,
-        Doc(
-            "with detail: the parts of error. table: what more rows lower; mesh: what a finer "
-            "mesh lowers; linearity: what a linear component leaves out; measurement: hysteresis, "
-            "drift and sessions of the measured rows. null where not known"
-        ),
-    ] = left_out(default=None)
-    error_of_a_reading: Annotated[
-        dict[Part, Any] | None,
-        Doc("with detail, of measured rows: the 95 % error bar of one more reading, m and rad"),
-    ] = left_out(default=None)
+    axes: tuple[dict[str, Any], ...] = left_out(default=())
+    method_detail: str = left_out(default="")
+    error_parts: dict[str, Any] | None = left_out(default=None)
+    error_of_a_reading: dict[Part, Any] | None = left_out(default=None)
     job: JobLink | None = left_out(default=None)
 
 
 class WrenchJob(Message):
     """The job of one wrench of a batch."""
 
-    index: Annotated[int, Doc("number of the wrench, from 0")]
-    id: Annotated[int | None, Doc("null: no solve is queued")]
+    index: int
+    id: int | None
     status: JobStatus | None
     url: str | None
-    reason: Annotated[Literal["", "beyond-range", "queue-limit"], Doc("why none is queued")] = (
-        left_out(default="")
-    )
+    reason: Literal["", "beyond-range", "queue-limit"] = left_out(default="")
 
 
 class Displacements(Message):
-    displacements: Annotated[Sixes, Doc("m and rad")]
-    errors: Annotated[Sixes, Doc("95 % error bars, m and rad")]
+    displacements: Sixes
+    errors: Sixes
     coverage: Sequence[Coverage]
-    within_tolerance: Annotated[
-        Sequence[bool | None] | None, Doc(f"{_WITHIN}; left out where there is no tolerance")
-    ] = left_out(default=None)
+    within_tolerance: Sequence[bool | None] | None = left_out(default=None)
     derivatives: Sequence[Slopes] | None = left_out(default=None)
     component: str
-    jobs: Annotated[Sequence[WrenchJob], Doc("one a wrench not covered; several may share a job")]
+    jobs: Sequence[WrenchJob]
     method: str | None
     table_version: int | None
-    elapsed_us: Annotated[float | None, Doc("time spent on the answers, µs")]
+    elapsed_us: float | None
 
 
 Displacement.__doc__ = Displacements.__doc__ = " ".join(
@@ -519,48 +385,30 @@ class Mistake(Message):
 class Problem(Message):
     """RFC 9457; further members give details."""
 
-    type: Annotated[str, Doc("urn:wrenchbook:problem:...")]
+    type: str
     title: str
     status: int
-    detail: Annotated[str, Doc("what is wrong and what to do")]
+    detail: str
     errors: tuple[Mistake, ...] = left_out(default=())
-    request_id: Annotated[str, Doc("of a 5xx: as in the server's log")] = left_out(default="")
+    request_id: str = left_out(default="")
 
 
 class ImportFinding(Message):
-    cause: Annotated[
-        str,
-        Doc(
-            "dead, noise, clipped, stuck, outlier, sentinel, sign, unit, lever, asymmetry, "
-            "clearance, campaign, solves, drift, hysteresis, session, scale, zero, clock, twice"
-        ),
-    ]
-    message: Annotated[str, Doc("the error, its size and the remedy")]
-    rows: Annotated[
-        Sequence[int], Doc("of the file, worst first, 500 at most; [] if all are meant")
-    ]
-    count: Annotated[int, Doc("the number of rows")]
+    cause: str
+    message: str
+    rows: Sequence[int]
+    count: int
 
 
 class TableRow(Message):
     wrench: Wrench
-    displacement: Annotated[Six, Doc("m and rad; null where not measured")]
-    uncertainty: Annotated[Six | None, Doc("m and rad; null where not known")] = left_out(
-        default=None
-    )
-    compliance: Annotated[
-        Vector | None,
-        FiniteArray(6, 6),
-        Doc("tangent d(displacement)/d(wrench), a line an output, m and rad over N and N·m"),
-    ] = left_out(default=None)
-    curvature: Annotated[
-        Vector | None,
-        FiniteArray(None),
-        Doc("third derivatives of the complementary energy by (F, mu), SI"),
-    ] = left_out(default=None)
-    source: Annotated[str, Doc("fea, measured ...")] = left_out(default="")
+    displacement: Six
+    uncertainty: Six | None = left_out(default=None)
+    compliance: Annotated[Vector | None, FiniteArray(6, 6)] = left_out(default=None)
+    curvature: Annotated[Vector | None, FiniteArray(None)] = left_out(default=None)
+    source: str = left_out(default="")
     note: str = left_out(default="")
-    fingerprint: Annotated[str, Doc("the setup that was solved")] = left_out(default="")
+    fingerprint: str = left_out(default="")
 
 
 class TableRows(Message):
@@ -573,20 +421,20 @@ class TableRows(Message):
 
 
 class RowMistake(Message):
-    row: Annotated[int, Doc("line or place, from 1; 0: the complete file")]
+    row: int
     field: str
-    message: Annotated[str, Doc("what is wrong and what to write")]
+    message: str
 
 
 class RowMistakes(RowMistake):
     """Mistakes of one cause."""
 
     count: int
-    rows: Annotated[Sequence[int], Doc("the first 10")]
-    fields: Annotated[Sequence[str], Doc("the first 10")]
+    rows: Sequence[int]
+    fields: Sequence[str]
 
 
 class PreviewRow(Message):
     row: int
     wrench: Wrench
-    displacement: Annotated[Six, Doc("m and rad; null where not measured")]
+    displacement: Six

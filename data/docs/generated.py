@@ -1,6 +1,7 @@
-"""Markdown of the reference that the program itself describes: its HTTP calls and its commands."""
+"""Generated Markdown: the reference of HTTP calls and commands, and the site's navigation."""
 
 import json
+import re
 import subprocess
 import sys
 import tempfile
@@ -13,6 +14,8 @@ from wrenchbook.service.cli.local import PROGRAMS
 from wrenchbook.service.cli.main import app as program
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.workspace import Settings
+
+FOLDER = Path(__file__).parent
 
 
 def cli() -> str:
@@ -124,5 +127,26 @@ def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
     return [f"| {' | '.join(line)} |" for line in cells] + [""]
 
 
-PAGES = {"data/docs/reference/cli": cli, "data/docs/reference/http": http}
+def navigation() -> str:
+    """Return the site's navigation: the tables of index.md, their first header as the caption.
+
+    A link to a section is left out, a page of two tables is in the first.
+    """
+    lines, seen = [], set()
+    for table in re.findall(r"(?:^\|.*\n)+", (FOLDER / "index.md").read_text(), re.M):
+        caption = table.strip("| \n").partition(" |")[0].capitalize()
+        lines += ["", "```{toctree}", f":caption: {caption}", ":maxdepth: 1", ":hidden:", ""]
+        for text, page in re.findall(r"\[([^\]]+)\]\(([^)#]+)\.(?:md|ipynb)\)", table):
+            if page not in seen:
+                lines.append(f"{text} <{page}>" if page.endswith("README") else page)
+            seen.add(page)
+        lines.append("```")
+    return "\n".join([*lines, ""])
+
+
+PAGES = {
+    "data/docs/index": navigation,
+    "data/docs/reference/cli": cli,
+    "data/docs/reference/http": http,
+}
 """The pages that the functions' text is appended to."""

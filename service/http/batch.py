@@ -23,8 +23,6 @@ from wrenchbook.service.contract import COVERAGE, MAX_BATCH, OUTPUTS
 from wrenchbook.service.http.bodies import (
     BatchBody,
     Body,
-    Derivatives,
-    Flag,
     Method,
     OnThin,
     Seconds,
@@ -85,7 +83,6 @@ BINARY_REPLY: Final = {
         }
     }
 }
-_JSONS = Field(description="binary form: as in JSON")
 
 
 def read_batch_body(body: Spooled, inputs: int = PER_INTERFACE) -> tuple[np.ndarray, Query]:
@@ -185,15 +182,13 @@ async def few_large(wrenches: int) -> AsyncIterator[None]:
 class BinaryOptions(Body):
     """The options of a binary batch, which are query parameters."""
 
-    on_thin: Annotated[OnThin, _JSONS] = "queue"
-    wait_s: Annotated[Seconds, Field(description="binary form: s, with on_thin=wait")] = 30.0
-    method: Annotated[Method, _JSONS] = None
-    translation: Annotated[_Bar | None, Field(description="binary form: tolerance, m")] = None
-    rotation: Annotated[_Bar | None, Field(description="binary form: tolerance, rad")] = None
-    beyond_range: Annotated[Flag, _JSONS] = False
-    derivatives: Annotated[
-        Derivatives, Field(description="binary form: add (n, 36) behind the (n, 13)")
-    ] = False
+    on_thin: OnThin = "queue"
+    wait_s: Seconds = 30.0
+    method: Method = None
+    translation: _Bar | None = None
+    rotation: _Bar | None = None
+    beyond_range: bool = False
+    derivatives: bool = False
 
 
 def is_binary(request: Request) -> bool:

@@ -28,13 +28,9 @@ Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 Load = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-LARGEST_LOAD, le=LARGEST_LOAD)]
 Vector = Annotated[list[Load], Field(min_length=3, max_length=3)]
-Wrench = Annotated[list[Load], Field(description="six numbers an interface, further inputs")]
+Wrench = list[Load]
 # A list of a million mistakes takes gigabytes.
 Wrenches = Annotated[list[Wrench], FailFast()]
-Flag = Annotated[
-    bool, Field(description="whether a wrench outside the load range may be solved as well")
-]
-Derivatives = Annotated[bool, Field(description="whether to add du/dw, 6 x 6, to the answer")]
 Seconds = Annotated[float, Field(ge=0, le=3600, allow_inf_nan=False)]
 
 MAX_SCENE_COMPONENTS = 64  # each is measured, tenths of a second, while the caller waits
@@ -121,14 +117,8 @@ class WrenchBody(Body):
 class LoadsBody(WrenchBody):
     """The loads of a component: one wrench, or one an interface by its name; further inputs."""
 
-    loads: Annotated[
-        dict[str, WrenchBody],
-        Field(description="of a component with several interfaces: the wrench at each by its name"),
-    ] = {}
-    inputs: Annotated[
-        dict[str, Load],
-        Field(description="the further inputs of a component by name, all of them: temperature"),
-    ] = {}
+    loads: dict[str, WrenchBody] = {}
+    inputs: dict[str, Load] = {}
 
     def is_empty(self) -> bool:
         """Return whether there are no loads."""
@@ -136,14 +126,14 @@ class LoadsBody(WrenchBody):
 
 
 class QueryOptions(Body):
-    """How a query is answered."""
+    """Options of a query."""
 
     on_thin: OnThin = "queue"
     wait_s: Seconds = 30.0
     tolerance: ToleranceBody | None = None
     method: Method = None
-    beyond_range: Flag = False
-    derivatives: Derivatives = False
+    beyond_range: bool = False
+    derivatives: bool = False
 
     def query(self) -> Query:
         """Return the query without its wrench."""
@@ -151,7 +141,7 @@ class QueryOptions(Body):
 
 
 class DisplacementBody(QueryOptions, LoadsBody):
-    """The main call's body."""
+    """One wrench and the options of its query."""
 
     detail: bool = False
 
@@ -163,10 +153,10 @@ class BatchBody(QueryOptions):
 
 
 class SolveBody(LoadsBody):
-    """DirectFEA: solve this wrench now, covered or not."""
+    """One wrench to solve (DirectFEA), covered or not."""
 
     wait_s: Seconds = 0.0
-    beyond_range: Flag = False
+    beyond_range: bool = False
 
 
 Span = Annotated[
@@ -183,7 +173,6 @@ Outputs = Annotated[
     Field(
         min_length=1,
         max_length=MAX_VALUES,
-        description="those that are read, ux to rz or left.ux ...; all if left out",
     ),
 ]
 Spans = Annotated[list[Span], Field(min_length=3, max_length=3)]
@@ -225,17 +214,17 @@ class SpaceSpan(Body):
 
 
 class FillBody(Body):
-    """The tolerance that a table shall meet, where and in which outputs, and the most solves."""
+    """Aim of a fill: tolerance, loads, outputs and the largest number of solves."""
 
     tolerance: ToleranceBody | None = None
     budget: Annotated[int, Field(ge=1, le=10_000)] = 24
     range: SpaceSpan | None = None
     outputs: Outputs = None
-    for_joint: Annotated[bool, Field(description="fill until a joint can invert the table")] = False
+    for_joint: bool = False
 
 
 class SceneComponent(SpaceSpan):
-    """What a scene needs of one component: its loads, the outputs it reads, its tolerance."""
+    """Needs of a scene from one component: loads, outputs and tolerance."""
 
     outputs: Outputs = None
     tolerance: ToleranceBody | None = None
@@ -265,7 +254,7 @@ class TemperatureBody(Body):
 
 
 class AccelerationBody(Body):
-    """Three accelerations as further inputs, each plus and minus its own, m/s^2."""
+    """Three accelerations as further inputs, each with both signs, m/s²."""
 
     range: Annotated[list[Positive], Field(min_length=3, max_length=3)]
 
@@ -305,7 +294,7 @@ class BlockKey(Body):
 
 
 class BlockBody(BlockKey):
-    """A block of wrenches that a loop has met, each force then moment."""
+    """Block of wrenches of a simulation, each force then moment."""
 
     # Of any size: a recording holds each wrench of a loop; only a start checks which can be solved.
     wrenches: Annotated[
@@ -316,20 +305,20 @@ class BlockBody(BlockKey):
 
 
 class StartBody(Body):
-    """How many new solves the start of a recording, or of another setup's rows, may cost."""
+    """Limits of the solves that a start queues."""
 
     budget: Annotated[int, Field(ge=1, le=MAX_BLOCK)] = MAX_BLOCK
-    beyond_range: Flag = False
+    beyond_range: bool = False
 
 
 class EnvelopeStartBody(Body):
     """Whether extremes outside the load range are solved as well."""
 
-    beyond_range: Flag = False
+    beyond_range: bool = False
 
 
 class CopyBody(Body):
-    """The name of a component's copy, its title, and whether its rows come along."""
+    """Name, title and rows of a component's copy."""
 
     name: Annotated[str, Field(max_length=300)]
     title: Annotated[str | None, Field(max_length=1000)] = None
@@ -343,6 +332,6 @@ class RenameBody(Body):
 
 
 class NotesBody(Body):
-    """What people want to remember about a component."""
+    """Notes about a component."""
 
     text: Annotated[str, Field(max_length=100_000)]

@@ -13,7 +13,7 @@ from wrenchbook.service.formats.cells import text_problem
 from wrenchbook.service.formats.options import MAX_ZERO_ROWS, Options
 from wrenchbook.service.formats.options import Format as FileFormat
 from wrenchbook.service.formats.read import MAX_PREVIEW
-from wrenchbook.service.formats.rig import MAX_RIG, NAME, OPTIONS, Rig, RigError, rig_text
+from wrenchbook.service.formats.rig import MAX_RIG, NAME, Rig, RigError, rig_text
 from wrenchbook.service.http.bodies import Body
 from wrenchbook.service.messages import ImportFinding, PreviewRow, RowMistake, RowMistakes
 
@@ -33,92 +33,32 @@ _Text = Annotated[str, Field(max_length=1000)]
 class ImportQuery(Body):
     """The query of an import; what is not named is refused."""
 
-    format: Annotated[
-        FileFormat | None, Field(description="checked against the content; detected if left out")
-    ] = None
-    dry_run: Annotated[bool, Field(description="check and count; nothing is changed")] = False
-    partial: Annotated[bool, Field(description="load the good rows of a file with mistakes")] = (
-        False
-    )
-    preview: Annotated[
-        int, Field(ge=0, le=MAX_PREVIEW, description="so many first good rows come back")
-    ] = 0
-    decimal: Annotated[
-        Literal[".", ","] | None, Field(description="mark of numbers in text; detected if left out")
-    ] = None
-    ignore: Annotated[
-        list[_Text],
-        Field(default_factory=list, max_length=_MAX_COLUMNS, description="columns to leave out"),
-    ]
-    ignore_extra: Annotated[bool, Field(description="leave out all unknown columns")] = False
-    mapping: Annotated[
-        str | None,
-        Field(
-            max_length=100_000,
-            description='JSON: from columns of the file to what they are, {"Load cell": "fz [N]"}; '
-            "a - before it turns the sign, without [N] the file's unit counts, and 3 is the third "
-            "column unless that is a label",
-        ),
-    ] = None
-    missing_loads: Annotated[
-        Literal["zero"] | None, Field(description="loads without a column were zero")
-    ] = None
-    tare: Annotated[
-        int, Field(ge=0, le=MAX_ZERO_ROWS, description="rows whose mean is taken off all others")
-    ] = 0
-    sheet: Annotated[
-        str | None, Field(max_length=200, description="xlsx, xls: its name; tdms: the group's")
-    ] = None
-    frame: Annotated[
-        _Text, Field(description="the rig's axes in the interface's: x=-y,y=x,z=z or nine numbers")
-    ] = ""
-    load_point: Annotated[_Text, Field(description=f"{_POINT} moments are about")] = ""
-    displacement_point: Annotated[_Text, Field(description=f"{_POINT} was measured")] = ""
-    load_cell: Annotated[
-        Literal["moving", "fixed"] | None, Field(description=f"moments are about {_LOAD_CELL}")
-    ] = None
-    rig: Annotated[
-        str,
-        Field(
-            max_length=MAX_RIG,
-            description="TOML of a profile, or the name of one of /v1/rigs, kept with the import: "
-            f"these four, name, {', '.join(OPTIONS)}. Options of the query win",
-        ),
-    ] = ""
-    skip_cycles: Annotated[int, Field(ge=0, lt=2**31, description="first ones to leave out")] = 0
-    branch: Annotated[
-        Literal["loading", "unloading"] | None, Field(description="the one of the main load")
-    ] = None
-    thin: Annotated[
-        float | None, Field(gt=0, le=0.5, description=f"part of the load range: {_THIN}")
-    ] = None
-    mean_cycles: Annotated[bool, Field(description=f"repeated ones {_MEAN}")] = False
-    time_offset_s: Annotated[
-        Annotated[float, Field(allow_inf_nan=False)] | Literal["auto"],
-        Field(
-            description="added to the displacements' times, s; auto: the lag that the logs show. "
-            "`lag` is another name of it"
-        ),
-    ] = 0.0
-    max_gap_s: Annotated[
-        float | None,
-        Field(gt=0, allow_inf_nan=False, description="between loads that a row lies between, s"),
-    ] = None
-    wait_s: Annotated[
-        float,
-        Field(ge=0, le=MAX_WAIT_S, allow_inf_nan=False, description="for answers from the rows, s"),
-    ] = WAIT_S
-    append: Annotated[
-        str | None,
-        Field(
-            min_length=1,
-            max_length=200,
-            description="the name of a running test: this JSON, of 1,000 rows and 1 MB at most, is "
-            "appended to its import, which the first block makes. wait_s is 0 if left out",
-        ),
-    ] = None
-    note: Annotated[str, Field(max_length=10_000, description="kept with the import")] = ""
-    filename: Annotated[str, Field(max_length=1000, description="kept with the import")] = ""
+    format: FileFormat | None = None
+    dry_run: bool = False
+    partial: bool = False
+    preview: Annotated[int, Field(ge=0, le=MAX_PREVIEW)] = 0
+    decimal: Literal[".", ","] | None = None
+    ignore: Annotated[list[_Text], Field(default_factory=list, max_length=_MAX_COLUMNS)]
+    ignore_extra: bool = False
+    mapping: Annotated[str | None, Field(max_length=100000)] = None
+    missing_loads: Literal["zero"] | None = None
+    tare: Annotated[int, Field(ge=0, le=MAX_ZERO_ROWS)] = 0
+    sheet: Annotated[str | None, Field(max_length=200)] = None
+    frame: _Text = ""
+    load_point: _Text = ""
+    displacement_point: _Text = ""
+    load_cell: Literal["moving", "fixed"] | None = None
+    rig: Annotated[str, Field(max_length=MAX_RIG)] = ""
+    skip_cycles: Annotated[int, Field(ge=0, lt=2**31)] = 0
+    branch: Literal["loading", "unloading"] | None = None
+    thin: Annotated[float | None, Field(gt=0, le=0.5)] = None
+    mean_cycles: bool = False
+    time_offset_s: Annotated[float, Field(allow_inf_nan=False)] | Literal["auto"] = 0.0
+    max_gap_s: Annotated[float | None, Field(gt=0, allow_inf_nan=False)] = None
+    wait_s: Annotated[float, Field(ge=0, le=MAX_WAIT_S, allow_inf_nan=False)] = WAIT_S
+    append: Annotated[str | None, Field(min_length=1, max_length=200)] = None
+    note: Annotated[str, Field(max_length=10000)] = ""
+    filename: Annotated[str, Field(max_length=1000)] = ""
 
     @model_validator(mode="before")
     @classmethod
@@ -211,51 +151,26 @@ Imported = TypedDict(
     "Imported",
     {
         "inserted": int,
-        "existing": Annotated[
-            int,
-            Field(
-                description="rows that were there already, withdrawn ones too; they stay as they "
-                "are, without the slopes and second derivatives of this import"
-            ),
-        ],
-        "errors": Annotated[list[RowMistake], Field(description="1,000 at most")],
-        "causes": Annotated[list[RowMistakes], Field(description="the mistakes by cause")],
-        "findings": Annotated[list[ImportFinding], Field(description="probable systematic errors")],
+        "existing": int,
+        "errors": list[RowMistake],
+        "causes": list[RowMistakes],
+        "findings": list[ImportFinding],
         "dry_run": bool,
         "partial": bool,
-        "format": Annotated[str, Field(description="detected from the content")],
+        "format": str,
         "gzip": bool,
-        "import": Annotated[int | None, Field(description="its number, in imports")],
-        "rig": Annotated[
-            dict[str, Any] | None, Field(description="name, handedness, axes, points, load cell")
-        ],
-        "rows": Annotated[
-            dict[str, int],
-            Field(
-                description="read = loaded + refused + tare + unmatched + skipped + branch + "
-                "averaged (of cycles, if asked for), but of a dry run"
-            ),
-        ],
-        "columns": Annotated[
-            list[dict[Literal["column", "name", "unit"], str]],
-            Field(description="what each column was taken for"),
-        ],
-        "clock": Annotated[
-            dict[Literal["applied_s", "lag_s", "uncertainty_s"], float | None] | None,
-            Field(
-                description="of two logs: seconds added to the displacements' times, and those "
-                "they show"
-            ),
-        ],
+        "import": int | None,
+        "rig": dict[str, Any] | None,
+        "rows": dict[str, int],
+        "columns": list[dict[Literal["column", "name", "unit"], str]],
+        "clock": dict[Literal["applied_s", "lag_s", "uncertainty_s"], float | None] | None,
         "ignored": list[str],
-        "above": Annotated[
-            list[str], Field(description="lines of title above the header, left out")
-        ],
-        "sheets": Annotated[list[str], Field(description="of a workbook; groups of a TDMS file")],
-        "sheet": Annotated[str | None, Field(description="the one of these that was read")],
+        "above": list[str],
+        "sheets": list[str],
+        "sheet": str | None,
         "preview": list[PreviewRow],
-        "table_version": Annotated[int, Field(description="the version that holds these rows")],
-        "in_use": Annotated[bool, Field(description="whether the rows answer already")],
+        "table_version": int,
+        "in_use": bool,
     },
     total=False,
 )

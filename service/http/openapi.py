@@ -1,9 +1,14 @@
-"""Declarations of routes for the OpenAPI document, and the document itself at `/openapi.json`."""
+"""Declarations of routes for the OpenAPI document, and the document itself at `/openapi.json`.
+
+The descriptions of fields, parameters and calls are in openapi.toml.
+"""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any, Final
 
 import orjson
@@ -13,7 +18,7 @@ from pydantic import TypeAdapter
 from starlette.requests import Request
 from starlette.responses import Response
 
-from wrenchbook.service.http.field_meanings import describe
+from wrenchbook.service.contract import CONTRACT_TEXT
 from wrenchbook.service.http.problems import MEDIA_TYPE
 from wrenchbook.service.http.routes import holds, naming
 from wrenchbook.service.messages import Problem
@@ -26,24 +31,32 @@ BYTES: Final[Schema] = {"schema": {"type": "string", "format": "binary"}}
 TEXT: Final[Schema] = {"schema": {"type": "string"}}
 _PROBLEM: Final = {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}}
 _REFUSALS: Final[dict[int, str]] = {
-    401: "this server needs a key, and the request has none",
-    403: "the key is not for this call, or a page of another site sends it",
-    404: "there is no such component, job or row",
-    409: "it cannot be done as things are; the detail says why",
+    401: "missing or unknown key",
+    403: "the key does not allow this call, or the request comes from a page of another site",
+    404: "unknown component, job, row, import, profile or key",
+    409: "conflict with the present state; `detail` gives the reason and the remedy",
     410: "rows of that version are damaged on the disk",
     413: "the body is too large",
-    415: "a content type that this call does not take",
+    415: "unsupported content type",
     422: "the request has mistakes; nothing was changed",
     424: "the solve of this wrench failed",
-    429: "the key is used more often than it may be, or its quota is used up; see Retry-After",
-    500: "the server made a mistake; its log has the traceback",
-    503: "the ledger cannot be read or written now; nothing was changed",
+    429: "the rate or the quota of the key is used up; see Retry-After",
+    500: "internal error of the server; the server's log has the traceback",
+    503: "the server cannot use its ledger or table at present; nothing was changed",
     507: "the disk is full; nothing was changed",
 }
 _WITH_KEYS: Final = (401, 413, 429)
 _WITH_BODY: Final = (413, 415)
 _REFERENCE: Final = "#/components/schemas/{model}"
+_TOML: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
+TEXTS: Final[dict[str, dict[str, str]]] = {
+    **{name: _TOML[name] for name in ("fields", "parameters")},
+    **{
+        f"{kind}.{name}": _TOML[kind][name] for kind in ("schemas", "calls") for name in _TOML[kind]
+    },
+}
 _KINDS: Final[dict[str, Any]] = {"Problem": Problem}  # the types of bodies, by their names
+_DEFAULT: Final = "Successful Response"
 _OWN_ERRORS: Final = "/umbridge/"  # a protocol with its form of errors
 
 
@@ -135,5 +148,26 @@ def _document(app: FastAPI, keys: bool, below: str) -> dict[str, Any]:
             )
             refusals = {str(status): text for status, text in refused(*more).items()}
             operation["responses"] = refusals | operation["responses"]
-    describe(document)
+    for item, key, *tables in places(document):
+        text = next((TEXTS[name][key] for name in tables if key in TEXTS.get(name, ())), None)
+        if text is not None:
+            item["description"] = text.replace("{contract}", CONTRACT_TEXT)
     return document
+
+
+def places(document: dict[str, Any]) -> Iterator[tuple[Any, ...]]:
+    """Yield each part of a document with the key of its text and the tables that may have it."""
+    for name, schema in document["components"]["schemas"].items():
+        yield schema, "*", f"schemas.{name}"
+        for field, item in schema.get("properties", {}).items():
+            yield item, field, f"schemas.{name}", "fields"
+    for operations in document["paths"].values():
+        for operation in operations.values():
+            call = f"calls.{operation['operationId']}"
+            yield operation, "text", call
+            for item in operation.get("parameters", ()):
+                yield item, item["name"], call, "parameters"
+            for reply in operation["responses"].values():
+                # FastAPI's default, or the text that has replaced it.
+                if reply["description"] in (_DEFAULT, TEXTS.get(call, {}).get("reply")):
+                    yield reply, "reply", call

@@ -332,7 +332,7 @@ def test_the_schema_says_whose_version_a_solves_reply_carries(http):
     paths = document(http)["paths"]
     call = paths["/v1/components/{name}/displacement"]["post"]
     fields = call["responses"]["200"]["content"]["application/json"]["schema"]["properties"]
-    assert "the version of the table that answers" in fields["table_version"]["description"]
+    assert "version of the table that answers" in fields["table_version"]["description"]
 
 
 def test_an_empty_batch_of_either_form_is_answered_with_nothing(http):

@@ -17,6 +17,7 @@ from tests.service.live import add_rows, as_rows, served
 from wrenchbook import Displacement, Displacements
 from wrenchbook.service import messages
 from wrenchbook.service.http.app import create_app
+from wrenchbook.service.http.openapi import TEXTS, places
 from wrenchbook.service.workspace import Settings
 
 COMPONENT = "/v1/components/{name}"
@@ -76,6 +77,23 @@ def test_every_error_is_documented_as_a_problem_and_never_as_json(document):
             assert set(one["content"]) == {"application/problem+json"}, (method, path, code)
             assert one["description"]
     assert "detail" in document["components"]["schemas"]["Problem"]["required"]
+
+
+def test_each_field_parameter_call_and_reply_has_a_description(document):
+    for item, key, *tables in places(document):
+        assert item.get("description"), (tables[0], key)
+    for method, path, operation in operations(document):
+        assert operation["summary"], (method, path)
+        texts = [reply["description"] for reply in operation["responses"].values()]
+        assert all(text and text != "Successful Response" for text in texts), (method, path)
+
+
+def test_each_text_of_the_toml_file_is_in_the_document(document):
+    used = {
+        (next((table for table in tables if key in TEXTS.get(table, ())), ""), key)
+        for _, key, *tables in places(document)
+    }
+    assert {(table, key) for table, keys in TEXTS.items() for key in keys} <= used
 
 
 def test_the_path_and_the_bodies_of_every_call_are_in_the_document(document):

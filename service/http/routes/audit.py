@@ -15,21 +15,17 @@ from wrenchbook.service.tables.rows import iso_time
 router = APIRouter(prefix="/v1/audit", tags=["audit"], responses=refused(422))
 
 
-@router.get("", summary="Writes, newest first, a page at a time; needs a key for admin")
+@router.get("", summary="List writes, newest first, in pages; needs an admin key")
 def list_audit(
     workspace: Opened,
     response: Response,
     component: Annotated[str | None, Query(max_length=300)] = None,
-    actor: Annotated[str | None, Query(max_length=200, description="a key, or user:NAME")] = None,
-    action: Annotated[
-        str | None, Query(max_length=64, description="such as row.withdraw, or job.*")
-    ] = None,
-    since: Annotated[AwareDatetime | None, Query(description="from this time on")] = None,
-    until: Annotated[AwareDatetime | None, Query(description="before this time")] = None,
+    actor: Annotated[str | None, Query(max_length=200)] = None,
+    action: Annotated[str | None, Query(max_length=64)] = None,
+    since: AwareDatetime | None = None,
+    until: AwareDatetime | None = None,
     limit: Annotated[int, Query(ge=1, le=10_000)] = 1000,
-    after: Annotated[
-        int | None, Query(ge=1, lt=2**63, description="go on after this entry, to older ones")
-    ] = None,
+    after: Annotated[int | None, Query(ge=1, lt=2**63)] = None,
 ) -> dict[str, Any]:
     which: dict[str, Any] = {"component": component, "actor": actor, "action": action}
     times = {"since": since, "until": until}

@@ -54,19 +54,17 @@ _BUNDLE = {
 
 @router.get(
     "",
-    summary="The library by name, a page at a time",
-    response_description="components, broken ones, and the URL of the next page or null",
+    summary="List components by name, in pages",
+    response_description="components, unreadable components, and the URL of the next page or null",
     responses=refused(422),
 )
 def list_components(
     workspace: Opened,
     response: Response,
-    q: Annotated[str, Query(max_length=200, description="in name, title or notes")] = "",
-    archived: Annotated[bool, Query(description="with archived ones")] = False,
+    q: Annotated[str, Query(max_length=200)] = "",
+    archived: bool = False,
     limit: Annotated[int, Query(ge=1, le=1000)] = 1000,
-    after: Annotated[
-        str | None, Query(max_length=300, description="go on after this component's name")
-    ] = None,
+    after: Annotated[str | None, Query(max_length=300)] = None,
 ) -> dict[str, Any]:
     library, cards, searched = workspace.library, workspace.catalogue, q.casefold().split()
     components = []
@@ -92,7 +90,7 @@ def list_components(
 
 @router.get(
     "/{name}",
-    summary="One component: contract, range, rows, coverage",
+    summary="Show a component: contract, load range, rows, coverage",
     response_description="the component",
     responses=refused(404, 422),
 )
@@ -103,18 +101,16 @@ def get_component(name: str, workspace: Opened, _: Newest) -> dict[str, Any]:
 @router.post(
     "",
     status_code=201,
-    summary="Add a component: a zip bundle, or JSON for a table only",
-    responses=answers(dict[str, Any], "added", 201)
-    | answers(dict[str, Any], "with faces=true: the faces")
+    summary="Add a component from a zip bundle, or a table-only component from JSON",
+    responses=answers(dict[str, Any], "the added component", 201)
+    | answers(dict[str, Any], "with `faces=true`: the faces of the mesh")
     | refused(409, 422),
     openapi_extra=takes(TableOnlyComponent, {"multipart/form-data": {"schema": _BUNDLE}}),
 )
 async def add_component(
     request: Request,
     workspace: Opened,
-    faces: Annotated[
-        bool, Query(description="answer the faces of the bundle's mesh (200); nothing is added")
-    ] = False,
+    faces: bool = False,
 ) -> Response:
     kind = content_type(request)
     if kind == "multipart/form-data":
@@ -148,7 +144,7 @@ async def add_component(
 
 @router.post(
     "/{name}/fill",
-    summary="Queue the solves that lower the table's error most",
+    summary="Queue the solves that lower the table's error the most",
     responses=answers(Queued, "the interpolation error is within the tolerance")
     | answers(Queued, "solves are queued", 202)
     | refused(404, 409, 422, 429),

@@ -19,7 +19,7 @@ from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.routes import Newest, Opened, json_reply
 from wrenchbook.service.library.bundles import faces_of, surface_of
 from wrenchbook.service.library.component import require_single_wrench
-from wrenchbook.service.messages import Doc, Matrix, Message, Six, Slopes
+from wrenchbook.service.messages import Matrix, Message, Six, Slopes
 from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.table.axes import AXES, LoadAxis
@@ -33,42 +33,31 @@ PRIMES = (2, 3, 5, 7, 11, 13)  # the first six: the bases of Halton's sequence f
 CELLS = 7  # of each load in the grid of an axis; odd, so that no load is a middle of one
 
 Load = Literal["fx", "fy", "fz", "mx", "my", "mz"]
-Force = Annotated[float, Query(allow_inf_nan=False, description="N")]
-Moment = Annotated[float, Query(allow_inf_nan=False, description="N·m")]
+Number = Annotated[float, Query(allow_inf_nan=False)]
 Positions = NDArray[np.intp]
 
 
 class Compliance(Message):
     component: str
     table_version: int
-    tangent: Annotated[Slopes, Doc("du/dw at zero load, as derivative is")]
-    tangent_origin: Annotated[
-        str,
-        Doc("row: that of the row at zero load; none: not known; else the interpolating method"),
-    ]
-    origin: Annotated[Literal["stored", "fitted", "none"], Doc("of matrix")]
-    matrix: Annotated[
-        Matrix,
-        Doc(
-            "the mean over the load range: the fit of one 6x6 to all rows; of a linear component "
-            "its compliance. Zero for loads without rows, see known_loads; null for an output that "
-            "no row measured"
-        ),
-    ]
-    offset: Annotated[Six, Doc("added to matrix times inputs: weight, a reference that is not 0")]
+    tangent: Slopes
+    tangent_origin: str
+    origin: Literal["stored", "fitted", "none"]
+    matrix: Matrix
+    offset: Six
     known_loads: Sequence[str]
-    error: Annotated[Six, Doc("95 % error bar of matrix at the rows, m and rad")]
+    error: Six
     rows: Sequence[str]
     columns: Sequence[str]
     rows_checked: int
     ok: bool | None
-    checks: Annotated[dict[str, Any], Doc("by name: ok, and its evidence")]
+    checks: dict[str, Any]
 
 
 @router.get(
     "/coverage",
-    summary="Hull and gaps per axis, and rows that contradict each other",
-    responses=answers(dict[str, Any], "hull and gaps"),
+    summary="Hull and gaps of each axis, and contradictory rows",
+    responses=answers(dict[str, Any], "hull, gaps and contradictory rows"),
 )
 def coverage(name: str, table: Newest) -> Response:
     gaps = table.packed.meta["gaps"]
@@ -81,7 +70,7 @@ def coverage(name: str, table: Newest) -> Response:
 
 @router.get(
     "/compliance",
-    summary="The 6x6 at zero load, its mean over the load range, and what breaks physics",
+    summary="Compliance at zero load, mean compliance over the load range, and physics checks",
     response_model=Compliance,
 )
 def compliance(name: str, table: Newest) -> Response:
@@ -109,7 +98,7 @@ def compliance(name: str, table: Newest) -> Response:
 
 @router.get(
     "/glance",
-    summary="Covered, thin and outside parts of the range, and total error bars",
+    summary="Covered, thin and outside fractions of the load range, and error bars",
     responses=refused(409),
 )
 def glance(name: str, workspace: Opened) -> Response:
@@ -177,12 +166,12 @@ def _grid(span: LoadRange, axis: LoadAxis) -> Floats:
     return wrenches
 
 
-@router.get("/surface", summary="The undeformed surface, for a picture: at most 2000 vertices, m")
+@router.get("/surface", summary="Undeformed surface for a picture, at most 2000 vertices")
 def surface(name: str, workspace: Opened) -> Response:
     return json_reply({"component": name, **surface_of(*_meshed(workspace, name))})
 
 
-@router.get("/faces", summary="The numbered faces of the mesh with their TOML, and a plotly figure")
+@router.get("/faces", summary="Numbered faces of the mesh with their TOML, and a plotly figure")
 def faces(name: str, workspace: Opened) -> Response:
     folder, fingerprint = _meshed(workspace, name)
     try:
@@ -202,16 +191,14 @@ def _meshed(workspace: Workspace, name: str) -> tuple[Path, str]:
 
 @router.get(
     "/drawing",
-    summary="Rows to draw, at most `most`, and the coverage of a grid",
+    summary="Rows for a plot, and the coverage of a grid",
     responses=refused(409),
 )
 def drawing(
     name: str,
     table: Newest,
-    axis: Annotated[
-        Literal["x", "y", "z"] | None, Query(description="rows that load it alone first; its grid")
-    ] = None,
-    along: Annotated[Load | None, Query(description="only rows that have no other load")] = None,
+    axis: Literal["x", "y", "z"] | None = None,
+    along: Load | None = None,
     most: Annotated[int, Query(ge=1, le=MAX_ROWS)] = 2_000,
 ) -> Response:
     require_single_wrench(name, table.load_range.space)
@@ -254,19 +241,19 @@ def _spread(positions: Positions, count: int) -> Positions:
 
 @router.get(
     "/response",
-    summary="What the table answers along one load, with its total error bars",
+    summary="Displacement along one load, with error bars",
     responses=refused(409),
 )
 def response(
     name: str,
     table: Newest,
     load: Load,
-    fx: Force = 0.0,
-    fy: Force = 0.0,
-    fz: Force = 0.0,
-    mx: Moment = 0.0,
-    my: Moment = 0.0,
-    mz: Moment = 0.0,
+    fx: Number = 0.0,
+    fy: Number = 0.0,
+    fz: Number = 0.0,
+    mx: Number = 0.0,
+    my: Number = 0.0,
+    mz: Number = 0.0,
     points: Annotated[int, Query(ge=2, le=501)] = 121,
 ) -> Response:
     require_single_wrench(name, table.load_range.space)

@@ -11,7 +11,7 @@ import numpy as np
 from fastapi import APIRouter, Query, Request
 from starlette.responses import Response
 
-from wrenchbook.service.contract import LOADS, MOMENT_POINT, Coverage
+from wrenchbook.service.contract import LOADS, Coverage
 from wrenchbook.service.fields import surface_files
 from wrenchbook.service.http.openapi import BYTES, answers, refused
 from wrenchbook.service.http.problems import bad_body
@@ -24,16 +24,15 @@ router = APIRouter(
     prefix="/v1/components/{name}", tags=["components"], responses=refused(404, 409, 422)
 )
 
-_FORCE = Query(allow_inf_nan=False, description="N, in the undeformed interface frame")
-_MOMENT = Query(allow_inf_nan=False, description=f"N·m, about {MOMENT_POINT}")
+_Number = Annotated[float, Query(allow_inf_nan=False)]
 
 
 @router.get(
     "/deformed",
-    summary="The deformed surface, and the largest stress, under a wrench",
+    summary="Deformed surface and largest stress under a wrench",
     responses=answers(
         DeformedShape,
-        "the surface; flagged outside the load range, or with too few rows",
+        "surface and displacement; see `coverage` outside the load range or with too few rows",
         content={surface_files.GLTF_MEDIA_TYPE: BYTES, surface_files.VTU_MEDIA_TYPE: BYTES},
     ),
 )
@@ -42,12 +41,12 @@ async def deformed(
     request: Request,
     workspace: Opened,
     _: Newest,
-    fx: Annotated[float, _FORCE] = 0.0,
-    fy: Annotated[float, _FORCE] = 0.0,
-    fz: Annotated[float, _FORCE] = 0.0,
-    mx: Annotated[float, _MOMENT] = 0.0,
-    my: Annotated[float, _MOMENT] = 0.0,
-    mz: Annotated[float, _MOMENT] = 0.0,
+    fx: _Number = 0.0,
+    fy: _Number = 0.0,
+    fz: _Number = 0.0,
+    mx: _Number = 0.0,
+    my: _Number = 0.0,
+    mz: _Number = 0.0,
     format: Literal["json", "gltf", "vtu"] = "json",  # noqa: A002 (the contract's word)
 ) -> Response:
     known = (*LOADS, "format")

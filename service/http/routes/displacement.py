@@ -9,7 +9,6 @@ from fastapi import APIRouter, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from wrenchbook.service.contract import CONTRACT_TEXT
 from wrenchbook.service.http.access import Permission, beyond_scope, permission_of
 from wrenchbook.service.http.batch import (
     BINARY_BODY,
@@ -60,7 +59,10 @@ router = APIRouter(
 )
 
 
-_SOLVED, _UNSOLVED = "covered, solved or estimated", "not solved yet: see job, or reason"
+_SOLVED, _UNSOLVED = (
+    "answer: covered, solved or estimated",
+    "estimate; the solve is not finished, see `job` or `reason`",
+)
 _ONE = answers(Displacement, _SOLVED) | answers(Displacement, _UNSOLVED, 202) | refused(424)
 _MANY = answers(Displacements, _SOLVED, content=BINARY_REPLY) | answers(
     Displacements, _UNSOLVED, 202, content=BINARY_REPLY
@@ -83,8 +85,7 @@ def _permitted(permission: Permission, read: Callable[[], Read]) -> Read:
 
 @router.post(
     "/displacement",
-    summary="The displacement under one wrench",
-    description=CONTRACT_TEXT,
+    summary="Displacement under one wrench",
     responses=_ONE,
     openapi_extra=takes(DisplacementBody),
 )
@@ -104,8 +105,7 @@ async def displacement(name: str, request: Request) -> Response:
 
 @router.post(
     "/displacements",
-    summary="The displacements under many wrenches",
-    description=CONTRACT_TEXT,
+    summary="Displacements under many wrenches",
     responses=_MANY,
     openapi_extra=takes(BatchBody, BINARY_BODY, BinaryOptions),
 )
@@ -133,7 +133,6 @@ async def displacements(name: str, request: Request) -> Response:
 @router.post(
     "/solve",
     summary="DirectFEA: solve this wrench, covered or not",
-    description=CONTRACT_TEXT,
     responses=_ONE,
     openapi_extra=takes(SolveBody),
 )

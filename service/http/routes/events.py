@@ -7,7 +7,7 @@ import contextlib
 from collections.abc import AsyncIterator, Mapping
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Query, Request
+from fastapi import APIRouter, Header, Request
 from starlette.responses import Response, StreamingResponse
 from starlette.types import Message, Receive, Scope, Send
 
@@ -44,7 +44,7 @@ HEADERS: Mapping[str, str] = {
     response_class=Response,
     responses={
         200: {
-            "description": "events for as long as the connection lives",
+            "description": "events until the connection ends",
             "content": {"text/event-stream": {"schema": _STREAM}},
         }
     },
@@ -52,12 +52,8 @@ HEADERS: Mapping[str, str] = {
 async def events(
     request: Request,
     workspace: Opened,
-    component: Annotated[
-        str | None, Query(description="only about this component; else all that the key is for")
-    ] = None,
-    last_event_id: Annotated[
-        str | None, Header(max_length=64, description="go on after this event")
-    ] = None,
+    component: str | None = None,
+    last_event_id: Annotated[str | None, Header(max_length=64)] = None,
 ) -> Response:
     watched: Events = request.app.state.events
     if component is not None:

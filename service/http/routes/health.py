@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from fastapi import APIRouter, Query, Request
+from fastapi import APIRouter, Request
 from prometheus_client import CONTENT_TYPE_LATEST
 from starlette.responses import JSONResponse, PlainTextResponse, Response
 
@@ -21,7 +21,9 @@ TableState = Literal["ready", "building", "degraded", "broken"]
 
 
 @router.get(
-    "/health/live", summary="The process answers; needs no key", openapi_extra={"security": []}
+    "/health/live",
+    summary="Liveness of the server; needs no key",
+    openapi_extra={"security": []},
 )
 async def live() -> dict[str, str]:
     return {"status": "live"}
@@ -29,7 +31,7 @@ async def live() -> dict[str, str]:
 
 @router.get(
     "/health/ready",
-    summary="Whether jobs are accepted and solved, and which tables answer",
+    summary="Readiness of jobs and tables",
     description="`status` is `ready`, `building` while tables are built, `degraded` if something "
     "is wrong with components (see `broken`), or `not ready` (503; see `faults`). `tables` has "
     "`ready`, `building`, `degraded` (it answers, but not from all its rows or not from its file) "
@@ -38,13 +40,13 @@ async def live() -> dict[str, str]:
     "code are of its table. `copies` has the outcome of the last shipping of the "
     "replica and of the last scheduled backup, with `trouble`; `age_s` of a read-only server how "
     "old its state is at most.",
-    responses=answers(dict[str, Any], "ready, or tables are built")
+    responses=answers(dict[str, Any], "ready, degraded, or tables are being built")
     | answers(dict[str, Any], "not ready; see faults", 503)
     | refused(404, 422),
 )
 def ready(
     workspace: Opened,
-    component: Annotated[str | None, Query(description="only this component's table")] = None,
+    component: str | None = None,
 ) -> JSONResponse:
     faults, broken, tables = workspace.faults(), workspace.broken(), table_states(workspace)
     names, present = set(workspace.library.names()), workspace.tables.present().items()

@@ -55,10 +55,8 @@ def _within(job_id: int) -> int:
     return job_id
 
 
-JobId = Annotated[int, Path(ge=1, description="the job's id"), AfterValidator(_within)]
-WaitSeconds = Annotated[
-    float, Query(ge=0, le=600, description="wait up to this long for the job to end")
-]
+JobId = Annotated[int, Path(ge=1), AfterValidator(_within)]
+WaitSeconds = Annotated[float, Query(ge=0, le=600)]
 
 
 def job_body(
@@ -98,17 +96,15 @@ def job_body(
     return body
 
 
-@router.get("", summary="List jobs, newest first, a page at a time")
+@router.get("", summary="List jobs, newest first, in pages")
 def list_jobs(
     workspace: Opened,
     response: Response,
     component: str | None = None,
     status: Status | None = None,
-    actor: Annotated[str | None, Query(max_length=200, description="only those of it")] = None,
+    actor: Annotated[str | None, Query(max_length=200)] = None,
     limit: Annotated[int, Query(ge=1, le=100_000)] = 1000,
-    after: Annotated[
-        int | None, Query(ge=1, lt=2**63, description="go on after this job, to older ones")
-    ] = None,
+    after: Annotated[int | None, Query(ge=1, lt=2**63)] = None,
 ) -> dict[str, Any]:
     _check_known(workspace, component)
     jobs = workspace.ledger.jobs(component, status, limit + 1, below=after, actor=actor)
@@ -122,7 +118,7 @@ def list_jobs(
     return {"jobs": [job_body(workspace, job, rows) for job in jobs], "next": next_url}
 
 
-@router.get("/{job_id}", summary="One job; with wait_s, once it has ended or the time is up")
+@router.get("/{job_id}", summary="Show a job, or wait for its end")
 async def get_job(job_id: JobId, workspace: Opened, wait_s: WaitSeconds = 0.0) -> dict[str, Any]:
     (job,) = await workspace.polls.wait_all([job_id], wait_s)
 
@@ -142,14 +138,14 @@ async def get_job(job_id: JobId, workspace: Opened, wait_s: WaitSeconds = 0.0) -
 
 @router.delete(
     "",
-    summary="Cancel all jobs that wait, or that run: the caller's own, for admin all",
+    summary="Cancel all waiting or running jobs of the caller",
     responses={
-        200: {"model": dict[Literal["cancelled"], int], "description": "the number of jobs"}
+        200: {"model": dict[Literal["cancelled"], int], "description": "number of cancelled jobs"}
     },
 )
 def cancel_jobs(
     workspace: Opened,
-    component: Annotated[str | None, Query(description="only those of this component")] = None,
+    component: str | None = None,
     status: Literal["waiting", "running"] = "waiting",
 ) -> dict[str, Any]:
     _check_known(workspace, component)
@@ -158,7 +154,7 @@ def cancel_jobs(
 
 @router.delete(
     "/{job_id}",
-    summary="Cancel an own job, or any for admin",
+    summary="Cancel a job of the caller; with an admin key, any job",
     responses=refused(409),
 )
 def cancel_job(job_id: JobId, workspace: Opened) -> dict[str, Any]:
@@ -174,7 +170,7 @@ def retry_job(job_id: JobId, workspace: Opened) -> dict[str, Any]:
 
 @router.get(
     "/{job_id}/files",
-    summary="Everything the last attempt left, as a zip",
+    summary="Download the files of the last attempt as a zip",
     response_class=Response,
     responses={200: {"description": "the attempt's folder", "content": {"application/zip": BYTES}}},
 )
@@ -199,9 +195,8 @@ def get_job_files(job_id: JobId, workspace: Opened) -> Response:
 
 @router.get(
     "/{job_id}/log",
-    summary="What the last attempt printed, its end",
+    summary="Show the end of the last attempt's log",
     response_class=PlainTextResponse,
-    response_description="its end",
 )
 def get_job_log(job_id: JobId, workspace: Opened) -> Response:
     job = workspace.ledger.job(job_id)

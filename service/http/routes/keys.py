@@ -20,7 +20,7 @@ from wrenchbook.service.ledger import noted
 router = APIRouter(
     prefix="/v1/keys",
     tags=["keys"],
-    responses=refused(s409="this server has no keys"),
+    responses=refused(s409="the server has no keys"),
     route_class=JsonRoute,
 )
 
@@ -30,23 +30,19 @@ class KeyBody(Body):
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}$")]
     scope: Literal["read", "write", "admin"] = "write"
-    rate: Annotated[float, Field(gt=0, lt=1e9, description="most requests a second")] = RATE
-    megabytes: Annotated[
-        int, Field(strict=True, gt=0, lt=2**20, description="largest body, MiB")
-    ] = MEGABYTES
-    components: Annotated[
-        tuple[str, ...], Field(max_length=100, description="patterns of their names: plate_*")
-    ] = ANY
-    expires: Annotated[float | None, Field(description="seconds since the epoch")] = None
+    rate: Annotated[float, Field(gt=0, lt=1000000000.0)] = RATE
+    megabytes: Annotated[int, Field(strict=True, gt=0, lt=2**20)] = MEGABYTES
+    components: Annotated[tuple[str, ...], Field(max_length=100)] = ANY
+    expires: float | None = None
 
 
 class RotateBody(Body):
-    """How long the old secret is valid."""
+    """Validity of the old secret."""
 
     overlap_hours: Annotated[float, Field(ge=0, le=8760)] = OVERLAP_HOURS
 
 
-@router.get("", summary="The keys there are, without their secrets; needs a key for admin")
+@router.get("", summary="List keys without their secrets; needs an admin key")
 def list_keys(request: Request) -> dict[str, Any]:
     return {"keys": _keyring(request).public()}
 
@@ -54,9 +50,8 @@ def list_keys(request: Request) -> dict[str, Any]:
 @router.post(
     "",
     status_code=201,
-    summary="Make a key; its secret is sent this once",
-    responses=answers(dict[str, Any], "the new key; `key` is its secret, sent this once", 201)
-    | refused(422),
+    summary="Create a key; the reply has the only copy of its secret",
+    responses=answers(dict[str, Any], "name, scope, and the secret as `key`", 201) | refused(422),
 )
 def add_key(request: Request, workspace: Opened, body: KeyBody) -> Response:
     keyring, fields = _keyring(request), body.model_dump()
@@ -71,8 +66,8 @@ def add_key(request: Request, workspace: Opened, body: KeyBody) -> Response:
 @router.post(
     "/{name}/rotate",
     status_code=201,
-    summary="Make a new secret, sent this once; the old one is valid for some hours more",
-    responses=answers(dict[str, Any], "`key` is the new secret", 201) | refused(404, 422),
+    summary="Replace the secret of a key; the reply has the only copy",
+    responses=answers(dict[str, Any], "name, and the new secret as `key`", 201) | refused(404, 422),
 )
 def rotate_key(name: str, request: Request, workspace: Opened, body: RotateBody) -> Response:
     keyring, after = _keyring(request), body.model_dump()

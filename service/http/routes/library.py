@@ -8,7 +8,6 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from fastapi import APIRouter, Path, Query, Request
-from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 from typing_extensions import TypedDict
@@ -19,14 +18,13 @@ from wrenchbook.service.formats.cells import text_problem
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import CopyBody, NotesBody, RenameBody
 from wrenchbook.service.http.body import JsonRoute, read_body, read_limited
-from wrenchbook.service.http.openapi import answers, refused, takes
+from wrenchbook.service.http.openapi import TEXT, answers, refused, takes
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.routes import Opened, json_reply
 from wrenchbook.service.http.routes.components import component_body
 from wrenchbook.service.http.routes.rows import file_fields
 from wrenchbook.service.ledger import ImportOrigin, UnknownImportError
 from wrenchbook.service.messages import (
-    Doc,
     FiniteArray,
     FloatArray,
     ImportFinding,
@@ -53,10 +51,8 @@ router = APIRouter(
     responses=refused(404, 422),
     route_class=JsonRoute,
 )
-ImportId = Annotated[int, Path(ge=1, lt=2**63, description="the number of the import")]
-Finding = Annotated[
-    str | None, Query(max_length=100, description="cause of a finding: its rows; else all rows")
-]
+ImportId = Annotated[int, Path(ge=1, lt=2**63)]
+Finding = Annotated[str | None, Query(max_length=100)]
 _comparison_lock = asyncio.Lock()
 MAX_NOTES_BYTES = 1 << 20  # 100,000 characters, escaped
 
@@ -76,14 +72,14 @@ class FileImport(Message):
     format: str
     sha256: str
     note: str
-    rig: Annotated[str, Doc("the TOML of the rig; empty without one")]
+    rig: str
 
 
 class Import(FileImport):
     when: str
     rows: int
-    table_version: Annotated[int | None, Doc("the first with all rows; null if it has none")]
-    findings: Annotated[Sequence[ImportFinding], Doc("of rows in the table; `rows` are their ids")]
+    table_version: int | None
+    findings: Sequence[ImportFinding]
 
 
 class Imports(Message):
@@ -108,10 +104,10 @@ class Disagreement(Message):
     beyond_range: int
     compared: int
     outside: int
-    not_told: Annotated[int | None, Doc("rows that cannot be compared")] = left_out(default=None)
-    outputs: Annotated[dict[str, Any], Doc("of each: compared, outside, mean_difference")]
+    not_told: int | None = left_out(default=None)
+    outputs: dict[str, Any]
     rows: Sequence[DisagreeingRow]
-    reason: Annotated[str, Doc("why no row is compared")] = left_out(default="")
+    reason: str = left_out(default="")
 
 
 class Comparison(Message):
@@ -120,46 +116,28 @@ class Comparison(Message):
     component: str
     table_version: int
     inputs: Sequence[str]
-    reference: Annotated[
-        dict[Literal["import", "rows", "of", "method", "bars_are_complete"], Any],
-        Doc("null: the solves, or an import: rows, evenly chosen, of how many, and its method"),
-    ]
+    reference: dict[Literal["import", "rows", "of", "method", "bars_are_complete"], Any]
     measured: int
     beyond_range: int
-    compared: Annotated[int, Doc("rows here: 3,000 at most, evenly chosen of those in the range")]
-    coverages: Annotated[dict[Coverage, int], Doc("of the rows by the reference")]
-    noise: Annotated[
-        Vector,
-        FloatArray(None),
-        Doc("95 % of one reading, which counts where a row states none; by the rows alone"),
-    ]
-    reason: Annotated[str, Doc("why no row is compared; empty if any is")]
-    outputs: Annotated[
-        dict[str, dict[str, Any]],
-        Doc(
-            "of each: rows compared, unanswered (outside the reference's rows, in no number here), "
-            "beyond_bars (of reference and reading), bars_unknown; mean and rms of the residuals; "
-            "factor: measured = factor x expected, half_width: its 95 %, of_reference: the part of "
-            "it that the reference's bar is"
-        ),
-    ]
-    campaigns: Annotated[
-        Sequence[dict[Literal["import", "rows", "outputs"], Any]],
-        Doc("the same by import; null: of rows without one"),
-    ]
+    compared: int
+    coverages: dict[Coverage, int]
+    noise: Annotated[Vector, FloatArray(None)]
+    reason: str
+    outputs: dict[str, dict[str, Any]]
+    campaigns: Sequence[dict[Literal["import", "rows", "outputs"], Any]]
     row: Sequence[int]
-    campaign: Annotated[Sequence[int | None], Doc("the import of each row")]
-    coverage: Annotated[Sequence[Coverage], Doc("by the reference")]
+    campaign: Sequence[int | None]
+    coverage: Sequence[Coverage]
     wrench: Annotated[Vector, FiniteArray(None, None)]
-    displacement: Annotated[Vector, FloatArray(None, None), Doc("as measured, m and rad")]
-    expected: Annotated[Vector, FloatArray(None, None), Doc("null outside its rows")]
-    residual: Annotated[Vector, FloatArray(None, None), Doc("displacement - expected")]
-    bar: Annotated[Vector, FloatArray(None, None), Doc("95 % of expected")]
-    uncertainty: Annotated[Vector, FloatArray(None, None), Doc("95 % of displacement, as stated")]
+    displacement: Annotated[Vector, FloatArray(None, None)]
+    expected: Annotated[Vector, FloatArray(None, None)]
+    residual: Annotated[Vector, FloatArray(None, None)]
+    bar: Annotated[Vector, FloatArray(None, None)]
+    uncertainty: Annotated[Vector, FloatArray(None, None)]
 
 
 class DemandCell(Message):
-    wrench: Annotated[Six, Doc("the middle of the cell, N and N·m")]
+    wrench: Six
     count: int
     thin: int
     outside: int
@@ -168,10 +146,10 @@ class DemandCell(Message):
 
 class Demand(Message):
     component: str
-    asked: Annotated[int, Doc("wrenches that were not covered")]
-    elsewhere: Annotated[int, Doc("of them those that are in none of the cells")]
-    since: Annotated[float | None, Doc("seconds since the epoch")]
-    cell_size: Annotated[Six, Doc("N and N·m")]
+    asked: int
+    elsewhere: int
+    since: float | None
+    cell_size: Six
     cells: Sequence[DemandCell]
     latest: Sequence[dict[Literal["wrench", "coverage", "when"], Any]]
 
@@ -183,10 +161,8 @@ ImportEdited = TypedDict(
         "component": str,
         "import": int,
         "status": Literal["withdrawn", "restored"],
-        "rows": Annotated[int, Field(description="the number that changed")],
-        "current": Annotated[
-            bool, Field(description="whether answers come from the table without them")
-        ],
+        "rows": int,
+        "current": bool,
         "table_version": int,
     },
     total=False,
@@ -197,7 +173,7 @@ ImportEdited = TypedDict(
     "/copy",
     status_code=201,
     summary="Copy a component, with or without its rows",
-    responses=answers(dict[str, Any], "copied", 201) | refused(409),
+    responses=answers(dict[str, Any], "the copy", 201) | refused(409),
 )
 def copy_component(name: str, request: Request, body: CopyBody) -> Response:
     return _copied(request, name, body)
@@ -206,28 +182,26 @@ def copy_component(name: str, request: Request, body: CopyBody) -> Response:
 @router.post(
     "/rename",
     status_code=201,
-    summary="Copy under another name, and put the old one away",
-    responses=answers(dict[str, Any], "copied, and the old one archived", 201) | refused(409),
+    summary="Rename: copy under another name and archive the original",
+    responses=answers(dict[str, Any], "the copy; the original is archived", 201) | refused(409),
 )
 def rename_component(name: str, request: Request, body: RenameBody) -> Response:
     return _copied(request, name, CopyBody(name=body.name), renamed=True)
 
 
-@router.post(
-    "/archive", summary="Put away: left out of the list, answers all the same", response_model=Card
-)
+@router.post("/archive", summary="Archive a component", response_model=Card)
 def archive_component(name: str, request: Request) -> Response:
     return _put(request, name, archived=True)
 
 
-@router.post("/unarchive", summary="Back into the list", response_model=Card)
+@router.post("/unarchive", summary="Unarchive a component", response_model=Card)
 def unarchive_component(name: str, request: Request) -> Response:
     return _put(request, name, archived=False)
 
 
 @router.put(
     "/notes",
-    summary="What people want to remember about it",
+    summary="Replace the notes of a component",
     response_model=Card,
     openapi_extra=takes(NotesBody),
 )
@@ -238,9 +212,7 @@ async def write_notes(name: str, request: Request) -> Response:
     return await run_in_threadpool(_put, request, name, notes=text)
 
 
-@router.get(
-    "/imports", summary="Who loaded which rows from what, newest first", response_model=Imports
-)
+@router.get("/imports", summary="List imports, newest first", response_model=Imports)
 def list_imports(name: str, workspace: Opened) -> Response:
     records = workspace.ledger.imports(workspace.library[name].name)
     versions = {record.id: last for _, last, record in workspace.ledger.import_spans(name)}
@@ -263,7 +235,7 @@ def list_imports(name: str, workspace: Opened) -> Response:
 
 @router.delete(
     "/imports/{number}",
-    summary="Withdraw an import's rows, or those that a finding names; nothing is deleted",
+    summary="Withdraw an import's rows, or the rows of one finding",
     response_model=ImportEdited,
 )
 def withdraw_import(
@@ -274,7 +246,7 @@ def withdraw_import(
 
 @router.post(
     "/imports/{number}/restore",
-    summary="Bring withdrawn rows of an import back, or those that a finding names",
+    summary="Restore an import's withdrawn rows, or the rows of one finding",
     response_model=ImportEdited,
 )
 def restore_import(
@@ -285,7 +257,7 @@ def restore_import(
 
 @router.get(
     "/disagreement",
-    summary="Measured rows compared with the table of the solved ones",
+    summary="List measured rows that disagree with the solved rows",
     response_model=Disagreement,
 )
 def list_disagreements(name: str, workspace: Opened) -> Response:
@@ -297,23 +269,20 @@ def list_disagreements(name: str, workspace: Opened) -> Response:
 
 @router.get(
     "/comparison",
-    summary="Measured rows beside the answer of the solves, or of another import's rows",
+    summary="Compare measured rows with solved rows or with another import",
     response_class=Response,
     responses=answers(
-        Comparison, "the rows; csv: SI", content={"text/csv": {"schema": {"type": "string"}}}
+        Comparison,
+        "rows, residuals and summaries; csv: the rows in SI units",
+        content={"text/csv": TEXT},
     )
-    | refused(s409="the table has no measured rows of such an import"),
+    | refused(s409="the table has no measured rows of this import"),
 )
 async def get_comparison(
     name: str,
     workspace: Opened,
-    number: Annotated[
-        int | None, Query(alias="import", ge=1, lt=2**63, description="its rows alone")
-    ] = None,
-    against: Annotated[
-        int | None,
-        Query(ge=1, lt=2**63, description="the import that is the reference, not the solves"),
-    ] = None,
+    number: Annotated[int | None, Query(alias="import", ge=1, lt=2**63)] = None,
+    against: Annotated[int | None, Query(ge=1, lt=2**63)] = None,
     format: Literal["json", "csv"] = "json",  # noqa: A002 (the contract's word)
 ) -> Response:
     table = await workspace.newest(name, CATCH_UP_S)
@@ -341,16 +310,14 @@ def _compared(
     return json_reply(Comparison(component=name, **more, **reply))
 
 
-@router.get("/stiffness", summary="Slope of load over displacement of measured rows, and play")
+@router.get("/stiffness", summary="Stiffness and play of measured rows between two loads")
 def get_stiffness(
     name: str,
     workspace: Opened,
-    between: Annotated[str, Query(max_length=100, description="two loads, N or N·m: 100,500")],
-    axis: Annotated[str, Query(description="load, else that of the largest range")] = "",
-    of: Annotated[str, Query(description="output, else that of the load: uz of fz")] = "",
-    number: Annotated[
-        int | None, Query(alias="import", ge=1, lt=2**63, description="its rows alone")
-    ] = None,
+    between: Annotated[str, Query(max_length=100)],
+    axis: str = "",
+    of: str = "",
+    number: Annotated[int | None, Query(alias="import", ge=1, lt=2**63)] = None,
 ) -> Response:
     component, table = workspace.library[name], workspace.tables.caught_up(name, CATCH_UP_S)
     rows, space, span = table.rows, component.space, component.load_range
@@ -381,14 +348,14 @@ def get_stiffness(
     return json_reply(reply | measured_stiffness(rows, span, (low, high), at, to))
 
 
-@router.get("/demand", summary="Queries that were not covered", response_model=Demand)
+@router.get("/demand", summary="Demand map of queries that were not covered", response_model=Demand)
 def demand(name: str, workspace: Opened) -> Response:
     component = workspace.library[name]
     counts = workspace.query_counts.map_of(name, component.load_range)
     return json_reply(Demand(component=name, **counts))
 
 
-@router.delete("/demand", summary="Begin the demand map anew")
+@router.delete("/demand", summary="Clear the demand map")
 def forget_demand(name: str, workspace: Opened) -> dict[str, Any]:
     workspace.query_counts.forget(workspace.library[name].name)
     return {"component": name, "asked": 0}

@@ -14,7 +14,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from wrenchbook.service import messages
-from wrenchbook.service.contract import CONTRACT_TEXT, MAX_BLOCK
+from wrenchbook.service.contract import MAX_BLOCK
 from wrenchbook.service.http.batch import BINARY_BODY, is_binary, read_wrenches
 from wrenchbook.service.http.bodies import BlockBody, BlockKey, Body, EnvelopeStartBody, StartBody
 from wrenchbook.service.http.body import (
@@ -56,20 +56,20 @@ _BLOCK = takes(BlockBody, BINARY_BODY, BlockKey)
 
 class Block(messages.Gathered):
     recorded: int
-    duplicate: Annotated[bool, messages.Doc("the block was recorded before; nothing has changed")]
+    duplicate: bool
 
 
 class Recorded(Block, messages.RecordingCounts):
-    """What a block of wrenches changed in a recording."""
+    """Result of a block of wrenches in a recording."""
 
 
 class Widened(Block, messages.Box):
-    """What a block of wrenches changed in an envelope."""
+    """Result of a block of wrenches in an envelope."""
 
 
 class Cleared(messages.Message):
     component: str
-    cleared: Annotated[int, messages.Doc("wrenches deleted")]
+    cleared: int
 
 
 _QUEUED = answers(messages.Started, "solves are queued", 202) | refused(409, 429)
@@ -79,9 +79,8 @@ _QUEUED = answers(messages.Started, "solves are queued", 202) | refused(409, 429
     "/recording",
     status_code=201,
     summary="LM_direct: save wrenches for later",
-    description=CONTRACT_TEXT,
     response_model=Recorded,
-    responses=answers(Recorded, "the block was recorded before"),
+    responses=answers(Recorded, "the block was recorded before; nothing has changed"),
     openapi_extra=_BLOCK,
 )
 async def record(name: str, request: Request) -> Response:
@@ -92,7 +91,7 @@ async def record(name: str, request: Request) -> Response:
     return json_reply(body, 200 if result.known else 201)
 
 
-@router.get("/recording", summary="What is recorded", response_model=messages.Recording)
+@router.get("/recording", summary="Show the recording", response_model=messages.Recording)
 def get_recording(name: str, request: Request) -> Response:
     recording = _store(request).recording(name)
     tally = recording.tally
@@ -107,7 +106,7 @@ def get_recording(name: str, request: Request) -> Response:
     )
 
 
-@router.delete("/recording", summary="Forget what is recorded", response_model=Cleared)
+@router.delete("/recording", summary="Clear the recording", response_model=Cleared)
 def clear_recording(name: str, request: Request) -> Response:
     before = _store(request).clear(name, "recording")
     return json_reply(Cleared(component=name, cleared=before.offered))
@@ -115,7 +114,7 @@ def clear_recording(name: str, request: Request) -> Response:
 
 @router.post(
     "/recording/start",
-    summary="LM_start: solve what is recorded and not covered",
+    summary="LM_start: queue solves of recorded wrenches that are not covered",
     response_model=messages.Started,
     responses=_QUEUED,
 )
@@ -125,8 +124,7 @@ def solve_recording(name: str, request: Request, order: StartBody) -> Response:
 
 @blocks.post(
     "/envelope",
-    summary="LM_max: widen the extremes by wrenches",
-    description=CONTRACT_TEXT,
+    summary="LM_max: widen the envelope by a block of wrenches",
     response_model=Widened,
     openapi_extra=_BLOCK,
 )
@@ -141,7 +139,7 @@ async def widen_envelope(name: str, request: Request) -> Response:
 
 @router.get(
     "/envelope",
-    summary="The extremes, and a bound of the displacements under them",
+    summary="Show the envelope and a bound of its displacements",
     response_model=messages.Envelope,
 )
 def get_envelope(
@@ -173,7 +171,7 @@ def get_envelope(
     )
 
 
-@router.delete("/envelope", summary="Forget the extremes", response_model=Cleared)
+@router.delete("/envelope", summary="Clear the envelope", response_model=Cleared)
 def clear_envelope(name: str, request: Request) -> Response:
     before = _store(request).clear(name, "envelope")
     return json_reply(Cleared(component=name, cleared=before.offered))
@@ -181,7 +179,7 @@ def clear_envelope(name: str, request: Request) -> Response:
 
 @router.post(
     "/envelope/start",
-    summary="LM_start: solve the wrenches at the extremes",
+    summary="LM_start: queue solves of the envelope's extreme wrenches",
     response_model=messages.Started,
     responses=_QUEUED,
 )
@@ -191,7 +189,7 @@ def solve_envelope(name: str, request: Request, order: EnvelopeStartBody) -> Res
 
 @router.post(
     "/table/resolve",
-    summary="Solve the wrenches of rows of another setup of the component again",
+    summary="Queue solves of wrenches that only an earlier setup has solved",
     response_model=messages.Started,
     responses=_QUEUED,
 )

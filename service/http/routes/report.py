@@ -26,20 +26,20 @@ _MEDIA_TYPES = {
 }
 
 POLL_S = 0.05  # between two polls of the file of a table
-_IN_PROGRESS = answers(dict[str, Any], "being made", 202)
+_IN_PROGRESS = answers(dict[str, Any], "state of the running report", 202)
 
 
 @router.post(
     "",
     status_code=202,
-    summary="Make the report anew; it takes minutes of solving",
-    responses=answers(dict[str, Any], "the report is there") | _IN_PROGRESS | refused(409),
+    summary="Start a new report; it solves for minutes",
+    responses=answers(dict[str, Any], "state of the finished report") | _IN_PROGRESS | refused(409),
 )
 def make_report(
     name: str,
     workspace: Opened,
-    wrenches: Annotated[int, Query(ge=3, le=1000, description="wrenches to compare")] = 24,
-    seed: Annotated[int, Query(ge=0, description="of the random wrenches")] = 1,
+    wrenches: Annotated[int, Query(ge=3, le=1000)] = 24,
+    seed: Annotated[int, Query(ge=0)] = 1,
 ) -> Response:
     component = workspace.library[name]
     if not component.has_fea:
@@ -59,7 +59,7 @@ def make_report(
     return _state(workspace, name)
 
 
-@router.delete("", summary="Stop making a report; the latest one stays")
+@router.delete("", summary="Cancel a running report")
 def cancel_report(name: str, workspace: Opened) -> Response:
     _ = workspace.library[name]
     workspace.reports.cancel(name)
@@ -68,7 +68,7 @@ def cancel_report(name: str, workspace: Opened) -> Response:
 
 @router.get(
     "",
-    summary="The latest report; 202 while the first one is being made",
+    summary="Show the latest report; 202 while the first report is running",
     responses=answers(
         dict[str, Any], "the latest report", content={"text/markdown": TEXT, "text/html": TEXT}
     )

@@ -21,22 +21,22 @@ router = APIRouter(prefix="/v1/rigs", tags=["rigs"], responses=refused(404, 422)
 RigName = Annotated[str, Path(pattern=f"^{NAME.pattern}$")]
 _TOML = {"application/toml": TEXT}
 _SENT = {"requestBody": {"required": True, "content": {"application/octet-stream": BYTES, **_TOML}}}
-_READ: Any = {200: {"description": "the stored one, else the program's", "content": _TOML}}
+_READ: Any = {200: {"description": "the stored profile, or else the program's", "content": _TOML}}
 
 
-@router.get("", summary="The profiles: name, origin (stored or shipped), title (a first comment)")
+@router.get("", summary="List rig profiles")
 def list_rigs(workspace: Opened) -> dict[str, list[dict[str, str]]]:
     known = profiles(workspace.ledger).items()
     titles = {name: text.partition("\n")[0].partition("#")[2].strip() for name, (text, _) in known}
     return {"rigs": [{"name": k, "origin": kind, "title": titles[k]} for k, (_, kind) in known]}
 
 
-@router.get("/{name}", summary="A profile as TOML", response_class=Response, responses=_READ)
+@router.get("/{name}", summary="Show a rig profile", response_class=Response, responses=_READ)
 def get_rig(name: RigName, workspace: Opened) -> Response:
     return Response(rig_of(workspace.ledger, name), 200, None, "application/toml; charset=utf-8")
 
 
-@router.put("/{name}", summary="Store a profile, or replace it", openapi_extra=_SENT)
+@router.put("/{name}", summary="Store or replace a rig profile", openapi_extra=_SENT)
 async def put_rig(name: RigName, request: Request, workspace: Opened) -> dict[str, str]:
     content = await read_limited(request.receive, 4 * MAX_RIG)
     text = content.decode("utf-8-sig", "replace")
@@ -48,7 +48,7 @@ async def put_rig(name: RigName, request: Request, workspace: Opened) -> dict[st
     return {"stored": name}
 
 
-@router.delete("/{name}", summary="Remove a stored profile; imports keep the text of theirs")
+@router.delete("/{name}", summary="Remove a stored rig profile")
 def delete_rig(name: RigName, workspace: Opened) -> dict[str, str]:
     remove_rig(workspace.ledger, name)
     return {"removed": name}

@@ -21,21 +21,21 @@ router = APIRouter(
 )
 
 # The ledger's numbers are SQLite's: 64 bits with a sign.
-RowId = Annotated[int, Path(ge=1, lt=2**63, description="the row's id, its `seq`")]
-_EDITS = refused(s409="the row is withdrawn already, or is in the table already")
+RowId = Annotated[int, Path(ge=1, lt=2**63)]
+_EDITS = refused(s409="the row is already withdrawn, or already in the table")
 
 
-@router.get("", summary="A row, and where it comes from")
+@router.get("", summary="Show a row and its provenance")
 def get_row(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
     return row_body(workspace, workspace.library[name], row)
 
 
-@router.delete("", summary="Withdraw a row: it leaves the table and its exports", responses=_EDITS)
+@router.delete("", summary="Withdraw a row", responses=_EDITS)
 def withdraw_row(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
     return _edited(workspace, name, row, workspace.ledger.withdraw, "withdrawn")
 
 
-@router.post("/restore", summary="Bring a withdrawn row back into the table", responses=_EDITS)
+@router.post("/restore", summary="Restore a withdrawn row", responses=_EDITS)
 def restore_row(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
     return _edited(workspace, name, row, workspace.ledger.restore, "restored")
 

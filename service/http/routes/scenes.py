@@ -49,7 +49,7 @@ class Plans(Message):
 
 @router.post(
     "/scenes/plan",
-    summary="What a scene needs of its components, and what that saves",
+    summary="Plan a scene: the tables that its components need, and the savings",
     response_model=Plans,
 )
 async def plan_scene(workspace: Opened, scene: SceneBody) -> Response:
@@ -66,23 +66,21 @@ async def plan_scene(workspace: Opened, scene: SceneBody) -> Response:
 
 @router.get(
     "/components/{name}/scene",
-    summary="The packed table cut to a scene",
+    summary="Download a packed table reduced to a scene",
     response_class=Response,
     responses={
         200: {
-            "description": "what Client.download(name, scene=) reads",
+            "description": "packed table, as `Client.download(name, scene=)` reads it",
             "content": {PACKED_TYPE: BYTES},
         },
-        304: {"description": "the caller has this version"},
+        304: {"description": "the version of If-None-Match is current"},
     },
 )
 def scene_table(
     name: str,
     workspace: Opened,
     table: Newest,
-    wanted: Annotated[
-        str, Query(max_length=8192, description="JSON: what /v1/scenes/plan takes a component")
-    ],
+    wanted: Annotated[str, Query(max_length=8192)],
     if_none_match: Annotated[str | None, Header()] = None,
 ) -> Response:
     component = workspace.library[name]

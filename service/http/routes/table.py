@@ -79,7 +79,7 @@ _ETAG = {
         "description": "names the table version and setup; of packed the content",
     }
 }
-_CURRENT = "the version named by If-None-Match is the present one"
+_CURRENT = "the version of If-None-Match is current"
 # A file of any form may come as plain bytes: the content identifies it.
 _TAKEN = frozenset(
     {
@@ -102,29 +102,21 @@ _MAX_APPENDED_BYTES = 1 << 20
     response_class=Response,
     responses=answers(TableRows, "the table", content=_WRITTEN, headers=_ETAG)
     | {304: {"description": _CURRENT, "headers": _ETAG}}
-    | refused(s409="this form cannot hold this table"),
+    | refused(s409="the format cannot hold this table"),
 )
 async def get_table(
     name: str,
     workspace: Opened,
     format: Format = "json",  # noqa: A002 (the contract's word)
-    force: Annotated[str, Query(description="csv, xlsx: unit of forces")] = "N",
-    moment: Annotated[str, Query(description="csv, xlsx: unit of moments")] = "N*m",
-    translation: Annotated[str, Query(description="csv, xlsx: unit of translations")] = "m",
-    rotation: Annotated[str, Query(description="csv, xlsx: unit of rotations")] = "rad",
-    table_version: Annotated[
-        int | None, Query(ge=0, lt=2**63, description="the table as it was; now if left out")
-    ] = None,
-    comments: Annotated[
-        bool, Query(description="csv: lines after a # that say what it is")
-    ] = False,
-    points: Annotated[int, Query(ge=2, le=1001, description="bushing: of each axis")] = 21,
-    others: Annotated[
-        Others, Query(description="bushing: what is zero on the other axes")
-    ] = "displacement",
-    if_none_match: Annotated[
-        str | None, Header(description="the version that the caller has")
-    ] = None,
+    force: str = "N",
+    moment: str = "N*m",
+    translation: str = "m",
+    rotation: str = "rad",
+    table_version: Annotated[int | None, Query(ge=0, lt=2**63)] = None,
+    comments: bool = False,
+    points: Annotated[int, Query(ge=2, le=1001)] = 21,
+    others: Others = "displacement",
+    if_none_match: Annotated[str | None, Header()] = None,
 ) -> Response:
     if format == "bushing":
         table = await workspace.newest(name, CATCH_UP_S)
@@ -193,11 +185,11 @@ def _tag(component: Component, version: int) -> str:
 
 @router.post(
     "",
-    summary="Bulk import: all rows or none, or the good ones with partial",
-    responses=answers(Imported, "the rows are in, or were counted")
+    summary="Import rows from a file",
+    responses=answers(Imported, "the rows are stored; with `dry_run`, they are counted")
     | refused(
         s413="the table is too large; send it in parts",
-        s415="the content type is no form of a table",
+        s415="the content type is not a table format",
         s422="the table has mistakes; nothing was loaded",
     ),
     openapi_extra=takes(TableRows, _SENT),

@@ -22,7 +22,6 @@ from typing_extensions import TypedDict
 
 from wrenchbook.service.http.bodies import (
     Body,
-    Flag,
     InputVector,
     Method,
     OutputVector,
@@ -75,15 +74,13 @@ class Config(Body):
     tolerance: ToleranceBody | None = None
     on_thin: Literal["wait", "estimate", "reject"] = "wait"
     wait_s: Seconds = DEFAULT_WAIT_S
-    beyond_range: Flag = False
+    beyond_range: bool = False
 
 
 class EvaluateBody(Named):
     """One wrench, and options."""
 
-    input: Annotated[
-        list[InputVector], Field(min_length=1, max_length=1, description="all inputs: N, N·m, ...")
-    ]
+    input: Annotated[list[InputVector], Field(min_length=1, max_length=1)]
     config: Config | None = None
 
 
@@ -95,13 +92,13 @@ class ProductBody(EvaluateBody):
 
 
 class GradientBody(ProductBody):
-    """What J^T is multiplied by: weights of the outputs, per m and rad."""
+    """Weights of the outputs, to multiply by the transposed derivative."""
 
     sens: OutputVector
 
 
 class JacobianBody(ProductBody):
-    """What J is multiplied by: loads, N and N·m."""
+    """Vector of loads, to multiply by the derivative."""
 
     vec: InputVector
 
@@ -134,8 +131,8 @@ router = APIRouter(prefix="/umbridge", tags=["umbridge"], route_class=UmBridgeRo
 _Vector = dict[Literal["output"], list[float]]
 _Sizes = dict[Literal["inputSizes", "outputSizes"], list[int]]
 _Error = dict[Literal["error"], Failure]
-_ERRORS = answers(_Error, "a mistake of the caller", 400) | answers(
-    _Error, "there is no output to give", 500
+_ERRORS = answers(_Error, "mistake in the request", 400) | answers(
+    _Error, "no output is available", 500
 )
 
 
@@ -155,19 +152,19 @@ async def info(request: Request) -> Response:
     return json_reply({"protocolVersion": 1.0, "models": models})
 
 
-@_post("/ModelInfo", "which calls a component supports", dict[Literal["support"], dict[str, bool]])
+@_post("/ModelInfo", "supported calls of a component", dict[Literal["support"], dict[str, bool]])
 async def model_info(request: Request) -> Response:
     await _read(request, Named)
     return json_reply({"support": SUPPORT})
 
 
-@_post("/InputSizes", "one vector in, the wrench and further inputs, SI", _Sizes)
+@_post("/InputSizes", "size of the input vector: wrench and further inputs", _Sizes)
 async def input_sizes(request: Request) -> Response:
     _, space = await _read(request, Named)
     return json_reply({"inputSizes": [len(space.inputs)]})
 
 
-@_post("/OutputSizes", "one vector out, the displacement of each interface, m and rad", _Sizes)
+@_post("/OutputSizes", "size of the output vector: displacement of each interface", _Sizes)
 async def output_sizes(request: Request) -> Response:
     _, space = await _read(request, Named)
     return json_reply({"outputSizes": [len(space.outputs)]})
@@ -191,13 +188,13 @@ async def evaluate(request: Request) -> Response:
     raise UmBridgeError("InvalidOutput", f"{', '.join(lost)} not known: {why}")
 
 
-@_post("/Gradient", "J^T sens, J being du/dw", _Vector, GradientBody)
+@_post("/Gradient", "transposed derivative times `sens`", _Vector, GradientBody)
 async def gradient(request: Request) -> Response:
     body, _ = await _read(request, GradientBody)
     return await _product(request, body, body.sens, "sens")
 
 
-@_post("/ApplyJacobian", "J vec, J being du/dw", _Vector, JacobianBody)
+@_post("/ApplyJacobian", "derivative times `vec`", _Vector, JacobianBody)
 async def apply_jacobian(request: Request) -> Response:
     body, _ = await _read(request, JacobianBody)
     return await _product(request, body, body.vec, "vec")
