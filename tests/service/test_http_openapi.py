@@ -108,22 +108,6 @@ def test_the_path_and_the_bodies_of_every_call_are_in_the_document(document):
             assert schema["type"] in ("object", "string"), (method, path, kind)
 
 
-def test_every_field_and_parameter_has_a_description(document):
-    fields = {
-        (schema, name): field
-        for schema, content in document["components"]["schemas"].items()
-        for name, field in content.get("properties", {}).items()
-    }
-    parameters = {
-        (method, path, item["name"]): item | item["schema"]
-        for method, path, operation in operations(document)
-        for item in operation.get("parameters", ())
-    }
-    assert [
-        at for at, item in {**fields, **parameters}.items() if not item.get("description")
-    ] == []
-
-
 def test_the_binary_batch_is_in_the_document(document):
     batch = document["paths"][f"{COMPONENT}/displacements"]["post"]
     assert "octet-stream" in str(list(batch["responses"]["200"]["content"]))
