@@ -77,10 +77,10 @@ def deck_text(path: Path) -> DeckText:
             try:
                 if size > _MAX_CHARACTERS or len(stack) > _MAX_DEPTH or len(included) > _MAX_FILES:
                     most = f"{_MAX_CHARACTERS >> 20} MiB, {_MAX_FILES} in all and {_MAX_DEPTH} deep"
-                    raise ValueError(f"one file too many: they may be {most}")
+                    raise ValueError(f"which is one too many; include at most {most}")
                 included.append(_inside(folder, stack[-1].parent, inner, beside))
                 if included[-1] in stack:
-                    raise ValueError("which includes itself; take one of the two out")
+                    raise ValueError("which includes itself; remove one of the two lines")
             except (OSError, RuntimeError, ValueError) as error:
                 where = f"line {at} of {name}: " if name else f"line {at}: "
                 word = "*" * (pattern is _ABAQUS) + match[1].upper()
