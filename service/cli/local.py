@@ -119,8 +119,8 @@ def _make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise _refused(
-            f"the data directory {folder} cannot be made: {error.strerror}; name another with "
-            "--data, or make it for the user that serves"
+            f"the data directory {folder} cannot be created: {error.strerror}; name another with "
+            "--data, or create it for the user that serves"
         ) from error
     if paths := not_writable(folder):
         raise _refused(
@@ -214,9 +214,9 @@ def restore(
 
     source = file if "://" in file else Path(file)
     if isinstance(source, Path) and not source.is_file():
-        raise typer.BadParameter(f"there is no file {file}")
+        raise typer.BadParameter(f"there is no file {file}; name a backup")
     if isinstance(source, Path) and at:
-        raise typer.BadParameter(f"--at chooses a state of a replica; {file} has one state")
+        raise typer.BadParameter(f"--at needs a replica, but {file} has one state; leave it out")
     until = at.replace(tzinfo=UTC).timestamp() if at else float("inf")
     manifest, former = restored(source, data, overwrite=overwrite, until=until)
     skipped, state, option = manifest.skipped, manifest.state, _data_option(data)
@@ -306,7 +306,7 @@ def add(
     fields = {"name": name, "scope": scope, "rate": rate, "megabytes": megabytes}
     fields["components"] = tuple(component or ANY)
     if days is not None and not 0.0 < days < 36_500.0:
-        raise typer.BadParameter(f"--days is above 0, and below 36,500, not {days:g}")
+        raise typer.BadParameter(f"--days must be above 0 and below 36,500, not {days:g}")
     fields["expires"] = None if days is None else time.time() + 86_400.0 * days
     with _noted(data, "key.add", name, after=fields):
         key = Keyring(data).add(**fields)
@@ -356,7 +356,7 @@ def _noted(data: Path, action: str, name: str, after: Any = None) -> Iterator[No
     from wrenchbook.service.ledger import Ledger, noted
 
     if action != "key.add" and not (data / KEYS).exists():  # a ledger would be made there
-        raise KeysError(f"{data} has no keys; say which data directory has with --data")
+        raise KeysError(f"{data} has no keys; name the data directory that has with --data")
     with (
         closing(Ledger(data / "ledger.sqlite")) as ledger,
         noted(ledger, action, name, after=after),

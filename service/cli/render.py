@@ -24,8 +24,8 @@ from wrenchbook.service.contract import LOADS, OUTPUTS
 # the window or type into some terminals.
 _CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 _OVER = (
-    "The bar is over the tolerance by the solver's own error (its mesh, say), which no more solves "
-    "lower: the component's warnings say what to do."
+    "The solver's own error (such as its mesh) makes the error bar larger than the tolerance, and "
+    "more solves do not reduce it. See the warnings of the component."
 )
 UNITS = {name: "m" if name[0] == "u" else "rad" for name in OUTPUTS}
 

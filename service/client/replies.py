@@ -168,14 +168,14 @@ class Displacement(messages.Displacement):
         if self.interfaces:
             name = next(iter(self.interfaces))
             raise InvalidArgument(
-                f"{self.component} has several interfaces: take one, interfaces[{name!r}]"
+                f"{self.component} has several interfaces; choose one with interfaces[{name!r}]"
             )
         if self.translation is None or self.rotation is None:
             remedy = (
-                f"wait for job {self.job.id}" if self.job else self.reason or "no job is queued"
+                f"wait for job {self.job.id}" if self.job else self.reason or "ask it with 'queue'"
             )
             raise InvalidArgument(
-                f"the displacement of {self.component} under this wrench is not known ({remedy})"
+                f"the displacement of {self.component} at this wrench is unknown ({remedy})"
             )
         orientation, point = np.asarray(R0, dtype=float), np.asarray(p0, dtype=float)
         if orientation.shape != (3, 3) or point.shape != (3,):
