@@ -137,7 +137,7 @@ async def get_table(
         return Response(content, 200, headers, MEDIA_TYPES["csv"])
     if format == "packed":
         if table_version is not None:
-            message = "a packed table is of the newest version; save it to keep that version"
+            message = "is not possible for a packed table, which always is the newest; leave it out"
             raise bad_body([{"loc": "query.table_version", "msg": message}])
         return await _packed(workspace, name, if_none_match)
     units = {"force": force, "moment": moment, "translation": translation, "rotation": rotation}
@@ -213,7 +213,7 @@ async def import_table(
             "media-type",
             "Not a form of table this call takes",
             f"The content type is {kind}. Send {', '.join(MEDIA_TYPES.values())} or "
-            "application/octet-stream, each gzipped if you like: the content decides which it is.",
+            "application/octet-stream, gzipped or not; the content decides the format.",
         )
     table = workspace.tables.surrogate(name)
     solved = await run_in_threadpool(solved_compliance, component, table)
@@ -257,13 +257,14 @@ async def import_table(
         cure = ""
         rows = reply["rows"]  # none are read under a header with mistakes
         if rows["read"] > rows["refused"] and all(error["row"] for error in errors):
-            cure = ", or say --partial (over HTTP partial=true) to load the good rows"
+            cure = ", or add --partial (over HTTP partial=true) to load only the good rows"
         raise HttpProblemError(
             422,
             "bad-rows",
             "The table has mistakes",
-            f"Nothing was loaded. {len(errors)} mistake(s){sheet}; the first is in {place}"
-            f"{first['field']}: {first['message']}. Correct them and send the {sent} again{cure}.",
+            f"Nothing was loaded; {len(errors)} mistake(s){sheet}, the first in "
+            f"{place}{first['field']}: {first['message']}. Correct them and send the {sent} "
+            f"again{cure}.",
             **reply,
         )
     wait_s = query.wait_s if loaded else 0.0  # rows that were there may wait for the next table
