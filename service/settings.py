@@ -44,7 +44,7 @@ class Settings:
     host: Annotated[str, "address to listen on"] = "127.0.0.1"
     port: Annotated[int, Ge(0), Le(65535), "0 takes a free one"] = 8000
     processes: Annotated[
-        int, Ge(1), Le(64), "that answer; more than 1: one more builds and solves"
+        int, Ge(1), Le(64), "that answer requests; one more builds tables and queues solves"
     ] = 1
     engine: Annotated[str, "where solves run: local or dask"] = "local"
     scheduler: Annotated[str | None, "with --engine dask: tcp://HOST:8786, or tls://"] = None

@@ -263,11 +263,10 @@ def plan_lines(plans: Mapping[str, ComponentPlan]) -> Iterator[Table | str]:
         saves = plan.saves
         saved = ["not known yet"]
         if saves["build_s"] is not None:
-            saved = [
-                f"{saves['build_s']:.2g} s building",
-                f"{saves['memory_bytes'] / 1e6:.2g} MB",
-                f"{saves['us_per_answer']:.2g} µs an answer",
-            ]
+            sizes = saves["build_s"], saves["memory_bytes"] / 1e6, saves["us_per_answer"]
+            units = "s building", "MB", "µs an answer"
+            pairs = zip(sizes, units, strict=True)  # a cut table may also answer more slowly
+            saved = [f"{size:.2g} {unit}" for size, unit in pairs if size > 0] or ["nothing"]
         solves = f"{plan.solves['scene']} of {plan.solves['whole']}"
         cells = (axes or ["none"]), bounds, [solves], saved
         table.add_row(escape(name), plan.decision, *map("\n".join, cells))

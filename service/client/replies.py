@@ -24,7 +24,7 @@ from .notebook import (
     named_columns,
     require_pandas,
 )
-from .rotation import rotation_matrix
+from .rotation import checked_pose, rotation_matrix
 from .transport import Response
 from .wrenches import wrench_of
 
@@ -163,7 +163,7 @@ class Displacement(messages.Displacement):
         Raises
         ------
         ValueError
-            If nothing is known yet, or a shape is wrong.
+            If nothing is known yet, R0 is no rotation matrix, or a shape is wrong.
         """
         if self.interfaces:
             name = next(iter(self.interfaces))
@@ -177,11 +177,7 @@ class Displacement(messages.Displacement):
             raise InvalidArgument(
                 f"the displacement of {self.component} at this wrench is unknown ({remedy})"
             )
-        orientation, point = np.asarray(R0, dtype=float), np.asarray(p0, dtype=float)
-        if orientation.shape != (3, 3) or point.shape != (3,):
-            raise InvalidArgument(
-                f"R0 must have shape (3, 3) and p0 (3,), not {orientation.shape} and {point.shape}"
-            )
+        orientation, point = checked_pose(R0, p0)
         rotated = orientation @ rotation_matrix(self.rotation)
         return rotated, point + orientation @ self.translation
 

@@ -269,6 +269,12 @@ def _columns(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
     except ContentError as error:
         report.mistakes.ruin(0, "file", str(error))
         return
+    if options.sheet and options.role == "table" and report.format not in ("xlsx", "xls", "tdms"):
+        message = (
+            f"is for a workbook or a TDMS file, not for {report.format}; leave it out (--sheet)"
+        )
+        report.mistakes.ruin(0, "sheet", message)
+        return
     if options.role != "table" and report.format in ("json", "hdf5"):
         message = f"must be a log with times, not {report.format}; send CSV, XLSX, Parquet or TDMS"
         report.mistakes.ruin(0, "file", message)

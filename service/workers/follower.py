@@ -98,7 +98,7 @@ def run(settings: Settings, started: threading.Event) -> None:
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     state = CoordinatorState(settings.data / FOLDER)
     if not state.take():
-        log.error(IN_USE.format(settings.data))
+        log.error(IN_USE.format(settings.data, "another server"))
         sys.exit(STARTUP_FAILURE)
     follower, part = None, read_status(settings.data).get("followed", {})
     if part:

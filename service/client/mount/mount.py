@@ -21,7 +21,7 @@ from ..errors import (
 from ..recorder import Recorder
 from ..recording import Started
 from ..replies import Displacement
-from ..rotation import rotation_matrix
+from ..rotation import checked_pose, rotation_matrix
 from ..wrenches import ON_THIN, OnThin, Tolerance, Vector, single_wrench, tolerance_body
 from .coupling import (
     BEYOND,
@@ -494,27 +494,6 @@ def checked_reading(force: ArrayLike, moment: ArrayLike | None) -> Vector:
             f"the sensor reading is not a wrench: {error}. The simulation diverged before this "
             "step, and no pose was set. Go back to an earlier state and use a smaller time step."
         ) from error
-
-
-def checked_pose(R0: ArrayLike, p0: ArrayLike) -> tuple[Vector, Vector]:
-    """Return a pose, axes as columns (3, 3) and point (3,), m; InvalidArgument if it is none."""
-    try:
-        axes, point = np.array(R0, dtype=float), np.array(p0, dtype=float)
-    except (TypeError, ValueError):
-        raise InvalidArgument(f"R0 and p0 must be numbers, not {R0!r} and {p0!r}") from None
-    if axes.shape != (3, 3) or point.shape != (3,):
-        raise InvalidArgument(
-            f"R0 must have shape (3, 3) and p0 (3,), not {axes.shape} and {point.shape}"
-        )
-    if not (np.isfinite(axes).all() and np.isfinite(point).all()):
-        raise InvalidArgument("R0 and p0 must be finite; correct them")
-    # 1e-6 rad is a pose in single precision; the displacement is exact to the square of it.
-    if not np.allclose(axes.T @ axes, np.eye(3), atol=1e-6) or np.linalg.det(axes) < 0.0:
-        raise InvalidArgument(
-            "R0 must be a rotation matrix with the axes of the undeformed interface frame as "
-            "columns"
-        )
-    return axes, point
 
 
 def from_world(force: Vector, moment: Vector, point: Vector, pose: tuple[Vector, Vector]) -> Vector:

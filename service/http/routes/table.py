@@ -221,6 +221,11 @@ async def import_table(
     options = replace(query.options(rig), solved=solved, linear=component.linear)
     most = _MAX_APPENDED_BYTES if query.append else MAX_TABLE_BYTES
     async with received(request, most) as sent:
+        if len(sent.files) == 1 and (
+            alone := query.model_fields_set & {"time_offset_s", "max_gap_s"}
+        ):
+            message = "needs two logs; send the second one (--displacements FILE), or leave it out"
+            raise bad_body([{"loc": f"query.{min(alone)}", "msg": message}])
         key = permission_of(request.scope).key
         origin = ImportOrigin(
             who=key.name if key else "",
