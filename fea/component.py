@@ -310,7 +310,7 @@ def _material_numbers(
             block[chosen] = i
     general = [i for i, material in enumerate(materials) if material.region == "all"]
     if len(general) > 1:
-        problems.append(BundleProblem(f"material[{general[1]}].region", '"all" is twice; keep one'))
+        problems.append(BundleProblem(f"material[{general[1]}].region", 'repeats "all"; keep one'))
     count = sum(int((block < 0).sum()) for block in numbers)
     if count and not general:
         message = f'{count} cells have no material; add a [[material]] for "all" or for them'
@@ -439,8 +439,8 @@ def _free_sliding(
     off = np.abs(projectors[shared] @ (moved @ attached.axes)[:, :, None]).max()
     if attached.coupling == "distributed" or off > _ZERO * max(np.abs(arms).max(), 1.0):
         message = (
-            f"{shared.sum()} of its nodes also slide by [supports], which its motions contradict; "
-            "name fewer nodes, or lock these motions of a rigid interface with locked"
+            f"{shared.sum()} of its nodes slide by [supports], but its free motions would move "
+            "them off; name fewer nodes, or lock these motions of a rigid interface with locked"
         )
         problems.append(BundleProblem(attached.where, message))
     return nodes[~shared], projectors[~shared]

@@ -235,7 +235,7 @@ class _Reader:
             near = {f"mesh.{name}": suggest(name, ("file", "generator")) for name in table}
             for at, suggestion in near.items():
                 if suggestion:
-                    self.wrong(at, f"is no key here; correct it{suggestion}")
+                    self.wrong(at, f"is an unknown key; correct it{suggestion}")
             if not any(near.values()):
                 self.wrong("mesh.file", missing(keys_of(MeshFile)["file"]))
             return None
@@ -327,7 +327,7 @@ class _Reader:
                 self.wrong(f"deck.output.{each}", "is missing; write a text")
         for each in output:
             if each not in known:
-                message = f"is no key here; known: {', '.join(known)}{suggest(each, known)}"
+                message = f"is an unknown key; known: {', '.join(known)}{suggest(each, known)}"
                 self.wrong(f"deck.output.{each}", message)
         return deck and replace(deck, moment=deck.moment or reader.moment)
 

@@ -29,7 +29,7 @@ def too_many(cells: float, key: str) -> list[tuple[str, str]]:
     """Return the mistake of too many cells, if so, at the `key` that makes most of them."""
     if cells <= MAX_CELLS:
         return []
-    return [(key, f"makes {cells:.3g} cells, but only {MAX_CELLS // 10**6} million may be")]
+    return [(key, f"makes {cells:.3g} cells, more than {MAX_CELLS // 10**6} million; write fewer")]
 
 
 @dataclass(frozen=True, eq=False)

@@ -186,7 +186,7 @@ class Surface:
         try:
             order = [*TopologicalSorter(users).static_order()]
         except CycleError as error:
-            message = f"{' inside '.join(error.args[1])} form a circle; choose one by other keys"
+            message = f"{' inside '.join(error.args[1])} is a circle; choose one by other keys"
             _refuse(f"mesh.groups.{error.args[1][0]}.inside", message)
         for name in order:
             where, inside = f"mesh.groups.{name}", groups[name].inside
@@ -299,7 +299,7 @@ class Surface:
             chosen = [n for n, other in radii.items() if abs(other - radius) < _NEAR * radius]
             if not chosen:
                 listed = ", ".join(dict.fromkeys(f"{r:.6g}" for r in sorted(radii.values())))
-                message = f"there is no cylinder of radius {radius:g} m, only {listed or 'none'}"
+                message = f"there is no cylinder of this radius; radii here: {listed or 'none'}"
                 _refuse(where, message)
             return np.isin(self.numbers, chosen)
         axis = np.array(choice.cylinder.axis)

@@ -356,7 +356,7 @@ def unknown(name: str, cls: type) -> str:
     refused: Mapping[str, str] = getattr(cls, "refused", {})
     known = list(keys_of(cls))
     listed = f"(known here: {', '.join(known)})"
-    return refused.get(name) or f"is no key here {listed}; correct it{suggest(name, known)}"
+    return refused.get(name) or f"is an unknown key {listed}; correct it{suggest(name, known)}"
 
 
 _KINDS = {

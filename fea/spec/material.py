@@ -155,15 +155,15 @@ class Orthotropic(Solid):
     def __post_init__(self) -> None:
         if not self.stable:
             message = (
-                "are impossible, because some strain would release energy. Each |nu_ij| must be "
-                "below sqrt(E_i / E_j); nu12 is the strain along 2 when pulled along 1 (nu21 = "
-                "nu12 E2 / E1)"
+                "must not let any strain release energy: each |nu_ij| must be below sqrt(E_i / "
+                "E_j); nu12 is the strain along 2 when pulled along 1 (nu21 = nu12 E2 / E1)"
             )
             raise MistakesError(("poisson_ratio", message))
         if (ratio := self.isotropic_ratio) > MAX_ISOTROPIC_RATIO:
             message = (
-                f"are as incompressible as an isotropic {ratio:.3g}; orthotropic cells lock (are "
-                f"too stiff) above {MAX_ISOTROPIC_RATIO:g}, so write lower ratios"
+                f"makes the material as incompressible as an isotropic one of {ratio:.3g}; "
+                f"orthotropic cells lock (are too stiff) above {MAX_ISOTROPIC_RATIO:g}, so write "
+                "lower ratios"
             )
             raise MistakesError(("poisson_ratio", message))
 

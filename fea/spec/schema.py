@@ -407,7 +407,7 @@ class NamedInterface(Interface):
             if self.range is None:
                 raise MistakesError(("range", "is missing; write a table"))
         elif self.locked not in ((), FREEDOMS) or self.range is not None:
-            message = "cannot be given with held = true; leave it out"
+            message = "cannot be combined with locked or range; leave them out"
             raise MistakesError(("held", message))
         else:
             object.__setattr__(self, "locked", FREEDOMS)

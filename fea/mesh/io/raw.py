@@ -68,7 +68,7 @@ def to_mesh(raw: RawMesh, metres: float) -> Mesh:
         )
     if not any(kind in NODES_PER_CELL for kind in kinds):
         there = ", ".join(dict.fromkeys(kinds)) or "no cells at all"
-        raise MeshFileError(f"has no solid cells, but {there}; export the volume mesh too")
+        raise MeshFileError(f"has no solid cells (it has {there}); export the volume mesh too")
     # Refuse cells and sets of points that there are not: -1 would else be taken for the last.
     for numbers in (*(nodes for _, nodes in raw.blocks), *raw.node_sets.values()):
         if numbers.size and not (numbers.min() >= 0 and numbers.max() < len(raw.points)):
