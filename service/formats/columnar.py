@@ -157,7 +157,7 @@ def _mat_variables(path: Path) -> dict[str, Any]:
             raise ValueError(f"it unpacks to over {MAX_UNPACKED >> 20} MiB; send parts")
         values = loadmat(path, squeeze_me=True)
     except Exception as error:  # scipy raises many classes on damaged files
-        raise ValueError(f"cannot be read as a MATLAB file ({error}); save it again") from error
+        raise ValueError(f"cannot be read as a MATLAB file: {error}") from error
     return {name: value for name, value in values.items() if not name.startswith("__")}
 
 
@@ -206,7 +206,7 @@ def read_tdms(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
             report.ignored += [c.name for c in file[sheet].channels() if not len(c)]
             yield from read_columns(_tdms_pieces(groups[sheet], options), options, report)
     except Exception as error:  # nptdms raises many classes on damaged files
-        report.mistakes.ruin(0, "file", f"cannot be read as TDMS ({error}); save it again")
+        report.mistakes.ruin(0, "file", f"cannot be read as TDMS: {error}")
 
 
 def _tdms_pieces(

@@ -415,5 +415,5 @@ def _record_problem(cells: list[str], header: Header, delimiter: str) -> str:
         numbers = [parts[at] for at in numeric if parts[at]] if len(parts) >= width else []
         rows += bool(numbers) and all(number_text(text, False) is not None for text in numbers)
     if rows > 1:
-        return "a quoted text holds a whole row of the table, and close open quotation marks"
+        return "a quoted text holds a whole row of the table; close the quotation mark"
     return ""

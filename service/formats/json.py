@@ -88,7 +88,7 @@ def _values(text: str, number: Callable[[str], Any]) -> Iterator[Any]:
         except ValueError as error:
             broken = isinstance(error, json.JSONDecodeError)
             reason, place = (error.msg, error.pos) if broken else (str(error), at)
-            raise JsonError(f"is not JSON: {reason} at character {place:,}; correct it") from error
+            raise JsonError(f"is not JSON at character {place:,}: {reason}") from error
         yield value
 
 

@@ -53,7 +53,7 @@ def read_lvm(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
             yield from read_records(chain([(line, labels)], records), options, report, cell_format)
     except ValueError as error:
         line = getattr(error, "line", 0)
-        report.mistakes.ruin(line, "file", f"is no readable LabVIEW file ({error}); save it anew")
+        report.mistakes.ruin(line, "file", f"is no readable LabVIEW file: {error}")
 
 
 def _rows(

@@ -65,7 +65,7 @@ def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
             records = _records(sheets[name], lambda: _sheets(formulas, values=False)[name], most)
             yield from read_records(records, options, report)
     except Exception as error:  # openpyxl raises many classes on damaged files
-        report.mistakes.ruin(0, "file", f"is no readable XLSX workbook ({error}); save it anew")
+        report.mistakes.ruin(0, "file", f"is no readable XLSX workbook: {error}")
 
 
 def write_xlsx(
@@ -131,7 +131,7 @@ def read_xls(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
     except BaseException as error:  # calamine's panic on a damaged file is no Exception
         if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
             raise
-        message = f"cannot be read as an .xls workbook ({error}); save it as .xlsx"
+        message = f"cannot be read as .xls (save it as .xlsx): {error}"
         report.mistakes.ruin(0, "file", message)
 
 

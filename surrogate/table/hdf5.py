@@ -282,7 +282,7 @@ def foreign_tables(path: str | os.PathLike[str]) -> Iterator[tuple[Rows, list[st
     except TableFileError:
         raise
     except Exception as error:  # h5py has no base of what it raises on a file that is not sound
-        raise TableFileError(f"is no readable wrenchbook table ({error}); send it anew") from error
+        raise TableFileError(f"is no readable wrenchbook table: {error}") from error
 
 
 def _check_contained(file: h5py.File) -> None:
