@@ -180,9 +180,9 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
         interface.held for interface in bundle.interfaces
     )
     if bundle.mesh is None or bundle.interface is None or not supported:
-        message = "missing; a component without a [mesh] is a table and cannot be solved"
+        message = "is missing; to solve this component, add a [mesh]"
         if bundle.deck is not None:
-            message = "missing; the [deck] is solved by its command, and nothing is meshed here"
+            message = "is missing; name a component with a [mesh], not a [deck]"
         raise BundleError([BundleProblem("mesh", message)])
     mesh = mesh_of(bundle.mesh) if mesh is None else mesh
     problems = first_order_problems(mesh)
@@ -304,20 +304,16 @@ def _material_numbers(
             continue
         cells = mesh.regions[material.region]
         if any((block[chosen] >= 0).any() for block, chosen in zip(numbers, cells, strict=True)):
-            message = f'"{material.region}" shares cells with another material\'s region'
+            message = f'"{material.region}" overlaps another material\'s region; separate them'
             problems.append(BundleProblem(key, message))
         for block, chosen in zip(numbers, cells, strict=True):
             block[chosen] = i
     general = [i for i, material in enumerate(materials) if material.region == "all"]
     if len(general) > 1:
-        problems.append(
-            BundleProblem(
-                f"material[{general[1]}].region", '"all" is there twice; leave one of the two out'
-            )
-        )
+        problems.append(BundleProblem(f"material[{general[1]}].region", 'repeats "all"; keep one'))
     count = sum(int((block < 0).sum()) for block in numbers)
     if count and not general:
-        message = f'{count} cells have no material; name their region or add one for "all"'
+        message = f'{count} cells have no material; add a [[material]] for "all" or for them'
         problems.append(BundleProblem("material", message))
     for block in numbers:
         block[block < 0] = general[0] if general else 0
@@ -331,7 +327,7 @@ def _fixed_nodes(mesh: Mesh, supports: Supports, problems: list[BundleProblem]) 
     if not groups or supports.sliding or supports.bushings:  # `fea.check.mechanisms` looks at all
         return nodes
     if all(len(ids) for ids in groups) and not _spans_a_plane(mesh.points[nodes]):
-        message = "its nodes lie on one line, about which the component can turn; fix more"
+        message = "its nodes lie on one line, so the component can rotate; fix more nodes"
         problems.append(BundleProblem("supports.fixed", message))
     return nodes
 
@@ -344,10 +340,7 @@ def _attach(
         section = InterfaceSection(nodes, np.empty(0), 0.0, np.zeros(3), by_area=False)
     else:
         if not _spans_a_plane(mesh.points[nodes]):
-            message = (
-                f'"{interface.section}" lies on one line, so its rotation is not defined; choose a '
-                "face"
-            )
+            message = f'"{interface.section}" lies on one line and has no rotation; name a face'
             problems.append(BundleProblem(key, message))
         if interface.section in mesh.facet_groups:
             section = section_of_facets(mesh.points, mesh.facet_groups[interface.section])
@@ -393,9 +386,9 @@ def _check_bolts(
         shared = np.intersect1d(bolt.nodes, np.append(occupied, sliding[0][along]))
         if shared.size:
             message = (
-                f"{shared.size} nodes of its cut are held along its axis by [supports], or belong "
-                "to an interface, a spring or a tie, such as the one at "
-                f"{point_text(mesh.points[shared[0]])} m: cut the shank elsewhere (point)"
+                f"{shared.size} nodes of its cut, such as the one at "
+                f"{point_text(mesh.points[shared[0]])} m, are fixed along its axis by [supports], "
+                "or belong to an interface, a spring or a tie; move the cut with point"
             )
             problems.append(BundleProblem(bolt.key, message))
 
@@ -406,18 +399,18 @@ def _weights(
     """Return equal weights, or the deck's of these nodes, shape (s,)."""
     weights, message = np.ones(len(nodes)), ""
     if interface.coupling == "rigid":
-        message = "a rigid coupling forms no mean, so weights have no effect; leave them out"
+        message = "has no effect on a rigid coupling, which takes no mean; leave weights out"
     elif interface.weights == "deck" and interface.section not in mesh.node_weights:
-        message = f'the deck gives "{interface.section}" no weights; write "area" or "equal"'
+        message = f'the deck has none for "{interface.section}"; write "area" or "equal"'
     elif interface.weights == "deck":
         ids, sizes = mesh.node_weights[interface.section]
         inside = np.isin(ids, nodes)
         weights = np.zeros(len(nodes))
         weights[np.searchsorted(nodes, ids[inside])] = sizes[inside]
         if sizes[~inside].any():
-            message = f"{(~inside).sum()} of {len(ids)} nodes that have some are in no solid cell"
+            message = f"{(~inside).sum()} of {len(ids)} are in no solid cell; correct the deck"
         elif not (weights.sum() > 0 and _spans_a_plane(mesh.points[nodes[weights != 0]])):
-            message = "they have no sum above 0, or are of nodes on one line alone; correct them"
+            message = "the deck's weights add up to 0 or lie on one line; correct them there"
     problems += [BundleProblem(f"{key}.weights", message)] if message else []
     return weights
 
@@ -447,7 +440,7 @@ def _free_sliding(
     if attached.coupling == "distributed" or off > _ZERO * max(np.abs(arms).max(), 1.0):
         message = (
             f"{shared.sum()} of its nodes slide by [supports], but its free motions would move "
-            "them off; name fewer nodes, or lock these motions of a rigid interface (locked)"
+            "them off; name fewer nodes, or lock these motions of a rigid interface with locked"
         )
         problems.append(BundleProblem(attached.where, message))
     return nodes[~shared], projectors[~shared]
@@ -462,9 +455,9 @@ def _check_disjoint(
         if len(shared):
             at = point_text(mesh.points[shared[0]])
             message = (
-                f"{len(shared)} of its nodes are fixed by [supports] (of {len(nodes)}; one is at "
-                f"{at} m); the two must not touch: leave cells between them, or narrow one (box, "
-                "normal or inside of [mesh.groups.NAME])"
+                f"{len(shared)} of its {len(nodes)} nodes are fixed by [supports], such as the one "
+                f"at {at} m; separate the two by cells, or narrow one with box, normal or inside "
+                "in [mesh.groups.NAME]"
             )
             problems.append(BundleProblem(interface.where, message))
     for first, second in combinations(interfaces, 2):
@@ -473,7 +466,7 @@ def _check_disjoint(
             message = (
                 f'"{second.name or second.key}" shares {nodes.size} nodes with '
                 f'"{first.name or first.key}", such as the one at '
-                f"{point_text(mesh.points[nodes[0]])} m; a node can follow one interface only"
+                f"{point_text(mesh.points[nodes[0]])} m, but a node can have one; narrow either"
             )
             problems.append(BundleProblem(second.where, message))
 
@@ -485,7 +478,7 @@ def _check_locked(
     problems += [
         BundleProblem(
             f"{interface.key}.locked",
-            "a single locked rotation leaves the motion from the tightened part undefined; lock "
+            "a single locked rotation leaves the motion from the tightened state undefined; lock "
             'none or two, or write zero = "untightened" under [analysis]',
         )
         for interface in interfaces

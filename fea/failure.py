@@ -7,39 +7,39 @@ from typing import Any
 REMEDIES = {
     # A Newton's method that stopped short of an equilibrium.
     "not_converged": (
-        "Check that the load lies within what the part can carry; a smaller load or a finer mesh "
-        "where it bends most may help."
+        "Check that the part can carry this load; then try a smaller load, or a finer mesh where "
+        "the part bends most."
     ),
     # Supports that leave a motion without resistance.
     "mechanism": (
-        "Fix more of the part (three points that are not on a line hold a body), join parts that "
-        "only touch, and put at least two reduced-integration hex20 across each section, or use "
-        "integration = 'full'."
+        "Fix at least three points that are not on one line, join parts that only touch, and mesh "
+        "each section with at least two reduced-integration hex20 cells, or use integration = "
+        "'full'."
     ),
     # Equations whose roundoff reaches the digits that count.
     "ill_conditioned": (
-        "Lessen the contrast of stiffnesses or the slenderness: thicker or fewer cells across thin "
-        "walls, a softer stand-in for nearly rigid parts."
+        "Reduce the ratio of the stiffnesses or the slenderness: mesh thin walls with thicker or "
+        "fewer cells, and give nearly rigid parts a lower modulus."
     ),
     # Cells turned inside out.
     "inverted_elements": (
-        "If this is the undeformed mesh, repair it in the mesher (midside nodes too far from the "
-        "middle of their edge are the usual cause); if it came of the load, the load is too large."
+        "If the undeformed mesh has these cells, repair it in the mesher (often midside nodes are "
+        "too far from the middle of their edge); otherwise reduce the load."
     ),
     # A part that buckles or snaps over before the load is reached.
     "snap_through": (
-        "The part has no unique answer at this load: keep the load range below the buckling load, "
-        "or guide the interface (locked) as the real assembly does."
+        "The part has no unique answer at this load. Keep the load range below the buckling load, "
+        "or lock the freedoms of the interface that the real assembly guides (locked)."
     ),
     # Cells that are no good for a nearly incompressible material.
     "locking_material": (
         "Mesh that region with 27-node hexahedra (hex27; in gmsh Mesh.SecondOrderIncomplete = 0), "
-        "which are right up to 0.4999; write that for a higher ratio."
+        "which are accurate up to a ratio of 0.4999; for a higher ratio write 0.4999."
     ),
     # A part of which a fraction, named in the message, yields.
     "yields": (
         'Lower the load range, strengthen the part, or write on_yield = "warn" under [analysis] to '
-        "take such answers."
+        "accept such answers."
     ),
 }
 """What to change after a failure of each kind that has the same remedy everywhere."""
@@ -100,7 +100,6 @@ def rotation_too_large(degrees: float, limit: float, load_factor: float = 1.0) -
     under = f" under {load_factor:.3g} of this wrench already" if load_factor < 1.0 else ""
     return SolveFailed(
         "rotation_too_large",
-        f"The interface turns by {degrees:.1f} degrees{under}; tables hold at most {limit:.0f}.",
-        "Lower the load range, or stiffen the part: this is outside the small deformation that "
-        "wrenchbook is for.",
+        f"The interface turns by {degrees:.1f} degrees{under}; a table holds at most {limit:.0f}.",
+        "Lower the load range, or stiffen the part; wrenchbook is for small deformations only.",
     )

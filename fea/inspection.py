@@ -290,30 +290,29 @@ def set_up_warnings(component: ComponentModel) -> list[BundleProblem]:
         stiffest = max(material.youngs_modulus for material in component.materials)
         if (strain := bolt.bolt.force / bolt.area / stiffest) > _STRAINED:
             message = (
-                f"is a strain of {strain:.2g} or more in the shank, which no bolt carries; write a "
-                "smaller force, or correct a unit: force in N, lengths by the mesh's unit"
+                f"is a strain of {strain:.2g} or more in the shank, which no bolt can carry; write "
+                "a smaller force, or correct a unit: force is in N, lengths are in the mesh's unit"
             )
             problems.append(BundleProblem(f"{bolt.key}.force", message))
         if strength is not None and bolt.bolt.force > strength * bolt.area:
             message = (
-                f"is a mean stress of {bolt.bolt.force / bolt.area:.4g} Pa in the shank, more than "
-                f"its yield strength, {strength:.4g} Pa: the solver does not model yielding"
+                f"is a mean stress of {bolt.bolt.force / bolt.area:.4g} Pa in the shank, above its "
+                f"yield strength of {strength:.4g} Pa; yielding is not modelled, so write a "
+                "smaller force"
             )
             problems.append(BundleProblem(f"{bolt.key}.force", message))
         angle, direction = shank_direction(component, bolt)
         if angle > _OBLIQUE:
             axis = (np.round(direction, 4) + 0.0).tolist()
             message = (
-                f"is {np.degrees(angle):.2g} degrees off the sides of the shank at the cut, so "
+                f"is {np.degrees(angle):.2g} degrees off the shank's direction at the cut, so "
                 f"{100 * np.sin(angle):.2g} % of the force pulls it sideways; write axis = {axis}, "
-                "or move the point to where the shank is straight"
+                "or move point to where the shank is straight"
             )
             problems.append(BundleProblem(f"{bolt.key}.axis", message))
     for number, material in enumerate(component.bundle.materials if component.bundle else ()):
         if material.thermal_expansion is not None and component.temperature is None:
-            message = (
-                "has no effect without [inputs.temperature]: add that input, or leave this key out"
-            )
+            message = "has no effect without [inputs.temperature]; add that, or leave this key out"
             problems.append(BundleProblem(f"material[{number}].thermal_expansion", message))
     return problems
 
@@ -363,8 +362,8 @@ def stack_problems(component: ComponentModel) -> list[BundleProblem]:
     if not len(middles):
         return []
     message = (
-        f'{len(middles)} hex20 cells of integration = "reduced" follow each other singly, such as '
-        f"the one at {point_text(middles[0])} m: such a stack has motions without resistance "
+        f'{len(middles)} hex20 cells with integration = "reduced" form stacks that are one cell '
+        f"wide, such as at {point_text(middles[0])} m; these have motions without resistance "
         '(hourglass). Write integration = "full", or mesh two cells across'
     )
     return [BundleProblem("analysis.integration", message)]
@@ -386,13 +385,13 @@ def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> list[Bundl
         here = pairs[(between == [first, second]).all(axis=1)]
         where = point_text(mesh.points[here[0, 0]])
         if first == second:
-            kind = f"inside part {first + 1}, which makes a slit there"
+            kind = f"inside part {first + 1}, which leaves a slit there"
         else:
             kind = f"of part {first + 1} and part {second + 1}, which touch without being joined"
         message = (
-            f"{len(here)} pairs of nodes {kind} (one near {where} m): each pair is in one place "
-            "but not one node; merge them in the mesher (gmsh: Coherence Mesh or "
-            "removeDuplicateNodes; Abaqus: merge nodes) if the material is to hold together there"
+            f"{len(here)} pairs of nodes {kind} (one near {where} m) have the same coordinates but "
+            "are not joined; if the material is joined there, merge them in the mesher (gmsh: "
+            "Coherence Mesh or removeDuplicateNodes; Abaqus: merge nodes)"
         )
         problems.append(BundleProblem("mesh", message))
     return problems
@@ -407,19 +406,19 @@ def section_warnings(component: ComponentModel) -> list[BundleProblem]:
         section, key = interface.section, f"{interface.key}.section"
         if not section.by_area:
             message = (
-                "is a bare set of nodes that bounds no face, so every node counts the same; name "
-                "a facet group, or all nodes of the face, for area weights"
+                "is a set of nodes that bounds no face, so all nodes have equal weights; for area "
+                "weights name a facet group, or all nodes of the face"
             )
             problems.append(BundleProblem(key, message))
         inside = np.setdiff1d(section.node_ids, surface)
         if inside.size:
-            message = f"{inside.size} of its nodes are inside the body, not on its surface"
+            message = f"{inside.size} of its nodes are inside the body; name nodes of its surface"
             problems.append(BundleProblem(key, message))
         constrained = np.union1d(constrained, section.node_ids)
     between = sum(int(np.isin(block.nodes, constrained).all(axis=1).sum()) for block in mesh.blocks)
     if between:
         message = (
-            f"{between} cells have every node fixed or in the section, so they do not deform; "
+            f"{between} cells cannot deform, because all their nodes are fixed or in the section; "
             "mesh more cells between section and supports"
         )
         problems.append(BundleProblem("mesh", message))
@@ -434,8 +433,8 @@ def support_warnings(component: ComponentModel) -> list[BundleProblem]:
     if facets_within(surface, nodes).blocks:
         return []
     message = (
-        f"holds {len(nodes)} nodes and no whole face: elastic bodies give way "
-        "without limit at points, so the answer depends on the mesh size; fix faces"
+        f"has {len(nodes)} nodes but no complete face; an elastic body has no finite displacement "
+        "at a point load, so the answer depends on the mesh size. Fix faces"
     )
     only_fixed = len(nodes) == len(component.fixed_nodes)
     return [BundleProblem("supports.fixed" if only_fixed else "supports", message)]
@@ -445,14 +444,14 @@ def tie_warnings(component: ComponentModel) -> list[BundleProblem]:
     """Return warnings on nodes that a tie leaves loose, gaps that it closes, and a coarse side."""
     texts, follow = [], component.mesh.dependents
     for i, tie in enumerate(component.ties if follow else ()):
-        count, loose = len(tie.nodes), f"{tie.untied} secondary nodes are loose"
+        count, loose = len(tie.nodes), f"{tie.untied} secondary nodes are not tied"
         if tie.cut and tie.untied:
             ends = f"the main surface ends within {tie.cut} facets, and the tie at their edges"
             texts.append((i, f"{ends}: {loose}; split the surface there, or swap the two groups"))
         elif tie.untied:
-            texts.append((i, f"{loose}: they are held, or the main surface does not cover them"))
+            texts.append((i, f"{loose}, since fixed or not covered by main; check the groups"))
         if tie.gap > _CLOSED * tie.distance:
-            texts.append((i, f"a gap of up to {tie.gap:.3g} m is closed by moving secondary nodes"))
+            texts.append((i, f"closes gaps of up to {tie.gap:.3g} m by moving nodes; check it"))
         if follow and follow.map[tie.nodes].nnz > _FINER * count:
             swap = "swap the two groups, which is faster and more exact"
             texts.append((i, f"the secondary surface is coarser than the main surface: {swap}"))
@@ -465,7 +464,7 @@ def unit_warnings(component: ComponentModel) -> list[BundleProblem]:
     for number, material in enumerate(component.materials):
         for key, (low, high, si, kind, unit) in _USUAL.items():
             if (value := getattr(material, key)) is not None and not low <= value <= high:
-                text = f"is {value:.4g} {si}, {kind}; if it was meant in {unit}, write it in {si}"
+                text = f"is {value:.4g} {si}, {kind}; if it is in {unit}, convert it to {si}"
                 problems.append(BundleProblem(f"material[{number}].{key}", text))
     points = component.mesh.points
     low_corner, high_corner = points.min(axis=0), points.max(axis=0)
@@ -474,8 +473,8 @@ def unit_warnings(component: ComponentModel) -> list[BundleProblem]:
     geometry = source.geometry if source else None
     if geometry is not None and geometry.size > size:
         message = (
-            f"is {geometry.size:.4g} m, more than the part's {size:.4g} m; if it was meant in mm, "
-            "write it in m"
+            f"is {geometry.size:.4g} m, more than the part's size of {size:.4g} m; if the number "
+            "is in mm, convert it to m"
         )
         problems.append(BundleProblem("mesh.size", message))
     for interface in component.interfaces:
@@ -484,8 +483,8 @@ def unit_warnings(component: ComponentModel) -> list[BundleProblem]:
         if lever <= _LONGEST_LEVER * size:
             continue
         message = (
-            f"is {lever:.4g} m away from a mesh {size:.4g} m large; if it was meant in the "
-            "mesh's unit, write it in m"
+            f"is {lever:.4g} m away from a mesh that is {size:.4g} m large; if the number is in "
+            "the mesh's unit, convert it to m"
         )
         problems.append(BundleProblem(f"{interface.key}.point", message))
     return problems

@@ -97,9 +97,9 @@ def number(word: str, where: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        raise OutputError(f'{where} has "{word}" where a number should be.') from None
+        raise OutputError(f'{where} has "{word}" in the place of a number.') from None
     if not math.isfinite(value):
-        raise OutputError(f'{where} has "{word}": the solver found no finite result.')
+        raise OutputError(f'{where} has "{word}", which is not finite; check the model.')
     return value
 
 
@@ -134,11 +134,11 @@ class CalculixDat:
         name = f"{run.job}.dat"
         path = run.folder / name
         if not path.is_file():
-            raise OutputError(f"There is no {name}.")
+            raise OutputError(f"The solver wrote no file {name}.")
         last = {key: _last(path, name, options[key]) for key in self.keys}
         times = {time for time, _ in last.values()}
         if len(times) > 1:
-            raise OutputError(f"{name} ends with the two sets at different times: {sorted(times)}.")
+            raise OutputError(f"{name} ends at different times of the sets: {sorted(times)}.")
         (_, translation), (_, rotation) = last["point"], last["rotation"]
         counts = _UNKNOWNS.findall(_text(run.printed))
         return Reading((*translation, *rotation), int(counts[-1]) if counts else 0)
@@ -173,7 +173,7 @@ class CalculixDat:
             if name.upper() not in printed
         ]
         return unprinted + [
-            f'includes "{name}", which [deck] files does not name; name it, without a folder'
+            f'includes "{name}", which [deck] files does not list; add it, without a folder'
             for name in _INCLUDED.findall(text)
             if name not in known
         ]
@@ -195,10 +195,10 @@ def _last(path: Path, name: str, node_set: str) -> tuple[str, tuple[float, ...]]
     if len(rows) != 1:
         count = f"{len(rows)} nodes" if rows else "no displacement"
         raise OutputError(
-            f'{name} has {count} of the set "{node_set}"; it must have that of one node.'
+            f'{name} has {count} of the set "{node_set}", but must have one; correct the set.'
         )
     if len(rows[0]) != 3:
-        raise OutputError(f'{name} is cut off at the set "{node_set}".')
+        raise OutputError(f'{name} ends within the set "{node_set}"; look at the log.')
     return time, tuple(number(word, name) for word in rows[0])
 
 
@@ -237,9 +237,9 @@ class NumbersReader:
         try:
             texts = (run.folder / name).read_text(encoding="utf-8").replace(",", " ").split()
         except (OSError, UnicodeDecodeError):
-            raise OutputError(f"There is no text file {name}.") from None
+            raise OutputError(f"The command wrote no text file {name}.") from None
         if len(texts) != 6:
-            raise OutputError(f"{name} has {len(texts)} numbers; it must have six.")
+            raise OutputError(f"{name} has {len(texts)} numbers; the command must write six.")
         return Reading(tuple(number(word, name) for word in texts))
 
     def complaint(self, run: DeckRun) -> Complaint | None:

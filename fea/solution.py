@@ -96,10 +96,10 @@ def checked_wrench(
         for name in wrench:
             if name not in every:
                 known = ", ".join(every)
-                raise ValueError(f'no interface "{name}"{suggest(name, every)} (there are {known})')
+                raise ValueError(f'"{name}" must be one of {known}{suggest(name, every)}')
         for name in further:
             if name not in wrench:
-                raise ValueError(f'"{name}" is missing: it is an input of this component')
+                raise ValueError(f'"{name}" is missing; this component needs its value')
         loads = [
             np.asarray(wrench.get(name, np.zeros(PER_INTERFACE)), dtype=float) for name in names
         ]
@@ -115,11 +115,11 @@ def checked_wrench(
             f"force (N) and moment (N·m){name and ' of ' + name}" for name in names
         )
         raise ValueError(
-            f"the inputs are {count} finite numbers: {which}, then {', '.join(further)}"
+            f"the inputs must be {count} finite numbers: {which}, then {', '.join(further)}"
         )
     if len(names) == 1:
-        raise ValueError("a wrench is six finite numbers: force (N) and moment (N·m)")
+        raise ValueError("a wrench must be six finite numbers: force (N) and moment (N·m)")
     raise ValueError(
-        f"the loads of {len(names)} interfaces are {count} finite numbers: force (N) and moment "
-        f"(N·m) of {', '.join(names)}"
+        f"the loads of {len(names)} interfaces must be {count} finite numbers: force (N) and "
+        f"moment (N·m) of {', '.join(names)}"
     )

@@ -201,7 +201,7 @@ class Solver:
             reached = " and ".join(f"{part * cut.bolt.force:.3g} N" for cut in cuts)
             raise SolveFailed(
                 failure.kind,
-                f"The preload of {bolts} is more than the part carries: {reached} was reached. "
+                f"The part cannot carry the preload of {bolts}; the solve reached {reached}. "
                 f"{failure.message}",
                 "Write a smaller force, or stiffen what the bolt clamps and its bearing surface.",
             ) from None
@@ -229,8 +229,9 @@ class Solver:
         lost = self._system.condition * ROUNDOFF
         if lost > _ROUNDOFF_WORTH_TELLING:
             notes += (
-                f"Scaled condition about {self._system.condition:.0e}: rounding alone would leave "
-                f"an error of {lost:.0e} of it. The answer is corrected for that: nothing to do.",
+                f"The scaled condition number is {self._system.condition:.0e}, so rounding would "
+                f"leave a relative error of {lost:.0e}. The answer is corrected for that; nothing "
+                "is to be done.",
             )
         return notes
 

@@ -118,7 +118,7 @@ class Feed:
         """
         if len(self._listeners) >= MAX_LISTENERS:
             raise TooManyListenersError(
-                f"{MAX_LISTENERS} listeners are connected, the most this server has; end one, or "
+                f"{MAX_LISTENERS} listeners are connected, the limit of this server; close one, or "
                 "poll GET /v1/jobs and GET /v1/components. Nothing was changed."
             )
         mark, _, number = (last_id or self._newest()).partition(".")
@@ -128,7 +128,7 @@ class Feed:
         all_read = not known or last == self._number
         greeting = b"retry: 2000\n" + _wire("hello", hello, self._newest() if all_read else None)
         if not known:
-            reason = "the events since your last one are not there any more: read jobs and tables"
+            reason = "the events since your last one are no longer stored; read jobs and tables"
             greeting += _wire("missed", {"reason": reason}, self._newest())
         listener = Listener(self, component, last if known else self._number, greeting)
         self._listeners.add(listener)
@@ -222,7 +222,7 @@ class Events:
             await asyncio.wait_for(self._polled.wait(), FIRST_POLL_S)
         except TimeoutError:
             raise LedgerUnavailableError(
-                "the ledger could not be read for a first poll; try again in a moment"
+                "the ledger could not be read; connect again in a moment"
             ) from None
         versions: dict[str, int | None] = {**self._last.versions} if self._last else {}
         if component is not None:

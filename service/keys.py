@@ -49,10 +49,10 @@ _PATTERN: Final = re.compile(r"[A-Za-z0-9_*?-]{1,64}")  # the same to fnmatch an
 _MAX_PATTERNS: Final = 100
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}")
 _WITHOUT_KEYS: Final = (
-    "{host} is reached from other machines, and {folder} has no keys: anybody there could change "
-    "tables and run solves. Make a key with: wrenchbook keys add NAME --scope admin --data "
-    "{folder}; or start with --first-key, which makes one and prints it once. To serve this "
-    "machine alone, leave --host out."
+    "other machines can reach {host}, but {folder} has no keys, so anybody there could change "
+    "tables and run solves. Create a key with: wrenchbook keys add NAME --scope admin --data "
+    "{folder}; or start with --first-key, which creates one and prints it once. To serve this "
+    "machine only, leave --host out."
 )
 
 
@@ -178,16 +178,16 @@ class Keyring:
         secret = PREFIX + secrets.token_urlsafe(32)
         with self._changing() as keys:
             if len(keys) >= MAX_KEYS:
-                raise KeysError(f"there are {MAX_KEYS} keys already; revoke some")
+                raise KeysError(f"there are already {MAX_KEYS} keys; revoke some")
             if any(key.name == name for key in keys.values()):
-                raise KeysError(f"there is already a key {name!r}; revoke it or take another name")
+                raise KeysError(f"there is a key {name!r}; revoke it or choose another name")
             fields = {"name": name, "scope": scope, "digest": digest_of(secret)}
             try:
                 key = _checked({**fields, "created": time.time(), **limits})
             except ValueError as error:
                 raise KeysError(str(error)) from None
             if not key.is_valid():
-                raise KeysError("the key would have expired already; give an end in the future")
+                raise KeysError("the key would already have expired; give an end in the future")
             keys[key.digest] = key
         return secret
 
@@ -197,12 +197,12 @@ class Keyring:
         with self._changing() as keys:
             known = [key for key in keys.values() if key.name == name and key.is_valid()]
             if not known:
-                message = f"there is no key {name!r} that is valid; make one with: "
+                message = f"there is no valid key {name!r}; create one with: "
                 raise KeysError(f"{message}wrenchbook keys add {name}")
             if not 0.0 <= overlap_s < 1e9:
-                raise KeysError(f"the overlap must be 0 hours or more, not {overlap_s / 3600.0:g}")
+                raise KeysError(f"the overlap must be 0 or more hours, not {overlap_s / 3600.0:g}")
             if len(keys) >= MAX_KEYS:
-                raise KeysError(f"there are {MAX_KEYS} keys already; revoke some")
+                raise KeysError(f"there are already {MAX_KEYS} keys; revoke some")
             newest, now = max(known, key=lambda key: key.created), time.time()
             for old in known:
                 del keys[old.digest]
@@ -219,7 +219,7 @@ class Keyring:
             digests = [digest for digest, key in keys.items() if key.name == name]
             if not digests:
                 names = ", ".join(sorted(key.name for key in keys.values())) or "none"
-                raise KeysError(f"there is no key {name!r}; there are: {names}")
+                raise KeysError(f"there is no key {name!r}; name one of: {names}")
             for digest in digests:
                 del keys[digest]
 
@@ -229,7 +229,7 @@ class Keyring:
         self._path.parent.mkdir(parents=True, exist_ok=True)
         descriptor = take(self._path.with_name(f"{FILE}.lock"))
         if descriptor is None:
-            raise KeysError("another command is changing the keys; run this command again")
+            raise KeysError("another command is changing the keys; repeat yours")
         try:
             with self._lock:
                 self._read()
@@ -240,7 +240,7 @@ class Keyring:
                     write_atomically(self._path, content.encode(), mode=0o600)
                 except OSError as error:
                     raise KeysError(
-                        f"{self._path} cannot be written: {error}. The keys stay"
+                        f"{self._path} cannot be written: {error}. The keys stay as they were"
                     ) from error
                 self._read()
         finally:
@@ -253,7 +253,7 @@ class Keyring:
             keys = [_checked(entry) for entry in entries]
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise KeysError(
-                f"{self._path} cannot be read ({error}). Repair it, or move it away and make new "
+                f"{self._path} cannot be read ({error}). Repair it, or move it away and create new "
                 "keys with: wrenchbook keys add NAME --scope admin"
             ) from error
         self._keys, self._stamp = {key.digest: key for key in keys}, stamp
@@ -289,25 +289,25 @@ def _checked(fields: dict[str, Any]) -> Key:
         raise ValueError(f"the fields of a key are wrong: {error}") from None
     if not isinstance(key.name, str) or not _NAME.fullmatch(key.name):
         raise ValueError(
-            f"{key.name!r} is no name of a key: 1 to 64 letters, digits, '.', '_', '@' and '-', "
-            "beginning with a letter or digit"
+            f"{key.name!r} is not a valid key name; use 1 to 64 letters, digits, '.', '_', '@' and "
+            "'-', beginning with a letter or digit"
         )
     if key.scope not in SCOPES:
-        raise ValueError(f"{key.scope!r} is no scope; there are {', '.join(SCOPES)}")
+        raise ValueError(f"the scope must be one of {', '.join(SCOPES)}, not {key.scope!r}")
     if not (isinstance(key.rate, int | float) and 1e-6 <= key.rate < 1e9):
-        raise ValueError(f"the rate is a number of requests a second from 1e-6, not {key.rate!r}")
+        raise ValueError(f"the rate must be at least 1e-6 requests a second, not {key.rate!r}")
     if not (isinstance(key.megabytes, int) and 0 < key.megabytes < 1 << 20):
-        raise ValueError(f"the largest body is a number of MiB above 0, not {key.megabytes!r}")
+        raise ValueError(f"the largest body must be above 0 MiB, not {key.megabytes!r}")
     named = key.components[:_MAX_PATTERNS] == key.components != ()
     if not (named and all(_PATTERN.fullmatch(str(part)) for part in key.components)):
         raise ValueError(
-            f"{key.components!r} are no patterns of components: up to {_MAX_PATTERNS} of letters, "
-            "digits, '_', '-', * and ?"
+            f"{key.components!r} are not valid patterns of components; use up to {_MAX_PATTERNS} "
+            "of letters, digits, '_', '-', * and ?"
         )
     # Before the year 5138: a time in milliseconds is a mistake.
     ends = 1 if key.expires is None else key.expires
     if not (isinstance(ends, int | float) and 0 < ends < 1e11):
-        raise ValueError(f"a key expires at seconds since the epoch, not {key.expires!r}")
+        raise ValueError(f"expires must be seconds since the epoch, not {key.expires!r}")
     if not re.fullmatch(r"[0-9a-f]{64}", str(key.digest)):
-        raise ValueError("a digest is 64 hexadecimal digits")
+        raise ValueError("a digest must be 64 hexadecimal digits")
     return key

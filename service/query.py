@@ -260,8 +260,8 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
     if query.on_thin != "queue":
         if beyond:
             raise BeyondRangeError(
-                f"{beyond}. Nothing was queued. Ask with beyond_range true (--beyond-range) to "
-                "have it solved all the same.",
+                f"{beyond}. Nothing was queued. To solve it nevertheless, ask with beyond_range "
+                "true (--beyond-range).",
                 coverage="outside",
             )
         asked_by, urgent = query.on_thin, query.wait_s > 0
@@ -270,13 +270,13 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
     elif beyond:
         placement = Placement(None, exact=False)
         why = (
-            "no solve is queued beyond the load range unless beyond_range (--beyond-range): "
+            "no solve is queued outside the load range without beyond_range (--beyond-range): "
             f"{beyond}"
         )
     else:
         (placement,), limit = submission.queue(name, wrench), submission.queue_limit
-        why = f"no solve is queued: {limit} jobs of queries are open already (serve --queue-limit)"
-        why += ", or the caller's quota is used up"
+        why = f"no solve is queued: {limit} jobs of queries are already open (serve --queue-limit)"
+        why += "or the caller's quota is used up"
     outcome.job = placement.job
     if placement.job is None:
         reason = "" if outcome.reply.reason == beyond else outcome.reply.reason
@@ -300,7 +300,7 @@ def _uncovered(workspace: Workspace, component: Component, query: Query, outcome
         with suppress(LedgerUnavailableError):  # an estimate needs no ledger
             for job in workspace.ledger.open_jobs(component.name, component.fingerprint)[:1]:
                 awaited = f"job {job.id} solves the component's compliance"
-                reason = _also(reason, f"{awaited}: ask again once it is done")
+                reason = _also(reason, f"{awaited}; ask again once it is done")
     outcome.reply = reply._replace(reason=reason)
     if query.on_thin == "reject":
         solve = "'queue' or 'wait' to have it solved, or " if component.has_fea else ""
@@ -431,8 +431,8 @@ def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query)
         first = int(thin[out][0])
         raise BeyondRangeError(
             f"{int(out.sum())} wrenches are outside the load range, the first is number {first}: "
-            f"{why_beyond(component.load_range, acting[first])}. Nothing was queued. Ask with "
-            "beyond_range true (--beyond-range) to have them solved all the same.",
+            f"{why_beyond(component.load_range, acting[first])}. Nothing was queued. To solve them "
+            "nevertheless, ask with beyond_range true (--beyond-range).",
             beyond=thin[out].tolist(),
         )
     place_jobs = workspace.submission.queue
@@ -468,7 +468,7 @@ def _being_built(component: Component, table: ServedTable, count: int) -> str:
     rows = f"{count} row(s) are being built"
     if not (component.has_fea or table.row_count):
         raise TableBehindError.unbuilt(component.name, rows)
-    return f"{rows}: the table answers from them soon"
+    return f"{rows}; the table answers from them soon"
 
 
 def _rows_at(component: Component, rows: Rows, wrenches: Floats) -> list[Rows | None]:

@@ -57,15 +57,15 @@ _KINDS: Final = {  # of errors by the signal that ended the parser; else a crash
     signal.SIGKILL: "elapsed",
 }
 _MESSAGES: Final = {
-    "memory": "Reading it takes more than {memory} MiB of memory, which is what one file may take; "
+    "memory": "Reading it needs more than {memory} MiB of memory, the limit for a file; make it "
+    "smaller or send parts.",
+    "time": "Reading it needs more than {seconds:g} s of processor time, the limit for a file; "
     "make it smaller or send parts.",
-    "time": "Reading it takes more than {seconds:g} s of processor time, which is what one file "
-    "may take; make it smaller or send parts.",
-    "elapsed": "Reading it has not ended after {elapsed:g} s; send it again when the server is "
-    "less busy, or send parts.",
-    "size": "What it holds is more than {output} MiB; send parts of it.",
-    "crash": "Its reader ended without an answer (signal {number}): the file is damaged, or made "
-    "to do that. Write it anew with another program.",
+    "elapsed": "Reading it took more than {elapsed:g} s; send it again when the server is less "
+    "busy, or send parts.",
+    "size": "Its contents exceed {output} MiB; send it in parts.",
+    "crash": "Its reader stopped without an answer (signal {number}), because the file is damaged "
+    "or malicious. Write it again with another program.",
 }
 _ONE_THREAD: Final = {  # forking a multi-threaded process can deadlock
     "OMP_NUM_THREADS": "1",
@@ -180,7 +180,7 @@ class Sandbox:
         try:
             server = self._free.get(timeout=WAIT_S)
         except queue.Empty:
-            message = "Other files are being read; send it again in a minute"
+            message = "other files are being read; send this file again in a minute"
             raise SandboxBusyError(message) from None
         try:
             yield server
@@ -286,7 +286,9 @@ def _read(descriptor: int) -> tuple[list[Part], dict[str, Any]]:
             parts.append(Part(dict(head["fields"]), arrays))
         raise ValueError("it has too many parts")
     except (ValueError, KeyError, TypeError) as error:
-        raise SandboxError("crash", f"Its reader's answer cannot be used: {error}.") from None
+        raise SandboxError(
+            "crash", f"Its reader answered wrongly ({error}); send it again."
+        ) from None
 
 
 def _read_array(content: mmap.mmap) -> np.ndarray:

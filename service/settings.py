@@ -44,7 +44,7 @@ class Settings:
     host: Annotated[str, "address to listen on"] = "127.0.0.1"
     port: Annotated[int, Ge(0), Le(65535), "0 takes a free one"] = 8000
     processes: Annotated[
-        int, Ge(1), Le(64), "that answer; one more builds tables and dispatches solves"
+        int, Ge(1), Le(64), "that answer requests; one more builds tables and queues solves"
     ] = 1
     engine: Annotated[str, "where solves run: local or dask"] = "local"
     scheduler: Annotated[str | None, "with --engine dask: tcp://HOST:8786, or tls://"] = None
@@ -151,18 +151,18 @@ def check_engine(name: str, scheduler: str | None) -> None:
     """Raise SettingsError, before anything is opened, for an engine that cannot be."""
     why = None
     if name not in ("local", "dask"):
-        why = f"there is no engine {name!r}; there are: local, dask"
+        why = f"the engine must be local or dask, not {name!r}"
     elif name == "local":
         why = scheduler and "the engine local has no scheduler; add --engine dask"
     elif not scheduler:
         why = "the engine dask needs --scheduler tcp://HOST:8786 (or tls://)"
     elif "://" not in scheduler:
-        why = f"{scheduler!r} is no address; write tcp://{scheduler}"
+        why = f"{scheduler!r} is not an address; write tcp://{scheduler}"
     elif scheduler.split("://")[0] not in _SCHEMES:
         begins = " or ".join(f"{scheme}://" for scheme in _SCHEMES)
-        why = f"{scheduler!r} is no address of a Dask scheduler: it begins with {begins}"
+        why = f"{scheduler!r} must begin with {begins} to be a Dask scheduler"
     elif find_spec("distributed") is None:
-        why = "the engine dask is not installed: pip install wrenchbook[cluster]"
+        why = "the engine dask is not installed; run: pip install wrenchbook[cluster]"
     if why:
         raise SettingsError(why)
 
@@ -177,9 +177,9 @@ def check_copies(settings: Settings) -> None:
         folder = Path(path).resolve()
         inside = folder.is_relative_to(settings.data.resolve())
         if scheme == "file" and path and (inside or (folder / "ledger.sqlite").exists()):
-            raise SettingsError(f"{name}: {folder} is of a data directory; name another folder")
+            raise SettingsError(f"{name}: {folder} is in a data directory; name another folder")
     if settings.read_only and (settings.replicate or settings.backup_every):
-        raise SettingsError("read_only: a replica's server makes no copies; its main server does")
+        raise SettingsError("read_only: a server of a replica makes no copies; remove this option")
 
 
 def as_file(settings: Settings, origins: Mapping[str, str]) -> str:
@@ -199,26 +199,24 @@ def _read(file: Path, names: Iterable[str], *, named: bool) -> dict[str, Any]:
         values = tomllib.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError:
         if named:
-            raise SettingsError(f"there is no file {file}") from None
+            raise SettingsError(f"there is no file {file}; create it") from None
         return {}
     except NotADirectoryError:
         raise SettingsError(
-            f"{file.parent} is not a data directory: it, or a folder of its path, is a file"
+            f"{file.parent} must be a folder, but it or a part of its path is a file"
         ) from None
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise SettingsError(f"{file} cannot be read as TOML: {error}") from error
+        raise SettingsError(f"{file} is not TOML ({error}); correct it") from error
     for name in values:
         if name not in names:
             raise _unknown(name, names, str(file))
     if "data" in values and not named:
-        raise SettingsError(
-            f"{file} lies in the data directory and cannot name another one; say it with --data"
-        )
+        raise SettingsError(f"{file} is in the data directory and cannot name another; use --data")
     return values
 
 
 def _unknown(name: str, known: Iterable[str], place: str) -> SettingsError:
     known = sorted(known)
     near = difflib.get_close_matches(name, known, 1, 0.5)
-    meant = f"; did you mean {near[0]}?" if near else f". There are: {', '.join(known)}"
+    meant = f"; did you mean {near[0]}?" if near else f"; use one of {', '.join(known)}"
     return SettingsError(f"there is no setting {name} ({place}){meant}")

@@ -158,8 +158,8 @@ class Submission:
         component = self._library[name]
         if not component.has_fea:
             raise NoSetupError(
-                f"{name!r} is a table of measured rows, without a finite-element setup, so nothing "
-                f"can be solved for it{why and f': {why}'}. Load rows into it, or ask with "
+                f"{name!r} is a table of measured rows without a finite-element setup, so it "
+                f"cannot be solved{why and f': {why}'}. Load rows into it, or ask with "
                 "on_thin='estimate'."
             )
         return component

@@ -326,7 +326,7 @@ class Workspace:
         if trouble:
             return [f"nothing is accepted: {trouble}"]
         if is_full(self.settings.data):
-            return ["nothing is accepted: the disk is full; make room"]
+            return ["nothing is accepted, because the disk is full; make room"]
         trouble = self.tables.trouble()
         return [f"jobs do not run: {trouble}"] if trouble else []
 
@@ -350,7 +350,7 @@ class Workspace:
         send = f"Send it to {self.copies.get('followed', {}).get('server', 'the main server')}"
         if path.startswith("/v1/keys"):  # those of the main server are not valid here
             send = "Change its keys on its machine: wrenchbook keys"
-        why = "This server answers from a replica and takes no writes; nothing was changed"
+        why = "This server answers from a replica and accepts no writes; nothing was changed"
         return f"{why}. {send}"
 
     def _read_copies(self) -> None:

@@ -25,7 +25,7 @@ from .table.rows import Floats, Rows
 from .table.space import PER_INTERFACE
 
 UNKNOWN = (
-    "the discretisation error of the solver's mesh is not known; the next solve of this component "
+    "the discretisation error of the solver's mesh is unknown; the next solve of this component "
     "estimates it"
 )
 

@@ -56,8 +56,8 @@ def over_tolerance(
             if finer > _WORTH_A_MESH:
                 remedy = "Make cells much smaller"
             message = (
-                f"the mesh is too coarse for the tolerance: at the full range its error may be "
-                f"{excess}, and more solves do not lower it. {remedy}, widen [tolerance], or "
+                "the mesh is too coarse for the tolerance: at the full range its error may be "
+                f"{excess}, and more solves do not reduce it. {remedy}, widen [tolerance], or "
                 "narrow [range]"
             )
             problems += [BundleProblem(WHERE, message)]
@@ -65,18 +65,17 @@ def over_tolerance(
         worst, excess = _worst(np.array(solver_error["linearity"]), allowed)
         if worst > 1.0:
             message = (
-                "the linear solver (nonlinear = false) leaves out the effect of large "
-                f"displacements: at the full range that may be {excess}, and more solves do not "
-                "lower it. Set nonlinear = true in [analysis], or narrow [range]"
+                "the linear solver (nonlinear = false) neglects large displacements: at the full "
+                f"range this error may be {excess}, and more solves do not reduce it. Set "
+                "nonlinear = true in [analysis], or narrow [range]"
             )
             problems += [BundleProblem(WHERE, message)]
     factor = solver_error.get("buckling")
     if factor is not None and factor < 1.0:
         message = (
-            f"the part buckles at {factor:.3g} of the loads at a corner of the range, and the "
-            "linear solver (nonlinear = false) does not see it: answers beyond that load are "
-            "wrong. Narrow [range], or set nonlinear = true in [analysis]: solves then end there "
-            "with an error"
+            f"the part buckles at {factor:.3g} of the loads at a corner of the range, which the "
+            "linear solver (nonlinear = false) does not detect, so answers beyond that load are "
+            "wrong. Narrow [range], or set nonlinear = true in [analysis]"
         )
         problems += [BundleProblem(WHERE, message)]
     return problems
@@ -87,7 +86,7 @@ def straight_edges(solver_error: Mapping[str, Any]) -> list[BundleProblem]:
     rounded = solver_error.get("rounded")
     if rounded is None or rounded["share"] <= FINE:
         return []
-    remedy = "mesh in second order on the geometry, or more cells round; the error bar holds it"
+    remedy = "mesh it with curved second-order cells or more cells; error bars include it"
     return [BundleProblem("mesh.file", f"{rounded['basis']}: {remedy}")]
 
 

@@ -169,7 +169,7 @@ def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
     for path in finer_meshes:
         source = bundle.mesh
         if source is None:
-            raise ValueError("a component without a [mesh] is a table: nothing is meshed")
+            raise ValueError("the component has no [mesh] to refine; name one that has")
         try:
             solvers.append(Solver(build(bundle, read_grouped(path, source))))
         except BundleError as error:
@@ -188,10 +188,10 @@ def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
     for coarse, fine, fine_solver in zip(sizes, sizes[1:], solvers[1:], strict=False):
         if coarse < MIN_RATIO * fine:
             nodes = len(fine_solver.component.uncut_mesh.points)
-            message = f"the mesh of {nodes} nodes has cells of {1e3 * fine:.4g} mm"
+            message = f"the mesh of {nodes} nodes, of {1e3 * fine:.4g} mm, is not finer than"
             raise ValueError(
-                f"{message}, the mesh before of {1e3 * coarse:.4g} mm: give one with cells at most "
-                "0.9 times as large"
+                f"{message} the {1e3 * coarse:.4g} mm of the mesh before; give one with cells at "
+                "most 0.9 times as large"
             )
     compliance = np.array([solver.linear.compliance for solver in solvers])
     return Study([len(solver.component.uncut_mesh.points) for solver in solvers], sizes, compliance)
@@ -247,6 +247,6 @@ def stored(bundle: Bundle | None, shape: tuple[int, ...]) -> tuple[Array, str] |
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{FILE} is damaged ({error}); run wrenchbook converge again") from None
     if error.shape != shape or not np.isfinite(error).all():
-        raise ValueError(f"{FILE} is not of this component; run wrenchbook converge again")
+        raise ValueError(f"{FILE} is of another component state; run wrenchbook converge again")
     meshes = " and ".join(map(str, others))
     return error, f"finer meshes of {meshes} nodes beside this mesh of {first}, at six unit loads"

@@ -231,6 +231,6 @@ def unheld(subject: str, energy: float) -> SolveFailed:
         return SolveFailed("mechanism", f"{subject} can move without any resistance.")
     return SolveFailed(
         "ill_conditioned",
-        f"{subject} can move so easily that what resists is lost in roundoff: {energy:.0e} of the "
-        "stiffness around it.",
+        f"{subject} has almost no resistance: {energy:.0e} of the stiffness around it, which is "
+        "roundoff.",
     )

@@ -77,12 +77,12 @@ def read_bundle(folder: str | Path) -> Bundle:
         message = f"cannot be read ({error.strerror}: {folder_is}); name a folder with this file"
         raise BundleError([BundleProblem(FILE_NAME, message)]) from None
     if len(content) > _MAX_BYTES:
-        message = f"is longer than {_MAX_BYTES} bytes; a component.toml names its files by name"
+        message = f"is longer than {_MAX_BYTES} bytes; move data into files that it names"
         raise BundleError([BundleProblem(FILE_NAME, message)])
     # The parser keeps the path to each part of a key: 23 GB for one of 100,000 parts.
     if long_key := _LONG_KEY.search(content):
         line = content[: long_key.start()].count(b"\n") + 1
-        message = "has a name of more than 32 parts with dots between them; no key has so many"
+        message = "has a dotted name of more than 32 parts, which no key has; shorten the name"
         raise BundleError([BundleProblem(f"line {line}", message)])
     try:
         table = tomllib.loads(content.decode("utf-8"))
@@ -92,9 +92,9 @@ def read_bundle(folder: str | Path) -> Bundle:
         raise BundleError([BundleProblem(f"line {line}", message)]) from None
     except (ValueError, RecursionError) as error:
         if (at := _LINE.search(str(error))) is None:
-            problem = BundleProblem(FILE_NAME, f"is not valid TOML: {error}")
+            problem = BundleProblem(FILE_NAME, f"is not valid TOML: {error}; correct it")
         else:
-            message = f"not valid TOML: {_LINE.sub('', str(error)).strip()} (column {at[2]})"
+            message = f"is not valid TOML: {_LINE.sub('', str(error)).strip()} (column {at[2]})"
             problem = BundleProblem(f"line {at[1]}", message)
         raise BundleError([problem]) from None
     return bundle_of(table, folder)
@@ -144,7 +144,7 @@ class _Reader:
         """Return the values of an array of tables, None for each that will not do."""
         values = self.table.get(name, [])
         if type(values) is not list:
-            self.wrong(name, f"must be a list, not {shown(values)}")
+            self.wrong(name, f"must be a list, not {shown(values)}; write it in brackets: [...]")
         elif name in self.table and (not values or any(type(each) is not dict for each in values)):
             self.wrong(name, f"must be one or more tables, each under [[{name}]]")
         else:
@@ -180,7 +180,7 @@ class _Reader:
         if loads is not None:
             vary = len(further) + int((loads.low < loads.high).sum())
             if vary > MAX_INPUTS:
-                message = f"{vary} inputs vary, and {MAX_INPUTS} may; give some loads the range 0"
+                message = f"{vary} inputs vary, but {MAX_INPUTS} may; give some loads the range 0"
                 self.wrong("interface", message)
         return {
             "name": self.read("name"),
@@ -210,12 +210,12 @@ class _Reader:
             if name not in keys:
                 self.wrong(name, unknown(name, ComponentFile))
         if self.table.get("supports") == {}:
-            message = "holds nothing; write fixed, [[supports.sliding]] or [[supports.bushing]]"
+            message = "has no support; write fixed, [[supports.sliding]] or [[supports.bushing]]"
             self.wrong("supports", message)
         materials = self.table.get("material")
         for i, material in enumerate(materials if type(materials) is list else ()):
             if type(material) is dict and {"axes", "cylinder"} <= set(material):
-                message = "is for directions that are the same everywhere: leave it or cylinder out"
+                message = "contradicts cylinder, whose axes vary; leave one of the two out"
                 self.wrong(f"material[{i}].axes", message)
 
     def mesh(self) -> MeshSource | None:
@@ -223,19 +223,19 @@ class _Reader:
         table = self.table.get("mesh")
         if type(table) is dict and "generator" in table:
             if "file" in table:
-                self.wrong("mesh.generator", 'name a "file" or a "generator", not both')
+                self.wrong("mesh.generator", 'give either "file" or "generator", not both')
                 return None
             name = table["generator"]
             if type(name) is not str or name not in GENERATORS:
                 near = suggest(name, GENERATORS) if type(name) is str else ""
-                message = f"{shown(name)} is none of {', '.join(GENERATORS)}{near}"
+                message = f"must be one of {', '.join(GENERATORS)}, not {shown(name)}{near}"
                 self.wrong("mesh.generator", message)
                 return None
         elif type(table) is dict and "file" not in table:
             near = {f"mesh.{name}": suggest(name, ("file", "generator")) for name in table}
             for at, suggestion in near.items():
                 if suggestion:
-                    self.wrong(at, f"unknown key{suggestion}")
+                    self.wrong(at, f"is an unknown key; correct it{suggestion}")
             if not any(near.values()):
                 self.wrong("mesh.file", missing(keys_of(MeshFile)["file"]))
             return None
@@ -249,13 +249,13 @@ class _Reader:
         measured = "mesh" not in self.table and "deck" not in self.table
         interfaces = self.read_each("interface", MeasuredInterface if measured else NamedInterface)
         if len(interfaces) == 1:
-            message = "is the only interface; write [interface], without a name, or add others"
+            message = "is the only one; write [interface] without a name, or add another"
             self.wrong("interface", message)
         valid = [interface for interface in interfaces if interface is not None]
         if len({interface.name for interface in valid}) < len(valid):
-            self.wrong("interface", "two interfaces have the same name; give each its own name")
+            self.wrong("interface", "has one name twice; give each interface a name of its own")
         if sum(interface.held for interface in valid) > 1:
-            message = "only one can be held: it is the reference of all displacements"
+            message = "more than one is held; write held = true under only one [[interface]]"
             self.wrong("interface", message)
         return interfaces
 
@@ -275,7 +275,7 @@ class _Reader:
                     if ends == (0.0, 0.0):
                         self.wrong(f"range.{name}[{i}]", f"must be above 0 ({unit}), not 0")
         else:
-            self.wrong("range", "missing; write a table")
+            self.wrong("range", "is missing; write a table")
             return None
         none = ((0.0, 0.0),) * len(FREEDOMS)  # of an interface that is held
         ends = [(*loads.force, *loads.moment) if loads else none for loads in ranges]
@@ -299,7 +299,7 @@ class _Reader:
         if type(table) is not dict or "integration" in table:
             return analysis
         if len(of_deck) > 1:
-            message = "missing; the deck has C3D20 (full) and C3D20R (reduced): one for all cells"
+            message = 'is missing; the deck has C3D20 and C3D20R, so write "full" or "reduced"'
             self.wrong("analysis.integration", message)
         elif of_deck and analysis is not None:
             return replace(analysis, integration=of_deck[0])
@@ -317,17 +317,17 @@ class _Reader:
         if type(name) is not str or name not in reader_names():
             names = ", ".join(reader_names())
             near = suggest(name, reader_names()) if type(name) is str else ""
-            wrong = f"{shown(name)} is none of {names}{near}"
-            self.wrong(where, wrong if "reader" in output else f"missing; write one of {names}")
+            wrong = f"must be one of {names}, not {shown(name)}{near}"
+            self.wrong(where, wrong if "reader" in output else f"is missing; write one of {names}")
             return None
         reader = reader_named(name)
         known = ("reader", *reader.keys)
         for each in known:
             if each not in output:
-                self.wrong(f"deck.output.{each}", "missing; write a text")
+                self.wrong(f"deck.output.{each}", "is missing; write a text")
         for each in output:
             if each not in known:
-                message = f"unknown key{suggest(each, known)} (known here: {', '.join(known)})"
+                message = f"is an unknown key; known: {', '.join(known)}{suggest(each, known)}"
                 self.wrong(f"deck.output.{each}", message)
         return deck and replace(deck, moment=deck.moment or reader.moment)
 
@@ -335,7 +335,7 @@ class _Reader:
         """Note tables that need each other; an interface that is held stands in for supports."""
         for name in ("tie", "bolt", "spring"):
             if name in self.table and ("mesh" not in self.table or "deck" in self.table):
-                self.wrong(name, "is the embedded solver's: it needs a [mesh], and no [deck]")
+                self.wrong(name, "needs a [mesh] and no [deck]; add the one, remove the other")
         if "deck" in self.table:
             return
         interfaces = self.table.get("interface")
@@ -346,25 +346,25 @@ class _Reader:
                 if key not in self.table and not (held and key == "supports"):
                     brackets = "[[material]]" if key == "material" else f"[{key}]"
                     more = _OR_HELD if key == "supports" and several else ""
-                    self.wrong(key, f"missing; a component with a [mesh] needs {brackets}{more}")
+                    self.wrong(key, f"is missing; a component with a [mesh] needs {brackets}{more}")
             elif key in self.table and not (key == "interface" and several):
-                message = "needs a [mesh] as well; without it a component is a table only"
+                message = "needs a [mesh] as well; write one, or leave it out for a mere table"
                 self.wrong(key, message)
 
     def check_deck(self, analysis: Analysis | None, interfaces: list[Interface | None]) -> None:
         """Note entries of the other tables that do not apply to a deck."""
         if len(interfaces) > 1:
-            message = "a [deck] has one interface; several are the embedded solver's"
+            message = "has several interfaces, but a [deck] may have one only; keep one"
             self.wrong("interface", message)
         interface = interfaces[0] if len(interfaces) == 1 else None
         if interface is not None and (interface.axes != np.eye(3)).any():
-            message = "a [deck] is not turned; write it in the interface frame and leave axes out"
+            message = "cannot go with a [deck]; write the deck in the interface frame instead"
             self.wrong("interface.axes", message)
         if interface is not None and interface.locked:
-            message = "a [deck] is not changed; hold these freedoms in it and leave locked out"
+            message = "cannot go with a [deck]; fix these freedoms in the deck instead"
             self.wrong("interface.locked", message)
         if analysis is not None and analysis.gravity is not None:
-            message = "a [deck] is not changed; write *DLOAD with GRAV in it, leave gravity out"
+            message = "cannot go with a [deck]; write *DLOAD with GRAV in the deck instead"
             self.wrong("analysis.gravity", message)
 
     def check_inputs(
@@ -376,21 +376,21 @@ class _Reader:
         """Note entries that a component with further inputs lacks or cannot have."""
         names = [scalar.name for scalar in further]
         if further and "deck" in self.table:
-            message = "a [deck] takes none; the embedded solver and measured tables do"
+            message = "cannot go with a [deck]; leave it out, or solve a [mesh] instead"
             self.wrong(further[0].key, message)
         if further and further[0].field is not None and "mesh" not in self.table:
-            message = "needs a [mesh]: a measured part has no nodes; leave it out"
+            message = "needs a [mesh], because a measured part has no nodes; leave it out"
             self.wrong("inputs.temperature.field", message)
         for interface in interfaces:
             if interface is not None and interface.name in names:
-                message = f'none may have the name "{interface.name}", which is an input\'s'
+                message = f'has the name "{interface.name}" of an input; choose another'
                 self.wrong("interface", message)
         for i, material in enumerate(materials if TEMPERATURE in names else ()):
             if material is not None and material.thermal_expansion is None:
-                message = "missing; with [inputs.temperature] every material needs it, in 1/K"
+                message = "is missing; with [inputs.temperature] every material needs it, in 1/K"
                 self.wrong(f"material[{i}].thermal_expansion", message)
             if material is not None and material.law not in EXPANDING:
-                message = 'takes no [inputs.temperature]; at small strains "isotropic" is the same'
+                message = 'cannot go with [inputs.temperature]; write law = "isotropic"'
                 self.wrong(f"material[{i}].law", message)
         if ACCELERATIONS[0] in names:
             self.check_densities(materials, "[inputs.acceleration]")
@@ -399,5 +399,5 @@ class _Reader:
         """Note the materials without the density that `key` needs."""
         for i, material in enumerate(materials):
             if material is not None and material.density is None:
-                message = f"missing; {key} needs each material's density, in kg/m^3"
+                message = f"is missing; {key} needs the density of each material, in kg/m^3"
                 self.wrong(f"material[{i}].density", message)

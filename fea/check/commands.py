@@ -39,17 +39,17 @@ def check(options: argparse.Namespace) -> Reply:
     if options.schema:
         schema = json_schema()
         return 0, schema, json.dumps(schema, indent=2, ensure_ascii=False)
-    folder = options.folder or options.usage_error("name a FOLDER, or --schema")
+    folder = options.folder or options.usage_error("name the FOLDER, or give --schema")
     riding = None
     try:
         if options.mass is not None:
             riding = Riding.of(options.mass, options.inertia, options.centre)
         elif options.inertia is not None or options.centre is not None:
-            raise ValueError("--inertia and --centre need --mass")
+            raise ValueError("--inertia and --centre need --mass KG; add it")
     except ValueError as error:
         options.usage_error(str(error))
     if options.plot is not None:
-        wanted = f"--plot {options.plot}: the page is an .html file"
+        wanted = f"--plot {options.plot}: name a file that ends in .html"
         _check_output(options, options.plot, (".html", ".htm"), wanted)
     surface = surface_in(folder) if options.faces or options.plot else None
     summary = report(folder, riding, options.nonlinear, surface)
@@ -105,10 +105,10 @@ def new(options: argparse.Namespace) -> Reply:
 
 def condense(options: argparse.Namespace) -> Reply:
     """Write a part as stiffness and mass of its frames and modes."""
-    wanted = f"{options.out}: the file is .npz, .pch (Nastran) or .mtx (Abaqus)"
+    wanted = f"{options.out}: name a file that ends in .npz, .pch (Nastran) or .mtx (Abaqus)"
     _check_output(options, options.out, (".npz", ".pch", ".mtx"), wanted)
     if not (0 <= options.damping < 1 and 0 < options.first < 90_000_000):  # Nastran: eight digits
-        options.usage_error("--damping is a ratio such as 0.01, --first a node's number from 1 on")
+        options.usage_error("--damping must be a ratio such as 0.01, --first a number from 1")
     part = Solver(read_bundle(options.folder)).craig_bampton(options.modes)
     content = reduced.arrays(part, options.damping)
     if options.out.suffix.lower() == ".npz":
@@ -130,7 +130,7 @@ def condense(options: argparse.Namespace) -> Reply:
 def converge(options: argparse.Namespace) -> Reply:
     """Solve a part on finer meshes and write the study beside its component."""
     if options.plot is not None:
-        wanted = f"--plot {options.plot}: the page is an .html file"
+        wanted = f"--plot {options.plot}: name a file that ends in .html"
         _check_output(options, options.plot, (".html", ".htm"), wanted)
     bundle = read_bundle(options.folder)
     file = write(bundle, studied(bundle, options.finer))
@@ -149,7 +149,7 @@ def converge(options: argparse.Namespace) -> Reply:
             texts = ["none" if value is None else format(value, digits) for value in study[key]]
             rows.append((label, texts))
     else:
-        rows.append(("two meshes show no order: give a third by --finer", []))
+        rows.append(("two meshes do not show the order; give a third with --finer", []))
     pairs = zip(study["first_lacks"], study["values"][0], strict=True)
     rows.append(("the first mesh lacks", [f"{100 * lack / value:.2g} %" for lack, value in pairs]))
     lines = [
@@ -182,7 +182,7 @@ def _check_output(
         options.usage_error(wanted)
     if not file.absolute().parent.is_dir():
         start = wanted.partition(":")[0]
-        options.usage_error(f"{start}: there is no folder {file.absolute().parent}")
+        options.usage_error(f"{start}: create the folder {file.absolute().parent} first")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -255,7 +255,7 @@ def _numbers(text: str) -> list[float]:
     try:
         return [float(word) for word in text.split(",")]
     except ValueError:
-        message = f'"{text}" must be numbers with commas between them, such as 1,1,0.5'
+        message = f'"{text}" must be numbers separated by commas, such as 1,1,0.5'
         raise argparse.ArgumentTypeError(message) from None
 
 

@@ -55,8 +55,8 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
     """
     if bodies.count > _MAX_BODIES:
         message = (
-            f"falls into {bodies.count} parts that share no face with each other; merge the nodes "
-            "in the mesher before exporting"
+            f"consists of {bodies.count} parts that share no face; if they are one body, merge "
+            "their nodes in the mesher and export the mesh again"
         )
         return [BundleProblem("mesh", message)]
     motions = free_motions(component, bodies)
@@ -65,9 +65,9 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
         slipping = next((m for m in free_motions(component, parts) if len(m)), None)
         if slipping is not None:
             message = (
-                "nothing but bolts holds the part together while they are tightened: "
-                f"{_motions_text(component, slipping)}; the parts that they clamp must be joined "
-                "beside the shanks, or each be held"
+                "only the bolts hold the part together while they are tightened: "
+                f"{_motions_text(component, slipping)}; join the clamped parts outside the shanks, "
+                "or support each of them"
             )
             return [BundleProblem("bolt", message)]
     loose = [number for number, motion in enumerate(motions) if len(motion)]
@@ -76,7 +76,7 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
     if bodies.count == 1:
         mechanism = f"the part is a mechanism, {_motions_text(component, motions[0])}"
         if len(component.sliding[0]) or component.bushings:
-            return [BundleProblem("supports", f"{mechanism}; hold these as well")]
+            return [BundleProblem("supports", f"{mechanism}; support these as well")]
         message = f"{mechanism}; fix at least three points that are not on one line"
         return [BundleProblem("supports.fixed", message)]
     problems = []
@@ -90,13 +90,13 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
         )
         problems.append(BundleProblem("mesh", message))
     if len(loose) > _MAX_REPORTED:
-        problems.append(BundleProblem("mesh", f"{len(loose) - _MAX_REPORTED} more parts are free"))
+        problems.append(BundleProblem("mesh", f"{len(loose) - _MAX_REPORTED} more; fix them too"))
     return problems
 
 
 def _motions_text(component: ComponentModel, motions: Array) -> str:
     if len(motions) == 6:
-        return "it can move in all six ways, nothing holds it"
+        return "it can move in all six directions, because nothing holds it"
     points = component.mesh.points
     texts = [describe(motion, middle(points), size_of(points)) for motion in simplest(motions)]
     if len(texts) == 1:
@@ -112,18 +112,18 @@ def _neighbour(mesh: Mesh, bodies: Bodies, number: int, pairs: Array) -> str:
     joined = max(shared, key=lambda n: shared[n])
     if shared[joined]:
         return (
-            f"It hangs on part {joined + 1} by {shared[joined]} nodes on one line or point only: "
-            "a hinge; join them by faces"
+            f"It is joined to part {joined + 1} by only {shared[joined]} nodes on one line or at "
+            "one point, which is a hinge; join the two by faces"
         )
     mine = np.isin(pairs, mine_nodes)
     twins = int((mine[:, 0] != mine[:, 1]).sum())
     if twins:
-        return f"It has {twins} nodes in the places of another part's nodes: merge them"
+        return f"At {twins} of its nodes there are also nodes of another part; merge these pairs"
     gaps = {n: gap(mesh, mine_nodes, bodies.nodes[n]) for n in others}
     nearest = min(gaps, key=lambda n: gaps[n])
     return (
-        f"The nearest is part {nearest + 1}, {1e3 * gaps[nearest]:.3g} mm away and without a "
-        "common node: mesh them as one, leave the part out or fix it"
+        f"The nearest part is number {nearest + 1}, {1e3 * gaps[nearest]:.3g} mm away and without "
+        "a common node; mesh the two as one, leave the part out, or fix it"
     )
 
 

@@ -68,7 +68,7 @@ class _Proposal:
         cases = {case.name.upper(): case for case in self.deck.cases}
         if name is not None and name.upper() not in cases:
             names = ", ".join(f'"{case.name}"' for case in cases.values() if case.name)
-            there = f"it has {names}" if names else "it has no steps: leave --case out"
+            there = f"name one of {names}" if names else "it has no steps, so leave --case out"
             raise BundleError([BundleProblem("case", f'the deck has no "{name}"; {there}')])
         case = cases[name.upper()] if name is not None else self.deck.cases[-1]
         alike: dict[str, list[str]] = {}
@@ -78,7 +78,7 @@ class _Proposal:
             parts = [f"{', '.join(names)} {summary}" for summary, names in alike.items()]
             more = [f"{len(parts) - _MAX_CASES} more"][: len(parts) > _MAX_CASES]
             self.decide.append(
-                f'case: the deck has several, which differ; "{case.name}" stands (--case NAME). '
+                f'case: the deck has several; "{case.name}" is taken (or write --case NAME). '
                 + ". ".join(parts[:_MAX_CASES] + more)
             )
         return case
@@ -86,7 +86,7 @@ class _Proposal:
     def lines(self, name: str, file: str) -> list[str]:
         """Return the lines of ``component.toml``."""
         if not self.groups:
-            self.decide.append(f"groups: the mesh has none; {_FACES}")
+            self.decide.append(f"groups: the mesh has none, so define them: {_FACES}")
         first = sorted({kind for kind in self.mesh.cell_counts if kind in SECOND})
         if first:
             self.decide.append(f"{', '.join(first)} cells get midside nodes (order = 2)")
@@ -161,7 +161,7 @@ class _Proposal:
         sliding = [slide for slide in held if slide.directions != "xyz"]
         bushings = self.springs(1)
         if not held and not bushings:
-            self.decide.append("supports: the deck holds nothing; name fixed groups")
+            self.decide.append("supports: the deck fixes no node; name the groups to fix")
             fixed = [_CHOOSE]
         names = ", ".join(map(_text, dict.fromkeys(fixed)))
         lines = ["", "[supports]", *([f"fixed = [{names}]"] if fixed else [])]
@@ -196,14 +196,14 @@ class _Proposal:
         groups = [coupled for coupled in self.case.couplings if coupled.group in self.groups]
         sections = {coupled.group for coupled in groups} or set(list(self.case.loads)[:1])
         self.skipped += [
-            f'forces on "{group}", which is no interface'
+            f'forces on "{group}", which is not an interface'
             for group, loads in self.case.loads.items()
             if any(loads) and group not in sections
         ]
         if not groups:
             group, loads = next(iter(self.case.loads.items()), (_CHOOSE, [0.0] * 6))
             group = group if group in self.groups else _CHOOSE
-            self.decide.append(f"interface: no free coupling in the deck; section = {group}")
+            self.decide.append(f"interface: no coupling is free; check section = {group}")
             groups = [CoupledGroup("", group, "distributed", (), set(), loads)]
         if len(groups) == 1:
             return [
@@ -245,7 +245,7 @@ class _Proposal:
         force = force or moment / _LEVER or _FORCE
         moment = moment or force * _LEVER
         if not complete:
-            why = f"the deck lacks force or moment; {force:.4g} N and {moment:.4g} N·m stand"
+            why = f"the deck has no load; check the assumed {force:.4g} N and {moment:.4g} N·m"
             self.decide.append(f'range at "{group.group}": {why}')
         return [
             f"{k} = [{v:.4g}, {v:.4g}, {v:.4g}]" for k, v in (("force", force), ("moment", moment))
@@ -327,13 +327,13 @@ def _deck_text(file: Path) -> tuple[str, list[str], list[str]]:
         if (translate := _TRANSLATORS.get(file.suffix.lower())) is not None:
             if include := _INCLUDE.search(text):
                 where = f"line {text.count(chr(10), 0, include.start()) + 1}: {include[0].strip()}"
-                raise MeshFileError(f"{where} is not read; paste that file's lines in its place")
+                raise MeshFileError(f"{where} is not read; insert that file's lines in its place")
             translated = translate(text)
             skipped = [f"{name} ({count})" for name, count in translated.skipped.items() if count]
             return "\n".join(translated.lines()), skipped, translated.decide
         if file.suffix.lower() != ".inp":
             raise MeshFileError(
-                f"is no .inp, {', '.join(_TRANSLATORS)}; write [mesh] by hand: {_FACES}"
+                f"is not an .inp, {', '.join(_TRANSLATORS)}; write [mesh] by hand: {_FACES}"
             )
         return text, [], []
     except OSError as error:

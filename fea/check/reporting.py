@@ -113,7 +113,7 @@ def report(
             summary["deck"], warnings = deck_report(bundle.deck)
             summary["warnings"] += warnings
             if riding is not None:
-                message = "no natural frequency: its solver computes none, and --mass has no effect"
+                message = "has no effect: this solver computes no natural frequency"
                 summary["warnings"].append(BundleProblem("deck", message))
         elif bundle.mesh is not None:
             if bundle.mesh.geometry is not None:
@@ -222,7 +222,7 @@ def _inspect_mesh(
         return
     summary["solver_error"] = accuracy_or_why(solver)
     if summary["solver_error"]["mesh"] is None:
-        why = f"its error bar is not known: {summary['solver_error']['mesh_basis']}"
+        why = f"has an unknown error bar: {summary['solver_error']['mesh_basis']}"
         warnings.append(BundleProblem("mesh", why))
     warnings += straight_edges(summary["solver_error"])
     limit = None if bundle is None else bundle.tolerance

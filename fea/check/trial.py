@@ -93,8 +93,8 @@ def deflection_warnings(
     degrees = float(np.degrees(largest_rotation(moved)))
     if degrees > MAX_DEGREES:
         message = (
-            f"turns the interface by {degrees:.3g} degrees at the full range, linearly: more than "
-            f"{MAX_DEGREES:g} is refused. {_UNITS}"
+            f"rotates the interface by {degrees:.3g} degrees at the full range (linear estimate), "
+            f"but solves of more than {MAX_DEGREES:g} degrees are refused; narrow [range]. {_UNITS}"
         )
         problems.append(BundleProblem("range", message))
     limit = component.bundle.tolerance
@@ -105,23 +105,23 @@ def deflection_warnings(
     free = component.active
     if free.size and (both <= allowed).ravel()[free].all():
         message = (
-            f"moves the interface by {both[:, :3].max():.2g} m and {both[:, 3:].max():.2g} rad at "
-            f"most, less than the tolerance: the part is rigid for its users. {_UNITS}"
+            f"moves the interface by at most {both[:, :3].max():.2g} m and {both[:, 3:].max():.2g} "
+            f"rad, less than the tolerance, so the part is practically rigid. {_UNITS}"
         )
         problems.append(BundleProblem("range", message))
     return problems
 
 
 _UNITS = (
-    "If that is not so, a unit is wrong: lengths of the mesh (unit), youngs_modulus in Pa, force "
-    "in N, moment in N·m"
+    "If you did not expect this, check the units: unit of the mesh, youngs_modulus in Pa, force in "
+    "N, moment in N·m"
 )
 
 
 def _problem(failure: SolveFailed) -> BundleProblem:
     where = _WHERE.get(failure.kind, "mesh")
     return BundleProblem(
-        where, f"every solve would fail, {failure.kind}: {failure.message} {failure.remedy}"
+        where, f"every solve would fail ({failure.kind}): {failure.message} {failure.remedy}"
     )
 
 
@@ -146,7 +146,7 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[dict[str, Any], li
     warnings = []
     if without_density:
         names = ", ".join(f'"{name}"' for name in without_density)
-        message = f"no density for {names}: mass and frequency leave it out. Write its density"
+        message = f"is missing for {names}, so its mass counts as 0; write it in kg/m^3"
         warnings.append(BundleProblem("material", message))
     try:
         vibration = solver.vibration(carried)
@@ -187,10 +187,10 @@ def weight_warnings(solver: Solver) -> list[BundleProblem]:
     down = -np.sign(direction[np.abs(direction).argmax()]) * direction * _STANDARD_GRAVITY
     gravity = ", ".join(f"{number + 0.0:.3g}" for number in np.round(down, 6))
     message = (
-        f"is not given: self-weight at 9.81 m/s^2 moves the interface by up to {moved:.2g} m and "
-        f"{turned:.2g} rad, with [{gravity}] m/s^2 in the mesh's axes, more than the "
-        "tolerance; answers leave it out. If the part hangs in one direction, write it: "
-        "gravity = [0, 0, -9.81] under [analysis]; if it turns, take [inputs.acceleration]"
+        "is missing, so answers leave out self-weight, which moves the interface by up to "
+        f"{moved:.2g} m and {turned:.2g} rad under [{gravity}] m/s^2: more than the tolerance. "
+        "Write gravity = [0, 0, -9.81] under [analysis]; for a part that rotates use "
+        "[inputs.acceleration]"
     )
     return [BundleProblem("analysis.gravity", message)]
 
@@ -220,7 +220,7 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], lis
         # The worst corner of the range for each material that has cells.
         corners, count = component.bundle.acting.corners(), len(component.bundle.range.low)
         if len(corners) > _MAX_CORNERS * 2 ** len(component.further):
-            raise ValueError("the range of more than two interfaces has too many corners")
+            raise ValueError("three interfaces or more have too many corners; give one the range 0")
         unit = solver.unit_stresses()
         loads = corners
         if component.analysis.gravity or component.bolts:  # a load that is always there
@@ -285,7 +285,7 @@ def _replace_by_nonlinear(
         try:
             stress = solver.stresses(solver.solve(worst))
         except SolveFailed as error:
-            message = f'are of first order: the solve at a corner of [range] fails ("{error}")'
+            message = f'are linear: the solve at a corner of [range] fails ("{error}")'
             return [BundleProblem("stresses", message)]
         equivalent = np.where(numbers == regions.index(row["region"]), von_mises(stress), -1.0)
         point = int(equivalent.argmax())
@@ -304,15 +304,14 @@ def _yielding(component: ComponentModel, stresses: list[dict[str, Any]]) -> list
         if strength is None:
             continue
         if material.law == "orthotropic":
-            message = "is compared with the von Mises stress, a poor measure for such a material"
+            message = "is compared with the von Mises stress, which suits isotropic ones only"
             problems.append(BundleProblem(key, message))
         for row in stresses:
             if row["region"] == material.region and row["largest"] > strength:
                 message = (
-                    f"is exceeded under the full range: {row['largest']:.4g} Pa, "
-                    f"{row['largest'] / strength:.2g} times it; the solver does not model "
-                    "yielding: "
-                    "answers there are too stiff. Narrow [range], or strengthen the part"
+                    f"is exceeded at the full range: the stress is {row['largest']:.4g} Pa, "
+                    f"{row['largest'] / strength:.2g} times as high. The solver has no plasticity, "
+                    "so its answers are too stiff. Narrow [range], or strengthen the part"
                 )
                 problems.append(BundleProblem(key, message))
     return problems

@@ -52,8 +52,8 @@ def filled(deck: bytes, loads: Sequence[float]) -> bytes:
         raise SolveFailed(
             "bad_deck",
             f"The deck has no {', '.join(missing)}, so that load would be lost.",
-            "Put each placeholder where its load goes; where a guide takes the load, into a "
-            "comment line that says so.",
+            "Write each placeholder where its load acts; if a guide takes the load, write it in a "
+            "comment line.",
         )
     pairs = zip(LOADS, loads, strict=True)
     values = {load.encode(): f"{value:.12e}".encode() for load, value in pairs}
@@ -82,7 +82,7 @@ def run_deck(deck: Deck, wrench: Array, folder: Path, progress: Progress) -> tup
     result = _run(deck, run, reader_named(deck.output["reader"]), progress)
     displacement = np.array(result.displacement, dtype=float)
     if displacement.shape != (6,) or not np.isfinite(displacement).all():
-        message = f"The reader gave no six finite numbers but {result.displacement}."
+        message = f"The reader returned {result.displacement} in the place of six finite numbers."
         raise bad_output(message, folder)
     return np.concatenate([displacement[:3] * metres, displacement[3:]]), result.unknowns
 
@@ -101,14 +101,14 @@ def _run(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress) -> Re
     except OutOfTime:
         raise SolveFailed(
             "timed_out",
-            f'"{program}" was stopped, because it had not finished after {deck.timeout:g} s.',
-            "Give it more time with timeout (seconds) in [deck], or make the deck smaller.",
+            f'"{program}" had not finished after {deck.timeout:g} s and was stopped.',
+            "Write a larger timeout (seconds) under [deck], or make the deck smaller.",
         ) from None
     except OSError as error:
         package = f" ({_PACKAGES[program]})" if program in _PACKAGES else ""
         raise SolveFailed(
             "no_solver",
-            f'The program "{program}" of [deck] command cannot be started: '
+            f'The program "{program}" of command under [deck] cannot be started: '
             f"{error.strerror or error}.",
             f"Install it{package} where solves run, so that it is on the PATH there, or correct "
             "the command.",
@@ -118,8 +118,8 @@ def _run(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress) -> Re
         raise SolveFailed(
             "not_converged",
             f'"{program}" found no equilibrium. It printed: {complaint.quoted}',
-            "Check that the load lies within what the part can carry and that its supports hold "
-            "it; smaller increments in the deck may help.",
+            "Check that the part can carry the load and that its supports hold it; then try "
+            "smaller increments in the deck.",
         )
     if complaint is not None:
         raise solver_failed(program, _ending(code), complaint.quoted, run.folder)
@@ -239,9 +239,7 @@ def deck_report(deck: Deck) -> tuple[dict[str, Any], list[BundleProblem]]:
     Raises BundleError if the deck lacks a placeholder, or what its reader depends on.
     """
     content = deck.file.read_bytes()
-    where = (
-        "put it where that load goes, or into a comment line that says what takes the load instead"
-    )
+    where = "write it where that load acts, or in a comment that says what takes the load instead"
     problems = [
         BundleProblem("deck.file", f"has no {name}; {where}")
         for name in missing_placeholders(content)
@@ -293,8 +291,8 @@ def not_reciprocal(message: str) -> SolveFailed:
     return SolveFailed(
         "not_reciprocal",
         message,
-        "Check that each placeholder stands at its freedom with a plus sign, that point and "
-        "rotation name the sets the loads act on, and that unit is the deck's.",
+        "Check that each placeholder stands at its own freedom with a plus sign, that point and "
+        "rotation name the loaded sets, and that unit is the unit of the deck.",
     )
 
 

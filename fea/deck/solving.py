@@ -70,7 +70,7 @@ def solve_deck(
     started = time.perf_counter()
     loads = checked_wrench(wrench)
     if bundle.deck is None:
-        raise ValueError("the bundle has no deck")
+        raise ValueError("the bundle has no [deck]; write one")
     report = progress or (lambda fraction, message: None)
     with _work_folder(folder) as work_folder:
         # Run the deck as often as it takes, and gather its results.
@@ -98,8 +98,8 @@ def solve_deck(
                     "not_linear",
                     f"The deck's answer to this wrench differs by {gap:.1e} from the sum of its "
                     "answers to single loads.",
-                    "Set nonlinear = true in [analysis], or take out of the deck what is not "
-                    "linear: NLGEOM, contact, plasticity, loads other than the wrench.",
+                    "Set nonlinear = true in [analysis], or remove what is nonlinear from the "
+                    "deck: NLGEOM, contact, plasticity, loads other than the wrench.",
                 )
             # A compliance is that of an elastic body if loads do no negative work, and as much on
             # each other's displacements (Betti). Compared is the work (J) of loads of these sizes:
@@ -109,7 +109,7 @@ def solve_deck(
             floor = _ROUNDOFF * float(np.abs(works).max())
             if (works < -floor).any():
                 freedom = FREEDOMS[int(np.argmin(works))]
-                raise not_reciprocal(f"The load on {freedom} moves it backwards.")
+                raise not_reciprocal(f"The load on {freedom} moves it the opposite way.")
             works = np.maximum(works, 0.0)
             gap = np.abs(exchange - exchange.T) - _RECIPROCAL_GAP * np.sqrt(np.outer(works, works))
             i, j = np.unravel_index(int(np.argmax(gap)), gap.shape)
@@ -118,7 +118,7 @@ def solve_deck(
                 raise not_reciprocal(
                     f"A unit load on {second} moves {first} by {compliance[i, j]:.6e}, one on "
                     f"{first} moves {second} by {compliance[j, i]:.6e}: in an elastic body the two "
-                    "agree."
+                    "are equal."
                 )
             work = float(loads @ displacement)
         solution = Solution(
@@ -193,10 +193,10 @@ def _nonlinear(runs: _Runs, wrench: Array) -> Array:
     runs.accept(displacement)
     raise SolveFailed(
         "not_converged",
-        f"After {_MAX_RUNS} runs the deck's moment is still {gap / size:.1e} off the required "
-        "moment.",
-        'If the deck takes moments about fixed axes, say moment = "spatial" in [deck]; else the '
-        "part turns too much for its moment.",
+        f"After {_MAX_RUNS} runs the deck's moment still differs by {gap / size:.1e} from the "
+        "required one.",
+        'If the deck applies moments about fixed axes, write moment = "spatial" in [deck]; '
+        "otherwise lower the load range, because the part rotates too much.",
     )
 
 

@@ -66,7 +66,7 @@ def locking(block: CellBlock, poisson: Array) -> str:
     if not bad.any():
         return ""
     return (
-        f"{int(bad.sum())} {block.kind} cells are of a material with Poisson's ratio "
+        f"{int(bad.sum())} {block.kind} cells have a material with Poisson's ratio "
         f"{poisson.max():.12g}; such cells lock (are far too stiff) above {limit:g}."
     )
 
@@ -96,7 +96,8 @@ def pressure_notes(parts: Sequence[CellStiffness]) -> tuple[str, ...]:
         return ()
     return (
         f"{cells} cells have a nearly incompressible material (Poisson's ratio over "
-        f"{NEARLY_INCOMPRESSIBLE:g}). A separate pressure keeps them from locking: nothing to do.",
+        f"{NEARLY_INCOMPRESSIBLE:g}). A separate pressure keeps them from locking; nothing is to "
+        "be done.",
     )
 
 

@@ -72,19 +72,19 @@ def deck_of(component: ComponentModel, comments: Iterable[str] = ()) -> str:
     for interface in component.interfaces:
         if interface.coupling != "rigid":
             message = (
-                f'CalculiX does not report the motion of a "{interface.coupling}" coupling; write '
-                'the deck of the component with coupling = "rigid"'
+                f'CalculiX does not print the motion of a "{interface.coupling}" coupling; export '
+                'the component with coupling = "rigid"'
             )
             problems.append(BundleProblem(f"{interface.key}.coupling", message))
         if not np.array_equal(interface.axes, component.axes):
-            message = "a deck has one frame; give every interface the axes of the first"
+            message = "must equal those of the first interface, since a deck has one frame"
             problems.append(BundleProblem(f"{interface.key}.axes", message))
     for bushing in component.frames:
         if bushing.coupling != "rigid":
-            message = 'a deck has no spring on a mean motion; write it with coupling = "rigid"'
+            message = 'cannot be exported, since a deck has no such spring; write "rigid"'
             problems.append(BundleProblem(f"{bushing.key}.coupling", message))
     if component.temperature_rise is not None:
-        message = "a deck has one temperature; write *TEMPERATURE there, without a field"
+        message = "cannot be exported; leave the field out and write *TEMPERATURE into the deck"
         problems.append(BundleProblem("inputs.temperature.field", message))
     for block in component.mesh.blocks:
         if block.kind not in _ELEMENTS:

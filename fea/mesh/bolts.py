@@ -131,16 +131,16 @@ def _sides(
     ]
     outside = np.intersect1d(nodes, _nodes_of(mesh, [~inside for inside in chosen]))
     if not triangles:
-        message = "has no cells on both sides that hang together: correct its point or axis"
+        message = "has no connected cells on both sides; correct its point or axis"
     elif not by_region and not np.array_equal(nodes, mesh.facet_groups[name].node_ids):
-        message = f'"{name}" does not cut through: name all facets across the shank'
+        message = f'"{name}" does not cut through the shank; name all facets across it'
     elif outside.size:
         message = (
-            f"shares {outside.size} nodes of its cut with cells outside the region, which hold the "
-            "shank there: move the point to where the shank is free"
+            f"shares {outside.size} nodes of its cut with cells outside the region, which support "
+            "the shank there; move point to where the shank is free"
         )
     elif (count := _pieces(mesh, above, nodes)) > 1:
-        message = f"has {count} separate shanks at its cut: write a [[bolt]] for each"
+        message = f"has {count} separate shanks at its cut; write a [[bolt]] for each"
     if message:
         problems.append(BundleProblem(key, message))
         return None

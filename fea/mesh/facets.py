@@ -198,7 +198,7 @@ def near_message(
     """Return why a point names no one face or body: it is far from all, or as near to two."""
     at = ", ".join(f"{x:g}" for x in point)
     if distance > size:
-        return f"({at}) m is {distance:.3g} m off the nearest {kind} ({nearest[0]}); correct it"
+        return f"({at}) m is {distance:.3g} m from the nearest {kind} ({nearest[0]}); correct it"
     if len(nearest) > 1:
         named = ", ".join(map(str, nearest))
         return f"({at}) m lies on the edge between {kind} {named}; move it off the edge"

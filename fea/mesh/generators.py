@@ -29,7 +29,7 @@ def too_many(cells: float, key: str) -> list[tuple[str, str]]:
     """Return the mistake of too many cells, if so, at the `key` that makes most of them."""
     if cells <= MAX_CELLS:
         return []
-    return [(key, f"makes {cells:.3g} cells; the most is {MAX_CELLS // 10**6} million")]
+    return [(key, f"makes {cells:.3g} cells, more than {MAX_CELLS // 10**6} million; write fewer")]
 
 
 @dataclass(frozen=True, eq=False)
@@ -337,7 +337,7 @@ class Plate(Generator):
             return too_many(plan * self.layers, max(counts, key=lambda name: getattr(self, name)))
         message = (
             f"patch ({self.patch:g} m) and two corner squares ({self.corner:g} m each) do not fit "
-            f"along the shorter side ({side:g} m) with room between them; make one smaller"
+            f"beside each other on the shorter side ({side:g} m); make one smaller"
         )
         return [("patch", message)]
 
@@ -432,11 +432,11 @@ class Spring(Generator):
         problems = too_many(layers * (self.core**2 + 4.0 * self.core), name)
         if self.wire_diameter >= self.mean_diameter:
             problems.append(
-                ("wire_diameter", "must be below mean_diameter, or the wire meets itself")
+                ("wire_diameter", "must be smaller than mean_diameter; write a thinner wire")
             )
         if self.free_length <= self.active_turns * self.wire_diameter:
             problems.append(
-                ("free_length", "must be above active_turns x wire_diameter, or turns touch")
+                ("free_length", "must be above active_turns x wire_diameter; write a larger one")
             )
         return problems
 

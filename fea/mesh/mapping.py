@@ -81,10 +81,10 @@ def cell_problems(mesh: Mesh) -> list[BundleProblem]:
         if bad.size:
             at = point_text(mesh.points[block.nodes[bad[0]]].mean(axis=0))
             message = (
-                f"{bad.size} of {len(block)} {block.kind} cells are turned inside out or flat at a "
-                f"node or within, one of them near {at} m; mesh more finely there, put its "
-                "nodes in the file format's order or its midside nodes on the middle of their "
-                "edges, and write collapsed cells as wedges or tetrahedra"
+                f"{bad.size} of {len(block)} {block.kind} cells are inverted or flat, one of them "
+                f"near {at} m. Mesh more finely there, put nodes in the format's order and midside "
+                "nodes in the middle of their edges, and write collapsed cells as wedges or "
+                "tetrahedra"
             )
             problems.append(BundleProblem("mesh", message))
     return problems
@@ -121,8 +121,8 @@ def cell_gradients(points: Array, block: CellBlock, integration: str) -> Gradien
         listed = ", ".join(str(cell) for cell in bad[:5])
         raise SolveFailed(
             "inverted_elements",
-            f"{bad.size} of {len(block)} {block.kind} cells are turned inside out or flat "
-            f"(cell numbers {listed}{', ...' if bad.size > 5 else ''}).",
+            f"{bad.size} of {len(block)} {block.kind} cells are inverted or flat (cell numbers "
+            f"{listed}{', ...' if bad.size > 5 else ''}).",
         )
     inverse = np.linalg.inv(jacobian)
     slopes = inverse.transpose(0, 1, 3, 2) @ element.slopes.transpose(0, 2, 1)

@@ -116,8 +116,8 @@ def row_numbers(rows: Array) -> Array:
 
 def _require_columns(kind: str, nodes: Array, columns: dict[str, int]) -> None:
     if kind not in columns:
-        raise ValueError(f"unknown kind {kind!r}; one of {', '.join(columns)}")
+        raise ValueError(f"the kind must be one of {', '.join(columns)}, not {kind!r}")
     if nodes.ndim != 2 or nodes.shape[1] != columns[kind]:
         raise ValueError(
-            f"{kind} needs {columns[kind]} nodes each, got an array of shape {nodes.shape}"
+            f"{kind} cells need an array of shape (n, {columns[kind]}), not {nodes.shape}"
         )

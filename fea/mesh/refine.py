@@ -121,7 +121,7 @@ def halved(mesh: Mesh) -> Mesh:
     Raises BundleError if there are pyramids, which no eight cells of one kind make.
     """
     if any(block.kind.startswith("pyramid") for block in mesh.blocks):
-        message = "pyramids cannot be split; give finer meshes: wrenchbook converge --finer FILE"
+        message = "pyramids cannot be halved; give finer meshes: wrenchbook converge --finer FILE"
         raise BundleError([BundleProblem("mesh", message)])
     # A sum of random 64-bit numbers of the corners names a point, whichever cell it belongs to:
     # of a million points two share a number with a probability of 3e-8.

@@ -186,13 +186,13 @@ class Surface:
         try:
             order = [*TopologicalSorter(users).static_order()]
         except CycleError as error:
-            message = f"{' inside '.join(error.args[1])}: choose one of them by other keys"
+            message = f"{' inside '.join(error.args[1])} is a circle; choose one by other keys"
             _refuse(f"mesh.groups.{error.args[1][0]}.inside", message)
         for name in order:
             where, inside = f"mesh.groups.{name}", groups[name].inside
             mask = None
             if name in there:
-                message = "the mesh file has a group of this name; take another name"
+                message = "the mesh file already has a group of this name; choose another name"
                 problems.append(BundleProblem(where, message))
             if inside in groups:
                 mask = masks.get(inside or "")
@@ -221,7 +221,7 @@ class Surface:
     def _chosen(self, choice: FaceSelector, where: str, inside: Array | None) -> Array:
         """Return the facets of a group, a mask of shape (f,), `inside` one of another."""
         if lost := {*choice.faces} - {face.number for face in self.faces}:
-            message = f"there is no face {min(lost)}; the mesh has 1 to {len(self.faces)}"
+            message = f"there is no face {min(lost)}; write numbers from 1 to {len(self.faces)}"
             _refuse(f"{where}.faces", message)
         adding = [np.isin(self.numbers, choice.faces)] if choice.faces else []
         adding += [self.numbers == self._nearest(point, f"{where}.near") for point in choice.near]
@@ -289,7 +289,7 @@ class Surface:
             positions = sorted({round(float(normal @ face.centre), 9) for face in square})
             listed = ", ".join(f"{place:g}" for place in positions) or "none anywhere"
             along = plane if isinstance(plane, str) else f"x . {point_text(normal)}"
-            _refuse(where, f"no plane face at {along} = {at:g} m (there are at: {listed})")
+            _refuse(where, f"there is no plane face at {along} = {at:g} m; choose one at: {listed}")
         return level
 
     def _round(self, choice: FaceSelector, where: str) -> Array:
@@ -299,7 +299,7 @@ class Surface:
             chosen = [n for n, other in radii.items() if abs(other - radius) < _NEAR * radius]
             if not chosen:
                 listed = ", ".join(dict.fromkeys(f"{r:.6g}" for r in sorted(radii.values())))
-                message = f"no cylinder of radius {radius:g} m (there are: {listed or 'none'})"
+                message = f"there is no cylinder of this radius; radii here: {listed or 'none'}"
                 _refuse(where, message)
             return np.isin(self.numbers, chosen)
         axis = np.array(choice.cylinder.axis)
@@ -309,7 +309,8 @@ class Surface:
         if not on.any():
             message = (
                 f"no facet lies on the cylinder of radius {radius:g} m about this axis; the "
-                f"nearest is {off.min():.3g} m off, at {point_text(self.middles[off.argmin()])} m"
+                f"nearest is {off.min():.3g} m off, at {point_text(self.middles[off.argmin()])} m; "
+                "correct it"
             )
             _refuse(where, message)
         return on

@@ -76,10 +76,10 @@ def joined(
     if mesh.dependents is not None:
         entries.append(mesh.dependents.entries)
         free[mesh.dependents.nodes] = False
-        do = "take them out of the deck's constraint, or name fewer nodes"
+        do = "remove them from the deck's constraint, or name fewer nodes"
         others = [("[supports]", np.flatnonzero(held.any(axis=(1, 2)))), *sections]
         problems += [
-            BundleProblem("mesh", f"{count} nodes of {where} follow others by *EQUATION; {do}")
+            BundleProblem("mesh", f"{count} nodes of {where} follow others (*EQUATION); {do}")
             for where, nodes in others
             if (count := np.isin(nodes, mesh.dependents.nodes).sum())
         ]
@@ -109,16 +109,17 @@ def joined(
             )
             if not may[nodes].any():
                 message = (
-                    f'no node of "{pair.secondary}" is free to follow: all are held, belong to '
-                    f'"{pair.main}", or follow others already. Leave the tie out, or name others'
+                    f'no node of "{pair.secondary}" is free to follow: all are fixed, are in '
+                    f'"{pair.main}", or already follow others. Leave the tie out, or name other '
+                    "nodes"
                 )
             problems.append(BundleProblem(key, message))
         for where, attached in sections:
             if (shared := np.intersect1d(tied.nodes, attached)).size:
                 message = (
                     f"{len(shared)} secondary nodes, such as the one at "
-                    f"{point_text(mesh.points[shared[0]])} m, are of {where}: a node can follow "
-                    "one only. Swap secondary and main, or leave cells between the two"
+                    f"{point_text(mesh.points[shared[0]])} m, also belong to {where}, but a node "
+                    "can follow one only. Swap secondary and main, or leave cells between the two"
                 )
                 problems.append(BundleProblem(key, message))
         free[tied.nodes] = False
@@ -131,10 +132,7 @@ def joined(
         dependents = Dependents.of(len(mesh.points), (rows, masters, weights))
     except CircularError as error:
         at = point_text(mesh.points[error.node])
-        message = (
-            f"the node at {at} m depends on itself through several ties; swap the two groups of "
-            "one of them"
-        )
+        message = f"the node at {at} m follows itself by several ties; swap the groups of a tie"
         problems.append(BundleProblem("tie", message))
         return mesh, ()
     points, nodes = mesh.points.copy(), np.concatenate([tied.nodes for tied in done])

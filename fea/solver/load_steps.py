@@ -170,7 +170,7 @@ class LoadPath:
         except Stuck as stuck:
             if stuck.at_roundoff:
                 raise SolveFailed(
-                    "ill_conditioned", f"At load factor {target:.3g} {stuck}."
+                    "ill_conditioned", f"At load factor {target:.3g}, {stuck}."
                 ) from None
             self._halve(str(stuck))
             return None
@@ -179,7 +179,7 @@ class LoadPath:
         elif not equilibrium.tangent.stable:
             self._halve("the equilibrium found is unstable", "snap_through")
         elif not self._explained(equilibrium, target):
-            self._halve("the part moves on faster than its stiffness explains", "snap_through")
+            self._halve("the part moves further than its stiffness explains", "snap_through")
         else:
             self._accept(equilibrium, target)
             return equilibrium
@@ -214,10 +214,10 @@ class LoadPath:
         self._step = 0.5 * min(self._step, 1.0 - self._factor)
         if self._step >= _MIN_STEP:
             return
-        message = f"Beyond load factor {self._factor:.3g} {reason}."
+        message = f"Beyond load factor {self._factor:.3g}, {reason}."
         if kind is None and self._softened > _SOFTENED:
             kind = "snap_through"
-            message += f" There the part is {self._softened:.1f} times as soft as unloaded."
+            message += f" There the part is {self._softened:.1f} times as soft as it is unloaded."
         raise _Refused(SolveFailed(kind or "not_converged", message))
 
     @property
@@ -276,7 +276,7 @@ def hang(
     try:
         equilibrium = path.follow(check)
     except SolveFailed as failure:
-        message = f"Under {cause}, which grows in place of a wrench: {failure.message}"
+        message = f"Under {cause}, which the load factor scales here: {failure.message}"
         other = SolveFailed(failure.kind, message, failure.remedy)
         other.last = path.last_state()
         raise other from None

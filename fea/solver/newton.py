@@ -121,7 +121,7 @@ def find_equilibrium(
         if not np.isfinite(balance.norm):
             raise Stuck("the iteration diverged to forces that are not finite")
         if largest_rotation(balance.state.interface) > _FAR_ROTATION:
-            raise Stuck("the iteration turned the interface by more than 115 degrees")
+            raise Stuck("the iteration rotated the interface by more than 115 degrees")
         if proper and step.converged:
             return Equilibrium(balance, tangent_after(system, step, tangent), iteration)
         corrections.append((step.size, step.energy))
@@ -130,7 +130,7 @@ def find_equilibrium(
         idle = (recent.min(axis=0) > 0.5 * recent.max(axis=0)).all()
         if len(recent) == _MAX_IDLE and idle and recent[:, 0].max() < _NEARLY:
             raise Stuck(
-                f"corrections stay at {step.size:.0e} of the displacement: roundoff",
+                f"corrections stay at {step.size:.0e} of the displacement, by roundoff",
                 at_roundoff=True,
             )
         proper = step.nearly
@@ -138,7 +138,7 @@ def find_equilibrium(
         if iteration == 1:
             tangent.release()  # the caller keeps it: its factor would be there with each next
         tangent = system.linearise(balance, None if proper else step.aim)
-    raise Stuck(f"no equilibrium after {max_iterations} iterations")
+    raise Stuck(f"there is no equilibrium after {max_iterations} iterations")
 
 
 def correct(

@@ -55,16 +55,16 @@ class Riding:
     def __post_init__(self) -> None:
         numbers = np.concatenate([[self.mass], np.ravel(self.inertia), np.ravel(self.centre)])
         if not np.isfinite(numbers).all():
-            raise ValueError("mass, inertia and centre must be finite numbers")
+            raise ValueError("mass, inertia and centre must be finite numbers; correct them")
         if self.mass < 0:
-            raise ValueError(f"a mass of {self.mass:g} kg is not possible; give zero or more")
+            raise ValueError(f"the mass must be 0 or more, not {self.mass:g} kg")
         if not np.array_equal(self.inertia, self.inertia.T):
-            raise ValueError("the inertia must be symmetric")
+            raise ValueError("the inertia must be symmetric; give six numbers instead")
         moments = np.linalg.eigvalsh(self.inertia)
         if moments[0] < -1e-9 * max(moments[2], 0.0):
             raise ValueError(
-                f"no body has the principal moments of inertia {moments.tolist()} kg·m^2: none may "
-                "be negative"
+                f"the principal moments of inertia are {moments.tolist()} kg·m^2, but none may be "
+                "negative; correct the inertia"
             )
 
     @classmethod
@@ -78,9 +78,9 @@ class Riding:
         moments = np.zeros(3) if inertia is None else np.asarray(inertia, dtype=float)
         position = np.zeros(3) if centre is None else np.asarray(centre, dtype=float)
         if moments.shape not in ((3,), (6,)):
-            raise ValueError("the inertia is three numbers (xx, yy, zz) or six (.., xy, xz, yz)")
+            raise ValueError("the inertia must be xx, yy, zz or xx, yy, zz, xy, xz, yz")
         if position.shape != (3,):
-            raise ValueError("the centre of mass is three numbers, m")
+            raise ValueError("the centre of mass must be three numbers, in m")
         tensor = np.diag(moments[:3])
         if len(moments) == 6:
             xy, xz, yz = moments[3:]
@@ -130,7 +130,7 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     if count == PER_INTERFACE:
         interface_mass[np.ix_(active, active)] = riding.matrix[np.ix_(active, active)]
     elif riding.matrix.any():
-        raise ValueError("a mass at one of several interfaces is not supported; leave --mass out")
+        raise ValueError("a mass cannot be put on one of several interfaces; leave the mass out")
     inertia = Inertia(system, mass, interface_mass)
     cells = 1.0 - system.body.slips
     mass_of_part = float(cells @ (mass @ cells))
@@ -157,7 +157,7 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
         values, motions = np.linalg.eigh(lower.T @ carried @ lower)
         if not values[-1] > 0:
             raise ValueError(
-                "nothing that can move has a mass: give the materials a density or the scene's mass"
+                "nothing that can move has a mass; give materials a density, or the scene a mass"
             )
         x = np.linalg.solve(compliance, lower @ motions[:, -1]) @ moved.T
     fields, interface = inertia.fields(x)
@@ -333,11 +333,11 @@ def craig_bampton(
     (_, origin, _), *moving = frames
     freedoms = inertia.active.size
     if freedoms != 6 * len(moving):
-        raise ValueError("a frame needs its six freedoms: leave `locked` out of the interface")
+        raise ValueError("a frame needs all six freedoms; leave `locked` out of the interface")
     if not mass.nnz:
-        raise ValueError("nothing has a mass: give the materials a density")
+        raise ValueError("nothing has a mass; give the materials a density")
     if not 0 < modes < inertia.size - freedoms:
-        raise ValueError(f"there are 1 to {inertia.size - freedoms - 1} modes, not {modes}")
+        raise ValueError(f"the modes must be 1 to {inertia.size - freedoms - 1}, not {modes}")
     shapes, compliance = static_shapes(inertia)
     squares, motions = _held_modes(inertia, shapes, modes)
     # The frames' motions (6 i, 6) by that of the first frame, and of the interfaces in their axes.

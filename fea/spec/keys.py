@@ -103,9 +103,9 @@ class MistakesError(ValueError):
 def _text(value: str) -> str:
     """Return a text of one line that is not blank and has no character that steers a screen."""
     if steering := STEERING.search(value):
-        raise ValueError(f"must be of one line of letters and signs, not hold {steering[0]!r}")
+        raise ValueError(f"must be one line of printable characters, without {steering[0]!r}")
     if not value.strip():
-        raise ValueError("must not be empty")
+        raise ValueError("must not be empty; write a text")
     return value
 
 
@@ -118,8 +118,7 @@ def _name(value: str) -> str:
     if is_slug(value):
         return value
     raise ValueError(
-        f'"{value}" cannot be the name of a folder and a part of a URL; use 1 to 64 of a-z, 0-9, _ '
-        "and -, "
+        f'"{value}" cannot be used in a path and a URL; use 1 to 64 of a-z, 0-9, _ and -, '
         "beginning with a letter or digit"
     )
 
@@ -127,7 +126,7 @@ def _name(value: str) -> str:
 def different(values: tuple[_T, ...]) -> tuple[_T, ...]:
     """Refuse a value that is there twice."""
     if len(set(values)) < len(values):
-        raise ValueError("has a name twice; remove one of the two")
+        raise ValueError("has one name twice; keep one of the two")
     return values
 
 
@@ -144,12 +143,12 @@ def _in_folder(value: object, handler: Any, info: ValidationInfo) -> Path:
         there = path.is_file()
     except (OSError, RuntimeError) as error:  # a name that no disk takes; a loop of symbolic links
         reason = error.strerror if isinstance(error, OSError) else "a loop of symbolic links"
-        raise ValueError(f'"{name[:100]}" cannot be a file ({reason})') from None
+        raise ValueError(f'"{name[:100]}" cannot be a file ({reason}); correct it') from None
     if not inside:
         raise ValueError(f'"{name}" is outside the bundle; put the file into its folder')
     if not there:
         known = sorted(entry.name for entry in folder.iterdir()) if folder.is_dir() else []
-        raise ValueError(f'there is no file "{name}" in the bundle (it has {", ".join(known)})')
+        raise ValueError(f'there is no file "{name}" in the bundle, only {", ".join(known)}')
     return path
 
 
@@ -246,7 +245,7 @@ def _orthonormal(rows: Sequence[Sequence[float]]) -> Array:
     axes = np.array(rows)
     # A direction that is far from a unit's length would overflow in the product.
     if np.abs(axes).max() > 2.0 or np.abs(axes @ axes.T - np.eye(3)).max() > 1e-6:
-        raise ValueError("must be three unit directions, perpendicular to each other (to 1e-6)")
+        raise ValueError("must be three unit directions at right angles (to 1e-6); correct them")
     if np.linalg.det(axes) < 0.0:
         raise ValueError("must be right-handed; reverse one direction")
     # An exact frame with the same x, in plain floats: the digits go into the fingerprint, so
@@ -357,7 +356,7 @@ def unknown(name: str, cls: type) -> str:
     refused: Mapping[str, str] = getattr(cls, "refused", {})
     known = list(keys_of(cls))
     listed = f"(known here: {', '.join(known)})"
-    return refused.get(name) or f"unknown key{suggest(name, known)} {listed}"
+    return refused.get(name) or f"is an unknown key {listed}; correct it{suggest(name, known)}"
 
 
 _KINDS = {
@@ -382,7 +381,7 @@ def _sentence(entry: Mapping[str, Any], info: FieldInfo | None) -> str:
         return f"must be a text, not {shown(value)}"
     if error == "literal_error":
         among = extra.get("among") or _QUOTED.findall(context["expected"])
-        return f'"{value}" is none of {", ".join(among)}{suggest(value, among)}'
+        return f'must be one of {", ".join(among)}, not "{value}"{suggest(value, among)}'
     if error == "too_short":
         return f"must name at least {context['min_length']}"
     if (noun := _noun(info)).startswith("a whole number") or extra.get("write"):
@@ -399,7 +398,7 @@ def _sentence(entry: Mapping[str, Any], info: FieldInfo | None) -> str:
 
 def missing(info: FieldInfo | None) -> str:
     """Return the sentence for a key that must be there."""
-    return f"missing; write {_noun(info)}"
+    return f"is missing; write {_noun(info)}"
 
 
 def _noun(info: FieldInfo | None) -> str:

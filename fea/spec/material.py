@@ -35,9 +35,7 @@ _LARGEST_EXPANSION = 1e-2  # 1/K: rubber has 2e-4; a number without its 1e-6 is 
 
 def _small(expansion: tuple[float, float, float]) -> tuple[float, float, float]:
     if max(map(abs, expansion)) > _LARGEST_EXPANSION:
-        raise ValueError(
-            f"is above {_LARGEST_EXPANSION:g} 1/K, more than any solid's; aluminium has 23e-6"
-        )
+        raise ValueError(f"is above {_LARGEST_EXPANSION:g} 1/K; correct it (aluminium has 23e-6)")
     return expansion
 
 
@@ -47,9 +45,7 @@ def _alike(expansion: float | tuple[float, float, float]) -> tuple[float, float,
 
 def _no_list(expansion: object) -> object:
     if isinstance(expansion, list):  # a file's; a tuple is of a material that was read
-        raise ValueError(
-            "must be a finite number in 1/K; three numbers are for an orthotropic material"
-        )
+        raise ValueError("must be one finite number in 1/K; only an orthotropic material has three")
     return expansion
 
 
@@ -64,7 +60,7 @@ Expansion = Annotated[
 def _modulus(value: float) -> float:
     if not 1 / _LARGEST_MODULUS <= value <= _LARGEST_MODULUS:
         ends = f"from {1 / _LARGEST_MODULUS:g} to {_LARGEST_MODULUS:g} {{unit}}"
-        raise ValueError(f"must be {ends}, not {value:g}; steel has 210e9")
+        raise ValueError(f"must be {ends}, not {value:g}; for steel write 210e9")
     return value
 
 
@@ -159,16 +155,15 @@ class Orthotropic(Solid):
     def __post_init__(self) -> None:
         if not self.stable:
             message = (
-                "no real material has these constants: some strain would release energy. Each "
-                "|nu_ij| must be "
-                "below sqrt(E_i / E_j); nu12 is the strain along 2 when pulled along 1 "
-                "(nu21 = nu12 E2 / E1)"
+                "must not let any strain release energy: each |nu_ij| must be below sqrt(E_i / "
+                "E_j); nu12 is the strain along 2 when pulled along 1 (nu21 = nu12 E2 / E1)"
             )
             raise MistakesError(("poisson_ratio", message))
         if (ratio := self.isotropic_ratio) > MAX_ISOTROPIC_RATIO:
             message = (
-                f"the material keeps its volume like an isotropic one of {ratio:.3g}"
-                f"; orthotropic cells lock (are too stiff) above {MAX_ISOTROPIC_RATIO:g}"
+                f"makes the material as incompressible as an isotropic one of {ratio:.3g}; "
+                f"orthotropic cells lock (are too stiff) above {MAX_ISOTROPIC_RATIO:g}, so write "
+                "lower ratios"
             )
             raise MistakesError(("poisson_ratio", message))
 

@@ -46,8 +46,8 @@ GEOMETRY_ENDINGS = (".step", ".stp")
 def _second_order(order: int) -> int:
     if order != 2:
         raise ValueError(
-            f"must be 2, not {order}: first-order cells are too stiff in bending; "
-            "order = 2 gives a first-order mesh midside nodes"
+            f"must be 2, not {order}, since first-order cells are too stiff in bending; order = 2 "
+            "adds midside nodes"
         )
     return order
 
@@ -76,12 +76,12 @@ class Selector:
     def __post_init__(self) -> None:
         if not any(getattr(self, way) not in (None, ()) for way in self.ways):
             listed = f"{', '.join(self.ways[:-1])} or {self.ways[-1]}"
-            raise MistakesError((self.ways[0], f"missing; choose by {listed}"))
+            raise MistakesError((self.ways[0], f"has no choice of faces; write {listed}"))
 
 
 def _box(corners: tuple[Any, Any]) -> tuple[Any, Any]:
     if any(low > high for low, high in zip(*corners, strict=True)):
-        raise ValueError("must be the low corner, then the high one: no number of the first larger")
+        raise ValueError("must be the low corner, then the high corner; swap the numbers")
     return corners
 
 
@@ -125,14 +125,14 @@ class FaceSelector(Selector):
 
     def __post_init__(self) -> None:
         if self.plane is None and self.at is not None:
-            message = 'missing; "at" is a place along plane = "x", "y" or "z"'
+            message = 'is missing; "at" is a position along plane = "x", "y" or "z"'
             raise MistakesError(("plane", message))
         for name, of in (("radius", "cylinder"), ("normal", "angle")):
             if getattr(self, name) is None and getattr(self, of) is not None:
-                raise MistakesError((name, f'missing; "{of}" has no effect without it'))
+                raise MistakesError((name, f'is missing; "{of}" has no effect without it'))
         super().__post_init__()
         if self.plane is not None and self.at is None:
-            raise MistakesError(("at", "missing; write a number in m"))
+            raise MistakesError(("at", "is missing; write a number in m"))
 
 
 @table
@@ -169,7 +169,7 @@ class MeshFile:
 
 def _no_all(regions: dict[str, BodySelector]) -> dict[str, BodySelector]:
     if "all" in regions:
-        raise MistakesError(("all", '"all" is every cell of the mesh; take another name'))
+        raise MistakesError(("all", '"all" means every cell of the mesh; choose another name'))
     return regions
 
 

@@ -86,7 +86,7 @@ _ABSOLUTE_ZERO = {"degC": -273.15, "K": 0.0}
 def rising(ends: tuple[float, float]) -> tuple[float, float]:
     """Return two ends of a range, the first below the second."""
     if ends[0] >= ends[1]:
-        raise ValueError(f"must rise from low to high, not [{ends[0]:g}, {ends[1]:g}]")
+        raise ValueError(f"must be [low, high] with low below high, not [{ends[0]:g}, {ends[1]:g}]")
     return ends
 
 
@@ -108,7 +108,10 @@ class Temperature:
     def __post_init__(self) -> None:
         zero = _ABSOLUTE_ZERO[self.unit]
         mistakes = [
-            (name, f"{lowest:g} {self.unit} is below absolute zero, {zero:g} {self.unit}")
+            (
+                name,
+                f"{lowest:g} {self.unit} is below {zero:g} {self.unit}, absolute zero; correct it",
+            )
             for name, lowest in (("range", self.range[0]), ("reference", self.reference))
             if lowest < zero
         ]
@@ -177,11 +180,11 @@ def _stiffness(numbers: tuple[Any, ...]) -> Array:
     scale = np.sqrt(np.where(np.diagonal(matrix) > 0, np.diagonal(matrix), 1.0))
     scaled = matrix / scale / scale[:, None]
     if np.abs(scaled - scaled.T).max() > _ROUNDING:
-        raise ValueError("must be symmetric")
+        raise ValueError("must be symmetric; correct it")
     if np.linalg.eigvalsh(scaled)[0] < -_ROUNDING:
-        raise ValueError("some motion would release energy: no eigenvalue may be negative")
+        raise ValueError("has a negative eigenvalue, so it would release energy; correct it")
     if not matrix.any():
-        raise ValueError("is zero; leave the bushing out")
+        raise ValueError("is zero; write a stiffness, or leave the bushing out")
     return 0.5 * matrix + 0.5 * matrix.T  # the sum may be no number
 
 
@@ -250,14 +253,9 @@ class Bolt:
 
     def __post_init__(self) -> None:
         if (self.region is None) == (self.group is None):
-            raise MistakesError(("region", "write a region, or a group in its place"))
+            raise MistakesError(("region", "is missing; write a region or a group"))
         if self.group is not None and self.point is not None:
-            raise MistakesError(
-                (
-                    "point",
-                    "has an effect with a region only: a group has its own place; leave it out",
-                )
-            )
+            raise MistakesError(("point", "is for a region, not for a group; leave it out"))
 
 
 @array_table
@@ -277,9 +275,9 @@ class Joint(Attached):
 
     def __post_init__(self) -> None:
         if self.rigid == (self.stiffness is not None):
-            raise MistakesError(("stiffness", "write it, or rigid = true in its place"))
+            raise MistakesError(("stiffness", "is missing; write it, or rigid = true"))
         if self.rigid and self.coupling != "rigid":
-            raise MistakesError(("coupling", 'must be "rigid" for a rigid joint'))
+            raise MistakesError(("coupling", 'must be "rigid" if rigid = true'))
 
 
 @table
@@ -321,7 +319,7 @@ class Interface(Attached):
     """A section where a rigid side is attached."""
 
     refused = dict.fromkeys(
-        ("name", "held", "range"), "is a key of each [[interface]] of several; leave it out"
+        ("name", "held", "range"), "is for several [[interface]] tables; leave it out"
     )
     name = ""  # each of several interfaces has another
     held = False  # whether it does not move: the others' displacements are relative to it
@@ -337,7 +335,7 @@ class Interface(Attached):
 
     def __post_init__(self) -> None:
         if self.locked == FREEDOMS and not self.held:
-            raise MistakesError(("locked", "holds every freedom, so nothing can move; name fewer"))
+            raise MistakesError(("locked", "locks every freedom, so nothing can move; unlock one"))
 
 
 def _load(ends: float | tuple[float, float]) -> tuple[float, float]:
@@ -407,9 +405,9 @@ class NamedInterface(Interface):
         if not self.held:
             super().__post_init__()
             if self.range is None:
-                raise MistakesError(("range", "missing; write a table"))
+                raise MistakesError(("range", "is missing; write a table"))
         elif self.locked not in ((), FREEDOMS) or self.range is not None:
-            message = "an interface that is held takes neither locked nor range; leave it out"
+            message = "cannot be combined with locked or range; leave them out"
             raise MistakesError(("held", message))
         else:
             object.__setattr__(self, "locked", FREEDOMS)
@@ -452,7 +450,7 @@ class DeclaredRange:
         """
         ends = [tuple(dict.fromkeys(pair)) for pair in zip(self.low, self.high, strict=True)]
         if math.prod(len(pair) for pair in ends) > 2**MAX_INPUTS:
-            raise ValueError(f"the range of more than {MAX_INPUTS} loads has too many corners")
+            raise ValueError(f"has more than {MAX_INPUTS} loads that vary; give some the range 0")
         return np.array(list(product(*ends)))
 
 
@@ -469,7 +467,7 @@ class DeclaredTolerance:
 def _not_below(name: object) -> object:
     """Refuse a file in a subfolder: all are put into one folder."""
     if isinstance(name, str) and Path(name).name != name:
-        raise ValueError(f'"{name}" is not directly in the bundle\'s folder; put it there')
+        raise ValueError(f'"{name}" must be directly in the bundle\'s folder; move it there')
     return name
 
 
@@ -504,7 +502,7 @@ class Deck:
     def __post_init__(self) -> None:
         if self.file in self.files:
             where = f"files[{self.files.index(self.file)}]"
-            raise MistakesError((where, "is the deck itself; leave this entry out"))
+            raise MistakesError((where, "names the deck itself; leave it out"))
 
 
 @dataclass(frozen=True, eq=False)

@@ -84,9 +84,9 @@ def by_name(option: str, values: list[str] | None) -> list[tuple[str, str]]:
     for text in values or ():
         name, equals, rest = text.partition("=")
         if not (name and equals):
-            raise InvalidArgument(f"{text!r}: write a name, = and numbers")
+            raise InvalidArgument(f"{text!r} has the wrong form; write a name, = and numbers")
         if name in pairs:
-            raise InvalidArgument(f"{option} {name} is given twice")
+            raise InvalidArgument(f"{option} {name} is given twice; keep one")
         pairs[name] = rest
     return list(pairs.items())
 
@@ -94,7 +94,7 @@ def by_name(option: str, values: list[str] | None) -> list[tuple[str, str]]:
 def in_folder(file: Path | None) -> Path | None:
     """Refuse a file to write whose folder is not there, before anything is solved or served."""
     if file is not None and not file.parent.is_dir():
-        raise typer.BadParameter(f"there is no folder {file.parent}")
+        raise typer.BadParameter(f"there is no folder {file.parent}; create it first")
     return file
 
 
@@ -103,4 +103,4 @@ def number(text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise InvalidArgument(f"{text!r} is not a number") from None
+        raise InvalidArgument(f"{text!r} must be a number") from None

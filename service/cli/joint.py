@@ -84,13 +84,11 @@ def joint(
         shares = f"{moving:.4g} kg of the part's {total:.4g} kg move with {tip!r}"
         sys.stderr.write(f"{shares}. Add the mass that moves with no tip to the base's body\n")
     elif not massless:
-        sys.stderr.write(f"{name} has no known mass: write the density of its materials\n")
+        sys.stderr.write(f"{name} has no known mass; give its materials a density\n")
     if out is not None:
         out.write_text(text, encoding="utf-8")
         if ' file="' in text and out.resolve().parent != scene.resolve().parent:
-            sys.stderr.write(
-                f"its files are relative to the folder {scene.parent}: move it there\n"
-            )
+            sys.stderr.write(f"its file names refer to the folder {scene.parent}; move it there\n")
     if as_json:
         print_json({"component": name, "tip_mass": mass, "file": out, "mjcf": text})
     elif out is None:
@@ -104,9 +102,7 @@ def _moving(name: str, facts: dict[str, Any], interface: str | None = None) -> t
     at = moving[0] if interface is None and len(moving) == 1 else interface
     if at is None or at not in moving:
         ends = ", ".join(moving) or "one interface without a name"
-        raise typer.BadParameter(
-            f"{name} moves at {ends}; name the interface at the tip with --interface"
-        )
+        raise typer.BadParameter(f"{name} moves at {ends}; name the tip's with --interface")
     of = slice(first := FREEDOMS * [*parts].index(at), first + FREEDOMS)
     matrix = (facts.get("vibration") or {}).get("condensed_mass") or []
     return parts[at], [row[of] for row in matrix[of]] or None
@@ -138,7 +134,7 @@ def stiffness(
     With --between: that of its measured rows.
     """
     if between is None and (axis or of or number):
-        raise typer.BadParameter("--axis, --of and --import are for --between LOW HIGH")
+        raise typer.BadParameter("--axis, --of and --import need --between LOW HIGH; add it")
     with connected(server, data) as client:
         if between is not None:
             body = client.stiffness(name, between, axis, of, number)

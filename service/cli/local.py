@@ -119,8 +119,8 @@ def _make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise _refused(
-            f"the data directory {folder} cannot be made: {error.strerror}; name another with "
-            "--data, or make it for the user that serves"
+            f"the data directory {folder} cannot be created: {error.strerror}; name another with "
+            "--data, or create it for the user that serves"
         ) from error
     if paths := not_writable(folder):
         raise _refused(
@@ -214,11 +214,9 @@ def restore(
 
     source = file if "://" in file else Path(file)
     if isinstance(source, Path) and not source.is_file():
-        raise typer.BadParameter(f"there is no file {file}")
+        raise typer.BadParameter(f"there is no file {file}; name a backup")
     if isinstance(source, Path) and at:
-        raise typer.BadParameter(
-            f"--at chooses a state of a replica; {file} is a backup with one state: leave --at out"
-        )
+        raise typer.BadParameter(f"--at needs a replica, but {file} has one state; leave it out")
     until = at.replace(tzinfo=UTC).timestamp() if at else float("inf")
     manifest, former = restored(source, data, overwrite=overwrite, until=until)
     skipped, state, option = manifest.skipped, manifest.state, _data_option(data)
@@ -358,7 +356,7 @@ def _noted(data: Path, action: str, name: str, after: Any = None) -> Iterator[No
     from wrenchbook.service.ledger import Ledger, noted
 
     if action != "key.add" and not (data / KEYS).exists():  # a ledger would be made there
-        raise KeysError(f"{data} has no keys; name the data directory that has them with --data")
+        raise KeysError(f"{data} has no keys; name the data directory that has with --data")
     with (
         closing(Ledger(data / "ledger.sqlite")) as ledger,
         noted(ledger, action, name, after=after),

@@ -54,9 +54,9 @@ class NumbersCommand(TyperCommand):
                 place = args.index(name) + 1
                 for count, text in enumerate(args[place : place + option.nargs]):
                     if "," in text:
-                        ctx.fail(f"{name} {text}: write {option.nargs} numbers with blanks between")
+                        ctx.fail(f"{name} {text}: write {option.nargs} numbers separated by blanks")
                     if text.startswith("--"):
-                        ctx.fail(f"{name} needs {option.nargs} numbers; {text} follows {count}")
+                        ctx.fail(f"{name} needs {option.nargs} numbers, but {text} follows {count}")
         takes_wrench = any("--force" in option.opts for option in self.params)
         if takes_wrench and len(args) > 1 and re.match(r"[-+]?\.?\d", args[1]):
             ctx.fail(f"{args[1]}: write a wrench as --force FX FY FZ --moment MX MY MZ")
@@ -369,7 +369,7 @@ def _loads(
     for name, text in by_name("--load", load):
         numbers = [number(part) for part in text.split(",")]
         if len(numbers) not in (3, 6):
-            raise InvalidArgument(f"--load {name} needs 3 or 6 numbers with commas between them")
+            raise InvalidArgument(f"--load {name} needs 3 or 6 numbers separated by commas")
         loads[name] = numbers + [0.0] * (6 - len(numbers))
     inputs = further_inputs(further)
     return {"force": force, "moment": moment, "loads": loads or None, "inputs": inputs}

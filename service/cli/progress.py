@@ -92,8 +92,8 @@ def follow(
                     break
             if time.monotonic() > deadline:
                 raise RuntimeError(
-                    f"{len(jobs) - len(done)} solves have not ended after {seconds:g} s; they go "
-                    "on in the server. Look with: wrenchbook jobs"
+                    f"{len(jobs) - len(done)} solves have not ended after {seconds:g} s and "
+                    "continue on the server. See: wrenchbook jobs"
                 )
     return list(done.values())
 

@@ -24,8 +24,8 @@ from wrenchbook.service.contract import LOADS, OUTPUTS
 # the window or type into some terminals.
 _CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 _OVER = (
-    "The bar is over the tolerance by the solver's own error (its mesh, say), which no more solves "
-    "lower: the component's warnings say what to do."
+    "The solver's own error (such as its mesh) makes the error bar larger than the tolerance, and "
+    "more solves do not reduce it. See the warnings of the component."
 )
 UNITS = {name: "m" if name[0] == "u" else "rad" for name in OUTPUTS}
 
@@ -263,11 +263,10 @@ def plan_lines(plans: Mapping[str, ComponentPlan]) -> Iterator[Table | str]:
         saves = plan.saves
         saved = ["not known yet"]
         if saves["build_s"] is not None:
-            saved = [
-                f"{saves['build_s']:.2g} s building",
-                f"{saves['memory_bytes'] / 1e6:.2g} MB",
-                f"{saves['us_per_answer']:.2g} µs an answer",
-            ]
+            sizes = saves["build_s"], saves["memory_bytes"] / 1e6, saves["us_per_answer"]
+            units = "s building", "MB", "µs an answer"
+            pairs = zip(sizes, units, strict=True)  # a cut table may also answer more slowly
+            saved = [f"{size:.2g} {unit}" for size, unit in pairs if size > 0] or ["nothing"]
         solves = f"{plan.solves['scene']} of {plan.solves['whole']}"
         cells = (axes or ["none"]), bounds, [solves], saved
         table.add_row(escape(name), plan.decision, *map("\n".join, cells))

@@ -166,11 +166,11 @@ def _mapping(columns: Sequence[str], units: Sequence[str]) -> dict[str, str]:
     for text in columns:
         label, mark, meaning = text.rpartition("=")
         if not mark:
-            raise typer.BadParameter(f"'{text}' is not of the form 'column in the file=fz [N]'")
+            raise typer.BadParameter(f"'{text}' must have the form 'column in the file=fz [N]'")
         mapping[label.strip()] = meaning.strip()
     bare = [label for label, meaning in mapping.items() if "[" not in meaning]
     if units and len(units) != len(bare):
-        message = f"--unit is given {len(units)} times, for {len(bare)} --column without brackets; "
+        message = f"--unit is there {len(units)} times for {len(bare)} --column without brackets; "
         raise typer.BadParameter(f"{message}write each as --column 'COLUMN=fz [kN]'")
     pairs = zip(bare, units, strict=False)
     return mapping | {label: f"{mapping[label]} [{unit.strip('[]')}]" for label, unit in pairs}
@@ -221,18 +221,16 @@ def export_table(
     """
     printed, ending = str(file) == "-", file.suffix.lower()
     if ending != ".fmu" and (method is not None or platforms is not None):
-        raise typer.BadParameter(
-            "--method and --platforms are for .fmu files: other formats hold the table"
-        )
+        raise typer.BadParameter("--method and --platforms are for .fmu files only; leave them out")
     format_ = "csv" if printed else "packed" if ending in (".fmu", ".zip") else table_format(file)
     units = {"force": force, "moment": moment, "translation": translation, "rotation": rotation}
     units = {quantity: unit for quantity, unit in units.items() if unit is not None}
     curves = {"others": bushing} if bushing else {}
     if curves and (format_ != "csv" or units or table_version is not None):
-        raise typer.BadParameter("--bushing writes a .csv of the newest table, in SI")
+        raise typer.BadParameter("--bushing is for a .csv of the newest table, in SI")
     format_ = "bushing" if curves else format_
     if printed and as_json:
-        raise typer.BadParameter("--json describes a written file: name one instead of -")
+        raise typer.BadParameter("--json describes a written file; name one instead of -")
     if platforms is not None:  # checked before a server is called or started
         from wrenchbook.service.fmu.export import platforms_of
 
@@ -348,7 +346,7 @@ def rig(
     if (action == "list") == bool(name) or (action == "add") != (file is not None):
         raise typer.BadParameter("write list, show NAME, add NAME FILE.toml or remove NAME")
     if name and not RIG_NAME.fullmatch(name):
-        raise typer.BadParameter(f"{name!r}: a name has letters, digits, dots, - and _, at most 64")
+        raise typer.BadParameter(f"{name!r} must be at most 64 letters, digits and .-_")
     content = None if file is None else file.read_bytes()
     with connected(server, data) as client:
         reply = client.call(verb, path, content, kind="application/toml")

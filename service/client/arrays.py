@@ -150,8 +150,8 @@ class Evaluator:
         array = self._array(values)
         if not array.shape or array.shape[-1] != count:
             raise InvalidArgument(
-                f"{name} of {self._host.name} have the shape ({count},) or (k, {count}), not "
-                f"{tuple(array.shape)}: the order is that of table.space"
+                f"{name} of {self._host.name} must have the shape ({count},) or (k, {count}) in "
+                f"the order of table.space, not {tuple(array.shape)}"
             )
         return array
 
@@ -268,9 +268,7 @@ def jax_joint(
     first = joint.new_steps(1, None)
     square = shape_of(first.interfaces, 3, 3)
     if not 0.0 < dt < np.inf or (turned is not None and turned.shape != square):
-        raise InvalidArgument(
-            f"dt must be above zero, and axes must have the shape {square}, not {dt} s and {axes}"
-        )
+        raise InvalidArgument(f"dt must be above 0 s and axes {square}, not {dt} s and {axes}")
     size, shapes = first.memory.shape[1], {n: first.replies[n].shape[1:] for n in REPLIED}
     buffers = first.memory, first.poses, first.velocities, first.inverse_masses
     entered = [place.shape[1:] for place in buffers]
@@ -293,8 +291,8 @@ def jax_joint(
         expected = [(*lead, *shape) for shape in entered]
         if [array.shape for array in inputs] != expected:
             raise InvalidArgument(
-                f"memory, poses, velocities and inverse_masses have the shapes {expected}, not "
-                f"{[array.shape for array in inputs]}"
+                f"memory, poses, velocities and inverse_masses must have the shapes {expected}, "
+                f"not {[array.shape for array in inputs]}"
             )
         results = [((*lead, *shapes[name]), kind) for name in REPLIED[:-1]]
         results += [((*lead, *shapes["coverage"]), np.int32), (lead, np.int32)]

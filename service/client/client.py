@@ -210,7 +210,7 @@ def deformed_format(file: str | Path) -> str:
     if suffix.lower() not in FORMATS:
         named = f"the ending {suffix}" if suffix else "no ending"
         raise InvalidArgument(
-            f"{file} has {named}; the ending chooses the format: one of {', '.join(FORMATS)}"
+            f"{file} has {named}; name a surface file that ends in one of {', '.join(FORMATS)}"
         )
     return FORMATS[suffix.lower()]
 

@@ -227,6 +227,6 @@ def _field(message: Message, name: str, default: Message = _REQUIRED) -> Message
     member = get(name, default)
     if member is _REQUIRED:
         raise InvalidArgument(
-            f"the message has no {name!r}; a wrench has force and torque with x, y, z"
+            f"the message has no {name!r}; give force and torque, each with x, y, z"
         )
     return member

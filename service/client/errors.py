@@ -165,7 +165,7 @@ def required(module: str, user: str, install: str) -> Any:
     except ModuleNotFoundError as error:
         name = module.partition(".")[0]
         raise MissingPackage(
-            f"{user} needs the package {name!r}, which is not installed: pip install {install}",
+            f"{user} needs the package {name!r}, not installed here; run: pip install {install}",
             name=name,
         ) from error
 

@@ -143,8 +143,8 @@ class JobCalls(Connection):
                 return now
             if time.monotonic() >= deadline:
                 raise ServerTimeout(
-                    f"job {now.id} is still {now.status} after {timeout:g} s; it goes on in the "
-                    "server"
+                    f"job {now.id} is still {now.status} after {timeout:g} s and continues on the "
+                    "server; wait again"
                 )
             # Some servers answer at once instead of waiting: 20 requests a second at most.
             if time.monotonic() - began < 0.05:
@@ -304,7 +304,7 @@ def _path(job: Job | int | Answer) -> str:
     try:
         return f"/v1/jobs/{number.id if isinstance(number, Job) else int(number)}"
     except (TypeError, ValueError):
-        why = ": it is complete, or nothing was queued" if number is None else ""
+        why = ", which is complete or has queued nothing" if number is None else ""
         raise InvalidArgument(
-            f"job must be a Job, its number, or an answer with a job, not {job!r}{why}"
+            f"a job must be a Job, its number, or an answer with a job, not {job!r}{why}"
         ) from None

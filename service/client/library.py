@@ -39,9 +39,8 @@ def table_format(file: str | Path) -> str:
     if suffix.lower() not in _ENDINGS:
         named = f"the ending {suffix}" if suffix else "no ending"
         raise InvalidArgument(
-            f"{file} has {named}; the ending chooses the format: one of "
-            f"{', '.join(_ENDINGS)}, "
-            "and with wrenchbook export .fmu and .zip"
+            f"{file} has {named}; name a table file that ends in one of {', '.join(_ENDINGS)}, or "
+            "use wrenchbook export for .fmu and .zip"
         )
     return _ENDINGS[suffix.lower()]
 
@@ -51,8 +50,8 @@ def check_readable(file: str | Path) -> None:
     suffix = Path(file).suffix.lower()
     if suffix in _NOT_READ:
         raise InvalidArgument(
-            f"{file} ends in {suffix}, which is not read; a table is CSV, XLSX, XLS, Parquet, "
-            "JSON, HDF5, MAT, LVM or TDMS, each gzipped if you like"
+            f"{file} ends in {suffix}, which cannot be read; send CSV, XLSX, XLS, Parquet, JSON, "
+            "HDF5, MAT, LVM or TDMS, gzipped or not"
         )
 
 
@@ -125,7 +124,7 @@ class LibraryCalls(Connection):
         if not bundle.is_dir():
             archive = bundle.read_bytes()
         elif not (bundle / "component.toml").is_file():
-            raise FileNotFoundError(f"{bundle} has no component.toml: it is no component bundle")
+            raise FileNotFoundError(f"{bundle} has no component.toml; name a component bundle")
         else:
             buffer = io.BytesIO()
             with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as packed:
@@ -480,9 +479,7 @@ def _profile(rig: str | Path) -> str:
 
 def _known(format_: str) -> str:
     if format_ not in _FORMATS:
-        raise InvalidArgument(
-            f"{format_!r} is not a format of tables; use one of {', '.join(_FORMATS)}"
-        )
+        raise InvalidArgument(f"the format must be one of {', '.join(_FORMATS)}, not {format_!r}")
     return format_
 
 

@@ -109,7 +109,7 @@ def coverage(
     """
     across, up = _index(first, LOADS), _index(second, LOADS)
     if across == up:
-        raise InvalidArgument(f"coverage needs two different loads, both are {first!r}")
+        raise InvalidArgument(f"coverage needs two different loads, but both are {first!r}")
     low, high = _load_range(source, component)
     x, y = (np.linspace(low[k], high[k], count) for k in (across, up))
     grid = [part.ravel() for part in np.meshgrid(x, y)]
@@ -179,7 +179,7 @@ def _pyplot() -> ModuleType:
 
 def _index(name: str, names: tuple[str, ...]) -> int:
     if name not in names:
-        raise InvalidArgument(f"{name!r} is none of {', '.join(names)}")
+        raise InvalidArgument(f"the name must be one of {', '.join(names)}, not {name!r}")
     return names.index(name)
 
 
@@ -188,7 +188,7 @@ def _load_range(source: Table | Client, component: str | None) -> Vector:
     if isinstance(source, Table):
         return source.arrays()["space/range"]
     if component is None:
-        raise InvalidArgument("a client answers for many components: name one with component=")
+        raise InvalidArgument("a client answers for many components; name one with component=")
     spans = source.component(component)["range"]
     return np.concatenate([spans["force"], spans["moment"]]).T
 

@@ -138,18 +138,18 @@ class Recorder:
         shape, default = np.shape(wrench), self._width == 8 * len(LOADS)
         if shape != (self._width // 8,):
             form = "six numbers, force then moment" if default else f"{self._width // 8} numbers"
-            raise InvalidArgument(f"a wrench is {form}; this has shape {shape}")
+            raise InvalidArgument(f"a wrench must be {form}, not of shape {shape}")
         checked = single_wrench(wrench) if default else many_wrenches(np.stack([wrench]), None)
         packed = checked.astype("<f8").tobytes()
         with self._changed:
             if self._closing:
-                raise RecorderError("the recorder is closed; make another one")
+                raise RecorderError("the recorder is closed; create a new one")
             self._check_failed()
             if self._count >= MAX_PENDING:
                 raise RecorderError(
-                    f"the wrench was not taken: {self._count} wrenches wait for the server "
-                    f"({self._trouble or 'it is slow'}). `unsent` returns them; a slower loop, or "
-                    "flush() before it goes on, loses none"
+                    f"the wrench was not recorded, because {self._count} wrenches wait for the "
+                    f"server ({self._trouble or 'it is slow'}). Slow the loop or call flush(); "
+                    "`unsent` returns those not sent"
                 )
             if not self._open:
                 self._opened_at = time.monotonic()
@@ -185,8 +185,8 @@ class Recorder:
             self._check_failed()
             raise ServerTimeout(
                 f"{self._count} wrenches are not recorded after {timeout_s:g} s: "
-                f"{self._trouble or 'the server is slow'}. They are kept here and sent as soon as "
-                "it answers"
+                f"{self._trouble or 'the server is slow'}. They are kept and sent when it answers; "
+                "check the server"
             )
 
     def start(
@@ -282,8 +282,9 @@ class Recorder:
     def _check_failed(self) -> None:
         if self._failed:
             raise RecorderError(
-                f"the server refuses what is recorded of {self.component!r}: {self._trouble}. "
-                f"{self._count} wrenches were not taken; `unsent` returns them"
+                f"the server refused the recording of {self.component!r}: {self._trouble}. "
+                f"{self._count} wrenches are not stored; correct this and send them again "
+                "(`unsent` returns them)"
             ) from self._trouble
 
     def _at_exit(self) -> None:

@@ -163,19 +163,19 @@ class Displacement(messages.Displacement):
         Raises
         ------
         ValueError
-            If nothing is known yet, or R0 and p0 are not a pose.
+            If nothing is known yet, R0 is no rotation matrix, or a shape is wrong.
         """
         if self.interfaces:
             name = next(iter(self.interfaces))
             raise InvalidArgument(
-                f"{self.component} has several interfaces: take one, interfaces[{name!r}]"
+                f"{self.component} has several interfaces; choose one with interfaces[{name!r}]"
             )
         if self.translation is None or self.rotation is None:
             remedy = (
-                f"wait for job {self.job.id}" if self.job else self.reason or "no job is queued"
+                f"wait for job {self.job.id}" if self.job else self.reason or "ask it with 'queue'"
             )
             raise InvalidArgument(
-                f"the displacement of {self.component} under this wrench is not known ({remedy})"
+                f"the displacement of {self.component} at this wrench is unknown ({remedy})"
             )
         orientation, point = checked_pose(R0, p0)
         rotated = orientation @ rotation_matrix(self.rotation)

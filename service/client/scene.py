@@ -60,7 +60,7 @@ class Scene:
 
     def __init__(self, components: Mapping[str, Mapping[str, Json]]) -> None:
         if not isinstance(components, Mapping) or not components:
-            raise SceneError("a scene has at least one component: {'plate': {'force': [...], ...}}")
+            raise SceneError("a scene needs a component, as {'plate': {'force': [...], ...}}")
         self.components = {str(name): _checked(name, need) for name, need in components.items()}
 
     @classmethod
@@ -78,7 +78,7 @@ class Scene:
             with Path(path).open("rb") as file:
                 body = tomllib.load(file)
             if unknown := body.keys() - {"components", "title"}:
-                raise SceneError(f"unknown: {', '.join(sorted(unknown))}; it has components, title")
+                raise SceneError(f"unknown {', '.join(sorted(unknown))}; write components, title")
             return cls(body.get("components", {}))
         except (tomllib.TOMLDecodeError, UnicodeDecodeError, SceneError) as error:
             raise SceneError(f"{path}: {error}") from error
@@ -113,7 +113,7 @@ class Scene:
             If the scene has no such component.
         """
         if name not in self.components:
-            raise SceneError(f"the scene has no component {name!r}; it has {', '.join(self)}")
+            raise SceneError(f"the scene has no component {name!r}; name one of {', '.join(self)}")
         return self.components[name]
 
     @overload
@@ -135,7 +135,7 @@ class Scene:
         if isinstance(client, Connection):
             return self._plan(client)
         if not hasattr(client, "run"):
-            raise InvalidArgument(f"plan takes a Client or an AsyncClient, not {client!r}")
+            raise InvalidArgument(f"plan needs a Client or an AsyncClient, not {client!r}")
         return client.run(self._plan)
 
     def _plan(self, client: Connection) -> dict[str, ComponentPlan]:
@@ -154,10 +154,10 @@ def _checked(name: str, need: Json) -> Document:
     """Return one component's need as the wire has it."""
     where = f"components.{name}"
     if not isinstance(need, Mapping):
-        raise SceneError(f"{where}: a table of {', '.join(_FIELDS)}, not {need!r}")
+        raise SceneError(f"{where}: must be a table of {', '.join(_FIELDS)}, not {need!r}")
     if unknown := need.keys() - set(_FIELDS):
         raise SceneError(
-            f"{where}: unknown {', '.join(sorted(unknown))}; it has {', '.join(_FIELDS)}"
+            f"{where}: unknown key {', '.join(sorted(unknown))}; write {', '.join(_FIELDS)}"
         )
     if (loads := need.get("loads")) is None:
         body: Document = _wrench(where, need, ("force", "moment"))
@@ -172,7 +172,7 @@ def _checked(name: str, need: Json) -> Document:
         parts = [str(output).rpartition(".") for output in outputs] if listed else []
         if not parts or any(output not in OUTPUTS for _, _, output in parts):
             raise SceneError(
-                f"{where}.outputs: one or more of {', '.join(OUTPUTS)}, not {outputs!r}"
+                f"{where}.outputs: must be one or more of {', '.join(OUTPUTS)}, not {outputs!r}"
             )
         ordered = sorted({(interface, OUTPUTS.index(output)) for interface, _, output in parts})
         body["outputs"] = [f"{k}.{OUTPUTS[place]}".lstrip(".") for k, place in ordered]
@@ -186,24 +186,24 @@ def _checked(name: str, need: Json) -> Document:
 
 def _named(where: str, value: Json) -> Mapping[str, Json]:
     if not isinstance(value, Mapping):
-        raise SceneError(f"{where}: a table by name, not {value!r}")
+        raise SceneError(f"{where}: must be a table by name, not {value!r}")
     return value
 
 
 def _wrench(where: str, need: Json, parts: Iterable[str]) -> Document:
     """Return the spans of force and moment; those that `parts` names must be there."""
     if unknown := set(parts) - {"force", "moment"}:
-        raise SceneError(f"{where}: unknown {', '.join(sorted(unknown))}; it has force, moment")
+        raise SceneError(f"{where}: unknown key {', '.join(sorted(unknown))}; write force, moment")
     body: Document = {}
     for part in parts:
         spans, place = need.get(part), f"{where}.{part}"
         if spans is None:
             raise SceneError(
-                f"{place} is missing: three of [low, high]; [0, 0] for what cannot occur"
+                f"{place} is missing; write three [low, high], [0, 0] where none can occur"
             )
         listed = isinstance(spans, Sequence | np.ndarray) and not isinstance(spans, str)
         if not listed or len(spans) != 3:
-            raise SceneError(f"{place}: three loads, x, y and z, each [low, high] or one number")
+            raise SceneError(f"{place}: write three loads (x, y, z), each [low, high] or a number")
         body[part] = [_span(f"{place}.{k}", span) for k, span in enumerate(spans)]
     return body
 
@@ -214,8 +214,8 @@ def _span(where: str, span: Json) -> list[float]:
     except ValueError:  # ragged
         ends = np.asarray("")
     if ends.dtype.kind not in "fiu" or ends.shape not in ((), (2,)) or not np.isfinite(ends).all():
-        raise SceneError(f"{where}: [low, high] of two finite numbers, or one, not {span!r}")
+        raise SceneError(f"{where}: must be [low, high], or one finite number, not {span!r}")
     low, high = (-ends, ends) if ends.shape == () else ends
     if low > high:
-        raise SceneError(f"{where}: the low end, {low:g}, is above the high end, {high:g}")
+        raise SceneError(f"{where}: the low end {low:g} must not be above the high end {high:g}")
     return [float(low) + 0.0, float(high) + 0.0]

@@ -261,7 +261,7 @@ class Table:
         body, space = loads_body(force, moment, loads, inputs), packed.space
         if "force" in body and space.several:
             names = ", ".join(space.several)
-            raise InvalidArgument(f"{self.name} has the interfaces {names}: give loads by name")
+            raise InvalidArgument(f"{self.name} has the interfaces {names}; give loads by name")
         by_name = {"": body} if "force" in body else body.get("loads", {})
         wrenches = {name: wrench_of(load) for name, load in by_name.items()}
         six = {name: wrench.tolist() for name, wrench in wrenches.items()}
@@ -349,13 +349,13 @@ class Table:
         except ValueError as error:
             raise InvalidArgument(str(error)) from error
         if np.isnan(slope).any():
-            raise InvalidArgument(f"the derivative of {self.name} under this wrench is not known")
+            raise InvalidArgument(f"the derivative of {self.name} is unknown here; fill the table")
         try:
             return np.asarray(np.linalg.inv(slope), dtype=float)
         except np.linalg.LinAlgError:
             raise InvalidArgument(
-                f"the derivative of {self.name} under this wrench has no inverse: a load moves "
-                "nothing, as on a locked freedom"
+                f"the derivative of {self.name} at this wrench has no inverse, as on a locked "
+                "freedom; leave that load out"
             ) from None
 
     def error_parts(
@@ -402,7 +402,7 @@ class Table:
         """
         if self._client is None:
             raise InvalidArgument(
-                f"{self!r} was opened from a file: download the newest version from a server"
+                f"{self!r} comes from a file; download the newest version from a server"
             )
         with self._fetching:
             fetched = _fetch(self._client, self.name, self._scene, self._now[1])
@@ -499,7 +499,7 @@ class DownloadCalls(Connection):
         """
         if not (scene is None or isinstance(scene, Scene)):
             raise InvalidArgument(
-                f"scene= takes a Scene, such as Scene.read('scene.toml'), not {scene!r}"
+                f"scene= must be a Scene, such as Scene.read('scene.toml'), not {scene!r}"
             )
         try:
             kernel()  # an error comes before the download

@@ -72,7 +72,7 @@ class Response:
 def component_path(name: str, call: str = "") -> str:
     """Return the path of a component's call, or of the component itself."""
     if not isinstance(name, str):
-        raise InvalidArgument(f"a component's name must be text, not {name!r}")
+        raise InvalidArgument(f"a component's name must be a text, not {name!r}")
     return f"/v1/components/{quote(name, safe='')}" + (f"/{call}" if call else "")
 
 
@@ -94,10 +94,10 @@ class Connection:
                 raise ValueError
         except (TypeError, ValueError):  # no text, no port
             raise InvalidArgument(
-                f"{url!r} is not the address of a server; write http://127.0.0.1:8000"
+                f"{url!r} is not a server address; write for example http://127.0.0.1:8000"
             ) from None
         if not (isinstance(timeout, Real) and timeout > 0.0):
-            raise InvalidArgument(f"timeout is a number of seconds above 0, not {timeout!r}")
+            raise InvalidArgument(f"timeout must be a number of seconds above 0, not {timeout!r}")
         self._path = parts.path.rstrip("/")
         self.url = f"{parts.scheme}://{parts.netloc}{self._path}"
         self.timeout, self.retry_s = timeout, RETRY_S
@@ -105,7 +105,7 @@ class Connection:
         self._key = key.strip()
         if not (self._key.isascii() and self._key.isprintable()) or " " in self._key:
             raise InvalidArgument(  # which does not show it
-                "the key has blanks or characters that no key contains; copy it again"
+                "the key contains blanks or invalid characters; copy it again"
             )
         https = parts.scheme == "https"
         self._kind = http.client.HTTPSConnection if https else http.client.HTTPConnection
@@ -261,8 +261,8 @@ class Connection:
         except TimeoutError as error:
             connection.close()
             raise ServerTimeout(
-                f"{self.url} has not answered within {timeout:g} s; it goes on with what it has "
-                "accepted: send the request again, or make the client with a longer timeout"
+                f"{self.url} has not answered within {timeout:g} s and continues with accepted "
+                "work; send the request again, or create the client with a longer timeout"
             ) from error
         except BaseException:
             connection.close()
@@ -307,7 +307,7 @@ class Connection:
 
     def _require_wanted(self) -> None:
         if self._abandoned:
-            raise WrenchbookError("the iteration was cancelled")
+            raise WrenchbookError("the iteration was cancelled; start it again")
 
     def _head(
         self, method: str, path: str, query: Mapping[str, object] | None, fields: Mapping[str, str]
@@ -325,9 +325,7 @@ class Connection:
             lines.append(f"Authorization: Bearer {self._key}")
         lines += [f"{name}: {value}" for name, value in fields.items()]
         if not "".join(lines).isprintable():
-            raise InvalidArgument(
-                f"the headers of a request must have printable characters only, not {fields}"
-            )
+            raise InvalidArgument(f"request fields must be printable characters only, not {fields}")
         return "\r\n".join([*lines, "", ""]).encode("latin-1")
 
     def _unreachable(self, error: BaseException) -> ServerUnreachable:

@@ -60,8 +60,8 @@ def single_wrench(force: ArrayLike, moment: ArrayLike | None = None) -> Vector:
         for name, part in (("force", first), ("moment", second)):
             if part.shape != (3,):
                 raise InvalidArgument(
-                    f"{name} must be three numbers, it has shape {part.shape}; to pass all "
-                    "six components, give them as the force and leave the moment out"
+                    f"{name} must be three numbers, not of shape {part.shape}; to pass all six, "
+                    "give them as the force and leave the moment out"
                 )
         wrench = np.concatenate([first, second])
     _require_finite(wrench[None, :], "")
@@ -91,7 +91,7 @@ def loads_body(
         for name, load in _mapping("loads", loads).items():
             parts = load if isinstance(load, Mapping) else {"force": load}
             if unknown := ", ".join(parts.keys() - {"force", "moment"}):
-                raise InvalidArgument(f"a load has force and moment, not {unknown}")
+                raise InvalidArgument(f"a load must have force and moment, not {unknown}")
             wrench = single_wrench(parts.get("force", np.zeros(3)), parts.get("moment"))
             body["loads"][name] = _parts(wrench)
     elif inputs is None:
@@ -158,7 +158,7 @@ def tolerance_body(tolerance: Tolerance) -> dict[str, float]:
         translation, rotation = (float(part) for part in pair)
     except (KeyError, TypeError, ValueError, AttributeError):
         raise InvalidArgument(
-            f"a tolerance is {{'translation': m, 'rotation': rad}}, not {tolerance!r}"
+            f"a tolerance must be {{'translation': m, 'rotation': rad}}, not {tolerance!r}"
         ) from None
     if not (0.0 < translation < np.inf and 0.0 < rotation < np.inf):
         raise InvalidArgument(f"a tolerance must be positive and finite, not {tolerance!r}")
@@ -175,9 +175,7 @@ def _numbers(values: ArrayLike, name: str) -> Vector:
         kind = "text" if block.dtype.kind in "SU" else block.dtype
         raise InvalidArgument(f"{name} must be numbers, not {kind}")
     if "numpy.ma" in sys.modules and np.ma.is_masked(values):  # np.ma takes 8 ms to load
-        raise InvalidArgument(
-            f"{name} must be numbers; some are masked (missing); fill or remove them"
-        )
+        raise InvalidArgument(f"{name} must be numbers, but some are masked; fill or remove these")
     return block.astype(float)
 
 
@@ -187,4 +185,4 @@ def _require_finite(block: Vector, where: str) -> None:
         bad = np.argwhere(~finite)
         row, column = bad[0].tolist()
         name = LOADS[column] if block.shape[1] == len(LOADS) else f"input {column}"
-        raise InvalidArgument(f"{where.format(row)}{name} is {block[row, column]}, not finite")
+        raise InvalidArgument(f"{where.format(row)}{name} must be finite, not {block[row, column]}")

@@ -59,8 +59,8 @@ class NoFieldsError(Exception):
         )
         if not component.has_fea:
             text = (
-                f"{name!r} is a table without a finite-element setup: there is no surface to "
-                "deform. Add the component as a bundle with a mesh."
+                f"{name!r} is a table without a finite-element setup, so it has no surface. Add "
+                "the component as a bundle with a mesh."
             )
         super().__init__(text)
 
@@ -106,9 +106,7 @@ class DeformedSurfaces:
         room, beyond = FARTHEST * loads.scale, why_beyond(loads, acting)
         low, high = np.minimum(loads.low, 0.0) - room, np.maximum(loads.high, 0.0) + room
         if ((acting < low) | (acting > high)).any():
-            raise TooFarError(
-                f"{beyond}: too far beyond it for a surface; choose a wrench nearer to the range"
-            )
+            raise TooFarError(f"{beyond}, too far away for a surface; ask nearer to the range")
         if component.linear:
             shape = self._linear(component, rows, acting)
         else:
@@ -130,7 +128,7 @@ class DeformedSurfaces:
         try:
             row = self._store.linear(component.name, component.fingerprint)
             if row is None:
-                raise NoFieldsError(component, "no solve has left its six unit fields yet")
+                raise NoFieldsError(component, "no solve has stored its six unit fields; run one")
             geometry = self._geometry(component, row)
         except DamagedFieldsError as error:
             raise NoFieldsError(component, str(error)) from error
@@ -197,13 +195,13 @@ class DeformedSurfaces:
     ) -> Deformed:
         """Return the interpolation of the rows that have fields, one for each wrench in range."""
         if not len(rows):
-            raise NoFieldsError(component, "its table has no rows: fill it, or import rows")
+            raise NoFieldsError(component, "its table has no rows; fill it")
         inside = component.load_range.holds(rows.wrench)
         solved = np.flatnonzero((rows.fingerprint == component.fingerprint) & inside)
         wrenches = rows.wrench[solved]
         having = self._store.has(component.name, component.fingerprint, wrenches.tolist())
         if not having:
-            why = f"none of its {len(rows)} rows has one; they were imported or solved before"
+            why = f"none of its {len(rows)} rows has one; solve some wrenches anew"
             raise NoFieldsError(component, why)
         cells = np.rint(wrenches[having] / (2 * NEAR * component.load_range.scale))
         _, first = np.unique(cells, axis=0, return_index=True)
@@ -222,7 +220,7 @@ class DeformedSurfaces:
             allowed = limit.translation if limit else WITHOUT_TOLERANCE * blend.largest
             worst = float(error.max(initial=0.0))
             if worst > allowed:
-                reason = f"a point may be wrong by {worst:.3g} m, {allowed:.3g} m are allowed"
+                reason = f"a point may be wrong by {worst:.3g} m, over {allowed:.3g} m; solve more"
         coverage = "thin" if reason else "covered"
         stress = None
         if fields.stress is not None:
@@ -252,7 +250,7 @@ class DeformedSurfaces:
         """Return the interpolation of the rows nearest to a wrench; the last one if it is that."""
         first = next(self._readable(component, rows.wrench), None)
         if first is None:
-            raise NoFieldsError(component, "the files of all rows are damaged")
+            raise NoFieldsError(component, "all files of rows are damaged; see wrenchbook doctor")
         size = 7 * 8 * (first.displacement.size + first.stress.size)
         limit = min(MAX_ROWS, max(MIN_ROWS, BLEND_BYTES // max(size, 1)))
         near = rows.take(nearest_rows(rows.wrench, wrench, component.load_range, limit))
@@ -267,7 +265,7 @@ class DeformedSurfaces:
         for place, row_wrench in enumerate(near.wrench):
             read += [(place, row) for row in self._readable(component, row_wrench[None])]
         if not read:
-            raise NoFieldsError(component, "the files of the nearest rows are damaged")
+            raise NoFieldsError(component, "files nearby are damaged; see wrenchbook doctor")
         digest = read[-1][1].meta["geometry"]  # a mesher of another version makes another mesh
         like = [(place, row) for place, row in read if row.meta["geometry"] == digest]
         used = near.take([place for place, _ in like])

@@ -79,7 +79,7 @@ def unpack(content: bytes) -> tuple[dict[str, Any], dict[str, Array]]:
     except ValueError:  # a number of the header is infinite or NaN
         intact = False
     if not intact:
-        raise DamagedFieldsError("its checksum is wrong: the file is damaged")
+        raise DamagedFieldsError("its checksum is wrong, so the file is damaged")
     columns, start = {}, 0
     for entry in header["columns"]:
         columns[entry["name"]] = _unpacked(entry, body[start : start + entry["bytes"]])
@@ -90,7 +90,7 @@ def unpack(content: bytes) -> tuple[dict[str, Any], dict[str, Array]]:
 def _header(content: bytes) -> tuple[dict[str, Any], int]:
     start = len(MAGIC) + 4
     if content[: len(MAGIC)] != MAGIC:
-        raise DamagedFieldsError("it does not begin as a file of fields does")
+        raise DamagedFieldsError("it is not a file of fields")
     length = int.from_bytes(content[len(MAGIC) : start], "little")
     try:
         header = json.loads(content[start : start + length])

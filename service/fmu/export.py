@@ -227,8 +227,8 @@ def platforms_of(text: str) -> tuple[str, ...]:
     unknown = [name for name in names if name not in PLATFORMS]
     if unknown:
         raise UnknownPlatformError(
-            f"{', '.join(map(repr, unknown))}: no such platform; use all, or one or more of "
-            f"{', '.join(PLATFORMS)}"
+            f"platforms must be all or some of {', '.join(PLATFORMS)}, not "
+            f"{', '.join(map(repr, unknown))}"
         )
     build.compiler_command(next(iter(build.PLATFORMS.values())))  # any: one compiler makes all
     return names
@@ -251,14 +251,13 @@ def make_fmu(
         raise UnknownMethodError(method)
     if not table.meta["provenance"]["rows"]:
         raise NotExportableError(
-            "the table has no rows: run wrenchbook fill, or import a file, then export it"
+            "the table has no rows; run wrenchbook fill or import a file, then export it"
         )
     low, high = table.arrays["space/ends"]
     rows = [table.arrays[f"g{k}/row/wrench"] for k in range(len(table.meta["groups"]))]
     if not all(((low <= loads) & (loads <= high)).all(axis=1).any() for loads in rows):
         raise NotExportableError(
-            "all rows of the table are outside its load range: no wrench within it has an answer. "
-            "Widen the load range"
+            "all rows of the table are outside its load range; fill the table, then export it"
         )
     table.answer(table.space.zero.tolist(), None, method)  # by this method, or not at all
     used = ", ".join(dict.fromkeys(method or group["method"] for group in table.meta["groups"]))

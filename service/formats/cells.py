@@ -107,28 +107,28 @@ def number_problem(cell: str, comma: bool) -> str:
     if not cell:
         return "is empty; write 0 for no load"
     if cell.lower().lstrip("+-") in ("nan", "inf", "infinity"):
-        return f"{quoted(cell)} is not finite; leave the row out"
+        return f"{quoted(cell)} is not a finite number; correct it or leave the row out"
     if cell.startswith(NO_VALUE):
         return (
-            f"the formula in {cell.removeprefix(NO_VALUE)} has no stored value: open and save the "
-            "file in a spreadsheet program"
+            f"the formula in {cell.removeprefix(NO_VALUE)} has no stored value; open the file in a "
+            "spreadsheet program and save it"
         )
     if cell.startswith("#"):
-        return f"{quoted(cell)} is a spreadsheet's error; correct the formula or leave the row out"
+        return f"{quoted(cell)} is a spreadsheet error; correct the formula or leave the row out"
     if not cell.isascii() and any(map(str.isdecimal, cell)):
-        return f"{quoted(cell)} is not a number; write it with the digits 0 to 9, and - for minus"
+        return f"{quoted(cell)} is not a number; write it with the digits 0 to 9 and - for minus"
     if number_text(cell, comma) is not None:
-        return f"{quoted(cell)} is too large a number"
+        return f"{quoted(cell)} is too large for a float; correct it or leave the row out"
     if "," in cell or (comma and "." in cell):
         mark, name = (",", "comma") if comma else (".", "point")
         text = number_text(cell, comma, declared=True)
         if text is None and (text := number_text(cell, not comma)) is not None:
             mark = "." if comma else ","
-        meant = f", or say decimal={mark} (--decimal {mark}) for {text}" if text is not None else ""
-        return f"{quoted(cell)}: the file has a decimal {name}; write no other mark{meant}"
+        meant = f", or set decimal={mark} (--decimal {mark}) for {text}" if text is not None else ""
+        return f"{quoted(cell)} does not fit the decimal {name}; write no other mark{meant}"
     if number_text(cell.split()[0], comma) is not None:
-        return f"{quoted(cell)} is not a number alone; the unit stands in the header only"
-    return f"{quoted(cell)} is not a number"
+        return f"{quoted(cell)} has text after the number; write the unit in the header only"
+    return f"{quoted(cell)} is not a number; correct it or leave the row out"
 
 
 def time_seconds(cell: str, comma: bool, factor: float | None) -> float:
@@ -160,7 +160,7 @@ def unguard_formula(text: str) -> str:
 def text_problem(text: str) -> str | None:
     """Return why the ledger and the table store cannot keep a text; None if they can."""
     if "\0" in text:
-        return "holds a zero byte; remove it"
+        return "contains a zero byte; remove it"
     try:
         text.encode()
     except UnicodeEncodeError:
@@ -176,7 +176,7 @@ def cell_text(value: Any) -> str:
         return Digits(value)
     text = value.isoformat() if hasattr(value, "isoformat") else str(value)
     if len(text) > MAX_TEXT:
-        raise ValueError(f"a text is longer than {MAX_TEXT:,} characters")
+        raise ValueError(f"a text is longer than {MAX_TEXT:,} characters; shorten it")
     return text
 
 
@@ -245,12 +245,10 @@ def si_factor(unit: str, quantity: Quantity) -> float:
         known = next((factor for name, factor, _ in quantity.scales if name == unit), None)
         if known is None:
             examples = ", ".join(quantity.examples)
-            raise UnitError(f"[{unit[:_LONGEST]}] is not a unit of {quantity.name}: {examples}")
+            raise UnitError(f"[{unit[:_LONGEST]}] must be a unit of {quantity.name}: {examples}")
         return known
     if parts is None or len(unit) > _LONGEST:
-        raise UnitError(
-            f"[{unit[:_LONGEST]}] is not a unit that can be read; {_offer(quantity, unit)}"
-        )
+        raise UnitError(f"the unit [{unit[:_LONGEST]}] cannot be read; {_offer(quantity, unit)}")
     parsed, si = _parsed("*".join(parts)), _parsed(quantity.si)
     if parsed is None:
         raise UnitError(f"the unit [{unit}] is not known; {_offer(quantity, unit)}")
@@ -282,7 +280,7 @@ def chosen_units(units: Mapping[str, str] | None) -> dict[Quantity, tuple[str, f
         chosen[quantity] = (unit, si_factor(unit, quantity))
     if others:
         names = ", ".join(quantity.name for quantity in QUANTITIES)
-        raise UnitError(f"no unit can be chosen for {', '.join(others)}; there are {names}")
+        raise UnitError(f"units are chosen for {names}, not for {', '.join(others)}; correct this")
     return chosen
 
 
@@ -305,8 +303,8 @@ def _offer(quantity: Quantity, unit: str) -> str:
     squeezed = "".join(_parts(unit) or []).lower()
     for example in quantity.examples:
         if squeezed == example.replace("*", "").lower():
-            return f"upper and lower case differ: did you mean [{example}]?"
-    return f"a {quantity.name} takes for example {', '.join(quantity.examples)}"
+            return f"write it in the right upper and lower case: [{example}]"
+    return f"for a {quantity.name} write for example {', '.join(quantity.examples)}"
 
 
 def _parsed(text: str) -> Any:

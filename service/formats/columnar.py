@@ -39,10 +39,10 @@ def read_parquet(path: Path, options: Options, report: ReadReport) -> Iterator[P
         if metadata.num_rows > MAX_ROWS or len(schema) > options.columns.most:
             raise ParquetBoundsError(
                 f"it has {metadata.num_rows} rows and {len(schema)} columns; send at most "
-                f"{MAX_ROWS:,} and {options.columns.most}"
+                f"{MAX_ROWS:,} rows and {options.columns.most} columns"
             )
         if sum(metadata.row_group(at).total_byte_size for at in groups) > MAX_UNPACKED:
-            raise ParquetBoundsError(f"it unpacks to more than {MAX_UNPACKED >> 20} MiB")
+            raise ParquetBoundsError(f"it unpacks to over {MAX_UNPACKED >> 20} MiB; send parts")
         index = tuple(name for name in schema.names if name.startswith("__index_level_"))
         ignore = (*options.ignore, *index)  # of a data frame
         strings = arrow.types.is_string, arrow.types.is_large_string
@@ -61,7 +61,7 @@ def read_parquet(path: Path, options: Options, report: ReadReport) -> Iterator[P
                 pieces = iter([(labels, [()] * len(labels))])
             yield from read_columns(pieces, options, report)
     except Exception as error:  # pyarrow raises many classes on damaged files
-        report.mistakes.ruin(0, "file", f"is no readable Parquet file: {error}")
+        report.mistakes.ruin(0, "file", f"cannot be read as Parquet ({error}); write it again")
 
 
 def write_parquet(
@@ -96,7 +96,7 @@ def _values(column: Any) -> Array | list[Any]:
         texts = column.dictionary.to_pylist()
         return [None if at is None else texts[at] for at in column.indices.to_pylist()]
     if types.is_nested(kind):
-        raise ParquetBoundsError(f"a column holds {kind}; a table's hold numbers and texts")
+        raise ParquetBoundsError(f"a column holds {kind}; write numbers or texts only")
     if types.is_floating(kind) or types.is_integer(kind):
         return column.to_numpy(zero_copy_only=False)
     return column.to_pylist()
@@ -121,9 +121,7 @@ def _stored_pieces(path: Path, columns: Columns) -> Iterator[Piece]:
     for rows, notes in foreign_tables(path):
         if rows.space != columns.space:
             names = ", ".join((*columns.wrench, *columns.displacement))
-            raise ValueError(
-                f"is a table of another component's inputs, outputs or units, not {names}"
-            )
+            raise ValueError(f"has inputs, outputs or units of another component; write {names}")
         n, cells = len(rows), []
         for key in ARRAYS:
             block, width = getattr(rows, key), len(getattr(columns, key))
@@ -156,10 +154,10 @@ def _mat_variables(path: Path) -> dict[str, Any]:
             name, _, kind, _ = loadmat(path, variable_names=["None"])["None"].item()
             raise ValueError(matlab_object(name.decode(), kind.decode())) from None
         if size > MAX_UNPACKED:
-            raise ValueError(f"it unpacks to more than {MAX_UNPACKED >> 20} MiB")
+            raise ValueError(f"it unpacks to over {MAX_UNPACKED >> 20} MiB; send parts")
         values = loadmat(path, squeeze_me=True)
     except Exception as error:  # scipy raises many classes on damaged files
-        raise ValueError(f"is not a readable MATLAB file: {error}") from error
+        raise ValueError(f"cannot be read as a MATLAB file: {error}") from error
     return {name: value for name, value in values.items() if not name.startswith("__")}
 
 
@@ -180,9 +178,9 @@ def _vectors(values: dict[str, Any]) -> dict[str, Array]:
     lengths = {len(column) for column in columns.values()}
     if wrong or len(lengths) != 1:
         each = "save each column as a variable of its own, such as fx_N = A(:, 1)"
-        no_vector = f"{wrong[0]} is not such a vector; {each}" if wrong else ""
+        no_vector = f"{wrong[0]} is not a numeric vector; {each}" if wrong else ""
         why = no_vector or f"their lengths are {sorted(lengths)}"
-        form = "is no table of numeric vectors of one length, a variable or a field a column"
+        form = "needs numeric vectors of one length, one a column"
         raise ValueError(f"{form}: {why}")
     return columns
 
@@ -208,7 +206,7 @@ def read_tdms(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
             report.ignored += [c.name for c in file[sheet].channels() if not len(c)]
             yield from read_columns(_tdms_pieces(groups[sheet], options), options, report)
     except Exception as error:  # nptdms raises many classes on damaged files
-        report.mistakes.ruin(0, "file", f"is no readable TDMS file: {error}")
+        report.mistakes.ruin(0, "file", f"cannot be read as TDMS: {error}")
 
 
 def _tdms_pieces(
@@ -218,8 +216,8 @@ def _tdms_pieces(
     lengths, columns = {len(channel) for channel in channels}, options.columns
     if len(lengths) != 1 or len(channels) > columns.most:
         sizes = ", ".join(f"{c.name}: {len(c)}" for c in channels[:8])
-        message = f"its channels ({sizes}) are not at most {columns.most} of one length"
-        raise ValueError(f"{message}; resample them")
+        message = f"it must have at most {columns.most} channels of one length, not {sizes}"
+        raise ValueError(f"{message}; resample them to one length")
     labels = [with_unit(c.name, c.properties.get("unit_string", ""), columns) for c in channels]
     times = {
         tuple(c.properties.get(f"wf_{key}") for key in ("start_time", "start_offset", "increment"))
@@ -227,7 +225,7 @@ def _tdms_pieces(
         if c.properties.get("wf_increment")
     }
     if len(times) > 1:
-        raise ValueError("the waveforms of its channels do not have the same times; resample them")
+        raise ValueError("the waveforms of its channels have different times; resample them")
     names = [name for label in labels for name, _, _ in readings_of(label, columns)]
     named = any(name.startswith("time") for name in (*names, *options.mapping.values()))
     _, start, step = next(iter(times), (None, None, 0.0))

@@ -78,7 +78,7 @@ def split(label: str) -> tuple[str, str]:
     """Return the name of a label and the unit in brackets at its end, or empty; UnitError."""
     match = _BRACKETED.fullmatch(label)
     if match is None or not match["name"]:
-        raise UnitError("is not of the form name [unit], such as fx [N]")
+        raise UnitError("must have the form name [unit]; write for example fx [N]")
     return match["name"], (match["a"] or match["b"] or "").strip()
 
 
@@ -150,10 +150,10 @@ class Columns:
         column = next((item for item, _, _ in _readings(rest, "") if item != TIME_COLUMN), "")
         if not column:
             return ""
-        which = f"the component has no interface {front!r}" if front else "names no interface"
+        which = f"names an unknown interface {front!r}" if front else "names no interface"
         there = self.space.interfaces
         example = f"{there[0]}.{column}"
-        return f"{which}; there are {', '.join(there)}: write for example {example}"
+        return f"{which}; choose one of {', '.join(there)}, for example {example}"
 
     def factor(self, name: str, unit: str) -> float:
         """Return the factor from a unit of the column `name` to that of the table; UnitError."""
@@ -161,7 +161,7 @@ class Columns:
             return 1.0
         if name in self._curvatures:
             if unit != self.unit_of_curvature(name):
-                raise UnitError(f"[{unit}] is not SI; write {self.examples(name)}")
+                raise UnitError(f"must be in SI, not in [{unit}]; write {self.examples(name)}")
             return 1.0
         if name not in self._tangents:
             return si_factor(unit, self.quantity(name))
@@ -170,7 +170,7 @@ class Columns:
         lower = lower.strip().removeprefix("(").removesuffix(")")
         if not lower:
             example = self.examples(name)
-            raise UnitError(f"[{unit}] is not a unit over a unit; write for example {example}")
+            raise UnitError(f"[{unit}] must be a unit over a unit; write for example {example}")
         return si_factor(upper.strip(), output) / si_factor(lower, load)
 
     def unit_of_curvature(self, name: str) -> str:

@@ -61,8 +61,8 @@ _MARKS = re.compile(r"[;,|\t]")
 _BLANK_CELL = re.compile(r'(?:"[^"]*"|[^\s"]+)(?:\s*[\[(][^\])]*[\])])?')  # Load [N], "Load cell"
 _LINE_END = re.compile(r"\r\n|\r|\n")
 _NO_CSV = (
-    "cannot be read as CSV ({}); is a quotation mark left open? Within a quoted text a quotation "
-    "mark is written twice"
+    "cannot be read as CSV ({}); close open quotation marks, and write a quotation mark within a "
+    "quoted text twice"
 )
 
 
@@ -287,7 +287,7 @@ def encoding_of(path: Path) -> str:
             except UnicodeDecodeError:
                 continue
             return encoding
-    raise UnreadableFileError("the text encoding is not recognised; save the file as UTF-8")
+    raise UnreadableFileError("has an unknown text encoding; save the file as UTF-8")
 
 
 def lines_of(content: BinaryIO, encoding: str, number: int = 1) -> Iterator[str]:
@@ -399,11 +399,11 @@ def _record_problem(cells: list[str], header: Header, delimiter: str) -> str:
     width, text = header.width, "".join(cells)
     broken = "\n" in text or "\r" in text
     if len(cells) != width:
-        message = f"has {len(cells)} fields, the header {width}"
+        message = f"has {len(cells)} fields, but the header has {width}; make both equal"
         if broken:
-            message += "; is a quotation mark left open?"
+            message += ", and close open quotation marks"
         elif len(cells) > width and delimiter == ",":
-            message += "; decimal commas need ; between the fields, a comma in a note needs quotes"
+            message += "; with decimal commas separate fields by ;, and quote notes with commas"
         return message
     if not broken:
         return ""
@@ -415,5 +415,5 @@ def _record_problem(cells: list[str], header: Header, delimiter: str) -> str:
         numbers = [parts[at] for at in numeric if parts[at]] if len(parts) >= width else []
         rows += bool(numbers) and all(number_text(text, False) is not None for text in numbers)
     if rows > 1:
-        return "a quoted text holds a whole row of the table; is a quotation mark left open?"
+        return "a quoted text holds a whole row of the table; close the quotation mark"
     return ""

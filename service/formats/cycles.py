@@ -48,7 +48,7 @@ def with_cycles(
         for piece in pieces:
             parts.append(piece)
             if report.read > MAX_CYCLE_ROWS:
-                message = f"has more than {MAX_CYCLE_ROWS:,} rows, too many for options of cycles"
+                message = f"has more than {MAX_CYCLE_ROWS:,} rows, the limit of cycle options"
                 raise _CycleError("file", f"{message}; send it in parts")
         if any(map(len, parts)) and not report.mistakes.of_file:
             rows = _retained_rows(_joined(parts), options, report)
@@ -66,10 +66,7 @@ def _joined(parts: list[ParsedTable]) -> ParsedTable:
 def _retained_rows(rows: ParsedTable, options: Options, report: ReadReport) -> ParsedTable:
     """Return the rows that the cycle options leave; `report` counts the others."""
     if any(rows.compliance.strides) or ((rows.source == FEA) | (rows.fingerprint != "")).any():
-        message = (
-            "has solves or slopes, and cycles are found in measured rows only; leave the options "
-            "of cycles out"
-        )
+        message = "has solves or slopes, but cycles need measured rows; leave the cycle options out"
         raise _CycleError("file", message)
     loads, span = len(options.columns.loads), options.load_range
     size = np.abs(rows.wrench).max(axis=0) if span is None else largest_loads(span) / LOAD_LIMIT
@@ -77,7 +74,7 @@ def _retained_rows(rows: ParsedTable, options: Options, report: ReadReport) -> P
     main = int(np.argmax(np.ptp(rows.wrench[:, :loads], axis=0) / size[:loads]))
     name, passes = options.columns.wrench[main], passes_of(rows.wrench[:, main])
     if (count := int(passes.number[-1]) // 2) < options.skip_cycles:
-        message = f"the main load {name} comes back to its first branch {count} times; use fewer"
+        message = f"the main load {name} returns only {count} times to its first branch; use fewer"
         raise _CycleError("skip_cycles", message)
     retained, omitted = passes.number >= 2 * options.skip_cycles, report.omitted
     load = rows.wrench[:, main]
@@ -87,7 +84,7 @@ def _retained_rows(rows: ParsedTable, options: Options, report: ReadReport) -> P
         side = np.sign(load[passes.number == 0][-1] - first)
         retained &= (passes.number > 2 * options.skip_cycles) | (side * (load - first) >= 0)
         if not retained.any():
-            message = f"the test has {count} cycles of the main load {name}; give less"
+            message = f"the test has {count} cycles of the main load {name}; give a smaller number"
             raise _CycleError("skip_cycles", message)
     omitted["skipped"] = int((~retained).sum())
     if options.branch:
@@ -102,7 +99,7 @@ def _retained_rows(rows: ParsedTable, options: Options, report: ReadReport) -> P
         rows, passes = _thinned(rows, passes, options.thin * size)
     if options.mean_cycles:
         if passes.number[-1] - passes.number[0] < 2:
-            message = "needs two cycles or more, and the file has one; leave it out"
+            message = "needs two or more cycles, but the file has one; leave it out"
             raise _CycleError("mean_cycles", message)
         branches = [_mean(rows, passes, way, main, size) for way in (True, False)]
         branches = sorted((part for part in branches if len(part)), key=lambda part: part.seq[0])
@@ -153,9 +150,9 @@ def _mean(rows: ParsedTable, passes: Passes, loading: bool, main: int, size: Arr
     if (differs > _FEW).any():
         other = int(differs.argmax())
         message = (
-            f"the cycles do not repeat: {rows.space.input_names[other]} differs by up to "
-            f"{apart[:, other].max():.4g} between them at one main load. Leave mean_cycles out, or "
-            "send the test of each load by itself"
+            f"the cycles differ: {rows.space.input_names[other]} changes by up to "
+            f"{apart[:, other].max():.4g} between them at the same main load. Leave mean_cycles "
+            "out, or send the test of each load as a file of its own"
         )
         raise _CycleError("mean_cycles", message)
     freedom = np.maximum(counts - 1, 0).sum(axis=0)[n:]

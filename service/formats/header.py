@@ -60,7 +60,7 @@ _ATI_UNITS = {
 }
 _UNITS = {spelling: unit for unit, spellings in _ATI_UNITS.items() for spelling in spellings}
 _ALONE = (
-    "; a log of loads alone: send the log of its displacements too, as displacements=FILE "
+    ". If the file is a log of loads, also send the log of the displacements: displacements=FILE "
     "(--displacements FILE)"
 )
 
@@ -124,7 +124,7 @@ def _positive(value: str) -> float:
     except ValueError:
         number = math.nan
     if not 0.0 < number < math.inf:
-        raise ValueError(f"'{value[:40]}' in the lines above the header is not a number above zero")
+        raise ValueError(f"'{value[:40]}' in the lines above the header must be above zero")
     return number
 
 
@@ -183,8 +183,8 @@ def delimiter_in(lines: Iterator[str], bare: Callable[[str], str], options: Opti
             rows += [" "]
         if len(rows) > 1 and rows[0] in _OTHER_DELIMITERS:
             raise ValueError(
-                f"{line.strip()[:80]} may be columns between blanks or between commas; if by "
-                "commas, write sep=, into a line before the first, else replace the blanks by ;"
+                f"{line.strip()[:80]} may be separated by blanks or by commas. For commas write "
+                "the line sep=, before the first; otherwise replace the blanks by ;"
             )
         if rows:
             return rows[0]
@@ -260,11 +260,13 @@ def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iter
             return _no_header(line, "line", str(error)), records
         break
     else:
-        message = "there is no header" if preamble else "the file is empty"
+        message = (
+            "there is no header; write one" if preamble else "the file is empty; export it again"
+        )
         return _no_header(0, "file", message), records
     titles, (line, cells), records = _split_titles((line, cells), records, options.mapping, columns)
     if any(cell.strip() for cell in cells[columns.most :]):
-        message = f"names {len(cells):,} columns; a table has at most {columns.most}"
+        message = f"names {len(cells):,} columns, but at most {columns.most} may be; remove some"
         return _no_header(line, "header", message), records
     positions = [int(key) for key in options.mapping if POSITION.fullmatch(key)]
     # Files that were joined have the mark of UTF-8 before a later label too.
@@ -272,9 +274,9 @@ def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iter
     if all(is_number(cell) for cell in cells if cell.strip()):
         if not positions:
             message = (
-                "there is no header; the first line must name the columns with units, such as "
-                "fx [N], ux [mm] (a line that begins with # is a comment); or name them by "
-                "position with mapping (--column '1=fx [N]')"
+                "there is no header. Name the columns with units in the first line, such as fx "
+                "[N], ux [mm] (lines that begin with # are comments), or by position with mapping "
+                "(--column '1=fx [N]')"
             )
             return _no_header(line, "header", message), records
         labels = [str(at) for at in range(1, len(cells) + 1)]
@@ -360,9 +362,7 @@ def _read_labels(
                 header.mistakes.append(FileMistake(line, column.label, str(error)))
     if options.role == "table":
         there = _keys(labels).union(str(at) for at in range(1, len(labels) + 1))
-        message = (
-            "is named by ignore or mapping (--ignore or --column), and the file has no such column"
-        )
+        message = "is in ignore or mapping (--ignore or --column), but the file has no such column"
         for name in (*options.ignore, *options.mapping):
             if _key(name) not in there and name not in options.optional:
                 header.mistakes.append(FileMistake(line, name, message))
@@ -392,9 +392,9 @@ def _add_column(
         header.ignored.append(bare.label)
         return
     if sign < 0 and name not in (*columns.loads, *columns.displacement):
-        raise UnitError("a - before a name is for loads and displacements only; leave it out")
+        raise UnitError("only loads and displacements may have a - before the name; leave it out")
     if name in header.columns:
-        message = f"{name} stands twice; keep one"
+        message = f"{name} is there twice; keep one"
         header.mistakes.append(FileMistake(line, bare.label, message))
     zero = columns.zero(name, unit)
     header.columns[name] = HeaderColumn(bare.index, bare.label, name, factor * sign, unit, zero)
@@ -426,7 +426,7 @@ def _reading(
         return next(iter(fits.values()))
     if len(fits) > 1:
         raise UnitError(
-            f"can be {' or '.join(sorted(fits))}; name one with mapping (--column 'LABEL=fz [N]')"
+            f"can mean {' or '.join(sorted(fits))}; name one by mapping (--column 'LABEL=fz [N]')"
         )
     # With brackets, or as a bare name, the label names a column and its unit is the mistake.
     if problem and (split(label)[1] or any(not unit for _, unit, _ in meanings)):
@@ -459,13 +459,11 @@ def _keys(labels: Sequence[str]) -> set[str]:
 def _unknown(name: str, columns: Columns) -> str:
     """Return a message on an unknown column with the nearest known one."""
     near = difflib.get_close_matches(name, (*columns.numbers, *TEXTS), n=1, cutoff=0.6)
-    hint = f"; did you mean {near[0]}? Units stand in brackets: fx [N]" if near else ""
+    hint = f"; did you mean {near[0]}? Write units in brackets: fx [N]" if near else ""
     return (
-        f"is not a column of a table{hint}. Rename it, name it in ignore (--ignore), or say what "
-        "it is with mapping (--column 'LABEL=fz [N]', or its number for LABEL); there are "
-        f"{' '.join(columns.wrench)} {' '.join(columns.displacement)}, a "
-        f"displacement's with _err, {columns.compliance[0]} ... {columns.compliance[-1]}, source, "
-        "note, fingerprint"
+        f"is not a known column{hint}. Rename it, map it with mapping (--column 'LABEL=fz [N]'), "
+        f"or skip it with ignore (--ignore LABEL). Known are {' '.join(columns.wrench)} "
+        f"{' '.join(columns.displacement)}"
     )
 
 
@@ -480,7 +478,7 @@ def _missing_of_profile(named: set[str], labels: Sequence[str], options: Options
         ]
         if others and load not in named and there.isdisjoint(map(_key, others)):
             yield (
-                f"there is no column for {load} (of the rig: {' or '.join(sorted(others))}); "
+                f"there is no column for {load}, called {' or '.join(sorted(others))} by the rig; "
                 f"name it with mapping (--column 'LABEL={load}'), or choose another profile"
             )
 
@@ -504,20 +502,20 @@ def _missing_columns(header: Header, labels: list[str], options: Options) -> Ite
             units = (columns.quantity(name).examples[0] for name in names)
             named_so = ", ".join(map("{} [{}]".format, names, units))
             alone = _ALONE if quantity == "displacement" and options.role == "table" else ""
-            yield f"no {quantity} column; name at least one of {named_so}{alone}"
+            yield f"there is no {quantity} column; name at least one of {named_so}{alone}"
     absent = [name for name in columns.loads if name not in named]
     is_partial = 0 < len(absent) < len(columns.loads)
     if is_partial and has_loads and options.missing_loads != "zero":
         out = f" (left out: {', '.join(header.ignored)})" if header.ignored else ""
         yield (
-            f"there is no column for {', '.join(absent)}{out}; if these loads were zero, say "
-            "missing_loads=zero (--missing-loads-zero)"
+            f"there is no column for {', '.join(absent)}{out}; add one, or if these loads were "
+            "zero, set missing_loads=zero (--missing-loads-zero)"
         )
     if has_loads:
         yield from _missing_of_profile(named, labels, options)
         for name in columns.further:
             if name not in named:
                 example = f"{name} [{columns.quantity(name).si}]"
-                yield f"there is no column for {name}; every row needs it: name it {example}"
+                yield f"there is no column for {name}, which every row needs; name it {example}"
     if options.role != "table" and TIME_COLUMN not in named and header.sequence is None:
-        yield "two logs are joined by their time; there is no column time [s]"
+        yield "there is no column time [s], by which two logs are joined; add it"

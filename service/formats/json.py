@@ -64,7 +64,7 @@ def read_json(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
         number = Digits if _VANISHING.search(text) else float
         values = list(islice(_values(text, number), 2))
         if len(values) != 1:
-            reason = "there is more behind its end" if values else "it is empty"
+            reason = "text follows its end; remove it" if values else "it is empty; send a table"
             raise JsonError(f"is not JSON: {reason}")
         yield from _read_table(values[0], options, report)
     except ValueError as error:
@@ -84,11 +84,11 @@ def _values(text: str, number: Callable[[str], Any]) -> Iterator[Any]:
         try:
             value, at = decoder.raw_decode(text, at)
         except RecursionError as error:
-            raise JsonError("is not JSON of a table: it is nested too deeply") from error
+            raise JsonError("is nested too deeply for a table; flatten it") from error
         except ValueError as error:
             broken = isinstance(error, json.JSONDecodeError)
             reason, place = (error.msg, error.pos) if broken else (str(error), at)
-            raise JsonError(f"is not JSON: {reason} at character {place:,}") from error
+            raise JsonError(f"is not JSON at character {place:,}: {reason}") from error
         yield value
 
 
@@ -98,7 +98,7 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(members) < len(pairs):
         keys = [key for key, _ in pairs]
         twice = next(key for key in keys if keys.count(key) > 1)
-        raise ValueError(f"the key {twice!r} stands twice in one object; keep one")
+        raise ValueError(f"the key {twice!r} is twice in one object; keep one")
     return members
 
 
@@ -109,7 +109,7 @@ def _records(values: Iterator[Any]) -> Iterator[Record]:
     for number, row in enumerate(rows, start=1):
         if not isinstance(row, dict) or any(isinstance(cell, dict) for cell in row.values()):
             raise JsonError(
-                f"row {number} is not an object of named columns; write pandas' frames with "
+                f"row {number} must be an object of named columns; write pandas data frames with "
                 "to_json(orient='records')"
             )
         if number == 1:
@@ -117,12 +117,10 @@ def _records(values: Iterator[Any]) -> Iterator[Record]:
             yield 0, names
         if not row.keys() <= set(names):
             more = ", ".join(row.keys() - set(names))
-            raise JsonError(
-                f"row {number} has columns that row 1 does not have: {more}; write them as null"
-            )
+            raise JsonError(f"row {number} has columns that row 1 lacks: {more}; add them to row 1")
         for name, cell in row.items():
             if not (cell is None or isinstance(cell, str)):
-                raise JsonError(f"row {number}: {name!r} is neither a number nor a text")
+                raise JsonError(f"row {number}: {name!r} must be a number or a text")
         yield number, [row.get(name) or "" for name in names]
 
 
@@ -179,7 +177,7 @@ def _read_table(table: Any, options: Options, report: ReadReport) -> Iterator[Pa
 def _no_table(columns: Columns) -> str:
     loads, moved = len(columns.wrench), len(columns.displacement)
     rows = f'[{{"wrench": [{loads} numbers], "displacement": [{moved}]}}]'
-    return f'is not a table; write {{"rows": {rows}}}'
+    return f'must be a table; write {{"rows": {rows}}}'
 
 
 def _key_problem(key: str, value: Any, columns: Columns) -> str:
@@ -187,21 +185,21 @@ def _key_problem(key: str, value: Any, columns: Columns) -> str:
     if key == "rows":
         return "" if isinstance(value, list) else _no_table(columns)
     if key == "units" and value != "SI":
-        return "a JSON table is in SI; convert it, or send CSV with units"
+        return 'must be "SI"; convert the numbers, or send a CSV with units'
     if key in _SPACE_KEYS:
         names = columns.wrench if key == "inputs" else columns.displacement
-        return "" if value == list(names) else f"are not the component's: {', '.join(names)}"
+        return "" if value == list(names) else f"must be those of the component: {', '.join(names)}"
     if key not in _TABLE_KEYS:
-        return f"is not a key of a table; there are {', '.join(_TABLE_KEYS)}"
+        return f"is an unknown key; write one of {', '.join(_TABLE_KEYS)}"
     return ""
 
 
 def _row_cells(row: Any, columns: Columns) -> tuple[list[Any], list[tuple[str, str]]]:
     """Return a row's cells in the order of `array_header`, and key and message of each mistake."""
     if not isinstance(row, dict):
-        return [], [("row", 'is not a row; write {"wrench": [...], "displacement": [...]}')]
+        return [], [("row", 'must be a row; write {"wrench": [...], "displacement": [...]}')]
     unknown = islice((key for key in row if key not in _ROW_KEYS), _MAX_UNKNOWN)
-    message = f"is not a key of a row; there are {', '.join(_ROW_KEYS)}"
+    message = f"is an unknown key; write one of {', '.join(_ROW_KEYS)}"
     cells: list[Any] = []
     problems = [(key, message) for key in unknown]
     for key in ARRAYS:
@@ -223,7 +221,7 @@ def _row_cells(row: Any, columns: Columns) -> tuple[list[Any], list[tuple[str, s
     for key in TEXTS:
         text = row.get(key)
         if not (text is None or type(text) is str):
-            problems.append((key, "is not a text"))
+            problems.append((key, "must be a text; put it in quotation marks"))
         cells.append(text or "")
     return cells, problems
 
@@ -234,12 +232,12 @@ def _form(key: str, names: Sequence[str], width: int, *, is_missing: bool) -> st
         "six" if count == PER_INTERFACE else str(count) for count in (len(names) // width, width)
     )
     if key == "compliance":
-        rule = f"a row has all {len(names)} tangents or none"
-        return f"is not {lines} lists of {numbers} numbers; {rule}"
-    remedy = {"uncertainty": " (null where unknown)", "curvature": "; a row has all or none"}.get(
+        rule = f"write all {len(names)} tangents or none"
+        return f"must be {lines} lists of {numbers} numbers; {rule}"
+    remedy = {"uncertainty": "; null if unknown", "curvature": "; write all or none"}.get(
         key, f"; write [{', '.join(names)}] in SI"
     )
-    return ("is missing" if is_missing else f"is not a list of {numbers} numbers") + remedy
+    return ("is missing" if is_missing else f"must be a list of {numbers} numbers") + remedy
 
 
 def _number_cells(key: str, line: list[Any], problems: list[tuple[str, str]]) -> list[Any]:
@@ -249,11 +247,11 @@ def _number_cells(key: str, line: list[Any], problems: list[tuple[str, str]]) ->
         problem = ""
         is_null = value is None and key in ("displacement", "uncertainty")
         if type(value) is Digits and not math.isfinite(float(value)):
-            problem = "is not finite; leave the row out"
+            problem = "is not finite; correct it or leave the row out"
         elif type(value) is Digits and float(value) == 0.0 and vanished(value):
-            problem = "is too small a number and would become 0; write 0"
+            problem = "is too small for a float and would become 0; write 0"
         elif not (is_null or type(value) in (Digits, float)):
-            problem = f"{json.dumps(value)[:40]} is not a number"
+            problem = f"{json.dumps(value)[:40]} must be a number"
         if problem:
             problems.append((f"{key}[{index}]", problem))
         cells.append(None if value is None or problem else float(value))

@@ -53,7 +53,7 @@ def read_lvm(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
             yield from read_records(chain([(line, labels)], records), options, report, cell_format)
     except ValueError as error:
         line = getattr(error, "line", 0)
-        report.mistakes.ruin(line, "file", f"is no LabVIEW file that can be read: {error}")
+        report.mistakes.ruin(line, "file", f"is no readable LabVIEW file: {error}")
 
 
 def _rows(
@@ -77,11 +77,11 @@ def _rows(
             if first is None:
                 yield line, labels
             elif labels != first:
-                message = f"has {', '.join(labels)}, the first {', '.join(first)}"
-                raise ValueError(f"the segment of line {line} {message}; save each as a file")
+                message = f"has {', '.join(labels)}, but the first has {', '.join(first)}"
+                raise ValueError(f"the segment of line {line} {message}; save one in each file")
             first = labels
         elif values := {cells[at].strip() for at in more_x if at < len(cells)} - {"", key}:
-            message = f"the channels are not of one time: {key}, {', '.join(sorted(values))}"
+            message = f"the channels have different times, {key} is {', '.join(sorted(values))}"
             mistakes.add(line, _X, f"{message}; resample them to one X column")
         else:
             time = [Digits(clock[0] + count * clock[1])] if clock else cells[:1]
@@ -107,7 +107,7 @@ def _segment(
         texts = {at: cell.strip() for at, cell in enumerate(tags.get(tag, [])) if at}
         texts = {at: value for at, value in texts.items() if value}
         if not texts.keys() <= channels:
-            raise ValueError(f"{tag} is not of the channels {', '.join(names)} below it")
+            raise ValueError(f"{tag} does not fit the channels {', '.join(names)}; correct it")
         return texts
 
     units, kind = values("Y_Unit_Label"), set(values("X_Dimension").values())
@@ -118,6 +118,6 @@ def _segment(
     labels[0] = f"{_X} [{next(iter(values('X_Unit_Label').values()), 's')}]"
     clocks = set(zip(values("X0").values(), values("Delta_X").values(), strict=False))
     if len(clocks) > 1 or not (clocks or has_x):
-        raise ValueError("X0 and Delta_X of its channels do not have the same times; resample them")
+        raise ValueError("X0 and Delta_X differ between its channels; resample them to one time")
     start, step = (float(text.replace(",", ".")) for text in next(iter(clocks), ("0", "0")))
     return labels, None if has_x else (start, step)

@@ -364,16 +364,15 @@ def _excesses(
         for at in np.flatnonzero(angle > LONGEST).tolist():
             name = columns.displacement[first + 3 + int(np.nanargmax(np.abs(moved[at, 3:])))]
             message = (
-                f"the rotation is {math.degrees(angle[at]):.4g} degrees; a table ends at "
-                f"{math.degrees(ROTATION_LIMIT):g} "
-                "(check the unit: rad or deg?)"
+                f"the rotation is {math.degrees(angle[at]):.4g} degrees, but a table ends at "
+                f"{math.degrees(ROTATION_LIMIT):g}; check the unit (rad or deg)"
             )
             yield at, name, message
     for at, axis in np.argwhere((np.abs(displacement) > TRANSLATION_LIMIT) & ~is_rotation).tolist():
         message = (
-            f"the translation is {displacement[at, axis]:.4g} m; a table ends at "
-            f"{TRANSLATION_LIMIT:g} m, because within 20 degrees only a part longer than 40 m "
-            "moves so far (check the unit: m or mm?)"
+            f"the translation is {displacement[at, axis]:.4g} m, but a table ends at "
+            f"{TRANSLATION_LIMIT:g} m, since within 20 degrees only a part longer than 40 m moves "
+            "further; check the unit (m or mm)"
         )
         yield at, columns.displacement[axis], message
     limit = np.where(is_rotation, LONGEST, TRANSLATION_LIMIT)
@@ -382,8 +381,8 @@ def _excesses(
     for at, output in np.argwhere(beyond).tolist():
         unit, end = ("rad", ROTATION_LIMIT) if is_rotation[output] else ("m", TRANSLATION_LIMIT)
         message = (
-            f"the uncertainty is {uncertainty[at, output]:.4g} {unit}; no displacement of a table "
-            f"is beyond {end:.4g} {unit} (check the unit, or leave it out if it is not known)"
+            f"the uncertainty is {uncertainty[at, output]:.4g} {unit}, but no displacement of a "
+            f"table exceeds {end:.4g} {unit}; check the unit, or leave it out if unknown"
         )
         yield at, columns.uncertainty[output], message
     load_range = options.load_range
@@ -394,9 +393,9 @@ def _excesses(
         column = load_range.space.inputs[load]
         unit, kind = column.unit.replace("·", "*"), "input" if column.kind == "scalar" else "load"
         message = (
-            f"the {kind} is {wrench[at, load]:.6g} {unit}; the component's range is "
-            f"{load_range.low[load]:g} to {load_range.high[load]:g} {unit}, and a table ends at "
-            f"{limit[load]:g} (check the unit and the column)"
+            f"the {kind} is {wrench[at, load]:.6g} {unit}, but the component's range is "
+            f"{load_range.low[load]:g} to {load_range.high[load]:g} {unit} and its table ends at "
+            f"{limit[load]:g}; check the unit and the column"
         )
         yield at, column.name, message
 
@@ -424,16 +423,14 @@ def _foreign_rows(piece: ParsedTable, setup: str) -> Iterator[Problem]:
     pairs = zip(piece.fingerprint.tolist(), piece.source.tolist(), strict=True)
     for at, (fingerprint, source) in enumerate(pairs):
         if fingerprint != setup and (fingerprint or source == FEA):
-            other = (
-                f"the setup {fingerprint}" if fingerprint else "a setup that the row does not name"
-            )
+            other = f"the setup {fingerprint}" if fingerprint else "a setup without a name"
             message = (
-                f"is a solve of {other}, this component's setup is {setup}; rows "
-                "of different setups are never mixed. Leave the row out, or load it as measured: "
-                "an empty fingerprint and another source"
+                f"is a solve of {other}, but this component has the setup {setup}. Leave the row "
+                "out, or load it as a measured row, with an empty fingerprint and a source other "
+                "than fea"
             )
             yield at, "fingerprint", message
         elif source == FEA and np.isnan(piece.displacement[at]).any():
             count = piece.displacement.shape[1]
-            message = f"a solve knows all {count} outputs; write them, or another source than fea"
+            message = f"a solve must have all {count} outputs; write them, or change source"
             yield at, "source", message

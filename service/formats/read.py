@@ -83,13 +83,13 @@ _MAGIC: dict[bytes, Format] = {
 }
 _OTHER_FORMATS = {
     b"%PDF": "a PDF; export the table as CSV or XLSX",
-    b"TDSh": "the index of a TDMS file; send the file itself, .tdms",
-    b"\x89PNG": "a picture",
+    b"TDSh": "the index of a TDMS file; send the .tdms file itself",
+    b"\x89PNG": "a picture; send the table itself as CSV or XLSX",
     b"Rar!": "a RAR archive; unpack it first",
     b"7z\xbc\xaf": "a 7z archive; unpack it first",
-    b"BZh": "packed by bzip2; pack it by gzip, or not at all",
-    b"\xfd7zXZ": "packed by xz; pack it by gzip, or not at all",
-    b"\x28\xb5\x2f\xfd": "packed by zstd; pack it by gzip, or not at all",
+    b"BZh": "compressed by bzip2; use gzip or no compression",
+    b"\xfd7zXZ": "compressed by xz; use gzip or no compression",
+    b"\x28\xb5\x2f\xfd": "compressed by zstd; use gzip or no compression",
 }
 
 
@@ -143,7 +143,7 @@ def read_block(file: Path, options: Options) -> ReadResult:
     report = ReadReport(format="json")
     pieces = list(_corrected(read_json(file, options, report), options, report))
     if report.read > MAX_BLOCK:
-        message = f"are {report.read:,}; append {MAX_BLOCK:,} at most, or import the table"
+        message = f"are {report.read:,}; append at most {MAX_BLOCK:,}, or import them as a table"
         report.mistakes.ruin(0, "rows", message)
     good, parts = sum(map(len, pieces)), [_part(piece) for piece in pieces if len(piece)]
     return ReadResult({**report.as_json(good, []), "findings": []}, parts, options.space)
@@ -221,7 +221,7 @@ def read_logs(
 ) -> Iterator[ParsedTable]:
     """Yield the rows of two logs joined by time; parameters as `read_table_file`."""
     if any(map(POSITION.fullmatch, options.mapping)):  # of which log?
-        message = "a position (--column 3=fz) is of one file; name the columns of two logs in them"
+        message = "a position (--column 3=fz) is ambiguous with two logs; use the names"
         report.mistakes.ruin(0, "mapping", message)
         return
     log = _columns(loads, replace(options, role="loads", zero_rows=0), report)
@@ -256,7 +256,7 @@ def _columns(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
     """Yield the rows of a file without corrections, whatever their setup."""
     try:
         if path.stat().st_size == 0:
-            raise ContentError("the file is empty")
+            raise ContentError("the file is empty; export it again")
         if _is_gzip(path):
             report.gzip = True
             plain = path.with_name(f"{path.name}.plain")
@@ -264,15 +264,19 @@ def _columns(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
             path = plain
         content, named = _format_of(path), options.format
         if named not in (None, content) and not {named, content} <= _TEXT_FORMATS:
-            raise ContentError(f"is {content} by its content, not {named}; leave the format out")
+            raise ContentError(f"contains {content}, not {named}; leave the format out")
         report.format = named or content
     except ContentError as error:
         report.mistakes.ruin(0, "file", str(error))
         return
-    if options.role != "table" and report.format in ("json", "hdf5"):
+    if options.sheet and options.role == "table" and report.format not in ("xlsx", "xls", "tdms"):
         message = (
-            f"a log has a time, and this is {report.format}; send CSV, XLSX, Parquet, LVM or TDMS"
+            f"is for a workbook or a TDMS file, not for {report.format}; leave it out (--sheet)"
         )
+        report.mistakes.ruin(0, "sheet", message)
+        return
+    if options.role != "table" and report.format in ("json", "hdf5"):
+        message = f"must be a log with times, not {report.format}; send CSV, XLSX, Parquet or TDMS"
         report.mistakes.ruin(0, "file", message)
         return
     if (
@@ -286,7 +290,7 @@ def _columns(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
     try:
         yield from _READERS[report.format](path, options, report)
     except ModuleNotFoundError:
-        message = f"is {report.format}, which the server reads by pip install 'wrenchbook[rig]'"
+        message = f"is {report.format}; on the server run pip install 'wrenchbook[rig]'"
         report.mistakes.ruin(0, "file", f"{message}; or send XLSX or CSV")
 
 
@@ -307,12 +311,12 @@ def unpack(path: Path, target: Path, most: int = MAX_BYTES) -> None:
             while block := content.read(_BLOCK):
                 written += len(block)
                 if written > most:
-                    raise ContentError(f"unpacks to more than {most >> 20} MiB; send parts")
+                    raise ContentError(f"unpacks to more than {most >> 20} MiB; send it in parts")
                 unpacked.write(block)
     except (OSError, EOFError, zlib.error) as error:
         raise ContentError(f"is a damaged gzip file ({error}); send it again") from error
     if _is_gzip(target):
-        raise ContentError("is gzipped twice; send it gzipped once, or not at all")
+        raise ContentError("is gzipped twice; gzip it once, or not at all")
 
 
 def _format_of(path: Path) -> Format:
@@ -339,9 +343,8 @@ def _format_of(path: Path) -> Format:
         )
     if b"\0" in head and not utf16:
         raise ContentError(
-            "is not a table: it contains zero bytes. Send CSV, XLSX, XLS, Parquet, JSON, HDF5, "
-            "MAT, LVM "
-            "or TDMS, each gzipped if you like"
+            "is not a table, because it contains zero bytes. Send CSV, XLSX, XLS, Parquet, JSON, "
+            "HDF5, MAT, LVM or TDMS, each gzipped if you like"
         )
     text = head.removeprefix(codecs.BOM_UTF8).lstrip()
     if text[:1] == b"<":
@@ -354,7 +357,7 @@ def _format_of_zip(path: Path) -> Format:
         with zipfile.ZipFile(path) as archive:
             names = {name for name in archive.namelist() if len(name) < 100}
     except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
-        raise ContentError(f"is a damaged zip file or workbook ({error})") from error
+        raise ContentError(f"is a damaged zip file or workbook ({error}); save it again") from error
     if "[Content_Types].xml" in names and any(name.startswith("xl/") for name in names):
         return "xlsx"
     raise ContentError("is a zip file, not an XLSX workbook; unpack it and send the table")

@@ -55,32 +55,30 @@ _AXES = dict(zip("xyz", np.eye(3), strict=True))
 _PART = re.compile(r"\s*([xyz])\s*=\s*([+-]?)\s*([xyz])\s*")
 _MARK = ", rig "  # in a row's source, before the rig's name
 _DONE = (
-    "is of the interface already: a solve, a tangent, or imported with a rig before; load such "
-    "rows without frame, load_point, displacement_point, load_cell and rig"
+    "is already in the interface frame, as a solve, a tangent or an earlier import with a rig; "
+    "load such rows without frame, load_point, displacement_point, load_cell and rig"
 )
 _LOOSE = (
-    "is not measured, and a displacement_point needs all three rotations: measure them, or the "
-    "translation at the interface's point, and leave displacement_point out"
+    "is not measured, but a displacement_point needs all three rotations; measure them, or measure "
+    "at the interface's point and leave displacement_point out"
 )
 _LOST = (
-    "is not measured, and all axes of the interface need it in this frame: measure all three, or "
-    "leave the frame out and name the columns by the interface's axes"
+    "is not measured, but in this frame all three are needed; measure them, or leave the frame out "
+    "and name the columns by the interface's axes"
 )
 _NO_SHIFT = (
-    "is not measured, and load_cell=fixed takes translation x force off the moment: measure it, or "
-    "give the moment about the interface's point where it is now, and load_cell=moving"
+    "is not measured, but load_cell=fixed subtracts translation x force from the moment; measure "
+    "it, or give the moment about the moved interface point with load_cell=moving"
 )
 _ONE_INTERFACE = (
-    "a rig is of one interface, and the component has several or further inputs; convert the rows "
-    "and leave frame, load_point and displacement_point out"
+    "a rig needs a component with one interface and no further inputs; convert the rows, and leave "
+    "frame, load_point and displacement_point out"
 )
 _WHICH_POINT = (
-    "the point of the moments matters: translation x force exceeds 1 % of the moment's range{more} "
-    "in {count} of {rows} rows, by up to {value:.3g} N*m (row {row}, {share:.2g} %). Choose "
-    "load_cell=moving (--load-cell moving) if the moments are about the interface's point where it "
-    "is now, as of a cell on the moving side, or load_cell=fixed if about the undeformed point, as "
-    "of a cell on the ground: translation x force is then taken off each row's moment. Check the "
-    "unit of the translations first: millimetres read as metres look like this"
+    "translation x force exceeds 1 % of the moment's range{more} in {count} of {rows} rows (row "
+    "{row}: {value:.3g} N*m, {share:.2g} %). Check the unit of the translations. Then set "
+    "load_cell=moving (--load-cell moving) for moments about the moved point, or load_cell=fixed "
+    "about the undeformed point"
 )
 
 
@@ -110,18 +108,18 @@ class Rig:
         try:
             values = tomllib.loads(text)
         except (tomllib.TOMLDecodeError, RecursionError) as error:
-            raise RigError(f"the profile is not TOML: {error}") from None
+            raise RigError(f"the rig is not TOML ({error}); correct it") from None
         table = values.pop(_OWN, {})
         values |= table if isinstance(table, dict) else {_OWN: table}
         known = *_KEYS, *OPTIONS
         if unknown := [key for key in values if key not in known]:
-            raise RigError(f"the rig has no {unknown[0][:100]!r}; it may have {', '.join(known)}")
+            raise RigError(f"the rig has no key {unknown[0][:100]!r}; use {', '.join(known)}")
         name = values.get("name", cls.digest(text))
         if not isinstance(name, str) or len(name) > _MAX_NAME or text_problem(name):
-            raise RigError(f"name: is not a text of at most {_MAX_NAME} characters")
+            raise RigError(f"name: must be a text of at most {_MAX_NAME} characters")
         cell = values.get("load_cell", "")
         if cell not in ("", *_LOAD_CELLS):
-            raise RigError(f"load_cell: is moving or fixed, not {str(cell)[:100]!r}")
+            raise RigError(f"load_cell: must be moving or fixed, not {str(cell)[:100]!r}")
         loads, moved = (_numbers(key, values.get(key, [0, 0, 0]), 3) for key in _KEYS[2:4])
         options = {key: values[key] for key in OPTIONS if key in values}
         axes = _axes(values.get("frame", "x=x,y=y,z=z"))
@@ -318,7 +316,7 @@ def _axes(value: Any) -> Array:
         parts = [_PART.fullmatch(part) for part in value.lower().split(",")]
         signed = {m[1]: _AXES[m[3]] * (-1.0 if m[2] == "-" else 1.0) for m in parts if m}
         if len(parts) != 3 or len(signed) != 3:
-            raise RigError(f"frame: {value[:100]!r} is not of the form x=-y,y=x,z=z")
+            raise RigError(f"frame: {value[:100]!r} must have the form x=-y,y=x,z=z")
         axes = np.stack([signed[axis] for axis in "xyz"])
     else:
         axes = _numbers("frame", value, 9).reshape(3, 3)
@@ -326,8 +324,8 @@ def _axes(value: Any) -> Array:
     nearest = left @ right
     if np.abs(axes - nearest).max() > _SKEW:
         raise RigError(
-            "frame: the rig's axes are not three perpendicular vectors with a length of 1; write "
-            "x=-y,y=x,z=z, or nine numbers: the rig's x, y and z axis in the interface's frame"
+            "frame: the rig's axes must be three perpendicular unit vectors; write x=-y,y=x,z=z, "
+            "or nine numbers: the rig's x, y and z axes in the interface's frame"
         )
     return axes if (axes == axes.round()).all() else np.where(np.abs(nearest) < 1e-12, 0.0, nearest)
 
@@ -358,7 +356,7 @@ def zeroed(
         if offset is None:
             count = options.zero_rows
             if len(piece) <= count:
-                message = f"tare={count}, and only {len(piece)} good rows are there for it"
+                message = f"tare={count}, but there are only {len(piece)} good rows; give fewer"
                 report.mistakes.ruin(0, "tare", message)
                 return
             moved = piece.displacement[:count]
@@ -383,11 +381,11 @@ def joined_loads(pieces: Iterator[ParsedTable], report: ReadReport) -> tuple[Arr
     if not len(steps) or (steps <= 0.0).any():
         rows = [row for part in parts for row in part.seq.tolist()]
         at = int(np.argmax(steps <= 0.0)) + 1 if len(steps) else 0
-        message = "the log of the loads needs two samples or more"
+        message = "the log of the loads needs two or more samples; send a longer one"
         if at:
             message = (
-                f"{time[at]:.10g} s is not after {time[at - 1]:.10g} s, the sample before; sort "
-                "the loads by time, leave out repeated times, and write dates if the log passes "
+                f"{time[at]:.10g} s is not after the sample before, {time[at - 1]:.10g} s; sort "
+                "the loads by time, remove repeated times, and write dates if the log passes "
                 "midnight"
             )
         mistakes.ruin(rows[at] if rows else 0, "time", message)
@@ -412,8 +410,8 @@ def _applied_lag(
         lag = estimate_lag(Logs(time, wrench, when, moved), applied)
     if auto and (lag is None or lag.others):
         message = (
-            "the logs do not show by how much their clocks differ, so lag=auto cannot be applied"
-            f"{f' ({repeated(lag)})' if lag else ''}; give the seconds to add to the "
+            "lag=auto cannot find the difference of the "
+            f"clocks{f' ({repeated(lag)})' if lag else ''}; give as lag the seconds to add to the "
             "displacements' times"
         )
         report.mistakes.ruin(0, "time", message)
@@ -461,7 +459,7 @@ def with_loads(
         assert piece.time is not None
         if len(piece) and (abs(piece.time[0]) > _CLOCK) != (abs(time[0]) > _CLOCK):
             message = (
-                "one log has clock times and the other seconds from its beginning; convert one"
+                "one log has clock times, the other seconds from its start; convert one of them"
             )
             report.mistakes.ruin(int(piece.seq[0]), "time", message)
             return
@@ -474,8 +472,8 @@ def with_loads(
         yield replace(piece, wrench=loads_between(time, wrench, when, after), time=None).take(good)
     if report.read and report.unmatched == report.read and not report.mistakes:
         message = (
-            f"no displacement lies between two loads, whose times are {time[0]:g} to {time[-1]:g} "
-            "s; do the clocks differ? lag (time_offset_s, --lag SECONDS) is added to the "
+            f"no displacement lies within the times of the loads, {time[0]:g} to {time[-1]:g} s. "
+            "If the clocks differ, give --lag SECONDS (time_offset_s), which is added to the "
             "displacements' times"
         )
         report.mistakes.ruin(0, "time", message)

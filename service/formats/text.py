@@ -45,9 +45,9 @@ from wrenchbook.surrogate.table.rows import unknown_column
 PIECE = 20_000  # rows as text at once: 30 MB of Python objects
 
 MAX_NAME = 1000  # characters of a source or a fingerprint: of 20,000 rows they are 80 MB
-_LONG_NAME = f"is longer than {MAX_NAME:,} characters; shorten it, or put the text into note"
+_LONG_NAME = f"is longer than {MAX_NAME:,} characters; shorten it, or move the text to note"
 _UNNAMED = (
-    "has a value in column {}, which has no name in the header; name it, or leave it out with "
+    "has a value in column {}, which has no name in the header; name the column, or skip it with "
     "ignore_extra (--ignore-extra)"
 )
 RecordCheck = Callable[[list[str], Header], str]
@@ -101,7 +101,7 @@ def read_records(
     def check(cells: list[str], header: Header) -> str:
         cells += [""] * (header.width - len(cells))
         wide = len(cells) > header.width
-        return f"has {len(cells)} cells, the header {header.width}" if wide else ""
+        return f"has {len(cells)} cells, but the header {header.width}; remove some" if wide else ""
 
     pieces = text_pieces(rest, header, report.mistakes, check)
     yield from read_pieces(header, pieces, options, report, cell_format)
@@ -163,8 +163,8 @@ def read_pieces(
             mark, point = (",", ".") if "," in cell else (".", ",")
             number, other = cell.replace(",", "."), cell.replace(mark, "")
             message = (
-                f"'{cell}' is {number} or {other}, and no number in the file decides; say "
-                f"decimal={mark} (--decimal {mark}) for {number}, decimal={point} for {other}"
+                f"'{cell}' may mean {number} or {other}, and no other number shows which; set "
+                f"decimal={mark} (--decimal {mark}) for {number}, or decimal={point} for {other}"
             )
             mistakes.ruin(line, label, message)
             return
@@ -174,7 +174,7 @@ def read_pieces(
         if report.is_beyond_limits():
             return
     if not report.read and not mistakes:
-        message = "there is a header but no row below it" if header.named else "there is no row"
+        message = "there is no row below the header; add one" if header.named else "no row; add one"
         mistakes.ruin(0, "file" if header.named else "rows", message)
 
 
@@ -289,13 +289,13 @@ class _Conversion:
         status = self._header.status
         for at, cell in enumerate(self._columns[status.index] if status else ()):
             if status and str(cell).strip().lower().removeprefix("0x").strip("0"):
-                message = f"the sensor's status is {quoted(str(cell))}, not 0: leave the row out"
+                message = f"the sensor's status is {quoted(str(cell))}, not 0; leave the row out"
                 self._refuse(at, status.label, message)
         if options.role != "loads":
             labels = [columns[name].label for name in names.displacement if name in columns]
             unmeasured = np.logical_and.reduce([np.isnan(column) for column in displacement.T])
             for at in np.flatnonzero(unmeasured & self._good).tolist():
-                message = "no displacement is given; a row needs at least one"
+                message = "the row has no displacement; write at least one, or leave the row out"
                 self._refuse(at, labels[0] if labels else "displacement", message)
         self._check_complete(compliance, names.compliance, "tangents")
         self._check_complete(curvature, names.curvature, "third derivatives")
@@ -354,7 +354,7 @@ class _Conversion:
             self._refuse_lost(column, values, converted)
         if column.name in self._names.uncertainty:
             for at in np.flatnonzero(converted < 0.0).tolist():
-                message = f"{quoted(self._cell(column, at))}: an uncertainty is not negative"
+                message = f"{quoted(self._cell(column, at))} must not be negative; write 0 or more"
                 self._refuse(at, column.label, message)
         return converted
 
@@ -362,7 +362,7 @@ class _Conversion:
         """Refuse numbers that are too large or too small for a float, shapes (n,)."""
         cells = self._columns[column.index]
         for at in np.flatnonzero(np.isinf(converted) & np.isfinite(values)).tolist():
-            message = f"{quoted(self._cell(column, at))} is too large a number"
+            message = f"{quoted(self._cell(column, at))} is too large for a float; correct it"
             self._refuse(at, column.label, message)
         zero = np.flatnonzero(converted == 0.0) if not column.zero else np.empty(0, dtype=int)
         if isinstance(cells, np.ndarray):
@@ -371,7 +371,7 @@ class _Conversion:
             zero = zero[:0]  # a file has many zeros, in few spellings
         for at in zero.tolist():
             if vanished(cell := self._cell(column, at)):
-                message = f"{quoted(cell)} is too small a number and would become 0; write 0"
+                message = f"{quoted(cell)} is too small for a float and would become 0; write 0"
                 self._refuse(at, column.label, message)
 
     def _cell(self, column: HeaderColumn, at: int) -> str:
@@ -413,11 +413,11 @@ class _Conversion:
                 [time_seconds(c, comma and type(c) is not Digits, factor) for c in cells]
             )
         for at in np.flatnonzero(~np.isfinite(values)).tolist():
-            needed = "is not a number"
+            needed = "is not a number; correct it or leave the row out"
             if factor is None:
                 needed = (
-                    "is no date and time; if it is a number, write its unit in the header, or say "
-                    f"it with mapping (--column '{column.label}=time [s]')"
+                    "is not a date and time; if it is a number, write its unit in the header or "
+                    f"with mapping (--column '{column.label}=time [s]')"
                 )
             self._refuse(at, column.label, f"{quoted(self._cell(column, at))} {needed}")
         return values / rate if column is sequence and rate else values
@@ -430,7 +430,7 @@ class _Conversion:
             if self._good[at]:
                 name = names[int(np.argmax(missing[at]))]
                 label = name if self._header.named else self._header.columns[name].label
-                self._refuse(at, label, f"is missing; a row has all {len(names)} {kind} or none")
+                self._refuse(at, label, f"is missing; write all {len(names)} {kind} or none")
 
     def _texts(self, name: str) -> Array:
         """Return a column of texts, shape (n,); empty ones if the file has none."""

@@ -51,7 +51,7 @@ def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
     try:
         for entry, size in entry_sizes(path, MAX_UNPACKED).items():
             if size > MAX_IN_MEMORY and not entry.startswith("xl/worksheets/"):
-                raise ZipBoundsError(f"holds more than {MAX_IN_MEMORY >> 20} MiB in {entry}")
+                raise ZipBoundsError(f"has over {MAX_IN_MEMORY >> 20} MiB in {entry}; split it")
         # Opened here, because openpyxl checks the ending of a name.
         with path.open("rb") as values, path.open("rb") as formulas, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of styles and extensions
@@ -84,7 +84,7 @@ def write_xlsx(
         count += len(piece.wrench)
         if count > MAX_SHEET_ROWS:
             raise SheetFullError(
-                f"the table has more than {MAX_SHEET_ROWS:,} rows, the most of a sheet; export it "
+                f"the table has more than {MAX_SHEET_ROWS:,} rows, the limit of a sheet; export it "
                 "as CSV, Parquet or HDF5"
             )
         kinds = ["n"] * len(numbers) + ["s"] * len(texts)
@@ -131,7 +131,7 @@ def read_xls(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
     except BaseException as error:  # calamine's panic on a damaged file is no Exception
         if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
             raise
-        message = f"is no readable .xls workbook (save it as .xlsx): {error}"
+        message = f"cannot be read as .xls (save it as .xlsx): {error}"
         report.mistakes.ruin(0, "file", message)
 
 
@@ -144,8 +144,7 @@ def chosen_sheet(
     if not fitting:
         known, missing = ", ".join(names) or "none", repr(wanted) if wanted else "with data"
         raise NoSheetError(
-            f"there is no sheet {missing}; it has {known}: choose one with sheet=NAME (--sheet "
-            "NAME)"
+            f"there is no sheet {missing}; choose {known} with sheet=NAME (--sheet NAME)"
         )
     filled = (name for name in fitting if name != ABOUT_SHEET and is_filled(name))
     report.sheet = next(filled, fitting[0])
@@ -168,10 +167,10 @@ def _records(sheet: Any, formulas: Callable[[], Any], most: int) -> Iterator[Rec
     below = None
     for number, row in enumerate(sheet.iter_rows(values_only=True), start=1):
         if number > MAX_SHEET_ROWS + 1:
-            raise ValueError(f"a sheet has more than {MAX_SHEET_ROWS + 1:,} rows")
+            raise ValueError(f"a sheet has more than {MAX_SHEET_ROWS + 1:,} rows; split it")
         width = max((at for at, value in enumerate(row, start=1) if value is not None), default=0)
         if width > most:
-            raise ValueError(f"a row has {width} columns; a table has at most {most}")
+            raise ValueError(f"a row has {width} columns, but a table at most {most}; split it")
         cells = [_text(value) for value in row[:most]]
         if not any(cells):
             continue
@@ -213,12 +212,12 @@ def entry_sizes(path: Path, most: int) -> dict[str, int]:
         with zipfile.ZipFile(path) as archive:
             entries = archive.infolist()
             if len(entries) > MAX_MEMBERS:
-                raise ZipBoundsError(f"has {len(entries)} members; at most {MAX_MEMBERS} are read")
+                raise ZipBoundsError(f"has {len(entries)} members, over {MAX_MEMBERS}; resave it")
             if len({entry.filename for entry in entries}) < len(entries):
-                raise ZipBoundsError("has two members of one name")
+                raise ZipBoundsError("has two members of one name; save it again")
             if any(entry.compress_type not in _METHODS or entry.flag_bits & 1 for entry in entries):
                 raise ZipBoundsError(
-                    "is encrypted or packed in a way no spreadsheet is; save it plainly"
+                    "is encrypted or has an unknown compression; save it without a password"
                 )
             if sum(entry.file_size for entry in entries) > most:
                 raise ZipBoundsError(too_large)
@@ -235,4 +234,4 @@ def entry_sizes(path: Path, most: int) -> dict[str, int]:
     except ZipBoundsError:
         raise
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, RuntimeError) as error:
-        raise ZipBoundsError(f"is a damaged zip file ({error})") from error
+        raise ZipBoundsError(f"is a damaged zip file ({error}); save it again") from error

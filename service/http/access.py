@@ -62,7 +62,7 @@ _TWO_USERS: Final = HttpProblemError(
     400,
     "users",
     "More than one user",
-    "The header of the user or of the groups is there twice: the proxy must replace what is sent.",
+    "The header of the user or of the groups is there twice. Let the proxy replace it.",
 )
 
 _NOTHING: Final = b"default-src 'none'; frame-ancestors 'none'; sandbox"
@@ -331,9 +331,9 @@ class AccessControl:
                 429,
                 "rate",
                 "The key is used too often",
-                f"The key {permission.key.name!r} may ask {permission.key.rate:g} times a second; "
-                "nothing was changed. Ask for many wrenches at once with POST .../displacements, "
-                "or more slowly.",
+                f"The key {permission.key.name!r} allows {permission.key.rate:g} requests a "
+                "second; nothing was changed. Send requests more slowly, or many wrenches at once "
+                "with POST .../displacements.",
                 headers={"Retry-After": str(ceil(seconds))},
             )
         length = head.get(b"content-length", b"0")
@@ -344,8 +344,8 @@ class AccessControl:
                     413,
                     "too-large",
                     "The body is too large",
-                    f"This key may send at most {megabytes} MiB at once; nothing was changed. "
-                    "Send parts.",
+                    f"This key may send at most {megabytes} MiB at once; nothing was changed. Send "
+                    "the data in parts.",
                 )
         if method not in _READING and (length != b"0" or b"transfer-encoding" in head):
             _check_kind(path, head)
@@ -405,10 +405,7 @@ class AccessControl:
             is_server_key = bool(server_key) and compare_digest(secret.encode(), server_key)
             key = self._server_key if is_server_key else self.keyring.find(secret)
             if key is None:
-                raise _no_key(
-                    "The request's key is not a key of this server: it is wrong, revoked or "
-                    "expired."
-                )
+                raise _no_key("The key of the request is unknown, revoked or expired.")
             stored = None if is_server_key else self.keyring
             permission = self._permissions[secret] = Permission(key, self._rates, stored)
         return permission
@@ -436,17 +433,17 @@ def beyond_scope(permission: Permission, needed: Scope) -> HttpProblemError:
     """Return the refusal of a call that needs another scope."""
     assert permission.key is not None
     also, name = "", permission.key.name
-    more = f"Make another with: wrenchbook keys add NAME --scope {needed}"
+    more = f"Create another key with: wrenchbook keys add NAME --scope {needed}"
     if name.startswith(USER):
-        more = "The server's --trust-proxy-scopes has the scopes of groups"
+        more = "The server's --trust-proxy-scopes sets the scopes of groups"
     if needed == "write":
-        also = " A displacement with on_thin 'estimate' or 'reject' needs no more than read."
+        also = " A displacement with on_thin 'estimate' or 'reject' needs only read."
     return HttpProblemError(
         403,
         "scope",
         "The key's scope does not allow this",
-        f"The {'user' if more[0] == 'T' else 'key'} {name!r} is for {permission.key.scope}, this "
-        f"call needs {needed}; nothing was changed.{also} {more}",
+        f"The {'user' if more[0] == 'T' else 'key'} {name!r} has the scope {permission.key.scope}, "
+        f"but this call needs {needed}; nothing was changed.{also} {more}",
     )
 
 
@@ -463,9 +460,9 @@ def _check_components(caller: Caller, method: str, path: str) -> None:
         403,
         "components",
         "The key is not for this component",
-        f"The key {caller.actor!r} is for {', '.join(caller.components)}, and this call is of "
-        f"{'the whole server' if name is None else repr(name[:100])}; nothing was changed. Make "
-        "another with: wrenchbook keys add NAME --component PATTERN",
+        f"The key {caller.actor!r} is for {', '.join(caller.components)}, but this call concerns "
+        f"{'the whole server' if name is None else repr(name[:100])}; nothing was changed. Create "
+        "another key with: wrenchbook keys add NAME --component PATTERN",
     )
 
 
@@ -495,9 +492,8 @@ def _no_key(why: str) -> HttpProblemError:
         401,
         "key",
         "A key is needed",
-        f"{why} Send the header Authorization: Bearer KEY; wrenchbook's own client takes "
-        "key=, its commands the variable WRENCHBOOK_KEY. Whoever runs the server makes one with: "
-        "wrenchbook keys add NAME",
+        f"{why} Send the header Authorization: Bearer KEY (client: key=; commands: variable "
+        "WRENCHBOOK_KEY). The server's operator creates a key with: wrenchbook keys add NAME",
         headers={"WWW-Authenticate": 'Bearer realm="wrenchbook"'},
     )
 

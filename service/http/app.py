@@ -85,8 +85,8 @@ _STOPPING: Final = HttpProblemError(
     503,
     "stopping",
     "The server stops",
-    "The request was not finished in the time that a server has to stop. Send it again in a few "
-    "seconds: an import is loaded completely or not at all, and rows are never loaded twice.",
+    "The request was not finished before the server stopped. Send it again in a few seconds; an "
+    "import is loaded completely or not at all, and never twice.",
     headers={"Retry-After": "5"},  # s: a start takes three
 )
 

@@ -215,7 +215,7 @@ def read_wrenches(
     """
     inputs = len(space.inputs)
     if len(body) % (8 * inputs):
-        message = f"{len(body)} bytes are not complete wrenches of {8 * inputs} bytes each"
+        message = f"{len(body)} bytes must be a multiple of {8 * inputs}, the bytes of a wrench"
         raise bad_body([{"loc": "body", "msg": message}])
     if len(body) > count * 8 * inputs:
         raise too_many_wrenches(count)
@@ -225,7 +225,7 @@ def read_wrenches(
         row, load = bad[0].tolist()
         value = wrenches[row, load]
         why = f"beyond {largest:g}" if np.isfinite(value) else "not finite"
-        message = f"{space.input_names[load]} is {value}, {why}"
+        message = f"{space.input_names[load]} is {value}, which is {why}; correct it"
         raise bad_body([{"loc": f"wrenches.{row}.{load}", "msg": message}])
     return wrenches
 

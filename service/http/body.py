@@ -47,12 +47,10 @@ PIECE: Final = 1 << 20  # bytes in memory: parsed in a hundredth of a second; mo
 
 def too_large(most: int) -> HttpProblemError:
     """Return the refusal of a body of more than `most` bytes."""
-    detail = (
-        f"Send at most {most >> 20} MiB a call: parts, or a table gzipped. Nothing was changed."
-    )
+    detail = f"Send at most {most >> 20} MiB: parts, or a gzipped table. Nothing was changed."
     if most < 1 << 20:
         detail = (
-            f"This call takes at most {most:,} bytes; nothing was changed. Leave out what it "
+            f"This call accepts at most {most:,} bytes; nothing was changed. Leave out what it "
             "does not need, or send parts."
         )
     return HttpProblemError(413, "too-large", "The body is too large", detail)
@@ -176,7 +174,7 @@ async def form_of(request: Request, most: int, most_files: int) -> AsyncIterator
         if isinstance(error, HttpProblemError):
             raise
         why = str(getattr(error, "detail", error))
-        raise bad_body([{"loc": "body", "msg": f"not a form that can be read: {why}"}]) from None
+        raise bad_body([{"loc": "body", "msg": f"cannot be read as a form ({why})"}]) from None
     try:
         yield form
     finally:
@@ -207,7 +205,7 @@ def loads_of(body: LoadsBody, space: Space) -> tuple[float, ...]:
     if not super(LoadsBody, body).is_empty():
         if loads or space.several:
             names = " or ".join(space.several) or "one of both"
-            message = f"give force and moment of an interface in loads: {names}"
+            message = f"give force and moment of each interface in loads: {names}"
             raise bad_body([{"loc": "force", "msg": message}])
         loads = {space.interfaces[0]: body.wrench()}
     try:
@@ -218,7 +216,7 @@ def loads_of(body: LoadsBody, space: Space) -> tuple[float, ...]:
 
 def too_many_wrenches(most: int) -> HttpProblemError:
     """Return the refusal of a body of more than `most` wrenches."""
-    return bad_body([{"loc": "wrenches", "msg": f"at most {most} wrenches a call"}])
+    return bad_body([{"loc": "wrenches", "msg": f"more than {most} wrenches; send parts"}])
 
 
 def with_wrenches(
@@ -235,7 +233,7 @@ def with_wrenches(
     uneven = [place for place, wrench in enumerate(body.wrenches) if len(wrench) != inputs]
     if uneven:
         length = len(body.wrenches[uneven[0]])
-        message = f"has {length} numbers, and the component {inputs} inputs"
+        message = f"has {length} numbers, but the component has {inputs} inputs"
         raise bad_body([{"loc": f"wrenches.{uneven[0]}", "msg": message}])
     return np.array(body.wrenches, dtype=float).reshape(-1, inputs) + 0.0, body
 
@@ -252,7 +250,7 @@ def parsed_json(body: bytes) -> Any:
     except orjson.JSONDecodeError as error:
         if "memory" in str(error).lower():
             raise MemoryError from None
-        message = f"not valid JSON ({error}); note that JSON has no NaN and no Infinity"
+        message = f"is not valid JSON ({error}); correct it (JSON has no NaN or Infinity)"
         raise bad_body([{"loc": "body", "msg": message}]) from None
 
 
@@ -271,7 +269,7 @@ def both_tolerances(translation: float | None, rotation: float | None) -> Tolera
     if translation is rotation:
         return None
     missing = "rotation" if rotation is None else "translation"
-    raise bad_body([{"loc": missing, "msg": "a tolerance is translation and rotation, both"}])
+    raise bad_body([{"loc": missing, "msg": "a tolerance needs both translation and rotation"}])
 
 
 def plain_rows(rows: Any, inputs: int, largest: float = LARGEST_LOAD) -> np.ndarray | None:
@@ -292,5 +290,5 @@ def plain_rows(rows: Any, inputs: int, largest: float = LARGEST_LOAD) -> np.ndar
 def refuse_query(query: QueryParams) -> None:
     """Refuse the query parameters of a call that takes none: 422 with the name of each."""
     if query:
-        message = "this call takes no query parameters: send its options in the body"
+        message = "this call has no query parameters; send its options in the body"
         raise bad_body([{"loc": f"query.{name}", "msg": message} for name in query])

@@ -89,9 +89,7 @@ class ImportQuery(Body):
     def _can_be_appended(self) -> ImportQuery:
         others = self.model_fields_set & _OF_FILES
         if self.append is not None and others:
-            raise ValueError(
-                f"append takes no {', '.join(sorted(others))}: a block of rows is not a file"
-            )
+            raise ValueError(f"append does not allow {', '.join(sorted(others))}; leave them out")
         return self
 
     @field_validator("note", "filename", "rig", "append")
@@ -107,9 +105,7 @@ class ImportQuery(Body):
         others = profile.model_fields_set & _OF_FILES
         if self.append is not None and others:
             names = ", ".join(sorted(others))
-            raise RigError(
-                f"append takes no {names}, as this profile has: a block of rows is not a file"
-            )
+            raise RigError(f"append cannot be combined with {names} of this profile; use another")
         mapped, mapping = _pairs(self.mapping or "{}"), _pairs(profile.mapping or "{}")
         ignore = set(profile.ignore) - mapped.keys()
         query = profile.model_copy(update=self.model_dump(include=self.model_fields_set))
@@ -138,11 +134,11 @@ def _pairs(text: str) -> dict[str, str]:
     try:
         pairs = orjson.loads(text)
     except orjson.JSONDecodeError as error:
-        raise ValueError(f"is not JSON: {error}") from None
+        raise ValueError(f"is not JSON ({error}); correct it") from None
     if not isinstance(pairs, dict) or not all(isinstance(name, str) for name in pairs.values()):
-        raise ValueError('is not of the form {"column in the file": "fz [N]"}')
+        raise ValueError('must have the form {"column in the file": "fz [N]"}')
     if len(pairs) > _MAX_COLUMNS:
-        raise ValueError(f"names more than {_MAX_COLUMNS} columns")
+        raise ValueError(f"names more than {_MAX_COLUMNS} columns; remove some")
     return pairs
 
 

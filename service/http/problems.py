@@ -61,8 +61,8 @@ MAX_ERRORS = 1000
 MAX_TEXT = 1000  # characters of a message: it quotes the mistaken key or text
 # By pydantic's type of an error, where its own text has no next action.
 _PLAIN = {
-    "extra_forbidden": "unknown; correct its spelling, or leave it out (the fields are at /docs)",
-    "missing": "missing; add it (the fields are at /docs)",
+    "extra_forbidden": "is unknown; correct its name, or leave it out (see the fields at /docs)",
+    "missing": "is missing; add it (see the fields at /docs)",
 }
 _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     UnknownComponentError: (404, "unknown-component", "No such component"),
@@ -220,7 +220,8 @@ def install(app: FastAPI) -> None:
             error.status_code,
             "http",
             str(error.detail),
-            f"{request.method} {request.url.path}: {error.detail}. The calls are in /openapi.json.",
+            f"{request.method} {request.url.path}: {error.detail}. See /openapi.json for all "
+            "calls.",
         )
         response = problem.response()
         response.headers.update(error.headers or {})

@@ -46,29 +46,29 @@ _NO_UPGRADE: Final = HttpProblemError(
     400,
     "upgrade",
     "This server does not switch protocols",
-    "The body of a request with the header Connection: Upgrade is not read; nothing was "
-    "changed. Send the request without the headers Connection: Upgrade and Upgrade.",
+    "A body with the header Connection: Upgrade is not read; nothing was changed. Send the request "
+    "without the headers Connection: Upgrade and Upgrade.",
 )
 _HOSTS: Final = HttpProblemError(
     400,
     "hosts",
     "More than one Host",
-    "The request has several Host fields, and a proxy may take another one than this server (RFC "
-    "9112, section 3.2); nothing was changed. Send one.",
+    "The request has several Host fields, which proxies may read differently (RFC 9112, section "
+    "3.2); nothing was changed. Send one.",
 )
 _NOT_HTTP: Final = HttpProblemError(
     400,
     "not-http",
     "Not a request of HTTP/1.1",
-    "What the connection sent last is no valid head or body of a request. It was not read further, "
-    "and the connection is closed. Requests before it are answered.",
+    "The last bytes of the connection are not a valid HTTP request, and the connection is closed. "
+    "Earlier requests are answered. Correct the client, and send the request again.",
 )
 _TOO_LONG: Final = HttpProblemError(
     431,
     "head-too-long",
     "The head of the request is too long",
-    f"URL and header fields may have {MAX_HEAD_BYTES:,} bytes together; nothing was changed. "
-    "Send what is long as the body.",
+    f"URL and header fields may have at most {MAX_HEAD_BYTES:,} bytes together; nothing was "
+    "changed. Send long data in the body.",
 )
 
 

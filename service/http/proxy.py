@@ -39,14 +39,12 @@ class ProxyTrust:
         if not sent or not self.trusts(head.get(PEER_FIELD, b"").decode()):
             return None
         if not _USER.fullmatch(sent):
-            raise _refused(
-                f"The proxy names a user {sent[:100]!r}, which is neither a mail address nor an id."
-            )
+            raise _refused(f"The proxy sent {sent[:100]!r}, not a mail address or id; correct it.")
         groups = head.get(self.groups, b"").decode("latin-1").split(",")[:_MAX_GROUPS]
         named = {"*", *(group.strip() for group in groups)}
         allowed: list[Scope] = [self.scopes[group] for group in named & self.scopes.keys()]
         if not allowed:
-            raise _refused(f"No group of the user {sent} has a scope (--trust-proxy-scopes).")
+            raise _refused(f"Add a group of the user {sent} to --trust-proxy-scopes.")
         name, scope = f"{USER}{sent}", max(allowed, key=SCOPES.index)
         return Key(name, scope, digest_of(name), 0.0)
 
@@ -65,22 +63,23 @@ def proxy_trust(settings: Settings) -> ProxyTrust | None:
     user, groups = settings.trust_proxy_user, settings.trust_proxy_groups
     if user is None:
         if settings.trust_proxy_from or groups:
-            raise SettingsError("name the header of the user too: --trust-proxy-user HEADER")
+            raise SettingsError("the user's header is missing; add --trust-proxy-user HEADER")
         return None
     for header in filter(None, (user, groups)):
         if not _HEADER.fullmatch(header) or header.lower() in _OF_CALLERS:
-            raise SettingsError(f"{header!r} is not a header in which a proxy can name a user")
+            raise SettingsError(f"{header!r} is no user header; write for example X-Forwarded-User")
     scopes: dict[str, Scope] = {}
     for part in settings.trust_proxy_scopes.split(","):
         group, _, word = part.strip().partition("=")
         if not group or word not in SCOPES:
             raise SettingsError(
-                f"--trust-proxy-scopes: {part!r} is not GROUP=SCOPE; scopes are {', '.join(SCOPES)}"
+                f"--trust-proxy-scopes: {part!r} is not GROUP=SCOPE, with one of "
+                f"{', '.join(SCOPES)}"
             )
         scopes[group] = SCOPES[SCOPES.index(word)]
     listed = [part.strip() for part in (settings.trust_proxy_from or "").split(",") if part.strip()]
     if not listed:
-        raise SettingsError("name the proxy's address: --trust-proxy-from ADDRESS")
+        raise SettingsError("the proxy's address is missing; add --trust-proxy-from ADDRESS")
     try:
         networks = tuple(ip_network(part) for part in listed)
     except ValueError as error:

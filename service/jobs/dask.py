@@ -297,9 +297,9 @@ class DaskEngine(attempts.Listeners):
                     why += solver_version()
             # A worker that cannot import a function answers with the error as text.
             elif re.search("ModuleNotFoundError|ImportError|AttributeError", repr(answer)):
-                why = f"it lacks this program ({answer}): install wrenchbook[cluster,server] there"
+                why = f"it lacks this program ({answer}); install wrenchbook[cluster,server] there"
             else:
-                why = f"it does not answer as it should ({answer!r})"
+                why = f"its answer is invalid ({answer!r}); see its log"
             self._suspend(worker, why)
             if isinstance(answer, OSError):
                 worker.probed = -float("inf")
@@ -459,10 +459,9 @@ class DaskEngine(attempts.Listeners):
             if large:
                 break
             waits = (
-                f"no Dask worker is large enough: a solve takes {memory / 1e9:.3g} GB and "
-                f"{cores} cores, the largest workers have "
-                f"{max((each.memory for each in fit), default=0) / 1e9:.3g} GB and "
-                f"{max((each.cores for each in fit), default=0):g} cores"
+                f"a solve takes {memory / 1e9:.3g} GB and {cores} cores, but the largest Dask "
+                f"workers have {max((each.memory for each in fit), default=0) / 1e9:.3g} GB and "
+                f"{max((each.cores for each in fit), default=0):g} cores; start larger workers"
             )
             if waits != task.waits:
                 task.waits = waits
@@ -521,7 +520,7 @@ def _mark_begun(task: _Task, seconds: float) -> None:
 
 
 _KILLED_REMEDY = (
-    "the workers that had it died, each time: see their logs, give them more memory or declare it "
+    "all workers that ran it died. See their logs, give them more memory or declare it "
     "(--resources wrenchbook_memory=BYTES), and retry the job"
 )
-_FAULT_REMEDY = "see the logs of scheduler and workers; retry the job once the cluster is well"
+_FAULT_REMEDY = "see the logs of scheduler and workers; retry the job once the cluster works"

@@ -79,7 +79,7 @@ def unpack(content: bytes, name: str, folder: Path) -> None:
     Raises `BadPayloadError` if they were damaged in transit, OSError if they cannot be written.
     """
     if digest(content) != name:
-        raise BadPayloadError(f"the files came as {digest(content)}, not as {name}, which was sent")
+        raise BadPayloadError(f"the files arrived as {digest(content)}, but were sent as {name}")
     partial = folder / f".{name}.{os.getpid()}.{threading.get_ident()}"
     try:
         write_files(pickle.loads(content), partial)
@@ -101,8 +101,8 @@ def artifacts(attempt: Attempt) -> tuple[bytes | None, Files]:
     if outcome.exists() and (size := outcome.stat().st_size) > OUTCOME_BYTES:
         failed = attempts.Outcome.failed(
             "answer_too_large",
-            f"the solver's answer is {size} bytes; at most {OUTCOME_BYTES} are taken",
-            "have the solver give the displacement and write other results to files",
+            f"the solver's answer has {size} bytes, but at most {OUTCOME_BYTES} are accepted",
+            "let the solver return only the displacement and write other results to files",
         )
         attempts.write_outcome(attempt, failed)
     names = [path.relative_to(attempt.folder).as_posix() for path in attempt.folder.rglob(".*")]

@@ -56,7 +56,7 @@ def _no_room(folder: str) -> str | None:
     """Return why the folder has no room for an attempt; None if it has."""
     free = shutil.disk_usage(folder).free
     if free < FREE_BYTES:
-        return f"{folder} is on a disk with {free >> 20} MB left; {FREE_BYTES >> 20} are needed"
+        return f"{folder} is on a disk with {free >> 20} MB left; make {FREE_BYTES >> 20} free"
     return None
 
 

@@ -425,7 +425,7 @@ class Dispatcher:
                 if state == "lost":
                     cause = last_output(attempt.folder) or "it printed nothing"
                     log = attempt.folder / LOG
-                    self._unstarted = f"solvers end before they begin: {cause}. See {log}"
+                    self._unstarted = f"solvers stop before they start: {cause}. See {log}"
                     _log.error("job %d: %s", attempt.job, self._unstarted)
             with contextlib.suppress(StaleAttemptError):
                 record(self._ledger, attempt, died, self._fields, self._errors)
@@ -446,8 +446,7 @@ class Dispatcher:
             except Exception as error:
                 missing = {
                     "kind": "component_missing",
-                    "message": f"there is no component {attempt.component} to solve any more: "
-                    f"{error}",
+                    "message": f"the component {attempt.component} is no longer there: {error}",
                     "remedy": "add the component again and retry the job, or leave it",
                 }
                 self._ledger.fail(*attempt.key, missing)
@@ -522,6 +521,6 @@ def record(
 def _bad_answer(why: str) -> dict[str, str]:
     return {
         "kind": "bad_answer",
-        "message": f"the solver's answer is not usable: {why}",
+        "message": f"the solver's answer cannot be used: {why}",
         "remedy": "see result.json and log.txt in the attempt's folder",
     }

@@ -131,8 +131,8 @@ class ComponentSolver:
             if estimated and limit:
                 margin = f"{limit / estimated:.2g}"
                 message = (
-                    f"the solve needs more than the {limit / 1e9:.2g} GB it may take, {margin} "
-                    f"times its estimate of {estimated / 1e9:.2g} GB"
+                    f"the solve needs more than the {limit / 1e9:.2g} GB allowed, which are "
+                    f"{margin} times its estimate of {estimated / 1e9:.2g} GB"
                 )
                 remedy = (
                     "use a coarser mesh; or, if the machine has the memory, serve with a larger "
@@ -183,7 +183,7 @@ def _require_same(attempt: Attempt, fingerprint: str) -> None:
             "component_changed",
             f"component {attempt.component} has changed since the job was accepted "
             f"(fingerprint {attempt.fingerprint} then, {fingerprint} now)",
-            "ask for the wrench again: that makes a job for the component as it is now",
+            "ask for the wrench again, which queues a job for the present component",
         )
 
 
@@ -232,7 +232,7 @@ def limit_memory(estimated: int | None) -> int | None:
         except ValueError:
             margin = 0.0
         if not 0.0 < margin < math.inf:
-            message = f"{MARGIN_VARIABLE} is {text!r}, not a number above 0"
+            message = f"{MARGIN_VARIABLE} must be a number above 0, not {text!r}"
             remedy = f"set {MARGIN_VARIABLE} to a number above 0, or unset it"
             raise SolveRefusedError("bad_setting", message, remedy)
         allowed = int(estimated * margin)
@@ -313,7 +313,7 @@ def _named_solver() -> Solve | None:
     except (ValueError, ImportError, AttributeError) as error:
         raise SolveRefusedError(
             "no_solver",
-            f"{SOLVE_VARIABLE}={name!r} names no function: {error}",
+            f"{SOLVE_VARIABLE}={name!r} is not a function: {error}",
             "set it to package.module:function, importable by the solvers, or unset it",
         ) from error
 
@@ -326,8 +326,8 @@ def _checked(numbers: Mapping[str, Any]) -> Outcome:
     if not isinstance(displacement, list) or len(displacement) < 6 or None in displacement:
         raise SolveRefusedError(
             "bad_answer",
-            f"the solver gave no 6 finite numbers or more but {numbers.get('displacement')!r}",
-            "look at the component's mesh and supports; see log.txt",
+            f"the solver must return 6 finite numbers or more, not {numbers.get('displacement')!r}",
+            "check the component's mesh and supports; see log.txt",
         )
     if any(None in line for line in outcome.compliance or ()):
         outcome.compliance = None

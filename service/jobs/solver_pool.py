@@ -129,7 +129,7 @@ class LocalEngine(Listeners):
         """Have a solver take the attempt: one that has its component, any other, or a new one."""
         lock = flock.take(attempt.folder / LOCK)
         if lock is None:
-            raise EngineError(f"a solver is at work in {attempt.folder} already")
+            raise EngineError(f"a solver already works in {attempt.folder}")
         environment = _ENVIRONMENT | dict(os.environ) | self._environment
         try:
             with (attempt.folder / LOG).open("ab") as log:
@@ -166,10 +166,9 @@ class LocalEngine(Listeners):
         if folder in self._overdue:
             late = Outcome.failed(
                 "deadline",
-                f"the solve took longer than its deadline of {attempt.deadline:.3g} s "
-                "and was ended",
-                "see log.txt for how far it came; use a coarser mesh or a smaller load, "
-                "or retry the job when the machine has less to do",
+                f"the solve exceeded its deadline of {attempt.deadline:.3g} s and was stopped",
+                "see log.txt for its progress; use a coarser mesh or a smaller load, or retry the "
+                "job when the machine is less busy",
             )
             write_outcome(attempt, late)
             return "finished"
@@ -304,7 +303,7 @@ class LocalEngine(Listeners):
                     name = signal.Signals(-code).name
                 except ValueError:
                     name = f"signal {-code}"
-                killed = "; often the machine has no memory left" if -code == signal.SIGKILL else ""
+                killed = "; often its machine has no memory left" if -code == signal.SIGKILL else ""
                 with contextlib.suppress(OSError), (attempt.folder / LOG).open("a") as log:
                     log.write(f"the solver was ended by {name}{killed}\n")
             self._report(attempt.task)

@@ -151,10 +151,9 @@ def open_file(path: Path) -> Connection:
         if lost and log.exists() and log.stat().st_size:
             # SQLite would delete the log, and with it what it holds.
             raise LedgerFileError(
-                f"there is {log.name} without {path}: the ledger's file was moved or deleted and "
-                "its log was not. Nothing is written beside it; put the file back. If it is gone "
-                "for good, wrenchbook doctor --repair moves the log aside and makes a new file "
-                "from the tables"
+                f"there is {log.name} without {path}, because the ledger's file was moved or "
+                "deleted. Nothing was changed; put the file back. If it is lost, wrenchbook doctor "
+                "--repair moves the log aside and creates a new file from the tables"
             )
         with suppress(FileExistsError):
             os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
@@ -175,8 +174,8 @@ def open_file(path: Path) -> Connection:
             raise
     except (sqlite3.OperationalError, OSError) as error:
         raise LedgerFileError(
-            f"cannot open the ledger {path}: {error}. See that its folder is writable, "
-            "its disk has space and no program keeps it locked"
+            f"the ledger {path} cannot be opened: {error}. Check that its folder is writable, its "
+            "disk has space and no program keeps it locked"
         ) from error
     except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
         raise damaged_file(path, str(error)) from error
@@ -198,13 +197,13 @@ def _check_schema(connection: Connection, path: Path) -> int:
         )
     if version > VERSION:
         raise LedgerFileError(
-            f"{path} was written by a newer wrenchbook (schema {version}, this program knows "
-            f"up to {VERSION}); install that version or name another data directory"
+            f"{path} was written by a newer wrenchbook (schema {version}; this program reads up to "
+            f"{VERSION}); install that version or name another data directory"
         )
     if tables and version != VERSION and version not in STEPS:
         raise LedgerFileError(
-            f"{path} was written by a wrenchbook before 0.2 (schema {version}): start version 0.2 "
-            "once on this data directory, which brings it up to date, then this one"
+            f"{path} was written before wrenchbook 0.2 (schema {version}). Start version 0.2 once "
+            "on this data directory to update it, then this version"
         )
     return version
 
@@ -294,9 +293,9 @@ def _write_keys(connection: Connection) -> None:
 def damaged_file(path: Path, why: str) -> LedgerDamagedError:
     """Return the error of a damaged file."""
     return LedgerDamagedError(
-        f"cannot read {path} as a ledger: it is damaged ({why}). Nothing is written into it; "
-        "tables answer from their files. Move it away with the server stopped, and put back a copy "
-        "or make a new one of what can be read: wrenchbook doctor --repair"
+        f"the ledger {path} is damaged ({why}). It stays unchanged, and tables answer from their "
+        "files. Stop the server and put back a copy, or rebuild what can be read with: wrenchbook "
+        "doctor --repair"
     )
 
 
@@ -322,7 +321,7 @@ def unavailable(path: Path, error: Exception) -> LedgerUnavailableError:
         number = errno.EROFS
     elif code & 0xFF == sqlite3.SQLITE_IOERR:
         number = errno.EIO
-    remedy = _REMEDIES.get(number, "see that its disk has space and is writable")
+    remedy = _REMEDIES.get(number, "check that its disk has space and is writable")
     kind = LedgerFullError if number in _FULL else LedgerUnavailableError
     return kind(
         f"the ledger {path} could not be used: {error}. Nothing was changed; {remedy}, "

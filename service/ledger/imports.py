@@ -90,7 +90,7 @@ def import_rows(
     while (lock := _take_lock(ledger)) is None:  # one import of this ledger, of all processes
         if time.monotonic() > deadline:
             raise ImportRunningError(
-                "another large table is being imported; nothing was loaded, send it again"
+                "another large table is being imported; nothing was loaded. Send it again"
             )
     try:
         _drop_hidden(ledger)  # of a killed process
@@ -175,12 +175,12 @@ def append_rows(
     if rig != origin.rig:
         raise AppendError(
             f"import {number}, {origin.filename!r}, has readings of another rig, frame or point; "
-            "append to another name"
+            "append under another name"
         )
     if number and not _chosen(db, component, number, (), withdrawn=False, most=1):
         raise AppendError(
-            f"import {number}, {origin.filename!r}, is withdrawn; restore it, or append to another "
-            "name"
+            f"import {number}, {origin.filename!r}, is withdrawn; restore it, or append under "
+            "another name"
         )
     total = known = 0
     for block in blocks:
@@ -300,7 +300,7 @@ def edit_import(
     if record is None:
         listed = "SELECT id FROM imports WHERE component = ? ORDER BY id DESC LIMIT 10"
         last = ", ".join(str(known) for (known,) in db.execute(listed, (component,)))
-        known = f"its last are {last}" if last else "no file was imported into it"
+        known = f"the last are {last}" if last else "import a file first"
         raise UnknownImportError(f"{component!r} has no import {number}; {known}")
     lists = [finding["keys"] for finding in _stored(record[0]) if finding.get("cause") == cause]
     if cause is not None and not lists:

@@ -102,7 +102,7 @@ def charged(db: Connection, component: str, quota: Quota | None) -> str:
         open_ = "SELECT count(*) FROM jobs WHERE status IN ('waiting', 'running') AND actor = ?"
         if db.execute(open_, (actor,)).fetchone()[0] >= quota.open_jobs:
             raise QuotaError(
-                f"{actor} would have more than {quota.open_jobs} open jobs, its quota (serve "
+                f"{actor} would exceed its quota of {quota.open_jobs} open jobs (serve "
                 "--actor-jobs). Nothing was queued; ask for fewer, wait, or cancel some",
                 solve_seconds(db, component) or UNKNOWN_SECONDS,
             )
@@ -115,9 +115,9 @@ def charged(db: Connection, component: str, quota: Quota | None) -> str:
         ).fetchone()
         if (spent or 0.0) >= quota.solver_seconds:
             raise QuotaError(
-                f"the solves of {actor} that began in the last 24 hours took {spent or 0.0:.0f} s "
-                f"of {quota.solver_seconds:g} s, its quota (serve --actor-seconds). Nothing was "
-                "queued; ask again later, or have the quota raised",
+                f"{actor} has used {spent or 0.0:.0f} s of its quota of {quota.solver_seconds:g} "
+                "solver seconds in 24 hours (serve --actor-seconds). Nothing was queued; ask again "
+                "later, or have the quota raised",
                 max(1.0, (first or now) + DAY_SECONDS - now),
             )
     return actor

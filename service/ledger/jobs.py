@@ -54,8 +54,8 @@ TRANSITIONS: dict[tuple[Status, str], Status] = {
 SOLVER_DIED = {
     "kind": "solver_died",
     "message": f"the solver ended without an answer {len(BACKOFF_SECONDS) + 1} times",
-    "remedy": "read log.txt in the attempt's folder; often memory ran out: "
-    "use fewer solvers at a time or a coarser mesh, then retry the job",
+    "remedy": "read log.txt in the attempt's folder. Often the memory ran out; use fewer solvers "
+    "at a time or a coarser mesh, then retry the job",
 }
 _UNSTARTED: dict[str, Any] = {"owner": None, "started": None, "began": None}
 _FRESH = {**_UNSTARTED, "lost": 0, "finished": None, "error": None, "not_before": None}
@@ -318,9 +318,8 @@ def cancel(db: Connection, job_id: int) -> JobRecord:
     job, caller = get(db, job_id), CALLER.get()
     if not caller.admin and job.actor != caller.actor:
         raise NotPermittedError(
-            f"job {job_id} belongs to {job.actor or 'an actor unknown'}; {caller.actor} may cancel "
-            "its "
-            "own jobs. Others' jobs need a key for admin"
+            f"job {job_id} belongs to {job.actor or 'an unknown actor'}, but {caller.actor} may "
+            "cancel only its own jobs. For others use a key for admin"
         )
     if job.status == "cancelled":
         return job
@@ -351,7 +350,7 @@ def get(db: Connection, job_id: int) -> JobRecord:
     """Return a job by its number; raises UnknownJobError."""
     jobs = _select(db, "WHERE id = ?", (job_id,))
     if not jobs:
-        raise UnknownJobError(f"there is no job {job_id}; GET /v1/jobs lists all")
+        raise UnknownJobError(f"there is no job {job_id}; see GET /v1/jobs")
     return jobs[0]
 
 
@@ -449,7 +448,7 @@ def _moved(db: Connection, job: JobRecord, event: str, **changes: Any) -> JobRec
         calls = [name for name in ("cancel", "retry") if (job.status, name) in TRANSITIONS]
         possible = f"possible now: {', '.join(calls)}"
         if job.status == "done":
-            possible = "it is final unless its row is withdrawn"
+            possible = "withdraw its row to solve again"
         raise InvalidTransitionError(f"job {job.id} is {job.status}: cannot {event} it; {possible}")
     return _save(db, replace(job, status=status, **changes))
 
@@ -473,8 +472,8 @@ def _check_attempt(job: JobRecord, attempt: int) -> JobRecord:
     """Return the job; raises StaleAttemptError unless `attempt` is its running one."""
     if job.status != "running" or job.attempt != attempt:
         raise StaleAttemptError(
-            f"job {job.id} is {job.status} at attempt {job.attempt}; "
-            f"a report of attempt {attempt} no longer counts"
+            f"job {job.id} is {job.status} at attempt {job.attempt}, so the report of attempt "
+            f"{attempt} is ignored"
         )
     return job
 

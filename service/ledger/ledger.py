@@ -203,7 +203,7 @@ class Ledger:
         tangent is infinite.
         """
         if np.isnan(rows.displacement[rows.source == "fea"]).any():
-            raise ValueError("displacement of a solve must be finite")
+            raise ValueError("the displacement of a solve must be finite")
         notes = [note] * len(rows) if isinstance(note, str) else note
         block = NotedRows(rows, notes)
         # Before the lock is taken: other writers wait for the insertion alone.
@@ -445,8 +445,8 @@ class Ledger:
         # SQLite goes on writing into a file that has been deleted.
         if inode(self.path) != self._inode:
             raise LedgerUnavailableError(
-                f"the ledger {self.path} was deleted or replaced under this server; nothing is "
-                "accepted. Put the file back if you moved it, then restart the server"
+                f"the ledger {self.path} was deleted or replaced while the server runs, so nothing "
+                "is accepted. Put the file back if you moved it, then restart the server"
             )
 
     def _check_open(self) -> None:

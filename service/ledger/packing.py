@@ -33,10 +33,10 @@ def pack_vector(values: Sequence[float]) -> bytes:
     Raises ValueError if there are fewer than six numbers or one is not finite.
     """
     if len(values) < MIN_NUMBERS:
-        raise ValueError(f"wrench needs 6 numbers or more, got {len(values)}")
+        raise ValueError(f"a wrench needs 6 or more numbers, not {len(values)}")
     floats = [float(value) + 0.0 for value in values]
     if not all(map(math.isfinite, floats)):
-        raise ValueError(f"wrench must be finite, got {floats}")
+        raise ValueError(f"the wrench must be finite, not {floats}")
     return struct.pack(f"<{len(floats)}d", *floats)
 
 
@@ -182,7 +182,7 @@ def row_keys(component: str, block: NotedRows) -> list[bytes]:
     """
     rows = block.rows
     if any(rows.compliance.strides) and np.isinf(rows.compliance).any():
-        raise ValueError("compliance must be finite, or NaN where it is not known")
+        raise ValueError("the compliance must be finite, or NaN where it is unknown")
     texts = list(zip(rows.fingerprint.tolist(), rows.source.tolist(), strict=True))
     numbers = _plain(rows.wrench).tobytes(), _plain(rows.displacement).tobytes()
     return _keys(component, texts, *numbers, _known(rows.uncertainty, np.any))

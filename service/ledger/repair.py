@@ -149,10 +149,10 @@ class Acknowledged:
                     if last >= first
                 ]
                 sentence = (
-                    f"{' and '.join(parts)} were acknowledged and are not in the ledger any more "
-                    f"(seen {when} UTC): its -wal file was cut off or removed, or an older copy "
-                    "was put back. Rows that are in a table's file come back by themselves; ask "
-                    "for the other wrenches again"
+                    f"{' and '.join(parts)} were acknowledged but are no longer in the ledger "
+                    f"(noticed {when} UTC), because its -wal file was cut or removed, or an older "
+                    "copy was put back. Rows in table files come back by themselves; ask for the "
+                    "other wrenches again"
                 )
                 losses.append((sentence, loss))
         return losses

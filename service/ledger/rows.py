@@ -223,9 +223,9 @@ def add_solved(
     for name, value in {"displacement": displacement, **columns}.items():
         finite = np.isfinite(np.asarray(value, dtype=float))
         if not (finite.any() if name == "uncertainty" else finite.all()):
-            raise ValueError(f"{name} must be finite, got {value}")
+            raise ValueError(f"{name} must be finite, not {value}")
     if len(displacement) < MIN_NUMBERS:
-        raise ValueError(f"displacement needs 6 numbers or more, got {len(displacement)}")
+        raise ValueError(f"a displacement needs 6 or more numbers, not {len(displacement)}")
     inputs = (Input("", "", "scalar"),) * len(job.wrench)  # of the space only the counts matter
     space = Space(inputs, (Output("", ""),) * len(displacement))
     columns |= {"source": source, "fingerprint": job.fingerprint}
@@ -253,7 +253,7 @@ def withdraw(db: Connection, component: str, seq: int, *, withdrawn: bool = True
     if not any(record.component == component for _, record in containing(db, [seq])):
         raise UnknownRowError(f"the table of {component!r} has no row {seq}")
     if is_withdrawn(db, seq) == withdrawn:
-        raise RowStatusError(f"row {seq} is {'withdrawn already' if withdrawn else 'in the table'}")
+        raise RowStatusError(f"row {seq} is already {'withdrawn' if withdrawn else 'in the table'}")
     edit(db, component, [seq], withdrawn=withdrawn, now=time.time())
     note_edit(db, "row", seq, component, withdrawn=withdrawn)
 
@@ -341,7 +341,7 @@ def table_at(
     newest = last_seq(db, component)
     if version is not None and not 0 <= version <= newest:
         raise UnknownVersionError(
-            f"the table of {component!r} has the versions 0 to {newest}, not {version}"
+            f"the table of {component!r} has no version {version}; use 0 to {newest}"
         )
     until = newest if version is None else version
     known = db.execute(
@@ -369,8 +369,8 @@ def get(db: Connection, seq: int) -> LedgerRow:
     if not list(containing(db, [seq])):
         raise UnknownRowError(f"there is no row {seq}")
     raise DamagedRowError(
-        f"row {seq} is damaged on the disk and used nowhere; restore the ledger from a "
-        "backup, or ask for its wrench again: it is then solved anew"
+        f"row {seq} is damaged on the disk and is not used; restore the ledger from a backup, or "
+        "ask for its wrench again to have it solved anew"
     )
 
 

@@ -44,8 +44,8 @@ _CANNOT_UNPACK: Final = (
     "The zip cannot be unpacked: {why}. Zip the folder again, without a password, with the usual "
     "compression (deflate) and with short file names."
 )
-_TOO_LARGE: Final = "Unpacked, the zip is larger than {} MiB, the most accepted."
-_NO_REPORT: Final = "The mesh check stopped without an answer ({why})."
+_TOO_LARGE: Final = "The unpacked zip is larger than the limit of {} MiB. Leave large files out."
+_NO_REPORT: Final = "The mesh check stopped ({why}). Check it with: wrenchbook check FOLDER"
 # Of a component.toml: the first table, below the top-level keys; the lines of these keys.
 _TOP_LEVEL = re.compile(r"^\s*\[", re.MULTILINE)
 _LINE = {key: re.compile(rf"^[ \t]*{key}[ \t]*=.*$", re.MULTILINE) for key in ("name", "title")}
@@ -98,9 +98,9 @@ def check_mesh(folder: Path) -> dict[str, Any]:
     except SandboxError as error:
         if error.kind == "memory" or "bad_alloc" in str(error):
             limit = CHECK.memory >> 20
-            why = f"The mesh takes more than {limit} MiB of memory to check. Give a coarser one."
+            why = f"The mesh check needs more than {limit} MiB of memory. Give a coarser mesh."
         elif error.kind in ("time", "elapsed", "crash", "size"):
-            why = f"{error} A coarser mesh does."
+            why = f"{error} Give a coarser mesh."
         else:
             why = _NO_REPORT.format(why=redact(f"{error.kind}: {error}")[:300])
         raise problem_at("mesh", why) from None
@@ -187,7 +187,7 @@ def unpacked(archive: Path, target: str, complete: bool) -> Iterator[Part]:
             except TableFileError as error:
                 raise problem_at("bundle", f'"{path.name}" {error}') from None
             if outside:
-                message = f'"{path.name}" has parts in other files; write it whole, without links'
+                message = f'"{path.name}" has parts in other files; write all in one file'
                 raise problem_at("bundle", message)
         has_deck = complete and read_bundle(folder).deck is not None
     except BundleError as error:
@@ -232,9 +232,9 @@ def faces(folder: Path) -> Iterator[Part]:
             problems = [BundleProblem(**each) for each in reporting.report(folder)["problems"]]
             problems = [each for each in problems if each.where.startswith(("component", "line"))]
         texts = [f"{each.where}: {each.message}" for each in problems]
-        raise ValueError("; ".join(texts) or "no [mesh] and no .inp deck with solid cells")
+        raise ValueError("; ".join(texts) or "has no [mesh] and no .inp deck with solids; add one")
     if (count := len(surface.triangles)) > MAX_FACE_TRIANGLES:
-        raise ValueError(f"{count} triangles are too many here; use wrenchbook check --plot")
+        raise ValueError(f"{count} triangles are too many to show; use wrenchbook check --plot")
     listed = [reporting.listed(surface, face) for face in surface.faces]
     figure = commands.faces_figure(surface, listed).to_json()
     text = f'{{"faces": {json.dumps(listed)}, "figure": {figure}}}'
@@ -253,8 +253,8 @@ def extract(archive: Path, target: Path) -> Path:
     except zipfile.BadZipFile as error:
         raise problem_at(
             "bundle",
-            f"This is not a zip file that can be read ({error}). Zip the folder that holds "
-            "component.toml and send it.",
+            f"The file cannot be read as a zip ({error}). Zip the folder that holds component.toml "
+            "and send it.",
         ) from None
     except (BundleError, MemoryError):
         raise
@@ -268,7 +268,7 @@ def extract(archive: Path, target: Path) -> Path:
     folders = sorted(path.parent for path in target.rglob("component.toml"))
     if len(folders) != 1:
         raise problem_at(
-            "bundle", f"The zip holds {len(folders)} files named component.toml; it must hold one."
+            "bundle", f"The zip holds {len(folders)} files named component.toml; leave exactly one."
         )
     return folders[0]
 
@@ -277,7 +277,7 @@ def _unpack(bundle: zipfile.ZipFile, target: Path) -> None:
     """Refuse a hostile archive, then write each member and count its bytes."""
     entries = bundle.infolist()
     if len(entries) > MAX_FILES:
-        message = f"The zip holds {len(entries)} files; at most {MAX_FILES} are accepted."
+        message = f"The zip holds {len(entries)} files; leave at most {MAX_FILES}."
         raise problem_at("bundle", message)
     if sum(info.file_size for info in entries) > MAX_BUNDLE_BYTES:
         raise problem_at("bundle", _TOO_LARGE.format(MAX_BUNDLE_BYTES >> 20))
@@ -285,7 +285,7 @@ def _unpack(bundle: zipfile.ZipFile, target: Path) -> None:
         name = info.filename[:200]
         parts = Path(info.filename).parts
         if info.filename.startswith(("/", "\\")) or ".." in parts or ":" in info.filename:
-            message = f"The zip holds the path {name!r}, which leads out of the bundle."
+            message = f"The zip holds the path {name!r}, which is outside the bundle; remove it."
             raise problem_at("bundle", message)
         if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             why = f"{name!r} is compressed by method {info.compress_type}"

@@ -138,7 +138,7 @@ class BrokenComponentError(UnknownComponentError):
     def __str__(self) -> str:
         return (
             f"The component {self.name!r} is in the library but cannot be used: {self.reason}. "
-            "Repair the files in its folder; the server then reads them by itself."
+            "Repair the files in its folder; the server then reads them again."
         )
 
 
@@ -147,8 +147,8 @@ class OneWrenchError(ValueError):
 
     def __init__(self, name: str, space: Space) -> None:
         super().__init__(
-            f"{name!r} has the inputs {', '.join(space.input_names)}, and this call takes one "
-            f"wrench alone. Use POST /v1/components/{name}/displacement or .../displacements."
+            f"{name!r} has the inputs {', '.join(space.input_names)}, but this call accepts one "
+            f"wrench only. Use POST /v1/components/{name}/displacement or .../displacements."
         )
 
 

@@ -42,16 +42,16 @@ log = logging.getLogger(__name__)
 
 POLL_SECONDS = 1.0  # between polls of files that were edited while no request reads them
 _DECKS_REFUSED = (
-    "A deck names a command that the server's solvers run, and this server takes none from "
-    "outside. Ask its operator to start it with: wrenchbook serve --allow-decks; or to put the "
-    "bundle's folder into the data directory's components folder"
+    "A deck names a command for the server's solvers, and this server accepts no uploaded decks. "
+    "Ask its operator for serve --allow-decks, or to put the bundle's folder into the data "
+    "directory's components folder"
 )
 _NOT_BY_THIS_KEY = (
-    "A deck names a command that the server's solvers run: only a key for admin may add one"
+    "A deck names a command that solvers run, so only a key for admin may add one; use such a key"
 )
 _TAKEN = (
-    "A component {name!r} is there already. Give the new one another name: "
-    "rows of one setup are never mixed with rows of another."
+    "There already is a component {name!r}. Give the new one another name, because rows of "
+    "different setups are never mixed."
 )
 
 
@@ -236,7 +236,7 @@ class Library:
         name = read_bundle(folder).name
         if not CALLER.get().touches(name):
             patterns = ", ".join(CALLER.get().components)
-            raise NotPermittedError(f"the key may touch {patterns}, and not {name!r}")
+            raise NotPermittedError(f"the key allows {patterns}, not {name!r}; use another key")
         final = self._local / name
         with self._lock:
             # On the disk too: another process may have added it, or its files may be damaged.
@@ -276,10 +276,10 @@ class Library:
             component = replace(component, stamp=())  # edited while it was read: to be read again
         name = component.name
         if not shipped and name != folder.name:  # it would answer in another component's place
-            message = f'is "{name}" but the folder is "{folder.name}"; give both one name'
+            message = f'is "{name}", but the folder is "{folder.name}"; give both the same name'
             raise problem_at("name", message)
         if not shipped and name in self._components and self._components[name].shipped:
-            raise problem_at("name", f'"{name}" is a shipped component; take another name')
+            raise problem_at("name", f'"{name}" is a shipped component; choose another name')
         self._components = {**self._components, name: component}
         self._version += 1
         return component

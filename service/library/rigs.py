@@ -36,7 +36,7 @@ def rig_of(ledger: Ledger, rig: str) -> str:
     known = profiles(ledger)
     if rig not in known:
         names = ", ".join([*known][:MAX_NAMED]) + (", ..." if len(known) > MAX_NAMED else "")
-        message = f"there is no rig {rig!r}; there are {names}. Store it with "
+        message = f"there is no rig {rig!r}; name one of {names}. Store it with "
         raise UnknownRigError(f"{message}wrenchbook rig add {rig} FILE.toml, or send its TOML")
     text = known[rig][0]
     return f'name = "{rig}"\n{text}' if Rig.read(text).name == Rig.digest(text) else text
@@ -48,7 +48,7 @@ def store_rig(ledger: Ledger, name: str, profile: str) -> None:
         others = db.execute("SELECT count(*) FROM rigs WHERE name != ?", (name,)).fetchone()[0]
         if others >= MAX_RIGS:
             raise RigError(
-                f"{others} rigs are stored, the largest number; remove one (wrenchbook rig remove)"
+                f"{others} rigs are stored, the limit; remove one (wrenchbook rig remove)"
             )
         note(db, "rig.store", name, before=_stored(db, name), after=profile)
         db.execute("INSERT OR REPLACE INTO rigs VALUES (?, ?)", (name, profile))
@@ -59,7 +59,7 @@ def remove_rig(ledger: Ledger, name: str) -> None:
     with ledger.writing() as db:
         before = _stored(db, name)
         if before is None:
-            raise UnknownRigError(f"the rig {name!r} is not stored; shipped ones stay")
+            raise UnknownRigError(f"the rig {name!r} is not stored; name a stored one")
         db.execute("DELETE FROM rigs WHERE name = ?", (name,))
         note(db, "rig.remove", name, before=before)
 

@@ -44,7 +44,7 @@ _UNREADABLE = (
     *(KeyError, ValueError, TypeError, AttributeError, OverflowError),
     *(RuntimeError, EOFError, zipfile.BadZipFile),
 )
-_DAMAGED = "the backup is damaged and nothing was changed. Take another one"
+_DAMAGED = "the backup is damaged and nothing was changed. Use another one"
 
 
 class BackupError(RuntimeError):
@@ -76,10 +76,10 @@ def back_up(folder: Path, target: Path) -> Manifest:
     """
     folder, target = folder.absolute(), target.absolute()
     if not (folder / LEDGER).is_file():
-        raise BackupError(f"{folder} is not a data directory: it has no {LEDGER}")
+        raise BackupError(f"{folder} is no data directory (no {LEDGER}); name another one")
     root, real = folder.resolve(), target.parent.resolve() / target.name
     if real.is_relative_to(root) and HELD.fullmatch(real.relative_to(root).as_posix()):
-        problem = f"{target} is among the files that backups hold: each would hold those before it"
+        problem = f"{target} is in a folder of backups, so each would contain the earlier"
         raise BackupError(f"{problem}. Name a file outside of {folder}. No backup was made")
     draft = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
@@ -131,11 +131,11 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
         status = source.stat()
         archive = zipfile.ZipFile(source)
     except FileNotFoundError:
-        raise BackupError(f"there is no file {source}") from None
+        raise BackupError(f"there is no file {source}; name a backup") from None
     except (*_UNREADABLE, OSError) as error:
         raise BackupError(
-            f"{source} is not a complete backup ({error}): its writing or copying was cut off. "
-            "Take another one; nothing was changed"
+            f"{source} is not a complete backup ({error}), because its writing or copying was cut "
+            "off. Use another one; nothing was changed"
         ) from error
     # A backup is its owner's alone to read: one that comes from somebody else was passed on.
     if status.st_uid not in (0, os.geteuid()):
@@ -150,8 +150,7 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
         if unpacked > status.st_size or any(entry.compress_type for entry in entries):
             raise BackupError(
                 f"{source} has compressed or overlapping entries ({unpacked:,} bytes in a file of "
-                f"{status.st_size:,}), which no backup has: it was changed. Nothing was restored; "
-                "take another one"
+                f"{status.st_size:,}), so it was changed. Nothing was restored; use another one"
             )
         manifest = _manifest(archive, source)
         for name, expected in manifest.files.items():
@@ -162,9 +161,7 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
                 problem = f"{name} in {source} cannot be read ({error}); {_DAMAGED}"
                 raise BackupError(problem) from error
             if copied != expected:
-                raise BackupError(
-                    f"{name} in {source} has changed since it was written; {_DAMAGED}"
-                )
+                raise BackupError(f"{name} in {source} is not as it was written; {_DAMAGED}")
     return manifest
 
 
@@ -173,7 +170,7 @@ def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
         fields: dict[str, Any] = json.loads(archive.read(MANIFEST))
         kind, schema = fields["format"], int(fields["schema"])
     except _UNREADABLE as error:
-        raise BackupError(f"{source} is a zip, but no backup of wrenchbook ({error!r})") from error
+        raise BackupError(f"{source} is a zip, but no backup ({error!r}); name one") from error
     if kind != FORMAT or schema > SCHEMA:
         raise BackupError(
             f"{source} was written by a newer wrenchbook ({fields.get('program')}, form {schema}; "
@@ -183,23 +180,17 @@ def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
         files = {str(name): (int(n), str(digest)) for name, (n, digest) in fields["files"].items()}
         created, ledger_schema = float(fields["created"]), int(fields["ledger_schema"])
     except _UNREADABLE as error:
-        raise BackupError(
-            f"{source} has no readable list of its content ({error!r}); take another backup"
-        ) from error
+        raise BackupError(f"{source} has no valid contents ({error!r}); use another") from error
     held = {name: digest for name, digest in files.items() if HELD.fullmatch(name)}
     skipped = tuple(files.keys() - held.keys())
     outside = [name for name in skipped if name.startswith("/") or ".." in name.split("/")]
     if outside or (skipped and schema > 1):
         raise BackupError(
-            f"{source} holds {(outside or skipped)[0]!r}, which no backup contains: it was "
-            "changed. "
-            "Nothing was restored; take another one"
+            f"{source} holds {(outside or skipped)[0]!r}, which no backup does, so it was changed. "
+            "Nothing was restored; use another one"
         )
     if LEDGER not in held:
-        raise BackupError(
-            f"{source} has no {LEDGER}: it is not a backup of a data directory. Name a file that "
-            "wrenchbook backup wrote"
-        )
+        raise BackupError(f"{source} has no {LEDGER}, so it is not a backup; name another")
     return Manifest(created, ledger_schema, held, skipped=tuple(sorted(skipped)))
 
 

@@ -76,13 +76,13 @@ def check_side_files(folder: Path, *, repair: bool) -> Iterator[DataFinding]:
     try:
         Keyring(folder)
     except KeysError as error:
-        yield DataFinding("fault", f"nobody is let in: {error}")
+        yield DataFinding("fault", f"nobody can log in: {error}")
     path = folder / "wrenchbook.toml"
     try:
         tomllib.loads(path.read_text(encoding="utf-8") if path.exists() else "")
     except (OSError, ValueError) as error:
         yield DataFinding("fault", f"{path.name} cannot be read as TOML: {error}", "correct it")
-    surface = "its row answers as before; its surface comes from the others until it is solved anew"
+    surface = "its row still answers; its surface comes from the others until it is solved anew"
     geometry = "surfaces come back with further solves"
     for path in sorted(folder.glob("fields/*/*/*")):
         kinds = {".fields": (read_row, surface), ".geometry": (read_geometry, geometry)}
@@ -118,10 +118,10 @@ def find_leftovers(folder: Path, ledger: Ledger) -> Iterator[DataFinding]:
     orphans = [jobs / str(number) for number in sorted(numbers) if number not in known]
     aside = [path for pattern in _ASIDE for path in folder.glob(pattern)]
     removal = "left by an interrupted write; safe to remove while no server is running"
-    gone = "they are of a ledger that is gone; a result.json in them may be worth a look"
+    gone = "they belong to a lost ledger; look for a result.json in them, then remove them"
     for subject, paths, remedy in (
         ("unfinished files", unfinished, removal),
-        ("copies moved aside", aside, "remove them once nothing in them is missed"),
+        ("copies moved aside", aside, "remove them once you need nothing in them"),
         ("attempts of jobs that the ledger does not have", orphans, gone),
     ):
         names = ", ".join(str(path.relative_to(folder)) for path in paths[:_MAX_NAMED])

@@ -48,11 +48,11 @@ def examine(folder: Path, *, repair: bool = False) -> list[DataFinding]:
     folder = folder.absolute()
     if not folder.is_dir():
         return [
-            DataFinding("fault", f"there is no data directory {folder}", "say which with --data")
+            DataFinding("fault", f"there is no data directory {folder}", "name another with --data")
         ]
     findings = [*check_disk(folder), *check_side_files(folder, repair=repair)]
     if copies := trouble_of(read_status(folder)):
-        remedy = "see that the target is there, has room and can be written; the server tries again"
+        remedy = "check that the target exists, has room and can be written; the server tries again"
         findings.append(DataFinding("fault", f"copies of this directory: {copies}", remedy))
     ledger, of_ledger = _opened(folder, repair=repair)
     findings += of_ledger
@@ -69,9 +69,9 @@ def examine(folder: Path, *, repair: bool = False) -> list[DataFinding]:
         store = TableStore(folder / "tables", ledger)
         for name in library.names():
             findings += _check_component(ledger, library[name], store, tables, repair=repair)
-        remedy = "put its bundle into components/ again, or move the file away"
+        remedy = "put its bundle back into components/, or move the file away"
         for name in sorted(tables.keys() - set(library.names())):
-            text = f"tables/{name}.h5 is the table of a component that is not in the library"
+            text = f"tables/{name}.h5 belongs to a component that is not in the library"
             findings.append(DataFinding("note", text, remedy))
         findings += find_leftovers(folder, ledger)
         findings += _losses(ledger, repair=repair)
@@ -91,9 +91,9 @@ def _opened(folder: Path, *, repair: bool) -> tuple[Ledger | None, list[DataFind
     log = path.with_name(f"{LEDGER}-wal")
     findings = []
     if _has_bytes(log) and not _has_bytes(path):
-        text = f"there is {log.name} without {LEDGER}: what was newest is in it and not readable"
+        text = f"there is {log.name} without {LEDGER}, so the newest rows in it cannot be read"
         if not repair:
-            return None, [DataFinding("fault", text, f"put {LEDGER} back; if it is gone, {REPAIR}")]
+            return None, [DataFinding("fault", text, f"put {LEDGER} back; if it is lost, {REPAIR}")]
         findings.append(DataFinding("repaired", text, f"moved to {move_aside(log, 'orphan').name}"))
     if not _has_bytes(path):
         text = f"{LEDGER} is empty" if path.exists() else f"there is no {LEDGER}"
@@ -143,7 +143,7 @@ def _rebuilt(folder: Path, problem: str) -> list[DataFinding]:
         new.rename(path)
         sync(folder)
     jobs, rows, highest = salvaged.read["jobs"], salvaged.read["rows"], salvaged.highest_job
-    text = f"a new one was made: {jobs} jobs of {highest} and {rows} rows could be read, others "
+    text = f"a new one was created: {jobs} jobs of {highest} and {rows} rows could be read, others "
     text += "come from the tables' files"
     text += f"; jobs that were lost: {highest - jobs}" if highest > jobs else ""
     if salvaged.reopened:
@@ -172,7 +172,7 @@ def _gone(subject: str, count: int) -> list[DataFinding]:
     if not count:
         return []
     remedy = "restore a backup, or load or solve them again; the next check does not repeat this"
-    return [DataFinding("fault", f"{subject} that were acknowledged are gone", remedy)]
+    return [DataFinding("fault", f"{subject} that were acknowledged are lost", remedy)]
 
 
 def _read_all(
@@ -199,9 +199,7 @@ def _read_all(
             stored = count(path.stem)
             remedy = f"moved to {move_aside(path).name}" if repair else ""
             if not stored:
-                lost = (
-                    "the ledger has no row of it: restore a backup, or load or solve its rows again"
-                )
+                lost = "the ledger has no row of it; restore a backup, or solve its rows again"
                 remedy = f"{remedy}; {lost}" if repair else lost
             elif not repair:
                 remedy = f"the ledger has {stored} rows of it; {REPAIR}"
@@ -216,8 +214,8 @@ def _damaged_rows(ledger: Ledger, tables: Tables, *, repair: bool) -> Iterator[D
         name = next((name for name, (rows, _) in tables.items() if seq in rows.seq), None)
         if name is None:
             remedy = (
-                "no whole table file has it: ask for its wrench again to have it solved or load it "
-                "again, or restore a backup"
+                "no complete table file has it; ask for its wrench again, load it again, or "
+                "restore a backup"
             )
             yield DataFinding("fault", text, remedy)
         elif not repair:
@@ -225,7 +223,7 @@ def _damaged_rows(ledger: Ledger, tables: Tables, *, repair: bool) -> Iterator[D
         else:
             rows = tables[name][0]
             if ledger.rewrite(name, seq, rows.take(np.flatnonzero(rows.seq == seq)[:1])):
-                yield DataFinding("repaired", text, f"written anew from tables/{name}.h5")
+                yield DataFinding("repaired", text, f"written again from tables/{name}.h5")
             else:
                 remedy = "the same row is there under another number, which is used"
                 yield DataFinding("note", text, remedy)
@@ -264,5 +262,5 @@ def _check_component(
     if not complete and len(wrenches):
         text = f"{sum(others.values())} rows of {name} belong to another setup of it"
         again = f"wrenchbook resolve {name} solves their {len(wrenches)} wrenches again; "
-        back = "they come back if its files are as they were"
+        back = "they come back if its files are restored"
         yield DataFinding("note", text, again * component.has_fea + back)

@@ -83,7 +83,7 @@ class Manifest:
 def place_of(url: str) -> Place:
     """Return the storage of a URL as a mapping; raises ReplicaError."""
     if url.startswith(("http://", "https://")):
-        raise ReplicaError(f"{shown(url)} is not a replica: write the URL of serve --replicate")
+        raise ReplicaError(f"{shown(url)} is not a replica; write the URL of serve --replicate")
     try:
         import fsspec  # half a second that only servers with a replica wait
 
@@ -114,9 +114,9 @@ class Replica:
             content = self.place[name]
             fields: dict[str, Any] = json.loads(content)
             if name != _name(fields["number"], content):
-                raise ValueError("it is not what was written")
+                raise ValueError("it was changed after it was written")
             if fields["format"] != FORMAT or fields["ledger_schema"] > VERSION:
-                raise BackupError(f"{self.url} is of a newer wrenchbook; install that to read it")
+                raise BackupError(f"{self.url} is of a newer wrenchbook; install that version")
             numbers = fields["interval"], fields["created"], fields["ledger"][0]
             if not all(0.0 < number < 1e11 for number in numbers):
                 raise ValueError("its interval, its time or its ledger is invalid")
@@ -127,7 +127,9 @@ class Replica:
 
     def newest(self, until: float = float("inf")) -> Manifest:
         """Return the newest complete manifest that was created `until` then; raises BackupError."""
-        why = ReplicaError(f"{self.url} has no manifest{' of that time' * (until < 1e99)}")
+        why = ReplicaError(
+            f"{self.url} has no manifest{' of that time' * (until < 1e99)}; check it"
+        )
         for name in self.manifests():
             try:
                 if (manifest := self.manifest(name)).created <= until:
@@ -141,10 +143,10 @@ class Replica:
         try:
             files = _entries(json.loads(b"".join(map(self.block, manifest.files[1]))))
         except _UNREADABLE as error:
-            raise ReplicaError(f"the files of {self.url} are damaged: {error!r}") from error
+            raise ReplicaError(f"{self.url} is damaged ({error!r}); use a backup") from error
         for name in files:
             if not is_held(name):
-                raise ReplicaError(f"{self.url} holds {name!r}, which no replica contains")
+                raise ReplicaError(f"{self.url} must not hold {name!r}; remove it")
         return {**files, LEDGER: manifest.ledger}
 
     def block(self, digest: str) -> bytes:
@@ -195,8 +197,8 @@ class Shipper:
         names, newest = replica.manifests(), None
         if again and not names:
             raise ReplicaError(
-                f"{replica.url} is empty and was not before; mount it, or start the server again "
-                "to ship all files again"
+                f"{replica.url} is now empty; mount it, or restart the server to ship everything "
+                "again"
             )
         try:
             newest = replica.newest() if names else None
@@ -209,7 +211,7 @@ class Shipper:
             if newest.origin != self._origin:
                 raise ReplicaError(
                     f"{replica.url} has the replica of another data directory; name an empty "
-                    "folder. A restored directory needs a new one too"
+                    "folder, also after a restore"
                 )
             present = {name.rpartition("/")[2] for name in replica.place if name.startswith(BLOCKS)}
             with suppress(ReplicaError):  # else all is shipped again
@@ -261,7 +263,7 @@ class Shipper:
     def _check(self) -> None:
         """Raise ReplicaError unless the place is as it was left: blocks may be missing now."""
         if self._replica.place.get(LATEST, b"") != self._pointer:
-            raise ReplicaError(f"{self._replica.url} was changed or removed by another program")
+            raise ReplicaError(f"{self._replica.url} was changed by others; start anew")
 
     def collect(self) -> None:
         """Remove the manifests that need not stay, and the blocks that no manifest needs."""
@@ -363,7 +365,7 @@ def trouble_of(status: Mapping[str, Any], settings: Settings | None = None) -> s
             if part["trouble"]:
                 parts.append(f"{name}: {part['trouble']}")
             elif silent > part["patience"]:
-                parts.append(f"{name}: its process has not reported for {silent:.0f} s")
+                parts.append(f"{name}: its process is silent for {silent:.0f} s; see the log")
     return "; ".join(parts) or None
 
 

@@ -104,6 +104,6 @@ def _check_free(folder: Path, *, overwrite: bool) -> list[Path]:
     if present and not overwrite:
         raise BackupError(
             f"{folder} is not empty ({present[0].name} and {len(present) - 1} more); name another "
-            "directory, or use --overwrite, which moves its content aside. Nothing was changed"
+            "directory, or add --overwrite to move its files aside. Nothing was changed"
         )
     return present

@@ -18,7 +18,7 @@ from wrenchbook.surrogate.answer import COVERED
 
 Floats = NDArray[np.float64]
 
-_NOTHING = "nothing is recorded yet: run a simulation with a Recorder or a Mount, then start again"
+_NOTHING = "nothing is recorded yet; run a simulation with a Recorder or a Mount, then start again"
 
 
 @dataclass(frozen=True)
@@ -86,9 +86,9 @@ def _solvable(workspace: Workspace, name: str) -> Component:
     component = workspace.library[name]
     if not component.has_fea:
         raise NoSetupError(
-            f"{name!r} is a table of measured rows, without a finite-element setup, so nothing was "
-            "queued; the recorded wrenches stay. GET them, measure or solve them elsewhere, "
-            f"and load the rows: POST /v1/components/{name}/table."
+            f"{name!r} is a table of measured rows without a finite-element setup, so nothing was "
+            "queued. The recorded wrenches stay; GET them, measure or solve them, and load the "
+            f"rows: POST /v1/components/{name}/table."
         )
     return component
 
@@ -131,15 +131,15 @@ def _start(
     failed, over_budget = status.count("failed"), len(fresh) - len(order)
     reasons = []
     if over_budget:
-        reasons.append(f"{over_budget} are left by the budget: start again once these are solved")
+        reasons.append(f"{over_budget} exceed the budget; start again once these are solved")
     if failed:
         reasons.append(
-            f"{failed} have failed before: see GET /v1/jobs?status=failed and retry them"
+            f"{failed} have failed before; see GET /v1/jobs?status=failed and retry them"
         )
     if beyond:
         reasons.append(
-            f"{beyond} are outside the load range: start with beyond_range true (--beyond-range) "
-            "to solve them all the same"
+            f"{beyond} are outside the load range; to solve them nevertheless, start with "
+            "beyond_range true (--beyond-range)"
         )
     if not len(unknown) and not reasons:
         any_known = solved.any() or covered.any()
@@ -171,8 +171,8 @@ def _start_linear(
     reason = "the component is linear: its compliance, once solved, answers every wrench"
     if not queued:
         reason = (
-            "the component is linear and the solves of its compliance have failed: see "
-            "GET /v1/jobs?status=failed and retry them"
+            "the component is linear and the solves of its compliance have failed; see GET "
+            "/v1/jobs?status=failed and retry them"
         )
     jobs = [workspace.ledger.job(job.id) for job in queued]
     return StartedSolves(jobs, beyond_range=beyond, reason=reason)

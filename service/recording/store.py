@@ -291,16 +291,16 @@ def _was_recorded(
     if before:
         if before[0] != digest:
             raise BlockKeyError(
-                f"block {sequence} of client {client!r} has been recorded with other wrenches; "
-                "give each block a number of its own, or use another client name"
+                f"block {sequence} of client {client!r} was already recorded with other wrenches; "
+                "give each block its own number, or use another client name"
             )
         return True
     last = db.execute(f"SELECT max(sequence) FROM blocks WHERE {key}", of_client).fetchone()[0]
     if last is not None and sequence <= last - BLOCKS_OF_A_CLIENT:
         raise BlockKeyError(
             f"block {sequence} of client {client!r} is more than {BLOCKS_OF_A_CLIENT} before its "
-            f"newest, {last}: whether it was recorded is not known any more. Send blocks in order, "
-            "or use another client name to record it now"
+            f"newest, {last}, so it is unknown whether it was recorded. Send blocks in order, or "
+            "use another client name to record it now"
         )
     added = db.execute(
         "INSERT INTO blocks (component, kind, client, sequence, digest) VALUES (?, ?, ?, ?, ?)",
@@ -398,7 +398,7 @@ def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance |
     negligible, reason = True, "" if kind == "bound" else "an estimate by the table, see formula"
     if tolerance is None:
         negligible = None
-        reason = "the component has no tolerance: ask with ?translation=...&rotation=..."
+        reason = "the component has no tolerance; ask with ?translation=...&rotation=..."
     elif (largest > np.where(space.is_rotation, tolerance.rotation, tolerance.translation)).any():
         negligible, reason = False, ""
     elif kind == "unknown":
@@ -406,7 +406,7 @@ def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance |
         reason = "the table does not answer over all of the box; start the envelope's solves"
     elif coverage == OUTSIDE and kind != "bound":
         negligible = None
-        reason = "part of the box is outside the table, where an estimate is no proof"
+        reason = "part of the box is outside the table, so fill it for an estimate there"
     number = f"the {len(corners)}" if len(corners) < MAX_CORNERS else len(corners)
     formula = EXACT if exact else ESTIMATE.format(number)
     return Bound(largest, kind, formula, COVERAGE[coverage], negligible, reason)

@@ -49,7 +49,7 @@ class Reports:
         table = self._tables / f"{component.name}.h5"
         if not table.exists():
             raise FileNotFoundError(
-                f"{component.name!r} has no rows yet, so there is nothing to report on. Fill its "
+                f"{component.name!r} has no rows yet, so there is nothing to report. Fill its "
                 f"table first: wrenchbook fill {component.name}"
             )
         folder = self._folder / component.name

@@ -41,7 +41,7 @@ def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
     """
     if not table.load_range.space.is_default:
         raise BushingError(
-            "a bushing has one interface and no further inputs: use an FMU or the C library"
+            "a bushing needs one interface and no further inputs; use an FMU or the C library"
         )
     loop, hidden = loop_of(table.rows, table.load_range)
     lines, why = [_HEAD], ""
@@ -53,7 +53,7 @@ def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
             low, high = curve.end(-1), curve.end(1)
             loads = curve.at(high).load - curve.at(low).load
             if not abs(loads) > SHORT * (curve.high - curve.low):
-                raise BushingError("the rows cover no loads beside zero")
+                raise BushingError("the rows cover only zero load; add rows")
         except (InverseError, BushingError) as error:
             why = why or f"{OUTPUTS[axis]}: {error}"
             continue
@@ -69,7 +69,7 @@ def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
             cells = ["" if value != value else repr(float(value)) for value in numbers]
             lines.append(",".join([OUTPUTS[axis], *cells, NAMES[point.coverage]]) + "\n")
     if len(lines) == 1:
-        remedy = "" if others == "load" else "; others=load needs rows of one axis alone"
+        remedy = "" if others == "load" else "; others=load needs rows that load one axis only"
         raise BushingError(f"the table has no curve: {why}{remedy}")
     return "".join(lines)
 
@@ -82,7 +82,7 @@ class _Curve:
         self.unit = np.eye(len(LOADS))[axis]
         self.low, self.high = table.load_range.low[axis], table.load_range.high[axis]
         if not self.low < self.high:
-            raise BushingError("its load has no range")
+            raise BushingError("its load has no range; widen it")
         loads, rounding = table.rows.wrench[:, axis], 1e-9 * (self.high - self.low)
         self.rows = loads.min(initial=0.0) - rounding, loads.max(initial=0.0) + rounding
         self.rest = 0.0 if others == "displacement" else self._moved(0.0)
@@ -132,6 +132,6 @@ class _Curve:
         # Beyond its rows a thin table guesses, and a linear one answers.
         beyond = coverage != _COVERED and not self.rows[0] <= wrench[axis] <= self.rows[1]
         if beyond or not self.table.load_range.holds(wrench[None])[0] or coverage == _OUTSIDE:
-            raise BushingError("the load there is outside the load range or the rows")
+            raise BushingError("the load there is outside the range or the rows; fill the table")
         bar = float(np.abs(row) @ np.where(row == 0, 0.0, errors))
         return _Point(wrench[axis], bar, abs(row[axis]), errors[axis], coverage)

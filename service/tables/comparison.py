@@ -65,7 +65,7 @@ def comparison(
                 + (f"its last are {known}" if known else "import a file of measured rows first")
             )
     if number is not None and number == against:
-        raise UncomparableError(f"import {number} is its own reference; name two imports")
+        raise UncomparableError(f"import {number} cannot be its own reference; name two imports")
     reference = ~measured if against is None else measured & (of_import == against)
     chosen = measured & ~reference & (number is None or of_import == number)
     inside = np.asarray(component.load_range.holds(rows.wrench))
@@ -77,10 +77,10 @@ def comparison(
     expected, bar = np.full((2, *some.displacement.shape), np.nan)
     noise, coverage = np.full(len(outputs), np.nan), np.full(len(some), _OUTSIDE)
     if not len(base):
-        reason = "there is no solved row"
+        reason = "there is no solved row; fill the table"
     elif not len(some):
         beside = f" beside those of import {against}" if against is not None else ""
-        reason = f"there is no measured row{beside}"
+        reason = f"there is no measured row{beside}; import some"
     else:
         of_rig = replace(component, linear=False)  # nothing makes a rig linear
         noise = build_table(of_rig, some, 0).observation_noise

@@ -73,7 +73,7 @@ def check_units(request: ExportRequest) -> None:
     """Raise UnitError for an unknown unit, and for any but SI in formats that programs read."""
     chosen = chosen_units(request.units)
     if request.format in IN_SI and any(unit != of.si for of, (unit, _) in chosen.items()):
-        raise UnitError(f"{request.format} is always in SI; leave the units out, or take CSV")
+        raise UnitError(f"{request.format} is always in SI; leave the units out, or use CSV")
 
 
 def _write_columns(

@@ -24,10 +24,9 @@ from wrenchbook.surrogate.table.compliance import fit_compliance
 
 SAME = 1e-12  # of a number: what an export in other units and its import may lose
 TWICE = (
-    "import {0.id} has the rows of this file ({0.filename}) already, read with other options. Each "
-    "test then counts twice, and answers lie between both. Keep both only if the rows are others, "
-    "such as of another sheet. Else withdraw this import, or the earlier one: wrenchbook withdraw "
-    "{0.component} {0.id}"
+    "import {0.id} already has the rows of this file ({0.filename}), read with other options, so "
+    "each test counts twice. Unless the rows differ, as on another sheet, withdraw this import or "
+    "the earlier one: wrenchbook withdraw {0.component} {0.id}"
 )
 _MAX_TRIED = 16  # stored rows of nearly one sum that a row is compared with; others hardly occur
 

@@ -55,8 +55,8 @@ class TableBehindError(Exception):
         """Return the error of a table with rows that was never built since the start."""
         why = why or "it is being built for the first time since the start"
         return cls(
-            f"the table of {name!r} has rows and cannot answer yet: {why}. No solve was queued; "
-            "ask again in a while"
+            f"the table of {name!r} cannot answer yet, because {why}. No solve was queued; ask "
+            "again in a moment"
         )
 
 
@@ -308,8 +308,8 @@ class MappedTables:
         if not self._state.is_locked_by_builder():
             why += "; the process that builds tables has ended and is started again"
         raise TableBehindError(
-            f"the table of {name!r} is older than the ledger: {why}. No solve was queued; ask "
-            "again in a while"
+            f"the table of {name!r} is older than the ledger, because {why}. No solve was queued; "
+            "ask again in a moment"
         )
 
     def stamp(self) -> object:
@@ -417,9 +417,9 @@ def note_on_other_rows(name: str, table: ServedTable) -> str:
     if not table.other_wrenches:
         return ""
     return (
-        f"{table.other_rows} rows belong to another setup of {name!r} and are not in its table: "
-        f"POST /v1/components/{name}/table/resolve, or wrenchbook resolve {name}, solves their "
-        f"{table.other_wrenches} wrenches again"
+        f"{table.other_rows} rows belong to another setup of {name!r} and are not in its table; "
+        f"solve their {table.other_wrenches} wrenches again with POST "
+        f"/v1/components/{name}/table/resolve or: wrenchbook resolve {name}"
     )
 
 
@@ -429,6 +429,6 @@ def warning_of(component: Component, table: ServedTable) -> str:
         return note_on_other_rows(component.name, table)
     return (
         f"{table.other_rows} rows belong to another setup of {component.name!r} and are not in its "
-        "table: it has no finite-element setup now. Put its files back, or export the rows and "
-        "load them as measured ones, without a fingerprint"
+        "table, because it has no finite-element setup now. Put its files back, or export the rows "
+        "and load them as measured, without a fingerprint"
     )

@@ -197,7 +197,7 @@ def run(settings: Settings, started: threading.Event) -> None:
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     state = CoordinatorState(settings.data / FOLDER)
     if not state.take():
-        log.error(IN_USE.format(settings.data))
+        log.error(IN_USE.format(settings.data, "another server"))
         sys.exit(STARTUP_FAILURE)
     try:
         with opened(settings) as parts, building(settings, parts, state):

@@ -47,7 +47,7 @@ class Follower:
         """Take the newest manifest over; return it, and when it had all that was committed, s."""
         if not (content := self._replica.place.get(replica.LATEST)):
             raise replica.ReplicaError(
-                f"{self._replica.url} has no replica; is its server at work?"
+                f"{self._replica.url} has no replica; check that its server runs"
             )
         pointer = json.loads(content)
         if self._manifest is None or pointer["manifest"] != self._name:
@@ -98,7 +98,7 @@ def run(settings: Settings, started: threading.Event) -> None:
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     state = CoordinatorState(settings.data / FOLDER)
     if not state.take():
-        log.error(IN_USE.format(settings.data))
+        log.error(IN_USE.format(settings.data, "another server"))
         sys.exit(STARTUP_FAILURE)
     follower, part = None, read_status(settings.data).get("followed", {})
     if part:

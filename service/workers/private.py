@@ -15,6 +15,7 @@ from typing import Final, TextIO
 from wrenchbook.service.client import Client
 from wrenchbook.service.files.program import child_command
 from wrenchbook.service.keys import OWN_KEY
+from wrenchbook.service.workers.supervisor import in_use
 
 CALL_S: Final = 60.0  # twice a client's default: the server shares the cores with its solvers
 STOP_S: Final = 30.0
@@ -29,8 +30,10 @@ class ServerDidNotStartError(RuntimeError):
 def private_server(folder: Path, solvers: int) -> Iterator[Client]:
     """Start a server on a data directory, for the length of a command.
 
-    Raises ServerDidNotStartError if it ends before it is ready.
+    Raises ServerDidNotStartError if it ends before it is ready, or another server uses `folder`.
     """
+    if used := in_use(folder):
+        raise ServerDidNotStartError(used)
     command = child_command("wrenchbook.service.cli.main", "serve", "--data", str(folder))
     command += ["--port", "0", "--solvers", str(solvers), "--log-level", "warning"]
     key = secrets.token_urlsafe(32)

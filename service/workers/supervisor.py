@@ -25,7 +25,7 @@ from typing import Any, Final
 from uvicorn.config import STARTUP_FAILURE
 from uvicorn.importer import import_from_string
 
-from wrenchbook.service.files.lock import take
+from wrenchbook.service.files.lock import is_locked, take
 from wrenchbook.service.ops.logs import set_up
 from wrenchbook.service.settings import Settings
 from wrenchbook.service.tables.coordinator_state import FOLDER as SHARED
@@ -44,7 +44,11 @@ HEALTH_S: Final = 30.0
 RETIRE: Final = signal.SIGUSR1  # to a web worker that is replaced: see `Server.retire`
 STOP_S: Final = 30.0  # for a process to end after SIGTERM
 POLL_S: Final = 0.1  # between two checks of signals and heartbeats; an end wakes it at once
-IN_USE: Final = "another server uses {}; stop it first, or serve another directory with --data"
+IN_USE: Final = (
+    "the data directory {} is in use by {}; call that server with --server, stop it, or name "
+    "another directory with --data"
+)
+_LOCK: Final = "supervisor.lock"  # holds address and pid of the server
 _ENDS: Final = frozenset({signal.SIGINT, signal.SIGTERM})
 # From SIGTERM until connections are refused: web workers take those that wait within 0.1 s.
 REFUSE_AFTER_S: Final = 0.2
@@ -234,6 +238,12 @@ def bind_to(host: str, port: int) -> tuple[socket.socket, str]:
     return bound, f"http://{shown}:{bound.getsockname()[1]}"
 
 
+def in_use(data: Path) -> str:
+    """Return the message on a data directory that a server uses; empty if none does."""
+    path = data / SHARED / _LOCK
+    return IN_USE.format(data, path.read_text() or "another server") if is_locked(path) else ""
+
+
 def supervise(settings: Settings, *, as_json: bool = False) -> None:
     """Serve; the address is printed once the server answers.
 
@@ -245,8 +255,10 @@ def supervise(settings: Settings, *, as_json: bool = False) -> None:
     bound, address = bind_to(settings.host, settings.port)
     shared = settings.data / SHARED
     shared.mkdir(exist_ok=True)
-    if take(shared / "supervisor.lock") is None:  # held until this process ends
-        raise WorkerFailedError(IN_USE.format(settings.data))
+    if (lock := take(shared / _LOCK)) is None:  # held until this process ends
+        raise WorkerFailedError(in_use(settings.data))
+    os.truncate(lock, 0)
+    os.write(lock, f"the server at {address} (pid {os.getpid()})".encode())
     for path in shared.iterdir():  # counts and rates of a server that was killed
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)

@@ -38,7 +38,7 @@ MESSAGES: dict[Cause, str] = {
 }
 OF_LOADS = (
     "{} stays at {:.6g} {} in {} rows, where {} goes on by up to {:.0%} of its range: the load "
-    "cell was {} there, and answers would be by a wrong load. Withdraw these rows"
+    "cell was {} there, so these rows have a wrong load. Withdraw them"
 )
 
 

@@ -143,7 +143,7 @@ def clock_findings(lag: Lag | None, applied: float) -> list[RigFinding]:
         f"lag={lag.seconds:.4g} (--lag {lag.seconds:.4g})"
     )
     message += (
-        f". But {repeated(lag)}: look which fits a load that occurs once"
+        f". But {repeated(lag)}: use the lag that fits a load that occurs once"
         if lag.others
         else " or lag=auto"
     )

@@ -126,12 +126,12 @@ def comparison_findings(
         for name, pair in differ.items()
     )
     others, remedy = (
-        ("the solves", "The part, its material or its clamping differ from the model: correct it")
+        ("the solves", "Correct the part, its material or its clamping in the model")
         if solves
-        else ("the table's rows", "One of the two is wrong, or the part has changed: look at both")
+        else ("the table's rows", "One of the two is wrong, or the part has changed; check both")
     )
     message = (
         f"these rows differ from {others} by more than noise and error bars ({listed}). {remedy}, "
-        "or withdraw an import. While the table has both, its error bars are wide enough for both"
+        "or withdraw an import. Until then the error bars cover both"
     )
     return [RigFinding("solves" if solves else "campaign", message, (), {"differ": differ})]

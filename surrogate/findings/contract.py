@@ -64,12 +64,12 @@ def sign_findings(fit: Fit) -> list[RigFinding]:
     names = ", ".join(f"{LOADS[k]} on {OUTPUTS[k]}" for k in wrong)
     all_wrong = len(wrong) == work.sum()
     subject = (
-        "all loads, or all displacements, have the wrong sign. The wrench acts ON the component: "
-        "turn the signs of readings of the opposite wrench, with a mapping such as Fz=-fz [N]"
+        "all loads, or all displacements, have the wrong sign. The wrench must act ON the "
+        "component; reverse the signs of the loads with a mapping such as Fz=-fz [N]"
         if all_wrong and len(wrong) > 1
-        else "these loads, or these displacements, have the wrong sign or the axes of another "
-        "frame (turn one of the two with a mapping such as Fz=-fy [N]; --frame turns both), or "
-        "another reference point (--load-point, --displacement-point)"
+        else "these loads or displacements have a wrong sign or another frame (reverse one of them "
+        "with a mapping such as Fz=-fy [N], or both with --frame), or another reference point "
+        "(--load-point, --displacement-point)"
     )
     message = f"the loads do negative work ({names}), which no elastic part does: {subject}"
     return [RigFinding("sign", message, (), {"loads": [LOADS[k] for k in wrong]})]
@@ -90,8 +90,8 @@ def turned_findings(fit: Fit, solved: Fit | None) -> list[RigFinding]:
         all_wrong = wrong.sum() == both.any(axis=axis).sum()
         subject = "all loads, or all displacements," if all_wrong else ", ".join(wrong_names)
         message = (
-            f"{subject} have the opposite sign of the solves: the wrench acts ON the component, in "
-            "the interface's axes. Turn the sign with a mapping such as Fz=-fz [N]"
+            f"{subject} have the opposite sign of the solves, whose wrench acts ON the component "
+            "in the interface's axes. Reverse the sign with a mapping such as Fz=-fz [N]"
         )
         return [RigFinding("sign", message, (), {"quantities": wrong_names})]
     return []
@@ -111,7 +111,7 @@ def range_findings(rows: Rows, load_range: LoadRange) -> list[RigFinding]:
             continue
         unit = named_unit(1.0 / ratio if ratio < 1 else ratio)
         message = (
-            f"the largest of the {name} is {ratio:.3g} times the end of the load range: check "
+            f"the largest of the {name} is {ratio:.3g} times the end of the load range; check "
             f"their unit{unit}, or the component's range"
         )
         findings.append(RigFinding("unit", message, (), {"quantity": name, "factor": ratio}))
@@ -124,8 +124,8 @@ def size_findings(response: RobustFit) -> list[RigFinding]:
     if largest <= LENGTH:
         return []
     message = (
-        f"translations reach {largest:.3g} m: check their unit (millimetres under a header of "
-        "metres are 1000 times too long)"
+        f"translations reach {largest:.3g} m; check their unit (millimetres under a header in "
+        "metres are 1000 times too large)"
     )
     return [RigFinding("unit", message, (), {"quantity": "translations", "factor": 1000.0})]
 
@@ -144,8 +144,8 @@ def unit_findings(fit: Fit, solved: Fit | None, *, linear: bool) -> list[RigFind
     if factor is None:
         return []
     message = (
-        f"translations by moments are {factor:.3g} times the rotations by forces, and reciprocity "
-        f"makes them equal: check all units{named_unit(factor)}"
+        f"translations by moments are {factor:.3g} times the rotations by forces, but by "
+        f"reciprocity both must be equal; check all units{named_unit(factor)}"
     )
     return [RigFinding("unit", message, (), {"quantity": "translations", "factor": factor})]
 
@@ -187,7 +187,7 @@ def _against_solves(fit: Fit, solved: Fit, least: float) -> list[RigFinding]:
         if name != quantity and far - residual < TIE
     )
     message = (
-        f"the {quantity} are {factor:.3g} times those of the solves{others}: check their "
+        f"the {quantity} are {factor:.3g} times those of the solves{others}; check their "
         f"{cause_kind}{named_unit(factor)}"
     )
     return [RigFinding("unit", message, (), {"quantity": quantity, "factor": factor})]
@@ -237,23 +237,21 @@ def symmetry_findings(fit: Fit, load_range: LoadRange) -> list[RigFinding]:
     if is_sure and (np.diag(fit.matrix @ moved) > 0).all():
         load_point, moved_point = (",".join(f"{x:.4g}" for x in by * lever) for by in (-1, 1))
         message = (
-            "the moments are about another point than the one whose displacement was measured, "
-            f"about {np.linalg.norm(lever):.4g} m away: the compliance is unsymmetric by "
-            f"{size:.0%}, and with one point by {after.size:.1%}. Answers would be wrong by this "
-            f"lever. Import with --load-point {load_point} (m) if the displacements are those of "
-            f"the interface's point, or with --displacement-point {moved_point} if the moments are "
-            "about it (add it to a point given before)"
+            f"moments and displacements have reference points about {np.linalg.norm(lever):.4g} m "
+            f"apart: the compliance is unsymmetric by {size:.0%}, with one point by "
+            f"{after.size:.1%}. Import with --load-point {load_point} (m) if the displacements are "
+            f"of the interface's point, or with --displacement-point {moved_point} if the moments "
+            "are (add it to an earlier point)"
         )
         return [RigFinding("lever", message, (), {"lever": lever.tolist(), "asymmetry": size})]
     at = int(np.argmax(np.abs(before.values) * before.sure))
     first, second = int(PAIRS[0][at]), int(PAIRS[1][at])
     other = "No other" if complete else "Perhaps another"
     message = (
-        f"the compliance is unsymmetric by {size:.0%}, which that of an elastic part is not: most "
-        f"of all {OUTPUTS[first]} by {LOADS[second]} against {OUTPUTS[second]} by {LOADS[first]}, "
-        f"whose answers would be wrong. {other} reference point explains it. Check that loads and "
-        "displacements are in one frame, that the load cell has no crosstalk, and that the rig "
-        "itself does not move"
+        f"the compliance is unsymmetric by {size:.0%}, which is impossible for an elastic part; "
+        f"the worst pair is {OUTPUTS[first]} by {LOADS[second]} and {OUTPUTS[second]} by "
+        f"{LOADS[first]}. {other} reference point explains it. Check that loads and displacements "
+        "have one frame, the load cell has no crosstalk and the rig does not move"
     )
     return [RigFinding("asymmetry", message, (), {"asymmetry": size})]
 
@@ -307,8 +305,8 @@ def clearance_findings(slopes: Slopes, response: RobustFit) -> list[RigFinding]:
     sizes = {OUTPUTS[output]: float(slopes.jump[output]) for output in at}
     units = [f"{sizes[name]:.3g} {'m' if name[0] == 'u' else 'rad'} in {name}" for name in sizes]
     message = (
-        f"a clearance of about {', '.join(units)}: the part gives way where the load changes its "
-        "sign. It is no fault of the measurement: measure rows on both sides of no load, since "
-        "between them nothing is known"
+        f"the part has a clearance of about {', '.join(units)}, through which it moves when the "
+        "load changes its sign. This is no error. Measure rows on both sides of zero load, because "
+        "answers between them are unknown"
     )
     return [RigFinding("clearance", message, (), {"clearance": sizes})]

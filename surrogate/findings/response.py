@@ -198,8 +198,8 @@ def _sentinels(rows: Rows, flagged: NDArray[np.bool_]) -> list[RigFinding]:
     output = int(np.argmax(flagged[at[0]]))
     value = float(rows.displacement[at[0], output])
     message = (
-        f"{len(at)} rows hold a value that a logger writes where it has none, such as "
-        f"{OUTPUTS[output]} = {value:g}: withdraw these rows, or leave the cells empty in the file"
+        f"{len(at)} rows have a value that a logger writes for a missing reading, such as "
+        f"{OUTPUTS[output]} = {value:g}; withdraw these rows, or leave the cells empty in the file"
     )
     return [RigFinding("sentinel", message, tuple(rows.seq[at].tolist()), {"value": value})]
 
@@ -213,9 +213,8 @@ def _outliers(rows: Rows, response: RobustFit, flagged: NDArray[np.bool_]) -> li
     order = at[np.argsort(-worst[at].max(axis=1), kind="stable")]
     row, output = order[0], int(np.argmax(worst[order[0]]))
     message = (
-        f"{len(at)} of {len(rows)} rows are far from those around them; the worst is row "
-        f"{rows.seq[row]}: {OUTPUTS[output]} is off by {residual[row, output]:.1%} of its range. "
-        "Look at these rows, and withdraw those that are wrong: each widens the error bars "
-        "everywhere"
+        f"{len(at)} of {len(rows)} rows differ from those around them; the worst is row "
+        f"{rows.seq[row]}, whose {OUTPUTS[output]} is off by {residual[row, output]:.1%} of its "
+        "range. Check these rows, and withdraw the wrong ones, because each widens the error bars"
     )
     return [RigFinding("outlier", message, tuple(rows.seq[order].tolist()))]

@@ -368,7 +368,7 @@ class PackedTable:
         target = np.ascontiguousarray(outputs, dtype=float)
         wrench = np.zeros(self.inputs) if start is None else np.array(start, dtype=float)
         if target.shape != (self.outputs,) or wrench.shape != (self.inputs,):
-            raise ValueError(f"a displacement of {self.outputs} and a wrench of {self.inputs}")
+            raise ValueError(f"give {self.outputs} displacements and {self.inputs} loads")
         shape = (self.inputs, self.outputs)
         stiffness = np.zeros(shape) if near is None else np.array(near, dtype=float).reshape(shape)
         work = self._work()
@@ -431,8 +431,8 @@ class PackedTable:
         )
         if wrong:
             raise ValueError(
-                "the inverse effective mass of the joint is not symmetric and positive definite: a "
-                "freedom between base and tip moves no mass"
+                "the inverse effective mass of the joint must be symmetric and positive definite; "
+                "give every freedom between base and tip a mass"
             )
         return rates
 
@@ -488,4 +488,4 @@ class PackedTable:
 
 
 def _closed(*_: object) -> int:
-    raise ValueError("the packed table is closed")
+    raise ValueError("the packed table is closed; open it again")

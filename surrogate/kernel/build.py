@@ -32,13 +32,13 @@ PLATFORMS = {
     "win_amd64": "x86_64-windows-gnu",
 }
 NO_COMPILER = (
-    "wrenchbook's kernel is not compiled and there is no C compiler: install one (Debian package "
+    "wrenchbook's kernel is not compiled and there is no C compiler. Install one (Debian package "
     "gcc, or `pip install ziglang`), then run `python -m wrenchbook.surrogate.kernel.build` in the "
     "checkout"
 )
 NO_ZIGLANG = (
-    "a library for a named platform is compiled by ziglang, which is not installed: "
-    "`pip install ziglang`, then run the command again"
+    "a library for a named platform needs ziglang, which is not installed. Run `pip install "
+    "ziglang`, then the command again"
 )
 
 
@@ -123,8 +123,8 @@ def compile_library(
         folder = tempfile.mkdtemp(prefix=".library-", dir=library.parent)
     except OSError as error:
         raise KernelBuildError(
-            f"{library.name} cannot be compiled, since {library.parent} cannot be written; if that "
-            f"is the installed wrenchbook, reinstall it ({error})"
+            f"{library.name} cannot be compiled, because {library.parent} is not writable "
+            f"({error}); make it writable, or reinstall wrenchbook"
         ) from error
     built = Path(folder) / library.name
     line = [*command, *flags, "-shared", "-o", str(built), *map(str, files)]

@@ -148,7 +148,7 @@ def map_file(path: str | os.PathLike[str]) -> Packed:
     """
     with open(path, "rb", opener=_without_waiting) as file:  # mmap takes its number
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise PackedTableError("this is not a file")
+            raise PackedTableError("this is not a file; name a .wbt file")
         size = file.seek(0, os.SEEK_END)
         file.seek(0)
         head = file.read(_HEADER.itemsize)
@@ -167,27 +167,21 @@ def _aligned(size: int) -> int:
 
 def _check(head: bytes, size: int, following: Iterable[bytes | memoryview]) -> None:
     if len(head) < _HEADER.itemsize:
-        raise PackedTableError(
-            f"this is not a packed table (.wbt): it has {size} bytes; write one with wrenchbook "
-            "export NAME NAME.wbt"
-        )
+        raise PackedTableError(f"this is not a packed table, since it has {size} bytes")
     header = np.frombuffer(head, dtype=_HEADER)[0]
     if head[: len(MAGIC)] != MAGIC:
-        raise PackedTableError(
-            "this is not a packed table (.wbt) of wrenchbook; write one with wrenchbook export "
-            "NAME NAME.wbt"
-        )
+        raise PackedTableError("this is not a packed table; download it as .wbt, or Table.save it")
     if header["byte_order"] != _BYTE_ORDER:
-        raise PackedTableError("the table has another byte order or is damaged")
+        raise PackedTableError("the table has another byte order or is damaged; download it again")
     if header["format"] != FORMAT:
         remedy = "use a newer wrenchbook" if header["format"] > FORMAT else "download it again"
         raise PackedTableError(
-            f"the table has format {header['format']}, this program reads format {FORMAT}: {remedy}"
+            f"the table has format {header['format']}; this program reads {FORMAT}: {remedy}"
         )
     if header["size"] != size:
-        raise PackedTableError(f"the table is damaged: {size} of its {header['size']} bytes")
+        raise PackedTableError(f"it has {size} of its {header['size']} bytes; download it again")
     if _checksum(head, following) != header["checksum"]:
-        raise PackedTableError("the table is damaged: its checksum is wrong")
+        raise PackedTableError("the table is damaged, as its checksum shows; download it again")
 
 
 def _views(buffer: memoryview) -> Packed:
@@ -207,4 +201,4 @@ def _views(buffer: memoryview) -> Packed:
             view.flags.writeable = False
         return Packed(arrays, meta, buffer)
     except (LookupError, TypeError, ValueError) as error:
-        raise PackedTableError("the table's directory is damaged") from error
+        raise PackedTableError("the table's directory is damaged; download it again") from error

@@ -181,24 +181,19 @@ def mistake(code: int, method: str | None, packed: Packed) -> Exception:
         default = packed.meta["summary"]["method"]
         return UnknownMethodError(
             method or "(default)",
-            f"the table of a scene answers by its default method alone, {default}: download the "
-            "whole table for others",
+            f"the table of a scene answers only by its default method, {default}; download the "
+            "complete table for others",
         )
     if code == NO_METHOD and method in METHODS:
         why = "the table has too few rows for it"
         if method in BY_AXES:
-            why = "it is for one wrench at one interface, without further inputs"
-        return UnknownMethodError(method, f"no answer by {method!r}: {why}")
+            why = "it needs one wrench at one interface and no further inputs"
+        return UnknownMethodError(method, f"the method {method!r} has no answer: {why}")
     return {
         1: ValueError("wrenches and displacements must be finite numbers"),
         NO_METHOD: UnknownMethodError(method or "(default)"),
-        3: MemoryError("no memory for a batch"),
+        3: MemoryError("there is no memory for this batch; send fewer wrenches"),
         4: InverseError("only a table with as many loads as outputs has an inverse"),
-        5: InverseError(
-            "the derivative has no inverse here, or is not known; more rows, or a load that the "
-            "part resists, give one"
-        ),
-        6: InverseError(
-            "no wrench of the table gives this displacement; it may be beyond the load range"
-        ),
+        5: InverseError("the derivative has no inverse here, or is unknown"),
+        6: InverseError("no wrench of the table gives this displacement; check the load range"),
     }[code]

@@ -171,7 +171,7 @@ def inverse_factor(
             if nugget * 10 > nugget_limit:
                 raise SingularCovarianceError(
                     f"the covariance of {len(matrix)} equations is singular with a nugget of "
-                    f"{nugget:g}: rows contradict each other; withdraw the wrong ones"
+                    f"{nugget:g}, because rows contradict each other; withdraw the wrong rows"
                 ) from None
             scaled[diagonal] += 9 * nugget
             nugget *= 10

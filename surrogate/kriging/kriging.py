@@ -324,7 +324,7 @@ def _usable(
     equations = equations_of(used, scaling, counted, settings)
     if len(equations) < settings.min_rows:
         raise TooFewRowsError(
-            f"kriging needs {settings.min_rows} rows at different wrenches; there are "
-            f"{len(equations)}: solve or import more"
+            f"kriging needs {settings.min_rows} rows at different wrenches, but there are "
+            f"{len(equations)}; solve or import more"
         )
     return limited_to_factor(equations, settings), equations.count

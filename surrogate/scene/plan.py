@@ -29,14 +29,14 @@ Decision = Literal["rigid", "linear", "table"]
 
 SAMPLE = 64  # wrenches of the scene, with its corners: as many as six loads have corners
 NO_ROWS = (
-    "no row yet: one solve gives the tangent compliance; a bound of the displacement needs rows "
-    "that show the error"
+    "there is no row yet; solve one wrench for the tangent compliance, and fill the table for a "
+    "bound of the displacement"
 )
 LOOKED_UP = (
-    "its response is looked up: whether one compliance answers, and how far it moves, is planned "
-    "for components of one interface without further inputs and for linear ones only"
+    "its table is used; only a component with one interface and no further inputs, or a linear "
+    "one, can be planned as rigid or linear"
 )
-NO_LOAD = "no load can occur in the scene, so it stays as it is"
+NO_LOAD = "no load can occur in the scene, so the component stays undeformed"
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +122,7 @@ def need_of(
         entry = limits.space.inputs[load]
         least, most = min(limits.low[load], entry.zero), max(limits.high[load], entry.zero)
         if low > high:
-            message = f"the low end of {entry.name}, {low:g}, is above the high end, {high:g}"
+            message = f"the low end of {entry.name}, {low:g}, must be below the high, {high:g}"
             mistakes.append((load, message))
         elif load not in idle and (low < least - slack[load] or high > most + slack[load]):
             within = f"{least:g} to {most:g} {entry.unit}, the load range"
@@ -173,12 +173,12 @@ def plan_of(table: Table, need: Need, *, solved: bool = True) -> ScenePlan:
             worst = need.outputs[int(np.argmax(parts))]
             name, unit = space.outputs[worst].name, space.outputs[worst].unit
             reason = (
-                f"it moves by no more than the tolerance: {name} at most {bound[worst]:.2g} {unit} "
-                f"of {allowed[worst]:.2g} {unit}"
+                f"it does not move by more than the tolerance: {name} at most {bound[worst]:.2g} "
+                f"{unit} of {allowed[worst]:.2g} {unit}"
             )
             return ScenePlan(need, "rigid", reason, bound, None, (solves[0], 0))
     if table.linear:
-        is_known = "it is known" if table.groups[0].fit.complete else "one solve tells it"
+        is_known = "it is known" if table.groups[0].fit.complete else "one solve gives it"
         reason = f"the component is linear: one compliance answers, and {is_known}"
         compliance = None
         if table.groups[0].fit.known[need.occurring].all() and not hangs:  # C w alone is no answer
@@ -281,7 +281,7 @@ def _single_compliance(table: Table, need: Need) -> tuple[Floats | None, str]:
     with its error bar, by no more than the tolerance.
     """
     if need.tolerance is None:
-        return None, "its response is looked up; no tolerance says what may be left out"
+        return None, "its table is used, because no tolerance says what may be left out; set one"
     wrenches, read = _sample(need), list(need.outputs)
     answers = packed_of(table).batch(wrenches, allowed_by(need.tolerance))
     scale = table.load_range.scale
@@ -295,7 +295,7 @@ def _single_compliance(table: Table, need: Need) -> tuple[Floats | None, str]:
         reason = f"over the scene's loads one compliance answers within {ratio.max():.2g} of the "
         return np.where(need.occurring, matrix, 0.0), reason + "tolerance"
     if not np.isfinite(ratio).all():
-        return None, "its rows do not show how its response bends over the scene; fill it"
+        return None, "its rows do not show how its response curves there; fill the table"
     worst = need.output_names()[int(np.argmax(ratio.max(axis=0)))]
     reason = f"one compliance would miss {worst} by {ratio.max():.3g} times the "
     return None, reason + "tolerance"

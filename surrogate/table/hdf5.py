@@ -282,7 +282,7 @@ def foreign_tables(path: str | os.PathLike[str]) -> Iterator[tuple[Rows, list[st
     except TableFileError:
         raise
     except Exception as error:  # h5py has no base of what it raises on a file that is not sound
-        raise TableFileError(f"is not a readable wrenchbook table ({error})") from error
+        raise TableFileError(f"is no readable wrenchbook table: {error}") from error
 
 
 def _check_contained(file: h5py.File) -> None:
@@ -291,23 +291,23 @@ def _check_contained(file: h5py.File) -> None:
     for folder in ("rows", "load_range", *(("edits",) if "edits" in file.keys() else ())):  # noqa: SIM118
         group = file[folder] if isinstance(file.get(folder, getlink=True), h5py.HardLink) else None
         if not isinstance(group, h5py.Group):
-            raise TableFileError(f"has no group {folder}: it is no wrenchbook table")
+            raise TableFileError(f"has no group {folder}, so it is not a wrenchbook table")
         for name in group:
             dataset = (
                 group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
             )
             if not isinstance(dataset, h5py.Dataset) or dataset.external or dataset.is_virtual:
                 raise TableFileError(
-                    f"holds {folder}/{name} outside of itself or not as a dataset; send a file "
-                    "that wrenchbook has written"
+                    f"has {folder}/{name} in another file or not as a dataset; send a file that "
+                    "wrenchbook wrote"
                 )
             size = dataset.dtype.itemsize
             if dataset.chunks and np.prod(dataset.chunks, dtype=float) * size > MAX_CHUNK_BYTES:
-                raise TableFileError(f"has chunks of more than {MAX_CHUNK_BYTES >> 20} MiB")
+                raise TableFileError(f"has chunks over {MAX_CHUNK_BYTES >> 20} MiB; rewrite it")
             if name != "note" and (dataset.dtype.hasobject or size > MAX_STRING_BYTES):
                 raise TableFileError(
-                    f"holds texts in {folder}/{name} that a wrenchbook table does not have; send "
-                    "a file that wrenchbook wrote"
+                    f"has texts in {folder}/{name}, unlike a wrenchbook table; send a file that "
+                    "wrenchbook wrote"
                 )
             room -= dataset.nbytes
     if room < 0:
@@ -339,14 +339,14 @@ def foreign_columns(path: Path) -> Iterator[tuple[list[str], list[np.ndarray]]]:
     `MAX_FOREIGN_BYTES`, or has no such columns of one length.
     """
     if leads_out(path):
-        raise TableFileError("points to data in other files; copy them into one file")
+        raise TableFileError("refers to data in other files; copy them into one file")
     try:
         with h5py.File(path, "r") as file:
             columns = _named_columns(file)
             lengths = {len(dataset) for _, dataset, _ in columns}
             if len(lengths) != 1:
                 sizes = ", ".join(f"{name}: {len(dataset)}" for name, dataset, _ in columns[:8])
-                raise TableFileError(f"has no columns of one length ({sizes or 'no datasets'})")
+                raise TableFileError(f"needs columns of one length ({sizes or 'no datasets'})")
             names = [name for name, _, _ in columns]
             for start in range(0, lengths.pop(), FOREIGN_PIECE):
                 some = slice(start, start + FOREIGN_PIECE)
@@ -354,7 +354,7 @@ def foreign_columns(path: Path) -> Iterator[tuple[list[str], list[np.ndarray]]]:
     except TableFileError:
         raise
     except Exception as error:  # h5py has no base of what it raises on a file that is not sound
-        raise TableFileError(f"is not a readable HDF5 file ({error})") from error
+        raise TableFileError(f"cannot be read as HDF5 ({error}); write it again") from error
 
 
 NamedColumn = tuple[str, Any, Callable[[np.ndarray], np.ndarray]]
@@ -376,7 +376,7 @@ class _Vector:
 
 def matlab_object(name: str, kind: str) -> str:
     """Return why a variable of MATLAB cannot be read, and the commands that save it otherwise."""
-    only = f"holds {name}, a {kind} object, which only MATLAB reads"
+    only = f"has {name}, a {kind} object, which only MATLAB reads"
     if kind not in ("table", "timetable"):
         return f"{only}; save it as double, or leave it out"
     table = f"timetable2table({name},'ConvertRowTimes',false)" if kind == "timetable" else name
@@ -395,8 +395,8 @@ def _other_form(name: str, thing: h5py.Group | h5py.Dataset) -> str | None:
     if isinstance(thing, h5py.Dataset) and thing.dtype == h5py.ref_dtype:
         at = name.partition("/")[0]
         return (
-            f"holds records of MATLAB in {at}; make them a struct of vectors: "
-            f"S = table2struct(struct2table({at}),'ToScalar',true); save('t.mat','S')"
+            f"has MATLAB records in {at}; convert them to a struct of vectors: S = "
+            f"table2struct(struct2table({at}),'ToScalar',true); save('t.mat','S')"
         )
     return None
 
@@ -418,8 +418,8 @@ def _named_columns(file: h5py.File) -> list[NamedColumn]:
         chunk = np.prod(dataset.chunks or (0,), dtype=float) * dataset.dtype.itemsize
         if room < 0 or chunk > MAX_CHUNK_BYTES:
             raise TableFileError(
-                f"unpacks to more than {MAX_FOREIGN_BYTES >> 20} MiB, or has chunks of more than "
-                f"{MAX_CHUNK_BYTES >> 20} MiB; send the table in parts"
+                f"unpacks to more than {MAX_FOREIGN_BYTES >> 20} MiB, or has chunks over "
+                f"{MAX_CHUNK_BYTES >> 20} MiB; rewrite it; send the table in parts"
             )
         columns += _columns_of(name, dataset)
     return columns
@@ -442,8 +442,8 @@ def _columns_of(name: str, dataset: h5py.Dataset) -> list[NamedColumn]:
     is_vector = dataset.ndim == 2 and 1 in dataset.shape and not is_text
     if not (dataset.ndim == 1 or is_vector) or not (is_text or dataset.dtype.kind in "iufb"):
         raise TableFileError(
-            f"holds {name} of shape {dataset.shape} and type {dataset.dtype}; a column is a "
-            "dataset of one dimension, of numbers or texts (data frames: use to_parquet or to_csv)"
+            f"has {name} of shape {dataset.shape} and type {dataset.dtype}; write each column as a "
+            "one-dimensional dataset of numbers or texts (data frames: to_parquet or to_csv)"
         )
     (label,) = _labels(dataset, [name])
     column = dataset.asstr() if is_text else _Vector(dataset) if is_vector else dataset
@@ -495,15 +495,14 @@ def _unpacking(dataset: h5py.Dataset, name: str, part: Any) -> Callable[[np.ndar
         numeric = values.dtype.kind in "iuf" and len(values) == count
         if not numeric or (key in _PACKING[:2] and not np.isfinite(values).all()):
             raise TableFileError(
-                f"holds {name} with the attribute {key} = {values.tolist()}, which is no "
-                "number or too many; unpack the values and remove it"
+                f"holds {name} with the attribute {key} = {values.tolist()}, which must be one "
+                "number; unpack the values and remove it"
             )
         # The netCDF guide reads such limits as unpacked values, netCDF4 for Python as packed ones.
         if key in _VALID and packed and values.dtype.kind == "f":
             raise TableFileError(
-                f"holds {name}, packed integers, with the attribute {key} = {values.tolist()}, "
-                "which may mean packed or unpacked values; write it as packed integers, or "
-                "remove it"
+                f"has packed integers {name} with the attribute {key} = {values.tolist()}, which "
+                "is ambiguous; write the attribute as a packed integer, or remove it"
             )
     if not attributes:
         return lambda piece: piece[part]
@@ -550,5 +549,5 @@ def leads_out(path: Path) -> bool:
             file.id.links.visit(check_link, info=True)
             file.visititems(check)
     except Exception as error:
-        raise TableFileError(f"is no HDF5 file that can be looked through ({error})") from error
+        raise TableFileError(f"cannot be searched as HDF5 ({error}); write it again") from error
     return bool(outside)

@@ -77,7 +77,7 @@ def _zero(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, Any]:
     space = load_range.space
     unloaded = (np.abs(rows.wrench - space.zero) <= ZERO_LOAD * load_range.scale).all(axis=1)
     if not unloaded.any():
-        return {"ok": None, "reason": "no row at zero load: add the unloaded part's", "rows": []}
+        return {"ok": None, "reason": "no row at zero load; add one without load", "rows": []}
     over = (np.abs(rows.displacement) > ZERO * _sizes(rows, space) + stored).any(axis=1)
     wrong = np.asarray(unloaded & over)
     worst = np.abs(rows.displacement[unloaded]).max(axis=0).tolist()
@@ -165,7 +165,7 @@ def _linear(rows: Rows, space: Space, fit: ComplianceFit) -> dict[str, Any]:
     """Return how far the rows are from one matrix, and name the farthest."""
     known = ((rows.wrench == space.zero) | fit.known).all(axis=1)
     if not known.any() or fit.origin == "none":
-        return {"ok": None, "reason": "the rows fix no compliance: vary each load", "rows": []}
+        return {"ok": None, "reason": "the rows fix no compliance; vary each load", "rows": []}
     residual = np.abs(rows.displacement - rows.wrench @ fit.matrix.T - fit.offset) / _sizes(
         rows, space
     )
@@ -221,11 +221,11 @@ def _tangents(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, An
     some = rows.take(there)
     pairs = _neighbours(some, load_range) if len(there) > 1 else np.empty((0, 2), dtype=int)
     if not len(pairs):
-        return {"ok": None, "reason": "fewer than two tangents: solved rows have one", "rows": []}
+        return {"ok": None, "reason": "fewer than two tangents; solve more rows", "rows": []}
     steps = some.wrench[pairs[:, 1]] - some.wrench[pairs[:, 0]]
     near = np.linalg.norm(steps / load_range.scale, axis=1) <= NEAR
     if not near.any():
-        return {"ok": None, "reason": "tangents too far apart: solve rows between", "rows": []}
+        return {"ok": None, "reason": "tangents too far apart; solve rows between", "rows": []}
     (first, second), step = pairs[near].T, steps[near]
     mean = (some.compliance[first] + some.compliance[second]) / 2
     moved = some.displacement[second] - some.displacement[first]

@@ -67,7 +67,7 @@ class LoadRange:
             object.__setattr__(self, name, bound)
         if (self.low > self.high).any():
             load = self.space.input_names[int(np.argmax(self.low > self.high))]
-            raise RowError(f"load range: the low end of {load} is above its high end")
+            raise RowError(f"load range: the low end of {load} must not be above its high end")
 
     @cached_property
     def scale(self) -> Floats:
@@ -190,15 +190,15 @@ class Rows:
         broken = ~np.isfinite(self.curvature).all(axis=1) & ~absent.all(axis=1)
         if broken.any():
             raise RowError(
-                f"row {self.seq[np.argmax(broken)]}: curvature is not {absent.shape[1]} finite "
-                "numbers; a row has all of them or none (NaN)"
+                f"row {self.seq[np.argmax(broken)]}: curvature must be {absent.shape[1]} finite "
+                "numbers, or all NaN"
             )
         unmeasured = np.isnan(self.displacement)
         self._refuse(~np.isfinite(self.wrench), self.space.input_names, "is not a finite number")
         self._refuse(np.isinf(self.displacement), self.space.output_names, "is not a finite number")
         if unmeasured.all(axis=1).any():
             row = int(np.argmax(unmeasured.all(axis=1)))
-            raise RowError(f"row {self.seq[row]}: no displacement is a finite number")
+            raise RowError(f"row {self.seq[row]}: at least one displacement must be finite")
 
     def _refuse(self, wrong: NDArray[np.bool_], names: tuple[str, ...], why: str) -> None:
         if wrong.any():

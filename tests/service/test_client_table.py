@@ -79,7 +79,7 @@ def test_a_saved_table_is_the_export_and_cannot_be_refreshed(client: Client, tmp
     assert path.read_bytes() == client.export_table("partial", "packed")
     opened = Table.open(path)
     assert (opened.name, opened.version) == ("partial", table.version)
-    with pytest.raises(ValueError, match=r"is of a file: download the newest version"):
+    with pytest.raises(ValueError, match=r"comes from a file; download the newest version"):
         opened.refresh()
 
 
@@ -89,7 +89,7 @@ def test_wrong_input_is_refused_before_anything_is_answered(client: Client) -> N
         table.answer([0, 0, np.nan])
     with pytest.raises(ValueError, match="unknown method"):
         table.answer([0, 0, 1], method="magic")
-    with pytest.raises(ValueError, match="a tolerance is"):
+    with pytest.raises(ValueError, match="a tolerance must be"):
         table.answer([0, 0, 1], tolerance={"translation": -1, "rotation": 1})
 
 
@@ -180,7 +180,7 @@ def test_an_answer_of_several_interfaces_is_by_name_with_its_wrench(link: Table)
 @pytest.mark.parametrize(
     ("query", "words"),
     [
-        ({"force": [0, 0, 1]}, "interfaces left, right: give loads by name"),
+        ({"force": [0, 0, 1]}, "interfaces left, right; give loads by name"),
         ({"loads": {"middle": [0] * 6}, "inputs": {"temperature": 0}}, "no such interface"),
         ({"loads": LOADS}, "inputs.temperature: missing; give its value in degC"),
         ({"loads": LOADS, "inputs": {"pressure": 1, "temperature": 0}}, "no such input"),

@@ -52,7 +52,7 @@ MISTAKE = {"row": 2, "field": "ux [mm]", "message": "'x' is not a number"}
 )
 def test_refused_rows_are_read_out_by_row_field_and_reason(stub: Stub, client: Client, more, says):
     rows = [{**MISTAKE, "row": row} for row in range(2, 9)]
-    problem = {"title": "The table has mistakes", "detail": "Nothing was loaded.", "errors": rows}
+    problem = {"title": "The table has mistakes", "detail": "Nothing was loaded", "errors": rows}
     stub.answers(Answer(problem | more, status=422, kind="application/problem+json"))
     with pytest.raises(ProblemError, match=says) as caught:
         client.import_table("bar", "a\nb")

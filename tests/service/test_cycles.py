@@ -160,7 +160,7 @@ def other_load(rows):
 @pytest.mark.parametrize(
     ("change", "options", "words"),
     [
-        (other_load, {"mean_cycles": True}, "mx differs by up to 25"),
+        (other_load, {"mean_cycles": True}, "mx changes by up to 25"),
         (lambda rows: rows.take(np.arange(30)), {"branch": "unloading"}, "no unloading branch"),
         (lambda rows: replace(rows, source=np.full(len(rows), "fea")), {"thin": 0.1}, "solves"),
     ],

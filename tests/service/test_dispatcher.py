@@ -161,7 +161,7 @@ def test_an_interpreter_that_cannot_start_is_no_dead_solver(bench, monkeypatch):
     job = bench.accept()
     until(lambda: bench.ledger.job(job.id).attempt > 5)
     assert bench.ledger.job(job.id).lost == 0
-    assert "solvers end before they begin" in dispatcher.trouble
+    assert "solvers stop before they start" in dispatcher.trouble
     monkeypatch.delenv("PYTHONHOME")
     assert bench.end(job.id).status == "done"
     assert dispatcher.trouble is None

@@ -159,7 +159,7 @@ def test_rows_that_only_a_file_has_are_put_back_into_an_older_ledger(folder):
     (folder / "older").unlink()
     result = examine(folder)
     assert "do not have the same rows" in words(result)
-    assert "acknowledged and are not in the ledger any more" in words(result)
+    assert "acknowledged but are no longer in the ledger" in words(result)
     assert "10 rows put back" in words(examine(folder, repair=True))
     assert content(folder) == before
 
@@ -191,7 +191,7 @@ def test_rows_that_a_server_has_put_back_are_not_counted_as_gone(folder):
     site.close()
     result = examine(folder, repair=True)
     assert content(folder) == before
-    assert "up to 0 rows and 30 jobs that were acknowledged are gone" in words(result)
+    assert "up to 0 rows and 30 jobs that were acknowledged are lost" in words(result)
 
 
 def test_a_log_without_its_ledger_is_never_lost(folder):
@@ -226,7 +226,7 @@ def test_a_ledger_file_with_damaged_pages_is_made_anew_and_loses_no_row(folder):
         result = examine(folder, repair=True)
         if "fault" in kinds(result):
             pytest.fail(f"page {page}: {words(result)}")
-        mended += "a new one was made" in words(result)
+        mended += "a new one was created" in words(result)
         assert {item[0:1] + item[2:] for item in before} == content(folder), page
     assert mended > pages // 6
 
@@ -359,8 +359,8 @@ def test_a_missing_or_empty_ledger_is_made_from_the_tables(folder, empty):
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("keys.json", "nobody is let in"),
-        ("wrenchbook.toml", "cannot be read as TOML"),
+        ("keys.json", "nobody can log in"),
+        ("wrenchbook.toml", "is not TOML"),
         ("fields/rig/f/a.fields", "its surface comes from the others"),
     ],
 )
@@ -404,7 +404,7 @@ def test_rows_that_neither_copy_has_are_told_as_lost_and_not_as_mended(folder):
     (folder / "tables" / "rig.h5").write_bytes(b"")
     results = examine(folder, repair=True)
     lost, table = [result for result in results if result.kind == "fault"]
-    assert lost.problem == "up to 60 rows that were acknowledged are gone"
+    assert lost.problem == "up to 60 rows that were acknowledged are lost"
     assert "tables/rig.h5" in table.problem
     assert all("restore a backup" in item.remedy for item in (lost, table))
     assert "jobs that were lost: 30" in words(results)

@@ -117,7 +117,7 @@ def test_a_ledger_before_0_2_is_left_as_it_is_with_the_way_to_take_it_over(tmp_p
         db.execute(f"PRAGMA user_version = {version}")
     db.close()
     before = path.read_bytes()
-    with pytest.raises(LedgerFileError, match=r"start version 0\.2 once"):
+    with pytest.raises(LedgerFileError, match=r"Start version 0\.2 once"):
         Ledger(path)
     assert path.read_bytes() == before
 

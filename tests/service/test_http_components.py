@@ -120,7 +120,7 @@ def test_a_bundle_with_a_mistake_is_refused_by_key_and_nothing_is_added(
 @pytest.mark.parametrize(
     "content",
     [
-        b"not a zip",
+        b"cannot be read as a zip",
         bundle_zip("x", "readme.txt"),
         bundle_zip("x", "../component.toml"),
         bundle_zip("x", "/component.toml"),

@@ -156,7 +156,7 @@ def test_a_table_of_an_old_version_is_what_it_was(http):
     assert len(http.get(path, params={"format": "csv"}).text.splitlines()) == 20
     unknown = http.get(path, params={"table_version": 10**6})
     assert unknown.status_code == 404
-    assert "has the versions 0 to" in unknown.json()["detail"]
+    assert "use 0 to" in unknown.json()["detail"]
 
 
 def test_measured_rows_outside_of_the_solves_bars_are_named_with_their_offset(http):

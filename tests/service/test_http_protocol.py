@@ -137,7 +137,7 @@ def test_an_estimate_is_counted_on_both_ways_and_says_which_job_solves_a_complia
     body = BODY[:-1] + b', "on_thin": "estimate"}'
     path = "/v1/components/bar/displacement"
     reason = orjson.loads(wire.ask(request(body, path))[2])["reason"]
-    assert "solves the component's compliance: ask again once it is done" in reason
+    assert "solves the component's compliance; ask again once it is done" in reason
     far = body.replace(b"10.0", b"1e4")
     counts = []
     for item in (None, far, far[:-1] + b', "detail": false}'):

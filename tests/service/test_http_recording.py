@@ -55,7 +55,7 @@ def test_a_key_used_for_other_wrenches_is_refused_and_says_what_to_do(http):
     post(http, "recording", wrenches_of(5), client="a", sequence=1)
     reply = post(http, "recording", wrenches_of(5, 2), client="a", sequence=1)
     assert reply.status_code == 409
-    assert "number of its own" in reply.json()["detail"]
+    assert "give each block its own number" in reply.json()["detail"]
     assert http.get(f"{PLATE}/recording").json()["total"] == 5
 
 
@@ -161,7 +161,7 @@ def test_nothing_recorded_is_no_error_and_says_so(http):
     for call in ("recording", "envelope"):
         reply = http.post(f"{PLATE}/{call}/start")
         assert reply.status_code == 200
-        assert reply.json()["reason"].startswith("nothing is recorded yet: run a simulation")
+        assert reply.json()["reason"].startswith("nothing is recorded yet; run a simulation")
 
 
 @pytest.mark.parametrize("call", ["recording", "envelope"])

@@ -112,7 +112,7 @@ def test_an_export_of_a_rigs_rows_comes_back_as_the_same_rows_and_is_not_turned_
     refused = send(http, text, frame="x=-y,y=x,z=z")
     assert refused.status_code == 422
     assert refused.json()["errors"][0]["field"] == "source"
-    assert "of the interface already" in refused.json()["errors"][0]["message"]
+    assert "already in the interface frame" in refused.json()["errors"][0]["message"]
 
 
 def test_a_point_beside_the_interface_without_rotations_is_refused_with_a_remedy(http, measured):
@@ -122,7 +122,7 @@ def test_a_point_beside_the_interface_without_rotations_is_refused_with_a_remedy
     assert refused.status_code == 422
     (mistake,) = refused.json()["errors"]
     assert (mistake["row"], mistake["field"]) == (2, "rx")
-    assert "needs all three rotations: measure them" in mistake["message"]
+    assert "needs all three rotations; measure them" in mistake["message"]
     assert send(http, file, displacement_point="0,0,0").status_code == 200
 
 
@@ -287,7 +287,7 @@ def test_an_export_comes_back_without_the_question(http, solved):
     assert reply.json()["inserted"] == 64
     again = send(http, exported, "/v1/components/other/table", load_cell="fixed")
     assert again.status_code == 422
-    assert "of the interface already" in again.json()["errors"][0]["message"]
+    assert "already in the interface frame" in again.json()["errors"][0]["message"]
 
 
 def test_the_load_cell_is_kept_with_the_import_and_named_in_its_rows(http, solved):
@@ -308,14 +308,14 @@ def test_a_translation_that_a_cell_on_the_ground_needs_and_nobody_measured_is_na
     reply = send(http, text(on_the_ground(wrench, np.nan_to_num(moved)), moved), load_cell="fixed")
     (error,) = reply.json()["errors"]
     assert (error["row"], error["field"]) == (11, "uz [m]")
-    assert "load_cell=fixed takes translation x force off" in error["message"]
+    assert "load_cell=fixed subtracts translation x force" in error["message"]
 
 
 @pytest.mark.parametrize(
     ("query", "problem"),
     [
         ({"load_cell": "ground"}, "moving"),
-        ({"rig": "load_cell = 'ground'"}, "load_cell: is moving or fixed"),
+        ({"rig": "load_cell = 'ground'"}, "load_cell: must be moving or fixed"),
         ({"rig": "[import]\nload_cell = 'fixed'", "load_cell": "fixed"}, "import"),
     ],
 )

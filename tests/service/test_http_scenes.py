@@ -174,10 +174,10 @@ def test_a_scene_beyond_the_range_is_not_downloaded(client: Client):
     with pytest.raises(ProblemError, match="fx must lie within") as caught:
         client.download("rig", scene=Scene({"rig": {"force": [101, 0, 0], "moment": [0, 0, 0]}}))
     assert caught.value.status == 422
-    with pytest.raises(InvalidArgument, match="plan takes a Client or an AsyncClient"):
+    with pytest.raises(InvalidArgument, match="plan needs a Client or an AsyncClient"):
         Scene(ON_RIG).plan(client.url)
     for wrong in ("rig", {"rig": {}}, [1]):
-        with pytest.raises(InvalidArgument, match="takes a Scene, such as"):
+        with pytest.raises(InvalidArgument, match="must be a Scene, such as"):
             client.download("rig", scene=wrong)
     with pytest.raises(SceneError, match="the scene has no component 'rig'; it has plate"):
         client.download("rig", scene=Scene({"plate": PLANAR}))
@@ -186,8 +186,8 @@ def test_a_scene_beyond_the_range_is_not_downloaded(client: Client):
 @pytest.mark.parametrize(
     ("wanted", "told"),
     [
-        ({}, "at least one component"),
-        ({"a": 1}, "components.a: a table of force"),
+        ({}, "a scene needs a component"),
+        ({"a": 1}, "components.a: must be a table of force"),
         ({"a": {**PLANAR, "torque": 1}}, "components.a: unknown torque"),
         ({"a": {"force": NONE}}, "components.a.moment is missing"),
         ({"a": {**PLANAR, "force": 5}}, "components.a.force: three loads"),
@@ -196,7 +196,7 @@ def test_a_scene_beyond_the_range_is_not_downloaded(client: Client):
         ({"a": {**PLANAR, "force": [[1, [2]], 2, 3]}}, "components.a.force.0"),
         ({"a": {**PLANAR, "force": [True, 2, 3]}}, "components.a.force.0"),
         ({"a": {**PLANAR, "force": [0, float("nan"), 0]}}, "components.a.force.1"),
-        ({"a": {**PLANAR, "force": [0, [2, 1], 0]}}, "low end, 2, is above the high end, 1"),
+        ({"a": {**PLANAR, "force": [0, [2, 1], 0]}}, "low end 2 must not be above the high end 1"),
         ({"a": {**PLANAR, "outputs": []}}, "components.a.outputs"),
         ({"a": {**PLANAR, "outputs": "uz"}}, "components.a.outputs"),
         ({"a": {**PLANAR, "outputs": [["uz"]]}}, "components.a.outputs"),

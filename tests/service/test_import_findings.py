@@ -302,7 +302,7 @@ def test_auto_without_a_lag_in_the_logs_is_refused_with_a_remedy(http, motion):
     logs["displacements"] = ("moved.csv", log_of(MOVED, time, noise))
     reply = http.post(CALL, files=logs, params={"lag": "auto"})
     assert reply.status_code == 422
-    assert "lag=auto cannot be applied" in reply.json()["errors"][0]["message"]
+    assert "lag=auto cannot find the difference" in reply.json()["errors"][0]["message"]
 
 
 def test_lag_and_offset_are_one_law():

@@ -204,8 +204,8 @@ def test_an_event_leads_where_the_table_of_transitions_says_or_changes_nothing(
     elif (status, event) == ("done", "commit"):  # once more: the row that it has
         assert EVENTS[event](ledger).seq == before.row
     else:
-        final = "it is final unless its row is withdrawn" if status == "done" else "possible now: "
-        stale = "attempt 1 no longer counts"
+        final = "withdraw its row to solve again" if status == "done" else "possible now: "
+        stale = "the report of attempt 1 is ignored"
         with pytest.raises(InvalidTransitionError, match=f"is {status}.*({final}|{stale})"):
             EVENTS[event](ledger)
     job = ledger.job(1)

@@ -199,9 +199,9 @@ def test_a_ledger_that_cannot_be_opened_now_is_opened_by_a_later_write(tmp_path)
     path.mkdir()
     patient = Ledger(path, patient=True)
     for call in (patient.version, patient.jobs, lambda: insert(patient, "plate", "f", ROWS)):
-        with pytest.raises(LedgerUnavailableError, match="cannot open"):
+        with pytest.raises(LedgerUnavailableError, match="cannot be opened"):
             call()
-    assert "cannot open" in patient.trouble()
+    assert "cannot be opened" in patient.trouble()
     path.rmdir()
     assert insert(patient, "plate", "f1", ROWS) == (10, 0)
     assert (patient.trouble(), len(stored(patient, "plate"))) == (None, 10)
@@ -241,12 +241,12 @@ def database(path, *statements):
     ("make", "says"),
     [
         (lambda path: database(path, "CREATE TABLE notes (text)"), "another program"),
-        (lambda path: path.write_bytes(b"long enough to be read as a database" * 20), "Move it aw"),
+        (lambda path: path.write_bytes(b"long enough to be read as a database" * 20), "put back a copy"),
         (
             lambda path: [Ledger(path).close(), database(path, "PRAGMA user_version = 99")],
             "newer w",
         ),
-        (lambda path: path.mkdir(), "cannot open"),
+        (lambda path: path.mkdir(), "cannot be opened"),
     ],
     ids=["of another program", "no database", "of a newer version", "a folder"],
 )
@@ -398,7 +398,7 @@ def test_a_ledger_seen_to_be_damaged_while_it_is_open_takes_no_more_rows(path):
         stored(ledger, "rig")
     assert "damaged" in ledger.trouble()
     for _ in range(2):
-        with pytest.raises(LedgerUnavailableError, match="Nothing is written into it"):
+        with pytest.raises(LedgerUnavailableError, match="It stays unchanged"):
             insert(ledger, "rig", "", new_rows(1000, 1030))
     ledger.close()
 

@@ -160,7 +160,7 @@ def test_a_folder_with_anothers_name_in_its_file_does_not_answer_in_its_place(tm
     library = Library(tmp_path / "components", tmp_path / "none")
     assert library["rig"].title == "rig"
     assert library.broken() == {
-        place: f'name: is "rig" but the folder is "{place}"; give both one name'
+        place: f'give both the same'
     }
 
 

@@ -110,7 +110,7 @@ def test_a_damaged_block_is_not_restored(shipped, tmp_path):
 def test_a_file_that_no_replica_holds_is_not_restored(shipped, tmp_path):
     shipped.shipper._files["../keys.json"] = (0, ())
     shipped.round()
-    with pytest.raises(ReplicaError, match="which no replica contains"):
+    with pytest.raises(ReplicaError, match="must not hold"):
         restore(shipped.url, tmp_path / "again")
 
 
@@ -166,10 +166,10 @@ def test_a_replica_that_was_away_is_trouble_and_whole_once_it_is_back(shipped, t
     place, away = tmp_path / "replica", tmp_path / "away"
     place.rename(away)
     shipped.insert(5, first=30)
-    with pytest.raises(ReplicaError, match="was changed or removed"):
+    with pytest.raises(ReplicaError, match="was changed by others; start anew"):
         shipped.round()
     shutil.rmtree(place)
-    with pytest.raises(ReplicaError, match="is empty and was not before; mount it"):
+    with pytest.raises(ReplicaError, match="is now empty; mount it, or"):
         Shipper(shipped.settings, shipped.site.ledger, again=True)
     place.rmdir()
     away.rename(place)
@@ -366,7 +366,7 @@ def test_health_and_doctor_say_that_nothing_is_shipped(shipped, tmp_path):
     settings = Settings(shipped.folder, replicate=shipped.url)
     assert "replica: no route to host" in replica.trouble_of({"replica": part}, settings)
     silent = {"replica": part | {"trouble": None}}
-    assert "has not reported for" in replica.trouble_of(silent, settings)
+    assert "is silent for" in replica.trouble_of(silent, settings)
     assert replica.trouble_of(silent, Settings(shipped.folder)) is None
     faults = [finding.problem for finding in examine(shipped.folder) if finding.kind == "fault"]
     assert any("no route to host" in fault for fault in faults)

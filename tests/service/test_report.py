@@ -112,7 +112,7 @@ def test_a_report_says_which_solves_failed_and_why(bar, monkeypatch):
     reason = "On the coarse mesh 3 of 3 solves failed: 3 x mechanism (The interface can move"
     notes = {section.title: section.note for section in sections_of(figures)}
     assert reason in notes["Finite elements"]
-    assert "Fix more of the part" in notes["Finite elements"]
+    assert "Fix at least three points" in notes["Finite elements"]
     assert "own mesh" not in notes["Finite elements"]
     assert notes["Absolute errors against the tolerance"].endswith("see Finite elements.")
     assert reason in as_markdown(figures)

@@ -95,7 +95,7 @@ def test_a_load_of_the_profile_that_the_file_lacks_is_not_zero(rig):
     content = "fx [N],uz [mm]\n1,2\n"
     body = rig.post(CALL, content=content, params={"rig": PROFILE, "dry_run": "true"}).json()
     (error,) = body["errors"]
-    assert error["message"].startswith("there is no column for fz (of the rig: Force or Load)")
+    assert error["message"].startswith("there is no column for fz, called Force or Load by the rig")
 
 
 def test_no_more_rigs_are_stored_than_the_most_and_each_can_be_replaced(rig, monkeypatch):

@@ -55,7 +55,7 @@ def test_a_data_directory_that_cannot_be_written_is_refused_at_the_start():
 
 
 @pytest.mark.parametrize(
-    ("url", "why"), [("http://x/y", "write file"), ("file://{}", "of a data directory")]
+    ("url", "why"), [("http://x/y", "write file"), ("file://{}", "is in a data directory")]
 )
 def test_a_replica_is_no_web_server_and_no_data_directory(tmp_path, url, why):
     """A replica was shipped into the data directory of another server."""

@@ -66,7 +66,7 @@ def test_a_file_of_hdf5_without_columns_says_so(tmp_path):
     path = tmp_path / "other.h5"
     with h5py.File(path, "w") as file:
         file["x"] = 1
-    assert "no columns of one length" in only_error(read_hdf5(path.read_bytes())).message
+    assert "needs columns of one length" in only_error(read_hdf5(path.read_bytes())).message
 
 
 def test_no_rows_say_so():
@@ -180,7 +180,7 @@ def test_a_displacement_that_the_file_marks_as_missing_was_not_measured(tmp_path
 @pytest.mark.parametrize("limit", [{"valid_range": [-0.01, 0.01]}, {"valid_max": 100.0}])
 def test_a_valid_range_that_may_be_of_packed_or_unpacked_integers_is_refused(tmp_path, limit):
     error = only_error(read_hdf5(packed(tmp_path, {"scale_factor": 1e-6} | limit)))
-    assert "may mean packed or unpacked values" in error.message
+    assert "which is ambiguous" in error.message
 
 
 def test_a_value_of_32_bits_at_a_valid_limit_of_64_bits_is_valid(tmp_path):
@@ -277,7 +277,7 @@ def test_an_empty_cell_of_a_load_is_named(tmp_path: Path):
 @pytest.mark.parametrize(
     ("columns", "says"),
     [
-        ({**COLUMNS, "Fz [kN]": [1.0]}, "has no columns of one length (Fz [kN]: 1, uz [mm]: 3)"),
+        ({**COLUMNS, "Fz [kN]": [1.0]}, "needs columns of one length (Fz [kN]: 1, uz [mm]: 3)"),
         ({**COLUMNS, "image": np.zeros((4, 4))}, "holds image of shape (4, 4)"),
         ({**COLUMNS, "z": np.zeros(3, dtype=complex)}, "type complex128"),
     ],
@@ -295,7 +295,7 @@ def test_data_in_another_file_is_refused(tmp_path: Path):
         file["Fz [kN]"] = COLUMNS["Fz [kN]"]
     result, (message,) = read_columns(tmp_path / "a")
     assert result == ([], [])
-    assert "points to data in other files" in message
+    assert "refers to data in other files" in message
 
 
 @pytest.mark.parametrize(
@@ -304,7 +304,7 @@ def test_data_in_another_file_is_refused(tmp_path: Path):
         ({"a": [1.0, 2.0], "b": [1.0, 2.0, 3.0]}, "their lengths are [2, 3]"),
         ({"a": np.zeros((2, 2))}, "a is not such a vector"),
         ({"a": np.array([1, "x"], dtype=object)}, "a is not such a vector"),
-        ({"a": "1"}, "no table of numeric vectors"),
+        ({"a": "1"}, "needs numeric vectors"),
     ],
 )
 def test_a_matlab_file_that_is_no_table_says_why(tmp_path: Path, content: dict, says: str):
@@ -321,4 +321,4 @@ def test_a_damaged_matlab_file_is_named(tmp_path: Path, cut: int):
     path.write_bytes((tmp_path / "a.mat").read_bytes()[:cut])
     result, (message,) = read_columns(path)
     assert result == ([], [])
-    assert "is not a readable MATLAB file" in message or "no table" in message
+    assert "read as a MATLAB file" in message or "not a table" in message

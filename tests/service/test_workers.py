@@ -259,7 +259,7 @@ def test_a_second_server_on_the_same_directory_is_refused_with_what_to_do(severa
     assert other.supervisor.stderr is not None
     said = other.supervisor.stderr.read()
     other.close()
-    assert "another server uses" in said
+    assert "is in use by the server at" in said
     assert "--data" in said
     assert "pid" not in said  # no process was started
 

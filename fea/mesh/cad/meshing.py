@@ -91,9 +91,9 @@ def surface_of_geometry(path: Path, geometry: GeometryMeshing) -> Surface:
     if folded is not None:
         return folded  # `fea.component.build` names its cells
     message = (
-        f"{failure} with cells of {geometry.size:g} m, also without optimisation and with cells "
-        "3 % smaller and larger. Take another size, such as a third smaller, or heal the "
-        "geometry (tiny edges, faces that overlap) where it was drawn"
+        f"{failure} with cells of {geometry.size:g} m, also without optimisation and with cells 3 "
+        "% smaller or larger. Write a size a third smaller, or repair the geometry (tiny edges, "
+        "overlapping faces) in the CAD program"
     )
     raise BundleError([BundleProblem("mesh.size", message)])
 
@@ -132,7 +132,7 @@ def _in_child(
         why = next((line.strip() for line in reversed(lines) if line.strip()), "no message")
         limit = -process.returncode in (signal.SIGKILL, signal.SIGXCPU)
         if limit or re.search("bad_alloc|MemoryError", why):  # another attempt reaches it too
-            why = "gmsh needs more memory or time than it may take; give a larger size"
+            why = "gmsh exceeds its limit of memory or time; write a larger size"
             raise BundleError([BundleProblem("mesh.size", why)])
         why = f'gmsh fails on "{path.name}" ({why[:200]})' + (
             "" if geometry else "; export it anew"

@@ -45,7 +45,7 @@ class Frame:
         """Return the number of a node or element of this instance, unlike all others'."""
         number = int(text)
         if not 0 <= number < STRIDE:
-            raise MeshFileError(f"has the number {number}; number from 1 to {STRIDE}")
+            raise MeshFileError(f"has the number {number}; write numbers from 1 to {STRIDE}")
         return number + self.number * STRIDE
 
     def key(self, name: str) -> str:
@@ -99,14 +99,14 @@ def read_keywords(text: DeckText) -> Iterator[Keyword]:
         if keyword.word == "PART":
             name = keyword.options.get("NAME", "").upper()
             if name in parts:
-                raise keyword.wrong(f'defines the part "{name}" again')
+                raise keyword.wrong(f'defines the part "{name}" again; rename one')
             part = parts.setdefault(name, [])
         elif keyword.word == "INSTANCE":
             count += 1
             frame = _frame(keyword, count)
             name = keyword.options.get("PART", "").upper()
             if name not in parts:
-                raise keyword.wrong(f'is of a part "{name}" that is not defined above it')
+                raise keyword.wrong(f'names the part "{name}", not defined above; define it first')
             yield replace(keyword, frame=frame)
             yield from (replace(part, frame=frame) for part in parts[name])
         elif keyword.word == "END PART":
@@ -125,8 +125,8 @@ def _without_instances(text: DeckText) -> Iterator[Keyword]:
         if keyword.word == "PART":
             if first is not None:
                 raise keyword.wrong(
-                    f"comes twice (line {first.at}), and no *INSTANCE places either; write the "
-                    "assembly too, or one flat deck"
+                    f"is defined twice (also in line {first.at}), and no *INSTANCE places it; "
+                    "write the assembly too, or one flat deck"
                 )
             first = keyword
         yield keyword
@@ -159,7 +159,7 @@ def _frame(keyword: Keyword, number: int) -> Frame:
     """Return where an instance is: moved by its first line, then turned by its second."""
     name = keyword.options.get("NAME", "")
     if not name:
-        raise keyword.wrong("has no NAME")
+        raise keyword.wrong("has no NAME; write NAME=...")
     try:
         rows = [[float(x or 0.0) for x in row] for row in keyword.rows]
         if not rows:
@@ -170,7 +170,7 @@ def _frame(keyword: Keyword, number: int) -> Frame:
             rotation = turned(angle * (b - a) / np.linalg.norm(b - a))
             shift = rotation @ (shift - a) + a
     except (ValueError, IndexError) as error:
-        raise keyword.wrong(f"cannot be read ({error})") from None
+        raise keyword.wrong(f"cannot be read ({error}); correct it") from None
     return Frame(name, number, tuple(rotation.ravel().tolist()), tuple(shift.tolist()))
 
 
@@ -233,7 +233,7 @@ def axes_through(origin: Array, first: Array, second: Array) -> Array:
     z = np.cross(x, second - origin)
     lengths = np.linalg.norm(x), np.linalg.norm(z)
     if not min(lengths) > 0 or not np.isfinite(lengths).all():
-        raise ValueError("its three points are on one line")
+        raise ValueError("its three points lie on one line")
     x, z = x / lengths[0], z / lengths[1]
     return np.array([x, np.cross(z, x), z])
 
@@ -270,21 +270,21 @@ def parsed(path: Path, take: Callable[[Deck, Keyword], None]) -> Deck:
     for keyword in read_keywords(deck_text(path)):
         try:
             if keyword.word in _REFUSED:
-                raise MeshFileError(f"is not read; {_REFUSED[keyword.word]}")
+                raise MeshFileError(f"cannot be read; {_REFUSED[keyword.word]}")
             if keyword.word in TAKERS:
                 TAKERS[keyword.word](deck, keyword)
             take(deck, keyword)
         except MeshFileError as error:
             raise keyword.wrong(error) from None
         except (ValueError, KeyError, IndexError, OverflowError) as error:
-            raise keyword.wrong(f"cannot be read ({error})") from None
+            raise keyword.wrong(f"cannot be read ({error}); correct it") from None
     return deck
 
 
 def _take_nodes(deck: Deck, keyword: Keyword) -> None:
     kind = keyword.options.get("SYSTEM", "R").upper()
     if kind not in ("R", "C"):
-        raise MeshFileError(f"is in a system {kind}; give Cartesian or cylindrical coordinates")
+        raise MeshFileError(f"has SYSTEM={kind}; write R (Cartesian) or C (cylindrical)")
     axes, origin = deck.systems.get(keyword.frame.number, (np.eye(3), np.zeros(3)))
     moved = kind == "C" or keyword.frame.number in deck.systems
     deck.node_lines.append((len(deck.nodes), keyword.at))
@@ -301,7 +301,7 @@ def _take_nodes(deck: Deck, keyword: Keyword) -> None:
             here, there = (", ".join(f"{x:g}" for x in at) for at in (point, deck.nodes[label]))
             raise MeshFileError(
                 f"has node {row[0]} at ({here}), but the *NODE of line {line} has it at ({there}); "
-                "number one of the two anew"
+                "give one of the two another number"
             )
         labels.append(label)
     if "NSET" in keyword.options:
@@ -330,7 +330,7 @@ def _take_elements(deck: Deck, keyword: Keyword) -> None:
     columns = 1 + {**NODES_PER_CELL, **NODES_PER_FACET, **NODES_PER_LINE}[kind]
     numbers = [keyword.frame.label(each) for row in keyword.rows for each in row if each]
     if len(numbers) % columns:
-        raise MeshFileError(f"has {len(numbers)} numbers; {kind} elements have {columns} each")
+        raise MeshFileError(f"has {len(numbers)} numbers; write {columns} for each {kind} element")
     table = [numbers[i : i + columns] for i in range(0, len(numbers), columns)]
     if not table:
         return
@@ -338,7 +338,7 @@ def _take_elements(deck: Deck, keyword: Keyword) -> None:
         if row[0] in deck.where:
             line = [*deck.element_lines, keyword.at][deck.where[row[0]][0]]
             raise MeshFileError(
-                f"defines element {row[0] % STRIDE} again; the *ELEMENT of line {line} has it too"
+                f"defines element {row[0] % STRIDE}, as line {line} does; renumber one"
             )
         deck.where[row[0]] = (len(deck.kinds), i)
     deck.kinds.append(kind)
@@ -355,7 +355,7 @@ def kind_of(name: str) -> str | None:
     if solid:
         nodes = solid[1]
         if nodes not in _SOLIDS:
-            raise MeshFileError(f"of type {name} is not read; it may be C3D{', C3D'.join(_SOLIDS)}")
+            raise MeshFileError(f"has type {name}; write C3D{', C3D'.join(_SOLIDS)}")
         return _SOLIDS[nodes]
     return next((kind for kind, pattern in _FLAT.items() if pattern.fullmatch(name)), None)
 
@@ -392,7 +392,7 @@ def _members(deck: Deck, sets: dict[str, list[int]], keyword: Keyword) -> list[i
 def _few(entries: Sequence[int]) -> Sequence[int]:
     """Return a set's members if a mesh can have so many: a line of text may name any number."""
     if len(entries) > _MAX_MEMBERS:
-        raise MeshFileError(f"names {len(entries)} nodes or elements; no mesh has so many")
+        raise MeshFileError(f"names {len(entries)} nodes or elements, too many; correct it")
     return entries
 
 
@@ -415,7 +415,7 @@ def set_key(deck: Deck, sets: Mapping[str, object], name: str, frame: Frame) -> 
     for key in (in_frame.key(last) if in_frame else "", frame.key(name), name.upper()):
         if key in sets:
             return key
-    raise MeshFileError(f'names a set "{name}" that is not defined above it')
+    raise MeshFileError(f'names the set "{name}", which is not defined above; define it first')
 
 
 def _take_surface(deck: Deck, keyword: Keyword) -> None:
@@ -427,7 +427,7 @@ def _take_surface(deck: Deck, keyword: Keyword) -> None:
             continue
         face = fields[0].upper() if fields else ""
         if not re.fullmatch(r"S\d", face):
-            raise MeshFileError(f'has the face "{face}"; faces of solids are S1 to S6')
+            raise MeshFileError(f'has the face "{face}"; faces of solids must be S1 to S6')
         entries = [(e, face) for e in named(deck, deck.element_sets, name, keyword.frame)]
         deck.entries += len(entries)
         _few(range(deck.entries))
@@ -444,7 +444,7 @@ def add_weighted(deck: Deck, frame: Frame, name: str, target: str, weight: str =
 
 def _take_instance(deck: Deck, keyword: Keyword) -> None:
     if keyword.frame.name.upper() in deck.frames:
-        raise MeshFileError(f'defines "{keyword.frame.name}" again; name each instance differently')
+        raise MeshFileError(f'defines "{keyword.frame.name}" again; rename one of the two')
     deck.frames[keyword.frame.name.upper()] = keyword.frame
 
 
@@ -474,7 +474,7 @@ def add(
     """Add members to a set, a new one or that of its name."""
     deck.entries += len(entries)
     if deck.entries > _MAX_MEMBERS:
-        raise MeshFileError(f"makes the sets too large: they have {deck.entries} members in all")
+        raise MeshFileError(f"has sets of {deck.entries} members in all; remove some")
     sets.setdefault(_key(deck, frame, name), []).extend(entries)
 
 
@@ -504,7 +504,7 @@ def raw_mesh(deck: Deck) -> RawMesh:
     except KeyError as error:
         label = int(str(error))
         raise MeshFileError(
-            f"has an element on node {label % STRIDE}, which is not defined"
+            f"has an element on node {label % STRIDE}, which is not defined; add this node"
         ) from None
     regions, groups, faces = (
         set_names(deck, sets) for sets in (deck.element_sets, deck.node_sets, deck.surfaces)
@@ -540,14 +540,14 @@ def _faces(deck: Deck, row: dict[int, int], faces: list[tuple[int, str]]) -> lis
     for element, face in faces:
         if element not in deck.where:
             raise MeshFileError(
-                f"has a surface on element {element % STRIDE}, which is not defined"
+                f"has a surface on element {element % STRIDE}, which is not defined; add it"
             )
         block, cell = deck.where[element]
         shape = deck.kinds[block].rstrip("0123456789")
         table = SOLID_FACES.get(shape, ())
         if int(face[1]) > len(table):
             raise MeshFileError(
-                f"has a surface on face {face} of element {element % STRIDE}, a {shape}"
+                f"has a surface on face {face} of element {element % STRIDE}, a {shape}; correct it"
             )
         corners = [row[deck.cells[block][cell][int(c) - 1]] for c in table[int(face[1]) - 1]]
         by_kind.setdefault("quad4" if len(corners) == 4 else "tri3", []).append(corners)

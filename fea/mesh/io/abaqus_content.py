@@ -55,32 +55,32 @@ _BOUNDARY_TYPES = {
 }
 
 _MISSING = {
-    "CONNECTOR SECTION": "is not solved; write [[supports.bushing]] or [[spring]]",
-    "CONTACT": "is not solved: surfaces do not meet; compare bonded and free as bounds",
-    "CONTACT PAIR": "is not solved: surfaces do not meet; compare bonded and free as bounds",
-    "EMBEDDED ELEMENT": "is not solved: the elements inside are left out",
-    "PRE-TENSION SECTION": "is not taken over; write a [[bolt]]",
-    "SHELL TO SOLID COUPLING": "is not solved: only solid cells are",
-    "SHELL SECTION": "is not solved: shells are groups of faces only",
-    "MEMBRANE SECTION": "is not solved: membranes are groups of faces only",
-    "BEAM SECTION": "is not solved: beams and trusses are groups of nodes only",
-    "HYPERELASTIC": 'is not compared; write law = "neo-hookean" with small-strain constants',
-    "KINEMATIC COUPLING": "is not compared; write [interface] with the section's group",
-    "HYPERFOAM": "is not solved: materials are elastic, or neo-Hookean",
-    "USER MATERIAL": "is not solved: materials are elastic, or neo-Hookean",
-    "VISCOELASTIC": "is not solved: an answer does not depend on time",
-    "CREEP": "is not solved: an answer does not depend on time",
-    "MODEL CHANGE": "is not solved: all elements and contacts are there in each step",
-    "MASS": "is not solved: an interface is massless",
-    "DLOAD": "is not taken over; self-weight is gravity under [analysis], else none acts",
-    "DSLOAD": "is not taken over: only wrenches at interfaces act",
-    "TEMPERATURE": "is not taken over; write [inputs.temperature]",
+    "CONNECTOR SECTION": "is not supported; write [[supports.bushing]] or [[spring]]",
+    "CONTACT": "is not supported; solve the parts bonded and separate for two bounds",
+    "CONTACT PAIR": "is not supported; solve the parts bonded and separate for two bounds",
+    "EMBEDDED ELEMENT": "is not supported; the elements inside are left out, so mesh them in",
+    "PRE-TENSION SECTION": "is not imported; write a [[bolt]]",
+    "SHELL TO SOLID COUPLING": "is not supported; mesh the shell with solid cells",
+    "SHELL SECTION": "is not supported; shells become groups of faces, so mesh them with solids",
+    "MEMBRANE SECTION": "is not supported; membranes become groups of faces, so mesh solids",
+    "BEAM SECTION": "is not supported; beams become groups of nodes, so mesh them with solids",
+    "HYPERELASTIC": 'is not imported; write law = "neo-hookean" with small-strain constants',
+    "KINEMATIC COUPLING": "is not imported; write [interface] with the group of this section",
+    "HYPERFOAM": "is not supported; write an elastic or neo-Hookean [[material]]",
+    "USER MATERIAL": "is not supported; write an elastic or neo-Hookean [[material]]",
+    "VISCOELASTIC": "is not supported, since answers do not depend on time; use elastic constants",
+    "CREEP": "is not supported, since answers do not depend on time; use elastic constants",
+    "MODEL CHANGE": "is not supported; all elements act in each step, so remove those that do not",
+    "MASS": "is not supported at an interface; put the mass into the scene",
+    "DLOAD": "is not imported; write self-weight as gravity under [analysis]",
+    "DSLOAD": "is not imported; apply the load as a wrench at an interface",
+    "TEMPERATURE": "is not imported; write [inputs.temperature]",
 }
 
 
 _PARTLY = (
-    "couples some directions only; here all three are: couple 1 to 3, or hold all freedoms of its "
-    "point, which makes the group a support if its nodes have the mesh's axes"
+    "couples only some directions, but all three are coupled here; couple 1 to 3, or fix all "
+    "freedoms of its point to make the group a support"
 )
 
 _QUIET = {"", "HEADING", "PREPRINT", "ASSEMBLY", "END ASSEMBLY", "PART", "END PART", "END STEP"}
@@ -94,13 +94,13 @@ def _take(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     """Take one keyword, after the deck has taken what is of the mesh."""
     taker = _TAKERS.get(keyword.word)
     if "INPUT" in keyword.options and (taker is not None or keyword.word in TAKERS):
-        message = "paste that file's lines below the keyword"
+        message = "insert the lines of that file below the keyword"
         raise MeshFileError(f"has its rows in {keyword.options['INPUT']}; {message}")
     try:
         if taker is not None:
             taker(reader, deck, keyword)
     except (MeshFileError, ValueError, LookupError) as error:
-        reader.lack(keyword, f"is not understood, so not taken over ({error})")
+        reader.lack(keyword, f"is not imported, because it cannot be read ({error}); correct it")
     if keyword.word in _MISSING:
         reader.lack(keyword, _MISSING[keyword.word])
     if keyword.word not in _QUIET:
@@ -138,7 +138,7 @@ def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
     regions, groups = set_names(deck, deck.element_sets), set_names(deck, deck.node_sets)
     faces = set_names(deck, deck.surfaces)
     content.missing |= {
-        where: f'has the orientation "{name}", which is not taken over'
+        where: f'has the orientation "{name}", which is not imported; write axes under [[material]]'
         for where, _, _, name in reader.sections
         if name and name not in reader.orientations
     }
@@ -196,7 +196,7 @@ def _take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     elif kind in NODES:
         take_elements(reader, deck, keyword)
     elif kind_of(kind) is None:
-        reader.lack(keyword, f"of type {kind} is not solved: only solid cells are")
+        reader.lack(keyword, f"has the unsupported type {kind}; mesh it with solid cells")
     elif keyword.at in deck.element_lines[-1:]:
         counts = reader.content.elements
         counts[kind] = counts.get(kind, 0) + len(deck.cells[-1])
@@ -211,7 +211,7 @@ def _take_constants(reader: Reader, _: Deck, keyword: Keyword) -> None:
     if keyword.word == "ELASTIC" and kind in ("ENGINEERINGCONSTANTS", "ORTHO"):
         values = [float(each) for row in keyword.rows for each in row if each][:9]
         if len(values) < 9:
-            raise ValueError(f"{len(values)} constants where nine should be")
+            raise ValueError(f"it has {len(values)} constants, but needs nine")
         if kind == "ORTHO":  # stresses by strains: 11, 12, 22, 13, 23, 33; then shears
             a, b, c, d, e, f, *shears = values
             flexible = np.linalg.inv([[a, b, d], [b, c, e], [d, e, f]])
@@ -222,14 +222,14 @@ def _take_constants(reader: Reader, _: Deck, keyword: Keyword) -> None:
         reader.constants.update({k: tuple(values[3 * i : 3 * i + 3]) for i, k in enumerate(names)})
         return
     if kind not in ("ISO", "ISOTROPIC"):
-        reader.lack(keyword, f"of type {kind} is not compared; write it into [[material]]")
+        reader.lack(keyword, f"has the type {kind}, not imported; write it in [[material]]")
         return
     values = zip(_CONSTANTS[keyword.word], keyword.rows[0], strict=False)
     reader.constants.update({key: float(value) for key, value in values})
     if keyword.word == "PLASTIC":
-        reader.lack(keyword, "is not solved: its first stress is a yield_strength to compare with")
+        reader.lack(keyword, "is not solved; its first stress becomes a yield_strength")
     elif len(keyword.rows) > 1:
-        reader.lack(keyword, "has values at several temperatures; its first line is compared")
+        reader.lack(keyword, "has values at several temperatures; check the first, taken here")
 
 
 def _take_section(reader: Reader, deck: Deck, keyword: Keyword) -> None:
@@ -246,10 +246,10 @@ def _take_orientation(reader: Reader, _: Deck, keyword: Keyword) -> None:
     first, second, origin = numbers(keyword, 0, 9).reshape(3, 3)
     number, angle = numbers(keyword, 1, 2)
     if kind != "COORDINATES" or system not in ("RECTANGULAR", "CYLINDRICAL"):
-        raise ValueError(f"{system} by {kind}; it may be RECTANGULAR or CYLINDRICAL")
+        raise ValueError(f"it is {system} by {kind}, but must be RECTANGULAR or CYLINDRICAL")
     if system == "CYLINDRICAL":
         if angle:
-            raise ValueError("a cylinder with an angle")
+            raise ValueError("it is a cylinder with an angle; leave the angle out")
         points = [keyword.frame.transformed(point.tolist()) for point in (first, second)]
         axis = np.subtract(points[1], points[0])
         axes = np.array([*points[0], *(axis / np.linalg.norm(axis))])
@@ -268,7 +268,7 @@ def _take_orientation(reader: Reader, _: Deck, keyword: Keyword) -> None:
 def _take_transform(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     """Take the axes of nodes, around a cylinder's axis those of each."""
     if (kind := keyword.options.get("TYPE", "R").upper()) not in ("R", "C"):
-        raise ValueError(f"type {kind}; it may be R or C")
+        raise ValueError(f"its TYPE must be R or C, not {kind}")
     frame, (first, second) = keyword.frame, numbers(keyword, 0, 6).reshape(2, 3)
     axis, turn = second - first, np.reshape(frame.rotation or np.eye(3), (3, 3))
     start = np.array(frame.transformed(first.tolist()))
@@ -285,7 +285,7 @@ def _take_boundary(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     step = reader.steps[-1]
     step.begin(keyword)
     if {"SUBMODEL", "USER"} & keyword.options.keys():
-        reader.lack(keyword, "moves nodes by results or code; they are fixed where they are")
+        reader.lack(keyword, "moves nodes by results or code, here not at all; check them")
     for target, *fields in keyword.rows:
         word = fields[0].upper() if fields else ""
         if word in _BOUNDARY_TYPES:
@@ -294,7 +294,7 @@ def _take_boundary(reader: Reader, deck: Deck, keyword: Keyword) -> None:
             first, last, value = (*fields, "", "", "")[:3]
             held = set(range(int(first) - 1, min(int(last or first), 6)))
             if held and float(value or 0.0):
-                reader.lack(keyword, "moves nodes by what is not 0; they are fixed where they are")
+                reader.lack(keyword, "moves nodes by more than 0, here by 0; check them")
         key, labels = _target(deck, target, keyword.frame)
         step.motions.rows.append(Motion(keyword.where, key, labels, held))
 
@@ -322,11 +322,11 @@ def _take_coupling_kind(reader: Reader, _: Deck, keyword: Keyword) -> None:
     if rows and keyword.word == "KINEMATIC":
         reader.couplings[-1].directions = some
     elif rows and some != "xyz":
-        reader.lack(keyword, "couples some directions only; here all three are")
+        reader.lack(keyword, "couples some directions only, but here all three; check it")
     elif rows and keyword.word == "DISTRIBUTING" and not freedoms >= {4, 5, 6}:
-        reader.lack(keyword, "couples no rotation; here its point turns with the mean")
+        reader.lack(keyword, "couples no rotation, but here the mean rotation; check it")
     if (method := keyword.options.get("WEIGHTING METHOD", "UNIFORM").upper()) != "UNIFORM":
-        reader.lack(keyword, f"has weights of the method {method}; here distance changes none")
+        reader.lack(keyword, f"has the weights {method}, but here distance has no effect")
     reader.couplings[-1].kind = "rigid" if keyword.word == "KINEMATIC" else "distributed"
 
 
@@ -344,7 +344,7 @@ def _take_rigid(reader: Reader, deck: Deck, keyword: Keyword) -> None:
         (keyword.options[k] for k in ("NSET", "TIE NSET", "PIN NSET") if k in keyword.options), ""
     )
     if not name:
-        reader.lack(keyword, "of elements is not taken over; name its nodes as a rigid [interface]")
+        reader.lack(keyword, "of elements is not imported; name its nodes as a rigid [interface]")
         return
     key = set_key(deck, deck.node_sets, name, keyword.frame)
     ref, rot = (_node(deck, keyword, option) for option in ("REF NODE", "ROT NODE"))
@@ -360,11 +360,11 @@ def _node(deck: Deck, keyword: Keyword, option: str) -> int | None:
 def _take_tie(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     """Take a tie of surfaces of faces."""
     if "CYCLIC SYMMETRY" in keyword.options:
-        raise ValueError("a part of a circle")
+        raise ValueError("it is a part of a circle, which is not supported")
     distance = float(keyword.options.get("POSITION TOLERANCE", 0.0)) or None
     for row in keyword.rows:
         if nodal := deck.node_sets.keys() - deck.surfaces & {*map(keyword.frame.key, row[:2])}:
-            raise ValueError(f"{', '.join(nodal)} is of nodes; name a surface of faces")
+            raise ValueError(f"{', '.join(nodal)} consists of nodes; name a surface of faces")
         first, second = (set_key(deck, deck.surfaces, name, keyword.frame) for name in row[:2])
         reader.ties.append((keyword.where, first, second, distance))
 
@@ -373,14 +373,14 @@ def _take_force(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     step = reader.steps[-1]
     step.begin(keyword)
     if "AMPLITUDE" in keyword.options:
-        reader.lack(keyword, "varies by an amplitude; its values are taken as they are")
+        reader.lack(keyword, "has an amplitude, which is left out; check the values")
     for row in keyword.rows:
         if len(row) < 3:
             raise ValueError(f"{', '.join(row)} needs a node or set, a freedom and a value")
         target, freedom, value = row[:3]
         key, labels = _target(deck, target, keyword.frame)
         if not 1 <= int(freedom) <= 6:
-            raise ValueError(f"{freedom} is no force or moment")
+            raise ValueError(f"the freedom must be 1 to 6, not {freedom}")
         for entry in ((label, int(freedom) - 1) for label in labels):
             before = step.forces[entry][1] if entry in step.begun else 0.0  # a step's forces add up
             step.forces[entry] = key, before + float(value)
@@ -396,7 +396,8 @@ def _take_step(reader: Reader, _: Deck, keyword: Keyword) -> None:
     last = reader.steps[-1]
     if kind == "general" and last.kind == "perturbation" and "BOUNDARY" in last.begun:
         reader.lack(
-            keyword, "is without the supports of the perturbation before; CalculiX keeps them"
+            keyword,
+            "lacks the supports of the perturbation before; check them (CalculiX keeps them)",
         )
     if kind == "load case":
         base.name = ""
@@ -486,7 +487,7 @@ def _held_freedoms_of_couplings(reader: Reader, motions: Motions, count: int) ->
             # would hold one or two of them along other axes.
             usable = {i for i in freedoms if sum(i // 3 == j // 3 for j in together) in (0, 3)}
             if usable != freedoms:
-                message = "holds a coupled node along turned axes: write axes and locked for it"
+                message = "fixes a coupled node along rotated axes; write axes and locked for it"
                 reader.content.missing[where] = message
             held[number] |= {first + i for i in usable if first + i < 6}
     return held
@@ -512,10 +513,10 @@ def _couplings(reader: Reader, deck: Deck) -> list[CoupledGroup]:
     couplings: list[CoupledGroup] = []
     for coupled in reader.couplings:
         if coupled.ref is not None and coupled.ref not in deck.nodes:
-            reader.lack(coupled.keyword, "has a reference node that is not defined")
+            reader.lack(coupled.keyword, "has a reference node that is not defined; add this node")
             continue
         if coupled.ref in reader.points:
-            reader.lack(coupled.keyword, "has the reference node of another; unite the two groups")
+            reader.lack(coupled.keyword, "has another coupling's reference node; merge the two")
             continue
         key, point = coupled.key, () if coupled.ref is None else tuple(deck.nodes[coupled.ref])
         if point and math.isfinite(coupled.radius):
@@ -523,7 +524,8 @@ def _couplings(reader: Reader, deck: Deck) -> list[CoupledGroup]:
             near = [n for n in labels if math.dist(deck.nodes[n], point) <= coupled.radius]
             if not near:
                 reader.lack(
-                    coupled.keyword, f"reaches no node within its radius, {coupled.radius:g}"
+                    coupled.keyword,
+                    f"has no node within its radius, {coupled.radius:g}; enlarge it",
                 )
                 continue
             weights = deck.weights.get(key, {})

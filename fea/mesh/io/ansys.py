@@ -66,7 +66,7 @@ def read_ansys(text: str) -> Translated:
                 else:
                     _take_command(archive, word, fields)
             except (ValueError, LookupError, StopIteration) as error:
-                raise MeshFileError(f"line {number}: {word} cannot be read ({error})") from None
+                raise MeshFileError(f"line {number}: {word} cannot be read: {error}") from None
     if not archive.cases:
         archive.end_step("")
     for name, constants in archive.materials.items():
@@ -122,7 +122,7 @@ def _take_types(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
 
 def _take_elements(archive: _Archive, fields: list[str], rows: Iterator[str]) -> None:
     if fields[:2] != ["19", "SOLID"]:
-        raise ValueError("it is not of the form 19,SOLID; write the archive by CDWRITE,DB")
+        raise ValueError("it must have the form 19,SOLID; write the archive with CDWRITE,DB")
     width = int(re.findall(r"[iI](\d+)", next(rows))[0])
     for row in rows:
         numbers = _fixed(row, width)
@@ -133,7 +133,7 @@ def _take_elements(archive: _Archive, fields: list[str], rows: Iterator[str]) ->
             nodes += _fixed(next(rows), width)
         if numbers[1] not in archive.types:
             known = ", ".join(archive.types) or "none"
-            raise ValueError(f"element type {numbers[1]} has no ET by number above; it has {known}")
+            raise ValueError(f"no ET above defines the type {numbers[1]}; there are {known}")
         _take_cell(archive, archive.types[numbers[1]], f"MAT_{numbers[0]}", numbers[10], nodes)
 
 
@@ -153,7 +153,7 @@ def _take_cell(archive: Translated, kind: str, region: str, number: str, nodes: 
         nodes = [nodes[i] for i in indices if i < len(nodes)]
     corners = {10: 4, 13: 5, 15: 6, 20: 8}.get(len(nodes), len(nodes))
     if "0" in nodes[:corners]:
-        raise ValueError(f"element {number} lacks corners")
+        raise ValueError(f"element {number} has too few corners")
     if set(nodes[corners:]) == {"0"}:
         nodes = nodes[:corners]
     integration = "R" if len(nodes) == 20 and not full else ""
@@ -194,7 +194,7 @@ def _take_constant(archive: _Archive, word: str, fields: list[str]) -> None:
 def _take_on_nodes(archive: _Archive, word: str, fields: list[str]) -> None:
     """Set or remove (DDELE, FDELE) what acts on a node, on each from it to NEND, or on a group."""
     if archive.branches:
-        raise ValueError("it stands within *IF; write what holds without a condition")
+        raise ValueError("it is inside *IF; write the lines that apply, without the condition")
     node, label, *values = (*fields, *[""] * 9)
     removes, acting = word.endswith("DELE"), archive.held if word[0] == "D" else archive.forces
     last, step = values[:2] if removes else values[2:4]
@@ -204,7 +204,7 @@ def _take_on_nodes(archive: _Archive, word: str, fields: list[str]) -> None:
     elif node == "ALL" and not archive.selected:
         nodes = [row.partition(",")[0] for row in archive.nodes]
     elif not nodes:
-        raise ValueError(f"{node} names nodes that the file does not list; write their numbers")
+        raise ValueError(f"{node} names nodes that are not listed; write their numbers")
     labels = [label or "ALL", *filter(None, values[4:] if word == "D" else ())]
     if not _FREEDOMS.keys() >= {*labels}:
         archive.skipped[f"{word} of {', '.join(labels)}"] += 1

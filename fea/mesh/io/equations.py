@@ -10,9 +10,9 @@ from wrenchbook.fea.mesh.io.abaqus import Deck, Keyword, named
 from wrenchbook.fea.mesh.io.reader import Reader
 
 _LOOSE = (
-    "ties nodes in a way that is not taken over: they move freely here. Nodes of second-order "
-    "solid cells may follow others with the same weights in all three directions; else bond them "
-    "in the mesh, or write [[tie]]"
+    "ties nodes in an unsupported way, so they move freely here. Write equal weights in all three "
+    "directions for nodes of second-order solid cells; otherwise merge the nodes in the mesh, or "
+    "write [[tie]]"
 )
 
 
@@ -25,7 +25,7 @@ def take_equations(reader: Reader, deck: Deck, keyword: Keyword) -> None:
         nodes = [named(deck, deck.node_sets, name, keyword.frame) for name in terms[::3]]
         labels = [label for each in nodes for label in each]
         if not len(labels) == count == len(terms) / 3:
-            raise ValueError("an equation of sets, or without all of its terms")
+            raise ValueError("an equation names sets or lacks some of its terms")
         factors = map(float, terms[2::3])
         _equate(reader, keyword, list(zip(labels, terms[1::3], factors, strict=True)))
 
@@ -45,7 +45,7 @@ def _equate(reader: Reader, keyword: Keyword, terms: list[tuple[int, str, float]
     for label, _, other in others:
         weights[label] -= other / factor if factor else math.nan
     if not all(map(math.isfinite, weights.values())):
-        raise ValueError("factors that are no numbers, or zero")
+        raise ValueError("its factors must be numbers other than zero")
     rows, axis = reader.equations.setdefault(node, {}), int(freedom) - 1
     alone = {other for _, other, _ in terms} == {freedom} and axis not in rows
     rows[axis if alone else None] = keyword, weights

@@ -68,7 +68,7 @@ class _Bulk(Translated):
             return "R", np.eye(3), np.zeros(3)
         if number not in self.systems:
             if number not in self.cards:
-                raise ValueError(f"the coordinate system {number} is not defined, or by itself")
+                raise ValueError(f"the coordinate system {number} is undefined or circular")
             name, fields = self.cards.pop(number)
             try:
                 if name[4] == "1":
@@ -141,7 +141,7 @@ def read_nastran(text: DeckText) -> Translated:
                 data.skipped[name] += 1
         except (ValueError, LookupError) as error:
             raise MeshFileError(
-                f"line {text.place(number)}: {name} cannot be read ({error})"
+                f"line {text.place(number)}: {name} cannot be read ({error}); correct it"
             ) from None
     _take_springs(data)
     _take_cases(data, control)
@@ -157,7 +157,7 @@ def _take_cases(data: _Bulk, control: str) -> None:
         for factor, part in data.sums.get((kind, number), [(1.0, number)]):
             used.add((kind, part))
             if part and (kind, part) not in data.sets:
-                data.skipped[f"{kind} set {part}, of which nothing is read"] = 1
+                data.skipped[f"{kind} set {part}, which has no supported card"] = 1
             for node, way, value in data.sets.get((kind, part), ()):
                 yield node, way, factor * value
 
@@ -278,7 +278,7 @@ def _solid(data: _Bulk, name: str, fields: list[str]) -> None:
     count = count if count <= corners else max(count, most)
     nodes = [each or "0" for each in (*fields[2:], *[""] * most)[:count]]
     if (kind := _SOLIDS[name].get(len(nodes))) is None or "0" in nodes[:corners]:
-        raise ValueError(f"write its {corners} corners, and {most} nodes at most")
+        raise ValueError(f"it must have its {corners} corners and at most {most} nodes")
     nodes = [nodes[i] for i in _ORDER.get(kind, range(len(nodes)))]
     data.elements[kind, f"PSOLID_{fields[1] or fields[0]}"].append([fields[0], *nodes])
 
@@ -394,7 +394,7 @@ def _spring(data: _Bulk, name: str, fields: list[str]) -> None:
         row = next((i + 1 for i in range(1, len(fields), 8) if fields[i] == "K"), len(fields))
         springs = {name + fields[0]: (name, [each or "0" for each in fields[row : row + 6]])}
     if data.springs.keys() & springs:
-        raise ValueError(f"{fields[0]} is there twice")
+        raise ValueError(f"{fields[0]} is defined twice")
     data.springs |= springs
 
 
@@ -412,7 +412,7 @@ def _take_springs(data: _Bulk) -> None:
             ends = [(node, int(way or 0)) for node, way in ends if node.strip("0")]
             sizes = [_real(text) for text in texts]
             if not any(sizes) or not ends or not data.grids.keys() >= {node for node, _ in ends}:
-                raise ValueError("without its property, of stiffness 0, or on no GRID")
+                raise ValueError("it has no property, the stiffness 0, or no GRID")
             axes = _spring_axes(data, fields if bush else [], [node for node, _ in ends], sizes)
         except (ValueError, LookupError) as error:
             data.skipped[f"{name} ({error}): write [[supports.bushing]] or [[spring]]"] += 1
@@ -432,13 +432,13 @@ def _spring_axes(data: _Bulk, bush: list[str], nodes: list[str], sizes: list[flo
     if not bush:
         axes, *others = [data.axes_at(data.grids[node][5], node) for node in nodes]
         if not all(np.allclose(axes, other) for other in others):
-            raise ValueError("on nodes of different axes")
+            raise ValueError("its nodes have different axes")
         return axes
     kind, axes, _ = data.system(bush[7] or "none")
     apart = data.point(data.grids[nodes[-1]]) - data.point(data.grids[nodes[0]])
     across = np.linalg.norm(np.cross(apart, axes), axis=1) > _ALONG * np.linalg.norm(apart)
     if kind != "R" or bush[9] not in ("", "-1") or (across & (np.array(sizes[:3]) != 0)).any():
-        raise ValueError("of a curved CID, an OCID, or shear between nodes that are apart")
+        raise ValueError("it has a curved CID, an OCID, or shear between nodes apart")
     return axes
 
 

@@ -63,8 +63,8 @@ def to_mesh(raw: RawMesh, metres: float) -> Mesh:
     unknown = sorted({kind for kind in kinds if kind not in known})
     if unknown:
         raise MeshFileError(
-            f"has cells of kind {', '.join(unknown)}, which the solver does not know; "
-            f"it knows {', '.join(NODES_PER_CELL)}"
+            f"has cells of kind {', '.join(unknown)}, which are not supported; mesh with "
+            f"{', '.join(NODES_PER_CELL)}"
         )
     if not any(kind in NODES_PER_CELL for kind in kinds):
         there = ", ".join(dict.fromkeys(kinds)) or "no cells at all"
@@ -73,14 +73,14 @@ def to_mesh(raw: RawMesh, metres: float) -> Mesh:
     for numbers in (*(nodes for _, nodes in raw.blocks), *raw.node_sets.values()):
         if numbers.size and not (numbers.min() >= 0 and numbers.max() < len(raw.points)):
             raise MeshFileError(
-                f"names points that it does not have; it has {len(raw.points)}. Write it anew"
+                f"has cells on points that are not among its {len(raw.points)}; export it again"
             )
     solids = [i for i, (kind, _) in enumerate(raw.blocks) if kind in NODES_PER_CELL]
     used = np.unique(np.concatenate([raw.blocks[i][1].ravel() for i in solids]))
     number = np.full(len(raw.points), -1, dtype=np.int64)
     number[used] = np.arange(len(used))
     if not np.isfinite(raw.points[used]).all():
-        raise MeshFileError("has coordinates that are not finite numbers; write the mesh anew")
+        raise MeshFileError("has coordinates that are not finite numbers; export the mesh again")
     kinds = list(dict.fromkeys(raw.blocks[i][0] for i in solids))
     cells = {k: number[np.concatenate([b for kind, b in raw.blocks if kind == k])] for k in kinds}
     once = {kind: _without_twins(nodes) for kind, nodes in cells.items()}
@@ -123,9 +123,7 @@ def _dependents(raw: RawMesh, number: Array, points: Array) -> Dependents:
         return Dependents.of(len(points), (number[nodes], number[masters], weights))
     except CircularError as error:
         at = point_text(points[error.node])
-        raise MeshFileError(
-            f"has equations by which the node at {at} m depends on itself; remove one of them"
-        ) from None
+        raise MeshFileError(f"has a circular equation of the node at {at} m; remove it") from None
 
 
 def _without_twins(nodes: Array) -> tuple[Array, Array]:

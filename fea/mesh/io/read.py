@@ -100,7 +100,7 @@ def _read_meshio(path: Path) -> RawMesh:
     node_sets = {**point_groups, **read.point_sets}
     points = np.asarray(read.points, dtype=float)
     if points.shape[1] != 3:
-        raise MeshFileError("is flat; write a mesh of solid cells in three dimensions")
+        raise MeshFileError("is flat; export a mesh of solid cells in three dimensions")
     nodes = {name: _as_numbers(ids) for name, ids in node_sets.items()}
     return RawMesh(points, blocks, element_sets, nodes)
 
@@ -113,7 +113,7 @@ def _read_silently(path: Path) -> meshio.Mesh:
             return meshio.read(path)
     except (Exception, SystemExit) as error:
         details = " ".join(f"{output.getvalue()} {error}".split())
-        message = f"cannot be read as a {path.suffix or 'mesh'} file ({details[:200]})"
+        message = f"cannot be read as {path.suffix or 'a mesh'} ({details[:200]}); export it again"
         raise MeshFileError(message) from None
 
 
@@ -158,15 +158,15 @@ def _refuse_outside(path: Path) -> None:
     try:
         items = list(ET.parse(path).iter("DataItem"))
     except (ET.ParseError, ValueError, LookupError) as error:
-        raise MeshFileError(f"cannot be read as a {path.suffix} file ({error})") from None
+        raise MeshFileError(f"cannot be read as {path.suffix} ({error}); export it again") from None
     for item in items:
         kind, text = item.get("Format"), (item.text or "").strip()
         if kind == "Binary":
-            raise MeshFileError('holds numbers in another file as bytes; write Format="HDF"')
+            raise MeshFileError('has its numbers as bytes elsewhere; write it with Format="HDF"')
         folder, name = path.parent.resolve(), text.partition(":")[0]
         beside = Path(name).name == name and (folder / name).resolve().parent == folder  # no link
         if kind == "HDF" and not beside:
             raise MeshFileError(
-                f'holds numbers in "{text[:100]}", which is outside the bundle; put that file '
+                f'has its numbers in "{text[:100]}", which is outside the bundle; put that file '
                 "beside it and name it without a folder"
             )

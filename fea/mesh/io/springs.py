@@ -28,7 +28,7 @@ def take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
         label, *nodes = (keyword.frame.label(each) for each in row if each)
         expected = NODES[keyword.options["TYPE"].upper()]
         if label in reader.springs or label in deck.where or len(nodes) != expected:
-            raise ValueError(f"element {row[0]} is there twice, or has {len(nodes)} nodes")
+            raise ValueError(f"element {row[0]} is defined twice, or has {len(nodes)} nodes")
         reader.springs[label] = keyword, nodes
         labels.append(label)
     if "ELSET" in keyword.options:
@@ -47,7 +47,7 @@ def join_springs(reader: Reader, deck: Deck, step: Step, case: LoadCase) -> None
             name = keyword.options.get("ELSET", "")
             labels = {*named(deck, deck.element_sets, name, keyword.frame)}
             if not labels <= remaining.keys() or any(label in deck.where for label in labels):
-                raise ValueError("an element is no SPRING1 or 2, there twice or of two *SPRING")
+                raise ValueError("an element is not SPRING1 or SPRING2, or is defined twice")
             springs = [remaining.pop(label)[1] for label in sorted(labels)]
             springs = [_spring(reader, deck, case, held, keyword, nodes) for nodes in springs]
         except (ValueError, LookupError) as error:
@@ -108,19 +108,19 @@ def _constants(
     """Return the freedom from 0 at each node, the axes in rows, and the stiffness along one."""
     rows, axes = [row for row in keyword.rows if any(row)], np.eye(3)
     if keyword.options.keys() - {"ELSET", "ORIENTATION"} or len(rows) != 2:
-        raise ValueError("not of one constant stiffness")
+        raise ValueError("its stiffness is not one constant")
     freedoms = [int(each) - 1 for each in rows[0] if each]
     if not 0 < (size := float(rows[1][0])) < math.inf:
         raise ValueError(f"its stiffness is {size:g}")
     if len(freedoms) != len(nodes) or not {*freedoms} <= {*range(6)}:
-        raise ValueError(f"freedoms {', '.join(rows[0])}, not one of 1 to 6 for each node")
+        raise ValueError(f"its freedoms {', '.join(rows[0])} are not one of 1 to 6 for each node")
     if name := keyword.options.get("ORIENTATION", ""):
         values = reader.orientations.get(keyword.frame.key(name), ())
         if len(values) != 9:
-            raise ValueError(f'"{name}" is no rectangular *ORIENTATION')
+            raise ValueError(f'"{name}" is not a rectangular *ORIENTATION')
         axes = np.reshape(values, (3, 3))
     elif keyword.frame.rotation not in ((), _UPRIGHT) or not reader.turned.keys().isdisjoint(nodes):
-        raise ValueError("its nodes are turned; name an ORIENTATION")
+        raise ValueError("its nodes have rotated axes; name an ORIENTATION")
     return freedoms, axes, size
 
 
@@ -132,11 +132,11 @@ def _check_between(case: LoadCase, ends: list[CoupledGroup], direction: Array) -
     if first is second or (first.kind, first.weighted) != (second.kind, second.weighted):
         raise ValueError("it joins couplings of two kinds, or a point with itself")
     if across > _ALONG * np.abs(points).max():
-        raise ValueError("its points are apart across it, so that it turns them")
+        raise ValueError("its points are apart across it, so it would rotate them")
     if case.nonlinear:
-        raise ValueError("its direction stays at large displacements, that of [[spring]] turns")
+        raise ValueError("its direction stays fixed in space, that of [[spring]] rotates")
 
 
 def _refuse(reader: Reader, keyword: Keyword, why: object) -> None:
     more = "write [[supports.bushing]] for a spring to the ground, or [[spring]] between groups"
-    reader.lack(keyword, f"is not solved ({why}): {more}")
+    reader.lack(keyword, f"is not supported ({why}); {more}")

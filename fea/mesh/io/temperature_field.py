@@ -36,29 +36,29 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
     with field.open(encoding="utf-8", errors="replace") as file:
         names = [name.strip().strip('"').lower()[:1] for name in file.readline().split(",")]
     if names[:3] != ["x", "y", "z"]:
-        raise _wrong("must begin with a line of names: x, y, z (m) and the temperature")
+        raise _wrong("must have a first line of names; write x, y, z and the temperature")
     try:
         table = np.loadtxt(field, delimiter=",", skiprows=1, ndmin=2)
     except (ValueError, UnicodeDecodeError) as error:
-        raise _wrong(f"cannot be read: {error}") from None
+        raise _wrong(f"cannot be read ({error}); write four numbers a line") from None
     if table.shape[1:] != (_COLUMNS,) or not table.size or not np.isfinite(table).all():
         raise _wrong("must have four finite numbers a line: x, y, z (m) and the temperature")
     points, rise = table[:, :3], table[:, 3] - reference
     largest = float(rise[np.abs(rise).argmax()])
     if largest == 0.0:
-        raise _wrong("is at the reference everywhere: nothing is heated")
+        raise _wrong("equals reference everywhere, so nothing is heated; correct it")
     order = np.lexsort(points.T)
     same = (points[order][1:] == points[order][:-1]).all(axis=1)
     if (rise[order][1:] != rise[order][:-1])[same].any():
         x, y, z = points[order][1:][same][0].tolist()
-        raise _wrong(f"has the point ({x:g}, {y:g}, {z:g}) twice, with two temperatures")
+        raise _wrong(f"has the point ({x:g}, {y:g}, {z:g}) twice, with two temperatures; keep one")
     values = rise / largest
     distance, nearest = KDTree(points).query(nodes)
     shape, size = values[nearest], np.ptp(nodes, axis=0).max()
     if np.median(distance) > size:
         raise _wrong(
             f"its points are {np.median(distance):.3g} m from the part, which is {size:.3g} m "
-            "long: they must be in m, in the mesh's axes"
+            "long; write them in m, in the mesh's axes"
         )
     between = distance > _SAME * size
     if between.any() and len(points) > 1:

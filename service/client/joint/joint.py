@@ -127,7 +127,7 @@ class Joint:
         known, bad = int(np.isfinite(least).sum()), least < 0.0
         if not known:
             raise InvalidArgument(
-                f"{self._table.name} has no rows that give a stiffness: {self._more_rows()}, and "
+                f"{self._table.name} has no rows that give a stiffness; {self._more_rows()}, and "
                 "download the table again"
             )
         if bad.any():
@@ -147,9 +147,7 @@ class Joint:
     @damping.setter
     def damping(self, damping: float) -> None:
         if not (isinstance(damping, Real) and 0.0 <= damping < math.inf):
-            raise InvalidArgument(
-                f"damping must be a fraction of critical damping, 0 or more, not {damping!r}"
-            )
+            raise InvalidArgument(f"damping must be a fraction of critical from 0, not {damping!r}")
         self._damping = float(damping)
 
     @property
@@ -252,10 +250,10 @@ class Joint:
         shares = zip(loads, self._symbols[self.free], strict=True)
         shown = " ".join(f"{share:+.2g} {load}" for share, load in shares if abs(share) >= SHOWN)
         return (
-            f"{self._name}, method {self._table.packed.answers_by(self._method)!r}: the part "
-            f"moves against a load along ({shown}, in parts of the load range) at the wrench "
-            f"({', '.join(f'{load:.4g}' for load in wrench)}) N, N·m: its compliance is not "
-            f"positive definite there, and a joint would blow up; {self._more_rows()}"
+            f"{self._name}, method {self._table.packed.answers_by(self._method)!r}: at the wrench "
+            f"({', '.join(f'{load:.4g}' for load in wrench)}) N, N·m the part moves against a load "
+            f"along ({shown}, in fractions of the load range), so its compliance is not positive "
+            f"definite and a joint would be unstable; {self._more_rows()}"
         )
 
     def step(
@@ -292,15 +290,15 @@ class Joint:
         expected = shape_of(k, 3), shape_of(k, FREEDOMS), (size, size)
         if shapes != expected or (self._several and np.shape(R) != (k, 3, 3)):
             raise InvalidArgument(
-                "p, velocity and inverse_mass have shapes {}, {} and {}, not {}, {} and {}"
-                "{}".format(*expected, *shapes, f"; R has ({k}, 3, 3)" if self._several else "")
+                "p, velocity, inverse_mass need shapes {}, {} and {}, not {}, {} and {}{}".format(
+                    *expected, *shapes, f"; R has ({k}, 3, 3)" if self._several else ""
+                )
             )
         if not (
             math.isfinite(dt) and dt > 0 and np.isfinite(p).all() and np.isfinite(velocity).all()
         ):
             raise InvalidArgument(
-                f"dt must be above zero, p and velocity must be finite numbers, not {dt} s, {p}, "
-                f"{velocity}"
+                f"dt must be above 0 s, and p and velocity finite, not {dt} s, {p}, {velocity}"
             )
         steps = self._steps
         rotations = list(np.asarray(R)) if self._several else [R]
@@ -360,8 +358,8 @@ class Joint:
             answer = packed.answer(self._inputs(wrench).tolist(), None, self._method)
             warn(
                 f"{self._name}: the wrench of a step is {answer.coverage} by the method "
-                f"{packed.answers_by(self._method)!r}, and displacement and wrench are "
-                f"estimates ({answer.reason}); {self._more_rows()}. This is said once",
+                f"{packed.answers_by(self._method)!r}, so displacement and wrench are estimates "
+                f"({answer.reason}); {self._more_rows()}. This warning appears once",
                 JointWarning,
             )
 
@@ -373,23 +371,23 @@ class Joint:
                 raise JointError(self._indefinite(np.ravel(self._static_wrench), loads[0]))
         elif status == NO_MASS:
             raise InvalidArgument(
-                "the inverse effective mass of the joint is not symmetric and positive definite: a "
-                "freedom between base and tip moves no mass, the matrix is not that of one step, "
-                "or mj_step1 did not precede pull_joints"
+                "the inverse effective mass of the joint must be symmetric and positive definite. "
+                "Give every freedom between base and tip a mass, use the matrix of this step, and "
+                "call mj_step1 before pull_joints"
             )
         elif status == NOT_FINITE:
             raise InvalidArgument(
-                "pose, velocity and inverse mass must be finite numbers, the quaternion not zero"
+                "pose, velocity and inverse mass must be finite, and the quaternion not zero"
             )
         elif status:
             raise JointError(
-                f"{self._name}: the compliance has no inverse at this pose, so that no wrench "
-                f"belongs to it: {self._more_rows()}, or lock the freedom that does not move"
+                f"{self._name}: the compliance has no inverse at this pose, so the wrench is "
+                f"undefined; {self._more_rows()}, or lock the freedom that does not move"
             )
         if ranges > MAX_RANGES:
             raise JointRangeError(
-                f"{self._name}: the pose needs {ranges:.3g} times the load range, or turns by as "
-                f"many times 20 degrees. {self._remedy}"
+                f"{self._name}: the pose needs {ranges:.3g} times the load range, or rotates by "
+                f"that many times 20 degrees. {self._remedy}"
             )
         if ranges > 1.0:
             self._warn_beyond()
@@ -399,8 +397,8 @@ class Joint:
         if not self._warned_beyond:
             self._warned_beyond = True
             warn(
-                f"{self._name}: the pose is beyond the load range or 20 degrees; the wrench "
-                f"goes on linearly from there, up to {MAX_RANGES:g} times the range",
+                f"{self._name}: the pose is outside the load range or 20 degrees; the wrench is "
+                f"extrapolated linearly, up to {MAX_RANGES:g} times the range",
                 JointWarning,
             )
 
@@ -423,17 +421,14 @@ def rotation_vector(R: ArrayLike) -> Vector:
     matrix = np.asarray(R, dtype=float)
     square = matrix.shape == (3, 3) and np.abs(matrix @ matrix.T - np.eye(3)).max() < 1e-6
     if not square or np.linalg.det(matrix) < 0.0:
-        raise InvalidArgument("R must be a rotation matrix, right-handed, shape (3, 3)")
+        raise InvalidArgument("R must be a right-handed rotation matrix of shape (3, 3)")
     sine = 0.5 * np.array(
         [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]
     )
     size = math.sqrt(float(sine @ sine))
     angle = math.atan2(size, 0.5 * (float(np.trace(matrix)) - 1.0))
     if size == 0.0 and angle > 1.0:
-        raise InvalidArgument(
-            "R is a rotation by 180 degrees, whose rotation vector has two possible directions; a "
-            "joint covers at most 40 degrees"
-        )
+        raise InvalidArgument("R is a half turn, whose axis is ambiguous; give a smaller one")
     return sine * (angle / size if size > 0.0 else 1.0)
 
 
@@ -458,7 +453,7 @@ def further_inputs(table: Table, by_name: Mapping[str, float]) -> tuple[float, .
     for load, value, (low, high) in zip(space.scalars, values, ends, strict=True):
         if not low <= value <= high:
             raise InvalidArgument(
-                f"{table.name}: {load.name} is from {low:g} to {high:g} {load.unit}, not {value:g}"
+                f"{table.name}: {load.name} must be {low:g} to {high:g} {load.unit}, not {value:g}"
             )
     return tuple(map(float, values))
 
@@ -469,7 +464,7 @@ def moving(
     """Return indices of the loads of interfaces that move, those not locked, and their names."""
     if not hasattr(table, "packed"):
         raise InvalidArgument(
-            f"a joint takes a Table, from client.download(name) or Table.open(path), not {table!r}"
+            f"a joint needs a Table of client.download(name) or Table.open(path), not {table!r}"
         )
     indices = np.arange(FREEDOMS * len(table.space.interfaces)).reshape(-1, FREEDOMS)
     free = np.asarray(table.packed.arrays["space/locked"])[indices] == 0
@@ -477,7 +472,7 @@ def moving(
     single = interface is not None or not several
     if not names or interface not in (None, *names) or (single and len(names) > 1):
         raise InvalidArgument(
-            f"a joint or springs of one interface need one that moves and all others held; "
-            f"{table.name} moves at {', '.join(map(repr, names)) or 'none'}"
+            f"a joint or springs need exactly one interface that moves, but {table.name} moves at "
+            f"{', '.join(map(repr, names)) or 'none'}; hold the others"
         )
     return indices[free.any(axis=1)].ravel(), np.flatnonzero(free[free.any(axis=1)]), names

@@ -51,7 +51,7 @@ class Joints:
 
     def __init__(self, table: Table, count: int, damping: float = 0.02, **options: Any) -> None:
         if not (isinstance(count, int | np.integer) and count > 0):
-            raise InvalidArgument(f"count is the number of joints, 1 or more, not {count!r}")
+            raise InvalidArgument(f"count must be a number of joints of 1 or more, not {count!r}")
         self._hold(Joint(table, damping, **options), int(count), None)
 
     def _hold(self, joint: Joint, count: int, axes: Vector | None) -> None:
@@ -65,7 +65,7 @@ class Joints:
 
     def __copy__(self) -> Joints:
         """Refuse: it would share arrays."""
-        raise InvalidArgument("a copy of Joints would share their states; make new Joints instead")
+        raise InvalidArgument("Joints cannot be copied, since copies share states; create new ones")
 
     @property
     def inputs(self) -> Mapping[str, float]:
@@ -145,11 +145,11 @@ class Joints:
         each = tuple(a.shape for a in (steps.poses, steps.velocities, steps.inverse_masses))
         if shapes not in (each, (*each[:2], each[2][1:])):
             raise InvalidArgument(
-                "poses, velocities and inverse_masses of {} joints have shapes {}, "
-                "{} and {}, not {}, {} and {}".format(n, *each, *shapes)
+                "poses, velocities and inverse_masses of {} joints must have shapes {}, {} and {}, "
+                "not {}, {} and {}".format(n, *each, *shapes)
             )
         if not (math.isfinite(dt) and dt > 0):
-            raise InvalidArgument(f"dt must be above zero, not {dt} s")
+            raise InvalidArgument(f"dt must be above 0 s, not {dt} s")
         steps.poses[:], steps.velocities[:], steps.inverse_masses[:] = inputs
         steps.step(dt, self._joint.damping, threads or os.cpu_count() or 1)
         self._check_status()
@@ -165,7 +165,7 @@ class Joints:
             counts = ", ".join(f"{failed.count(kind)} {kind}" for kind in dict.fromkeys(failed))
             warn(
                 f"{self._joint._name}: {len(failed)} of {len(self)} joints have no wrench in this "
-                f"step, NaN: {counts}; `status` has each. {self._joint._remedy}. This is said once",
+                f"step, NaN: {counts}; `status` has each. {self._joint._remedy}. This appears once",
                 JointWarning,
             )
         if (~self.failed & ~within).any():

@@ -75,7 +75,7 @@ class LinearPart:
         packed, indices = table.packed, at[free]
         load = np.zeros(FREEDOMS) if wrench is None else np.asarray(wrench, dtype=float)
         if load.shape != (FREEDOMS,) or not np.isfinite(load).all():
-            raise InvalidArgument("a wrench has 6 finite numbers: force, N, and moment, N·m")
+            raise InvalidArgument("a wrench must be 6 finite numbers: force, N, and moment, N·m")
         further = further_inputs(table, inputs or {})
         centre = np.concatenate([np.zeros(packed.inputs - len(further)), further])
         centre[at] = load
@@ -83,8 +83,8 @@ class LinearPart:
         compliance = 0.5 * (slope + slope.T)
         if not np.isfinite(compliance).all() or np.linalg.eigvalsh(compliance).min() <= 0.0:
             raise InvalidArgument(
-                f"{table.name} has no stiffness at this load: its derivative is unknown or not "
-                "that of springs; fill the table, or give another load"
+                f"{table.name} has no stiffness at this load, because its derivative is unknown or "
+                "is not positive definite; fill the table, or give another load"
             )
         loads = packed.sample(centre, indices)
         answers = packed.batch(np.vstack([centre, loads]))

@@ -118,7 +118,7 @@ class MujocoJoint(Joint):
         """Return the names of the tips in the order of the interfaces."""
         names = self.interfaces
         if bodies is not None and names == ("",):
-            raise JointError(f"{self._table.name} has one interface: give tip=BODY, not bodies")
+            raise JointError(f"{self._table.name} has one interface; give tip=BODY, no bodies")
         if bodies is None:
             bodies = {} if self._several else {names[0]: tip}
         wrong = [f"no body for {name!r}" for name in names if name not in bodies]
@@ -164,7 +164,7 @@ class MujocoJoint(Joint):
         moves, turns = free[free < 3], free[free >= 3]
         if len(turns) not in (0, 1, 3):
             raise JointError(
-                f"{self._table.name} locks one rotation of three: no MuJoCo joint does"
+                f"{self._table.name} locks one rotation, which MuJoCo cannot; lock none or two"
             )
         turning = {0: [], 1: [_JOINT.mjJNT_HINGE], 3: [_JOINT.mjJNT_BALL]}[len(turns)]
         expected = [int(kind) for kind in [_JOINT.mjJNT_SLIDE] * len(moves) + turning]
@@ -186,8 +186,8 @@ class MujocoJoint(Joint):
             present = [word for word, value in forces.items() if np.any(value)]
             if present:
                 raise JointError(
-                    f"a joint of body {name!r} has {present[0]}, which would add to the part's "
-                    "own or its zero: remove it (a default class may set it)"
+                    f"a joint of body {name!r} has {present[0]}, which would add to that of the "
+                    "part; remove it (a default class may set it)"
                 )
         # The interface frame's axes in the tip's body; of a part with locked freedoms the body's.
         axis_of = {int(at): axis for at, axis in zip(free, model.jnt_axis[joints], strict=False)}
@@ -199,9 +199,8 @@ class MujocoJoint(Joint):
         off = [np.abs(axis_of[at] - axes[:, at % 3]).max() for at in along]
         if max(off, default=0.0) > _SQUARE or np.linalg.det(axes) < 0:
             raise JointError(
-                f"the joints of body {name!r} must have the interface frame's axes in the order x, "
-                "y, z: unit, orthogonal and right-handed; of a part with locked freedoms these are "
-                f"the body's own; {_REMEDY}"
+                f"the joints of body {name!r} must have the axes x, y, z of the interface frame "
+                f"(with locked freedoms: of the body), unit, orthogonal and right-handed; {_REMEDY}"
             )
         addresses = model.jnt_qposadr[joints].tolist()
         slides = [(k, to, of, 1) for to, of in zip(moves.tolist(), addresses, strict=False)]
@@ -219,9 +218,7 @@ class MujocoJoint(Joint):
         They stay: a scene's arrays are where they were made, and so are the kernel's.
         """
         if data.signature != self._model.signature:
-            raise InvalidArgument(
-                "data belongs to another model; make it with mujoco.MjData(model)"
-            )
+            raise InvalidArgument("data belongs to another model; give the data of this model")
         self._use(steps, at)
         self._data, self._pose, reply, self._scene = data, None, self._reply, self._model.opt
         self._solved = np.empty_like(self._units)
@@ -327,11 +324,10 @@ class MujocoJoint(Joint):
         self._unmoved = 0
         name = engine.mj_id2name(self._model, _OBJECT.mjOBJ_BODY, body) or f"#{body}"
         warn(
-            f"{self._name}: base {self._base!r} moves by body {name!r}, which is moved between "
-            "steps (a mocap body): MuJoCo gives it no velocity and no acceleration, so the tip "
-            "does not feel the motion. Give the base joints of its own (slides or a "
-            'free joint), and hold it to the mocap body by <weld torquescale="10" solref="'
-            f'{2 * float(self._model.opt.timestep):g} 1" solimp="0.9999 0.9999 0.001"/>',
+            f"{self._name}: base {self._base!r} follows the mocap body {name!r}, which has no "
+            "velocity in MuJoCo, so the tip does not feel the motion. Give the base joints of its "
+            'own (slides or a free joint), and hold it to the mocap body by <weld torquescale="10" '
+            f'solref="{2 * float(self._model.opt.timestep):g} 1" solimp="0.9999 0.9999 0.001"/>',
             JointWarning,
         )
 
@@ -381,34 +377,23 @@ def pull_joints(*joints: MujocoJoint) -> None:
 def require_scene(joints: Sequence[MujocoJoint]) -> None:
     """Raise JointError if joints are not all those of one scene, or its step is not above zero."""
     if len({joint._data for joint in joints}) != 1:
-        raise JointError("step_joints takes the joints of one scene: one or more of the same data")
+        raise JointError("step_joints needs one or more joints with the same data; pass those")
     _refuse_rk4(joints[0]._model)  # it may have been chosen since
     stepped = [start for joint in joints for start in joint._starts]
     of_scene = _JOINTS[joints[0]._data]
     if len(set(stepped)) < len(stepped):
-        raise JointError(
-            "two joints have the same tip, which would get the wrench of one of them only: leave "
-            "one out"
-        )
-    for joint in joints:
-        for start, tip in zip(joint._starts, joint._tips, strict=True):
-            if of_scene.setdefault(start, joint) is not joint:
-                raise JointError(
-                    f"a joint that was made later has the tip {tip!r}: step that joint, not this "
-                    "one"
-                )
+        raise JointError("two joints have the same tip, which would feel only one; leave one out")
     if len(of_scene) > len(stepped):
         others = dict.fromkeys(joint for at, joint in of_scene.items() if at not in stepped)
         sides = [[tip for joint in some for tip in joint._tips] for some in (joints, others)]
         tips, missing = (", ".join(map(repr, side)) for side in sides)
         raise JointError(
-            f"the scene has joints at the tips {tips} and {missing}: a step of one "
-            "advances all of the scene, and the others would not pull. Call step_joints(a, b) of "
-            "wrenchbook once with all of them, in the place of a.step(); b.step() (MujocoJoints: "
-            "a.step(b))"
+            f"the scene has joints at the tips {tips} and {missing}: a step of one joint advances "
+            "the complete scene without the others. Call wrenchbook.step_joints(a, b) once instead "
+            "of a.step(); b.step() (MujocoJoints: a.step(b))"
         )
     if not 0 < (step := joints[0]._scene.timestep) < np.inf:
-        raise JointError(f"the scene's time step is {step} s: set it above 0, and finite")
+        raise JointError(f"the scene's time step is {step} s; set it to a finite number above 0")
 
 
 def _pull(joints: Collection[MujocoJoint]) -> None:
@@ -417,7 +402,7 @@ def _pull(joints: Collection[MujocoJoint]) -> None:
     model, data, dt = first._model, first._data, first._scene.timestep
     _refuse_rk4(model)
     if any(len(joint._steps.replies) > 1 for joint in joints):
-        raise JointError("a joint of MujocoJoints steps with all of them: call their step")
+        raise JointError("a joint of MujocoJoints cannot step alone; call their step instead")
     for joint in joints:  # of a second call, unless MuJoCo has computed the matrix anew
         if joint._with_part is not None:
             if (data.M[joint._at_pairs] == joint._with_part).all():
@@ -564,7 +549,7 @@ def joints_in_mj_step() -> Iterator[None]:
 
     ours = pull, partial(pull, passive=True)  # without actuation the first is not called
     if engine.get_mjcb_control() or engine.get_mjcb_passive():
-        raise JointError("MuJoCo has another callback: remove it, or call step_joints yourself")
+        raise JointError("MuJoCo already has a callback; remove it, or call step_joints instead")
     engine.set_mjcb_control(ours[0])
     engine.set_mjcb_passive(ours[1])
     try:
@@ -576,16 +561,13 @@ def joints_in_mj_step() -> Iterator[None]:
     if errors:
         raise errors[0]
     if exchanged:
-        raise JointError(
-            "a callback was set within joints_in_mj_step: since then the joints had no effect. Set "
-            "it outside"
-        )
+        raise JointError("a callback set within joints_in_mj_step stops the joints; remove it")
 
 
 def _refuse_rk4(model: Model) -> None:
     if model.opt.integrator == _RK4:
         raise JointError(
-            "the integrator RK4 evaluates forces four times a step, and the joint once: use "
+            "the integrator RK4 evaluates forces four times a step, but the joint only once; use "
             "Euler, implicit or implicitfast"
         )
 
@@ -594,7 +576,7 @@ def _block_positions(model: Model, dofs: NDArray[np.intp]) -> list[NDArray[np.in
     """Return rows, columns and places in MuJoCo's mass matrix of pairs of some freedoms."""
     if [int(number) for number in engine.__version__.split(".")[:2]] < [3, 17]:
         # Constraints of 3.3.7 do not feel what is added to the matrix.
-        raise JointError("MujocoJoint needs MuJoCo 3.17 or newer: pip install 'mujoco>=3.17'")
+        raise JointError("MujocoJoint needs MuJoCo 3.17 or newer; run: pip install 'mujoco>=3.17'")
     entries = []
     for row, dof in enumerate(dofs.tolist()):
         start, count = int(model.M_rowadr[dof]), int(model.M_rownnz[dof])
@@ -609,5 +591,5 @@ def _body(model: Model, name: str) -> int:
     if number < 0:
         names = [engine.mj_id2name(model, _OBJECT.mjOBJ_BODY, k) for k in range(1, model.nbody)]
         known = ", ".join(repr(text) for text in names if text) or "none with a name"
-        raise JointError(f"the scene has no body {name!r}; it has {known}")
+        raise JointError(f"the scene has no body {name!r}; name one of {known}")
     return number

@@ -31,9 +31,7 @@ class MujocoJoints(Joints):
         self, model: Model, datas: Sequence[Data], table: Table, *bodies: Any, **options: Any
     ) -> None:
         if not len(datas) or len({id(data) for data in datas}) < len(datas):
-            raise InvalidArgument(
-                "datas must have one MjData for each environment, and none of them twice"
-            )
+            raise InvalidArgument("datas must be one or more MjData, one for each environment")
         first = MujocoJoint(model, datas[0], table, *bodies, **options)
         self.joints = [first, *(copy.copy(first) for _ in datas[1:])]
         self._model, self._pool = model, ThreadPoolExecutor()
@@ -60,9 +58,7 @@ class MujocoJoints(Joints):
         """
         batches, threads = (self, *others), max(threads, 0) or os.cpu_count() or 1
         if any(len(batch) != len(self) for batch in others):
-            raise InvalidArgument(
-                "joints of one step must have the same environments in the same order"
-            )
+            raise InvalidArgument("joints of one step must have the same environments in one order")
         scenes = list(zip(*(batch.joints for batch in batches), strict=True))
         for joints in scenes:
             require_scene(joints)

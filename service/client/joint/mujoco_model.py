@@ -47,7 +47,7 @@ def scene_with_joint(
     """
     free = [name for name in OUTPUTS if name not in locked]
     if sum(name[0] == "r" for name in free) not in (0, 1, 3):
-        raise JointError("the part locks one rotation of three: no MuJoCo joint does")
+        raise JointError("the part locks one rotation, which MuJoCo cannot; lock none or two")
     return str(_with_freedoms(scene, base, tip, free, site, mass, ball=True).to_xml())
 
 
@@ -113,19 +113,18 @@ def _with_freedoms(
     body = spec.body(tip)
     if body is None or spec.body(base) is None:
         missing = tip if body is None else base
-        raise JointError(f"the scene has no body {missing!r}; it has {_names(spec.bodies)}")
+        raise JointError(f"the scene has no body {missing!r}; name one of {_names(spec.bodies)}")
     if body.parent.name != base:
-        raise JointError(f"body {tip!r} must be a child of body {base!r}")
+        raise JointError(f"body {tip!r} must be a child of body {base!r}; move it")
     if body.joints:
         raise JointError(
-            f"body {tip!r} has joints: put what they move into a child of it, since the part holds "
-            "the tip"
+            f"body {tip!r} has joints, but the part holds the tip; move them to a child body"
         )
     at, axes = np.zeros(3), np.eye(3)  # the interface in the tip's body
     if site is not None:
         if site not in [item.name for item in body.sites]:
             names = _names(body.sites)
-            raise JointError(f"body {tip!r} has no site {site!r}; it has {names}")
+            raise JointError(f"body {tip!r} has no site {site!r}; name one of {names}")
         model, matrix = spec.compile(), np.zeros(9)
         number = engine.mj_name2id(model, engine.mjtObj.mjOBJ_SITE, site)
         engine.mju_quat2Mat(matrix, model.site_quat[number])
@@ -166,7 +165,7 @@ def _compiled(read: Callable[[], Spec], scene: str | Path) -> Spec:
         spec = read()
         spec.compile()
     except (ValueError, OSError) as error:
-        raise JointError(f"{scene} is no scene that MuJoCo reads: {error}") from None
+        raise JointError(f"MuJoCo cannot read {scene}; correct it: {error}") from None
     return spec
 
 
@@ -176,7 +175,7 @@ def _add_mass(body: Spec, mass: Vector) -> None:
     The mass of a rigid body is the same in all directions: the mean of the three.
     """
     if mass.shape != (FREEDOMS, FREEDOMS) or not np.isfinite(mass).all():
-        raise JointError("the condensed mass must be a matrix of 6 x 6 finite numbers")
+        raise JointError("the condensed mass must be a 6 x 6 matrix of finite numbers")
     total = float(np.trace(mass[:3, :3])) / 3.0
     if total <= 0.0:
         return

@@ -106,7 +106,7 @@ def report_of(joint: Joint, began: float = 0.0, energy_drift: float = np.nan) ->
     uncovered = covered is not None and covered < 1.0
     remedy, packed = joint._more_rows(), joint._table.packed
     if joint._method is None and packed.answers_by() == "linear":
-        remedy = "no more solves help a linear component: a finer mesh or nonlinear = true does"
+        remedy = "more solves do not help a linear component; use a finer mesh or nonlinear = true"
     if joint._warned_beyond:
         remedy = f"widen the load range, which a pose of the steps exceeds; {remedy}"
     return JointReport(

@@ -54,9 +54,9 @@ RUNAWAY = 6  # residuals in a row that grow the same way: no overshoot, and no r
 STEP = 1.0  # tolerances: how far a scene is moved to see its stiffness
 
 REMEDY = (
-    "Remedies: relaxation='aitken' or a fixed factor below 2/(1 + G); relaxation='newton' with the "
-    "scene's stiffness; a softer contact or a stiffer component; where loads vibrate from one sync "
-    "to the next, a shorter one. If G should be small, look at the sign of the wrench."
+    "Use relaxation='aitken', a fixed factor below 2/(1 + G), or relaxation='newton' with the "
+    "scene's stiffness; or a softer contact, a stiffer component or a shorter sync. If G should be "
+    "small, check the sign of the wrench."
 )
 
 
@@ -134,7 +134,7 @@ class Relaxation:
                 raise InvalidArgument(f"relaxation must be one of {names}, not {relaxation!r}")
         elif not isinstance(relaxation, Real) or not 0.0 < relaxation <= 1.0:
             raise InvalidArgument(
-                f"relaxation must be one of {names}, or a fixed factor over 0 and at most 1, not "
+                f"relaxation must be one of {names}, or a factor above 0 and at most 1, not "
                 f"{relaxation!r}"
             )
         fixed = {"aitken": None, "newton": 1.0, "off": 1.0}
@@ -205,7 +205,7 @@ class ContractionWatch:
             growth = "grows" if records >= BURST else "does not decay"
             raise CouplingDiverged(
                 f"the coupling diverges: the pose has overshot its answer {max(steady, records)} "
-                f"times in a row and the distance, {size:.3g} tolerances, {growth}. {REMEDY}",
+                f"times in a row, and their distance of {size:.3g} tolerances {growth}. {REMEDY}",
                 (self.size, size),
             )
         if size > 1.0 and onward >= CYCLE:
@@ -252,10 +252,10 @@ class CycleWatch:
         self._rows = self._rows + 1 if swings and self._spread >= STEADY * before else 0
         if self._rows > SPANS:
             raise CouplingDiverged(
-                f"the coupling does not come to rest: for {self._rows * SPAN} syncs the answers "
-                f"have swung by {self._spread:.3g} tolerances, back and forth within some syncs. "
-                f"The scene is in a limit cycle, or its loads vibrate faster than the syncs. A "
-                f"part in contact or in motion needs a joint (wrenchbook.MujocoJoint). {REMEDY}"
+                f"the coupling does not settle: for {self._rows * SPAN} syncs the answers have "
+                f"oscillated by {self._spread:.3g} tolerances, from a limit cycle or from loads "
+                "faster than the syncs. For parts in contact or motion use wrenchbook.MujocoJoint. "
+                f"{REMEDY}"
             )
 
 
@@ -270,18 +270,18 @@ def require_within_limit(displacement: Vector, component: str) -> None:
     turned = math.degrees(math.sqrt(float(displacement[3:] @ displacement[3:])))
     if turned > math.degrees(LARGEST_TURN):
         raise CouplingDiverged(
-            f"{component} would turn by {turned:.3g} degrees, and tables hold "
-            f"{math.degrees(LARGEST_TURN):g}: the load is far beyond the component's range, "
-            "the scene tips or buckles on it, or a sign is wrong: of the wrench, or of stiffness="
+            f"{component} would rotate by {turned:.3g} degrees, but tables end at "
+            f"{math.degrees(LARGEST_TURN):g}. Check the load against the component's range, the "
+            "scene for tipping or buckling, and the signs of the wrench and of stiffness="
         )
 
 
 def _run_away(before: float, size: float) -> CouplingDiverged:
     """Return the error to raise where the distance, in tolerances, grows without turning round."""
     return CouplingDiverged(
-        f"the coupling diverges: the answer runs away from the pose, {size:.3g} tolerances by now, "
-        "each time further the same way. Either the scene tips or buckles on this component, or a "
-        f"sign is wrong: of the wrench, or of stiffness=, dw/du, negative of a spring. {REMEDY}",
+        f"the coupling diverges: the answer moves away from the pose, now by {size:.3g} "
+        "tolerances. The scene tips or buckles on this component, or the wrench or stiffness= "
+        f"(dw/du, negative for a spring) has the wrong sign. {REMEDY}",
         (before, size),
     )
 
@@ -347,8 +347,8 @@ class Loop:
         """Set a displacement, read the scene, and ask; CouplingDiverged after the last answer."""
         if len(self.residuals) >= self.most:
             raise CouplingDiverged(
-                f"no rest after {self.most} answers: pose and answer are still "
-                f"{self.residuals[-1]:.3g} tolerances apart, {self.accuracy:g} are asked. {REMEDY}",
+                f"the coupling has not settled after {self.most} answers: pose and answer are "
+                f"{self.residuals[-1]:.3g} tolerances apart, above {self.accuracy:g}. {REMEDY}",
                 self.residuals,
             )
         wrench = self.read(displacement)
@@ -378,9 +378,9 @@ def by_relaxation(loop: Loop, start: Vector, relaxation: Relaxation) -> Coupling
         runaway = runaway + 1 if same_way and state.size > before.size else 0
         if runaway == RUNAWAY:
             raise CouplingDiverged(
-                "the scene has no equilibrium on this component: each time the pose follows, the "
-                f"wrench grows (by now {state.size:.3g} tolerances apart). It tips or buckles: a "
-                "stiffer component, less load, or another start.",
+                "the scene has no equilibrium on this component: it tips or buckles, and pose and "
+                f"answer are {state.size:.3g} tolerances apart. Use a stiffer component, a smaller "
+                "load, or another start.",
                 loop.residuals,
             )
     return state
@@ -409,8 +409,8 @@ def by_newton(
         compliance = state.answer.derivative
         if compliance is None:
             raise MountError(
-                f"{state.answer.component} has no derivative under this wrench, and Newton needs "
-                "it: settle with relaxation='aitken'"
+                f"{state.answer.component} has no derivative at this wrench, which Newton needs; "
+                "settle with relaxation='aitken'"
             )
         product = np.nan_to_num(compliance) @ slope  # NaN: an output that is taken as rigid
         radius = spectral_radius(np.nan_to_num(compliance), slope)
@@ -431,8 +431,8 @@ def by_newton(
             fraction *= 0.5
         else:
             raise CouplingDiverged(
-                f"Newton finds no way nearer: pose and answer stay {before.size:.3g} tolerances "
-                f"apart (G = {radius:.3g}). A contact that opens or closes has no slope: settle "
+                f"Newton does not converge: pose and answer stay {before.size:.3g} tolerances "
+                f"apart (G = {radius:.3g}), for example because a contact opens or closes. Settle "
                 "with relaxation='aitken', or start nearer.",
                 loop.residuals,
                 radius,

@@ -49,9 +49,9 @@ CONTRADICTS = 0.5  # of the weight: a reading this far off is not noise nor a sl
 
 MODES = ("table", "solve", "record", "envelope")
 _MEANS = {
-    "thin": "the table is too thin here: answers are estimates, with wider error bars",
-    "outside": "the wrench is outside the table or the load range: answers are flagged estimates",
-    "unknown": "the table cannot answer: the pose stays",
+    "thin": "the table has few rows here, so answers are estimates with wide bars",
+    "outside": "the wrench is outside table or range, so answers are estimates",
+    "unknown": "the table cannot answer, so the pose stays; fill the table",
 }
 
 
@@ -101,8 +101,8 @@ class Coverage:
             self.first[kind] = First(self.answers, answer.wrench, answer.reason)
             reason = f" ({answer.reason})" if answer.reason else ""
             warn(
-                f"{answer.component}, answer {self.answers}: {_MEANS[kind]}{reason}. This is said "
-                "once; the mount's coverage counts them",
+                f"{answer.component}, answer {self.answers}: {_MEANS[kind]}{reason}. This warning "
+                "appears once; the mount's coverage counts all",
                 MountWarning,
             )
 
@@ -208,7 +208,7 @@ class Mount:
             self._stiffness.shape == (6, 6) and np.isfinite(self._stiffness).all()
         ):
             shape = self._stiffness.shape
-            raise InvalidArgument(f"stiffness must be finite, of shape (6, 6), not {shape}")
+            raise InvalidArgument(f"stiffness must be finite and have shape (6, 6), not {shape}")
         self.place(R0, p0)
         limit = None if tolerance is None else tolerance_body(tolerance)
         self.recorder: Recorder | None = None
@@ -252,9 +252,9 @@ class Mount:
         ):
             self._warned = True
             warn(
-                f"{self.component}: the base has moved while time passes. A mount is for statics "
-                "and slow scenes on a fixed base: the scene does not feel the base's velocity and "
-                "acceleration. Use a joint (wrenchbook.MujocoJoint, wrenchbook.Joint)",
+                f"{self.component}: the base has moved, but a mount is for statics and slow scenes "
+                "on a fixed base, without its velocity and acceleration. Use a joint "
+                "(wrenchbook.MujocoJoint, wrenchbook.Joint)",
                 MountWarning,
             )
         self._undeformed = pose
@@ -303,7 +303,7 @@ class Mount:
         vectors = [np.asarray(vector, dtype=float) for vector in (force, moment, point)]
         if any(vector.size != 3 for vector in vectors):
             shapes = ", ".join(str(vector.shape) for vector in vectors)
-            raise InvalidArgument(f"force, moment and point have three numbers each, not {shapes}")
+            raise InvalidArgument(f"force, moment and point must be three numbers, not {shapes}")
         f, m, s = (vector.reshape(3) for vector in vectors)
         return from_world(f, m, s, (self._undeformed[0], self.pose[1]))
 
@@ -345,9 +345,8 @@ class Mount:
             if self._newton:
                 if self._stiffness is None or answer.derivative is None:
                     raise InvalidArgument(
-                        "relaxation='newton' needs the scene's stiffness= in step, and a "
-                        "derivative of the answer: give it, settle() instead, or step with "
-                        "relaxation='aitken'"
+                        "relaxation='newton' needs stiffness= in step and a derivative of the "
+                        "answer; give it, call settle() instead, or use relaxation='aitken'"
                     )
                 product = np.nan_to_num(answer.derivative) @ self._stiffness
             factor = self._relaxation.follow(self._scale.measure(residual), driven=True)
@@ -397,10 +396,10 @@ class Mount:
         """
         if self._ask is None:
             raise InvalidArgument(
-                f"mode {self.mode!r} lets nothing move; settle by 'table' or 'solve'"
+                f"nothing moves in mode {self.mode!r}; settle with mode 'table' or 'solve'"
             )
         if not (accuracy > 0.0 and most >= 1):
-            raise InvalidArgument("accuracy must be over 0, in tolerances, and most at least 1")
+            raise InvalidArgument("accuracy must be above 0, in tolerances, and most at least 1")
 
         def read(displacement: Vector) -> Vector:
             before, self.displacement = self.displacement, within_limit(displacement)
@@ -415,8 +414,8 @@ class Mount:
             answer, target = self._answer(wrench)
             if target is None:
                 raise DisplacementUnknown(
-                    f"{self.component} cannot answer this wrench ({answer.reason or 'no rows'}); "
-                    "fill its table, or settle with mode='solve'"
+                    f"{self.component} has no answer for this wrench "
+                    f"({answer.reason or 'no rows'}); fill its table, or settle with mode='solve'"
                 )
             return answer, target
 
@@ -442,7 +441,7 @@ class Mount:
         """
         if self.recorder is None:
             raise InvalidArgument(
-                f"mode {self.mode!r} saves no wrenches; use 'record' or 'envelope'"
+                f"mode {self.mode!r} does not save wrenches; use 'record' or 'envelope'"
             )
         return self.recorder.start(**options)
 
@@ -466,9 +465,8 @@ class Mount:
                 names = ", ".join(np.array(OUTPUTS)[missing])
                 raise DisplacementUnknown(
                     f"the table of {answer.component} has no value of {names} at this wrench, but "
-                    "a pose needs all six: load a table that has them, add them to the scene's "
-                    "outputs if it was cut to one, or make the mount with unmeasured='rigid', "
-                    "which sets them to 0"
+                    "a pose needs all six. Load a table with them, add them to the scene's "
+                    "outputs, or create the mount with unmeasured='rigid', which sets them to 0"
                 )
             target = np.where(missing, 0.0, target)
         self.coverage.add(answer, known=target is not None)
@@ -493,9 +491,8 @@ def checked_reading(force: ArrayLike, moment: ArrayLike | None) -> Vector:
         if "not finite" not in str(error):
             raise
         raise SensorError(
-            f"the reading is not a wrench: {error}. The simulation has diverged before this step; "
-            "no displacement was requested and no pose was set. Go back to a state before it, "
-            "with a smaller time step."
+            f"the sensor reading is not a wrench: {error}. The simulation diverged before this "
+            "step, and no pose was set. Go back to an earlier state and use a smaller time step."
         ) from error
 
 
@@ -545,20 +542,20 @@ def require_weight(
     along = float(world @ pull) / weight**2  # 1 is right
     if abs(along - 1.0) <= CONTRADICTS:
         return
-    text = f"at rest {mass:.6g} kg weigh {weight:.6g} N, the reading has {along * weight:.6g} N"
+    text = f"at rest {mass:.6g} kg weigh {weight:.6g} N, but the reading has {along * weight:.6g} N"
     if abs(along + 1.0) <= CONTRADICTS:
         raise SensorError(
-            f"the sign of the wrench is reversed: {text} along gravity. It must act ON the "
-            "component; sensors report what the parent does to the child: see conventions "
-            "(from_mujoco, from_pybullet, from_drake with component='parent')"
+            f"the wrench has the opposite sign: {text} along gravity. It must act ON the "
+            "component, but sensors report the action of the parent on the child; convert with "
+            "from_mujoco, from_pybullet or from_drake with component='parent'"
         )
     if abs(along) <= CONTRADICTS:
         raise SensorError(
-            f"the reading does not carry the scene: {text} along gravity. A base with a free joint "
-            "reads 0, and so does a sensor that was not evaluated; hang the system as a child "
-            "without joint, and evaluate the sensors first"
+            f"the reading does not contain the scene's weight: {text} along gravity. Attach the "
+            "system as a child without a joint (a free joint reads 0), and evaluate the sensors "
+            "first"
         )
     raise SensorError(
-        f"the reading contradicts the scene's weight: {text} along gravity. Look at the sensor's "
-        "place and axes, at what else holds the scene, and at the units"
+        f"the reading contradicts the scene's weight: {text} along gravity. Check the sensor's "
+        "place and axes, what else supports the scene, and the units"
     )

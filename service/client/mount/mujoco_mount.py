@@ -26,7 +26,7 @@ Data: TypeAlias = Any
 engine: Any = required("mujoco", "MujocoMount", "'wrenchbook[mujoco]'")
 _OBJECT, _DISABLE = engine.mjtObj, engine.mjtDisableBit
 _REMEDY = (
-    'hang the rigid system on the mocap body without a joint, <body name="base" mocap="true"> '
+    'attach the rigid system to the mocap body without a joint, <body name="base" mocap="true"> '
     '<body name="mounted"> <site name="mount"/> ... </body> </body>, with <force site="mount"/> '
     'and <torque site="mount"/> sensors'
 )
@@ -164,8 +164,8 @@ class MujocoMount:
         if now < self._now:  # the user has reset the scene, or MuJoCo has, as it was unstable
             if any(self._data.warning[kind].number for kind in _UNSTABLE):
                 raise SensorError(
-                    "MuJoCo has found the scene unstable and has reset it: look at its warnings; a "
-                    "smaller timestep, a softer contact or a slower mount. Then reset and restart()"
+                    "MuJoCo has reset the unstable scene. See its warnings; use a smaller "
+                    "timestep, a softer contact or a slower mount, then reset and restart()"
                 )
             self.restart()
             self._begin(float(now) - 2.0 * self._half_step)  # one step has been made since
@@ -275,14 +275,14 @@ def _division(model: Model, mocap: str, force: str, torque: str) -> _Division:
             f"sensors {force!r} and {torque!r} are at two sites; put both at the same site"
         )
     if model.opt.disableflags & _DISABLE.mjDSBL_SENSOR:
-        raise SensorError('sensors are switched off: remove <flag sensor="disable"/>')
+        raise SensorError('sensors are disabled; remove <flag sensor="disable"/>')
     mounted = int(model.site_bodyid[site])
     if mounted != body:  # on the mocap body sensors read all that hangs on it, and its own mass
         name, first = _name(model, mounted), model.body_jntadr[mounted]
         kinds = model.jnt_type[first : first + model.body_jntnum[mounted]]
         if (kinds == engine.mjtJoint.mjJNT_FREE).any():
             raise SensorError(
-                f"body {name!r} has a free joint: nothing holds it, and its sensors read 0; "
+                f"body {name!r} has a free joint, so nothing holds it and its sensors read 0; "
                 f"{_REMEDY}"
             )
         if model.body_parentid[mounted] != body or len(kinds):
@@ -297,8 +297,8 @@ def _division(model: Model, mocap: str, force: str, torque: str) -> _Division:
                 repr(_name(model, child)) for child in np.flatnonzero(children).tolist()
             )
             raise SensorError(
-                f"{names} hang next to {name!r} on the mocap body, and its sensors do not feel "
-                "them: put all into one child, or the site on the mocap body itself"
+                f"{names} are attached beside {name!r} to the mocap body, so its sensors do not "
+                "feel them; put all in one child, or the site on the mocap body itself"
             )
     _check_forces(model, body, mounted)
     return _Division(number, body, mounted, site, forces, torques)
@@ -318,13 +318,13 @@ def _floating(model: Model, division: _Division, gravcomp: str | None) -> Vector
     if gravcomp is None:
         names = ", ".join(repr(_name(model, body)) for body in np.flatnonzero(borne)[:5].tolist())
         raise SensorError(
-            f"gravcomp is set on {names}: the sensors read the full weight all the same. Choose "
-            "its meaning: gravcomp='motors' (joints carry the weight, the mount feels it) or "
-            "gravcomp='float' (something outside carries it, the mount does not)"
+            f"gravcomp is set on {names}, but the sensors read the full weight. Write "
+            "gravcomp='motors' if joints carry the weight and the mount feels it, or "
+            "gravcomp='float' if something outside carries it"
         )
     if model.opt.integrator == engine.mjtIntegrator.mjINT_RK4:
         raise InvalidArgument(
-            "gravcomp='float' needs the positions that the sensors saw, which RK4 overwrites: use "
+            "gravcomp='float' needs the positions at the sensor reading, which RK4 overwrites; use "
             "another integrator"
         )
     return borne
@@ -339,8 +339,8 @@ def _check_forces(model: Model, body: int, mounted: int) -> None:
             ends = [int(model.site_bodyid[end]) for end in ends]
         if body in ends:
             raise SensorError(
-                "an equality constraint holds the scene to the mocap body: it gives, and what it "
-                f"carries is off by several per cent and more; {_REMEDY}"
+                "an equality constraint holds the scene to the mocap body, but it yields, and its "
+                f"load is wrong by several per cent or more; {_REMEDY}"
             )
     hanging, unfelt = _hangs_on(model, mounted), []
     for number in range(model.nu):
@@ -353,7 +353,7 @@ def _check_forces(model: Model, body: int, mounted: int) -> None:
     if unfelt:
         warn(
             f"MuJoCo leaves these out of its force sensors: {', '.join(unfelt)}. The mount does "
-            "not feel them; apply them by xfrc_applied, which it does feel",
+            "not feel them; apply them by xfrc_applied, which it feels",
             MountWarning,
         )
 
@@ -371,7 +371,7 @@ def _sensor(model: Model, name: str, kind: int, word: str) -> tuple[slice, int]:
     """Return a sensor's numbers and its site."""
     number = _named(model, _OBJECT.mjOBJ_SENSOR, name, "sensor")
     if model.sensor_type[number] != kind:
-        raise SensorError(f"sensor {name!r} is no {word} sensor; {_REMEDY}")
+        raise SensorError(f"sensor {name!r} is not a {word} sensor; {_REMEDY}")
     filters = [
         word
         for word in ("cutoff", "delay", "interval")
@@ -379,8 +379,8 @@ def _sensor(model: Model, name: str, kind: int, word: str) -> tuple[slice, int]:
     ]
     if filters:
         raise SensorError(
-            f"sensor {name!r} has {' and '.join(filters)}: its reading is not the wrench of now; "
-            "remove it from the sensor"
+            f"sensor {name!r} has {' and '.join(filters)}, so its reading is not the present "
+            "wrench; remove it from the sensor"
         )
     start = int(model.sensor_adr[number])
     return slice(start, start + 3), int(model.sensor_objid[number])
@@ -393,7 +393,7 @@ def _named(model: Model, kind: int, name: str, word: str) -> int:
         count = model.nbody if kind == _OBJECT.mjOBJ_BODY else model.nsensor
         names = [text for k in range(count) if (text := engine.mj_id2name(model, kind, k))]
         raise SensorError(
-            f"the scene has no {word} {name!r}; it has {', '.join(map(repr, names)) or 'none'}"
+            f"the scene has no {word} {name!r}; name one of {', '.join(map(repr, names)) or 'none'}"
         )
     return number
 

@@ -54,22 +54,22 @@ def warn_if_ringing(
         if frequency is None:
             return
     elif carried is not None:
-        raise InvalidArgument("carried= needs a Client, ramp_time= and no natural_frequency=")
+        raise InvalidArgument("carried= needs a Client and ramp_time=, but no natural_frequency=")
     elif frequency is None and ramp_time is None:
         return
     if frequency is None or ramp_time is None:
         raise InvalidArgument(
-            "natural_frequency, Hz, and ramp_time, s, are given together; ramp_time alone where "
-            "the source is a Client, whose server gives the frequency"
+            "give natural_frequency (Hz) and ramp_time (s) together; only with a Client, whose "
+            "server gives the frequency, give ramp_time alone"
         )
     if not (frequency > 0.0 and ramp_time > 0.0):
-        raise InvalidArgument("natural_frequency and ramp_time must be over 0")
+        raise InvalidArgument("natural_frequency and ramp_time must be above 0")
     periods = frequency * ramp_time
     if periods < QUASI_STATIC:
         warn(
-            f"{component} rings: its loads build up in {ramp_time:g} s, {periods:.3g} periods of "
-            f"its first natural frequency, {frequency:g} Hz. Below about {QUASI_STATIC:g} answers "
-            "at rest miss the ringing, by a factor of 2 and more either way: slower ramps, or a "
+            f"{component} rings: its loads build up in {ramp_time:g} s, only {periods:.3g} periods "
+            f"of its first natural frequency, {frequency:g} Hz. Below about {QUASI_STATIC:g} "
+            "periods static answers are wrong by a factor of 2 or more; use slower ramps or a "
             "stiffer component",
             MountWarning,
         )
@@ -80,14 +80,14 @@ def _known_frequency(
 ) -> float | None:
     """Return the first natural frequency, Hz, by a server's facts; None and a warning without."""
     alone = (client.component(component).get("vibration") or {}).get("first_frequency")
-    unknown = f"{component}: whether loads build up slowly enough is not known."
+    unknown = f"{component}: it is unknown whether loads build up slowly enough."
     matrix, compliance = None, None
     if carried is not None:
         mass = np.asarray(carried, dtype=float)
         matrix = np.diag([float(mass)] * 3 + [0.0] * 3) if mass.ndim == 0 else mass
         if matrix.shape != (6, 6) or not np.isfinite(matrix).all() or (np.diag(matrix) < 0.0).any():
             raise InvalidArgument(
-                "carried is a mass, kg, or a mass matrix, shape (6, 6), none negative"
+                "carried must be a mass, kg, or a mass matrix, shape (6, 6), not negative"
             )
         facts = client.compliance(component)
         # At zero load, where there is one: a part that stiffens under load swings slower there.
@@ -95,15 +95,15 @@ def _known_frequency(
         if not np.isfinite(compliance).all():
             compliance = None
             warn(
-                f"{unknown} its table holds too few rows for a compliance, so that what it carries "
-                "is left out: fill it first",
+                f"{unknown} Its table has too few rows for a compliance, so the carried mass is "
+                "left out; fill it first",
                 MountWarning,
             )
     frequency = first_frequency(alone, compliance, matrix)
     if math.isfinite(frequency):
         return frequency
     warn(
-        f"{unknown} its bundle gives no density, and no mass that it carries is known: give "
+        f"{unknown} Its bundle gives no density and no carried mass is known; give "
         "natural_frequency=, Hz, or carried=, kg",
         MountWarning,
     )

@@ -118,7 +118,7 @@ async def add_component(
         async with form_of(request, MAX_BUNDLE_BYTES + MAX_QUERY_BYTES, most_files=1) as form:
             upload = form.get("bundle")
             if not isinstance(upload, UploadFile):
-                message = "send the zip as the form's file 'bundle'"
+                message = "is missing; send the zip as the file 'bundle' of the form"
                 raise bad_body([{"loc": "bundle", "msg": message}])
             if faces:
                 listed = await run_in_threadpool(workspace.library.faces_of_zip, upload.file)
@@ -157,7 +157,7 @@ def fill(name: str, workspace: Opened, order: FillBody) -> Response:
         loads = sum(load.kind != "scalar" for load in component.space.inputs)
         if len(component.idle) == loads or order.range is not None or order.outputs is not None:
             message = (
-                "a joint needs an interface that moves, all of the load range and all outputs: "
+                "a joint needs an interface that moves, the complete load range and all outputs; "
                 "leave out range and outputs"
             )
             raise bad_body([{"loc": "for_joint", "msg": message}])

@@ -184,7 +184,7 @@ def _meshed(workspace: Workspace, name: str) -> tuple[Path, str]:
     """Return folder and fingerprint of a component with a mesh; one without is refused."""
     component = workspace.library[name]
     if not component.has_fea:
-        why = f"{name!r} has measured rows and no mesh, so there is nothing to draw."
+        why = f"{name!r} has measured rows, but no mesh to draw. Use its table instead."
         raise HttpProblemError(404, "no-mesh", "The component has no mesh", why)
     return component.folder, component.fingerprint
 

@@ -51,9 +51,9 @@ async def deformed(
 ) -> Response:
     known = (*LOADS, "format")
     counts = Counter(key for key, _ in request.query_params.multi_items())
-    unknown = f"no such parameter; there are {', '.join(known)}"  # a misspelt load would be zero
+    unknown = f"is unknown; use one of {', '.join(known)}"  # a misspelt load would be zero
     errors = [
-        {"loc": key, "msg": "sent more than once" if key in known else unknown}
+        {"loc": key, "msg": "is there more than once; send one" if key in known else unknown}
         for key, count in counts.items()
         if key not in known or count > 1
     ]

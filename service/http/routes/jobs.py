@@ -38,7 +38,7 @@ async def _touched(request: Request, workspace: Opened) -> None:
                 job = await run_in_threadpool(workspace.ledger.job, int(job_id))
                 if caller.touches(job.component):
                     return
-        raise UnknownJobError("the key may touch no job of that number; GET /v1/jobs lists all")
+        raise UnknownJobError("the key allows no job of this number; see GET /v1/jobs")
 
 
 router = APIRouter(
@@ -51,7 +51,7 @@ CODE = pathlib.Path(__file__).parents[3]
 
 def _within(job_id: int) -> int:
     if job_id >= 2**63:  # the end of SQLite's integers
-        raise UnknownJobError("there is no job of that number; GET /v1/jobs lists all")
+        raise UnknownJobError("there is no job of this number; see GET /v1/jobs")
     return job_id
 
 
@@ -179,13 +179,13 @@ def get_job_files(job_id: JobId, workspace: Opened) -> Response:
     folder = workspace.attempt_folder(job)
     if not folder.is_dir():
         if not (job.attempt and job.is_final):
-            why = f"Job {job.id} is {job.status} and has no files yet."
+            why = f"Job {job.id} is {job.status} and has no files yet; ask again later."
             raise HttpProblemError(404, "no-files", "No files yet", why)
         why = (
             f"Job {job.id} is {job.status} and the folder of its attempt {job.attempt}, "
-            f"jobs/{folder.parent.name}/{folder.name} in the data directory, is not there: it was "
-            "old and pruned (see serve --keep-days), deleted, or not copied with the ledger. The "
-            "job's row needs no files."
+            f"jobs/{folder.parent.name}/{folder.name} in the data directory, is missing: it was "
+            "pruned (see serve --keep-days), deleted, or not copied with the ledger. The job's row "
+            "needs no files; to get them again, retry the job."
         )
         raise HttpProblemError(404, "no-files", "The files are gone", why)
     name = f"job-{job_id}.zip"
@@ -202,7 +202,7 @@ def get_job_log(job_id: JobId, workspace: Opened) -> Response:
     job = workspace.ledger.job(job_id)
     path = workspace.attempt_folder(job) / LOG
     if path.is_symlink() or not path.is_file():  # a deck's command may have put a link there
-        why = f"Job {job.id} is {job.status}, and its last attempt has left no log here."
+        why = f"Job {job.id} is {job.status}, and its last attempt left no log; retry it."
         raise HttpProblemError(404, "no-files", "No log", why)
     with path.open("rb") as log:
         size = log.seek(0, 2)

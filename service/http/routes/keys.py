@@ -98,7 +98,7 @@ def _keyring(request: Request) -> Keyring:
             409,
             "no-keys",
             "This server has no keys",
-            "Every user of this machine may call it. Make the first key on the machine itself: "
-            "wrenchbook keys add NAME --scope admin; from then on every call needs one.",
+            "Every user of this machine may call it. Create the first key on this machine with: "
+            "wrenchbook keys add NAME --scope admin; from then on every call needs a key.",
         )
     return access.keyring

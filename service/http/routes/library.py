@@ -327,18 +327,18 @@ def get_stiffness(
         if low == high or not np.isfinite((low, high)).all():
             raise ValueError
     except ValueError:
-        message = "is not two different numbers with a comma between them, such as 100,500"
+        message = "must be two different numbers separated by a comma, such as 100,500"
         raise bad_body([{"loc": "query.between", "msg": message}]) from None
     if number is not None:
         spans = [s for s in workspace.ledger.import_spans(name) if s[2].id == number]
         if not spans:
-            raise UnknownImportError(f"{name!r} has no import {number} with rows")
+            raise UnknownImportError(f"{name!r} has no import {number} with rows; see its imports")
         rows = rows.take(np.any([(a <= rows.seq) & (rows.seq <= b) for a, b, _ in spans], axis=0))
     part = np.ptp(rows.wrench, axis=0) / span.scale if len(rows) else span.scale
     axis = axis or loads[int(np.argmax(part[: len(loads)]))]
     for word, names, place in ((axis, loads, "axis"), (of, ("", *space.output_names), "of")):
         if word not in names:
-            message = f"is none of {', '.join(filter(None, names))}"
+            message = f"must be one of {', '.join(filter(None, names))}"
             raise bad_body([{"loc": f"query.{place}", "msg": message}])
     at = loads.index(axis)
     to = space.output_names.index(of) if of else at  # each interface has six of both
@@ -392,7 +392,7 @@ def _copied(request: Request, name: str, body: CopyBody, renamed: bool = False) 
             409,
             "shipped",
             "A shipped component keeps its name",
-            f"{name!r} comes with the program. Copy it: POST /v1/components/{name}/copy.",
+            f"{name!r} is part of the program. Copy it with: POST /v1/components/{name}/copy.",
         )
     if renamed and (newer := workspace.catalogue[name].renamed_to):
         newer = CALLER.get().visible(newer) or "(another name)"

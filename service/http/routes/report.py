@@ -44,8 +44,8 @@ def make_report(
     component = workspace.library[name]
     if not component.has_fea:
         raise NoSetupError(
-            f"{name!r} has no finite-element setup, so there is no reference to report against. "
-            "GET .../coverage has the coverage of its rows."
+            f"{name!r} has no finite-element setup, so a report has no reference. See GET "
+            ".../coverage for what its rows cover."
         )
     # The builder writes the file of a table after its rows.
     deadline, tables = time.monotonic() + CATCH_UP_S, workspace.tables
@@ -93,7 +93,7 @@ def get_report(
         404,
         "no-report",
         "No report yet",
-        f"{why}POST /v1/components/{name}/report makes one, as does: wrenchbook report {name}",
+        f"{why}Make one with POST /v1/components/{name}/report or: wrenchbook report {name}",
     )
 
 

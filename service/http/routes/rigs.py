@@ -41,7 +41,7 @@ async def put_rig(name: RigName, request: Request, workspace: Opened) -> dict[st
     content = await read_limited(request.receive, 4 * MAX_RIG)
     text = content.decode("utf-8-sig", "replace")
     if len(text) > MAX_RIG or "\ufffd" in text:
-        message = f"is not UTF-8 text of at most {MAX_RIG} characters"
+        message = f"must be UTF-8 text of at most {MAX_RIG} characters"
         raise bad_body([{"loc": "body", "msg": message}])
     profile_of(text)
     await run_in_threadpool(store_rig, workspace.ledger, name, text)

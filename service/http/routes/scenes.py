@@ -192,17 +192,17 @@ def _unknown(span: SpaceSpan, space: Space, where: str) -> list[dict[str, str]]:
     mistakes = []
     for name in ("force", "moment"):
         if several and getattr(span, name) is not None:
-            text = f"the component has the interfaces {known}: give 'loads' by interface"
+            text = f"the component has the interfaces {known}; give 'loads' by interface"
             mistakes.append((name, text))
     for name in span.loads or ():
         if not several:
-            text = "the component has one interface: give 'force' and 'moment'"
+            text = "the component has one interface; give 'force' and 'moment'"
             mistakes.append(("loads", text))
         elif name not in space.interfaces:
-            text = f"no interface of the component, which has {known}"
+            text = f"is not an interface of the component; name one of {known}"
             mistakes.append((f"loads.{name}", text))
     for name in set(span.inputs or ()).difference(further):
-        text = f"no further input of the component, which has {', '.join(further) or 'none'}"
+        text = f"is not a further input here; name one of {', '.join(further) or 'none'}"
         mistakes.append((f"inputs.{name}", text))
     return [{"loc": f"{where}.{place}", "msg": text} for place, text in mistakes]
 

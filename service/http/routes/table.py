@@ -129,7 +129,7 @@ async def get_table(
         return Response(content, 200, headers, MEDIA_TYPES["csv"])
     if format == "packed":
         if table_version is not None:
-            message = "a packed table is of the newest version; save it to keep that version"
+            message = "is not possible for a packed table, which always is the newest; leave it out"
             raise bad_body([{"loc": "query.table_version", "msg": message}])
         return await _packed(workspace, name, if_none_match)
     units = {"force": force, "moment": moment, "translation": translation, "rotation": rotation}
@@ -205,7 +205,7 @@ async def import_table(
             "media-type",
             "Not a form of table this call takes",
             f"The content type is {kind}. Send {', '.join(MEDIA_TYPES.values())} or "
-            "application/octet-stream, each gzipped if you like: the content decides which it is.",
+            "application/octet-stream, gzipped or not; the content decides the format.",
         )
     table = workspace.tables.surrogate(name)
     solved = await run_in_threadpool(solved_compliance, component, table)
@@ -214,10 +214,10 @@ async def import_table(
     most = _MAX_APPENDED_BYTES if query.append else MAX_TABLE_BYTES
     async with received(request, most) as sent:
         if len(sent.files) == 1 and (
-            clocks := query.model_fields_set & {"time_offset_s", "max_gap_s"}
+            alone := query.model_fields_set & {"time_offset_s", "max_gap_s"}
         ):
-            message = "is for two logs: send `loads` and `displacements` in a form, or leave it out"
-            raise bad_body([{"loc": f"query.{name}", "msg": message} for name in sorted(clocks)])
+            message = "needs two logs; send the second one (--displacements FILE), or leave it out"
+            raise bad_body([{"loc": f"query.{min(alone)}", "msg": message}])
         key = permission_of(request.scope).key
         origin = ImportOrigin(
             who=key.name if key else "",
@@ -254,13 +254,14 @@ async def import_table(
         cure = ""
         rows = reply["rows"]  # none are read under a header with mistakes
         if rows["read"] > rows["refused"] and all(error["row"] for error in errors):
-            cure = ", or use --partial (over HTTP partial=true) to load the good rows"
+            cure = ", or add --partial (over HTTP partial=true) to load only the good rows"
         raise HttpProblemError(
             422,
             "bad-rows",
             "The table has mistakes",
-            f"Nothing was loaded. {len(errors)} mistake(s){sheet}; the first is in {place}"
-            f"{first['field']}: {first['message']}. Correct them and send the {sent} again{cure}.",
+            f"Nothing was loaded; {len(errors)} mistake(s){sheet}, the first in "
+            f"{place}{first['field']}: {first['message']}. Correct them and send the {sent} "
+            f"again{cure}.",
             **reply,
         )
     wait_s = query.wait_s if loaded else 0.0  # rows that were there may wait for the next table

@@ -184,7 +184,7 @@ async def evaluate(request: Request) -> Response:
     if np.isfinite(values).all():
         return _reply(outcome, [values.tolist()])
     lost = [name for name, value in zip(names, values, strict=True) if not np.isfinite(value)]
-    why = reply.reason or "no row of the table holds it"
+    why = reply.reason or "no row of the table has it; import or solve one"
     raise UmBridgeError("InvalidOutput", f"{', '.join(lost)} not known: {why}")
 
 
@@ -203,7 +203,7 @@ async def apply_jacobian(request: Request) -> Response:
 @_post("/ApplyHessian", "not offered; answers UnsupportedFeature", _Error)
 async def apply_hessian(request: Request) -> Response:
     await _read(request, Named)
-    message = "ApplyHessian is not supported: tables have first derivatives only"
+    message = "ApplyHessian is not supported; use ApplyJacobian (first derivatives)"
     raise UmBridgeError("UnsupportedFeature", message)
 
 
@@ -219,7 +219,7 @@ async def _read(request: Request, kind: type[_Kind]) -> tuple[_Kind, Space]:
         mistake = (
             f"there is no component {name!r}" if "name" in fields else "the body has no 'name'"
         )
-        raise UmBridgeError("ModelNotFound", f"{mistake}; there are: {names}")
+        raise UmBridgeError("ModelNotFound", f"{mistake}; name one of: {names}")
     space = workspace.library[name].space
     return kind.model_validate(fields, context={"space": space}), space
 
@@ -240,11 +240,11 @@ async def _outcome(request: Request, body: EvaluateBody, *, derivatives: bool = 
     if not outcome.unsolved:
         return outcome
     if outcome.job is None:
-        raise UmBridgeError("InvalidOutput", f"not solved: {outcome.reply.reason}")
+        raise UmBridgeError("InvalidOutput", f"the wrench was not solved: {outcome.reply.reason}")
     raise UmBridgeError(
         "InvalidOutput",
-        f"not solved within config wait_s: job {outcome.job.id} is {outcome.job.status}; ask again "
-        "later, with a longer wait_s, or with config on_thin 'estimate'",
+        f"job {outcome.job.id} is still {outcome.job.status} after config wait_s; ask again later, "
+        "with a longer wait_s, or with config on_thin 'estimate'",
     )
 
 
@@ -255,11 +255,11 @@ async def _product(
     outcome = await _outcome(request, body, derivatives=True)
     derivative = outcome.details["derivative"]
     if derivative is None or not np.isfinite(derivative).all():
-        message = "the derivative is not known here: the row that answers brings no tangent"
+        message = "the derivative is unknown: the row that answers has no tangent"
         raise UmBridgeError("InvalidOutput", message)
     product = (derivative.T if name == "sens" else derivative) @ np.array(vector)
     if not np.isfinite(product).all():
-        message = f"{name} is too large: the product with the derivative overflows"
+        message = f"{name} is too large for its product with the derivative; scale it"
         raise UmBridgeError("InvalidInput", message)
     return _reply(outcome, product.tolist())
 

@@ -11,7 +11,7 @@ const CHECKS = {
   positive: ["Loads do positive work", (one) => `smallest over largest eigenvalue ${number(one.smallest_over_largest_eigenvalue, 3)}`],
   linear: ["The response is linear (one 6 × 6 compliance)", (one) => one.says || one.reason],
   work: ["Work does not decrease from row to row", (one) => `${count(one.pairs_that_give_work_back ?? 0)} pairs of rows lose work`],
-  tangents: ["Tangents agree with neighbouring rows", (one) => one.largest_miss === undefined || one.largest_miss === null ? one.reason : `largest deviation ${percent(one.largest_miss)} of the range${one.ok ? "" : ": solve wrenches between these rows; if the deviation stays, a tangent is wrong"}`],
+  tangents: ["Tangents agree with neighbouring rows", (one) => one.largest_miss === undefined || one.largest_miss === null ? one.reason : one.ok ? "all deviations are within half a step between rows, and the rows' error bars" : `largest deviation ${percent(one.largest_miss)} of the range: solve wrenches between these rows; if the deviation stays, a tangent is wrong`],
 };
 
 // Checks whose failure breaks no law: strong curvature between rows bends tangents too.

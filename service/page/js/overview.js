@@ -47,7 +47,7 @@ function warnings(about, signal, done) {
   ];
 }
 
-const VERB = /^(is|are|has|have|holds|keeps|counts|names|must) /; // of a message that goes on after its key
+const VERB = /^(is|are|has|have|holds|keeps|counts|names|must|cannot|consists|moves|rotates|fixes|closes|lies|needs) /; // of a message that goes on after its key
 const textOf = (one) => (typeof one === "string" ? one : one.message || one.msg || JSON.stringify(one));
 
 async function cover(place, about, signal, isLatest) {

@@ -231,8 +231,8 @@ def test_two_parts_that_only_look_joined_are_an_error_that_says_merge(tmp_path):
     reported = report(write_inp(tmp_path, cubes()))
     (problem,) = messages(reported, "problems")
     assert problem.startswith("part 2 of 2 (8 cells, 1000 x 1000 x 1000 mm, middle at (1.5, 0.5")
-    assert "it can move in all six ways" in problem
-    assert "has 21 nodes in the places of another part's nodes: merge them" in problem
+    assert "it can move in all six directions" in problem
+    assert "At 21 of its nodes there are also nodes of another part; merge these" in problem
     (warning,) = messages(reported, "warnings")
     assert warning.startswith("21 pairs of nodes of part 1 and part 2, which touch")
     assert reported["coincident_nodes"] == 21
@@ -277,7 +277,7 @@ def test_steel_in_megapascals_and_a_point_in_millimetres_are_warnings(tmp_path):
     assert "write it in kg/m^3" in density
     assert "degrees at the full range" in turned
     assert "write it in Pa" in modulus
-    assert "write it in m" in point
+    assert "convert it to m" in point
 
 
 def test_supports_that_touch_the_section_are_an_error(tmp_path):
@@ -413,4 +413,4 @@ def test_von_mises_says_little_of_an_orthotropic_material():
     part = replace(part, bundle=replace(part.bundle, range=loads), materials=materials)
     results, warnings = strength(Solver(part), nonlinear=False)
     assert len(results) == 2
-    assert "a poor measure" in warnings[0].message
+    assert "suits isotropic ones only" in warnings[0].message

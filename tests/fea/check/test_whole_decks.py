@@ -142,7 +142,7 @@ def test_an_orientation_turns_nine_constants_as_in_calculix(tmp_path, name, cons
         (PLY, "*ELASTIC\n70000., 0.3\n", "which is isotropic"),
         ("-1., 1., 0.\n", "2., 2., 0.6\n", "*ORIENTATION is not understood"),
         ("NAME=Ply", "NAME=Ply, SYSTEM=SPHERICAL", "SPHERICAL by COORDINATES"),
-        ("ORIENTATION=PLY", "ORIENTATION=OTHER", 'orientation "OTHER", which is not taken over'),
+        ("ORIENTATION=PLY", "ORIENTATION=OTHER", 'orientation "OTHER", which is not imported'),
     ],
 )
 def test_a_component_of_other_directions_than_its_deck_is_warned_of(tmp_path, old, new, words):

@@ -158,7 +158,7 @@ def test_a_cylinder_makes_another_setup_and_none_the_one_of_before(tmp_path):
                 "cylinder": {"point": [0, 0, 0], "axis": [0, 0, 1]},
                 "axes": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
             },
-            "leave it or cylinder out",
+            "leave one of the two out",
         ),
     ],
 )

@@ -160,7 +160,7 @@ def test_a_thin_plate_is_corrected_and_says_so():
     solution = Solver(thin(1000)).solve([0, 0, 1e-6, 0, 0, 0])
     shape, condition = solution.notes
     assert "long and thin" in shape
-    assert "Scaled condition about 6e+14" in condition
+    assert "scaled condition number is 6e+14" in condition
     assert Solver(thin(10)).solve([0, 0, 1, 0, 0, 0]).notes == ()
     assert Solver(thin(1000, nonlinear=True)).solve([0, 0, 1e-6, 0, 0, 0]).notes == solution.notes
 

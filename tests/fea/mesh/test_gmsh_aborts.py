@@ -60,7 +60,7 @@ def test_an_abort_at_each_size_is_a_problem_of_the_size_and_ends_the_check_with_
     assert done.returncode == 1
     assert 'mesh.size: gmsh fails on "bracket.step" (what(): Failed to reach' in said
     assert "with cells of 0.008 m, also without optimisation" in said
-    assert "Take another size" in said
+    assert "Write a size" in said
 
 
 def test_the_server_names_gmsh_and_not_a_damaged_file(part, tmp_path, monkeypatch):
@@ -79,13 +79,13 @@ def test_a_second_mesh_at_which_gmsh_aborts_leaves_the_bar_unknown_and_the_part_
     assert reported["ok"]
     assert reported["solver_error"]["mesh"] is None
     assert "no second mesh can be made" in reported["solver_error"]["mesh_basis"]
-    assert any("error bar is not known" in warning["message"] for warning in reported["warnings"])
+    assert any("has an unknown error bar" in warning["message"] for warning in reported["warnings"])
 
 
 def test_memory_that_ends_in_gmsh_is_named(part, tmp_path, monkeypatch):
     condition = "os.write(2, b'std::bad_alloc\\n') and os._exit(1)"
     abort_gmsh(monkeypatch, tmp_path / "fake", condition)
-    with pytest.raises(BundleError, match="more memory or time than it may take"):
+    with pytest.raises(BundleError, match="limit of memory or time"):
         mesh_of(mesh_source(part))
 
 

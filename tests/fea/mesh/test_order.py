@@ -208,7 +208,7 @@ def test_a_finer_mesh_yields_more_as_it_holds_the_fields_of_the_coarser_one(kind
     assert (np.linalg.eigvalsh(0.5 * (more + more.T)) > 0).all()
 
 
-FOLDED = "turned inside out or flat"
+FOLDED = "are inverted or flat"
 
 
 def with_swapped_corners(mesh, count):

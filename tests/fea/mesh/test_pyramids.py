@@ -81,5 +81,5 @@ def test_an_export_and_a_finer_mesh_refuse_pyramids_by_name():
     mesh = mixed()
     with pytest.raises(BundleError, match="CalculiX has no element for pyramid13"):
         deck_of(component(mesh, fixed="x0", section="x1"))
-    with pytest.raises(BundleError, match="pyramids cannot be split; give finer meshes"):
+    with pytest.raises(BundleError, match="pyramids cannot be halved; give finer meshes"):
         halved(mesh)

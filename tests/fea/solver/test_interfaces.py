@@ -264,7 +264,7 @@ def test_two_free_interfaces_swing_with_the_part_and_a_mass_on_one_is_refused():
     assert result.interface.shape == (12,)
     assert np.linalg.norm(result.interface) == pytest.approx(1.0)
     assert 0.2 < result.frequency / alone.vibration(Riding.of()).frequency < 2
-    with pytest.raises(ValueError, match="mass on one of several interfaces is not there yet"):
+    with pytest.raises(ValueError, match="mass cannot be put on one of several interfaces"):
         Solver(part).vibration(Riding.of(1.0))
 
 
@@ -288,7 +288,7 @@ def test_either_interface_is_refused_beyond_20_degrees():
 
 def test_an_unknown_interface_is_named_with_those_there_are():
     solver = Solver(link())
-    with pytest.raises(ValueError, match='no interface "rigth"; did you mean "right"'):
+    with pytest.raises(ValueError, match='"rigth" must be one of .* did you mean "right"'):
         solver.solve({"rigth": np.zeros(6)})
     with pytest.raises(ValueError, match=r"12 finite numbers.* of left, right"):
         solver.solve(np.zeros(6))

@@ -94,7 +94,7 @@ def test_a_locked_freedom_carries_no_inertia():
 
 
 def test_nothing_with_a_mass_is_named():
-    with pytest.raises(ValueError, match="has a mass: give the materials a density"):
+    with pytest.raises(ValueError, match="has a mass; give the materials a density"):
         Solver(beam(density=None)).vibration(Riding.of())
 
 
@@ -105,7 +105,7 @@ def test_nothing_with_a_mass_is_named():
         ((float("nan"),), "finite"),
         ((1.0, [1.0, 2.0]), "three numbers"),
         ((1.0, [-1.0, 2.0, 2.0]), "none may be negative"),
-        ((1.0, None, [1.0]), "centre of mass is three"),
+        ((1.0, None, [1.0]), "centre of mass must be three"),
     ],
 )
 def test_a_mass_that_no_body_has_is_refused(riding, words):

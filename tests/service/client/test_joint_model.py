@@ -80,8 +80,8 @@ def test_locked_freedoms_get_no_joint(path):
         ({"tip": "hand"}, "no body 'hand'; it has"),
         ({"base": "tip", "tip": "base"}, "must be a child of body 'tip'"),
         ({"site": "gripper"}, "no site 'gripper'; it has 'flange'"),
-        ({"locked": ["rx"]}, "no MuJoCo joint does"),
-        ({"mass": np.full((6, 6), np.nan)}, "6 x 6 finite numbers"),
+        ({"locked": ["rx"]}, "which MuJoCo cannot"),
+        ({"mass": np.full((6, 6), np.nan)}, "6 x 6 matrix of finite numbers"),
     ],
 )
 def test_a_scene_that_cannot_have_the_joint_is_refused_by_name(path, options, words):
@@ -97,7 +97,7 @@ def test_a_tip_with_joints_is_refused(path):
 
 def test_a_file_that_is_no_scene_is_refused_with_the_reason(tmp_path):
     (tmp_path / "a.xml").write_text("<nonsense/>")
-    with pytest.raises(JointError, match="no scene that MuJoCo reads"):
+    with pytest.raises(JointError, match="MuJoCo cannot read"):
         scene_with_joint(tmp_path / "a.xml", "base", "tip")
 
 

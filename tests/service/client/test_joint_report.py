@@ -92,7 +92,7 @@ def test_the_energy_of_a_scene_that_is_put_elsewhere_is_not_known():
 def test_the_remedy_of_a_linear_part_beyond_its_range_is_not_more_solves():
     joint = Joint(linear_table())
     moved = bar_compliance() @ (1.5 * HIGH)
-    with pytest.warns(JointWarning, match="beyond the load range"):
+    with pytest.warns(JointWarning, match="outside the load range"):
         joint.step(rotation_matrix(moved[3:]), moved[:3], np.zeros(6), 0.1 * np.eye(6), 1e-3)
     assert (
         "widen the load range, which a pose of the steps exceeds; no more" in joint.report().remedy

@@ -252,12 +252,12 @@ UNFIT = [
     (lambda: with_bodies(TIPS | {"top": "chassis"}), "no interface 'top' that moves"),
     (lambda: with_bodies(TIPS | {"right": "wheel_l"}), "one body at two interfaces"),
     (lambda: with_bodies(TIPS | {"right": "chassis"}), "'chassis' must be a child of body 'chas"),
-    (lambda: Joint(link(), interface="left"), "one interface need one that moves and all others"),
-    (lambda: LinearPart.of(link()), "springs of one interface"),
+    (lambda: Joint(link(), interface="left"), "one interface that moves, but"),
+    (lambda: LinearPart.of(link()), "springs need exactly one interface"),
     (lambda: Joint(link()).step(np.eye(3), 0, 0, 0, 1e-3), "R has (2, 3, 3)"),
     (lambda: Joints(link(), 1).step(*[np.zeros(1)] * 3, 1e-3), "(1, 2, 7), (1, 2, 6)"),
-    (lambda: copy.copy(Joints(link(), 1)), "would share their states"),
-    (lambda: Joint(link()).step([np.eye(3)] * 2, NONE, np.zeros((2, 6)), HALF, 1), "not symmetric"),
+    (lambda: copy.copy(Joints(link(), 1)), "share states"),
+    (lambda: Joint(link()).step([np.eye(3)] * 2, NONE, np.zeros((2, 6)), HALF, 1), "must be symmetric"),
 ]
 
 

@@ -142,7 +142,7 @@ def test_a_mocap_base_that_moves_is_warned_of_once_by_name():
     data, joint = mocap_scene()
     joint.step()
     data.mocap_pos[0, 2] += 1e-3
-    with pytest.warns(JointWarning, match="base 'base' moves by body 'base'.*does not feel"):
+    with pytest.warns(JointWarning, match="base 'base' follows the mocap body 'base'.*does not feel"):
         joint.step()
     data.mocap_pos[0, 2] += 1e-3
     with warnings.catch_warnings():
@@ -254,7 +254,7 @@ def test_beyond_the_load_range_the_temperature_stays():
     joint = Joint(WARM, inputs={"temperature": 70.0})
     edge = np.array([0.0, 0.0, HIGH[2], 0.0, 0.0, 0.0])
     moved = answer(edge, 70.0) + 1.05 * 0.5 * C @ edge
-    with pytest.warns(UserWarning, match="beyond the load range"):
+    with pytest.warns(UserWarning, match="outside the load range"):
         wrench, _ = joint.state(moved[:3], moved[3:])
     assert wrench[2] == pytest.approx(1.5 * HIGH[2], rel=1e-3)
 
@@ -296,8 +296,8 @@ def test_a_joint_without_its_inputs_is_refused(inputs, words):
 @pytest.mark.parametrize(
     ("make", "text"),
     [
-        (lambda: Joint(None), "takes a Table"),
-        (lambda: LinearPart.of(None), "takes a Table"),
+        (lambda: Joint(None), "needs a Table"),
+        (lambda: LinearPart.of(None), "needs a Table"),
         (lambda: LinearPart.of(linear_table(), [0.0] * 5), "6 finite numbers"),
         (lambda: Joint(linear_table(), damping="0.1"), "damping"),
         (lambda: Joint(linear_table(), method="x"), "unknown method"),

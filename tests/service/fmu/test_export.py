@@ -82,7 +82,7 @@ def guid(content):
 
 
 def test_a_table_without_rows_is_refused_with_what_to_do():
-    with pytest.raises(NotExportableError, match="no rows: run wrenchbook fill"):
+    with pytest.raises(NotExportableError, match="no rows; run wrenchbook fill"):
         make_fmu("plate", packed(build(Rows.empty(), RANGE)))
 
 

@@ -200,7 +200,7 @@ def test_a_mistake_of_six_columns_is_one_sentence(browser, rig):
     browser.visit("#/c/unmeasured/table")
     browser.drop(".drop", "bare.csv", "a,b,c,d,e,g\n1,2,3,4,5,6\n")
     told = browser.one("#mistakes").text
-    assert told.count("is not a column of a table") == 1
+    assert told.count("is not a known column") == 1
     assert "a, b, c, d, e, g" in told
 
 
@@ -331,7 +331,7 @@ def test_two_logs_are_joined_and_the_lag_of_their_clocks_is_one_click(browser, c
         (tmp_path / name).write_bytes(text)
     browser.visit("#/c/logs/table")
     browser.one("#file").send_keys(str(tmp_path / "loads.csv"))
-    browser.named("#checked", "a log of loads alone")
+    browser.named("#checked", "a log of loads")
     browser.named("summary", "Two logs").click()
     browser.one("#displacements").send_keys(str(tmp_path / "moved.csv"))
     button = browser.named(".note.thin button", "Use a lag of 0.3")

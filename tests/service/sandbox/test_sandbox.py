@@ -122,7 +122,7 @@ def test_no_more_files_are_read_at_once_than_there_are_places(sandbox, run, monk
     with ExitStack() as taken:
         for _ in range(process.AT_ONCE):
             taken.enter_context(sandbox.place())
-        with pytest.raises(SandboxBusyError, match="send it again in a minute"):
+        with pytest.raises(SandboxBusyError, match="send this file again in a minute"):
             run("doubled", factor=1)
 
 
