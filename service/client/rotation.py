@@ -57,8 +57,8 @@ def checked_pose(R0: ArrayLike, p0: ArrayLike) -> tuple[Vector, Vector]:
     # 1e-6 rad is a pose in single precision; the displacement is exact to the square of it.
     if not np.allclose(axes.T @ axes, np.eye(3), atol=1e-6) or np.linalg.det(axes) < 0.0:
         raise InvalidArgument(
-            "R0 must be a rotation matrix with the axes of the undeformed interface frame as "
-            "columns"
+            "R0 must be a rotation matrix: its columns are the axes of the undeformed interface "
+            "frame, orthogonal and right-handed"
         )
     return axes, point
 
@@ -66,24 +66,3 @@ def checked_pose(R0: ArrayLike, p0: ArrayLike) -> tuple[Vector, Vector]:
 def sinc(angle: float) -> float:
     """Return sin(a)/a, 1 at zero; exact in floats for small angles, where sin(a) = a."""
     return math.sin(angle) / angle if angle > 0.0 else 1.0
-
-
-def checked_pose(R0: ArrayLike, p0: ArrayLike) -> tuple[Vector, Vector]:
-    """Return a pose, axes as columns (3, 3) and point (3,), m; InvalidArgument if it is none."""
-    try:
-        axes, point = np.array(R0, dtype=float), np.array(p0, dtype=float)
-    except (TypeError, ValueError):
-        raise InvalidArgument(f"R0 and p0 must be numbers, not {R0!r} and {p0!r}") from None
-    if axes.shape != (3, 3) or point.shape != (3,):
-        raise InvalidArgument(
-            f"R0 must have shape (3, 3) and p0 (3,), not {axes.shape} and {point.shape}"
-        )
-    if not (np.isfinite(axes).all() and np.isfinite(point).all()):
-        raise InvalidArgument("R0 and p0 must be finite")
-    # 1e-6 rad is a pose in single precision; the displacement is exact to the square of it.
-    if not np.allclose(axes.T @ axes, np.eye(3), atol=1e-6) or np.linalg.det(axes) < 0.0:
-        raise InvalidArgument(
-            "R0 must be a rotation: the undeformed interface frame's axes as columns, orthogonal "
-            "and right-handed"
-        )
-    return axes, point

@@ -279,14 +279,6 @@ def _columns(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         message = f"must be a log with times, not {report.format}; send CSV, XLSX, Parquet or TDMS"
         report.mistakes.ruin(0, "file", message)
         return
-    if (
-        options.role == "table"
-        and options.sheet is not None
-        and report.format not in ("xlsx", "xls", "tdms")
-    ):
-        message = f"names one of several sheets, and {report.format} has none; leave it out"
-        report.mistakes.ruin(0, "sheet", message)
-        return
     try:
         yield from _READERS[report.format](path, options, report)
     except ModuleNotFoundError:

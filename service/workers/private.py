@@ -70,8 +70,4 @@ def private_server(folder: Path, solvers: int) -> Iterator[Client]:
 
 def _did_not_start(log: TextIO) -> ServerDidNotStartError:
     log.seek(0)
-    end = log.read()[-2000:]
-    cause = f"--data starts a server of its own, which did not start. Its log ends:\n{end}"
-    if "another server uses" in end:
-        cause += "To call that other server leave --data out, or name its address with --server."
-    return ServerDidNotStartError(cause)
+    return ServerDidNotStartError(f"The server did not start. Its log ends:\n{log.read()[-2000:]}")
