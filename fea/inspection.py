@@ -444,7 +444,10 @@ def tie_warnings(component: ComponentModel) -> list[BundleProblem]:
     texts, follow = [], component.mesh.dependents
     for i, tie in enumerate(component.ties if follow else ()):
         count, loose = len(tie.nodes), f"{tie.untied} secondary nodes are loose"
-        if tie.cut and tie.untied:
+        if tie.beyond and tie.untied:
+            off = f"facets up to {tie.beyond:.3g} m off are beyond the distance, {tie.distance:.3g}"
+            texts.append((i, f"{off} m: {loose}; write a larger distance if they belong together"))
+        elif tie.cut and tie.untied:
             ends = f"the main surface ends within {tie.cut} facets, and the tie at their edges"
             texts.append((i, f"{ends}: {loose}; split the surface there, or swap the two groups"))
         elif tie.untied:

@@ -54,6 +54,7 @@ class TiedNodes:
     gap: float  # the largest distance between the surfaces where they are tied, m
     distance: float  # within which they are, m
     cut: int  # facets that the main surface covers in part: there the tie's edge is the mesh's
+    beyond: float  # of these facets the largest distance from `distance` to a mean edge, m, or 0
 
 
 def joined(
@@ -104,6 +105,9 @@ def joined(
                 f"{tied.distance:.3g} m; their nearest nodes are {gaps.min():.3g} m apart. Correct "
                 "the groups, or write a larger distance"
                 if gaps.min() > tied.distance
+                else f'the facets of "{pair.secondary}" are up to {tied.beyond:.3g} m off '
+                f'"{pair.main}", beyond the distance of {tied.distance:.3g} m; write a larger one'
+                if tied.beyond
                 else f'"{pair.main}" covers at most a third of each facet of "{pair.secondary}". '
                 "Swap the two groups, or split these facets there"
             )
@@ -155,6 +159,7 @@ def tied_nodes(
     # Integrals of the transformed functions where the surfaces meet, and over all of tied facets.
     covered, complete = np.zeros((2, len(points)))
     ends, entries, gap, cut = np.full((len(points), 2), -1), [], 0.0, 0
+    beyond = 0.0
     for kind, nodes in secondary.blocks:
         # Nodal values by transformed unknowns, and both ends of each edge's node.
         size, count = nodes.shape[1], corners_of(kind)
@@ -170,10 +175,13 @@ def tied_nodes(
         plane = np.linalg.qr(np.stack([normal, arms[:, 0], arms[:, 1]], axis=2)).Q[:, :, 1:]
         areas = np.einsum("fki,qkj->fqij", at @ plane, element.slopes)
         areas = np.abs(np.linalg.det(areas)) * element.weights
-        mass, mixed = np.zeros((len(nodes), size, size)), []
+        mass, mixed, off = np.zeros((len(nodes), size, size)), [], np.zeros(len(nodes))
         for other in main.blocks:
-            overlaps = _overlaps(points, FacetBlock(kind, nodes), other, plane, distance)
-            for of, to, weights, here, there, far in overlaps:
+            overlaps = _overlaps(points, FacetBlock(kind, nodes), other, plane, edge)
+            for facing in overlaps:
+                near = (farthest := facing[-1].max(axis=1)) <= distance
+                np.maximum.at(off, facing[0][~near], farthest[~near])
+                of, to, weights, here, there, far = (part[near] for part in facing)
                 functions = here @ transform
                 weighted = (weights[..., None] * functions).swapaxes(1, 2)
                 np.add.at(mass, of, weighted @ functions)
@@ -181,6 +189,7 @@ def tied_nodes(
         integrals = mass.sum(axis=2)  # the transformed functions sum to one
         ratio = integrals.sum(axis=1) / areas.sum(axis=1)
         taken, cut = ratio > _COVER, cut + int((np.abs(ratio - 0.5) < 0.5 - _EDGE).sum())
+        beyond = max(beyond, float(off[ratio < 1 - _EDGE].max(initial=0.0)))
         np.add.at(complete, nodes[taken], (areas @ element.values @ transform)[taken])
         mass[~taken], integrals[~taken] = np.eye(size), 0.0
         np.add.at(covered, nodes, integrals)
@@ -204,7 +213,7 @@ def tied_nodes(
         np.append(weights, np.full(2 * len(edges), _ALPHA)),
     )
     loose = len(secondary.node_ids) - int(tied.sum())
-    return TiedNodes(np.flatnonzero(tied), loose, gap, distance, cut), follow
+    return TiedNodes(np.flatnonzero(tied), loose, gap, distance, cut, beyond), follow
 
 
 def _overlaps(

@@ -130,6 +130,16 @@ def test_straight_edges_of_round_surfaces_are_in_the_error_bar_where_a_tie_close
     np.testing.assert_allclose(bows[outer].max(), 1.5 * (1 - np.cos(np.pi / 12)), rtol=0.02)
 
 
+def test_facets_beyond_the_distance_of_a_tie_are_named_with_their_distance():
+    pair_of = {"secondary": "b_x0", "main": "a_x1"}
+    near, far = (pair_of | {"distance": distance} for distance in (0.025, 0.005))
+    part = tied(tubes(straight=True), near, fixed="a_x0", section="b_x1")
+    text = tie_warnings(part)[0].message
+    assert "facets up to 0.0338 m off are beyond the distance, 0.025 m: 6 secondary nodes" in text
+    with pytest.raises(BundleError, match=r"are up to 0.0338 m off .* 0.005 m; write a larger one"):
+        tied(tubes(straight=True), far, fixed="a_x0", section="b_x1")
+
+
 def test_secondary_nodes_beyond_the_main_surface_stay_loose():
     part = tied(pair(counts=((8, 8, 2), (4, 4, 2))), {"secondary": "a_z1", "main": "b_z0"})
     off = np.abs(part.mesh.points[part.ties[0].nodes, :2] - 0.5)
