@@ -328,9 +328,15 @@ def _take_elements(deck: Deck, keyword: Keyword) -> None:
     if kind is None:  # masses, springs, gaps: nothing of the mesh
         return
     columns = 1 + {**NODES_PER_CELL, **NODES_PER_FACET, **NODES_PER_LINE}[kind]
-    numbers = [keyword.frame.label(each) for row in keyword.rows for each in row if each]
-    if len(numbers) % columns:
-        raise MeshFileError(f"has {len(numbers)} numbers; {kind} elements have {columns} each")
+    numbers, ends = list[int](), {0}
+    for row in keyword.rows:
+        numbers += [keyword.frame.label(each) for each in row if each]
+        ends.add(len(numbers))
+    if not ends.issuperset(range(0, len(numbers) + columns, columns)):
+        raise MeshFileError(
+            f"has other rows than of a number and {columns - 1} nodes, those of {kind} elements; "
+            "correct TYPE or the rows"
+        )
     table = [numbers[i : i + columns] for i in range(0, len(numbers), columns)]
     if not table:
         return

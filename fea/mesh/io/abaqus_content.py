@@ -203,7 +203,7 @@ def _take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 
 
 def _take_material(reader: Reader, _: Deck, keyword: Keyword) -> None:
-    reader.material = keyword.options["NAME"]
+    reader.material = keyword.options["NAME"].upper()
 
 
 def _take_constants(reader: Reader, _: Deck, keyword: Keyword) -> None:
@@ -236,7 +236,8 @@ def _take_section(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     key = set_key(deck, deck.element_sets, keyword.options["ELSET"], keyword.frame)
     orientation = keyword.options.get("ORIENTATION", "")
     orientation = keyword.frame.key(orientation) if orientation else ""
-    reader.sections.append((keyword.where, key, keyword.options["MATERIAL"], orientation))
+    material = keyword.options["MATERIAL"].upper()
+    reader.sections.append((keyword.where, key, material, orientation))
 
 
 def _take_orientation(reader: Reader, _: Deck, keyword: Keyword) -> None:
@@ -303,6 +304,8 @@ def _target(deck: Deck, name: str, frame: Frame) -> tuple[str, list[int]]:
     """Return the key of a node set, empty for a single node, and the nodes."""
     labels = named(deck, deck.node_sets, name, frame)
     single = name.rpartition(".")[2].isdigit()
+    if single and labels[0] not in deck.nodes:
+        raise MeshFileError(f"names a node {name} that is not defined above it")
     return "" if single else set_key(deck, deck.node_sets, name, frame), labels
 
 
