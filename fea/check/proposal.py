@@ -314,9 +314,7 @@ def propose(
         proposal.unit = unit
     lines = proposal.lines(_name(file.stem), deck.name)
     at = f"{deck.name}, " * (deck.name != file.name)  # whose lines these are
-    skipped += proposal.skipped + [
-        f"{at}{where} {note}" for where, note in proposal.deck.missing.items()
-    ]
+    skipped += [*proposal.skipped, *(f"{at}{note}" for note in proposal.deck.notes)]
     notes = [f"# DECIDE: {note}" for note in proposal.decide]
     notes += [f"# not taken over: {note}" for note in skipped]
     (folder / FILE_NAME).write_text("\n".join([*lines, "", *notes, ""]), encoding="utf-8")

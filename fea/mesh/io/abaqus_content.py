@@ -24,6 +24,7 @@ from wrenchbook.fea.mesh.io.abaqus import (
     Deck,
     Frame,
     Keyword,
+    add,
     add_weighted,
     axes_through,
     kind_of,
@@ -197,6 +198,9 @@ def _take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
         take_elements(reader, deck, keyword)
     elif kind_of(kind) is None:
         reader.lack(keyword, f"of type {kind} is not solved: only solid cells are")
+        if "ELSET" in keyword.options:
+            labels = [keyword.frame.label(row[0]) for row in keyword.rows]
+            add(deck, deck.element_sets, keyword.frame, keyword.options["ELSET"], labels)
     elif keyword.at in deck.element_lines[-1:]:
         counts = reader.content.elements
         counts[kind] = counts.get(kind, 0) + len(deck.cells[-1])
@@ -366,6 +370,8 @@ def _take_tie(reader: Reader, deck: Deck, keyword: Keyword) -> None:
         raise ValueError("a part of a circle")
     distance = float(keyword.options.get("POSITION TOLERANCE", 0.0)) or None
     for row in keyword.rows:
+        if len(row) < 2:
+            raise ValueError("a row has the secondary and the main surface")
         if nodal := deck.node_sets.keys() - deck.surfaces & {*map(keyword.frame.key, row[:2])}:
             raise ValueError(f"{', '.join(nodal)} is of nodes; name a surface of faces")
         first, second = (set_key(deck, deck.surfaces, name, keyword.frame) for name in row[:2])
