@@ -84,6 +84,11 @@ _PARTLY = (
     "point, which makes the group a support if its nodes have the mesh's axes"
 )
 
+_MEAN_HELD = (
+    "holds the mean of its nodes, which may deform; here they are fixed, which is stiffer: for the "
+    'mean name the group in an [[interface]] with held = true and coupling = "distributed"'
+)
+
 _QUIET = {"", "HEADING", "PREPRINT", "ASSEMBLY", "END ASSEMBLY", "PART", "END PART", "END STEP"}
 _QUIET |= {"END LOAD CASE"}
 
@@ -180,6 +185,8 @@ def _finish(
     for coupled in couplings:
         coupled.group = faces.get(coupled.group) or groups[coupled.group]
         fixed = len(coupled.held) == 6
+        if fixed and coupled.kind == "distributed":
+            content.missing[coupled.where] = _MEAN_HELD
         if fixed and coupled.directions:
             held = HeldGroup(coupled.where, coupled.group, coupled.directions)
             case.supports.append(held)
