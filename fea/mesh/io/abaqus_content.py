@@ -84,6 +84,11 @@ _PARTLY = (
     "point, which makes the group a support if its nodes have the mesh's axes"
 )
 
+_ON_AXIS = (
+    "has nodes on its axis, where radial is no direction: 1 and 2 are any across the axis; hold "
+    "both or neither there"
+)
+
 _MEAN_HELD = (
     "holds the mean of its nodes, which may deform; here they are fixed, which is stiffer: for the "
     'mean name the group in an [[interface]] with held = true and coupling = "distributed"'
@@ -288,7 +293,13 @@ def _take_transform(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     if kind == "R":
         axes = [axes_through(np.zeros(3), first, second) @ turn.T] * len(labels)
     else:
-        axes = [radial_axes(turn @ axis, deck.nodes[label] - start) for label in labels]
+        axes, axial = [], turn @ axis
+        for label in labels:
+            try:
+                axes.append(radial_axes(axial, deck.nodes[label] - start))
+            except ValueError:  # any direction across it will do, as in CalculiX
+                axes.append(radial_axes(axial, np.eye(3)[np.abs(axial).argmin()]))
+                reader.lack(keyword, _ON_AXIS)
     rows = (tuple(each.ravel().tolist()) for each in axes)
     reader.turned |= dict(zip(labels, rows, strict=True))
 
@@ -354,10 +365,11 @@ def _take_weighted(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 
 
 def _take_rigid(reader: Reader, deck: Deck, keyword: Keyword) -> None:
-    name = next(
-        (keyword.options[k] for k in ("NSET", "TIE NSET", "PIN NSET") if k in keyword.options), ""
-    )
-    if not name:
+    sets = ("NSET", "TIE NSET", "PIN NSET", "ELSET")
+    name, *others = [keyword.options[k] for k in sets if k in keyword.options] or [""]
+    if others:
+        reader.lack(keyword, f"of several sets is taken over for {name} alone; unite them in one")
+    elif "ELSET" in keyword.options or not name:
         reader.lack(keyword, "of elements is not taken over; name its nodes as a rigid [interface]")
         return
     key = set_key(deck, deck.node_sets, name, keyword.frame)
