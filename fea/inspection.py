@@ -269,6 +269,7 @@ _LONGEST_LEVER = 3.0
 
 
 _FINER = 60  # main nodes of a secondary node: 30 of cells of one size, 64 to 80 of half the size
+_WIDE = 3.0  # diagonal of a main facet over the tie's size: at 4 half the size lacks over half
 _CLOSED = 0.1  # of the distance: a hundredth of an edge, as much as meshes of round surfaces differ
 
 
@@ -452,6 +453,10 @@ def tie_warnings(component: ComponentModel) -> list[BundleProblem]:
             texts.append((i, f"{ends}: {loose}; split the surface there, or swap the two groups"))
         elif tie.untied:
             texts.append((i, f"{loose}: they are held, or the main surface does not cover them"))
+        if tie.within > _WIDE:
+            texts.append(
+                (i, "main facets are larger than the tie: mesh the main surface finer there")
+            )
         if tie.gap > _CLOSED * tie.distance:
             texts.append((i, f"a gap of up to {tie.gap:.3g} m is closed by moving secondary nodes"))
         if follow and follow.map[tie.nodes].nnz > _FINER * count:

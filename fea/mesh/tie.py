@@ -36,6 +36,7 @@ the block, half was up to 36 % too soft and a third 13 %; less makes most of the
 
 _NODE = 0.1  # of its integral over the tied facets: less is an extrapolation from a strip
 _EDGE = 0.02  # of a facet, covered or not: roundoff, and what curved facets leave uncovered
+_COMPLETE = 0.9  # of a main facet: on a round surface its projection is as little, at 25 degrees
 _PAIRS = 10_000  # triangles that are cut at a time: about 50 MB
 _STEPS = 20  # of Newton's method for a point in a facet, which takes three to five
 _EXACT = 1e-12  # relative to the size of a facet
@@ -55,6 +56,7 @@ class TiedNodes:
     distance: float  # within which they are, m
     cut: int  # facets that the main surface covers in part: there the tie's edge is the mesh's
     beyond: float  # of these facets the largest distance from `distance` to a mean edge, m, or 0
+    within: float  # size of the largest main facet that is covered in part over the tie's, or 0
 
 
 def joined(
@@ -158,8 +160,10 @@ def tied_nodes(
     distance = min(distance or _DISTANCE * edge, edge)  # to close more would fold cells over
     # Integrals of the transformed functions where the surfaces meet, and over all of tied facets.
     covered, complete = np.zeros((2, len(points)))
-    ends, entries, gap, cut = np.full((len(points), 2), -1), [], 0.0, 0
-    beyond = 0.0
+    ends, entries, gap, cut, beyond = np.full((len(points), 2), -1), [], 0.0, 0, 0.0
+    across = (np.cross(at, np.roll(at, -1, axis=1)) for at in corners[len(secondary.blocks) :])
+    sizes = [np.linalg.norm(each.sum(axis=1), axis=1) / 2 for each in across]
+    covers = [np.zeros(len(each)) for each in sizes]
     for kind, nodes in secondary.blocks:
         # Nodal values by transformed unknowns, and both ends of each edge's node.
         size, count = nodes.shape[1], corners_of(kind)
@@ -176,7 +180,7 @@ def tied_nodes(
         areas = np.einsum("fki,qkj->fqij", at @ plane, element.slopes)
         areas = np.abs(np.linalg.det(areas)) * element.weights
         mass, mixed, off = np.zeros((len(nodes), size, size)), [], np.zeros(len(nodes))
-        for other in main.blocks:
+        for other, cover in zip(main.blocks, covers, strict=True):
             overlaps = _overlaps(points, FacetBlock(kind, nodes), other, plane, edge)
             for facing in overlaps:
                 near = (farthest := facing[-1].max(axis=1)) <= distance
@@ -185,7 +189,8 @@ def tied_nodes(
                 functions = here @ transform
                 weighted = (weights[..., None] * functions).swapaxes(1, 2)
                 np.add.at(mass, of, weighted @ functions)
-                mixed.append((of, other.nodes[to], weighted @ there, far))
+                area = weights.sum(axis=1)
+                mixed.append((of, other.nodes[to], weighted @ there, far, cover, to, area))
         integrals = mass.sum(axis=2)  # the transformed functions sum to one
         ratio = integrals.sum(axis=1) / areas.sum(axis=1)
         taken, cut = ratio > _COVER, cut + int((np.abs(ratio - 0.5) < 0.5 - _EDGE).sum())
@@ -194,8 +199,9 @@ def tied_nodes(
         mass[~taken], integrals[~taken] = np.eye(size), 0.0
         np.add.at(covered, nodes, integrals)
         dual = integrals[:, :, None] * np.linalg.inv(mass)
-        for of, to, products, far in mixed:
+        for of, to, products, far, cover, facet, area in mixed:
             gap = max(gap, float(far[taken[of]].max(initial=0.0)))
+            np.add.at(cover, facet[taken[of]], area[taken[of]])
             weights = dual[of] @ products
             both = np.broadcast_arrays(nodes[of][:, :, None], to[:, None], weights)
             entries.append([part[taken[of]].ravel() for part in both])
@@ -213,7 +219,10 @@ def tied_nodes(
         np.append(weights, np.full(2 * len(edges), _ALPHA)),
     )
     loose = len(secondary.node_ids) - int(tied.sum())
-    return TiedNodes(np.flatnonzero(tied), loose, gap, distance, cut, beyond), follow
+    size, cover = np.concatenate(sizes), np.concatenate(covers)
+    part = size[(_EDGE * size < cover) & (cover < _COMPLETE * size)].max(initial=0.0)
+    within = float(np.sqrt(2 * part / cover.sum())) if part else 0.0  # a square's diagonal
+    return TiedNodes(np.flatnonzero(tied), loose, gap, distance, cut, beyond, within), follow
 
 
 def _overlaps(

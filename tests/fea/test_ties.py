@@ -168,12 +168,26 @@ def test_a_tie_that_ends_within_facets_is_named_and_in_the_error_bar():
     cut, bar = Solver(part), {}
     for which, solver in (
         ("cut", cut),
-        ("whole", Solver(replace(part, ties=(replace(part.ties[0], cut=0),)))),
+        ("whole", Solver(replace(part, ties=(replace(part.ties[0], cut=0, within=0.0),)))),
     ):
         bar[which] = np.diag(accuracy_of(solver)["mesh"])
     assert (bar["cut"] > 1.2 * bar["whole"]).all()
     assert (bar["cut"] >= np.abs(off)).all()
     assert "ends within 12 facets, and the tie at their edges" in tie_warnings(part)[0].message
+
+
+def test_a_tie_that_ends_within_main_facets_is_in_the_error_bar_too():
+    sizes = (0.2, 0.2, 1.0)
+    part, one = block_on(((4, 4, 2), (3, 3, 3)), sizes, swapped=True)
+    off = block_on(((20, 20, 6), (4, 4, 4)), sizes, swapped=True)[1] - one
+    assert part.ties[0].cut == 0
+    assert part.ties[0].within == pytest.approx(np.sqrt(2) * 0.25 / 0.2)
+    without = replace(part, ties=(replace(part.ties[0], within=0.0),))
+    wide = replace(part, ties=(replace(part.ties[0], within=3.1),))
+    assert [tie_warnings(part), len(tie_warnings(wide))] == [[], 1]
+    bar, less = (np.diag(accuracy_of(Solver(each))["mesh"]) for each in (part, without))
+    assert (bar >= np.abs(off)).all()
+    assert (less < np.abs(off)).any()
 
 
 def test_a_facet_too_large_for_a_tie_is_refused_with_the_other_way_round():

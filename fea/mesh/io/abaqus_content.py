@@ -90,8 +90,8 @@ _ON_AXIS = (
 )
 
 _MEAN_HELD = (
-    "holds the mean of its nodes, which may deform; here they are fixed, which is stiffer: for the "
-    'mean name the group in an [[interface]] with held = true and coupling = "distributed"'
+    "holds the mean of its nodes, which may deform; here they are fixed, which is stiffer: write "
+    'an [[interface]] of the group with held = true and coupling = "distributed"'
 )
 
 _QUIET = {"", "HEADING", "PREPRINT", "ASSEMBLY", "END ASSEMBLY", "PART", "END PART", "END STEP"}
