@@ -454,9 +454,7 @@ def tie_warnings(component: ComponentModel) -> list[BundleProblem]:
         elif tie.untied:
             texts.append((i, f"{loose}: they are held, or the main surface does not cover them"))
         if tie.within > _WIDE:
-            texts.append(
-                (i, "main facets are larger than the tie: mesh the main surface finer there")
-            )
+            texts.append((i, "main facets are larger than the tie: mesh them finer there"))
         if tie.gap > _CLOSED * tie.distance:
             texts.append((i, f"a gap of up to {tie.gap:.3g} m is closed by moving secondary nodes"))
         if follow and follow.map[tie.nodes].nnz > _FINER * count:

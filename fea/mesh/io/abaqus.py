@@ -337,10 +337,8 @@ def _take_elements(deck: Deck, keyword: Keyword) -> None:
         numbers += [keyword.frame.label(each) for each in row if each]
         ends.add(len(numbers))
     if not ends.issuperset(range(0, len(numbers) + columns, columns)):
-        raise MeshFileError(
-            f"has other rows than of a number and {columns - 1} nodes, those of {kind} elements; "
-            "correct TYPE or the rows"
-        )
+        text = f"has rows of other than the {columns - 1} nodes of {kind} elements"
+        raise MeshFileError(f"{text}; correct TYPE or the rows")
     table = [numbers[i : i + columns] for i in range(0, len(numbers), columns)]
     if not table:
         return
