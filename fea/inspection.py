@@ -269,6 +269,7 @@ _LONGEST_LEVER = 3.0
 
 
 _FINER = 60  # main nodes of a secondary node: 30 of cells of one size, 64 to 80 of half the size
+_WIDE = 3.0  # diagonal of a main facet over the tie's size: at 4 half the size lacks over half
 _CLOSED = 0.1  # of the distance: a hundredth of an edge, as much as meshes of round surfaces differ
 
 
@@ -445,11 +446,16 @@ def tie_warnings(component: ComponentModel) -> list[BundleProblem]:
     texts, follow = [], component.mesh.dependents
     for i, tie in enumerate(component.ties if follow else ()):
         count, loose = len(tie.nodes), f"{tie.untied} secondary nodes are not tied"
-        if tie.cut and tie.untied:
+        if tie.beyond and tie.untied:
+            off = f"facets up to {tie.beyond:.3g} m off are beyond the distance, {tie.distance:.3g}"
+            texts.append((i, f"{off} m: {loose}; write a larger distance if they belong together"))
+        elif tie.cut and tie.untied:
             ends = f"the main surface ends within {tie.cut} facets, and the tie at their edges"
             texts.append((i, f"{ends}: {loose}; split the surface there, or swap the two groups"))
         elif tie.untied:
-            texts.append((i, f"{loose}, since fixed or not covered by main; check the groups"))
+            texts.append((i, f"{loose}: they are held, or the main surface does not cover them"))
+        if tie.within > _WIDE:
+            texts.append((i, "main facets are larger than the tie: mesh them finer there"))
         if tie.gap > _CLOSED * tie.distance:
             texts.append((i, f"closes gaps of up to {tie.gap:.3g} m by moving nodes; check it"))
         if follow and follow.map[tie.nodes].nnz > _FINER * count:

@@ -121,9 +121,11 @@ _MARGIN = 1.25
 """On what recovered stresses say: Roache's for three meshes, 1994."""
 
 _TIED = 2.4
-"""Times that where a main surface ends within facets: the tie ends at edges of the mesh, and
-stresses do not show how far these are from its end. The error was up to 2.2 times what they say, of
-either sign. A finer mesh shows it in part: then the two are added."""
+"""Times that where a tie ends within facets: at edges of the mesh, and stresses do not show how far
+these are from its end. The error was up to 2.2 times what they say, of either sign. A finer mesh
+shows it in part: then the two are added. Where main facets are larger than the tie, it is times
+their diagonal over the tie's size: of 42 blocks on plates the outputs inside rose from 53 to 96 %,
+at 2.3 times the error."""
 
 
 def accuracy_of(solver: Solver) -> dict[str, Any]:
@@ -224,9 +226,10 @@ def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[Array], str]:
     if study is not None:
         return [study[0]], study[1]
     recovered = recovered_error(solver)
-    cut = any(tie.cut for tie in solver.component.ties)
+    cut = any(tie.cut or tie.within for tie in solver.component.ties)
     lacks = 0.5 * _MARGIN * recovered.total[: len(compliance)]
-    more = _TIED if cut else 1.0
+    within = max((tie.within for tie in solver.component.ties), default=0.0)
+    more = _TIED * max(1.0, within) if cut else 1.0
     try:
         fine = finer(solver, FINER_UNKNOWNS)
         _ = fine and fine.linear

@@ -144,7 +144,8 @@ def bows_of(mesh: Mesh) -> tuple[Array, float]:
             mesh.points[middles[:, side]] - points[:, ends].mean(axis=1), axis=1
         )
         if mesh.dependents is not None:  # tied nodes lie, and move, where others put them
-            height[np.isin(middles[:, side], mesh.dependents.nodes)] = 0.0
+            nodes = np.stack([middles[:, side], *corners[:, ends].T])
+            height[np.isin(nodes, mesh.dependents.nodes).any(axis=0)] = 0.0
         if (height > STRAIGHT * length[:, 0]).any():
             return np.zeros_like(bows), 0.0
         size = np.linalg.norm(bow, axis=1)

@@ -71,7 +71,7 @@ def contradictions(component: ComponentModel) -> list[BundleProblem]:
     deck = component.mesh.deck
     if deck is None:
         return []
-    messages = [f"{where} {text}" for where, text in deck.missing.items()]
+    messages = deck.notes
     integration = component.analysis.integration
     messages += [
         f'has {name}; [analysis] says integration = "{integration}" for it'

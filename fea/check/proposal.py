@@ -134,7 +134,11 @@ class _Proposal:
             values = [*(f"{key} = {value}" for key, value in each), *self.directions(section)]
             lacking = [key for key in _ELASTIC if key not in constants]
             if lacking:
-                self.decide.append(f'material of "{region}": write its {" and ".join(lacking)}')
+                known, name = ", ".join(self.deck.materials) or "none", section.material
+                lost = f'the deck has no *MATERIAL "{name}" (it has {known}); '
+                lost *= bool(name) and name not in self.deck.materials
+                write = f"write its {' and '.join(lacking)}"
+                self.decide.append(f'material of "{region}": {lost}{write}')
             lines += ["", "[[material]]", f"region = {_text(region)}", *values]
         return lines
 
@@ -146,7 +150,7 @@ class _Proposal:
         axes = section.orientation
         if len(axes) != 6:
             return ('law = "orthotropic"', *_axes(axes))
-        point, axis = _numbers(axes[:3], UNITS[self.unit]), _numbers(axes[3:], digits=15)
+        point, axis = _numbers(axes[:3], UNITS[self.unit], 15), _numbers(axes[3:], digits=15)
         return 'law = "orthotropic"', f"cylinder = {{point = {point}, axis = {axis}}}"
 
     def filled(self, sections: list[SolidSection]) -> bool:
@@ -232,7 +236,7 @@ class _Proposal:
 
     def attached(self, group: CoupledGroup) -> list[str]:
         return [
-            *([f"point = {_numbers(group.point, UNITS[self.unit])}"] if group.point else []),
+            *([f"point = {_numbers(group.point, UNITS[self.unit], 15)}"] if group.point else []),
             f"coupling = {_text(group.kind)}",
             *(['weights = "deck"'] if group.weighted else []),
         ]
@@ -310,9 +314,7 @@ def propose(
         proposal.unit = unit
     lines = proposal.lines(_name(file.stem), deck.name)
     at = f"{deck.name}, " * (deck.name != file.name)  # whose lines these are
-    skipped += proposal.skipped + [
-        f"{at}{where} {note}" for where, note in proposal.deck.missing.items()
-    ]
+    skipped += [*proposal.skipped, *(f"{at}{note}" for note in proposal.deck.notes)]
     notes = [f"# DECIDE: {note}" for note in proposal.decide]
     notes += [f"# not taken over: {note}" for note in skipped]
     (folder / FILE_NAME).write_text("\n".join([*lines, "", *notes, ""]), encoding="utf-8")

@@ -170,3 +170,15 @@ class DeckContent:
     ignored: dict[str, list[int]] = field(default_factory=dict)
     missing: dict[str, str] = field(default_factory=dict)
     ties: list[tuple[str, Tie]] = field(default_factory=list)
+
+    @property
+    def notes(self) -> list[str]:
+        """`missing` in words; keywords with the same note, such as thousands of equations, once."""
+        lines: dict[tuple[str, str], list[str]] = {}
+        for where, note in self.missing.items():
+            line, _, word = where.rpartition(": ")
+            lines.setdefault((word, note), []).append(line)
+        return [
+            f"{first}{f' and {len(more)} more' if more else ''}: {word} {note}"
+            for (word, note), (first, *more) in lines.items()
+        ]

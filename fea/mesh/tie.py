@@ -36,6 +36,7 @@ the block, half was up to 36 % too soft and a third 13 %; less makes most of the
 
 _NODE = 0.1  # of its integral over the tied facets: less is an extrapolation from a strip
 _EDGE = 0.02  # of a facet, covered or not: roundoff, and what curved facets leave uncovered
+_COMPLETE = 0.9  # of a main facet: on a round surface its projection is as little, at 25 degrees
 _PAIRS = 10_000  # triangles that are cut at a time: about 50 MB
 _STEPS = 20  # of Newton's method for a point in a facet, which takes three to five
 _EXACT = 1e-12  # relative to the size of a facet
@@ -54,6 +55,8 @@ class TiedNodes:
     gap: float  # the largest distance between the surfaces where they are tied, m
     distance: float  # within which they are, m
     cut: int  # facets that the main surface covers in part: there the tie's edge is the mesh's
+    beyond: float  # of these facets the largest distance from `distance` to a mean edge, m, or 0
+    within: float  # size of the largest main facet that is covered in part over the tie's, or 0
 
 
 def joined(
@@ -104,6 +107,9 @@ def joined(
                 f"{tied.distance:.3g} m; their nearest nodes are {gaps.min():.3g} m apart. Correct "
                 "the groups, or write a larger distance"
                 if gaps.min() > tied.distance
+                else f'the facets of "{pair.secondary}" are up to {tied.beyond:.3g} m off '
+                f'"{pair.main}", beyond the distance of {tied.distance:.3g} m; write a larger one'
+                if tied.beyond
                 else f'"{pair.main}" covers at most a third of each facet of "{pair.secondary}". '
                 "Swap the two groups, or split these facets there"
             )
@@ -155,7 +161,10 @@ def tied_nodes(
     distance = min(distance or _DISTANCE * edge, edge)  # to close more would fold cells over
     # Integrals of the transformed functions where the surfaces meet, and over all of tied facets.
     covered, complete = np.zeros((2, len(points)))
-    ends, entries, gap, cut = np.full((len(points), 2), -1), [], 0.0, 0
+    ends, entries, gap, cut, beyond = np.full((len(points), 2), -1), [], 0.0, 0, 0.0
+    across = (np.cross(at, np.roll(at, -1, axis=1)) for at in corners[len(secondary.blocks) :])
+    sizes = [np.linalg.norm(each.sum(axis=1), axis=1) / 2 for each in across]
+    covers = [np.zeros(len(each)) for each in sizes]
     for kind, nodes in secondary.blocks:
         # Nodal values by transformed unknowns, and both ends of each edge's node.
         size, count = nodes.shape[1], corners_of(kind)
@@ -171,23 +180,29 @@ def tied_nodes(
         plane = np.linalg.qr(np.stack([normal, arms[:, 0], arms[:, 1]], axis=2)).Q[:, :, 1:]
         areas = np.einsum("fki,qkj->fqij", at @ plane, element.slopes)
         areas = np.abs(np.linalg.det(areas)) * element.weights
-        mass, mixed = np.zeros((len(nodes), size, size)), []
-        for other in main.blocks:
-            overlaps = _overlaps(points, FacetBlock(kind, nodes), other, plane, distance)
-            for of, to, weights, here, there, far in overlaps:
+        mass, mixed, off = np.zeros((len(nodes), size, size)), [], np.zeros(len(nodes))
+        for other, cover in zip(main.blocks, covers, strict=True):
+            overlaps = _overlaps(points, FacetBlock(kind, nodes), other, plane, edge)
+            for facing in overlaps:
+                near = (farthest := facing[-1].max(axis=1)) <= distance
+                np.maximum.at(off, facing[0][~near], farthest[~near])
+                of, to, weights, here, there, far = (part[near] for part in facing)
                 functions = here @ transform
                 weighted = (weights[..., None] * functions).swapaxes(1, 2)
                 np.add.at(mass, of, weighted @ functions)
-                mixed.append((of, other.nodes[to], weighted @ there, far))
+                area = weights.sum(axis=1)
+                mixed.append((of, other.nodes[to], weighted @ there, far, cover, to, area))
         integrals = mass.sum(axis=2)  # the transformed functions sum to one
         ratio = integrals.sum(axis=1) / areas.sum(axis=1)
         taken, cut = ratio > _COVER, cut + int((np.abs(ratio - 0.5) < 0.5 - _EDGE).sum())
+        beyond = max(beyond, float(off[ratio < 1 - _EDGE].max(initial=0.0)))
         np.add.at(complete, nodes[taken], (areas @ element.values @ transform)[taken])
         mass[~taken], integrals[~taken] = np.eye(size), 0.0
         np.add.at(covered, nodes, integrals)
         dual = integrals[:, :, None] * np.linalg.inv(mass)
-        for of, to, products, far in mixed:
+        for of, to, products, far, cover, facet, area in mixed:
             gap = max(gap, float(far[taken[of]].max(initial=0.0)))
+            np.add.at(cover, facet[taken[of]], area[taken[of]])
             weights = dual[of] @ products
             both = np.broadcast_arrays(nodes[of][:, :, None], to[:, None], weights)
             entries.append([part[taken[of]].ravel() for part in both])
@@ -205,7 +220,10 @@ def tied_nodes(
         np.append(weights, np.full(2 * len(edges), _ALPHA)),
     )
     loose = len(secondary.node_ids) - int(tied.sum())
-    return TiedNodes(np.flatnonzero(tied), loose, gap, distance, cut), follow
+    size, cover = np.concatenate(sizes), np.concatenate(covers)
+    part = size[(_EDGE * size < cover) & (cover < _COMPLETE * size)].max(initial=0.0)
+    within = float(np.sqrt(2 * part / cover.sum())) if part else 0.0  # a square's diagonal
+    return TiedNodes(np.flatnonzero(tied), loose, gap, distance, cut, beyond, within), follow
 
 
 def _overlaps(

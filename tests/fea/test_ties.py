@@ -11,6 +11,7 @@ from tests.fea.calculix import FACES, require_ccx
 from tests.fea.components import body_of
 from tests.fea.pairs import LARGE, SMALL, TIE, merged, moved, pair, tied, together
 from wrenchbook.fea.accuracy.estimate import accuracy_of
+from wrenchbook.fea.accuracy.mesh_error import bows_of
 from wrenchbook.fea.assembly.body import gather
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
 from wrenchbook.fea.check import as_text, report
@@ -98,9 +99,9 @@ def test_a_gap_is_closed_so_that_no_rigid_motion_strains_the_tie_in_any_frame():
     same(compliance(turned), compliance(part), 1e-10)
 
 
-@pytest.mark.parametrize("swapped", [False, True])
-@pytest.mark.parametrize("straight", [False, True])
-def test_round_surfaces_are_tied_without_strain_by_rigid_motions(straight, swapped):
+def tubes(straight):
+    """Half a tube of 8 cells round in one of 6, which is straight between corners or round."""
+
     def tube(count, inner, outer):
         def bent(points):
             radius, angle = inner + (outer - inner) * points[:, 0], np.pi * points[:, 1]
@@ -108,11 +109,35 @@ def test_round_surfaces_are_tied_without_strain_by_rigid_motions(straight, swapp
 
         return box("hex20", count, warp=bent, corners_only=straight)
 
+    return together(tube((2, 8, 3), 0.5, 1.0), tube((2, 6, 2), 1.0, 1.5))
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+@pytest.mark.parametrize("straight", [False, True])
+def test_round_surfaces_are_tied_without_strain_by_rigid_motions(straight, swapped):
     first, second = ("a_x1", "b_x0") if swapped else ("b_x0", "a_x1")
-    mesh = together(tube((2, 8, 3), 0.5, 1.0), tube((2, 6, 2), 1.0, 1.5))
-    part = tied(mesh, {"secondary": first, "main": second}, fixed="a_x0", section="b_x1")
+    part = tied(tubes(straight), {"secondary": first, "main": second}, fixed="a_x0", section="b_x1")
     assert part.ties[0].untied == 0
     assert rigid_energy(part) < 1e-15
+
+
+def test_straight_edges_of_round_surfaces_are_in_the_error_bar_where_a_tie_closes_a_gap():
+    part = tied(
+        tubes(straight=True), {"secondary": "b_x0", "main": "a_x1"}, fixed="a_x0", section="b_x1"
+    )
+    outer = np.flatnonzero(np.isclose(np.hypot(*part.mesh.points.T[:2]), 1.5 * np.cos(np.pi / 12)))
+    bows = np.linalg.norm(bows_of(part.mesh)[0], axis=1)
+    np.testing.assert_allclose(bows[outer].max(), 1.5 * (1 - np.cos(np.pi / 12)), rtol=0.02)
+
+
+def test_facets_beyond_the_distance_of_a_tie_are_named_with_their_distance():
+    pair_of = {"secondary": "b_x0", "main": "a_x1"}
+    near, far = (pair_of | {"distance": distance} for distance in (0.025, 0.005))
+    part = tied(tubes(straight=True), near, fixed="a_x0", section="b_x1")
+    text = tie_warnings(part)[0].message
+    assert "facets up to 0.0338 m off are beyond the distance, 0.025 m: 6 secondary nodes" in text
+    with pytest.raises(BundleError, match=r"are up to 0.0338 m off .* 0.005 m; write a larger one"):
+        tied(tubes(straight=True), far, fixed="a_x0", section="b_x1")
 
 
 def test_secondary_nodes_beyond_the_main_surface_stay_loose():
@@ -143,12 +168,26 @@ def test_a_tie_that_ends_within_facets_is_named_and_in_the_error_bar():
     cut, bar = Solver(part), {}
     for which, solver in (
         ("cut", cut),
-        ("whole", Solver(replace(part, ties=(replace(part.ties[0], cut=0),)))),
+        ("whole", Solver(replace(part, ties=(replace(part.ties[0], cut=0, within=0.0),)))),
     ):
         bar[which] = np.diag(accuracy_of(solver)["mesh"])
     assert (bar["cut"] > 1.2 * bar["whole"]).all()
     assert (bar["cut"] >= np.abs(off)).all()
     assert "ends within 12 facets, and the tie at their edges" in tie_warnings(part)[0].message
+
+
+def test_a_tie_that_ends_within_main_facets_is_in_the_error_bar_too():
+    sizes = (0.2, 0.2, 1.0)
+    part, one = block_on(((4, 4, 2), (3, 3, 3)), sizes, swapped=True)
+    off = block_on(((20, 20, 6), (4, 4, 4)), sizes, swapped=True)[1] - one
+    assert part.ties[0].cut == 0
+    assert part.ties[0].within == pytest.approx(np.sqrt(2) * 0.25 / 0.2)
+    without = replace(part, ties=(replace(part.ties[0], within=0.0),))
+    wide = replace(part, ties=(replace(part.ties[0], within=3.1),))
+    assert [tie_warnings(part), len(tie_warnings(wide))] == [[], 1]
+    bar, less = (np.diag(accuracy_of(Solver(each))["mesh"]) for each in (part, without))
+    assert (bar >= np.abs(off)).all()
+    assert (less < np.abs(off)).any()
 
 
 def test_a_facet_too_large_for_a_tie_is_refused_with_the_other_way_round():

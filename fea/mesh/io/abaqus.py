@@ -24,6 +24,8 @@ from wrenchbook.fea.tensors import rotation as turned
 
 Array = np.ndarray
 
+_ON_AXIS = 1e-9  # of the size of a cylinder or the distance along it: roundoff of coordinates
+
 STRIDE = 10**12
 """Labels of one instance; Abaqus has at most 9 digits, a label above is refused."""
 
@@ -240,7 +242,9 @@ def axes_through(origin: Array, first: Array, second: Array) -> Array:
 
 def radial_axes(axis: Array, out: Array) -> Array:
     """Return the radial, circumferential and axial directions at a point off an axis, in rows."""
-    around = np.cross(axis, out)
+    around, size = np.cross(axis, out), np.linalg.norm(axis)
+    if not np.linalg.norm(around) > _ON_AXIS * size * max(size, np.linalg.norm(out)):
+        raise ValueError("a node on the cylinder's axis has no radial direction")
     return axes_through(np.zeros(3), np.cross(around, axis), around)
 
 
@@ -328,9 +332,13 @@ def _take_elements(deck: Deck, keyword: Keyword) -> None:
     if kind is None:  # masses, springs, gaps: nothing of the mesh
         return
     columns = 1 + {**NODES_PER_CELL, **NODES_PER_FACET, **NODES_PER_LINE}[kind]
-    numbers = [keyword.frame.label(each) for row in keyword.rows for each in row if each]
-    if len(numbers) % columns:
-        raise MeshFileError(f"has {len(numbers)} numbers; write {columns} for each {kind} element")
+    numbers, ends = list[int](), {0}
+    for row in keyword.rows:
+        numbers += [keyword.frame.label(each) for each in row if each]
+        ends.add(len(numbers))
+    if not ends.issuperset(range(0, len(numbers) + columns, columns)):
+        text = f"has rows of other than the {columns - 1} nodes of {kind} elements"
+        raise MeshFileError(f"{text}; correct TYPE or the rows")
     table = [numbers[i : i + columns] for i in range(0, len(numbers), columns)]
     if not table:
         return

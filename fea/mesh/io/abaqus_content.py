@@ -24,6 +24,7 @@ from wrenchbook.fea.mesh.io.abaqus import (
     Deck,
     Frame,
     Keyword,
+    add,
     add_weighted,
     axes_through,
     kind_of,
@@ -81,6 +82,16 @@ _MISSING = {
 _PARTLY = (
     "couples only some directions, but all three are coupled here; couple 1 to 3, or fix all "
     "freedoms of its point to make the group a support"
+)
+
+_ON_AXIS = (
+    "has nodes on its axis, where radial is no direction: 1 and 2 are any across the axis; hold "
+    "both or neither there"
+)
+
+_MEAN_HELD = (
+    "holds the mean of its nodes, which may deform; here they are fixed, which is stiffer: write "
+    'an [[interface]] of the group with held = true and coupling = "distributed"'
 )
 
 _QUIET = {"", "HEADING", "PREPRINT", "ASSEMBLY", "END ASSEMBLY", "PART", "END PART", "END STEP"}
@@ -179,6 +190,8 @@ def _finish(
     for coupled in couplings:
         coupled.group = faces.get(coupled.group) or groups[coupled.group]
         fixed = len(coupled.held) == 6
+        if fixed and coupled.kind == "distributed":
+            content.missing[coupled.where] = _MEAN_HELD
         if fixed and coupled.directions:
             held = HeldGroup(coupled.where, coupled.group, coupled.directions)
             case.supports.append(held)
@@ -197,13 +210,16 @@ def _take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
         take_elements(reader, deck, keyword)
     elif kind_of(kind) is None:
         reader.lack(keyword, f"has the unsupported type {kind}; mesh it with solid cells")
+        if "ELSET" in keyword.options:
+            labels = [keyword.frame.label(row[0]) for row in keyword.rows]
+            add(deck, deck.element_sets, keyword.frame, keyword.options["ELSET"], labels)
     elif keyword.at in deck.element_lines[-1:]:
         counts = reader.content.elements
         counts[kind] = counts.get(kind, 0) + len(deck.cells[-1])
 
 
 def _take_material(reader: Reader, _: Deck, keyword: Keyword) -> None:
-    reader.material = keyword.options["NAME"]
+    reader.material = keyword.options["NAME"].upper()
 
 
 def _take_constants(reader: Reader, _: Deck, keyword: Keyword) -> None:
@@ -236,7 +252,8 @@ def _take_section(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     key = set_key(deck, deck.element_sets, keyword.options["ELSET"], keyword.frame)
     orientation = keyword.options.get("ORIENTATION", "")
     orientation = keyword.frame.key(orientation) if orientation else ""
-    reader.sections.append((keyword.where, key, keyword.options["MATERIAL"], orientation))
+    material = keyword.options["MATERIAL"].upper()
+    reader.sections.append((keyword.where, key, material, orientation))
 
 
 def _take_orientation(reader: Reader, _: Deck, keyword: Keyword) -> None:
@@ -276,7 +293,13 @@ def _take_transform(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     if kind == "R":
         axes = [axes_through(np.zeros(3), first, second) @ turn.T] * len(labels)
     else:
-        axes = [radial_axes(turn @ axis, deck.nodes[label] - start) for label in labels]
+        axes, axial = [], turn @ axis
+        for label in labels:
+            try:
+                axes.append(radial_axes(axial, deck.nodes[label] - start))
+            except ValueError:  # any direction across it will do, as in CalculiX
+                axes.append(radial_axes(axial, np.eye(3)[np.abs(axial).argmin()]))
+                reader.lack(keyword, _ON_AXIS)
     rows = (tuple(each.ravel().tolist()) for each in axes)
     reader.turned |= dict(zip(labels, rows, strict=True))
 
@@ -303,6 +326,8 @@ def _target(deck: Deck, name: str, frame: Frame) -> tuple[str, list[int]]:
     """Return the key of a node set, empty for a single node, and the nodes."""
     labels = named(deck, deck.node_sets, name, frame)
     single = name.rpartition(".")[2].isdigit()
+    if single and labels[0] not in deck.nodes:
+        raise MeshFileError(f"names a node {name} that is not defined above it")
     return "" if single else set_key(deck, deck.node_sets, name, frame), labels
 
 
@@ -340,10 +365,13 @@ def _take_weighted(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 
 
 def _take_rigid(reader: Reader, deck: Deck, keyword: Keyword) -> None:
-    name = next(
-        (keyword.options[k] for k in ("NSET", "TIE NSET", "PIN NSET") if k in keyword.options), ""
-    )
-    if not name:
+    sets = ("NSET", "TIE NSET", "PIN NSET", "ELSET")
+    name, *others = [keyword.options[k] for k in sets if k in keyword.options] or [""]
+    if others:
+        reader.lack(
+            keyword, f"has several sets, of which only {name} is imported; unite them in one"
+        )
+    elif "ELSET" in keyword.options or not name:
         reader.lack(keyword, "of elements is not imported; name its nodes as a rigid [interface]")
         return
     key = set_key(deck, deck.node_sets, name, keyword.frame)
@@ -363,6 +391,8 @@ def _take_tie(reader: Reader, deck: Deck, keyword: Keyword) -> None:
         raise ValueError("it is a part of a circle, which is not supported")
     distance = float(keyword.options.get("POSITION TOLERANCE", 0.0)) or None
     for row in keyword.rows:
+        if len(row) < 2:
+            raise ValueError("a row must name the secondary and the main surface")
         if nodal := deck.node_sets.keys() - deck.surfaces & {*map(keyword.frame.key, row[:2])}:
             raise ValueError(f"{', '.join(nodal)} consists of nodes; name a surface of faces")
         first, second = (set_key(deck, deck.surfaces, name, keyword.frame) for name in row[:2])

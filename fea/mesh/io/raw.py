@@ -29,6 +29,8 @@ Block = tuple[str, Array]
 NODES_PER_LINE = {"point1": 1, "line2": 2, "line3": 3}
 """Kinds that give node groups only: a group on an edge or a point of the part."""
 
+_LARGEST = 1e50  # of coordinates: volumes of larger cells overflow
+
 
 @dataclass(frozen=True, eq=False)
 class RawMesh:
@@ -79,8 +81,8 @@ def to_mesh(raw: RawMesh, metres: float) -> Mesh:
     used = np.unique(np.concatenate([raw.blocks[i][1].ravel() for i in solids]))
     number = np.full(len(raw.points), -1, dtype=np.int64)
     number[used] = np.arange(len(used))
-    if not np.isfinite(raw.points[used]).all():
-        raise MeshFileError("has coordinates that are not finite numbers; export the mesh again")
+    if not (np.abs(raw.points[used]) < _LARGEST).all():
+        raise MeshFileError(f"has coordinates beyond {_LARGEST:g}, or no numbers; write it anew")
     kinds = list(dict.fromkeys(raw.blocks[i][0] for i in solids))
     cells = {k: number[np.concatenate([b for kind, b in raw.blocks if kind == k])] for k in kinds}
     once = {kind: _without_twins(nodes) for kind, nodes in cells.items()}

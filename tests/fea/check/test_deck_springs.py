@@ -80,6 +80,14 @@ def test_a_deck_is_taken_over_whole_and_moves_as_in_calculix(tmp_path, name):
     assert tip(tmp_path) == pytest.approx(tips_by_calculix(tmp_path, DECKS[name])[0], rel=1e-5)
 
 
+def test_nodes_on_the_axis_of_turned_axes_are_held_as_in_calculix_and_named(tmp_path):
+    axis = "*TRANSFORM, NSET=MID, TYPE=C\n50., 5., 5., 50., 6., 6.\n"
+    text = HEAD + axis + RIGID + step(HOLD + "MID, 3\n" + PULL)
+    (left,) = proposal(tmp_path, text)["left"]
+    assert "*TRANSFORM has nodes on its axis, where radial is no direction" in left
+    assert tip(tmp_path) == pytest.approx(tips_by_calculix(tmp_path, text)[0], rel=1e-5)
+
+
 @pytest.mark.parametrize("name", ["to the ground, turned", "between bodies, turned"])
 def test_the_exported_deck_has_the_springs(tmp_path, name):
     calculix.require_ccx()
