@@ -134,9 +134,14 @@ class KrigingFactor(Factor):
     weights: Floats  # (e, k): what covariances are multiplied by
     variance: Floats  # (k,): process variance of each output, spreads squared
 
-    def explained_at(self, x: Floats, known: Mask) -> tuple[Floats, Floats]:
-        """Return the result of `explained` for the derivatives `known` (m, p) at points (m, 6)."""
+    def explained_at(self, x: Floats, known: Mask | None = None) -> tuple[Floats, Floats]:
+        """Return the result of `explained` for the derivatives `known` (m, p) at points (m, 6).
+
+        For the values alone without.
+        """
         v, known_v = self.equations.x, self.equations.known
+        if known is None:
+            known = np.ones((len(x), 1), dtype=bool)
         across = covariance(x, known, v, known_v, self.hyperparameters)
         return self.explained(across, mean_terms(x, known))
 

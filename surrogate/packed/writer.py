@@ -249,7 +249,7 @@ def _kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     yield "floor", kriging.floor
     yield "tangent", np.where(scaling.active & ~np.isnan(kriging.tangent), 0.0, kriging.tangent)
     yield "span", kriging.span
-    yield "together", kriging.together
+    yield "together", kriging.secondary_limits
     yield "span_loads", scaling.wrenches(kriging.span)
     yield "factor_count", np.array([len(kriging.neighbourhoods)], dtype=np.int32)
     factors = zip(kriging.neighbourhoods, kriging.calibrations, strict=True)
