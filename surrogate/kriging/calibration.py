@@ -26,7 +26,7 @@ from ..table.axes import has_levels
 from ..table.rows import NEAR, ZERO_LOAD, Floats, LoadRange
 from ..table.spread import spread_wrenches
 from .correlation import block
-from .equations import DECIMALS, Equations, Scaling, evenly, farthest_first
+from .equations import DECIMALS, Scaling, evenly, farthest_first
 from .factor import Indices, KrigingFactor, LeftOutRows, Neighbourhoods, left_out
 from .settings import DEFAULTS, KrigingSettings
 
@@ -244,26 +244,24 @@ def left_out_as_far(
 
 
 def calibrated(
-    equations: Equations,
     neighbours: Neighbourhoods,
     leave_one_out: LeftOutRows,
     scaling: Scaling,
     kinds: Sequence[Kind],
     widenings: Floats,
-    settings: KrigingSettings,
 ) -> Calibration:
     """Return the factors of a group's deviations for 95 % error bars.
 
     `leave_one_out`: the errors of each row left out by itself.
     `widenings` (q,), dimensionless: see `Estimate.widening`.
     """
-    factor = neighbours.factor
+    factor, settings = neighbours.factor, neighbours.settings
     subset, outputs = factor.equations, len(factor.output_group.outputs)
     if not subset.known[:, 1:].any() and not has_levels(subset.x[:, scaling.active]):
         return Calibration.unknown(outputs, settings)
     if subset.count <= 1 + scaling.active.sum():  # the mean takes all of them
         return Calibration.unknown(outputs, settings)
-    parts = [_of_kind(kind, equations, neighbours, leave_one_out, settings) for kind in kinds]
+    parts = [_of_kind(kind, neighbours, leave_one_out) for kind in kinds]
     max_sigma = max(part.max_sigma for part in parts)
     if not max_sigma:
         return Calibration.unknown(outputs, settings)
@@ -272,24 +270,19 @@ def calibrated(
         # Noise hides the errors of left-out rows: bars hold the posterior, and what it leaves open.
         freedom = max(len(subset) - (1.0 + scaling.active.sum()), 1.0)
         least = widenings * settings.posterior_width
-        factors = np.maximum(factors, least * widening(freedom, equations.data.shape[2]))
+        factors = np.maximum(factors, least * widening(freedom, subset.data.shape[2]))
     return Calibration(factors, max_sigma)
 
 
-def _of_kind(
-    kind: Kind,
-    equations: Equations,
-    neighbours: Neighbourhoods,
-    leave_one_out: LeftOutRows,
-    settings: KrigingSettings,
-) -> Calibration:
+def _of_kind(kind: Kind, neighbours: Neighbourhoods, leave_one_out: LeftOutRows) -> Calibration:
     """Return the factors that rows of one kind, left out, show; 0 where too few rows show any."""
-    factor, table_size = neighbours.factor, (1 + equations.loads, equations.data.shape[2])
+    factor, settings, equations = neighbours.factor, neighbours.settings, neighbours.equations
+    size_of_table = 1 + equations.loads, equations.data.shape[2]
     # Rows are left out of the complete factor; answers have the deviation of a neighbourhood.
     explained = factor.explained_at(kind.queries)
     complete = np.sqrt(factor.variance_of(*explained, factor.mean_covariance))
-    p = equations.n_derivatives
-    across = block(kind.queries, equations.x, factor.hyperparameters, 1, p)
+    numbers = 1, equations.n_derivatives
+    across = block(kind.queries, equations.x, factor.hyperparameters, *numbers)
     local = neighbours.deviations(kind.queries, across.reshape(len(kind.queries), -1))
     wider = float(np.quantile(local / complete, settings.neighbourhood_quantile))
 
@@ -300,12 +293,12 @@ def _of_kind(
 
     factors, max_sigma = np.zeros(len(factor.output_group.outputs)), 0.0
     if len(far.sigma) >= settings.min_left_out:
-        factors = np.maximum(factors, factors_of(far, *table_size) / wider)
+        factors = np.maximum(factors, factors_of(far, *size_of_table) / wider)
         # As far as left-out rows and their neighbourhoods can be, comparable both ways.
         widest = float((local / complete).max())
         max_sigma = float(far.sigma.max()) * widest / settings.comparable
     if len(near.sigma) > max(len(far.sigma), settings.min_left_out):  # few show no tail
-        factors = np.maximum(factors, factors_of(near, *table_size) / wider)
+        factors = np.maximum(factors, factors_of(near, *size_of_table) / wider)
     return Calibration(factors, max_sigma)
 
 

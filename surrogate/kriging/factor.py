@@ -321,7 +321,7 @@ class Neighbourhoods:
         `of_all_rows`: sigma is that of all rows, however many.
         """
         x, known = factor.equations.x, factor.equations.known
-        self.factor, self.settings = factor, settings
+        self.equations, self.factor, self.settings = equations, factor, settings
         self.size = known.sum(axis=1)
         self.plain_size = known[:, : 1 + x.shape[1]].sum(axis=1)
         all_first = np.roll(factor.hyperparameters.groups, 1, axis=0)

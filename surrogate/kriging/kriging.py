@@ -13,6 +13,7 @@ from ..table.merging import Observations, merge
 from ..table.rows import NEAR, SMALLEST, Floats, LoadRange, Rows
 from .calibration import (
     Calibration,
+    Kind,
     calibrated,
     kinds_of,
     largest_secondary_loads,
@@ -110,67 +111,15 @@ class Kriging:
         with single_thread():
             span = span_of(x, scaling, settings)
             kinds = kinds_of(x, scaling, span, settings)
-            # Slopes of a few rows show the interaction of axes.
-            has_slopes = data.equations.known[:, 1:].any()
-            secondary_limits = (
-                largest_secondary_loads(x, scaling, settings)
-                if has_slopes
-                else kinds[0].secondary_limits
-            )
+            secondary_limits = kinds[0].secondary_limits
+            if data.equations.known[:, 1:].any():  # slopes of a few rows show interactions of axes
+                secondary_limits = largest_secondary_loads(x, scaling, settings)
             model = _Model.of(data, kinds[0].queries, settings)
-
-            equations, estimate = model.equations, model.estimate
-            x, known = equations.x, equations.known
-            weights, n_outputs = np.zeros(equations.data.shape), equations.data.shape[2]
-            coefficients = np.empty((1 + x.shape[1], n_outputs))
-            deviation, rounding = np.empty((2, n_outputs))
-            errors = np.full(equations.measured.shape, np.nan)
-            neighbourhoods: list[Neighbourhoods] = []
-            calibrations: list[Calibration] = []
-            for factor, table in model.factors(settings):
-                group, outputs = factor.output_group, factor.output_group.outputs
-                # The weights among the values and derivatives of all rows.
-                all_rows = np.zeros((*known.shape, len(outputs)))
-                all_rows[known & np.isin(np.arange(len(x)), group.rows)[:, None]] = factor.weights
-                weights[:, :, outputs], coefficients[:, outputs] = all_rows, factor.coefficients
-                deviation[outputs] = np.sqrt(factor.variance)
-                rounding[outputs] = _rounding_of(all_rows[known], table, known)
-                leave_one_out = left_out(factor, np.arange(len(group.rows)))
-                errors[np.ix_(group.rows, outputs)] = leave_one_out.errors
-                neighbours = Neighbourhoods(
-                    equations, factor, table, settings, of_all_rows=model.is_inducing
-                )
-                neighbourhoods.append(neighbours)
-                calibrations.append(
-                    of_posterior(factor, table, settings)
-                    if model.is_inducing
-                    else calibrated(
-                        equations,
-                        neighbours,
-                        leave_one_out,
-                        scaling,
-                        kinds,
-                        estimate.widening[outputs],
-                        settings,
-                    )
-                )
+            solution = _solution(model, scaling, kinds, settings)
+        noises = model.observation_variance, model.estimate.noise_widening
+        limits = span, secondary_limits
         return cls(
-            settings,
-            scaling,
-            model.observation_variance,
-            estimate.noise_widening,
-            _mean_tangent(data),
-            equations,
-            tuple(neighbourhoods),
-            tuple(calibrations),
-            weights,
-            coefficients,
-            deviation,
-            rounding,
-            errors,
-            span,
-            secondary_limits,
-            model.detail,
+            settings, scaling, *noises, _mean_tangent(data), *solution, *limits, model.detail
         )
 
     @property
@@ -339,11 +288,6 @@ class _Model(NamedTuple):
     observation_variance: Floats  # (6,), spreads squared: see `Kriging`
     detail: str  # see `Kriging`
 
-    @property
-    def is_inducing(self) -> bool:
-        """Whether the rows enter through inducing wrenches."""
-        return bool(self.inducing)
-
     @classmethod
     def of(cls, data: _TrainingData, queries: Floats, settings: KrigingSettings) -> _Model:
         """Estimate covariances and noise; `queries` (m, 6), half ranges: see `estimate_noise`."""
@@ -396,6 +340,53 @@ class _Model(NamedTuple):
             yield factor, table
 
 
+class _Solution(NamedTuple):
+    """The fields of `Kriging` that follow from its factors, in their order there."""
+
+    equations: Equations
+    neighbourhoods: tuple[Neighbourhoods, ...]
+    calibrations: tuple[Calibration, ...]
+    weights: Floats
+    coefficients: Floats
+    deviation: Floats
+    rounding: Floats
+    errors: Floats
+
+
+def _solution(
+    model: _Model, scaling: Scaling, kinds: list[Kind], settings: KrigingSettings
+) -> _Solution:
+    """Solve for the weights of each output group, and calibrate its error bars."""
+    equations, known = model.equations, model.equations.known
+    weights, (n_rows, n_outputs) = np.zeros(equations.data.shape), equations.measured.shape
+    coefficients = np.empty((1 + equations.loads, n_outputs))
+    deviation, rounding = np.empty((2, n_outputs))
+    errors = np.full(equations.measured.shape, np.nan)
+    parts: list[tuple[Neighbourhoods, Calibration]] = []
+    for factor, table in model.factors(settings):
+        rows, outputs = factor.output_group.rows, factor.output_group.outputs
+        # The weights among the values and derivatives of all rows.
+        all_rows = np.zeros((*known.shape, len(outputs)))
+        all_rows[known & np.isin(np.arange(n_rows), rows)[:, None]] = factor.weights
+        weights[:, :, outputs], coefficients[:, outputs] = all_rows, factor.coefficients
+        deviation[outputs] = np.sqrt(factor.variance)
+        value_rows = np.abs(table[np.nonzero(known)[1] == 0])
+        rounding[outputs] = (ROUNDING_LOSS * value_rows @ np.abs(all_rows[known])).max(axis=0)
+        leave_one_out = left_out(factor, np.arange(len(rows)))
+        errors[np.ix_(rows, outputs)] = leave_one_out.errors
+        through, widening = bool(model.inducing), model.estimate.widening[outputs]
+        neighbours = Neighbourhoods(equations, factor, table, settings, of_all_rows=through)
+        calibration = (
+            of_posterior(factor, table, settings)
+            if through
+            else calibrated(neighbours, leave_one_out, scaling, kinds, widening)
+        )
+        parts.append((neighbours, calibration))
+    neighbourhoods, calibrations = zip(*parts, strict=True)
+    arrays = weights, coefficients, deviation, rounding, errors
+    return _Solution(equations, neighbourhoods, calibrations, *arrays)
+
+
 def _mean_tangent(data: _TrainingData) -> Floats:
     """Return the mean tangent of the rows, (6, 6), SI: see `Kriging.tangent`."""
     rows = data.rows
@@ -404,12 +395,3 @@ def _mean_tangent(data: _TrainingData) -> Floats:
     constant = np.ptp(data.equations.x, axis=0) <= NEAR
     tangent[:, constant & (len(tangents) == 0)] = np.nan
     return tangent
-
-
-def _rounding_of(weights: Floats, table: Floats, known: Mask) -> Floats:
-    """Return the rounding loss of answers at the rows, (k,), spreads: the largest.
-
-    `weights` (a, k) and `table` (a, a): of the equations of the derivatives `known` (n, p).
-    """
-    is_value = np.nonzero(known)[1] == 0
-    return (ROUNDING_LOSS * np.abs(table[is_value]) @ np.abs(weights)).max(axis=0)

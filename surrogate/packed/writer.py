@@ -221,7 +221,7 @@ def _group_meta(group: Group) -> dict[str, Any]:
 
 
 def _kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
-    """Yield the names and arrays of a kriging with one factor over all rows.
+    """Yield the names and arrays of a kriging, with a factor for each output group.
 
     Rows are innermost and padded to a multiple of `LANES`; rows of the padding weigh nothing and
     have no neighbourhood. The inverse factor T of each neighbourhood is stored in panels of `PANEL`

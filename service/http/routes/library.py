@@ -14,7 +14,6 @@ from starlette.responses import Response
 from typing_extensions import TypedDict
 
 from wrenchbook.service.actors import CALLER
-from wrenchbook.service.contract import Coverage
 from wrenchbook.service.formats.cells import text_problem
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import CopyBody, NotesBody, RenameBody
@@ -27,15 +26,13 @@ from wrenchbook.service.http.routes.rows import file_fields
 from wrenchbook.service.ledger import ImportOrigin, UnknownImportError
 from wrenchbook.service.messages import (
     Doc,
-    FiniteArray,
-    FloatArray,
     ImportFinding,
     Message,
     Six,
-    Vector,
-    left_out,
 )
 from wrenchbook.service.tables.comparison import (
+    Comparison,
+    Disagreement,
     UncomparableError,
     comparison,
     comparison_csv,
@@ -88,74 +85,6 @@ class Import(FileImport):
 
 class Imports(Message):
     imports: Sequence[Import]
-
-
-class DisagreeingRow(Message):
-    row: int
-    wrench: dict[str, float]
-    output: str
-    measured: float
-    expected: float
-    bar: float
-    ratio: float
-
-
-class Disagreement(Message):
-    component: str
-    table_version: int
-    measured: int
-    solved: int
-    beyond_range: int
-    compared: int
-    outside: int
-    not_told: Annotated[int | None, Doc("rows that cannot be compared")] = left_out(default=None)
-    outputs: Annotated[dict[str, Any], Doc("of each: compared, outside, mean_difference")]
-    rows: Sequence[DisagreeingRow]
-    reason: Annotated[str, Doc("why no row is compared")] = left_out(default="")
-
-
-class Comparison(Message):
-    """Measured rows beside a reference; arrays have a line a row, in the order of the rows."""
-
-    component: str
-    table_version: int
-    inputs: Sequence[str]
-    reference: Annotated[
-        dict[Literal["import", "rows", "of", "method", "bars_are_complete"], Any],
-        Doc("null: the solves, or an import: rows, evenly chosen, of how many, and its method"),
-    ]
-    measured: int
-    beyond_range: int
-    compared: Annotated[int, Doc("rows here: 3,000 at most, evenly chosen of those in the range")]
-    coverages: Annotated[dict[Coverage, int], Doc("of the rows by the reference")]
-    noise: Annotated[
-        Vector,
-        FloatArray(None),
-        Doc("95 % of one reading, which counts where a row states none; by the rows alone"),
-    ]
-    reason: Annotated[str, Doc("why no row is compared; empty if any is")]
-    outputs: Annotated[
-        dict[str, dict[str, Any]],
-        Doc(
-            "of each: rows compared, unanswered (outside the reference's rows, in no number here), "
-            "beyond_bars (of reference and reading), bars_unknown; mean and rms of the residuals; "
-            "factor: measured = factor x expected, half_width: its 95 %, of_reference: the part of "
-            "it that the reference's bar is"
-        ),
-    ]
-    campaigns: Annotated[
-        Sequence[dict[Literal["import", "rows", "outputs"], Any]],
-        Doc("the same by import; null: of rows without one"),
-    ]
-    row: Sequence[int]
-    campaign: Annotated[Sequence[int | None], Doc("the import of each row")]
-    coverage: Annotated[Sequence[Coverage], Doc("by the reference")]
-    wrench: Annotated[Vector, FiniteArray(None, None)]
-    displacement: Annotated[Vector, FloatArray(None, None), Doc("as measured, m and rad")]
-    expected: Annotated[Vector, FloatArray(None, None), Doc("null outside its rows")]
-    residual: Annotated[Vector, FloatArray(None, None), Doc("displacement - expected")]
-    bar: Annotated[Vector, FloatArray(None, None), Doc("95 % of expected")]
-    uncertainty: Annotated[Vector, FloatArray(None, None), Doc("95 % of displacement, as stated")]
 
 
 class DemandCell(Message):
@@ -291,8 +220,7 @@ def restore_import(
 def list_disagreements(name: str, workspace: Opened) -> Response:
     component = workspace.library[name]
     table = workspace.tables.caught_up(name, CATCH_UP_S)
-    compared = disagreement(component, table.rows, table.solver_error)
-    return json_reply(Disagreement(component=name, table_version=table.version, **compared))
+    return json_reply(disagreement(component, table.rows, table.version, table.solver_error))
 
 
 @router.get(
@@ -331,14 +259,14 @@ def _compared(
 ) -> Response:
     component, spans = workspace.library[name], workspace.ledger.import_spans(name)
     try:
-        reply = comparison(component, table.rows, table.solver_error, spans, number, against)
+        source = component, table.rows, table.version, table.solver_error
+        reply = comparison(*source, spans, number, against)
     except UncomparableError as error:
         raise HttpProblemError(409, "no-comparison", "Nothing to compare", str(error)) from None
     if form == "csv":
         headers = {"Content-Disposition": f'attachment; filename="{name}-comparison.csv"'}
         return Response(comparison_csv(reply, component.space), 200, headers, "text/csv")
-    more = {"table_version": table.version, "inputs": component.space.input_names}
-    return json_reply(Comparison(component=name, **more, **reply))
+    return json_reply(reply)
 
 
 @router.get("/stiffness", summary="Slope of load over displacement of measured rows, and play")
