@@ -37,6 +37,8 @@ Spans = Sequence[tuple[int, int, ImportRecord]]
 
 
 class DisagreeingRow(Message):
+    """An output of a measured row outside the bar of reading and solves, m or rad."""
+
     row: int
     wrench: dict[str, float]
     output: str
@@ -47,6 +49,8 @@ class DisagreeingRow(Message):
 
 
 class Disagreement(Message):
+    """Measured rows compared with the solves."""
+
     component: str
     table_version: int
     measured: int
@@ -329,9 +333,8 @@ def disagreement(
     stated = reply.uncertainty
     bound = _bound(reply.bar, np.where(np.isfinite(stated), stated, reply.noise))
     compared = np.isfinite(reply.residual) & np.isfinite(bound)
-    ratio = np.where(
-        compared, np.abs(reply.residual) / np.maximum(bound, np.finfo(float).tiny), 0.0
-    )
+    ratio = np.abs(reply.residual) / np.maximum(bound, np.finfo(float).tiny)
+    ratio = np.where(compared, ratio, 0.0)
     inputs, outputs = component.space.input_names, component.space.output_names
     outliers = [
         DisagreeingRow(
