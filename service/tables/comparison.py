@@ -119,34 +119,34 @@ class _Selection(NamedTuple):
     measured: int
     beyond_range: int  # of the measured ones
     compared: Indices  # (k,): of the others evenly chosen
-    of: int  # rows of the reference
+    available: int  # rows of the reference
     used: Indices  # (r,): of them evenly chosen
 
-    @classmethod
-    def of_rows(
-        cls, component: Component, rows: Rows, spans: Spans, number: int | None, against: int | None
-    ) -> _Selection:
-        """Choose the rows; raises UncomparableError. Parameters are those of `comparison`."""
-        of_import, measured = _imports(rows.seq, spans), rows.source != SOLVED
-        for each in (number, against):
-            if each is not None and not (measured & (of_import == each)).any():
-                listed = np.unique(of_import[measured & (of_import > 0)])[-10:].tolist()
-                known = ", ".join(map(str, listed))
-                raise UncomparableError(
-                    f"the table has no measured rows of import {each}; "
-                    + (f"its last are {known}" if known else "import a file of measured rows first")
-                )
-        if number is not None and number == against:
-            raise UncomparableError(f"import {number} is its own reference; name two imports")
-        reference = ~measured if against is None else measured & (of_import == against)
-        chosen = measured & ~reference & (number is None or of_import == number)
-        inside = np.asarray(component.load_range.holds(rows.wrench))
-        compared, used = np.flatnonzero(chosen & inside), np.flatnonzero(reference)
-        compared, of = compared[:: -(-len(compared) // MAX_COMPARED) or 1], len(used)
-        if against is not None:
-            used = used[:: -(-len(used) // MAX_REFERENCE)]
-        beyond = int((chosen & ~inside).sum())
-        return cls(of_import, int(chosen.sum()), beyond, compared, of, used)
+
+def _selection(
+    component: Component, rows: Rows, spans: Spans, number: int | None, against: int | None
+) -> _Selection:
+    """Return the rows of a comparison; raises UncomparableError: parameters as of `comparison`."""
+    of_import, measured = _imports(rows.seq, spans), rows.source != SOLVED
+    for each in (number, against):
+        if each is not None and not (measured & (of_import == each)).any():
+            listed = np.unique(of_import[measured & (of_import > 0)])[-10:].tolist()
+            known = ", ".join(map(str, listed))
+            raise UncomparableError(
+                f"the table has no measured rows of import {each}; "
+                + (f"its last are {known}" if known else "import a file of measured rows first")
+            )
+    if number is not None and number == against:
+        raise UncomparableError(f"import {number} is its own reference; name two imports")
+    reference = ~measured if against is None else measured & (of_import == against)
+    chosen = measured & ~reference & (number is None or of_import == number)
+    inside = np.asarray(component.load_range.holds(rows.wrench))
+    compared, used = np.flatnonzero(chosen & inside), np.flatnonzero(reference)
+    compared, available = compared[:: -(-len(compared) // MAX_COMPARED) or 1], len(used)
+    if against is not None:
+        used = used[:: -(-available // MAX_REFERENCE)]
+    counts = int(chosen.sum()), int((chosen & ~inside).sum())
+    return _Selection(of_import, *counts, compared, available, used)
 
 
 class _Answers(NamedTuple):
@@ -158,39 +158,30 @@ class _Answers(NamedTuple):
     bar: Floats  # (k, m): 95 %
     noise: Floats  # (m,): 95 % of one reading, by the compared rows alone
 
-    @classmethod
-    def of(
-        cls,
-        component: Component,
-        some: Rows,
-        reference: Rows,
-        error: SolverError | None,
-        *,
-        solved: bool,
-    ) -> _Answers:
-        """Build the reference's table and ask it for the wrenches of some rows.
 
-        `solved`: whether the reference are the solves, with the solver's `error`.
-        """
-        of_rig = replace(component, linear=False)  # nothing makes a rig linear
-        noise = build_table(of_rig, some, 0).observation_noise
-        model = build_table(component if solved else of_rig, reference, 0, error)
-        packed = packed_of(model)
-        # A reading at the same wrench is no answer: its noise would be the reference's.
-        replies = packed.batch(some.wrench, without_rows=not solved)
-        answered = (replies.coverage != _OUTSIDE)[:, None]
-        if not solved or error is not None:
-            # Far from its rows a kriging extrapolates and has no bar.
-            answered = answered & np.isfinite(replies.errors)
-        expected = np.where(answered, replies.outputs, np.nan)
-        bar = np.where(answered, replies.errors, np.nan)
-        return cls(packed.answers_by(), replies.coverage, expected, bar, noise)
+def _answers(
+    component: Component, some: Rows, reference: Rows, error: SolverError | None, *, solved: bool
+) -> _Answers:
+    """Return the answers of a table of the reference at some rows; unknown ones if either is empty.
 
-    @classmethod
-    def none(cls, rows: int, outputs: int) -> _Answers:
-        """Return no answers."""
-        expected, bar = np.full((2, rows, outputs), np.nan)
-        return cls("none", np.full(rows, _OUTSIDE), expected, bar, np.full(outputs, np.nan))
+    `solved`: whether the reference are the solves, with the `error` of their solver.
+    """
+    if not len(some) or not len(reference):
+        unknown, none = np.full(some.displacement.shape, np.nan), np.full(len(some), _OUTSIDE)
+        return _Answers("none", none, unknown, unknown, np.full(some.displacement.shape[1], np.nan))
+    of_rig = replace(component, linear=False)  # nothing makes a rig linear
+    noise = build_table(of_rig, some, 0).observation_noise
+    model = component if solved else of_rig
+    packed = packed_of(build_table(model, reference, 0, error if solved else None))
+    # A reading at the same wrench is no answer: its noise would be the reference's.
+    replies = packed.batch(some.wrench, without_rows=not solved)
+    answered = (replies.coverage != _OUTSIDE)[:, None]
+    if not solved or error is not None:
+        # Far from its rows a kriging extrapolates and has no bar.
+        answered = answered & np.isfinite(replies.errors)
+    expected = np.where(answered, replies.outputs, np.nan)
+    bar = np.where(answered, replies.errors, np.nan)
+    return _Answers(packed.answers_by(), replies.coverage, expected, bar, noise)
 
 
 def comparison(
@@ -212,17 +203,14 @@ def comparison(
     Raises UncomparableError if the table has no measured rows of an import, or the two are the
     same.
     """
-    selection = _Selection.of_rows(component, rows, spans, number, against)
-    some, solved = rows.take(selection.compared), against is None
+    selection, solved = _selection(component, rows, spans, number, against), against is None
+    some, reference = rows.take(selection.compared), rows.take(selection.used)
     campaign, outputs = selection.of_import[selection.compared], component.space.output_names
-    answers, reason = _Answers.none(len(some), len(outputs)), ""
-    if not selection.of:
+    answers, reason = _answers(component, some, reference, error, solved=solved), ""
+    if not len(reference):
         reason = "there is no solved row"
     elif not len(some):
         reason = f"there is no measured row{'' if solved else f' beside those of import {against}'}"
-    else:
-        reference, known = rows.take(selection.used), error if solved else None
-        answers = _Answers.of(component, some, reference, known, solved=solved)
     stated = np.ascontiguousarray(some.uncertainty)  # as the JSON writer needs it
     scatter = np.where(np.isfinite(stated), stated, answers.noise)
     columns = some.displacement, answers.expected, answers.bar, scatter
@@ -237,8 +225,8 @@ def comparison(
         inputs=component.space.input_names,
         reference={
             "import": against,
-            "rows": len(selection.used),
-            "of": selection.of,
+            "rows": len(reference),
+            "of": selection.available,
             "method": answers.method,
             "bars_are_complete": not solved or error is not None,
         },

@@ -136,13 +136,9 @@ class _Readings(NamedTuple):
 
 
 class _Estimates(NamedTuple):
-    """Estimates of effects, (2 + 4 s, m) each, m and rad.
+    """Zero offset, loop, and each session's drift, offset, drift of scale, scale: (2 + 4 s, m)."""
 
-    The zero offset, the loop; of each session the drift, the offset, the drift of the scale and the
-    scale.
-    """
-
-    mean: Floats
+    mean: Floats  # all are in m and rad
     deviation: Floats
     half_width: Floats  # of the interval that an effect must leave to count
 
@@ -194,14 +190,11 @@ def _with_common_kinds(significant: Floats, estimates: _Estimates) -> Floats:
     A rig that drifts in one output, or whose sessions differ in one, does so in all.
     """
     shape = 4, -1, significant.shape[1]
-    means, half_widths = (
-        part[2:].reshape(shape) for part in (estimates.mean, estimates.half_width)
-    )
-    reported = significant.copy()
+    means, reported = estimates.mean[2:].reshape(shape), significant.copy()
     by_kind = reported[2:].reshape(shape)
     is_shown = np.asarray(by_kind.any(axis=(1, 2)))
     # Noise of outputs is independent: all of them show a drift of the scale that none does alone.
-    half = half_widths[2]
+    half = estimates.half_width[2:].reshape(shape)[2]
     far = (ndtri(CHANCE / 2) * means[2] / np.where(half > 0, half, np.inf)) ** 2
     is_shown[2] |= (far.sum(axis=1) > chdtri(shape[2], CHANCE)).any()
     by_kind[is_shown] = means[is_shown]
@@ -384,28 +377,31 @@ def _estimated(
     x = (rows.wrench - load_range.space.zero) / load_range.scale
     linear = x[:, np.ptp(x, axis=0) > ZERO_LOAD]
     first, sessions = linear.shape[1], columns.shape[1] // 4
-    contrasts = _contrasts(first, sessions)
+    count = first + 1 + columns.shape[1]
+    contrasts = np.eye(count)[first:]
+    for end in (count, count - 2 * sessions):  # off their mean
+        contrasts[end - first - sessions : end - first, end - sessions : end] -= 1 / sessions
+    contrasts[0, first + 2 : first + 2 + sessions] = -0.5 / sessions  # at the beginning
     free = n - first - 2 - np.count_nonzero(columns[:, 1:].any(axis=(0, 2)))
     if free < 1:
         none = np.zeros((len(contrasts), len(outputs)))
         return _Estimates(none, none, none)
-    priors = np.zeros((len(outputs), first + len(contrasts)))
+    priors = np.zeros((len(outputs), count))
     priors[:, first + 1 :] = PRIOR**-2
     some = (size > 0) & (scale > 0)
     priors[some, -2 * sessions :] = (size[some, None] / scale[some, None]) ** 2
-    regressions = []
+    spectra = []
+    for matrix in _covariances(x, rows.space):
+        roots, vectors = np.linalg.eigh(matrix)
+        spectra.append((vectors, 1 / (np.maximum(roots, 0.0) + RATIOS[:, None])))
+    shape = len(spectra), len(RATIOS), len(outputs)
+    values, means, squares = np.empty(shape), *np.empty((2, *shape, len(contrasts)))
     for output in range(len(outputs)):
         b = np.column_stack((linear, np.ones(n), columns[:, :, output]))
-        regressions.append(_Regression.of(b, y[:, output], contrasts, priors[output]))
-
-    shape = len(THETAS) * len(PARTS), len(RATIOS), len(outputs)
-    values, means, squares = np.empty(shape), *np.empty((2, *shape, len(contrasts)))
-    for number, matrix in enumerate(_covariances(x, rows.space)):
-        roots, vectors = np.linalg.eigh(matrix)
-        inverse = 1 / (np.maximum(roots, 0.0) + RATIOS[:, None])
-        for output, regression in enumerate(regressions):
-            at = number, slice(None), output
-            values[at], means[at], squares[at] = regression.posterior(vectors, inverse, free)
+        at = slice(None), slice(None), output
+        values[at], means[at], squares[at] = _posterior(
+            b, y[:, output], contrasts, priors[output], spectra, free
+        )
     weights = np.exp(values.min(axis=(0, 1)) - values)
     weights /= weights.sum(axis=(0, 1))
     mean = np.einsum("kro,kroe->eo", weights, means)
@@ -423,50 +419,30 @@ def _estimated(
     return _Estimates(mean, deviation, half_width)
 
 
-def _contrasts(loads: int, sessions: int) -> Floats:
-    """Return the effects (2 + 4 s, c) by the coefficients: of loads, 1, signs and sessions (4 s).
+def _posterior(
+    columns: Floats,
+    y: Floats,
+    contrasts: Floats,
+    prior: Floats,
+    spectra: list[tuple[Floats, Floats]],
+    free: int,
+) -> tuple[Floats, Floats, Floats]:
+    """Return half the negative log likelihood of kernels and noises, effects, and their squares.
 
-    Offsets and scales of sessions are off their mean, the zero offset is at the beginning.
+    Shapes (k, r), (k, r, e) and (k, r, e), spreads and spreads squared; squares are means.
+
+    `columns` (n, c), `y` (n,), spreads: of one output, and its readings.
+    `contrasts` (e, c), `prior` (c,): effects by the coefficients; precision of these.
+    `spectra`: of each kernel the eigenvectors (n, n), and one over eigenvalues with noise (r, n).
     """
-    count = loads + 2 + 4 * sessions
-    contrasts = np.eye(count)[loads:]
-    for end in (count, count - 2 * sessions):
-        contrasts[end - loads - sessions : end - loads, end - sessions : end] -= 1 / sessions
-    contrasts[0, loads + 2 : loads + 2 + sessions] = -0.5 / sessions
-    return contrasts
-
-
-class _Regression(NamedTuple):
-    """The readings of one output along the directions (b) of a regression's columns, and off them.
-
-    Normal equations by the directions keep their digits.
-    """
-
-    basis: Floats  # (n, b)
-    back: Floats  # (e, b): effects by the coefficients of the directions
-    pull: Floats  # (b, b): precision of the prior
-    along: Floats  # (b,), spreads
-    off: Floats  # (n,), spreads
-
-    @classmethod
-    def of(cls, columns: Floats, y: Floats, contrasts: Floats, prior: Floats) -> _Regression:
-        """Return the regression on columns (n, c) of readings (n,) and a prior precision (c,)."""
-        basis, sizes, right = _directions(columns)
-        back = right.T / sizes
-        along = basis.T @ y
-        pull = back.T * prior @ back
-        return cls(basis, contrasts @ back, pull, along, y - basis @ along)
-
-    def posterior(
-        self, vectors: Floats, inverse: Floats, free: int
-    ) -> tuple[Floats, Floats, Floats]:
-        """Return half the negative log likelihood of each noise, effects, and their mean squares.
-
-        Shapes (r,), (r, e) and (r, e), spreads and spreads squared, by eigenvectors (n, n) of a
-        covariance and one over its eigenvalues with each noise (r, n).
-        """
-        along, pull, back = self.along, self.pull, self.back
-        b, data = vectors.T @ self.basis, vectors.T @ self.off
+    # Directions of the columns, and what data are along them: normal equations then keep their
+    # digits.
+    basis, sizes, right = _directions(columns)
+    parts = right.T / sizes
+    back, along, pull = contrasts @ parts, basis.T @ y, parts.T * prior @ parts
+    off, results = y - basis @ along, list[tuple[Floats, Floats, Floats]]()
+    for vectors, inverse in spectra:
+        b, data = vectors.T @ basis, vectors.T @ off
         products = b[:, :, None] * b[:, None]
         normal = (inverse @ products.reshape(len(b), -1)).reshape(len(inverse), *[b.shape[1]] * 2)
         right, square = inverse @ (b * data[:, None]), inverse @ data**2
@@ -482,8 +458,10 @@ class _Regression(NamedTuple):
         logarithms = np.linalg.slogdet(posterior)[1] - np.log(inverse).sum(axis=1)
         effects = (along + estimate) @ back.T
         spread = np.einsum("ea,rab,eb->re", back, covariances, back)
-        squares = effects**2 + variance[:, None] * spread
-        return 0.5 * (free * np.log(variance) + logarithms), effects, squares
+        values = 0.5 * (free * np.log(variance) + logarithms)
+        results.append((values, effects, effects**2 + variance[:, None] * spread))
+    values, effects, squares = map(np.array, zip(*results, strict=True))
+    return values, effects, squares
 
 
 def _half_widths(

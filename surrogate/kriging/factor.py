@@ -135,10 +135,7 @@ class KrigingFactor(Factor):
     variance: Floats  # (k,): process variance of each output, spreads squared
 
     def explained_at(self, x: Floats, known: Mask | None = None) -> tuple[Floats, Floats]:
-        """Return the result of `explained` for the derivatives `known` (m, p) at points (m, 6).
-
-        For the values alone without.
-        """
+        """Return `explained` of the derivatives `known` (m, p), or the values, at points (m, 6)."""
         v, known_v = self.equations.x, self.equations.known
         if known is None:
             known = np.ones((len(x), 1), dtype=bool)
