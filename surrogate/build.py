@@ -27,8 +27,7 @@ from scipy.special import stdtrit
 from .answer import limits_of
 from .axes.axes import Axes, build_axes
 from .calibration import LEVEL
-from .findings.comparison import MAX_ROWS as MAX_COMPARED
-from .findings.comparison import beyond_noise
+from .findings.comparison import MAX_COMPARED_ROWS, beyond_noise
 from .findings.find import without_effects
 from .kriging import Kriging, SingularCovarianceError, TooFewRowsError
 from .kriging.effects import sessions_of
@@ -320,8 +319,9 @@ def _between_sources(rows: Rows, load_range: LoadRange, groups: Sequence[Group])
             continue
         for number in sources:
             at = np.flatnonzero((source == number) & load_range.holds(rows.wrench))
-            some, outputs = rows.take(at[:: max(len(at) // MAX_COMPARED, 1)]), list(group.outputs)
+            some = rows.take(at[:: max(len(at) // MAX_COMPARED_ROWS, 1)])
             error = beyond_noise(some.displacement, group.kriging.answer_many(some.wrench)[0])
+            outputs = list(group.outputs)
             largest[outputs] = np.maximum(largest, error)[outputs]
     return largest
 

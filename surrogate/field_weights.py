@@ -66,9 +66,7 @@ class FieldWeights:
         """
         factor, known = self.factor, self.factor.equations.known
         x = _scaled(np.asarray(wrench, dtype=float).reshape(1, -1), self.load_range)
-        value = np.zeros((1, known.shape[1]), dtype=bool)
-        value[:, 0] = True
-        reduced, unexplained = factor.explained_at(x, value)
+        reduced, unexplained = factor.explained_at(x)
         weights = np.zeros(known.shape)
         weights[known] = factor.T.T @ (
             reduced[0] + factor.TF @ factor.mean_covariance @ unexplained[0]

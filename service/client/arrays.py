@@ -93,6 +93,16 @@ class Host:
         return rows, strange, array.shape[:-1]
 
 
+class Framework(NamedTuple):
+    """The functions of arrays of JAX or PyTorch, which it differentiates and vectorises."""
+
+    xp: ModuleType
+    array: Callable[[Array], Array]  # values as its array of float32 or float64
+    answers: Callable[[Array], tuple[Array, Array, Array]]  # see `Host.answers`
+    slopes: Callable[[Array], Array]  # see `Host.slopes`
+    inverse: Callable[[Array, Array], Array]  # the wrenches of `Host.inverse`
+
+
 class Evaluator:
     """A function of wrenches (..., n), SI, in the order of ``table.space.inputs``.
 
@@ -100,21 +110,12 @@ class Evaluator:
     kernel computes in float64. Wrenches that are not finite are outside, with NaN.
     """
 
-    def __init__(
-        self,
-        host: Host,
-        xp: ModuleType,
-        array: Callable[[Array], Array],
-        answers: Callable[[Array], tuple[Array, Array, Array]],
-        slopes: Callable[[Array], Array],
-        inverse: Callable[[Array, Array], Array],
-    ) -> None:
-        self._host, self._xp, self._array = host, xp, array
-        self._answers, self._slopes, self._inverse = answers, slopes, inverse
+    def __init__(self, host: Host, framework: Framework) -> None:
+        self._host, self._framework = host, framework
 
     def __call__(self, wrenches: Array) -> Answers:
         """Return displacements, error bars and coverage."""
-        return Answers(*self._answers(self._checked(wrenches, self._host.packed.inputs)))
+        return Answers(*self._framework.answers(self._checked(wrenches, self._host.packed.inputs)))
 
     def displacement(self, wrenches: Array) -> Array:
         """Return the displacements alone, shape (..., m), m and rad, to differentiate."""
@@ -122,7 +123,7 @@ class Evaluator:
 
     def derivative(self, wrenches: Array) -> Array:
         """Return du/dw, shape (..., m, n), SI, in one call; it has no derivative itself."""
-        return self._slopes(self._checked(wrenches, self._host.packed.inputs))
+        return self._framework.slopes(self._checked(wrenches, self._host.packed.inputs))
 
     def inverse(self, displacements: Array, start: Array = None) -> Array:
         """Return the wrenches (..., n), SI, of displacements (..., m), m and rad, as joints do.
@@ -142,12 +143,12 @@ class Evaluator:
         moved = self._checked(displacements, m, "displacements")
         begin = self._checked(np.zeros(n) if start is None else start, n)
         lead = np.broadcast_shapes(moved.shape[:-1], begin.shape[:-1])
-        moved = self._xp.broadcast_to(moved, (*lead, m))
-        return self._inverse(moved, self._xp.broadcast_to(begin, (*lead, n)))
+        broadcast = self._framework.xp.broadcast_to
+        return self._framework.inverse(broadcast(moved, (*lead, m)), broadcast(begin, (*lead, n)))
 
     def _checked(self, values: Array, count: int, name: str = "wrenches") -> Array:
         """Return the framework's array of some values, whose last dimension must be `count`."""
-        array = self._array(values)
+        array = self._framework.array(values)
         if not array.shape or array.shape[-1] != count:
             raise InvalidArgument(
                 f"{name} of {self._host.name} must have the shape ({count},) or (k, {count}) in "
@@ -214,7 +215,7 @@ def jax(table: Table, method: str | None = None, tolerance: Tolerance | None = N
         wrench, stiffness = wrench_and_stiffness(*primals)
         return wrench, jnp.einsum("...nq,...q->...n", stiffness, tangents[0])
 
-    return Evaluator(host, jnp, array, answers, slopes, inverse)
+    return Evaluator(host, Framework(jnp, array, answers, slopes, inverse))
 
 
 def _jax_on_host(
@@ -325,14 +326,8 @@ def torch(table: Table, method: str | None = None, tolerance: Tolerance | None =
         floats = tensor.dtype in (package.float32, package.float64)
         return tensor if floats else tensor.to(package.get_default_dtype())
 
-    return Evaluator(
-        host,
-        package,
-        array,
-        answers,
-        lambda w: slopes(w)[0],
-        lambda u, start: inverse(u, start.to(u))[0],
-    )
+    functions = answers, lambda w: slopes(w)[0], lambda u, start: inverse(u, start.to(u))[0]
+    return Evaluator(host, Framework(package, array, *functions))
 
 
 def _torch_function(

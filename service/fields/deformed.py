@@ -92,13 +92,13 @@ class DeformedSurfaces:
         wrench: Floats,
         hyperparameters: Hyperparameters | None = None,
         solver: SolverError | None = None,
-        shares: Mapping[str, Sequence[float] | None] | None = None,
+        at_interface: Mapping[str, Sequence[float] | None] | None = None,
     ) -> Deformed:
         """Return the deformed surface under a wrench (6,), N and N·m, from all rows of the table.
 
         It reads files and may take a second: nothing for an event loop. Without the solver's error,
-        and its shares at the interface under that wrench (`SolverError.parts`), error bars are the
-        interpolation error alone, see `Deformed.parts`. Raises `NoFieldsError` if no row has
+        and its error bars at the interface under that wrench (`SolverError.parts`), error bars are
+        the interpolation error alone, see `Deformed.parts`. Raises `NoFieldsError` if no row has
         fields, `TooFarError` if a load is over `FARTHEST` of the range beyond it.
         """
         acting = component.acting(np.asarray(wrench, dtype=float))
@@ -115,7 +115,7 @@ class DeformedSurfaces:
             )
         if shape.error is not None:  # coverage stays the table's
             wrench = np.array(shape.wrench)
-            parts = error_parts(shape.error, shape.follows, solver, wrench, shares)
+            parts = error_parts(shape.error, shape.follows, solver, wrench, at_interface)
             limit, total, within = component.tolerance, parts.total, None
             if limit is not None and parts.are_complete:
                 within = bool(total.max(initial=0.0) <= limit.translation)

@@ -43,29 +43,29 @@ NOT_FOLLOWED = (
 class ErrorParts(NamedTuple):
     """The parts of the error bars of a surface.
 
-    `shares` are by cause, ``table``, ``mesh`` and of a linear component ``linearity``: shape (v,),
-    m; None where it is not known. `bases` are ``mesh_basis`` and the like: where an estimate is
-    from, or why there is none.
+    `by_cause`: ``table``, ``mesh`` and of a linear component ``linearity``, shape (v,), m; None
+    where it is not known.
+    `bases`: ``mesh_basis`` and the like: where an estimate is from, or why there is none.
     """
 
-    shares: dict[str, Floats | None]
+    by_cause: dict[str, Floats | None]
     bases: dict[str, str]
 
     @property
     def total(self) -> Floats:
         """The error bars, shape (v,), m: the sum of all known parts."""
-        return np.sum([share for share in self.shares.values() if share is not None], axis=0)
+        return np.sum([bars for bars in self.by_cause.values() if bars is not None], axis=0)
 
     @property
     def are_complete(self) -> bool:
         """Whether the discretisation error is known: else only the interpolation error is."""
-        return self.shares.get("mesh") is not None
+        return self.by_cause.get("mesh") is not None
 
     def largest(self) -> dict[str, float | str | None]:
-        """Return the largest of each share, m, and the bases."""
+        """Return the largest error bar of each cause, m, and the bases."""
         largest = {
-            cause: None if share is None else float(share.max(initial=0.0))
-            for cause, share in self.shares.items()
+            cause: None if bars is None else float(bars.max(initial=0.0))
+            for cause, bars in self.by_cause.items()
         }
         return largest | self.bases
 
@@ -85,30 +85,32 @@ def vertex_modes(slopes: Floats, compliance: Floats) -> Floats | None:
 
 
 def error_parts(
-    table: Floats,
-    follows: Floats | None,
+    interpolation: Floats,
+    modes: Floats | None,
     solver: SolverError | None,
     wrench: Floats,
-    shares: Mapping[str, Sequence[float] | None] | None = None,
+    at_interface: Mapping[str, Sequence[float] | None] | None = None,
 ) -> ErrorParts:
     """Return the parts of a surface's error bars under a wrench, shape (6,), N and N·m.
 
-    `table`, shape (v,), m, is the interpolation error, `follows` as `vertex_modes` has it. `solver`
-    is the solver's error, None where it was never estimated, `shares` are the interface's, six an
-    entry, m and rad; those at small loads without.
+    `interpolation` (v,), m: its error.
+    `modes` (v, 3, 6): those of `vertex_modes`.
+    `solver`: the solver's error; None where it was never estimated.
+    `at_interface`: the solver's error bars of the interface by cause, (6,), m and rad; those of
+    small loads without.
     """
-    parts: dict[str, Floats | None] = {"table": table, "mesh": None}
+    parts: dict[str, Floats | None] = {"table": interpolation, "mesh": None}
     if solver is None:
         return ErrorParts(parts, {"mesh_basis": UNKNOWN})
     bases = {name: str(text) for name, text in solver.values.items() if name.endswith("_basis")}
-    if follows is None:
+    if modes is None:
         return ErrorParts(parts, bases | {"mesh_basis": NOT_FOLLOWED})
-    for cause, bars in (shares or solver.parts(wrench.tolist())).items():
-        carried = None if bars is None else np.abs(follows) @ np.array(bars)
+    for cause, bars in (at_interface or solver.parts(wrench.tolist())).items():
+        carried = None if bars is None else np.abs(modes) @ np.array(bars)
         parts[cause] = None if carried is None else np.linalg.norm(carried, axis=1)
     mesh = parts["mesh"]
     if mesh is not None:
-        free = follows.any(axis=(1, 2))
+        free = modes.any(axis=(1, 2))
         parts["mesh"] = mesh + LOCAL * mesh.max(initial=0.0) * free
     return ErrorParts(parts, bases)
 
@@ -132,7 +134,7 @@ class LargestStress(NamedTuple):
 class Deformed:
     """A deformed surface, in the undeformed interface frame from its point.
 
-    `error` is the 95 % error bar of the length of each vertex's error, with the solver's own share
+    `error` is the 95 % error bar of the length of each vertex's error, with the solver's own error
     as far as it is known (`parts`, None until that is added). `source` is ``row``: a solve of this
     wrench, ``rows``: interpolated, or ``linear``: six unit fields. `coverage` and `reason` are of
     the interpolation error alone.
@@ -170,8 +172,9 @@ def largest_stress(
         return None
     equivalent = von_mises(stress)
     strengths = np.array([component.yield_strengths.get(name, np.inf) for name in geometry.regions])
-    use = equivalent / strengths[geometry.materials]
-    worst = int(use.argmax()) if use.max() >= 1.0 else int(equivalent.argmax())
+    utilisation = equivalent / strengths[geometry.materials]
+    by_strength = utilisation if utilisation.max() >= 1.0 else equivalent
+    worst = int(by_strength.argmax())
     region = geometry.regions[int(geometry.materials[worst])]
     at = tuple(geometry.places[worst].tolist())
     return _with_yield_strength(component, float(equivalent[worst]), error, at, region)

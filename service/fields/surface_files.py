@@ -111,7 +111,7 @@ def write_vtu(shape: Deformed) -> bytes:
     """
     triangles = shape.geometry.triangles.astype("<i8")
     fields = {"displacement": shape.displacement, "error": shape.error}
-    for cause, part in (shape.parts.shares if shape.parts else {}).items():
+    for cause, part in (shape.parts.by_cause if shape.parts else {}).items():
         fields[f"error_{cause}"] = part
     known = {name: values for name, values in fields.items() if values is not None}
     count = len(triangles)

@@ -265,7 +265,7 @@ class DaskEngine(attempts.Listeners):
             client.subscribe_topic(TOPIC, self._on_progress)
             try:
                 roster = await asyncio.wait_for(scheduler.identity(n_workers=-1), ANSWER_SECONDS)
-            except OSError:
+            except (TimeoutError, OSError):
                 self._set_disconnected("does not answer")
                 continue
             self._disconnected, known = None, self._workers
@@ -286,7 +286,7 @@ class DaskEngine(attempts.Listeners):
         try:
             probes = client.run(probe, workers=addresses, on_error="return")
             answers: dict[str, Any] = await asyncio.wait_for(probes, PROBE_SECONDS)
-        except OSError as error:
+        except (TimeoutError, OSError) as error:
             answers = dict.fromkeys(addresses, error)
         for worker in workers:
             answer = answers.get(worker.address)
@@ -301,7 +301,7 @@ class DaskEngine(attempts.Listeners):
             else:
                 why = f"its answer is invalid ({answer!r}); see its log"
             self._suspend(worker, why)
-            if isinstance(answer, OSError):
+            if isinstance(answer, OSError):  # no answer in time, or no connection: at once again
                 worker.probed = -float("inf")
 
     def _suspend(self, worker: _Worker, why: str | None) -> None:
@@ -321,7 +321,7 @@ class DaskEngine(attempts.Listeners):
             task.run.cancel()
         if task and task.state not in ALIVE:
             return
-        with contextlib.suppress(OSError, ClosedClientError):
+        with contextlib.suppress(TimeoutError, OSError, ClosedClientError):
             async with asyncio.timeout(CANCEL_SECONDS if task else None):
                 client = await self._connected(lambda: True)
                 future: Future = Future(f"wrenchbook-{name}", client)  # whoever submitted it
@@ -365,9 +365,10 @@ class DaskEngine(attempts.Listeners):
                 task.killed += 1
                 if task.killed >= KILLED_TIMES:
                     ended = await self._fail(task, "workers_died", error, _KILLED_REMEDY)
-            except (OSError, ClosedClientError) as error:  # the connection, or this disk
+            # No answer in time, no connection, or an error of this disk.
+            except (TimeoutError, OSError, ClosedClientError) as error:
                 goes_on = True
-                task.waits = f"a Dask worker is not reached: {error}"
+                task.waits = f"a Dask worker is not reached: {str(error) or 'no answer in time'}"
                 await asyncio.sleep(AGAIN_SECONDS)
                 task.waits = None
             except Exception as error:

@@ -109,13 +109,16 @@ class TableBuilder:
     ) -> None:
         self._store, self._ledger, self._library = files, files.ledger, library
         self._state, self._memory, self._trouble = state, memory, trouble
+        # By component name. The thread that builds a component writes its entries: one at a time,
+        # by `_running`. The files' thread writes `save_at`, `packed` and `table` of a version, and
+        # `_unwritten`. Others read; single operations of a dict or set are atomic.
         self._versions: dict[str, _Version] = {}
         self._faults: dict[str, str] = {}
         self._failed_at: dict[str, int] = {}
         self._unwritten: dict[str, str] = {}
-        self._behind: set[str] = set()
-        self._running: set[str] = set()
-        self._ended = threading.Condition()
+        self._behind: set[str] = set()  # to be built; of the following thread alone
+        self._running: set[str] = set()  # that thread adds a name, the build's end removes it
+        self._ended = threading.Condition()  # notified at the end of each build
         self._stopping = threading.Event()
         self._large = ThreadPoolExecutor(1, "build-large")
         self._small = ThreadPoolExecutor(SMALL_AT_ONCE, "build-small")

@@ -7,19 +7,21 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wrenchbook.service.contract import Coverage
 from wrenchbook.service.ledger import ImportRecord
 from wrenchbook.service.library.component import Component
+from wrenchbook.service.messages import FiniteArray, FloatArray, Message, Vector, left_out
 from wrenchbook.service.tables.build import build_table
 from wrenchbook.surrogate.answer import NAMES
 from wrenchbook.surrogate.build import SOLVED
-from wrenchbook.surrogate.findings.comparison import factor_of
+from wrenchbook.surrogate.findings.comparison import scale_factor
 from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.rows import Floats, Rows
@@ -30,31 +32,79 @@ MAX_REFERENCE = 3_000  # rows of another import that a reference is built from: 
 MAX_LISTED = 500
 _OUTSIDE = NAMES.index("outside")
 _KINDS = "displacement", "expected", "residual", "bar", "uncertainty"
+Indices = NDArray[np.intp]
 Spans = Sequence[tuple[int, int, ImportRecord]]
+
+
+class DisagreeingRow(Message):
+    row: int
+    wrench: dict[str, float]
+    output: str
+    measured: float
+    expected: float
+    bar: float
+    ratio: float
+
+
+class Disagreement(Message):
+    component: str
+    table_version: int
+    measured: int
+    solved: int
+    beyond_range: int
+    compared: int
+    outside: int
+    not_told: int | None = left_out(default=None)
+    outputs: dict[str, Any]
+    rows: Sequence[DisagreeingRow]
+    reason: str = left_out(default="")
+
+
+class Comparison(Message):
+    """Measured rows beside a reference; arrays have a line a row, in the order of the rows."""
+
+    component: str
+    table_version: int
+    inputs: Sequence[str]
+    reference: dict[Literal["import", "rows", "of", "method", "bars_are_complete"], Any]
+    measured: int
+    beyond_range: int
+    compared: int
+    coverages: dict[Coverage, int]
+    noise: Annotated[Vector, FloatArray(None)]
+    reason: str
+    outputs: dict[str, dict[str, Any]]
+    campaigns: Sequence[dict[Literal["import", "rows", "outputs"], Any]]
+    row: Sequence[int]
+    campaign: Sequence[int | None]
+    coverage: Sequence[Coverage]
+    wrench: Annotated[Vector, FiniteArray(None, None)]
+    displacement: Annotated[Vector, FloatArray(None, None)]
+    expected: Annotated[Vector, FloatArray(None, None)]
+    residual: Annotated[Vector, FloatArray(None, None)]
+    bar: Annotated[Vector, FloatArray(None, None)]
+    uncertainty: Annotated[Vector, FloatArray(None, None)]
 
 
 class UncomparableError(ValueError):
     """No such import, or it is the reference itself; the message says what to do."""
 
 
-def comparison(
-    component: Component,
-    rows: Rows,
-    error: SolverError | None,
-    spans: Spans = (),
-    number: int | None = None,
-    against: int | None = None,
-) -> dict[str, Any]:
-    """Return measured rows beside a reference: fields of `messages.Comparison`.
+class _Selection(NamedTuple):
+    """The rows of a table that are compared, and those of the reference."""
 
-    `rows`: of a version of the component's table, in ascending order of `seq`.
-    `error`: what the solver may be wrong by; None where it is not known.
-    `spans`: the rows that imports brought.
-    `number`, `against`: the import whose rows are compared, all measured ones without; and the
-    import whose rows are the reference, the solves without.
-    Raises UncomparableError if the table has no measured rows of an import, or the two are the
-    same.
-    """
+    of_import: NDArray[np.int64]  # (n,): the import of each row of the table; 0 without
+    measured: int
+    beyond_range: int  # of the measured ones
+    compared: Indices  # (k,): of the others evenly chosen
+    available: int  # rows of the reference
+    used: Indices  # (r,): of them evenly chosen
+
+
+def _selection(
+    component: Component, rows: Rows, spans: Spans, number: int | None, against: int | None
+) -> _Selection:
+    """Return the rows of a comparison; raises UncomparableError: parameters as of `comparison`."""
     of_import, measured = _imports(rows.seq, spans), rows.source != SOLVED
     for each in (number, against):
         if each is not None and not (measured & (of_import == each)).any():
@@ -69,53 +119,104 @@ def comparison(
     reference = ~measured if against is None else measured & (of_import == against)
     chosen = measured & ~reference & (number is None or of_import == number)
     inside = np.asarray(component.load_range.holds(rows.wrench))
-    compared, base = np.flatnonzero(chosen & inside), np.flatnonzero(reference)
-    compared = compared[:: -(-len(compared) // MAX_COMPARED) or 1]
-    used = base if against is None else base[:: -(-len(base) // MAX_REFERENCE)]
-    some, outputs, campaign = rows.take(compared), component.space.output_names, of_import[compared]
-    reason, method, complete = "", "none", np.bool_(against is not None or error is not None)
-    expected, bar = np.full((2, *some.displacement.shape), np.nan)
-    noise, coverage = np.full(len(outputs), np.nan), np.full(len(some), _OUTSIDE)
-    if not len(base):
+    compared, used = np.flatnonzero(chosen & inside), np.flatnonzero(reference)
+    compared, available = compared[:: -(-len(compared) // MAX_COMPARED) or 1], len(used)
+    if against is not None:
+        used = used[:: -(-available // MAX_REFERENCE)]
+    counts = int(chosen.sum()), int((chosen & ~inside).sum())
+    return _Selection(of_import, *counts, compared, available, used)
+
+
+class _Answers(NamedTuple):
+    """The answers of a reference at k rows, m and rad; NaN where unknown."""
+
+    method: str
+    coverage: NDArray[np.integer]  # (k,): indices of `NAMES`
+    expected: Floats  # (k, m)
+    bar: Floats  # (k, m): 95 %
+    noise: Floats  # (m,): 95 % of one reading, by the compared rows alone
+
+
+def _answers(
+    component: Component, some: Rows, reference: Rows, error: SolverError | None, *, solved: bool
+) -> _Answers:
+    """Return the answers of a table of the reference at some rows; unknown ones if either is empty.
+
+    `solved`: whether the reference are the solves, with the `error` of their solver.
+    """
+    if not len(some) or not len(reference):
+        unknown, none = np.full(some.displacement.shape, np.nan), np.full(len(some), _OUTSIDE)
+        return _Answers("none", none, unknown, unknown, np.full(some.displacement.shape[1], np.nan))
+    of_rig = replace(component, linear=False)  # nothing makes a rig linear
+    noise = build_table(of_rig, some, 0).observation_noise
+    model = component if solved else of_rig
+    packed = packed_of(build_table(model, reference, 0, error if solved else None))
+    # A reading at the same wrench is no answer: its noise would be the reference's.
+    replies = packed.batch(some.wrench, without_rows=not solved)
+    answered = (replies.coverage != _OUTSIDE)[:, None]
+    if not solved or error is not None:
+        # Far from its rows a kriging extrapolates and has no bar.
+        answered = answered & np.isfinite(replies.errors)
+    expected = np.where(answered, replies.outputs, np.nan)
+    bar = np.where(answered, replies.errors, np.nan)
+    return _Answers(packed.answers_by(), replies.coverage, expected, bar, noise)
+
+
+def comparison(
+    component: Component,
+    rows: Rows,
+    version: int,
+    error: SolverError | None,
+    spans: Spans = (),
+    number: int | None = None,
+    against: int | None = None,
+) -> Comparison:
+    """Return measured rows beside a reference.
+
+    `rows`, `version`: of the component's table, in ascending order of `seq`.
+    `error`: error of the solver; None where it is not known.
+    `spans`: the rows that imports brought.
+    `number`, `against`: the import whose rows are compared, all measured ones without; and the
+    import whose rows are the reference, the solves without.
+    Raises UncomparableError if the table has no measured rows of an import, or the two are the
+    same.
+    """
+    selection, solved = _selection(component, rows, spans, number, against), against is None
+    some, reference = rows.take(selection.compared), rows.take(selection.used)
+    campaign, outputs = selection.of_import[selection.compared], component.space.output_names
+    answers, reason = _answers(component, some, reference, error, solved=solved), ""
+    if not len(reference):
         reason = "there is no solved row; fill the table"
     elif not len(some):
-        beside = f" beside those of import {against}" if against is not None else ""
+        beside = "" if solved else f" beside those of import {against}"
         reason = f"there is no measured row{beside}; import some"
-    else:
-        of_rig = replace(component, linear=False)  # nothing makes a rig linear
-        noise = build_table(of_rig, some, 0).observation_noise
-        law, its = (component, error) if against is None else (of_rig, None)
-        packed = packed_of(build_table(law, rows.take(used), 0, its))
-        # A reading at the same wrench is no answer: its noise would be the reference's.
-        replies = packed.batch(some.wrench, without_rows=against is not None)
-        method, coverage = packed.answers_by(), replies.coverage
-        # Far from its rows a kriging extrapolates and has no bar.
-        answered = (coverage != _OUTSIDE)[:, None] & (np.isfinite(replies.errors) | ~complete)
-        expected = np.where(answered, replies.outputs, np.nan)
-        bar = np.where(answered, replies.errors, np.nan)
     stated = np.ascontiguousarray(some.uncertainty)  # as the JSON writer needs it
-    columns = some.displacement, expected, bar, np.where(np.isfinite(stated), stated, noise)
+    scatter = np.where(np.isfinite(stated), stated, answers.noise)
+    columns = some.displacement, answers.expected, answers.bar, scatter
 
     def summaries(at: NDArray[np.bool_]) -> dict[str, Any]:
         numbers = zip(*(column[at].T for column in columns), strict=True)
         return {name: _summary(*four) for name, four in zip(outputs, numbers, strict=True)}
 
-    return {
-        "reference": {
+    return Comparison(
+        component=component.name,
+        table_version=version,
+        inputs=component.space.input_names,
+        reference={
             "import": against,
-            "rows": len(used),
-            "of": len(base),
-            "method": method,
-            "bars_are_complete": bool(complete),
+            "rows": len(reference),
+            "of": selection.available,
+            "method": answers.method,
+            "bars_are_complete": not solved or error is not None,
         },
-        "measured": int(chosen.sum()),
-        "beyond_range": int((chosen & ~inside).sum()),
-        "compared": len(some),
-        "coverages": {name: int((coverage == code).sum()) for code, name in enumerate(NAMES)},
-        "noise": noise,
-        "reason": reason,
-        "outputs": summaries(campaign >= 0),
-        "campaigns": [
+        measured=selection.measured,
+        beyond_range=selection.beyond_range,
+        compared=len(some),
+        coverages={name: int((answers.coverage == code).sum()) for code, name in enumerate(NAMES)},
+        noise=answers.noise,
+        reason=reason,
+        outputs=summaries(campaign >= 0),
+        campaigns=[
             {
                 "import": each or None,
                 "rows": int((campaign == each).sum()),
@@ -123,16 +224,16 @@ def comparison(
             }
             for each in np.unique(campaign).tolist()
         ],
-        "row": some.seq.tolist(),
-        "campaign": [each or None for each in campaign.tolist()],
-        "coverage": [NAMES[code] for code in coverage.tolist()],
-        "wrench": some.wrench,
-        "displacement": some.displacement,
-        "expected": expected,
-        "residual": some.displacement - expected,
-        "bar": bar,
-        "uncertainty": stated,
-    }
+        row=some.seq.tolist(),
+        campaign=[each or None for each in campaign.tolist()],
+        coverage=[NAMES[code] for code in answers.coverage.tolist()],
+        wrench=some.wrench,
+        displacement=some.displacement,
+        expected=answers.expected,
+        residual=some.displacement - answers.expected,
+        bar=answers.bar,
+        uncertainty=stated,
+    )
 
 
 def _imports(seq: NDArray[np.int64], spans: Spans) -> NDArray[np.int64]:
@@ -152,7 +253,7 @@ def _summary(measured: Floats, expected: Floats, bar: Floats, scatter: Floats) -
     """Return the differences of one output, (n,) each, m or rad: None where they are not known."""
     residual, bound = measured - expected, _bound(bar, scatter)
     some = residual[np.isfinite(residual)]
-    factor, half_width, of_reference = factor_of(measured, expected, bar, scatter)
+    factor, half_width, of_reference = scale_factor(measured, expected, bar, scatter)
     numbers = {
         "mean": some.mean() if len(some) else np.nan,
         "rms": np.sqrt(np.mean(some**2)) if len(some) else np.nan,
@@ -169,7 +270,7 @@ def _summary(measured: Floats, expected: Floats, bar: Floats, scatter: Floats) -
     }
 
 
-def comparison_csv(reply: Mapping[str, Any], space: Space) -> str:
+def comparison_csv(reply: Comparison, space: Space) -> str:
     """Return the rows of a comparison as CSV, SI; empty where a number is not known."""
     head = ["row", "import", "coverage", *(f"{item.name} [{item.unit}]" for item in space.inputs)]
     for kind in _KINDS:
@@ -178,53 +279,60 @@ def comparison_csv(reply: Mapping[str, Any], space: Space) -> str:
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow([name.replace("·", "*") for name in head])
-    numbers = np.hstack([reply["wrench"], *(reply[kind] for kind in _KINDS)]).tolist()
-    names = zip(reply["row"], reply["campaign"], reply["coverage"], strict=True)
+    numbers = np.hstack([reply.wrench, *(getattr(reply, kind) for kind in _KINDS)]).tolist()
+    names = zip(reply.row, reply.campaign, reply.coverage, strict=True)
     for first, line in zip(names, numbers, strict=True):
         writer.writerow([*first, *(None if value != value else value for value in line)])
     return file.getvalue()
 
 
-def disagreement(component: Component, rows: Rows, error: SolverError | None) -> dict[str, Any]:
-    """Return the measured rows outside the bars of reading and solves: `messages.Disagreement`.
+def disagreement(
+    component: Component, rows: Rows, version: int, error: SolverError | None
+) -> Disagreement:
+    """Return the measured rows outside the bars of reading and solves.
 
-    `error` is what the solver may be wrong by; nothing where that is not known.
+    `error`: error of the solver; 0 where it is not known.
     """
     span = component.load_range
     none = np.zeros((len(span.space.outputs), len(span.low)))
     known = error or SolverError({"mesh": none.tolist(), "loads": span.scale.tolist()})
-    reply = comparison(component, rows, known)
-    stated, residual = reply["uncertainty"], reply["residual"]
-    bound = _bound(reply["bar"], np.where(np.isfinite(stated), stated, reply["noise"]))
-    compared = np.isfinite(residual) & np.isfinite(bound)
-    ratio = np.where(compared, np.abs(residual) / np.maximum(bound, np.finfo(float).tiny), 0.0)
+    reply = comparison(component, rows, version, known)
+    stated = reply.uncertainty
+    bound = _bound(reply.bar, np.where(np.isfinite(stated), stated, reply.noise))
+    compared = np.isfinite(reply.residual) & np.isfinite(bound)
+    ratio = np.abs(reply.residual) / np.maximum(bound, np.finfo(float).tiny)
+    ratio = np.where(compared, ratio, 0.0)
     inputs, outputs = component.space.input_names, component.space.output_names
     outliers = [
-        {
-            "row": reply["row"][at],
-            "wrench": dict(zip(inputs, reply["wrench"][at].tolist(), strict=True)),
-            "output": outputs[output],
-            "measured": float(reply["displacement"][at, output]),
-            "expected": float(reply["expected"][at, output]),
-            "bar": float(bound[at, output]),
-            "ratio": float(ratio[at, output]),
-        }
+        DisagreeingRow(
+            row=reply.row[at],
+            wrench=dict(zip(inputs, reply.wrench[at].tolist(), strict=True)),
+            output=outputs[output],
+            measured=float(reply.displacement[at, output]),
+            expected=float(reply.expected[at, output]),
+            bar=float(bound[at, output]),
+            ratio=float(ratio[at, output]),
+        )
         for at, output in np.argwhere(ratio > 1.0).tolist()
     ]
-    return {
-        **{name: reply[name] for name in ("measured", "beyond_range", "reason")},
-        "solved": reply["reference"]["of"],
-        "compared": int(compared.any(axis=1).sum()),
-        "outside": int((ratio > 1.0).any(axis=1).sum()),
-        "not_told": int((~compared.any(axis=1)).sum()) if not reply["reason"] else None,
-        "outputs": {
+    return Disagreement(
+        component=component.name,
+        table_version=version,
+        measured=reply.measured,
+        solved=reply.reference["of"],
+        beyond_range=reply.beyond_range,
+        compared=int(compared.any(axis=1).sum()),
+        outside=int((ratio > 1.0).any(axis=1).sum()),
+        not_told=int((~compared.any(axis=1)).sum()) if not reply.reason else None,
+        outputs={
             name: {
                 "compared": summary["compared"] - summary["bars_unknown"],
                 "outside": summary["beyond_bars"],
                 "mean_difference": summary["mean"],
             }
-            for name, summary in reply["outputs"].items()
-            if not reply["reason"]
+            for name, summary in reply.outputs.items()
+            if not reply.reason
         },
-        "rows": sorted(outliers, key=lambda row: -row["ratio"])[:MAX_LISTED],
-    }
+        rows=sorted(outliers, key=lambda row: -row.ratio)[:MAX_LISTED],
+        reason=reply.reason,
+    )

@@ -16,8 +16,7 @@ from wrenchbook.service.formats.rig import Rig
 from wrenchbook.service.ledger import ImportOrigin, Ledger, NotedRows, row_keys
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.mapped import ServedTable
-from wrenchbook.surrogate.findings.comparison import MAX_ROWS as MAX_COMPARED
-from wrenchbook.surrogate.findings.comparison import comparison_findings
+from wrenchbook.surrogate.findings.comparison import MAX_COMPARED_ROWS, comparison_findings
 from wrenchbook.surrogate.findings.find import MAX_ROWS
 from wrenchbook.surrogate.findings.response import RigFinding
 from wrenchbook.surrogate.table.compliance import fit_compliance
@@ -132,7 +131,7 @@ def _compared(
     wrong = any(item["cause"] in ("unit", "sign", "clock") for item in known)
     if not table.row_count or not good or wrong:
         return []
-    stride = max(good // MAX_COMPARED, 1)
+    stride = max(good // MAX_COMPARED_ROWS, 1)
     parts = [piece.take(np.arange(0, len(piece), stride)) for piece in read.pieces()]
     wrench, moved = (
         np.concatenate([getattr(part, name)[part.source != "fea"] for part in parts])

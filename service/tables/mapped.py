@@ -95,7 +95,7 @@ class ServedTable:
         self.needs_compliance = self.linear and not self.fit.complete
         self.locked = tuple(np.flatnonzero(packed.arrays["space/locked"]).tolist())
         self.interfaces = self.load_range.space.several
-        limit = packed.arrays["space/tolerance"][[0, 3]].tolist()
+        limit = packed.arrays["space/tolerance"][[0, 3]].tolist()  # of a translation, a rotation
         self.tolerance = Tolerance(*limit) if np.isfinite(limit).all() else None
         self.solver_error = SolverError.read(packed.meta["solver_error"])
         # The server's method answers where the table's inputs have it.
@@ -204,6 +204,7 @@ class MappedTables:
         self._store, self._ledger, self._library = files, files.ledger, library
         self._state, self._memory, self._method = state, memory, method
         self.written = files.written
+        # The following thread writes these; `surrogate` adds empty tables. Requests read.
         self._tables: dict[str, ServedTable] = {}
         self._mapped: dict[str, tuple[PackedFile, Component]] = {}
         self._refused: dict[Path, tuple[PackedFile, Component]] = {}
@@ -279,12 +280,12 @@ class MappedTables:
         """
         goal, end = self._ledger.last_seq(name), time.monotonic() + timeout
         component = self._library[name]
-        setup = setup_of(component)
+        wanted = setup_of(component)
 
         def holds() -> bool:
             # A file that does not fit a component that was just added is written anew.
             table = self._tables.get(name)
-            return table is not None and table.version >= goal and _mark(table)[1] == setup
+            return table is not None and table.version >= goal and _mark(table)[1] == wanted
 
         def ended() -> bool:
             failed = name in self._status.faults and self._status.failed.get(name, -1) >= goal
@@ -294,7 +295,7 @@ class MappedTables:
             self._changed.wait_for(ended, timeout)
         while holds():
             others = (mapped.get(name, [0, ""]) for mapped in self._state.others())
-            if all(int(version) >= goal and its == setup for version, its in others):
+            if all(int(version) >= goal and setup == wanted for version, setup in others):
                 return True
             if time.monotonic() >= end or self._stopping.wait(POLL_S):
                 break

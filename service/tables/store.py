@@ -71,7 +71,7 @@ class TableStore:
         return self._errors.read(component.name, component.fingerprint)
 
     def origin(self, component: Component, version: int) -> dict[str, str]:
-        """Digests of all that a version of a table is built from; a packed file has them.
+        """Return digests of all that a version of a table is built from; a packed file has them.
 
         Without ``ledger`` if the ledger cannot be read: then no file is known to be of these rows.
         """
@@ -163,7 +163,7 @@ class TableStore:
         return self._read_usable(component, read_table)
 
     def saved(self, component: Component, version: int, digest: str) -> int | None:
-        """Up to which seq a component's HDF5 file has its rows; 0 without a usable file.
+        """Return the seq up to which a component's HDF5 file has its rows; 0 without a usable file.
 
         None if it has rows that the ledger lacks: `load` puts these back. `version` and `digest`
         are of the ledger's newest change. Raises LedgerUnavailableError.

@@ -57,13 +57,13 @@ class AxisTable:
         return np.einsum("kv,kvq->kq", weights, corners)
 
 
-def axis_table(rows: AxisRows, load_range: LoadRange, before: AxisTable | None) -> AxisTable:
+def axis_table(rows: AxisRows, load_range: LoadRange, earlier: AxisTable | None) -> AxisTable:
     """Return the table of an axis' rows, at least one.
 
-    `before`: of another version: taken over where it was made of the same numbers, the only input.
+    `earlier`: that of another version, which is reused if its points, values and slopes are equal.
     """
     scale = load_range.scale[list(rows.axis.inputs)]
-    usable = before is not None and np.array_equal(before.scale, scale)
-    if before is None or not usable or not rows.equals(before.rows):
-        before = AxisTable(rows, load_range)
-    return before.of(rows)
+    is_same = earlier is not None and np.array_equal(earlier.scale, scale)
+    if earlier is not None and is_same and rows.equals(earlier.rows):
+        return earlier.of(rows)
+    return AxisTable(rows, load_range)

@@ -18,9 +18,8 @@ from ..table.rows import Floats
 
 Indices = NDArray[np.intp]
 
-SPAN_TOLERANCE = (
-    1e-9  # of the points' extent: points closer to a plane, a line or a point are in it
-)
+# Of the points' extent: points closer to a plane, a line or a point are in it.
+SPAN_TOLERANCE = 1e-9
 ROUNDED = 2e-14  # of a barycentric coordinate, some 100 roundings: still inside
 STEPS = 64  # of a walk, which takes some 5 from the simplex of the nearest middle
 ON_HULL = 1e-9  # of the way to the middle: rounding may put points of the hull so much outside

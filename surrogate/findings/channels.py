@@ -16,7 +16,7 @@ from ..table.rows import ROUNDING, ZERO_LOAD, Floats, LoadRange, Rows
 from ..table.space import LOADS, OUTPUTS
 from .response import CONFIDENT, NORMAL, RANK, REMARKABLE, Cause, RigFinding, fitted, is_nines
 
-MIN_ROWS = 12  # rows: with fewer the others do not show what one of them should be
+MIN_CHANNEL_ROWS = 12  # readings: fewer do not show what the channel should read
 MIN_EQUAL = 3  # rows of one value: two are equal by the digits that are written
 DIGITS = 3  # values of a channel at rest: its converter is between two, or off by one at times
 TAIL = 5  # per cent of the rows at either end, whose values count as the end: they may be wrong
@@ -84,7 +84,7 @@ def dead_channels(rows: Rows, load_range: LoadRange) -> NDArray[np.bool_]:
     may fill others with zeros: there the own load rests, but for its sensor's noise.
     """
     moved = rows.displacement
-    if len(rows) < MIN_ROWS or not rows.space.is_default or (rows.source == "fea").any():
+    if len(rows) < MIN_CHANNEL_ROWS or not rows.space.is_default or (rows.source == "fea").any():
         return np.zeros(moved.shape[1], dtype=bool)
     low, high = np.fmin.reduce(moved), np.fmax.reduce(moved)
     is_equal = high - low <= ROUNDING * np.fmax(np.abs(low), np.abs(high))
@@ -98,13 +98,13 @@ def dead_channels(rows: Rows, load_range: LoadRange) -> NDArray[np.bool_]:
         end(np.where(known, loads, np.nan), axis=0) for end in (np.fmax.reduce, np.fmin.reduce)
     )
     varies = highest - lowest > 2 * PLACE
-    return (known.sum(axis=0) >= MIN_ROWS) & is_equal & varies
+    return (known.sum(axis=0) >= MIN_CHANNEL_ROWS) & is_equal & varies
 
 
 def _output_faults(terms: Floats, y: Floats) -> list[Broken]:
     """Return the faults of readings (n,): indices, the value, and parts of the range."""
     all_rows = np.arange(len(y))
-    if len(y) < MIN_ROWS:
+    if len(y) < MIN_CHANNEL_ROWS:
         return []
     if np.ptp(y) <= (equal := ROUNDING * float(np.abs(y).max())):
         return [("dead", all_rows, float(y[0]), 0.0)]
@@ -145,7 +145,7 @@ def _load_faults(load: Floats, terms: Floats, y: Floats) -> list[Broken]:
     """
     known, broken = np.isfinite(y), list[Broken]()
     equal = ROUNDING * float(np.abs(load).max(initial=0.0))
-    if known.sum() < MIN_ROWS or np.ptp(load) <= equal:
+    if known.sum() < MIN_CHANNEL_ROWS or np.ptp(load) <= equal:
         return []
     off, size = y - fitted(terms, y), float(np.ptp(y[known]))
     high, low, run = _constant_rows(load, equal)

@@ -10,8 +10,8 @@ from ..table.rows import Floats
 from ..table.space import OUTPUTS
 from .response import CONFIDENT, REMARKABLE, RigFinding
 
-MIN_ROWS = 4  # rows: a factor, an offset and two that contradict them
-MAX_ROWS = 500  # rows that are compared: a factor is then known to a tenth of their noise
+MIN_COMPARED_ROWS = 4  # rows: a factor, an offset and two that contradict them
+MAX_COMPARED_ROWS = 500  # rows that are compared: a factor is then known to a tenth of their noise
 
 BLOCKS = 20  # of consecutive rows, whose errors may be common: drift, a loop, a wrong model
 
@@ -48,7 +48,7 @@ def beyond_noise(moved: Floats, expected: Floats) -> Floats:
     return np.sqrt(np.maximum(pair**2 - by_chance**2, 0.0)).sum(axis=0) * size
 
 
-def factor_of(
+def scale_factor(
     moved: Floats, expected: Floats, bars: Floats, uncertainty: Floats
 ) -> tuple[float, float, float]:
     """Return the factor k of moved = k expected, its 95 % half width, and the answers' part of it.
@@ -62,7 +62,7 @@ def factor_of(
     """
     known = np.isfinite(moved) & np.isfinite(expected)
     y, x, bar, stated = (values[known] for values in (moved, expected, bars, uncertainty))
-    if len(x) < MIN_ROWS or not x.any():
+    if len(x) < MIN_COMPARED_ROWS or not x.any():
         return np.nan, np.nan, np.nan
     weights = np.ones(len(x))
     if (stated > 0).all():
@@ -93,7 +93,7 @@ def _fitted(moved: Floats, expected: Floats) -> tuple[Floats, Floats, Floats, Fl
     pair, deviation = np.zeros((2, 2, moved.shape[1]))
     for output, (y, x) in enumerate(zip(moved.T, expected.T, strict=True)):
         known = np.isfinite(y) & np.isfinite(x)
-        range_of_output = float(np.ptp(x[known])) if known.sum() >= MIN_ROWS else 0.0
+        range_of_output = float(np.ptp(x[known])) if known.sum() >= MIN_COMPARED_ROWS else 0.0
         if range_of_output <= 0:
             continue
         terms = np.column_stack((x[known], np.full(known.sum(), range_of_output)))

@@ -7,6 +7,7 @@ for them, and coverage does not depend on it, as for the discretisation error.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -28,7 +29,7 @@ from .contract import (
 from .origin import slopes_at_zero
 from .response import REMARKABLE, Cause, RigFinding, response_of, single_row_findings, wrong_rows
 
-MIN_ROWS = 7  # rows: six loads and a constant
+MIN_FIT_ROWS = 7  # a linear response needs as many: six loads and a constant
 MAX_ROWS = 5_000  # rows examined, some 0.5 s: every k-th of more
 # What only the order of the rows shows.
 EFFECTS: dict[Cause, str] = {
@@ -61,30 +62,36 @@ def find(
     `solved` (6, 6), SI: compliance of the component's solves: size and sign that displacements
     should have. Columns of zeros are not known.
     """
-    if len(rows) < MIN_ROWS:
+    if len(rows) < MIN_FIT_ROWS:
         return range_findings(rows, load_range) if len(rows) else []
     moves = np.eye(6) if solved is None else solved
     still = np.asarray(moves.any(axis=0) & ~moves.any(axis=1))
     rows, findings = channel_findings(sampled(rows), load_range, still)
-    if len(rows) < MIN_ROWS:
+    if len(rows) < MIN_FIT_ROWS:
         return findings
     response = response_of(rows, load_range)
     wrong = wrong_rows(rows, load_range, response)
     findings += single_row_findings(rows, response, wrong)
     good = rows.take(~wrong.any(axis=1))
-    if len(good) < MIN_ROWS:
+    if len(good) < MIN_FIT_ROWS:
         return findings
     response = response_of(good, load_range)
     slopes = slopes_at_zero(good, load_range, response)
     fit = fit_of(slopes.matrix, slopes.covariance, load_range)
-    units = [*range_findings(good, load_range), *size_findings(response)]
     known = None if solved is None else fit_of(solved, np.zeros((6, 6, 6)), load_range)
-    units = units or unit_findings(fit, known, linear=linear)
-    # A lever can make a load's work negative; a wrong sign or unit is no lever.
     skew = symmetry_findings(fit, load_range)
-    levers = [finding for finding in skew if finding.cause == "lever"]
-    contract = units or turned_findings(fit, known) or levers or sign_findings(fit) or skew
-    findings += [*contract, *clearance_findings(slopes, response)]
+    # A wrong unit, frame or sign shows in several checks: the first that finds an error explains
+    # the others. A lever comes before signs, since it can make a load's work negative.
+    checks: tuple[Callable[[], list[RigFinding]], ...] = (
+        lambda: [*range_findings(good, load_range), *size_findings(response)],
+        lambda: unit_findings(fit, known, linear=linear),
+        lambda: turned_findings(fit, known),
+        lambda: [finding for finding in skew if finding.cause == "lever"],
+        lambda: sign_findings(fit),
+        lambda: skew,
+    )
+    findings += next((found for check in checks if (found := check())), [])
+    findings += clearance_findings(slopes, response)
     effects = effects_of(rows, load_range, np.flatnonzero(~wrong.any(axis=1)))
     return [*findings, *effect_findings(effects, good.displacement)]
 
@@ -129,7 +136,7 @@ def _effects(rows: Rows, load_range: LoadRange) -> tuple[Indices, Effects | None
     measured = (rows.source != "fea") & ~np.isfinite(rows.compliance).all(axis=(1, 2))
     indices = np.flatnonzero(measured & load_range.holds(rows.wrench))
     some = rows.take(indices)
-    if len(some) < MIN_ROWS:
+    if len(some) < MIN_FIT_ROWS:
         return indices, None
     positions = np.arange(0, len(some), -(-len(some) // MAX_ROWS))
     shown = some.take(positions)

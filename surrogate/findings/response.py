@@ -29,10 +29,10 @@ EXACT = 1e-4  # of an output's range: residuals below it are no error worth a re
 RANK = 1e-9  # of the largest: directions that the rows do not separate, and their ridge
 
 NEIGHBOURS = 8  # whose median residual is the local misfit of the response
-MIN_ROWS = 12  # rows: with fewer the others do not show what one of them should be
+MIN_ROWS_TO_JUDGE = 12  # rows: with fewer the others do not show what one of them should be
 DEVIATIONS = 12.0  # of normal errors 1 in 1e32 lies so far out; heavy tails of real rigs reach 6
 TAIL = 14.0  # times what 90 % of the rows keep: a misfit of the response has no single rows
-PART = 0.05  # of the output's range: smaller errors do not spoil a table's error bars
+MIN_OUTLIER = 0.05  # of the output's range: smaller errors do not spoil a table's error bars
 SENTINEL = 3.0  # ranges off: no response jumps so far at one row
 NINES = 3  # digits of a logger's "no value": 999, 9999, -99999
 
@@ -149,12 +149,12 @@ def _deviation(values: Floats) -> float:
 
 def wrong_rows(rows: Rows, load_range: LoadRange, response: RobustFit) -> NDArray[np.bool_]:
     """Return which rows have an observation far from those around them, per output, (n, 6)."""
-    if len(rows) < MIN_ROWS:
+    if len(rows) < MIN_ROWS_TO_JUDGE:
         return np.zeros(rows.displacement.shape, dtype=bool)
     local = local_residual(rows.wrench / load_range.scale, response.residual)
     size = np.abs(np.where(np.isfinite(local), local, 0.0))
     usual = np.percentile(size, [50, 90], axis=0) * [[NORMAL * DEVIATIONS], [TAIL]]
-    limit = np.maximum(usual.max(axis=0), PART * response.range)
+    limit = np.maximum(usual.max(axis=0), MIN_OUTLIER * response.range)
     return np.asarray(size > limit)
 
 

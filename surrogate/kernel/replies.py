@@ -19,6 +19,7 @@ Floats = NDArray[np.float64]
 
 MAX_VALUES, MAX_REASONS = 64, 32  # WB_MAX and WB_MAX_REASONS of wrenchbook.h
 FIELDS = 7  # of MAX_VALUES doubles each: inputs, outputs, total error and its four parts
+# Coverage, within, method, exact, reasons, group, unknown, unused; row, index, missing: wb_reply.
 HEAD, REASON = struct.Struct("=8i2qQ"), struct.Struct("=4i2d")
 REASONS_AT = HEAD.size + FIELDS * MAX_VALUES * 8
 REPLY_SIZE = REASONS_AT + MAX_REASONS * REASON.size + 8  # `solved`
@@ -92,7 +93,7 @@ class ReplyReader:
         """Return the reply in a buffer."""
         raw = self._unpack(reply)
         if not (raw[0] or raw[6] or raw[10]) and raw[2] < len(METHODS):
-            # A covered reply of a method in which nothing is unknown.
+            # Covered, nothing unknown or missing, by a method: see HEAD.
             m, first = self.outputs, VALUES
             return Reply(
                 raw[first : first + m],
@@ -126,22 +127,9 @@ class ReplyReader:
         if by_row:
             number = int(self._packed.arrays[f"g{group}/row/source"][index])
             source = ", ".join(self._packed.meta["sources"][number])
-        return Reply(
-            fields[0],
-            fields[1],
-            fields[2],
-            fields[3],
-            fields[4],
-            fields[5],
-            NAMES[coverage],
-            text,
-            WITHIN[within],
-            ANSWERED[method],
-            row if by_row else None,
-            bool(exact) and by_row,
-            source,
-            names,
-        )
+        words = NAMES[coverage], text, WITHIN[within], ANSWERED[method]
+        row, exact = (row, bool(exact)) if by_row else (None, False)
+        return Reply._make((*fields, *words, row, exact, source, names))
 
     def _text(self, reply: Buffer, count: int) -> str:
         """Return a reply's reasons in words; those without loads in them are cached."""

@@ -26,7 +26,7 @@ from ..table.axes import has_levels
 from ..table.rows import NEAR, ZERO_LOAD, Floats, LoadRange
 from ..table.spread import spread_wrenches
 from .correlation import block
-from .equations import DECIMALS, Equations, Scaling, farthest_first
+from .equations import DECIMALS, Scaling, evenly, farthest_first
 from .factor import Indices, KrigingFactor, LeftOutRows, Neighbourhoods, left_out
 from .settings import DEFAULTS, KrigingSettings
 
@@ -104,7 +104,7 @@ class Kind(NamedTuple):
 
     rows: NDArray[np.bool_]  # (n,)
     queries: Floats  # (m, 6), half ranges
-    together: Floats  # (2,), half ranges: see `secondary_loads`
+    secondary_limits: Floats  # (2,), half ranges: `largest_secondary_loads` of these rows
 
 
 def kinds_of(x: Floats, scaling: Scaling, span: Floats, settings: KrigingSettings) -> list[Kind]:
@@ -124,9 +124,9 @@ def kinds_of(x: Floats, scaling: Scaling, span: Floats, settings: KrigingSetting
     shown_kinds = []
     for rows, shown in kinds:
         if shown.any():
-            together = largest_secondary_loads(x[shown], scaling, settings)
-            queries = query_points(span, together, x[rows & shown], scaling, settings.queries)
-            shown_kinds.append(Kind(rows, queries, together))
+            limits = largest_secondary_loads(x[shown], scaling, settings)
+            queries = query_points(span, limits, x[rows & shown], scaling, settings.queries)
+            shown_kinds.append(Kind(rows, queries, limits))
     return shown_kinds
 
 
@@ -155,12 +155,13 @@ def largest_secondary_loads(x: Floats, scaling: Scaling, settings: KrigingSettin
     return secondary_loads(x, scaling).max(axis=0) * settings.beyond_rows ** (-1 / len(x)) + NEAR
 
 
-def query_points(span: Floats, together: Floats, x: Floats, scaling: Scaling, count: int) -> Floats:
+def query_points(
+    span: Floats, secondary_limits: Floats, x: Floats, scaling: Scaling, count: int
+) -> Floats:
     """Return `count` points like queries whose errors rows x (n, k) show, (count, k), half ranges.
 
-    They are spread over the span of the rows, (2, k), and have the loads at once that one of them
-    has; besides the main load, and the main load group, no larger ones than rows have `together`,
-    (2,): see `secondary_loads`.
+    They are spread over the span of the rows, (2, k). Each has the loads that are other than zero
+    at one of the rows, and no larger `secondary_loads` than the limits (2,).
     """
     active = np.isfinite(span[0])
     low, high = np.where(active, np.clip(span, -1.0, 1.0), 0.0)
@@ -172,7 +173,7 @@ def query_points(span: Floats, together: Floats, x: Floats, scaling: Scaling, co
     loaded = np.abs(x - at_rest) > ZERO_LOAD
     loaded = loaded[np.linspace(0, len(loaded) - 1, count).round().astype(np.intp)]
     apart = np.where(loaded | fixed, queries - at_rest, 0.0)
-    for level, most in zip(load_groups(scaling), together, strict=True):
+    for level, most in zip(load_groups(scaling), secondary_limits, strict=True):
         beside = np.stack([np.where(group, 0.0, np.abs(apart)).max(axis=1) for group in level])
         main = level[beside.argmin(axis=0)]
         apart = np.where(main | fixed, apart, np.clip(apart, -most, most))
@@ -203,31 +204,31 @@ def secondary_loads(x: Floats, scaling: Scaling) -> Floats:
 
 def left_out_as_far(
     factor: KrigingFactor,
-    alone: LeftOutRows,
+    leave_one_out: LeftOutRows,
     rows: Indices,
     distant: float,
     settings: KrigingSettings,
 ) -> tuple[Errors, Errors]:
-    """Return the errors of rows (k,) left out as far from the rest as that, and of nearer rows.
+    """Return the errors of rows (k,) left out at a distance from the rest, and of nearer rows.
 
     A row is left out with its nearest rows, as many as it takes. Rows are taken in turn, each the
     farthest from those before: spread rows go before others, and rows left out with another are
     passed over. No row takes more than one in `min_left_out` of all: so many would not find room.
 
-    `alone`: each row left out by itself.
-    `distant`: the distance of the rest, process deviations.
+    `leave_one_out`: of each row by itself.
+    `distant`: the distance from the rest, process deviations.
     """
     scaled = factor.equations.x * np.sqrt(factor.hyperparameters.inverse_squares)
     count, noise = len(scaled), factor.output_group.noise
-    near = rows[alone.variances[rows] - noise[rows] < distant**2]
+    near = rows[leave_one_out.variances[rows] - noise[rows] < distant**2]
     largest, passed = count // settings.min_left_out + 1, np.zeros(count, dtype=np.bool_)
-    apart, far = LeftOutRows(*map(np.copy, alone)), []
+    with_nearest, far = LeftOutRows(*map(np.copy, leave_one_out)), []
     for row in rows[list(farthest_first(scaled[rows]))].tolist():
         if passed[row]:
             continue
         squared = ((scaled - scaled[row]) ** 2).sum(axis=1)
         squared[row] = -1.0  # before rows that differ in loads of no influence
-        order, size, out = np.argsort(np.round(squared, DECIMALS), kind="stable"), 1, alone
+        order, size, out = np.argsort(np.round(squared, DECIMALS), kind="stable"), 1, leave_one_out
         while out.variances[row] - noise[row] < distant**2 and size < largest:
             size = min(size + (size + 1) // 2, largest)
             labels = np.full(count, -1, dtype=np.intp)
@@ -236,61 +237,68 @@ def left_out_as_far(
         passed[order[:size]] = True
         if out.variances[row] - noise[row] >= distant**2:
             far.append(row)
-            for old, new in zip(apart, out, strict=True):
+            for old, new in zip(with_nearest, out, strict=True):
                 old[row] = new[row]
-    return errors_of(factor, apart, np.array(far, dtype=np.intp)), errors_of(factor, alone, near)
+    far_rows = np.array(far, dtype=np.intp)
+    return errors_of(factor, with_nearest, far_rows), errors_of(factor, leave_one_out, near)
 
 
 def calibrated(
-    equations: Equations,
     neighbours: Neighbourhoods,
-    alone: LeftOutRows,
+    leave_one_out: LeftOutRows,
     scaling: Scaling,
     kinds: Sequence[Kind],
     widenings: Floats,
-    settings: KrigingSettings,
 ) -> Calibration:
     """Return the factors of a group's deviations for 95 % error bars.
 
-    `alone`: each row left out by itself.
+    `leave_one_out`: the errors of each row left out by itself.
     `widenings` (q,), dimensionless: see `Estimate.widening`.
     """
-    factor = neighbours.factor
+    factor, settings = neighbours.factor, neighbours.settings
     subset, outputs = factor.equations, len(factor.output_group.outputs)
     if not subset.known[:, 1:].any() and not has_levels(subset.x[:, scaling.active]):
         return Calibration.unknown(outputs, settings)
     if subset.count <= 1 + scaling.active.sum():  # the mean takes all of them
         return Calibration.unknown(outputs, settings)
-    numbers = 1 + equations.loads, equations.data.shape[2]
-    factors, max_sigma = np.zeros(outputs), 0.0
-    for kind in kinds:
-        value = np.zeros((len(kind.queries), equations.n_derivatives), dtype=np.bool_)
-        value[:, 0] = True
-        explained = factor.explained_at(kind.queries, value)
-        deviations = np.sqrt(factor.variance_of(*explained, factor.mean_covariance))
-        across = block(kind.queries, equations.x, factor.hyperparameters, 1, value.shape[1])
-        sigma = neighbours.deviations(kind.queries, across.reshape(len(value), -1))
-        rows = np.flatnonzero(kind.rows[factor.output_group.rows])
-        chosen = np.linspace(0, len(rows) - 1, min(len(rows), settings.left_out_rows))
-        rows = rows[chosen.round().astype(np.intp)]
-        distant = settings.comparable * float(np.median(deviations))
-        far, near = left_out_as_far(factor, alone, rows, distant, settings)
-        # Rows are left out of the complete factor; answers have the deviation of a neighbourhood.
-        wider = float(np.quantile(sigma / deviations, settings.neighbourhood_quantile))
-        if len(far.sigma) >= settings.min_left_out:
-            factors = np.maximum(factors, factors_of(far, *numbers) / wider)
-            # As far as left-out rows and their neighbourhoods can be, comparable both ways.
-            widest = float((sigma / deviations).max())
-            max_sigma = max(max_sigma, float(far.sigma.max()) * widest / settings.comparable)
-        if len(near.sigma) > max(len(far.sigma), settings.min_left_out):  # few tell no tail
-            factors = np.maximum(factors, factors_of(near, *numbers) / wider)
+    parts = [_of_kind(kind, neighbours, leave_one_out) for kind in kinds]
+    max_sigma = max(part.max_sigma for part in parts)
     if not max_sigma:
         return Calibration.unknown(outputs, settings)
+    factors = np.max([part.factors for part in parts], axis=0)
     if factor.output_group.noise.any():
         # Noise hides the errors of left-out rows: bars hold the posterior, and what it leaves open.
         freedom = max(len(subset) - (1.0 + scaling.active.sum()), 1.0)
         least = widenings * settings.posterior_width
-        factors = np.maximum(factors, least * widening(freedom, equations.data.shape[2]))
+        factors = np.maximum(factors, least * widening(freedom, subset.data.shape[2]))
+    return Calibration(factors, max_sigma)
+
+
+def _of_kind(kind: Kind, neighbours: Neighbourhoods, leave_one_out: LeftOutRows) -> Calibration:
+    """Return the factors that rows of one kind, left out, show; 0 where too few rows show any."""
+    factor, settings, equations = neighbours.factor, neighbours.settings, neighbours.equations
+    size_of_table = 1 + equations.loads, equations.data.shape[2]
+    # Rows are left out of the complete factor; answers have the deviation of a neighbourhood.
+    explained = factor.explained_at(kind.queries)
+    complete = np.sqrt(factor.variance_of(*explained, factor.mean_covariance))
+    numbers = 1, equations.n_derivatives
+    across = block(kind.queries, equations.x, factor.hyperparameters, *numbers)
+    local = neighbours.deviations(kind.queries, across.reshape(len(kind.queries), -1))
+    wider = float(np.quantile(local / complete, settings.neighbourhood_quantile))
+
+    rows = np.flatnonzero(kind.rows[factor.output_group.rows])
+    rows = rows[evenly(len(rows), settings.left_out_rows)]
+    distant = settings.comparable * float(np.median(complete))
+    far, near = left_out_as_far(factor, leave_one_out, rows, distant, settings)
+
+    factors, max_sigma = np.zeros(len(factor.output_group.outputs)), 0.0
+    if len(far.sigma) >= settings.min_left_out:
+        factors = np.maximum(factors, factors_of(far, *size_of_table) / wider)
+        # As far as left-out rows and their neighbourhoods can be, comparable both ways.
+        widest = float((local / complete).max())
+        max_sigma = float(far.sigma.max()) * widest / settings.comparable
+    if len(near.sigma) > max(len(far.sigma), settings.min_left_out):  # few show no tail
+        factors = np.maximum(factors, factors_of(near, *size_of_table) / wider)
     return Calibration(factors, max_sigma)
 
 

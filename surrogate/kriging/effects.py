@@ -87,84 +87,135 @@ class Effects(NamedTuple):
     loop_hidden: Floats
 
 
+class _Readings(NamedTuple):
+    """Measured rows (n), in the order of their measurement, as effects are estimated from them."""
+
+    rows: Rows  # loads and displacements are the means at the row's place: see `_positions_of`
+    good: Indices  # (k,): the rows that show effects, one a place, `SAMPLE` at most
+    middle: Floats  # (n, 2 s): time in the session, then session; both about their means
+    extent: Floats  # (n, m): see `_extent`
+    terms: Floats  # (n, t): terms of a polynomial of the loads
+    steps: Floats  # (n, t): their change from the place before; 0 at the first of a session
+    # (s, m): the session's response is no cubic of each load, and no straight line
+    is_identifiable: NDArray[np.bool_]
+    is_shared: NDArray[np.bool_]
+    scaled: Floats  # (n, m), dimensionless: the response over its largest value
+    largest: Floats  # (m,), m and rad: that value
+
+    @classmethod
+    def of(cls, rows: Rows, load_range: LoadRange, good: Indices) -> _Readings:
+        """Return the readings of rows; `good` are the indices of those that are not wrong."""
+        session = sessions_of(rows)
+        count = int(session.max(initial=0)) + 1
+        members = [np.flatnonzero(session == number) for number in range(count)]
+        middle = np.zeros((len(rows), 2 * count))
+        for number, at in enumerate(members):
+            middle[at, number] = np.linspace(-0.5, 0.5, len(at))
+            middle[at, count + number] = count > 1
+        middle[:, count:] -= middle[:, count:].mean(axis=1, keepdims=True)
+
+        loads = rows.wrench / load_range.scale
+        place = _positions_of(loads, members)
+        good, loads, moved = _means_at_positions(loads, rows.displacement, good, place)
+        extent = _extent(moved, good, session)
+        if len(good) > SAMPLE:
+            good = np.sort(np.random.default_rng(0).choice(good, SAMPLE, replace=False))
+
+        terms = terms_of(loads, len(np.unique(place)))
+        scaled, largest = _response(terms, moved, good)
+        of_sessions = (session[good] == np.arange(count)[:, None])[:, :, None] * scaled[good]
+        cubic, straight = (_is_no_polynomial(of_sessions, loads[good], k) for k in (3, 1))
+        steps = terms.copy()
+        for at in members:
+            first = np.unique(place[at])
+            steps[first[1:]] -= steps[first[:-1]]
+            steps[first[:1]] = 0.0
+        steps = steps[place]  # a load that stays at its place keeps the branch that it came by
+        rows = replace(rows, wrench=loads * load_range.scale, displacement=moved)
+        return cls(rows, good, middle, extent, terms, steps, cubic, straight, scaled, largest)
+
+
+class _Estimates(NamedTuple):
+    """Zero offset, loop, and each session's drift, offset, drift of scale, scale: (2 + 4 s, m)."""
+
+    mean: Floats  # all are in m and rad
+    deviation: Floats
+    half_width: Floats  # of the interval that an effect must leave to count
+
+
 def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     """Return the effects in measured rows (n), in the order of their measurement.
 
     `good`, shape (k,), are the rows that show them: those within the range that are not wrong.
     """
-    outputs, session = rows.displacement.shape[1], sessions_of(rows)
-    count = int(session.max(initial=0)) + 1
-    members = [np.flatnonzero(session == number) for number in range(count)]
-    signs, middle = np.zeros((len(rows), outputs)), np.zeros((len(rows), 2 * count))
-    for number, at in enumerate(members):
-        middle[at, number] = np.linspace(-0.5, 0.5, len(at))
-        middle[at, count + number] = count > 1
-    middle[:, count:] -= middle[:, count:].mean(axis=1, keepdims=True)
-    loads = rows.wrench / load_range.scale
-    place = _positions_of(loads, members)
-    good, loads, moved = _means_at_positions(loads, rows.displacement, good, place)
-    rows = replace(rows, wrench=loads * load_range.scale, displacement=moved)
-    extent = _extent(moved, good, session)
-    if len(good) > SAMPLE:
-        good = np.sort(np.random.default_rng(0).choice(good, SAMPLE, replace=False))
-    steps = terms_of(loads, len(np.unique(place)))
-    terms, shown = steps[good], np.isfinite(moved[good]).T
-    scaled, largest = _response(steps, moved, good)
-    parts = (session[good] == np.arange(count)[:, None])[:, :, None] * scaled[good]
-    is_identifiable, is_shared = (
-        _is_no_polynomial(parts, loads[good], degree) for degree in (3, 1)
-    )
-    for at in members:
-        first = np.unique(place[at])
-        steps[first[1:]] -= steps[first[:-1]]
-        steps[first[:1]] = 0.0
-    steps = steps[place]  # a load that stays at its place keeps the branch that it came by
-    evidence: dict[int, tuple[Floats, Floats]] = {}
+    readings = _Readings.of(rows, load_range, good)
+    moved, good = readings.rows.displacement, readings.good
+    shown = np.isfinite(moved[good]).T
+    signs, evidence = np.zeros(moved.shape), dict[int, tuple[Floats, Floats]]()
     for output in np.flatnonzero(shown.any(axis=1)).tolist():
         known = shown[output]
         # The loop itself bends the response that determines the directions: settled after a round.
         for _ in range(ROUNDS):
-            beside = np.column_stack((terms, signs[good, output]))[known]
+            beside = np.column_stack((readings.terms[good], signs[good, output]))[known]
             evidence[output] = beside, moved[good, output][known]
-            sure = sure_directions(*evidence[output], steps[good])
-            signs[good, output] = extent[good, output] * sure
-    columns = middle, signs, scaled
-    mean, deviation, half_width = _estimates(
-        rows, load_range, good, columns, shown, SCALE * largest
-    )
-    size = np.where(np.abs(mean) > half_width, mean, 0.0)
-    # A rig that drifts in one output, or whose sessions differ in one, does so in all. Where an
-    # output shows no drift of its own, the rows stay as they are and the error bar holds it: the
-    # kinks of a response may be taken for a drift.
-    by_kind, means = (values[2:].reshape(4, count, outputs) for values in (size, mean))
+            sure = sure_directions(*evidence[output], readings.steps[good])
+            signs[good, output] = readings.extent[good, output] * sure
+    estimates = _estimates(readings, signs, load_range, shown)
+    mean, half_width = estimates.mean, estimates.half_width
+
+    count = readings.middle.shape[1] // 2
+    significant = np.where(np.abs(mean) > half_width, mean, 0.0)
+    reported = _with_common_kinds(significant, estimates)
+    ends = [1, 2, 2 + count, 2 + 2 * count]
+    zero, loop, drift, offset, scale = np.split(reported, ends)
+    for output in np.flatnonzero(loop).tolist():
+        sure = sure_directions(*evidence[output], readings.steps)
+        signs[:, output] = readings.extent[:, output] * sure
+
+    removed = reported.copy()
+    removed[-count:] *= readings.is_identifiable
+    bar = _error_bar(removed, estimates, readings)
+    # Where an output shows no drift of its own, the rows stay as they are and the error bar holds
+    # it: the kinks of a response may be taken for a drift.
+    removed[2 : 2 + count] = significant[2 : 2 + count]
+    of_rows = signs * loop + readings.middle @ removed[2 : 2 + 2 * count]
+    of_rows += readings.scaled * (readings.middle @ removed[2 + 2 * count :])
+    hidden = np.where(half_width[1] > 0, 2 * half_width[1], np.inf)
+    return Effects(zero[0], 2 * loop[0], drift, offset, scale, bar, of_rows, hidden)
+
+
+def _with_common_kinds(significant: Floats, estimates: _Estimates) -> Floats:
+    """Return the effects with those of a kind that any output shows, (2 + 4 s, m), m and rad.
+
+    A rig that drifts in one output, or whose sessions differ in one, does so in all.
+    """
+    shape = 4, -1, significant.shape[1]
+    means, reported = estimates.mean[2:].reshape(shape), significant.copy()
+    by_kind = reported[2:].reshape(shape)
     is_shown = np.asarray(by_kind.any(axis=(1, 2)))
     # Noise of outputs is independent: all of them show a drift of the scale that none does alone.
-    half = half_width[2 + 2 * count : 2 + 3 * count]
+    half = estimates.half_width[2:].reshape(shape)[2]
     far = (ndtri(CHANCE / 2) * means[2] / np.where(half > 0, half, np.inf)) ** 2
-    is_shown[2] |= (far.sum(axis=1) > chdtri(outputs, CHANCE)).any()
-    own_drift = by_kind[0].copy()
+    is_shown[2] |= (far.sum(axis=1) > chdtri(shape[2], CHANCE)).any()
     by_kind[is_shown] = means[is_shown]
-    ends = [1, 2, 2 + count, 2 + 2 * count]
-    zero, loop, drift, offset, scale = np.split(size.copy(), ends)
-    by_kind[3] *= is_identifiable
-    upper = np.where(size != 0, np.abs(size) + half_width, 0.0)
-    by_kind[0] = own_drift
-    for output in np.flatnonzero(loop).tolist():
-        signs[:, output] = extent[:, output] * sure_directions(*evidence[output], steps)
-    bar, kinds = upper[1], upper[2:].reshape(4, count, outputs).max(axis=1)
-    bar += 0.5 * kinds[0] + kinds[1] + 0.5 * kinds[2] + kinds[3]
+    return reported
+
+
+def _error_bar(counted: Floats, estimates: _Estimates, readings: _Readings) -> Floats:
+    """Return `Effects.bar` of the effects that count, (2 + 4 s, m), m and rad."""
+    mean, deviation, half_width = estimates
+    count, outputs = readings.is_shared.shape
+    upper = np.where(counted != 0, np.abs(counted) + half_width, 0.0)
+    kinds = upper[2:].reshape(4, count, outputs).max(axis=1)
+    bar = upper[1] + (0.5 * kinds[0] + kinds[1] + 0.5 * kinds[2] + kinds[3])
     # Answers have the scale of the session at their load, and the part may have that of another.
     known = np.where(half_width[-count:] > 0, deviation[-count:], np.inf)
-    width = np.minimum(known, SCALE * largest) * DEFAULTS.half_width
-    is_open = is_shared & ~is_identifiable & (count > 1)
+    width = np.minimum(known, SCALE * readings.largest) * DEFAULTS.half_width
+    is_open = readings.is_shared & ~readings.is_identifiable & (count > 1)
     bar += 2 * np.where(is_open, np.abs(mean[-count:]) + width, 0.0).max(axis=0)
     # Where sessions differ, what they have in common is no displacement of the part either.
     common = np.abs(mean[0]) + DEFAULTS.half_width * deviation[0]
-    bar += np.where(offset.any(axis=0), common, 0.0)
-    hidden = np.where(half_width[1] > 0, 2 * half_width[1], np.inf)
-    of_rows = signs * loop + middle @ size[2 : 2 + 2 * count]
-    of_rows += scaled * (middle @ size[2 + 2 * count :])
-    return Effects(zero[0], 2 * loop[0], drift, offset, scale, bar, of_rows, hidden)
+    return bar + np.where(counted[2 + count : 2 + 2 * count].any(axis=0), common, 0.0)
 
 
 def _response(terms: Floats, moved: Floats, good: Indices) -> tuple[Floats, Floats]:
@@ -284,19 +335,14 @@ def _directions(matrix: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def _estimates(
-    rows: Rows,
-    load_range: LoadRange,
-    good: Indices,
-    columns: tuple[Floats, Floats, Floats],
-    shown: NDArray[np.bool_],
-    scale: Floats,
-) -> Floats:
-    """Return the results of `_estimated` for all outputs, (3, 1 + c, m), m and rad.
+    readings: _Readings, signs: Floats, load_range: LoadRange, shown: NDArray[np.bool_]
+) -> _Estimates:
+    """Return the estimates of all outputs.
 
-    `columns`: middle of time and sessions, (n, 2 s), signs and scaled response, (n, m) each.
+    `signs` (n, m): of the outputs' motion, times their extent.
     `shown` (m, k): which outputs the rows `good` have.
     """
-    middle, signs, scaled = columns
+    middle, good = readings.middle, readings.good
     results = np.zeros((3, 2 + 2 * middle.shape[1], len(shown)))
     pending = shown.any(axis=1)
     # A loop is in rows without a sure direction too, on a side that is not known: its size is that
@@ -306,79 +352,56 @@ def _estimates(
             outputs, used = np.flatnonzero(pending & (shown == known).all(axis=1)), good[known]
             time, signed, gain = (
                 middle[used][:, :, None],
-                *np.stack((signs, scaled))[:, used][:, :, None],
+                *np.stack((signs, readings.scaled))[:, used][:, :, None],
             )
             effects = np.concatenate((signed, time + 0 * gain, time * gain), axis=1)[..., outputs]
-            results[:, :, outputs] = _estimated(
-                rows.take(used), load_range, outputs, effects, scale[outputs]
-            )
+            scale = SCALE * readings.largest[outputs]
+            some = readings.rows.take(used)
+            results[:, :, outputs] = _estimated(some, load_range, outputs, effects, scale)
         pending = np.abs(results[0, 1]) > results[2, 1]
         shown = np.where(pending[:, None], shown & (signs[good].T != 0), shown)
-    return results
+    return _Estimates(*results)
 
 
 def _estimated(
     rows: Rows, load_range: LoadRange, outputs: Indices, columns: Floats, scale: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """Return the mean of effects, its deviation, and half the width of the interval to count by.
+) -> _Estimates:
+    """Return the estimates of outputs (k,) that all rows have, (1 + c, k) each.
 
-    Shape (1 + c, k) each, m and rad: the zero offset, and those of columns (n, c, k): signs, and
-    two halves, the second of a deviation `scale`, (k,).
+    The zero offset, and the effects of columns (n, c, k): signs, and two halves, the second of a
+    deviation `scale`, (k,), m and rad.
     """
     moved = rows.displacement[:, outputs]
     size, offset = moved.std(axis=0), moved.mean(axis=0)
     y, n = (moved - offset) / np.where(size > 0, size, 1.0), len(rows)
     x = (rows.wrench - load_range.space.zero) / load_range.scale
     linear = x[:, np.ptp(x, axis=0) > ZERO_LOAD]
-    first = linear.shape[1]
-    sessions, count = columns.shape[1] // 4, first + 1 + columns.shape[1]
-    free = n - first - 2 - np.count_nonzero(columns[:, 1:].any(axis=(0, 2)))
-    if free < 1:
-        none = np.zeros((count - first, len(outputs)))
-        return none, none, none
+    first, sessions = linear.shape[1], columns.shape[1] // 4
+    count = first + 1 + columns.shape[1]
     contrasts = np.eye(count)[first:]
     for end in (count, count - 2 * sessions):  # off their mean
         contrasts[end - first - sessions : end - first, end - sessions : end] -= 1 / sessions
     contrasts[0, first + 2 : first + 2 + sessions] = -0.5 / sessions  # at the beginning
-    shape = len(THETAS) * len(PARTS), len(RATIOS), len(outputs)
-    values, means, squares = np.empty(shape), *np.empty((2, *shape, count - first))
-    bases, parts, priors = [], [], np.zeros((len(outputs), count))
+    free = n - first - 2 - np.count_nonzero(columns[:, 1:].any(axis=(0, 2)))
+    if free < 1:
+        none = np.zeros((len(contrasts), len(outputs)))
+        return _Estimates(none, none, none)
+    priors = np.zeros((len(outputs), count))
     priors[:, first + 1 :] = PRIOR**-2
     some = (size > 0) & (scale > 0)
     priors[some, -2 * sessions :] = (size[some, None] / scale[some, None]) ** 2
+    spectra = []
+    for matrix in _covariances(x, rows.space):
+        roots, vectors = np.linalg.eigh(matrix)
+        spectra.append((vectors, 1 / (np.maximum(roots, 0.0) + RATIOS[:, None])))
+    shape = len(spectra), len(RATIOS), len(outputs)
+    values, means, squares = np.empty(shape), *np.empty((2, *shape, len(contrasts)))
     for output in range(len(outputs)):
         b = np.column_stack((linear, np.ones(n), columns[:, :, output]))
-        # Directions of the columns, and what data are along them: normal equations then keep
-        # their digits.
-        left, sizes, right = _directions(b)
-        bases.append(left)
-        parts.append(right.T / sizes)
-    for number, matrix in enumerate(_covariances(x, rows.space)):
-        roots, vectors = np.linalg.eigh(matrix)
-        inverse = 1 / (np.maximum(roots, 0.0) + RATIOS[:, None])
-        for output in range(len(outputs)):
-            basis, back = bases[output], contrasts @ parts[output]
-            along = basis.T @ y[:, output]
-            b, data = vectors.T @ basis, vectors.T @ (y[:, output] - basis @ along)
-            products = b[:, :, None] * b[:, None]
-            normal = (inverse @ products.reshape(n, -1)).reshape(len(RATIOS), *[b.shape[1]] * 2)
-            pull = parts[output].T * priors[output] @ parts[output]
-            right, square = inverse @ (b * data[:, None]), inverse @ data**2
-            # The prior counts relative to the process variance, which follows from it.
-            variance, posterior, covariances, estimate = np.ones(len(RATIOS)), *(normal,) * 2, right
-            for _ in range(2):
-                posterior = normal + variance[:, None, None] * pull
-                covariances = np.linalg.inv(posterior)
-                by = right - variance[:, None] * (pull @ along)
-                estimate = np.einsum("rab,rb->ra", covariances, by)
-                rest = square - (estimate * by).sum(axis=1) + variance * (along @ pull @ along)
-                variance = np.maximum(rest, TINY) / free
-            logarithms = np.linalg.slogdet(posterior)[1] - np.log(inverse).sum(axis=1)
-            values[number, :, output] = 0.5 * (free * np.log(variance) + logarithms)
-            effects = (along + estimate) @ back.T
-            means[number, :, output] = effects
-            spread = np.einsum("ea,rab,eb->re", back, covariances, back)
-            squares[number, :, output] = effects**2 + variance[:, None] * spread
+        at = slice(None), slice(None), output
+        values[at], means[at], squares[at] = _posterior(
+            b, y[:, output], contrasts, priors[output], spectra, free
+        )
     weights = np.exp(values.min(axis=(0, 1)) - values)
     weights /= weights.sum(axis=(0, 1))
     mean = np.einsum("kro,kroe->eo", weights, means)
@@ -386,13 +409,59 @@ def _estimated(
     deviation = size * np.sqrt(np.maximum(square - mean**2, 0.0))
     mean *= size
     mean[0] += offset
+
     half_width, misfits = _half_widths(
         moved, terms_of(x)[:, 1:], columns, contrasts[:, first:], deviation, free
     )
     if np.abs(x).max(axis=1).min() > NO_LOAD:  # a kink may be hidden where polynomials misfit
         one_sided = max(x.min(axis=0).max(), -x.max(axis=0).min()) > NO_LOAD
         half_width[0] = np.inf if one_sided else np.maximum(half_width[0], SURE * misfits)
-    return mean, deviation, half_width
+    return _Estimates(mean, deviation, half_width)
+
+
+def _posterior(
+    columns: Floats,
+    y: Floats,
+    contrasts: Floats,
+    prior: Floats,
+    spectra: list[tuple[Floats, Floats]],
+    free: int,
+) -> tuple[Floats, Floats, Floats]:
+    """Return half the negative log likelihood of kernels and noises, effects, and their squares.
+
+    Shapes (k, r), (k, r, e) and (k, r, e), spreads and spreads squared; squares are means.
+
+    `columns` (n, c), `y` (n,), spreads: of one output, and its readings.
+    `contrasts` (e, c), `prior` (c,): effects by the coefficients; precision of these.
+    `spectra`: of each kernel the eigenvectors (n, n), and one over eigenvalues with noise (r, n).
+    """
+    # Directions of the columns, and what data are along them: normal equations then keep their
+    # digits.
+    basis, sizes, right = _directions(columns)
+    parts = right.T / sizes
+    back, along, pull = contrasts @ parts, basis.T @ y, parts.T * prior @ parts
+    off, results = y - basis @ along, list[tuple[Floats, Floats, Floats]]()
+    for vectors, inverse in spectra:
+        b, data = vectors.T @ basis, vectors.T @ off
+        products = b[:, :, None] * b[:, None]
+        normal = (inverse @ products.reshape(len(b), -1)).reshape(len(inverse), *[b.shape[1]] * 2)
+        right, square = inverse @ (b * data[:, None]), inverse @ data**2
+        # The prior counts relative to the process variance, which follows from it.
+        variance, posterior, covariances, estimate = np.ones(len(inverse)), *(normal,) * 2, right
+        for _ in range(2):
+            posterior = normal + variance[:, None, None] * pull
+            covariances = np.linalg.inv(posterior)
+            by = right - variance[:, None] * (pull @ along)
+            estimate = np.einsum("rab,rb->ra", covariances, by)
+            rest = square - (estimate * by).sum(axis=1) + variance * (along @ pull @ along)
+            variance = np.maximum(rest, TINY) / free
+        logarithms = np.linalg.slogdet(posterior)[1] - np.log(inverse).sum(axis=1)
+        effects = (along + estimate) @ back.T
+        spread = np.einsum("ea,rab,eb->re", back, covariances, back)
+        values = 0.5 * (free * np.log(variance) + logarithms)
+        results.append((values, effects, effects**2 + variance[:, None] * spread))
+    values, effects, squares = map(np.array, zip(*results, strict=True))
+    return values, effects, squares
 
 
 def _half_widths(

@@ -221,6 +221,11 @@ def farthest_first(points: Floats) -> Iterator[int]:
         row = int(np.argmax(np.round(distance, DECIMALS)))
 
 
+def evenly(count: int, most: int) -> NDArray[np.intp]:
+    """Return the indices of at most so many of `count` sorted rows, evenly."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.intp))
+
+
 BLOCK = 20_000  # rows whose equations are made at once: 7 MB of values and slopes that few have
 
 

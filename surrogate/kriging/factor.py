@@ -134,9 +134,11 @@ class KrigingFactor(Factor):
     weights: Floats  # (e, k): what covariances are multiplied by
     variance: Floats  # (k,): process variance of each output, spreads squared
 
-    def explained_at(self, x: Floats, known: Mask) -> tuple[Floats, Floats]:
-        """Return the result of `explained` for the derivatives `known` (m, p) at points (m, 6)."""
+    def explained_at(self, x: Floats, known: Mask | None = None) -> tuple[Floats, Floats]:
+        """Return `explained` of the derivatives `known` (m, p), or the values, at points (m, 6)."""
         v, known_v = self.equations.x, self.equations.known
+        if known is None:
+            known = np.ones((len(x), 1), dtype=bool)
         across = covariance(x, known, v, known_v, self.hyperparameters)
         return self.explained(across, mean_terms(x, known))
 
@@ -316,7 +318,7 @@ class Neighbourhoods:
         `of_all_rows`: sigma is that of all rows, however many.
         """
         x, known = factor.equations.x, factor.equations.known
-        self.factor, self.settings = factor, settings
+        self.equations, self.factor, self.settings = equations, factor, settings
         self.size = known.sum(axis=1)
         self.plain_size = known[:, : 1 + x.shape[1]].sum(axis=1)
         all_first = np.roll(factor.hyperparameters.groups, 1, axis=0)

@@ -32,7 +32,7 @@ from scipy.linalg import solve_triangular
 
 from ..table.rows import Floats
 from .correlation import Hyperparameters, covariance, mean_terms
-from .equations import Equations
+from .equations import Equations, evenly
 from .factor import (
     ROUNDING,
     Factor,
@@ -49,17 +49,16 @@ ROWS = 128  # at once: with 256 inducing wrenches 256 kB of covariances, in a pr
 DECIMALS = 9  # of a prior variance: nearer ones are a tie, and the first row is taken
 TINY = 1e-13  # of the information of a wrench: above rounding
 STEP = 0.1  # of the logarithm of noise: a twentieth of its deviation
-CANDIDATES = 4000  # rows among which inducing wrenches are chosen: four times as many
-# as the most, evenly among the sorted rows
-
-
-def evenly(count: int, most: int) -> Indices:
-    """Return the indices of at most so many of `count` sorted rows, evenly."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.intp))
+# Rows among which inducing wrenches are chosen, evenly: four times the most inducing wrenches.
+CANDIDATES = 4000
 
 
 def spread_points(
-    x: Floats, kernels: list[Hyperparameters], shares: Floats, count: int, settings: KrigingSettings
+    x: Floats,
+    kernels: list[Hyperparameters],
+    signal_to_noise: Floats,
+    count: int,
+    settings: KrigingSettings,
 ) -> tuple[Indices, bool]:
     """Return the rows that leave the least of the prior's variance at the others, and if enough.
 
@@ -68,13 +67,13 @@ def spread_points(
     would not make an answer better than the noise lets it be.
 
     `x` (n, 6), half ranges: candidates.
-    `kernels`, `shares`: covariances of outputs, and their process variances over a row's noise,
-    (k,).
+    `kernels`, `signal_to_noise`: covariances of outputs, and their process variances over a row's
+    noise, (k,).
     `count`: number of all rows.
     """
     known = np.ones((len(x), 1), dtype=bool)
-    together = list(zip(kernels, shares / len(shares), strict=True))
-    prior = sum(float(kernel.prior(1)[0]) * share for kernel, share in together)
+    weighted = list(zip(kernels, signal_to_noise / len(signal_to_noise), strict=True))
+    prior = sum(float(kernel.prior(1)[0]) * weight for kernel, weight in weighted)
     remaining, chosen = np.full(len(x), prior), list[int]()
     most = min(settings.inducing, len(x) // 2)  # with more one factor of all rows costs less
     reduced = np.empty((most, len(x)))
@@ -85,8 +84,8 @@ def spread_points(
         if remaining[pivot] <= settings.nugget * prior:
             break
         column = -reduced[:size, pivot] @ reduced[:size]
-        for kernel, share in together:
-            column += share * covariance(x[[pivot]], known[:1], x, known, kernel)[0]
+        for kernel, weight in weighted:
+            column += weight * covariance(x[[pivot]], known[:1], x, known, kernel)[0]
         reduced[size] = column / np.sqrt(remaining[pivot])
         remaining = np.maximum(remaining - reduced[size] ** 2, 0.0)
         remaining[pivot] = 0.0
@@ -126,6 +125,8 @@ def values_between(x: Floats, v: Floats, kernel: Hyperparameters) -> Floats:
 class Sums(NamedTuple):
     """Sums over rows, for outputs (k,) that they bring with noise in the same proportions."""
 
+    outputs: Indices  # (k,)
+    prior: Factor  # of the inducing wrenches: its T is inv(L)
     # A, b, G, H, h: (m, m), (m, k), (m, 7), (7, 7) and (7, k): see above, and h = F' D y; D is of
     # the rows' relative noise
     A: Floats
@@ -138,6 +139,13 @@ class Sums(NamedTuple):
     repeats: Floats  # (k,): readings at wrenches besides the first of each
     # (k,): their squared differences from their mean, over their relative noise, spreads squared
     scatter: Floats
+
+
+class LikelyNoise(NamedTuple):
+    """The noise that the restricted likelihood of all rows determines, for outputs (k,)."""
+
+    ratios: Floats  # (k,), dimensionless: noise over process variance
+    variances: Floats  # (k,), spreads squared: process variances
 
 
 class Inducing(NamedTuple):
@@ -154,52 +162,72 @@ def induced(equations: Equations, estimate: Estimate, settings: KrigingSettings)
     That is where it holds the rows, and inducing wrenches leave more than the noise.
 
     `equations`: of the values of all rows, sorted by wrench; without the noise of observations.
-    `estimate`: as some of the rows tell it.
+    `estimate`: by some of the rows.
     """
-    unit, count, variance = equations.unit_noise, len(equations), estimate.variance
+    unit = equations.unit_noise
     typical = np.nanmean(np.where(equations.measured, unit, np.nan), axis=0)
+    rows = _inducing_rows(equations, estimate, typical, settings)
+    if rows is None:
+        return None
+    pseudo = _without_readings(equations.take(rows))
+    relative = replace(equations, noise=np.maximum(unit, settings.nugget * typical))
+
+    def summed(group: OutputGroup) -> Sums:
+        prior = _prior_factor(pseudo, estimate.kernels[group.outputs[0]], settings)
+        return sums_of(equations, group, pseudo.x, prior)
+
+    factors, noise = list[KrigingFactor](), estimate.noise.copy()
+    groups = output_groups(relative, typical, settings, estimate.kernels)
+    # Each group in a thread of its own: the same bits on any number of processors.
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for sums in pool.map(summed, groups):
+            likely, outputs = likely_noise(sums, settings), sums.outputs
+            # An output that does not vary has no noise that informs about the others'.
+            varying = estimate.noise[outputs] > 0
+            if varying.any():
+                likely.ratios[~varying] = np.exp(np.log(likely.ratios[varying]).mean())
+            noise[outputs] = likely.ratios * likely.variances / typical[outputs]
+            factors.append(posterior_factor(sums, likely, pseudo, settings))
+    return Inducing(pseudo, factors, noise)
+
+
+def _inducing_rows(
+    equations: Equations, estimate: Estimate, typical: Floats, settings: KrigingSettings
+) -> Indices | None:
+    """Return the rows whose wrenches are inducing, ascending, None where one factor is better.
+
+    `typical` (6,), spreads squared: mean unit noise of the rows.
+    """
+    count, variance = len(equations), estimate.variance
+    fits_one_factor = count <= settings.dense_equations
     noisy = np.flatnonzero(estimate.noise * typical > settings.nugget * variance)
-    if not len(noisy) and count <= settings.dense_equations:
+    if not len(noisy) and fits_one_factor:
         return None
     noisy = noisy if len(noisy) else np.arange(len(variance))
     ratio = np.maximum(estimate.noise * typical / variance, settings.nugget)
-    some = evenly(count, CANDIDATES)
+    candidates = evenly(count, CANDIDATES)
     kernels = [estimate.kernels[output] for output in noisy]
-    points, enough = spread_points(equations.x[some], kernels, 1 / ratio[noisy], count, settings)
-    if not enough and count <= settings.dense_equations:
-        return None
-    pseudo, n_derivatives = equations.take(np.sort(some[points])), 1 + equations.loads
-    shape = len(pseudo), len(variance)
-    pseudo = replace(
-        pseudo,
-        known=np.arange(n_derivatives) < pseudo.known,
-        data=np.zeros((len(pseudo), n_derivatives, len(variance))),
+    points, enough = spread_points(
+        equations.x[candidates], kernels, 1 / ratio[noisy], count, settings
+    )
+    return np.sort(candidates[points]) if enough or not fits_one_factor else None
+
+
+def _without_readings(equations: Equations) -> Equations:
+    """Return the values' equations of rows with readings of zero and no noise.
+
+    They have room for slopes, as the equations of other krigings.
+    """
+    shape, n_derivatives = equations.measured.shape, 1 + equations.loads
+    return replace(
+        equations,
+        known=np.arange(n_derivatives) < equations.known,
+        data=np.zeros((len(equations), n_derivatives, shape[1])),
         measured=np.ones(shape, dtype=bool),
         noise=np.zeros(shape),
         observations=np.zeros(shape),
         scatter=np.zeros(shape),
     )
-    factors, noise = list[KrigingFactor](), estimate.noise.copy()
-    relative = replace(equations, noise=np.maximum(unit, settings.nugget * typical))
-
-    def summed(group: OutputGroup) -> tuple[OutputGroup, Factor, Sums]:
-        base = _prior_factor(pseudo, estimate.kernels[group.outputs[0]], settings)
-        return group, base, sums_of(equations, group, pseudo.x, base)
-
-    groups = output_groups(relative, typical, settings, estimate.kernels)
-    # Each group in a thread of its own: the same bits on any number of processors.
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for group, base, sums in pool.map(summed, groups):
-            ratios, variances = likely_noise(sums, settings)
-            # An output that does not vary has no noise that informs about the others'.
-            varying = estimate.noise[group.outputs] > 0
-            if varying.any():
-                ratios[~varying] = np.exp(np.log(ratios[varying]).mean())
-            noise[group.outputs] = ratios * variances / typical[group.outputs]
-            factors.append(
-                factor_of(sums, group.outputs, ratios, variances, base, pseudo, settings)
-            )
-    return Inducing(pseudo, factors, noise)
 
 
 def _prior_factor(pseudo: Equations, kernel: Hyperparameters, settings: KrigingSettings) -> Factor:
@@ -210,15 +238,15 @@ def _prior_factor(pseudo: Equations, kernel: Hyperparameters, settings: KrigingS
     return Factor(kernel, nugget, inverse, inverse @ mean_terms(z, known))
 
 
-def sums_of(equations: Equations, group: OutputGroup, z: Floats, base: Factor) -> Sums:
+def sums_of(equations: Equations, group: OutputGroup, z: Floats, prior: Factor) -> Sums:
     """Return the sums over the rows of a group, in blocks; `z` are the inducing wrenches (m, 6)."""
-    kernel, loads, outputs = base.hyperparameters, equations.loads, group.outputs
+    kernel, loads, outputs = prior.hyperparameters, equations.loads, group.outputs
     A, moments = np.zeros((len(z), len(z))), np.zeros((1 + loads, 1 + loads + len(outputs)))
     crossed, square = np.zeros((len(z), moments.shape[1])), np.zeros(len(outputs))
     for start in range(0, len(group.rows), ROWS):
         rows = group.rows[start : start + ROWS]
         x, values = equations.x[rows], equations.data[rows, 0][:, outputs]
-        explained = values_between(x, z, kernel) @ base.T.T
+        explained = values_between(x, z, kernel) @ prior.T.T
         precision = 1 / group.noise[start : start + ROWS]
         terms = np.concatenate((np.ones((len(rows), 1)), x, values), axis=1)
         weighted = explained * np.sqrt(precision)[:, None]
@@ -232,14 +260,11 @@ def sums_of(equations: Equations, group: OutputGroup, z: Floats, base: Factor) -
     # Of one reading over that of the rows' mean.
     scatter = scatter / np.mean(group.noise[:, None] * np.maximum(readings, 1.0), axis=0)
     (G, b), (H, h) = (np.split(part, [1 + loads], axis=1) for part in (crossed, moments))
-    return Sums(A, b, G, H, h, square, len(group.rows), repeats, scatter)
+    return Sums(outputs, prior, A, b, G, H, h, square, len(group.rows), repeats, scatter)
 
 
-def likely_noise(sums: Sums, settings: KrigingSettings) -> tuple[Floats, Floats]:
-    """Return noise over process variance and the process variance of each output, (k,) each.
-
-    Of the restricted likelihood of all rows, over a grid of noise: its mean.
-    """
+def likely_noise(sums: Sums, settings: KrigingSettings) -> LikelyNoise:
+    """Return the means by the restricted likelihood of all rows, over a grid of noise."""
     # The mean's coefficients projected away.
     H = sums.H + np.eye(len(sums.H)) / settings.mean_variance
     solved = np.linalg.solve(H, np.concatenate((sums.G.T, sums.h), axis=1))
@@ -254,54 +279,44 @@ def likely_noise(sums: Sums, settings: KrigingSettings) -> tuple[Floats, Floats]
     variance = np.maximum(residual / ratios / freedom, ROUNDING)
     unlikely = freedom * (np.log(variance) + logarithms[:, None])
     unlikely = 0.5 * (unlikely + np.log1p(values / ratios).sum(axis=1)[:, None])
-    share = np.exp(unlikely.min(axis=0) - unlikely)
-    share /= share.sum(axis=0)
-    ratio = np.exp(logarithms @ share)
-    return ratio, np.exp(np.einsum("gk,gk->k", share, np.log(variance)))
+    likelihood = np.exp(unlikely.min(axis=0) - unlikely)
+    likelihood /= likelihood.sum(axis=0)
+    ratio = np.exp(logarithms @ likelihood)
+    return LikelyNoise(ratio, np.exp(np.einsum("gk,gk->k", likelihood, np.log(variance))))
 
 
-def factor_of(
-    sums: Sums,
-    outputs: Indices,
-    ratios: Floats,
-    variances: Floats,
-    base: Factor,
-    pseudo: Equations,
-    settings: KrigingSettings,
+def posterior_factor(
+    sums: Sums, likely: LikelyNoise, pseudo: Equations, settings: KrigingSettings
 ) -> KrigingFactor:
-    """Return the factor of a group's outputs (k,), whose data goes into `pseudo`."""
-    ratio = float(np.exp(np.log(ratios).mean()))
-    A, G, H = sums.A / ratio, sums.G / ratio, sums.H / ratio
-    b, h = sums.b / ratio, sums.h / ratio
+    """Return the factor of a group's outputs (k,); their readings are written to `pseudo`."""
+    prior, ratio = sums.prior, float(np.exp(np.log(likely.ratios).mean()))
+    A, G, H, b, h = (part / ratio for part in (sums.A, sums.G, sums.H, sums.b, sums.h))
     values, vectors = np.linalg.eigh(A)
     values = np.maximum(values, 0.0)
-    inverse = (vectors / (1 + values)) @ vectors.T
-    # R'R = I - inv(B), R lower, by its root: what rounding leaves of that may not be definite.
-    root = np.sqrt(values / (1 + values) + TINY)[:, None] * vectors.T
-    R = np.asarray(np.linalg.qr(root[:, ::-1], mode="r"))[::-1, ::-1]
+    inverse = (vectors / (1 + values)) @ vectors.T  # inv(B)
     precision = H - G.T @ inverse @ G + np.eye(len(H)) / settings.mean_variance
     mean_covariance = np.asarray(np.linalg.inv(precision), dtype=float)
     coefficients = mean_covariance @ (h - G.T @ inverse @ b)
-    weights = base.T.T @ (inverse @ (b - G @ coefficients))
-    TF = solve_triangular(R, inverse @ G, lower=True, trans=1)
+    # R'R = I - inv(B), R lower, by its root: what rounding leaves of that may not be definite.
+    root = np.sqrt(values / (1 + values) + TINY)[:, None] * vectors.T
+    R = np.asarray(np.linalg.qr(root[:, ::-1], mode="r"))[::-1, ::-1]
+
     # The readings at the inducing wrenches, L inv(A) b, and the noise of each given the others'.
-    lower = solve_triangular(base.T, np.eye(len(A)), lower=True)
+    lower = solve_triangular(prior.T, np.eye(len(A)), lower=True)
     data = vectors @ ((vectors.T @ b) / (values + TINY)[:, None])
-    pseudo.data[:, 0, outputs] = lower @ data
-    noise = 1 / np.einsum("ij,ij->j", base.T, A @ base.T)
-    group = OutputGroup(outputs, np.arange(len(A)), noise)
-    # One triangle for outputs that are alike: variances of answers are in proportion to the noise.
-    variance = ratios * variances / ratio
-    T = np.tril(R @ base.T)
+    pseudo.data[:, 0, sums.outputs] = lower @ data
+    noise = 1 / np.einsum("ij,ij->j", prior.T, A @ prior.T)
     return KrigingFactor(
-        base.hyperparameters,
-        base.nugget,
-        T,
-        TF,
-        pseudo,
-        group,
-        mean_covariance,
-        coefficients,
-        weights,
-        variance,
+        prior.hyperparameters,
+        prior.nugget,
+        T=np.tril(R @ prior.T),
+        TF=solve_triangular(R, inverse @ G, lower=True, trans=1),
+        equations=pseudo,
+        output_group=OutputGroup(sums.outputs, np.arange(len(A)), noise),
+        mean_covariance=mean_covariance,
+        coefficients=coefficients,
+        weights=prior.T.T @ (inverse @ (b - G @ coefficients)),
+        # One triangle for outputs that are alike: variances of answers are in proportion to the
+        # noise.
+        variance=likely.ratios * likely.variances / ratio,
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from ..table.merging import Observations, merge
 from ..table.rows import NEAR, SMALLEST, Floats, LoadRange, Rows
 from .calibration import (
     Calibration,
+    Kind,
     calibrated,
     kinds_of,
     largest_secondary_loads,
@@ -25,13 +27,15 @@ from .equations import (
     Scaling,
     TooFewRowsError,
     equations_of,
+    evenly,
     indices_within,
     scaling_of,
     values_of,
 )
-from .factor import Neighbourhoods, OutputGroup, factorise, left_out, output_groups
-from .inducing import CANDIDATES, evenly, induced
+from .factor import KrigingFactor, Neighbourhoods, factorise, left_out, output_groups
+from .inducing import CANDIDATES, induced
 from .likelihood import estimated, limited_to_factor
+from .noise import Estimate
 from .settings import DEFAULTS, KrigingSettings
 
 try:
@@ -74,8 +78,8 @@ class Kriging:
     # (2, 6), half ranges: ends of the loads that the rows span: beyond them errors are not known
     span: Floats
     # (2,), half ranges: `largest_secondary_loads` of the rows. Beyond them errors are not known
-    # either: no row shows what so large loads do together.
-    together: Floats
+    # either: no row shows the interaction of so large loads.
+    secondary_limits: Floats
     detail: str  # its rows and equations as a text
 
     @classmethod
@@ -102,92 +106,21 @@ class Kriging:
         """
         if observations is None:
             rows, _, observations = merge(rows, load_range).usable()
-        indices = indices_within(rows, load_range)
-        used = rows.take(indices)
-        scaling = scaling_of(used, load_range, settings)
-        counted = observations.take(indices)
-        equations, total = _usable(used, scaling, counted, settings)
-        tangents = used.compliance[np.isfinite(used.compliance).all(axis=(1, 2))]
-        tangent = tangents.mean(axis=0) if len(tangents) else np.zeros(used.compliance.shape[1:])
-        untold = (np.ptp(equations.x, axis=0) <= NEAR) & (len(tangents) == 0)
-        tangent[:, untold] = np.nan
+        data = _TrainingData.of(rows, observations, load_range, settings)
+        scaling, x = data.scaling, data.equations.x
         with single_thread():
-            span = span_of(equations.x, scaling, settings)
-            kinds = kinds_of(equations.x, scaling, span, settings)
-            # Slopes of a few rows show what several axes do together.
-            sloped = equations.known[:, 1:].any()
-            all_rows_together = largest_secondary_loads(equations.x, scaling, settings)
-            together = all_rows_together if sloped else kinds[0].together
-            by_values = equations.n_derivatives == 1
-            some = equations.take(evenly(len(equations), CANDIDATES)) if by_values else equations
-            estimate = estimated(some, scaling, kinds[0].queries, settings)
-            through = induced(equations, estimate, settings) if by_values else None
-            noise = estimate.noise if through is None else through.noise
-            observed = (equations.observations > 0).any(axis=0)
-            readings = np.maximum(equations.observations, equations.measured).sum(axis=0)
-            observed &= readings > 1 + scaling.active.sum()  # or the mean takes all of them
-            observation_variance = np.where(observed, noise * equations.typical_noise, 0.0)
-            some_rows = f" of {len(used)}" if equations.count < total else ""
-            some_equations = f" of {total}" if equations.count < total else ""
-            detail = f"kriging of {len(equations)}{some_rows} rows through "
-            if through is not None:
-                equations = through.equations
-                detail += f"{len(equations)} inducing wrenches"
-            else:
-                if by_values:
-                    equations = equations_of(used, scaling, counted, settings)
-                equations = replace(equations, noise=equations.unit_noise * noise)
-                detail = f"kriging, one factor over {len(equations)}{some_rows} rows "
-                detail += f"({equations.count}{some_equations} equations)"
-            x, known = equations.x, equations.known
-            weights, n_outputs = np.zeros(equations.data.shape), equations.data.shape[2]
-            coefficients = np.empty((1 + x.shape[1], n_outputs))
-            deviation, rounding = np.empty((2, n_outputs))
-            errors = np.full(equations.measured.shape, np.nan)
-            values = np.zeros_like(known)
-            values[:, 0] = True
-            before: Hyperparameters | None = None
-            neighbourhoods: list[Neighbourhoods] = []
-            calibrations: list[Calibration] = []
-            table, rounding_errors = np.empty((2, 0, 0))
-            groups = output_groups(equations, estimate.variance, settings, estimate.kernels)
-            for item in groups if through is None else through.factors:
-                outputs = (
-                    item.outputs if isinstance(item, OutputGroup) else item.output_group.outputs
-                )
-                kernel = estimate.kernels[outputs[0]]
-                if kernel is not before:
-                    table, before = covariance(x, known, x, known, kernel), kernel
-                    rounding_errors = ROUNDING_LOSS * np.abs(table[values[known]])
-                if isinstance(item, OutputGroup):
-                    factor = factorise(equations, kernel, item, settings, table)
-                    if item.noise.any():  # with it the mean's coefficients are integrated out
-                        factor = replace(factor, variance=estimate.variance[outputs])
-                else:
-                    factor = item
-                group = factor.output_group
-                # The weights among the values and derivatives of all rows.
-                all_rows = np.zeros((*known.shape, len(outputs)))
-                all_rows[known & np.isin(np.arange(len(x)), group.rows)[:, None]] = factor.weights
-                weights[:, :, outputs], coefficients[:, outputs] = all_rows, factor.coefficients
-                deviation[outputs] = np.sqrt(factor.variance)
-                rounding[outputs] = (rounding_errors @ np.abs(all_rows[known])).max(axis=0)
-                alone = left_out(factor, np.arange(len(group.rows)))
-                errors[np.ix_(group.rows, outputs)] = alone.errors
-                neighbours = Neighbourhoods(
-                    equations, factor, table, settings, of_all_rows=through is not None
-                )
-                neighbourhoods.append(neighbours)
-                rest = scaling, kinds, estimate.widening[outputs], settings
-                calibrations.append(
-                    calibrated(equations, neighbours, alone, *rest)
-                    if through is None
-                    else of_posterior(factor, table, settings)
-                )
-        parts = equations, tuple(neighbourhoods), tuple(calibrations)
-        arrays = weights, coefficients, deviation, rounding, errors, span, together
-        noises = observation_variance, estimate.noise_widening
-        return cls(settings, scaling, *noises, tangent, *parts, *arrays, detail)
+            span = span_of(x, scaling, settings)
+            kinds = kinds_of(x, scaling, span, settings)
+            secondary_limits = kinds[0].secondary_limits
+            if data.equations.known[:, 1:].any():  # slopes of a few rows show interactions of axes
+                secondary_limits = largest_secondary_loads(x, scaling, settings)
+            model = _Model.of(data, kinds[0].queries, settings)
+            solution = _solution(model, scaling, kinds, settings)
+        noises = model.observation_variance, model.estimate.noise_widening
+        limits = span, secondary_limits
+        return cls(
+            settings, scaling, *noises, _mean_tangent(data), *solution, *limits, model.detail
+        )
 
     @property
     def hyperparameters(self) -> Hyperparameters:
@@ -247,7 +180,7 @@ class Kriging:
             errors[:, outputs] = sigma[:, None] * calibration.factors * self.deviation[outputs]
             known[:, outputs] = (sigma <= calibration.max_sigma)[:, None]
         spanned = ((x >= self.span[0]) & (x <= self.span[1])).all(axis=1)
-        spanned &= (secondary_loads(x, self.scaling) <= self.together).all(axis=1)
+        spanned &= (secondary_loads(x, self.scaling) <= self.secondary_limits).all(axis=1)
         known &= spanned[:, None]
         return values, errors, known
 
@@ -284,16 +217,14 @@ class Kriging:
             prior = np.tile(hyperparameters.prior(n_derivatives), (len(others), 1))[known]
             within[np.diag_indices_from(within)] += factor.nugget * prior
             for part in self._chunks(len(x)):
-                value = np.zeros((len(x[part]), n_derivatives), dtype=bool)
-                value[:, 0] = True
-                explained, here_terms = factor.explained_at(x[part], value)
-                between = (
-                    covariance(x[part], value, others, known, hyperparameters) - explained @ new.T
-                )
+                explained, here_terms = factor.explained_at(x[part])
+                value = np.ones((len(x[part]), 1), dtype=bool)
+                between = covariance(x[part], value, others, known, hyperparameters)
+                between -= explained @ new.T
                 between += here_terms @ mean_covariance @ new_terms.T
                 gain = np.einsum("mp,pm->m", between, np.linalg.solve(within, between.T))
-                before = factor.variance_of(explained, here_terms, mean_covariance)
-                bars[part] *= np.sqrt(np.clip(1 - gain / before, 0.0, 1.0))[:, None]
+                current = factor.variance_of(explained, here_terms, mean_covariance)
+                bars[part] *= np.sqrt(np.clip(1 - gain / current, 0.0, 1.0))[:, None]
         return np.hypot(bars, self.floor)
 
     def left_out(self) -> Floats:
@@ -309,22 +240,158 @@ def single_thread() -> AbstractContextManager[object]:
     return _BLAS.limit(limits=1) if _BLAS else nullcontext()
 
 
-def _usable(
-    used: Rows, scaling: Scaling, counted: Observations, settings: KrigingSettings
-) -> tuple[Equations, int]:
-    """Return the equations of rows that one factor holds, and the number that the rows bring.
+class _TrainingData(NamedTuple):
+    """The rows of a kriging, and the equations of them that one factor holds."""
 
-    Values alone where they are measured and many.
+    rows: Rows  # those within the load range, sorted by wrench
+    observations: Observations  # behind each row
+    scaling: Scaling
+    equations: Equations  # of values alone, evenly chosen, where rows are measured and many
+    total: int  # number of equations of all rows
 
-    Raises TooFewRowsError.
-    """
-    if len(used) > settings.many_rows and not np.isfinite(used.compliance).any():
-        chosen = evenly(len(used), settings.most_rows)
-        return values_of(used.take(chosen), scaling, counted.take(chosen), settings), len(used)
-    equations = equations_of(used, scaling, counted, settings)
-    if len(equations) < settings.min_rows:
-        raise TooFewRowsError(
-            f"kriging needs {settings.min_rows} rows at different wrenches, but there are "
-            f"{len(equations)}; solve or import more"
+    @classmethod
+    def of(
+        cls,
+        rows: Rows,
+        observations: Observations,
+        load_range: LoadRange,
+        settings: KrigingSettings,
+    ) -> _TrainingData:
+        """Choose the rows within the load range, and the equations.
+
+        Raises TooFewRowsError.
+        """
+        indices = indices_within(rows, load_range)
+        rows, observations = rows.take(indices), observations.take(indices)
+        scaling = scaling_of(rows, load_range, settings)
+        if len(rows) > settings.many_rows and not np.isfinite(rows.compliance).any():
+            chosen = evenly(len(rows), settings.most_rows)
+            few, behind = rows.take(chosen), observations.take(chosen)
+            equations = values_of(few, scaling, behind, settings)
+            return cls(rows, observations, scaling, equations, len(rows))
+        equations = equations_of(rows, scaling, observations, settings)
+        if len(equations) < settings.min_rows:
+            raise TooFewRowsError(
+                f"kriging needs {settings.min_rows} rows at different wrenches, but there are "
+                f"{len(equations)}; solve or import more"
+            )
+        limited = limited_to_factor(equations, settings)
+        return cls(rows, observations, scaling, limited, equations.count)
+
+
+class _Model(NamedTuple):
+    """The covariances and the noise of the outputs, and the equations that factors are made of."""
+
+    estimate: Estimate
+    equations: Equations
+    inducing: list[KrigingFactor]  # the factors through inducing wrenches; empty without these
+    observation_variance: Floats  # (6,), spreads squared: see `Kriging`
+    detail: str  # see `Kriging`
+
+    @classmethod
+    def of(cls, data: _TrainingData, queries: Floats, settings: KrigingSettings) -> _Model:
+        """Estimate covariances and noise; `queries` (m, 6), half ranges: see `estimate_noise`."""
+        equations, scaling, through = data.equations, data.scaling, None
+        values_alone = equations.n_derivatives == 1
+        some = equations.take(evenly(len(equations), CANDIDATES)) if values_alone else equations
+        estimate = estimated(some, scaling, queries, settings)
+        if values_alone:
+            through = induced(equations, estimate, settings)
+        noise = estimate.noise if through is None else through.noise
+
+        observed = (equations.observations > 0).any(axis=0)
+        readings = np.maximum(equations.observations, equations.measured).sum(axis=0)
+        observed &= readings > 1 + scaling.active.sum()  # or the mean takes all of them
+        observation_variance = np.where(observed, noise * equations.typical_noise, 0.0)
+
+        is_part = equations.count < data.total
+        of_rows = f" of {len(data.rows)}" if is_part else ""
+        if through is not None:
+            detail = f"kriging of {len(equations)}{of_rows} rows through "
+            detail += f"{len(through.equations)} inducing wrenches"
+            equations, inducing = through.equations, through.factors
+        else:
+            if values_alone:
+                equations = equations_of(data.rows, scaling, data.observations, settings)
+            equations, inducing = replace(equations, noise=equations.unit_noise * noise), []
+            of_equations = f" of {data.total}" if is_part else ""
+            detail = f"kriging, one factor over {len(equations)}{of_rows} rows "
+            detail += f"({equations.count}{of_equations} equations)"
+        return cls(estimate, equations, inducing, observation_variance, detail)
+
+    def factors(self, settings: KrigingSettings) -> Iterator[tuple[KrigingFactor, Floats]]:
+        """Yield the factor of each output group, and the covariance (a, a) of all a equations."""
+        equations, estimate = self.equations, self.estimate
+        x, known = equations.x, equations.known
+        groups = [factor.output_group for factor in self.inducing]
+        groups = groups or output_groups(equations, estimate.variance, settings, estimate.kernels)
+        previous: Hyperparameters | None = None
+        table = np.empty((0, 0))
+        for number, group in enumerate(groups):
+            kernel = estimate.kernels[group.outputs[0]]
+            if kernel is not previous:
+                table, previous = covariance(x, known, x, known, kernel), kernel
+            if self.inducing:
+                yield self.inducing[number], table
+                continue
+            factor = factorise(equations, kernel, group, settings, table)
+            if group.noise.any():  # with it the mean's coefficients are integrated out
+                factor = replace(factor, variance=estimate.variance[group.outputs])
+            yield factor, table
+
+
+class _Solution(NamedTuple):
+    """The fields of `Kriging` that follow from its factors, in their order there."""
+
+    equations: Equations
+    neighbourhoods: tuple[Neighbourhoods, ...]
+    calibrations: tuple[Calibration, ...]
+    weights: Floats
+    coefficients: Floats
+    deviation: Floats
+    rounding: Floats
+    errors: Floats
+
+
+def _solution(
+    model: _Model, scaling: Scaling, kinds: list[Kind], settings: KrigingSettings
+) -> _Solution:
+    """Solve for the weights of each output group, and calibrate its error bars."""
+    equations, known = model.equations, model.equations.known
+    weights, (n_rows, n_outputs) = np.zeros(equations.data.shape), equations.measured.shape
+    coefficients = np.empty((1 + equations.loads, n_outputs))
+    deviation, rounding = np.empty((2, n_outputs))
+    errors = np.full(equations.measured.shape, np.nan)
+    parts: list[tuple[Neighbourhoods, Calibration]] = []
+    for factor, table in model.factors(settings):
+        rows, outputs = factor.output_group.rows, factor.output_group.outputs
+        # The weights among the values and derivatives of all rows.
+        all_rows = np.zeros((*known.shape, len(outputs)))
+        all_rows[known & np.isin(np.arange(n_rows), rows)[:, None]] = factor.weights
+        weights[:, :, outputs], coefficients[:, outputs] = all_rows, factor.coefficients
+        deviation[outputs] = np.sqrt(factor.variance)
+        value_rows = np.abs(table[np.nonzero(known)[1] == 0])
+        rounding[outputs] = (ROUNDING_LOSS * value_rows @ np.abs(all_rows[known])).max(axis=0)
+        leave_one_out = left_out(factor, np.arange(len(rows)))
+        errors[np.ix_(rows, outputs)] = leave_one_out.errors
+        through, widening = bool(model.inducing), model.estimate.widening[outputs]
+        neighbours = Neighbourhoods(equations, factor, table, settings, of_all_rows=through)
+        calibration = (
+            of_posterior(factor, table, settings)
+            if through
+            else calibrated(neighbours, leave_one_out, scaling, kinds, widening)
         )
-    return limited_to_factor(equations, settings), equations.count
+        parts.append((neighbours, calibration))
+    neighbourhoods, calibrations = zip(*parts, strict=True)
+    arrays = weights, coefficients, deviation, rounding, errors
+    return _Solution(equations, neighbourhoods, calibrations, *arrays)
+
+
+def _mean_tangent(data: _TrainingData) -> Floats:
+    """Return the mean tangent of the rows, (6, 6), SI: see `Kriging.tangent`."""
+    rows = data.rows
+    tangents = rows.compliance[np.isfinite(rows.compliance).all(axis=(1, 2))]
+    tangent = tangents.mean(axis=0) if len(tangents) else np.zeros(rows.compliance.shape[1:])
+    constant = np.ptp(data.equations.x, axis=0) <= NEAR
+    tangent[:, constant & (len(tangents) == 0)] = np.nan
+    return tangent

@@ -412,9 +412,7 @@ def _answers(
     diagonal[equations.known] = rows.parts * noise / variance
     group = OutputGroup(rows.outputs[[index]], np.arange(len(equations)), diagonal[:, 0])
     factor = factorise(equations, kernel, group, settings)
-    known = np.zeros((len(points), equations.n_derivatives), dtype=bool)
-    known[:, 0] = True
-    reduced, remainder = factor.explained_at(points, known)
+    reduced, remainder = factor.explained_at(points)
     Ty = factor.T @ equations.data[equations.known][:, group.outputs]
     mean = reduced @ Ty + remainder @ factor.coefficients
     deviation = factor.variance_of(reduced, remainder, factor.mean_covariance)

@@ -199,6 +199,16 @@ BLOCKS = {
 }  # fmt: skip
 
 
+def block_of(arrays: Mapping[str, NDArray[Any]], start: str) -> dict[str, NDArray[Any]]:
+    """Return the arrays whose names begin with `start`, by the rest of their names."""
+    return {name[len(start) :]: array for name, array in arrays.items() if name.startswith(start)}
+
+
+def named(start: str, block: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a block by their complete names: the inverse of `block_of`."""
+    return {start + name: array for name, array in block.items()}
+
+
 def check(arrays: Mapping[str, NDArray[Any]]) -> Mapping[str, NDArray[Any]]:
     """Return the arrays of a packed table as they are.
 

@@ -11,7 +11,7 @@ triangulation).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import accumulate, chain
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
@@ -46,31 +46,73 @@ CELLS_PER_SIMPLEX, MAX_CELLS, MIN_CELLS_PER_SIMPLEX = 4.0, 300_000, 0.5
 PER_NUMBER = 1.0  # buckets: a search then takes one or two steps
 
 
-def axes_arrays(axes: Axes, members: Sequence[tuple[int, ...]]) -> Iterator[tuple[str, Array]]:
-    """Yield the names and arrays of the axes, of the default space."""
+class AxesArrays(NamedTuple):
+    """The arrays of the block ``axes`` but for its cuts, by their names: see `arrays`."""
+
+    simplex: Floats
+    degenerate: NDArray[np.uint8]
+    vertex: Floats
+    slopes: Floats
+    facets: NDArray[np.int32]
+    point_first: NDArray[np.int32]
+    simplex_first: NDArray[np.int32]
+    facet_first: NDArray[np.int32]
+    floats: Floats
+    ints: NDArray[np.int32]
+    grid: NDArray[np.int32]
+    span: Floats
+    zero_load: Floats
+    member_first: NDArray[np.int32]
+    members: NDArray[np.int64]
+
+
+def axes_arrays(axes: Axes, members: Sequence[tuple[int, ...]]) -> dict[str, Array]:
+    """Return the arrays of the axes, of the default space, by their names.
+
+    `members`: numbers of the rows behind each row that the axes are made of.
+    """
     tables = axes.tables
-    first_simplex = _first(
-        [0 if table is None else len(table.triangulation.simplices) for table in tables]
-    )
+    simplices = [0 if table is None else len(table.triangulation.simplices) for table in tables]
     # Points, simplices and hulls, of all axes one after another.
     first_point = _first([0 if table is None else len(table.values) for table in tables])
-    each = zip(tables, first_point, first_simplex, strict=False)
-    yield "simplex", _joined([_simplices(*axis) for axis in each], (0, SIMPLEX))
-    flat = [
-        table.triangulation.degenerate[_order(table)[1]] for table in tables if table is not None
-    ]
-    yield "degenerate", _joined(flat, (0,)).astype(np.uint8)
-    yield "vertex", _joined([_vertices(table) for table in tables], (0, VERTEX))
-    slopes = [table.slopes[_order(table)[0]] for table in tables if table is not None]
-    yield "slopes", _joined(slopes, (0, 6, 3))
+    first_simplex = _first(simplices)
     facets = [_facets(table) for table in tables]
     for index, facet in enumerate(facets):
         facet[:, :3] += first_point[index]
         facet[:, 3] += first_simplex[index]
-    yield "facets", _joined(facets, (0, 4)).astype(np.int32)
-    yield "point_first", np.array(first_point, dtype=np.int32)
-    yield "simplex_first", np.array(first_simplex, dtype=np.int32)
-    yield "facet_first", np.array(_first([len(facet) for facet in facets]), dtype=np.int32)
+    known = [table for table in tables if table is not None]
+    flat = [table.triangulation.degenerate[_order(table)[1]] for table in known]
+    slopes = [table.slopes[_order(table)[0]] for table in known]
+    each = zip(tables, first_point, first_simplex, strict=False)
+    arrays = AxesArrays(
+        _joined([_simplices(*axis) for axis in each], (0, SIMPLEX)),
+        _joined(flat, (0,)).astype(np.uint8),
+        _joined([_vertices(table) for table in tables], (0, VERTEX)),
+        _joined(slopes, (0, 6, 3)),
+        _joined(facets, (0, 4)).astype(np.int32),
+        np.array(first_point, dtype=np.int32),
+        np.array(first_simplex, dtype=np.int32),
+        np.array(_first([len(facet) for facet in facets]), dtype=np.int32),
+        *_grids(tables, first_simplex),
+        np.array([_span(table) for table in tables]),
+        axes.at_zero,
+        *_row_numbers(tables, members),
+    )
+    named: dict[str, Array] = arrays._asdict()
+    for moment, cuts in enumerate(axes.cuts):
+        for cut in cuts:
+            name, count = f"cut{moment}{cut.column - 1}", len(cut.state)
+            stations = cut.stations if count else np.empty(0)
+            named[f"{name}/state"], named[f"{name}/stations"] = cut.state.astype(np.int32), stations
+            named[f"{name}/outputs"] = cut.outputs.reshape(count, 2, 6)
+            named[f"{name}/bucket"], named[f"{name}/start"] = buckets_of(stations)
+    return named
+
+
+def _grids(
+    tables: Sequence[AxisTable | None], first_simplex: list[int]
+) -> tuple[Floats, NDArray[np.int32], NDArray[np.int32]]:
+    """Return `floats`, `ints` and `grid` of `AxesArrays`."""
     floats, ints = np.zeros((3, FLOATS)), np.zeros((3, INTS), dtype=np.int32)
     ints[:, DIMENSION] = -1
     grids, cells = [np.empty(0, dtype=np.int32)], 0
@@ -82,20 +124,13 @@ def axes_arrays(axes: Axes, members: Sequence[tuple[int, ...]]) -> Iterator[tupl
         floats[axis, SCALE : SCALE + 3], ints[axis, FIRST_CELL] = table.scale, cells
         grids.append((numbered.grid + first_simplex[axis]).astype(np.int32))
         cells += len(grids[-1])
-    yield "floats", floats
-    yield "ints", ints
-    yield "grid", np.concatenate(grids)
-    yield "span", np.array([_span(table) for table in tables])
-    yield "zero_load", axes.at_zero
-    for moment, cuts in enumerate(axes.cuts):
-        for cut in cuts:
-            name, count = f"cut{moment}{cut.column - 1}", len(cut.state)
-            yield f"{name}/state", cut.state.astype(np.int32)
-            yield f"{name}/stations", cut.stations if count else np.empty(0)
-            yield f"{name}/outputs", cut.outputs.reshape(count, 2, 6)
-            bucket, start = buckets_of(cut.stations if count else np.empty(0))
-            yield f"{name}/bucket", bucket
-            yield f"{name}/start", start
+    return floats, ints, np.concatenate(grids)
+
+
+def _row_numbers(
+    tables: Sequence[AxisTable | None], members: Sequence[tuple[int, ...]]
+) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Return `member_first` and `members` of `AxesArrays`."""
     sizes, numbers = [np.zeros(1, dtype=np.intp)], [np.empty(0, dtype=np.int64)]
     for table in tables:
         if table is None:
@@ -105,8 +140,7 @@ def axes_arrays(axes: Axes, members: Sequence[tuple[int, ...]]) -> Iterator[tupl
         behind, row = _members_of(members, entry)
         numbers.append(row[np.lexsort((row, point[behind]))])
         sizes.append(np.bincount(point[behind], minlength=len(order)))
-    yield "member_first", np.cumsum(np.concatenate(sizes)).astype(np.int32)
-    yield "members", np.concatenate(numbers)
+    return np.cumsum(np.concatenate(sizes)).astype(np.int32), np.concatenate(numbers)
 
 
 def _first(counts: list[int]) -> list[int]:

@@ -22,7 +22,7 @@ from ..kriging import Kriging
 from ..kriging.calibration import Calibration
 from ..kriging.factor import Neighbourhoods
 from ..table.rows import LONGEST, TRANSLATION_LIMIT, ZERO_LOAD, Floats
-from .arrays import check
+from .arrays import check, named
 from .axes_arrays import axes_arrays, buckets_of
 
 LANES, PANEL = 8, 16  # WB_LANES and WB_PANEL of surrogate/kernel/wb_internal.h
@@ -48,8 +48,7 @@ def pack(
     arrays = dict(_space_arrays(table, len(table.groups))) | dict(_solver_arrays(table))
     sources = _Sources(table)
     for number, group in enumerate(table.groups):
-        for name, array in _group_arrays(group, sources):
-            arrays[f"g{number}/{name}"] = array
+        arrays |= named(f"g{number}/", dict(_group_arrays(group, sources)))
     # The gaps of each axis; None where the compliance answers, which needs no axes.
     first = table.groups[0]
     no_axes = not first.has_axes or (table.linear and first.fit.complete)
@@ -126,7 +125,7 @@ def _solver_arrays(table: Table) -> Iterator[tuple[str, Array]]:
         linear, linearity_known = "linearity" in error.values, error.linearity is not None
     flags = [by_tangent, known, linear, linearity_known, table.bars_are_complete]
     yield "solver/flags", np.array(flags, dtype=np.int32)
-    yield from ((f"solver/{name}", array) for name, array in arrays.items())
+    yield from named("solver/", arrays).items()
 
 
 class _Sources:
@@ -200,13 +199,10 @@ def _group_arrays(group: Group, sources: _Sources) -> Iterator[tuple[str, Array]
     yield "row/tangent_of", tangent_rows.astype(np.int32)
     yield "row/tangent", tangents[has_tangent]
     yield "row/source", sources.numbers(wrenches)
-    parts: list[tuple[str, Iterator[tuple[str, Array]]]] = []
     if used and group.has_axes:
-        parts.append(("axes", axes_arrays(group.axes, group.members)))
+        yield from named("axes/", axes_arrays(group.axes, group.members)).items()
     if group.kriging is not None:
-        parts.append(("kriging", _kriging_arrays(group.kriging)))
-    for name, arrays in parts:
-        yield from ((f"{name}/{array_name}", array) for array_name, array in arrays)
+        yield from named("kriging/", dict(_kriging_arrays(group.kriging))).items()
 
 
 def _group_meta(group: Group) -> dict[str, Any]:
@@ -221,7 +217,7 @@ def _group_meta(group: Group) -> dict[str, Any]:
 
 
 def _kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
-    """Yield the names and arrays of a kriging with one factor over all rows.
+    """Yield the names and arrays of a kriging, with a factor for each output group.
 
     Rows are innermost and padded to a multiple of `LANES`; rows of the padding weigh nothing and
     have no neighbourhood. The inverse factor T of each neighbourhood is stored in panels of `PANEL`
@@ -249,14 +245,14 @@ def _kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     yield "floor", kriging.floor
     yield "tangent", np.where(scaling.active & ~np.isnan(kriging.tangent), 0.0, kriging.tangent)
     yield "span", kriging.span
-    yield "together", kriging.together
+    yield "together", kriging.secondary_limits
     yield "span_loads", scaling.wrenches(kriging.span)
     yield "factor_count", np.array([len(kriging.neighbourhoods)], dtype=np.int32)
     factors = zip(kriging.neighbourhoods, kriging.calibrations, strict=True)
     for number, (neighbourhoods, calibration) in enumerate(factors):
         sizes = stride, len(kriging.deviation), kriging.equations.n_derivatives
-        for name, array in _factor_arrays(neighbourhoods, calibration, *sizes):
-            yield f"factor{number}/{name}", array
+        factor = dict(_factor_arrays(neighbourhoods, calibration, *sizes))
+        yield from named(f"factor{number}/", factor).items()
 
 
 def _factor_arrays(

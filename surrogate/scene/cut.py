@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from ..answer import METHODS, allowed_by
 from ..kernel.binding import PackedTable
 from ..kernel.format import pieces
-from ..packed.arrays import check
-from ..packed.axes_arrays import DIMENSION, FIRST_CELL, buckets_of
+from ..packed.arrays import block_of, check, named
+from ..packed.axes_arrays import CELLS, DIMENSION, FIRST_CELL, AxesArrays, buckets_of
 from ..table.axes import AXES
 from ..table.rows import Floats
 from .plan import Mask, Need
@@ -42,14 +42,8 @@ def cut(table: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -
     groups = np.flatnonzero(read).tolist() or [0]  # the first one says that nothing is measured
     slopes = np.ones(table.inputs, dtype=bool)
     for number, group in enumerate(groups):
-        prefix = f"g{group}/"
-        group_arrays = {
-            name.removeprefix(prefix): array
-            for name, array in table.arrays.items()
-            if name.startswith(prefix)
-        }
-        group_arrays = _cut_group(group_arrays, need, needs_all, slopes)
-        arrays |= {f"g{number}/{name}": array for name, array in group_arrays.items()}
+        whole = block_of(table.arrays, f"g{group}/")
+        arrays |= named(f"g{number}/", _cut_group(whole, need, needs_all, slopes))
     arrays |= _scene_arrays(table, need, len(groups), slopes)
     meta = {
         **table.meta,
@@ -82,7 +76,7 @@ def _cut_group(group: Arrays, need: Need, needs_all: bool, slopes: Mask) -> Arra
     """Return a group's arrays; in `slopes` (n,) the loads without derivatives are crossed out."""
     flags = group["flags"]
     method = METHODS[flags[_METHOD]]
-    alone = method == "kriging" or (method == "linear" and flags[_EXACT])
+    needs_axes = not (method == "kriging" or (method == "linear" and flags[_EXACT]))
     arrays = {name: array for name, array in group.items() if "/" not in name or name[:4] == "fit/"}
     is_read = np.isin(np.arange(len(group["outputs"])), need.outputs)
     if needs_all:
@@ -92,10 +86,10 @@ def _cut_group(group: Arrays, need: Need, needs_all: bool, slopes: Mask) -> Arra
     if need.tolerance is not None:
         arrays["allowed"] = np.array(allowed_by(need.tolerance, need.span.space))
     if "kriging/x" in group:
-        arrays |= _cut_kriging(group, "kriging/", need, needs_all)
-    if not alone and "axes/vertex" in group:
+        arrays |= named("kriging/", _cut_kriging(block_of(group, "kriging/"), need, needs_all))
+    if needs_axes and "axes/vertex" in group:
         loaded = np.array([need.occurring[list(axis.inputs)].any() for axis in AXES]) | needs_all
-        arrays |= _cut_axes(group, loaded)
+        arrays |= named("axes/", _cut_axes(block_of(group, "axes/"), loaded))
         for axis, stays in zip(AXES, loaded, strict=True):
             slopes[list(axis.inputs)] &= stays
     arrays["flags"] = flags
@@ -116,93 +110,94 @@ def _cut_rows(group: Arrays, need: Need) -> Arrays:
     return arrays
 
 
-def _cut_kriging(group: Arrays, name: str, need: Need, needs_all: bool) -> Arrays:
+def _cut_kriging(kriging: Arrays, need: Need, needs_all: bool) -> Arrays:
     """Return a kriging; unless all are needed, without factors of outputs that are not read."""
-    arrays = {
-        key: array for key, array in group.items() if key.startswith(name) and "/factor" not in key
-    }
-    count = int(group[f"{name}factor_count"][0])
-    numbers = [
+    count, outputs = int(kriging["factor_count"][0]), list(need.outputs)
+    factors = [block_of(kriging, f"factor{number}/") for number in range(count)]
+    stay = [
         number
-        for number in range(count)
-        if needs_all or group[f"{name}factor{number}/outputs"][list(need.outputs)].any()
+        for number, factor in enumerate(factors)
+        if needs_all or factor["outputs"][outputs].any()
     ] or [0]
-    arrays[f"{name}factor_count"] = np.array([len(numbers)], dtype=np.int32)
-    arrays[f"{name}terms"] = np.concatenate(
-        [np.split(group[f"{name}terms"], count)[number] for number in numbers]
-    )
-    for number, before in enumerate(numbers):
-        factor = f"{name}factor{before}/"
-        arrays |= {
-            f"{name}factor{number}/{key[len(factor) :]}": array
-            for key, array in group.items()
-            if key.startswith(factor)
-        }
+    terms = np.split(kriging["terms"], count)
+    arrays = {name: array for name, array in kriging.items() if "/" not in name}
+    arrays["factor_count"] = np.array([len(stay)], dtype=np.int32)
+    arrays["terms"] = np.concatenate([terms[number] for number in stay])
+    for new_number, number in enumerate(stay):
+        arrays |= named(f"factor{new_number}/", factors[number])
     return arrays
 
 
-def _cut_axes(group: Arrays, loaded: Mask) -> Arrays:
+class _Selected(NamedTuple):
+    """The entries of an array that belong to selected parts: axes, or points of axes.
+
+    Part k has the entries first[k] to first[k + 1] of the array.
+    """
+
+    entries: Mask  # (n,): which are selected
+    part: NDArray[np.intp]  # (s,): the part of each selected entry
+    removed: NDArray[np.intp]  # (p,): number of entries before each part that are not selected
+    first: NDArray[np.intp]  # (p + 1,): `first` of the selected entries; other parts are empty
+
+    @classmethod
+    def of(cls, first: NDArray[np.integer], parts: Mask) -> _Selected:
+        """Select the entries of the `parts` (p,)."""
+        counts = np.diff(first)
+        entries = np.repeat(parts, counts)
+        part = np.repeat(np.arange(len(parts)), counts)[entries]
+        removed = np.cumsum(np.where(parts, 0, counts)) - np.where(parts, 0, counts)
+        return cls(entries, part, removed, np.append(0, np.cumsum(counts * parts)))
+
+
+def _cut_axes(block: Arrays, loaded: Mask) -> Arrays:
     """Return the axes that the scene loads; the triangulation of each stays complete."""
-    axes = {key[5:]: array for key, array in group.items() if key.startswith("axes/")}
-    point, simplex = axes["point_first"], axes["simplex_first"]
-    points, simplices = _selected(point, loaded), _selected(simplex, loaded)
-    facets, cells = _selected(axes["facet_first"], loaded), _selected(_cells(axes), loaded)
-    members = _selected(axes["member_first"], points)
-    arrays = axes | {name: axes[name][points] for name in ("vertex", "slopes")}
-    fewer_points, fewer_simplices = _fewer(point, loaded), _fewer(simplex, loaded)
-    arrays["degenerate"] = axes["degenerate"][simplices]
-    arrays["simplex"] = _renumbered(axes, simplices, fewer_points, fewer_simplices)
-    corners = axes["facets"][facets]
-    axis_of = np.repeat(np.arange(3), np.diff(axes["facet_first"]))[facets]
-    corners[:, :3] -= fewer_points[axis_of, None]
-    corners[:, 3] -= fewer_simplices[axis_of]
-    cell_axis = np.repeat(np.arange(3), np.diff(_cells(axes)))[cells]
-    arrays["facets"], arrays["grid"] = corners, axes["grid"][cells] - fewer_simplices[cell_axis]
-    ints = axes["ints"].copy()
-    ints[:, FIRST_CELL] -= _fewer(_cells(axes), loaded)
+    axes = AxesArrays(**{name: block[name] for name in AxesArrays._fields})
+    points, simplices, facets = (
+        _Selected.of(first, loaded)
+        for first in (axes.point_first, axes.simplex_first, axes.facet_first)
+    )
+    has_triangulation = axes.ints[:, DIMENSION] >= 0
+    counts = np.where(has_triangulation, axes.ints[:, CELLS:].prod(axis=1), 0)
+    cells = _Selected.of(np.append(0, np.cumsum(counts)), loaded)
+    members = _Selected.of(axes.member_first, points.entries)
+
+    corners = axes.facets[facets.entries]
+    corners[:, :3] -= points.removed[facets.part, None].astype(np.int32)
+    corners[:, 3] -= simplices.removed[facets.part].astype(np.int32)
+    ints = axes.ints.copy()
+    ints[:, FIRST_CELL] -= cells.removed.astype(np.int32)
     ints[~loaded], ints[~loaded, DIMENSION] = 0, -1
-    arrays["ints"] = ints
-    for name in ("point_first", "simplex_first", "facet_first"):
-        arrays[name] = _first(np.diff(axes[name]) * loaded)
-    arrays["member_first"] = _first(np.diff(axes["member_first"])[points])
-    arrays["members"] = axes["members"][members]
-    for axis in np.flatnonzero(~loaded).tolist():
-        for gone in (f"cut{(axis + 1) % 3}0/", f"cut{(axis + 2) % 3}1/"):
-            arrays = {name: array for name, array in arrays.items() if not name.startswith(gone)}
-    return {f"axes/{name}": np.asarray(array, axes[name].dtype) for name, array in arrays.items()}
+    remaining = axes._replace(
+        simplex=_renumbered(axes, points, simplices),
+        degenerate=axes.degenerate[simplices.entries],
+        vertex=axes.vertex[points.entries],
+        slopes=axes.slopes[points.entries],
+        facets=corners,
+        point_first=points.first,
+        simplex_first=simplices.first,
+        facet_first=facets.first,
+        ints=ints,
+        grid=axes.grid[cells.entries] - simplices.removed[cells.part],
+        member_first=members.first[np.append(True, points.entries)],
+        members=axes.members[members.entries],
+    )
+    arrays = {
+        name: np.asarray(array, block[name].dtype) for name, array in remaining._asdict().items()
+    }
+    # The cuts along a moment, of both axes that it enters.
+    unloaded = np.flatnonzero(~loaded).tolist()
+    gone = [f"cut{(axis + step) % 3}{step - 1}" for axis in unloaded for step in (1, 2)]
+    cuts = {name: array for name, array in block.items() if "/" in name}
+    return arrays | {name: cuts[name] for name in cuts if name.partition("/")[0] not in gone}
 
 
-def _renumbered(
-    axes: Arrays, simplices: Mask, fewer_points: NDArray[Any], fewer_simplices: NDArray[Any]
-) -> Floats:
+def _renumbered(axes: AxesArrays, points: _Selected, simplices: _Selected) -> Floats:
     """Return the selected simplices (s, 16) with new numbers of points and neighbours."""
-    axis_of = np.repeat(np.arange(3), np.diff(axes["simplex_first"]))[simplices]
-    simplex_rows = axes["simplex"][simplices]
+    simplex_rows, axis = axes.simplex[simplices.entries], simplices.part
     ints = np.ascontiguousarray(simplex_rows[:, :4]).view(np.int32)
-    dimension = axes["ints"][axis_of, DIMENSION]
-    corner = np.arange(4) <= dimension[:, None]
-    ints[:, :4] -= np.where(corner, fewer_points[axis_of, None], 0).astype(np.int32)
+    corner = np.arange(4) <= axes.ints[axis, DIMENSION][:, None]
+    ints[:, :4] -= np.where(corner, points.removed[axis, None], 0).astype(np.int32)
     inner = ints[:, 4:] >= 0
-    ints[:, 4:] -= np.where(inner, fewer_simplices[axis_of, None], 0).astype(np.int32)
+    ints[:, 4:] -= np.where(inner, simplices.removed[axis, None], 0).astype(np.int32)
     simplex_rows[:, :4] = ints.view(np.float64)
     return simplex_rows
-
-
-def _cells(axes: Arrays) -> NDArray[np.intp]:
-    """Return where each axis' cells begin, and the end, shape (4,)."""
-    has_triangulation = axes["ints"][:, DIMENSION] >= 0
-    return _first(np.where(has_triangulation, axes["ints"][:, FIRST_CELL + 1 :].prod(axis=1), 0))
-
-
-def _first(counts: NDArray[Any]) -> NDArray[Any]:
-    return np.concatenate(([0], np.cumsum(counts)))
-
-
-def _selected(first: NDArray[Any], selected: Mask) -> Mask:
-    """Return which entries belong to a selected part; part k has first[k] to first[k+1]."""
-    return np.repeat(selected, np.diff(first))
-
-
-def _fewer(first: NDArray[Any], selected: Mask) -> NDArray[Any]:
-    """Return how many entries before each part are left out."""
-    return _first(np.where(selected, 0, np.diff(first)))[:-1]

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +26,7 @@ from ..table.spread import spread_wrenches
 Mask = NDArray[np.bool_]
 
 Decision = Literal["rigid", "linear", "table"]
+AxisNeed = Literal["inputs", "dimensions"]
 
 SAMPLE = 64  # wrenches of the scene, with its corners: as many as six loads have corners
 NO_ROWS = (
@@ -68,13 +69,13 @@ class Need:
         """Return which loads of wrenches (k, n), N and N·m, the scene has not, shape (k, n)."""
         return (wrenches < self.span.low - self.slack) | (wrenches > self.span.high + self.slack)
 
-    def axes(self) -> dict[str, dict[str, object]]:
+    def axes(self) -> dict[str, dict[AxisNeed, Any]]:
         """Return the axes that are composed: their inputs that can occur, and their dimensions.
 
         An axis is composed if some of its loads can occur and one of its outputs is read. Tables
         of several interfaces or further inputs compose none.
         """
-        axes: dict[str, dict[str, object]] = {}
+        axes: dict[str, dict[AxisNeed, Any]] = {}
         for axis in AXES if self.span.space.is_default else ():
             inputs = [load for load in axis.inputs if self.occurring[load]]
             if inputs and set(axis.outputs) & set(self.outputs):

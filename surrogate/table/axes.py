@@ -133,26 +133,26 @@ def axis_rows(
     is, "exclude" leaves it out.
     """
     single_axis = single_axis_rows(rows, load_range)
-    mine = single_axis[:, AXES.index(axis)]
-    joining = ~single_axis.any(axis=1) & (off_axis != "exclude")
+    of_axis = single_axis[:, AXES.index(axis)]
+    multi_axis = ~single_axis.any(axis=1) & (off_axis != "exclude")
     inputs, others = list(axis.inputs), list(axis.others)
     if off_axis == "correct":
         loaded = np.abs(rows.wrench) > ZERO_LOAD * load_range.scale
-        joining &= ~(loaded[:, others] & ~fit.known[others]).any(axis=1)
+        multi_axis &= ~(loaded[:, others] & ~fit.known[others]).any(axis=1)
     scaled = (rows.wrench / load_range.scale)[:, inputs] + 0.0
-    indices = [np.flatnonzero(each) for each in (mine, joining)]
+    indices = [np.flatnonzero(each) for each in (of_axis, multi_axis)]
     indices = np.concatenate([each[evenly_chosen(scaled[each])] for each in indices])
     indices.sort()
     displacement = rows.displacement[indices]
-    if joining.any():
+    if multi_axis.any():
         # At the points of single-axis rows these alone count.
         group = close_groups(scaled[indices])
-        chosen = mine[indices] | ~np.isin(group, group[mine[indices]])
+        chosen = of_axis[indices] | ~np.isin(group, group[of_axis[indices]])
         indices, displacement = indices[chosen], displacement[chosen]
     if off_axis == "correct":
         loads = np.where(np.isin(np.arange(6), others), rows.wrench[indices], 0.0)
         displacement = np.where(
-            mine[indices][:, None], displacement, displacement - loads @ fit.matrix.T
+            of_axis[indices][:, None], displacement, displacement - loads @ fit.matrix.T
         )
     # Multi-axis rows may have one point; `seq` is a row's index, so that these are the members.
     merged = merge(
@@ -170,13 +170,14 @@ def axis_rows(
     order = np.lexsort(points.T[::-1])
     ordered = merged.rows.take(order)
     tangent = ordered.compliance[:, :, inputs] * load_range.scale[inputs]
-    tangent[~mine[ordered.seq]] = np.nan  # a multi-axis row's is not that of the axis' loads alone
+    # That of a multi-axis row is not by the axis' loads alone.
+    tangent[~of_axis[ordered.seq]] = np.nan
     return AxisRows(
         axis=axis,
         points=points[order],
         displacement=ordered.displacement,
         members=tuple(merged.members[point] for point in order),
-        single_axis=mine[ordered.seq],
+        single_axis=of_axis[ordered.seq],
         tangent=tangent,
     )
 

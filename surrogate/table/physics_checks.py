@@ -24,8 +24,11 @@ ASYMMETRY = 5e-2  # turning loads make tangents unsymmetric by as much as the ro
 # Of a solve's tangent by (F, mu): at the ends of their ranges the shipped components' are symmetric
 # to 2e-11, but a linear deck's compliance may be off its solves by this much (fea/deck/solving.py).
 SOLVED_ASYMMETRY = 1e-5
-NEGATIVE = 1e-6
-TANGENT = 0.5  # part of the step between neighbours that their mean tangent may miss
+NEGATIVE = 1e-6  # of the largest eigenvalue, or of an output: rounding of solvers
+# What the mean tangent of two neighbours may miss: a part of the step between them, and a part of
+# an output's largest value, so that small steps are not judged by rounding.
+TANGENT, SMALL_STEP = 0.5, 0.05
+NEIGHBOURS = 3  # of each row, with which it is compared
 NEAR = 1.0  # half load ranges: over longer steps a tangent changes by more than `TANGENT`
 NEGLIGIBLE = 1e-2  # of the largest translation or rotation: outputs below it are not judged
 MAX_LISTED = 50
@@ -48,14 +51,14 @@ def check_physics(
         noise = ZERO * space.largest_of_kind(np.abs(complete.displacement).max(axis=0))
     else:
         noise = np.where(space.is_rotation, tolerance.rotation, tolerance.translation)
-    stored = np.nan_to_num(complete.uncertainty) + noise
+    uncertain = np.nan_to_num(complete.uncertainty) + noise
     checks = {
-        "zero_at_zero_load": _zero(complete, load_range, stored),
+        "zero_at_zero_load": _zero(complete, load_range, uncertain),
         "symmetric": _symmetric(complete, load_range, fit),
         "positive": _positive(complete, load_range, fit),
         "linear": _linear(complete, space, fit),
-        "work": _work(complete, load_range, stored),
-        "tangents": _tangents(complete, load_range, stored),
+        "work": _work(complete, load_range, uncertain),
+        "tangents": _tangents(complete, load_range, uncertain),
     }
     # Being nonlinear breaks no law.
     broken = [check for name, check in checks.items() if name != "linear" and check["ok"] is False]
@@ -69,22 +72,22 @@ def _sizes(rows: Rows, space: Space) -> Floats:
     return np.maximum(largest, np.maximum(NEGLIGIBLE * kinds, np.finfo(float).tiny))
 
 
-def _named(rows: Rows, wrong: np.ndarray) -> list[int]:
+def _listed(rows: Rows, wrong: np.ndarray) -> list[int]:
     return rows.seq[wrong][:MAX_LISTED].tolist()
 
 
-def _zero(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, Any]:
+def _zero(rows: Rows, load_range: LoadRange, uncertain: Floats) -> dict[str, Any]:
     space = load_range.space
     unloaded = (np.abs(rows.wrench - space.zero) <= ZERO_LOAD * load_range.scale).all(axis=1)
     if not unloaded.any():
         return {"ok": None, "reason": "no row at zero load; add one without load", "rows": []}
-    over = (np.abs(rows.displacement) > ZERO * _sizes(rows, space) + stored).any(axis=1)
+    over = (np.abs(rows.displacement) > ZERO * _sizes(rows, space) + uncertain).any(axis=1)
     wrong = np.asarray(unloaded & over)
     worst = np.abs(rows.displacement[unloaded]).max(axis=0).tolist()
     return {
         "ok": not wrong.any(),
         "displacement": dict(zip(space.output_names, worst, strict=True)),
-        "rows": _named(rows, wrong),
+        "rows": _listed(rows, wrong),
     }
 
 
@@ -116,24 +119,24 @@ def _solved_asymmetry(rows: Rows, load_range: LoadRange) -> Floats:
 
 def _symmetric(rows: Rows, load_range: LoadRange, fit: ComplianceFit) -> dict[str, Any]:
     energies = _energies(fit.matrix, load_range)
-    known = fit.known[: len(energies)]
-    asymmetry = float(_asymmetry(np.where(np.outer(known, known), energies, 0.0)))
-    there, solved = np.isfinite(rows.compliance).all(axis=(1, 2)), rows.source == "fea"
+    loads = fit.known[: len(energies)]
+    asymmetry = float(_asymmetry(np.where(np.outer(loads, loads), energies, 0.0)))
+    known, solved = np.isfinite(rows.compliance).all(axis=(1, 2)), rows.source == "fea"
     wrong = np.zeros(len(rows), dtype=bool)
-    wrong[there] = _asymmetry(_energies(rows.compliance[there], load_range)) > ASYMMETRY
-    solves = _solved_asymmetry(rows.take(there & solved), load_range)
-    wrong[there & solved] = solves > SOLVED_ASYMMETRY
+    wrong[known] = _asymmetry(_energies(rows.compliance[known], load_range)) > ASYMMETRY
+    solves = _solved_asymmetry(rows.take(known & solved), load_range)
+    wrong[known & solved] = solves > SOLVED_ASYMMETRY
     return {
         "ok": bool(asymmetry <= ASYMMETRY and not wrong.any()),
         "asymmetry": asymmetry,
         "allowed": ASYMMETRY,
         "asymmetry_of_solves": float(solves.max()) if len(solves) else None,
         "allowed_of_solves": SOLVED_ASYMMETRY,
-        "rows": _named(rows, wrong),
+        "rows": _listed(rows, wrong),
     }
 
 
-def _least(energies: Floats) -> tuple[Floats, Floats]:
+def _extreme_eigenvalues(energies: Floats) -> tuple[Floats, Floats]:
     """Return the smallest and largest eigenvalues of the symmetric parts, (...)."""
     values = np.linalg.eigvalsh((energies + np.swapaxes(energies, -2, -1)) / 2)
     low, high = values[..., 0], np.maximum(values[..., -1], np.finfo(float).tiny)
@@ -144,20 +147,20 @@ def _positive(rows: Rows, load_range: LoadRange, fit: ComplianceFit) -> dict[str
     energies = _energies(fit.matrix, load_range)
     known = np.flatnonzero(fit.known[: len(energies)])
     energies = energies[np.ix_(known, known)]
-    least, most = _least(energies) if len(known) else (np.float64(0), np.float64(1))
+    least, most = _extreme_eigenvalues(energies) if len(known) else (np.float64(0), np.float64(1))
     # The fit's asymmetry is an error of the fit; an eigenvalue can be negative by as much.
     fitted = min(ASYMMETRY, float(_asymmetry(energies))) if len(known) else 0.0
-    there = np.isfinite(rows.compliance).all(axis=(1, 2))
+    with_tangent = np.isfinite(rows.compliance).all(axis=(1, 2))
     wrong = np.zeros(len(rows), dtype=bool)
-    low, high = _least(_energies(rows.compliance[there], load_range))
-    wrong[there] = low < -NEGATIVE * high
+    low, high = _extreme_eigenvalues(_energies(rows.compliance[with_tangent], load_range))
+    wrong[with_tangent] = low < -NEGATIVE * high
     names = load_range.space.input_names
     idle = np.abs(energies).max(axis=1, initial=0.0) < NEGATIVE * most
     return {
         "ok": bool(least >= -max(NEGATIVE, fitted) * most and not wrong.any()),
         "smallest_over_largest_eigenvalue": float(least / most),
         "loads_without_influence": [names[load] for load in known[idle]],
-        "rows": _named(rows, wrong),
+        "rows": _listed(rows, wrong),
     }
 
 
@@ -187,11 +190,11 @@ def _linear(rows: Rows, space: Space, fit: ComplianceFit) -> dict[str, Any]:
     }
 
 
-def _work(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, Any]:
+def _work(rows: Rows, load_range: LoadRange, uncertain: Floats) -> dict[str, Any]:
     """Check that loads do positive work, alone and on the way to the nearest other row."""
     if load_range.space.scalars:
         return {"ok": None, "reason": "temperature and acceleration do work too", "rows": []}
-    uncertainty = stored + NEGATIVE * _sizes(rows, load_range.space)
+    uncertainty = uncertain + NEGATIVE * _sizes(rows, load_range.space)
     work = (rows.wrench * rows.displacement).sum(axis=1)
     wrong = work < -(np.abs(rows.wrench) * uncertainty).sum(axis=1)
     backward = 0
@@ -211,15 +214,15 @@ def _work(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, Any]:
         "ok": not wrong.any(),
         "least_work": float(work.min()),
         "pairs_that_give_work_back": backward,
-        "rows": _named(rows, wrong),
+        "rows": _listed(rows, wrong),
     }
 
 
-def _tangents(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, Any]:
+def _tangents(rows: Rows, load_range: LoadRange, uncertain: Floats) -> dict[str, Any]:
     """Check that the mean of two neighbours' tangents leads from one to the other."""
-    there = np.flatnonzero(np.isfinite(rows.compliance).all(axis=(1, 2)))
-    some = rows.take(there)
-    pairs = _neighbours(some, load_range) if len(there) > 1 else np.empty((0, 2), dtype=int)
+    with_tangent = np.flatnonzero(np.isfinite(rows.compliance).all(axis=(1, 2)))
+    some = rows.take(with_tangent)
+    pairs = _neighbours(some, load_range) if len(with_tangent) > 1 else np.empty((0, 2), dtype=int)
     if not len(pairs):
         return {"ok": None, "reason": "fewer than two tangents; solve more rows", "rows": []}
     steps = some.wrench[pairs[:, 1]] - some.wrench[pairs[:, 0]]
@@ -231,23 +234,24 @@ def _tangents(rows: Rows, load_range: LoadRange, stored: Floats) -> dict[str, An
     moved = some.displacement[second] - some.displacement[first]
     residual = np.abs(moved - np.einsum("pij,pj->pi", mean, step))
     sizes = _sizes(some, load_range.space)
-    residual -= stored[there][first] + stored[there][second]  # noise is no evidence
-    over = (residual > TANGENT * np.abs(moved) + 0.05 * sizes).any(axis=1)
+    # What the uncertainties explain is no evidence.
+    residual -= uncertain[with_tangent][first] + uncertain[with_tangent][second]
+    over = (residual > TANGENT * np.abs(moved) + SMALL_STEP * sizes).any(axis=1)
     blamed = np.bincount(pairs[near][over].reshape(-1), minlength=len(some))
     wrong = blamed > 1 if (blamed > 1).any() else blamed > 0
     return {
         "ok": not over.any(),
         "largest_miss": float((residual / sizes).max().clip(0.0)),
-        "rows": _named(some, wrong),
+        "rows": _listed(some, wrong),
     }
 
 
 def _neighbours(rows: Rows, load_range: LoadRange) -> np.ndarray:
-    """Return pairs of indices (p, 2): each row with the three nearest of another wrench."""
+    """Return pairs of indices (p, 2): each row with the nearest ones of another wrench."""
     if len(rows) < 2:
         return np.empty((0, 2), dtype=int)
     scaled = rows.wrench / load_range.scale
-    count = min(4, len(rows))
+    count = min(1 + NEIGHBOURS, len(rows))
     far, near = KDTree(scaled).query(scaled, k=count)
     first = np.repeat(np.arange(len(rows)), count)
     distinct = np.asarray(far).reshape(-1) > ZERO_LOAD

@@ -96,11 +96,11 @@ def load_change(
         mixed = np.zeros_like(bend[:, r])
         mixed[:, :, r] = np.einsum("nkia,naw->nikw", unit.by_rotation, turned)
         bend[:, r] += mixed + np.swapaxes(mixed, 2, 3)
-    held = np.logical_not(free)
-    locked = held[:, :, None] | held[:, None, :]
-    by_load = np.where(locked, np.eye(inputs), by_load)
-    by_motion = np.where(held[:, :, None], 0.0, by_motion)
-    bend = np.where(held[:, :, None, None] | locked[:, None], 0.0, bend)
+    locked = np.logical_not(free)
+    either_locked = locked[:, :, None] | locked[:, None, :]
+    by_load = np.where(either_locked, np.eye(inputs), by_load)
+    by_motion = np.where(locked[:, :, None], 0.0, by_motion)
+    bend = np.where(locked[:, :, None, None] | either_locked[:, None], 0.0, bend)
     return LoadChange(by_load + by_motion @ compliance, by_motion, bend)
 
 

@@ -67,30 +67,30 @@ def test_a_locked_freedom_moves_nothing():
 
 def test_at_the_interface_the_meshs_share_is_at_least_the_interfaces_own():
     result, own = parts(told()), np.array(told().parts(WRENCH.tolist())["mesh"])
-    assert result.shares["mesh"][0] >= np.linalg.norm(own[:3])
+    assert result.by_cause["mesh"][0] >= np.linalg.norm(own[:3])
     turned = own[:3] + np.array([0.0, own[5], own[4]])  # t + r x (1, 0, 0), of whatever signs
-    assert result.shares["mesh"][2] >= np.linalg.norm(turned)
+    assert result.by_cause["mesh"][2] >= np.linalg.norm(turned)
 
 
 def test_a_vertex_that_is_held_has_no_share():
     follows = rigid(POINTS)
     follows[1] = 0.0
-    assert parts(told(), follows=follows).shares["mesh"][1] == 0.0
+    assert parts(told(), follows=follows).by_cause["mesh"][1] == 0.0
 
 
 def test_a_vertex_that_moves_by_a_load_alone_has_the_local_share():
     follows = rigid(POINTS)
     follows[1] *= 1e-6
-    share = parts(told(), follows=follows).shares["mesh"]
+    share = parts(told(), follows=follows).by_cause["mesh"]
     assert share[1] == pytest.approx(LOCAL * share.max() / (1 + LOCAL), rel=1e-4)
 
 
 def test_the_total_is_the_sum_of_the_parts_and_names_its_sources():
     result = parts(told(linearity=[1e-7] * 6, linearity_basis="bent"))
-    assert list(result.shares) == ["table", "mesh", "linearity"]
-    np.testing.assert_allclose(result.total, sum(result.shares.values()))
+    assert list(result.by_cause) == ["table", "mesh", "linearity"]
+    np.testing.assert_allclose(result.total, sum(result.by_cause.values()))
     assert result.bases == {"mesh_basis": "words", "linearity_basis": "bent"}
-    assert result.largest()["mesh"] == result.shares["mesh"].max()
+    assert result.largest()["mesh"] == result.by_cause["mesh"].max()
 
 
 @pytest.mark.parametrize(
@@ -163,7 +163,7 @@ def test_a_surface_has_the_meshs_share_at_a_row_and_between_rows(plate, source):
     assert result.source == source
     np.testing.assert_array_equal(result.displacement, without.displacement)
     np.testing.assert_allclose(
-        result.error - without.error, result.parts.shares["mesh"], atol=1e-18
+        result.error - without.error, result.parts.by_cause["mesh"], atol=1e-18
     )
     # On the patch, which is the interface, at least the interface's own bar for that point.
     patch = np.linalg.norm(result.geometry.vertices[:, :2], axis=1) < 0.0599
@@ -203,8 +203,8 @@ def test_a_linear_surface_has_its_meshs_and_its_linearitys_share(tmp_path):
     shapes = DeformedSurfaces(store)
     mesh = SolverError(accuracy_of(solver(folder)))
     result = shapes.answer(own, rows, asked[1], solver=mesh)
-    assert list(result.parts.shares) == ["table", "mesh", "linearity"]
-    assert (result.parts.shares["linearity"] > 0).any()
+    assert list(result.parts.by_cause) == ["table", "mesh", "linearity"]
+    assert (result.parts.by_cause["linearity"] > 0).any()
     np.testing.assert_allclose(result.error, result.parts.total)
     alone = shapes.answer(own, Rows.empty(), asked[1], solver=mesh)
     assert alone.parts.largest()["mesh_basis"] == NOT_FOLLOWED

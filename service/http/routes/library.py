@@ -13,7 +13,6 @@ from starlette.responses import Response
 from typing_extensions import TypedDict
 
 from wrenchbook.service.actors import CALLER
-from wrenchbook.service.contract import Coverage
 from wrenchbook.service.formats.cells import text_problem
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import CopyBody, NotesBody, RenameBody
@@ -25,15 +24,13 @@ from wrenchbook.service.http.routes.components import component_body
 from wrenchbook.service.http.routes.rows import file_fields
 from wrenchbook.service.ledger import ImportOrigin, UnknownImportError
 from wrenchbook.service.messages import (
-    FiniteArray,
-    FloatArray,
     ImportFinding,
     Message,
     Six,
-    Vector,
-    left_out,
 )
 from wrenchbook.service.tables.comparison import (
+    Comparison,
+    Disagreement,
     UncomparableError,
     comparison,
     comparison_csv,
@@ -84,56 +81,6 @@ class Import(FileImport):
 
 class Imports(Message):
     imports: Sequence[Import]
-
-
-class DisagreeingRow(Message):
-    row: int
-    wrench: dict[str, float]
-    output: str
-    measured: float
-    expected: float
-    bar: float
-    ratio: float
-
-
-class Disagreement(Message):
-    component: str
-    table_version: int
-    measured: int
-    solved: int
-    beyond_range: int
-    compared: int
-    outside: int
-    not_told: int | None = left_out(default=None)
-    outputs: dict[str, Any]
-    rows: Sequence[DisagreeingRow]
-    reason: str = left_out(default="")
-
-
-class Comparison(Message):
-    """Measured rows beside a reference; arrays have a line a row, in the order of the rows."""
-
-    component: str
-    table_version: int
-    inputs: Sequence[str]
-    reference: dict[Literal["import", "rows", "of", "method", "bars_are_complete"], Any]
-    measured: int
-    beyond_range: int
-    compared: int
-    coverages: dict[Coverage, int]
-    noise: Annotated[Vector, FloatArray(None)]
-    reason: str
-    outputs: dict[str, dict[str, Any]]
-    campaigns: Sequence[dict[Literal["import", "rows", "outputs"], Any]]
-    row: Sequence[int]
-    campaign: Sequence[int | None]
-    coverage: Sequence[Coverage]
-    wrench: Annotated[Vector, FiniteArray(None, None)]
-    displacement: Annotated[Vector, FloatArray(None, None)]
-    expected: Annotated[Vector, FloatArray(None, None)]
-    residual: Annotated[Vector, FloatArray(None, None)]
-    bar: Annotated[Vector, FloatArray(None, None)]
-    uncertainty: Annotated[Vector, FloatArray(None, None)]
 
 
 class DemandCell(Message):
@@ -263,8 +210,7 @@ def restore_import(
 def list_disagreements(name: str, workspace: Opened) -> Response:
     component = workspace.library[name]
     table = workspace.tables.caught_up(name, CATCH_UP_S)
-    compared = disagreement(component, table.rows, table.solver_error)
-    return json_reply(Disagreement(component=name, table_version=table.version, **compared))
+    return json_reply(disagreement(component, table.rows, table.version, table.solver_error))
 
 
 @router.get(
@@ -300,14 +246,14 @@ def _compared(
 ) -> Response:
     component, spans = workspace.library[name], workspace.ledger.import_spans(name)
     try:
-        reply = comparison(component, table.rows, table.solver_error, spans, number, against)
+        source = component, table.rows, table.version, table.solver_error
+        reply = comparison(*source, spans, number, against)
     except UncomparableError as error:
         raise HttpProblemError(409, "no-comparison", "Nothing to compare", str(error)) from None
     if form == "csv":
         headers = {"Content-Disposition": f'attachment; filename="{name}-comparison.csv"'}
         return Response(comparison_csv(reply, component.space), 200, headers, "text/csv")
-    more = {"table_version": table.version, "inputs": component.space.input_names}
-    return json_reply(Comparison(component=name, **more, **reply))
+    return json_reply(reply)
 
 
 @router.get("/stiffness", summary="Stiffness and play of measured rows between two loads")

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import asdict
 from statistics import median
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import orjson
@@ -93,55 +92,54 @@ def scene_table(
         return Response(None, 304, naming(tag))
 
     # With the plan, of a rigid or linear component too.
-    content = b"".join(cut(table.packed, need, _plan(workspace, component, table, need)))
+    plan = orjson.loads(json_reply(_plan(workspace, component, table, need)).body)
+    content = b"".join(cut(table.packed, need, plan))
     return Response(content, 200, naming(tag), PACKED_TYPE)
 
 
-def _plan(
-    workspace: Workspace, component: Component, table: ServedTable, need: Need
-) -> dict[str, Any]:
-    """Return a scene's plan of a component, as JSON values."""
-    built = table.surrogate()
+def _plan(workspace: Workspace, component: Component, table: ServedTable, need: Need) -> Plan:
+    """Return a scene's plan of a component."""
+    built, limit = table.surrogate(), need.tolerance
     plan = plan_of(built, need, solved=component.has_fea)
-    (full, scene), savings = plan.solves, measured(built, plan)
-    # The meaning of the numbers of solves, and the time that the saved ones take.
+    (whole, scene), savings = plan.solves, measured(built, plan)
     solves = "the component has no finite-element setup: nothing is solved"
     if component.has_fea:
-        jobs = workspace.ledger.jobs(component.name, "done", SOLVES_TIMED)
-        times = [job.seconds for job in jobs if job.seconds is not None]
-        timed = "; no solve of it has been timed here yet"
-        if times:
-            each = median(times)
-            timed = (
-                f"; at {each:.3g} s a solve, the median of the last {len(times)}, that is "
-                f"{(full - scene) * each:.3g} s less"
-            )
         solves = (
-            f"counted: the first design of an empty table has {full} wrenches for the whole load "
-            f"range and {scene} for the scene{timed}"
+            f"counted: the first design of an empty table has {whole} wrenches for the whole load "
+            f"range and {scene} for the scene{_time_saved(workspace, component, whole - scene)}"
         )
-    body: dict[str, Any] = {
-        "decision": plan.decision,
-        "reason": plan.reason,
-        "loads": need.loads,
-        "axes": need.axes(),
-        "outputs": need.output_names(),
-        "tolerance": need.tolerance and asdict(need.tolerance),
-        "displacement_bound": [
-            value if np.isfinite(value) else None for value in plan.bound.tolist()
-        ],
-        "solves": {"whole": full, "scene": scene},
-        "saves": {
+    return Plan(
+        decision=plan.decision,
+        reason=plan.reason,
+        loads=tuple(need.loads),
+        axes=need.axes(),
+        outputs=tuple(need.output_names()),
+        tolerance=limit and {"translation": limit.translation, "rotation": limit.rotation},
+        displacement_bound=plan.bound,
+        solves={"whole": whole, "scene": scene},
+        saves={
             "build_s": savings.build_s,
             "memory_bytes": savings.memory_bytes,
             "us_per_answer": savings.us_per_answer,
         },
-        "saves_from": savings.origin | {"solves": solves},
-        "table_version": table.version,
-    }
-    if plan.compliance is not None:
-        body["compliance"] = plan.compliance.tolist()
-    return body
+        saves_from=savings.origin | {"solves": solves},
+        # Contiguous, as the JSON writer needs it.
+        compliance=None if plan.compliance is None else np.ascontiguousarray(plan.compliance),
+        table_version=table.version,
+    )
+
+
+def _time_saved(workspace: Workspace, component: Component, fewer_solves: int) -> str:
+    """Return in words the time that so many solves take, by the median of the last ones."""
+    jobs = workspace.ledger.jobs(component.name, "done", SOLVES_TIMED)
+    times = [job.seconds for job in jobs if job.seconds is not None]
+    if not times:
+        return "; no solve of it has been timed here yet"
+    each = median(times)
+    return (
+        f"; at {each:.3g} s a solve, the median of the last {len(times)}, that is "
+        f"{fewer_solves * each:.3g} s less"
+    )
 
 
 def _need_of(component: Component, wanted: SceneComponent, where: str) -> Need:

@@ -9,7 +9,7 @@ from tests.surrogate.findings.rigs import Rig
 from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.responses import HIGH, RANGE
 from wrenchbook.surrogate.build import build
-from wrenchbook.surrogate.findings.comparison import comparison_findings, factor_of
+from wrenchbook.surrogate.findings.comparison import comparison_findings, scale_factor
 from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.table.rows import Rows
 
@@ -97,7 +97,7 @@ def readings(seed, kind):
 def test_the_interval_of_a_factor_holds_the_true_one(kind):
     held = 0
     for seed in range(200):
-        factor, half_width, _ = factor_of(*readings(seed, kind))
+        factor, half_width, _ = scale_factor(*readings(seed, kind))
         held += abs(factor - 1.03) <= half_width
     assert held >= 0.92 * 200
 
@@ -105,14 +105,14 @@ def test_the_interval_of_a_factor_holds_the_true_one(kind):
 def test_stated_uncertainties_weigh_the_rows_of_a_factor():
     y, x, bars, stated = readings(1, "stated")
     weights = stated**-2.0
-    factor, half_width, _ = factor_of(y, x, bars, stated)
+    factor, half_width, _ = scale_factor(y, x, bars, stated)
     assert factor == pytest.approx((weights @ (x * y)) / (weights @ x**2), rel=1e-12)
-    assert half_width < factor_of(y, x, bars, np.full_like(stated, np.nan))[1]
+    assert half_width < scale_factor(y, x, bars, np.full_like(stated, np.nan))[1]
 
 
 def test_a_factor_without_a_bar_of_its_answers_has_no_interval():
     y, x, bars, stated = readings(2, "noise")
     bars[3] = np.nan
-    factor, half_width, of_answers = factor_of(y, x, bars, stated)
+    factor, half_width, of_answers = scale_factor(y, x, bars, stated)
     assert factor == pytest.approx(1.03, abs=0.02)
     assert np.isnan([half_width, of_answers]).all()
