@@ -23,7 +23,7 @@ machine.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 
@@ -36,12 +36,18 @@ _NONLINEAR = 2.5  # times the work of a linear solve
 _PROJECTED = 2.0  # times that where pressure is a separate unknown: more, and larger, matrices
 
 
-def estimate(component: ComponentModel) -> dict[str, Any]:
-    """Return the estimated seconds and bytes of one solve.
+class Cost(TypedDict):
+    """Time and memory of one solve."""
 
-    Result: ``unknowns`` (without nodes that are fixed or follow others), ``linear_seconds``,
-    ``nonlinear_seconds``, ``memory_bytes`` and ``basis``, a sentence.
-    """
+    unknowns: int  # without nodes that are fixed or follow others
+    linear_seconds: float
+    nonlinear_seconds: float
+    memory_bytes: int
+    basis: str  # a sentence
+
+
+def estimate(component: ComponentModel) -> Cost:
+    """Return the estimated cost of one solve."""
     mesh, follow = component.mesh, component.mesh.dependents
     free = np.ones(len(mesh.points), dtype=bool)
     free[component.fixed_nodes] = False

@@ -80,19 +80,15 @@ def report(
     dict
         Always ``ok``, ``problems`` (what stops a solve) and ``warnings`` (what may make it wrong),
         each a list of ``{"where", "message"}``. As far as it gets: ``name``, ``fingerprint``,
-        ``has_fea``; ``faces`` and ``bodies`` of a geometry file (``faces``
-        with ``toml`` of any surface); ``unknowns`` (three a node),
-        ``nodes``, ``cells``, ``groups``, ``quality`` (see `fea.inspection`), ``parts``,
-        ``coincident_nodes``; of an input deck ``mesh_file`` (see `fea.check.deck_differences`);
-        ``materials``, ``section`` (of several interfaces ``sections``, with
-        their names), ``supports``, ``ties`` where there are any, ``temperature`` and
-        ``acceleration`` where they are inputs, and
-        ``estimate`` (see `fea.check.cost`), ``trial`` (see `fea.check.trial`), and where a density
-        or a mass is given ``vibration`` (see `fea.check.trial`), and where a yield strength is
-        given ``strength`` (see `fea.check.trial`), and where it takes no longer than a check may
-        ``solver_error``
-        (see `fea.accuracy.estimate`). Lengths in m. Instead of all from ``faces`` on,
-        ``deck`` (see `fea.deck.running`).
+        ``has_fea``; ``faces`` and ``bodies`` of a geometry file (``faces`` with ``toml`` of any
+        surface); ``unknowns`` (three a node), ``nodes``, ``cells``, ``groups``, ``quality`` (see
+        `fea.inspection`), ``parts``, ``coincident_nodes``; of an input deck ``mesh_file`` (see
+        `fea.check.deck_differences`); ``materials``, ``section`` (of several interfaces
+        ``sections``, with their names), ``supports``, ``ties``, ``temperature`` and
+        ``acceleration`` where there are any; ``estimate`` (`fea.check.cost.Cost`), ``trial``,
+        ``vibration`` and ``strength`` (`Trial`, `Swing` and `LargestStress` of `fea.check.trial`);
+        for meshes that solve in seconds ``solver_error`` (see `fea.accuracy.estimate`). Lengths in
+        m. Instead of all from ``faces`` on, ``deck`` (see `fea.deck.running`).
     """
     summary: dict[str, Any] = {"ok": False, "problems": [], "warnings": []}
     folder = Path(folder)
@@ -214,7 +210,8 @@ def _inspect_mesh(
         warnings += weight_warnings(solver)
     summary["vibration"], more = frequency(solver, riding)
     warnings += more
-    summary["strength"], more = strength(solver, nonlinear)
+    stresses, more = strength(solver, nonlinear)
+    summary["strength"] = [stress.as_json() for stress in stresses]
     warnings += more
     # Find what the solver's answers may be wrong by, and whether that is over the tolerance.
     cost, bundle = summary["estimate"], solver.component.bundle
