@@ -190,7 +190,7 @@ class Linearisation:
         return np.concatenate([-thermal, self._body_force], axis=2)
 
     @cached_property
-    def _alone(self) -> Array:
+    def _free_response(self) -> Array:
         """Change of the free nodes with those inputs while the border stays, in m per unit."""
         return self.tangent.solve(self.load_columns[0][:, :, self._coupling.freedoms :])
 
@@ -200,7 +200,7 @@ class Linearisation:
         loads = self.wrench_columns
         if self.further.shape[2]:
             loads = self.load_columns[1].copy()
-            loads[:, self._coupling.freedoms :] -= contract(self._columns, self._alone)
+            loads[:, self._coupling.freedoms :] -= contract(self._columns, self._free_response)
         return self._solve_border(loads)
 
     @property
@@ -208,7 +208,7 @@ class Linearisation:
         """Change of all nodes per change of the inputs, shape (n, 3, k), m per unit of each."""
         moved = (self.border.constraint - self._solved) @ self.border_response
         if self.further.shape[2]:
-            moved[:, :, self._coupling.freedoms :] += self._alone
+            moved[:, :, self._coupling.freedoms :] += self._free_response
         return moved
 
     def conjugate_rate(self, change: Array) -> Array:

@@ -16,7 +16,7 @@ from wrenchbook.fea.bundle.read import FILE_NAME, Bundle, BundleError, read_bund
 from wrenchbook.fea.bundle.tables import ComponentFile
 from wrenchbook.fea.check.cost import estimate
 from wrenchbook.fea.check.deck_differences import contradictions, listing
-from wrenchbook.fea.check.mechanisms import motion_problems, parts
+from wrenchbook.fea.check.mechanisms import listed_bodies, motion_problems
 from wrenchbook.fea.check.trial import (
     deflection_warnings,
     frequency,
@@ -187,7 +187,7 @@ def _inspect_mesh(
     warnings: list[BundleProblem] = summary["warnings"]
     warnings += [BundleProblem("mesh", text) for text in quality_warnings(summary["quality"])]
     bodies = bodies_of(mesh)
-    summary["parts"] = parts(mesh, bodies)
+    summary["parts"] = listed_bodies(mesh, bodies)
     if mesh.deck is not None:
         summary["mesh_file"] = listing(mesh.deck)
     try:

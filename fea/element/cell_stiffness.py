@@ -90,7 +90,7 @@ class CellStiffness(ABC):
 
         displacement: shape (cells, 3, nodes), m.
         step: shape (2, cells, 3, nodes), m: the last step of Newton's method, see
-        `ElasticBody.tangent`; None for the forces proper.
+        `ElasticBody.tangent`; None for the forces at the displacement.
         Returns forces: shape (cells, 3, nodes), N. energy: J. least: the smallest determinant of
         the deformation gradient.
         """
@@ -110,7 +110,7 @@ class CellStiffness(ABC):
 
         displacement: Theirs, shape (k, 3, nodes), m; None for the undeformed state.
         step: Theirs, shape (2, k, 3, nodes), m: the last step of Newton's method, see
-        `ElasticBody.tangent`; None for the tangent proper.
+        `ElasticBody.tangent`; None for the consistent tangent.
         cells: shape (k,), their numbers, dimensionless.
         Result: shape (k, size, size), N/m.
         """

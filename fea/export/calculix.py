@@ -34,7 +34,7 @@ PLACEHOLDERS = ("$FX", "$FY", "$FZ", "$MX", "$MY", "$MZ")
 
 # Their nodes are in the same order as those of `fea.mesh.mesh`.
 _ELEMENTS = {"hex20": "C3D20R", "tet10": "C3D10", "wedge15": "C3D15"}
-_ROUNDOFF = 1e-12  # of a direction's component
+_ZERO = 1e-12  # of a component of a unit vector; smaller ones are roundoff
 
 # The increments are halved by CalculiX where they are too large. Its default tolerance leaves up to
 # 5e-3 in small rotations.
@@ -159,7 +159,7 @@ def _springs(component: ComponentModel) -> Iterator[str]:
                 for end, sign in zip(ends, signs, strict=True)
                 for j, x in enumerate(motion @ rotation)
             ]
-            terms = [term for term in terms if abs(term[2]) > _ROUNDOFF]
+            terms = [term for term in terms if abs(term[2]) > _ZERO]
             yield f"*NODE\n{node}, {at}\n*BOUNDARY\n{node}, 2, 3"
             yield from _equation([(node, 1, -1.0), *terms])
             yield f"*ELEMENT, TYPE=SPRING1, ELSET=K{element}\n{element}, {node}"
@@ -229,7 +229,7 @@ def _sliding(component: ComponentModel) -> Iterator[str]:
         ]  # a dependent one each
         rows = np.linalg.solve(projector[np.ix_(first, first)], projector[first])
         for axis, row in zip(first, rows, strict=True):
-            others = [i for i in range(3) if i not in first and abs(row[i]) > _ROUNDOFF]
+            others = [i for i in range(3) if i not in first and abs(row[i]) > _ZERO]
             terms = [f"{node}, {i + 1}, {_numbers([row[i]])}" for i in (axis, *others)]
             equation = f"*EQUATION\n{len(terms)}\n" + ", ".join(terms)
             yield equation if others else f"*BOUNDARY\n{node}, {axis + 1}"

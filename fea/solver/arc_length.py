@@ -145,7 +145,7 @@ class ArcPath:
         system, balance = self._system, self._point.equilibrium.balance
         tangent = self._point.equilibrium.tangent
         tangent.release()  # `rate` is known
-        proper = False
+        consistent = False
         for iteration in range(1, _MAX_ITERATIONS + 1):
             balance = system.reload(balance, size * self._direction)
             try:
@@ -156,11 +156,11 @@ class ArcPath:
             self._report(size / self._full)(iteration, balance.norm)
             if not np.isfinite(balance.norm):
                 return None
-            if proper and step.converged:
+            if consistent and step.converged:
                 settled = tangent_after(system, step, tangent)
                 return size, Equilibrium(balance, settled, iteration)
-            proper = step.nearly
-            tangent = system.linearise(balance, None if proper else step.aim)
+            consistent = step.nearly
+            tangent = system.linearise(balance, None if consistent else step.aim)
             moved, edge = tangent.correction(balance)
             rate = self._rate(tangent)
             constraint = tangent.border.constraint

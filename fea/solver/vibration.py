@@ -374,9 +374,8 @@ def craig_bampton(
 def _reduced_stiffness(compliance: Array, elastic: Array, squares: Array) -> Array:
     """Return the stiffness of f frames and n modes, shape (6 f + n, 6 f + n).
 
-    compliance: shape (6 i, 6 i), of the interfaces in their axes.
-    elastic: shape (6 i, 6 f): motions of the interfaces relative to the base by unit motions of the
-    frames, in the axes of the interfaces.
+    compliance, elastic: of the interfaces, in their axes: shape (6 i, 6 i), and their motions
+    relative to the base by unit motions of the frames, shape (6 i, 6 f).
     squares: shape (n,), (rad/s)^2: of the modes' frequencies.
     """
     frames = elastic.shape[1]
