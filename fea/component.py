@@ -171,10 +171,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
 
     A mesh that is given has no bolts cut.
 
-    Raises
-    ------
-    BundleError
-        If there is nothing to solve, or a file, a group, a material or a support will not do.
+    Raises BundleError if there is nothing to solve, or a file, group, material or support is wrong.
     """
     supported = bundle.supports is not None or any(
         interface.held for interface in bundle.interfaces

@@ -158,10 +158,7 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
         ``linearity`` (six numbers, m and rad, or None)
         and ``buckling`` (or None): see `fea.accuracy.estimate`; ``linearity_basis``.
 
-    Raises
-    ------
-    SolveFailed
-        If the component cannot be solved for small loads.
+    Raises SolveFailed if the component cannot be solved for small loads.
     """
     bundle = solver.component.bundle
     second = coarser(solver)

@@ -83,15 +83,6 @@ def roundness(solver: Solver) -> Roundness | None:
     raise AssertionError("the last part raises")
 
 
-class _Facets(NamedTuple):
-    """Second-order facets of the surface, each with four corners: a triangle repeats its last."""
-
-    corners: Array  # shape (f, 4): nodes
-    # Shape (f, 4): the midside nodes from each corner to the next. The triangle's third has no
-    # length; its second stands in for it.
-    middles: Array
-
-
 def bows_of(mesh: Mesh) -> tuple[Array, float]:
     """Return how far each node moves to the round surface, (n, 3), m, and the largest angle, rad.
 
@@ -130,8 +121,11 @@ def bows_of(mesh: Mesh) -> tuple[Array, float]:
     return bows if mesh.dependents is None else mesh.dependents.expanded(bows), largest
 
 
-def _surface_facets(mesh: Mesh) -> _Facets:
-    """Return the facets of the surface that have midside nodes."""
+def _surface_facets(mesh: Mesh) -> tuple[Array, Array]:
+    """Return corners and midside nodes of the surface's second-order facets, (f, 4) each.
+
+    A triangle repeats its last corner; its third side, of no length, has the second's midside node.
+    """
     empty = np.empty((0, 4), dtype=np.int64)
     corners, middles = [empty], [empty]
     for kind, nodes in outer_surface(mesh.blocks).blocks:
@@ -140,14 +134,14 @@ def _surface_facets(mesh: Mesh) -> _Facets:
             corners.append(nodes[:, np.minimum(np.arange(4), count - 1)])
             sides = [0, 1, 2, 3] if count == 4 else [0, 1, 1, 2]
             middles.append(nodes[:, count : 2 * count][:, sides])
-    return _Facets(np.concatenate(corners), np.concatenate(middles))
+    return np.concatenate(corners), np.concatenate(middles)
 
 
 def _corner_normals(corners: Array, points: Array) -> tuple[Array, Array]:
     """Return the surface's unit normals, (f, 4, 3), and each facet's largest angle, (f,), rad.
 
-    corners, points: shapes (f, 4) and (f, 4, 3), m, of `_Facets`. The normal at a facet's corner is
-    the mean over the facets there at angles below `SMOOTH` to it, weighted by their angles there.
+    corners, points: shapes (f, 4), of `_surface_facets`, and (f, 4, 3), m. The normal at a facet's
+    corner is the mean over facets there at angles below `SMOOTH` to it, by their angles there.
     """
     facet_normals = np.cross(points[:, 2] - points[:, 0], points[:, 3] - points[:, 1])
     triangle = corners[:, 2] == corners[:, 3]

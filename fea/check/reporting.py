@@ -312,13 +312,7 @@ _EACH = len(FREEDOMS)  # values of one interface
 
 
 def as_text(report: Mapping[str, Any]) -> str:
-    """Write out a report of `fea.check.report`.
-
-    Returns
-    -------
-    str
-        Lines without a newline at the end; what is wrong comes last, where it is read first.
-    """
+    """Return a report of `fea.check.report` as lines, its warnings and errors last."""
     lines = [f"{report.get('name', 'bundle')}  {report.get('fingerprint', '')}".rstrip()]
     if report.get("has_fea") is False:
         lines.append("a table only: nothing to mesh or solve")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, NotRequired, TypedDict
 
 import numpy as np
@@ -67,15 +67,10 @@ class LargestStress:
 
     def as_json(self) -> dict[str, Any]:
         """Return the entry of the report: the further inputs stand among the other keys."""
-        return {
-            "region": self.region,
-            "largest": self.largest,
-            "at": self.at,
-            "wrench": self.wrench,
-            **self.further,
-            "yield_strength": self.yield_strength,
-            "first_order": self.first_order,
-        }
+        entry: dict[str, Any] = {}
+        for key, value in asdict(self).items():
+            entry |= value if key == "further" else {key: value}
+        return entry
 
 
 def solver_of(component: ComponentModel) -> Solver:

@@ -46,27 +46,15 @@ def solve_deck(
     moments, else until the conjugate moment fits the rotation (two or three times for small
     rotations); its compliance and strain energy are unknown: NaN.
 
-    Parameters
-    ----------
-    bundle
-        With a deck.
-    wrench
-        Shape (6,), N and N·m: at the interface point where it is now, in the
-        undeformed interface frame's axes.
-    progress
-        Called with the fraction done and a message.
-    folder
-        Where the files of every run stay, below ``deck``; without it they are deleted.
-    accept
-        Raises if a displacement (shape (6,), m and rad) is beyond the limits of an answer.
-
-    Raises
-    ------
-    ValueError
-        If the wrench is not six finite numbers, or the bundle has no deck.
-    SolveFailed
-        As `fea.deck.running.run_deck`; also ``not_linear``, ``not_reciprocal``, or
-        ``not_converged`` if no conjugate moment fits.
+    bundle: with a deck.
+    wrench: shape (6,), N and N·m: at the interface point where it is now, in the undeformed
+    interface frame's axes.
+    progress: called with the fraction done and a message.
+    folder: where the files of every run stay, below ``deck``; None deletes them.
+    accept: raises if a displacement, shape (6,), m and rad, is beyond the limits of an answer.
+    Raises ValueError if the wrench is not six finite numbers, or the bundle has no deck. Raises
+    SolveFailed as `run_deck` does; also ``not_linear``, ``not_reciprocal``, or ``not_converged`` if
+    no conjugate moment fits.
     """
     started = time.perf_counter()
     loads = checked_wrench(wrench)

@@ -55,18 +55,9 @@ def deck_of(component: ComponentModel, comments: Iterable[str] = ()) -> str:
     printed motion is that of the sets REF (translation) and ROT (rotation vector), as the reader
     "calculix-dat" takes it; of an interface with a name REF_NAME and ROT_NAME.
 
-    Parameters
-    ----------
-    component
-        What to write.
-    comments
-        Lines to put first.
-
-    Raises
-    ------
-    BundleError
-        If CalculiX has no counterpart: a distributed coupling, whose mean motion it does not
-        report, interfaces of different axes, or cells it has no element for.
+    comments: first lines of the deck.
+    Raises BundleError if CalculiX has no counterpart: a distributed coupling, whose mean motion it
+    does not report, interfaces of different axes, or cells it has no element for.
     """
     problems = []
     for interface in component.interfaces:

@@ -203,9 +203,7 @@ def _split_nodes(mesh: Mesh, group: Array, finer: _FinerNodes) -> Array:
     """Return the finer nodes, sorted, that depend on nodes of the group only."""
     inside = []
     for block, numbers in zip(mesh.blocks, finer.numbers, strict=True):
-        # Which nodes have a part in each point, (points, nodes): shape functions are multiples of
-        # 1/64 there, so the threshold only excludes roundoff.
-        matters = np.abs(_pattern(block.kind).values) > 1e-9
+        matters = np.abs(_pattern(block.kind).values) > 1e-9  # values are multiples of 1/64
         outside = ~np.isin(block.nodes, group)
         inside.append(numbers[outside.astype(int) @ matters.T.astype(int) == 0])
     return np.unique(np.concatenate(inside))

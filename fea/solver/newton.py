@@ -37,12 +37,11 @@ SAME_STATE = 1e-10
 On that spring a tangent changes by 500 times the correction: this leaves 5e-8 of a compliance.
 """
 
-MAX_ITERATIONS = 16
-
-_NEARLY = 1e-3
+MAX_ITERATIONS = 16  # of a load step, which is then halved
+_NEARLY = 1e-3  # relative size of a correction after which tangents are consistent
 _MAX_CHORDS = 3  # by when a correction that shrinks tenfold is below what a new tangent needs
 _CHORD_GAIN = 0.1  # a correction that shrinks less says that the tangent has changed
-_MAX_IDLE = 3
+_MAX_IDLE = 3  # small corrections in a row of which none halves either norm: roundoff
 _FAR_ROTATION = 2.0  # rad: a rotation vector is of no use near half a turn
 _FAR = 1e3  # times the size of the part
 
