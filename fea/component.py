@@ -1,4 +1,4 @@
-"""From a bundle to what the solver takes: the mesh built and every group it names found."""
+"""The component model of a bundle: its mesh, with every group that the bundle names resolved."""
 
 from __future__ import annotations
 
@@ -171,10 +171,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
 
     A mesh that is given has no bolts cut.
 
-    Raises
-    ------
-    BundleError
-        If there is nothing to solve, or a file, a group, a material or a support will not do.
+    Raises BundleError if there is nothing to solve, or a file, group, material or support is wrong.
     """
     supported = bundle.supports is not None or any(
         interface.held for interface in bundle.interfaces
@@ -190,37 +187,35 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     material_of_cells = _material_numbers(mesh, bundle.materials, problems)
     supports = bundle.supports or Supports()
     fixed = _fixed_nodes(mesh, supports, problems)
-    # The nodes that slide and the projectors on what holds each; fixed ones are none.
-    spans = np.zeros((len(mesh.points), 3, 3))
-    for i, support in enumerate(supports.sliding):
-        nodes = group_nodes(mesh, f"supports.sliding[{i}].group", support.group, problems)
-        spans[nodes] += support.directions.T @ support.directions
-    spans[fixed] = 0.0
-    nodes = np.flatnonzero(spans.any(axis=(1, 2)))
-    sizes, axes = np.linalg.eigh(spans[nodes])
-    sliding = nodes, (axes * (sizes > _ZERO)[:, None]) @ axes.swapaxes(1, 2)
+    held = _held_directions(mesh, supports, fixed, problems)
+    sliding = _projectors(held)
+
+    # Interfaces, bushings and the ends of joints, attached to the mesh.
     keys = [f"interface[{i}]" for i in range(len(bundle.interfaces))]
     keys = ["interface"] if len(keys) == 1 else keys
     pairs = zip(keys, bundle.interfaces, strict=True)
     interfaces = [_attach(mesh, f"{key}.section", source, problems) for key, source in pairs]
-    holds = enumerate(bushing.end(bushing.group) for bushing in supports.bushings)
-    springs = [
-        _attach(mesh, f"supports.bushing[{i}].group", source, problems) for i, source in holds
+    bushings = [
+        _attach(mesh, f"supports.bushing[{i}].group", bushing.end(bushing.group), problems)
+        for i, bushing in enumerate(supports.bushings)
     ]
     joints = [
         _join(mesh, f"spring[{i}].groups", joint, problems) for i, joint in enumerate(bundle.joints)
     ]
-    holds = [*interfaces, *springs, *(end for joint in joints for end in joint.ends)]
-    for hold in holds:
-        sliding = _free_sliding(mesh, sliding, hold, problems)
-    attached = [(hold.where, hold.section.node_ids) for hold in holds]  # of a joint two
-    spans[fixed], spans[sliding[0]] = np.eye(3), sliding[1]
-    mesh, ties = joined(mesh, bundle.ties, spans, attached, problems)
-    alone = ~np.isin(sliding[0], np.concatenate([sliding[0][:0], *(tie.nodes for tie in ties)]))
-    sliding = sliding[0][alone], sliding[1][alone]
+    attached = [*interfaces, *bushings, *(end for joint in joints for end in joint.ends)]
+    for frame in attached:
+        sliding = _free_sliding(mesh, sliding, frame, problems)
+
+    sections = [(frame.where, frame.section.node_ids) for frame in attached]
+    held[fixed], held[sliding[0]] = np.eye(3), sliding[1]
+    mesh, ties = joined(mesh, bundle.ties, held, sections, problems)
+    tied = np.concatenate([fixed[:0], *(tie.nodes for tie in ties)])
+    not_tied = ~np.isin(sliding[0], tied)
+    sliding = sliding[0][not_tied], sliding[1][not_tied]
+
     problems = cell_problems(mesh) + problems
-    _check_disjoint(mesh, fixed, holds, problems)
-    occupied = [fixed, *(hold.section.node_ids for hold in holds)]
+    _check_disjoint(mesh, fixed, attached, problems)
+    occupied = [fixed, *(nodes for _, nodes in sections)]
     if mesh.dependents is not None:  # dependent nodes and their masters
         occupied += [
             group for tie in ties for group in (tie.nodes, mesh.dependents.map[tie.nodes].indices)
@@ -229,31 +224,55 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     _check_locked(bundle, interfaces, problems)
     if problems:
         raise BundleError(problems)
+
     heated = any(scalar.name == TEMPERATURE for scalar in bundle.further)
-    without = (replace(material, thermal_expansion=None) for material in bundle.materials)
-    fields = (
-        (scalar.field, scalar.reference) for scalar in bundle.further if scalar.field is not None
+    unheated = (replace(material, thermal_expansion=None) for material in bundle.materials)
+    rises = (
+        shape_on(mesh.points, scalar.field, scalar.reference)
+        for scalar in bundle.further
+        if scalar.field is not None
     )
-    shapes = (shape_on(mesh.points, field, reference) for field, reference in fields)
     return ComponentModel(
         bundle=bundle,
         mesh=mesh,
-        materials=bundle.materials if heated else tuple(without),
+        materials=bundle.materials if heated else tuple(unheated),
         material_of_cells=material_of_cells,
         fixed_nodes=fixed,
         interfaces=tuple(interfaces),
         analysis=bundle.analysis,
         sliding=sliding,
         bushings=tuple(
-            zip(springs, (attached.stiffness for attached in supports.bushings), strict=True)
+            zip(bushings, (bushing.stiffness for bushing in supports.bushings), strict=True)
         ),
         further=bundle.further,
         ties=ties,
-        temperature_rise=next(shapes, None),
+        temperature_rise=next(rises, None),  # only the temperature has a field
         joints=tuple(joints),
         bolts=bolts,
         uncut=_without_cuts(mesh, uncut) if bolts else None,
     )
+
+
+def _held_directions(
+    mesh: Mesh, supports: Supports, fixed: Array, problems: list[BundleProblem]
+) -> Array:
+    """Return the sum of d d^T over the directions d that hold each sliding node, (n, 3, 3).
+
+    It is zero at other nodes, and at fixed ones.
+    """
+    held = np.zeros((len(mesh.points), 3, 3))
+    for i, support in enumerate(supports.sliding):
+        nodes = group_nodes(mesh, f"supports.sliding[{i}].group", support.group, problems)
+        held[nodes] += support.directions.T @ support.directions
+    held[fixed] = 0.0
+    return held
+
+
+def _projectors(held: Array) -> tuple[Array, Array]:
+    """Return the sliding nodes, (k,), and the projectors on their held directions, (k, 3, 3)."""
+    nodes = np.flatnonzero(held.any(axis=(1, 2)))
+    sizes, axes = np.linalg.eigh(held[nodes])
+    return nodes, (axes * (sizes > _ZERO)[:, None]) @ axes.swapaxes(1, 2)
 
 
 def _without_cuts(mesh: Mesh, uncut: Mesh) -> Mesh:

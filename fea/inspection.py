@@ -224,17 +224,17 @@ def stacked_singly(mesh: Mesh) -> Array:
         return np.empty((0, 3))
     number, _ = _faces(mesh)
     shared = np.bincount(number)[number] > 1
-    first, alone, single_faces, middles = 0, np.zeros(len(number), dtype=bool), [], []
+    first, of_single, single_faces, middles = 0, np.zeros(len(number), dtype=bool), [], []
     for block in mesh.blocks:
         faces = slice(first, first + len(FACES[block.kind]) * len(block))
         first = faces.stop
         if block.kind == "hex20":
             joined = shared[faces].reshape(-1, len(block))[_OPPOSITE].any(axis=1)
             single = joined.sum(axis=0) <= 1
-            alone[faces] = np.tile(single, len(FACES[block.kind]))
+            of_single[faces] = np.tile(single, len(FACES[block.kind]))
             single_faces.append(number[faces].reshape(-1, len(block))[:, single])
             middles.append(mesh.points[block.nodes[single]].mean(axis=1))
-    times = np.bincount(number[alone], minlength=int(number.max()) + 1)
+    times = np.bincount(number[of_single], minlength=int(number.max()) + 1)
     return np.concatenate(middles)[(times[np.hstack(single_faces)] > 1).any(axis=0)]
 
 

@@ -84,10 +84,7 @@ def number(word: str, where: str) -> float:
 
     Fortran drops the letter of an exponent that has three digits: 0.1234567-101.
 
-    Raises
-    ------
-    OutputError
-        If it is none.
+    Raises OutputError for any other word.
     """
     text = word
     for sign in "+-":

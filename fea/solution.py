@@ -75,21 +75,12 @@ def checked_wrench(
 ) -> Array:
     """Return all inputs as a new array, shape (6 i + f,): N and N·m, then f others.
 
-    Parameters
-    ----------
-    wrench
-        Shape (6 i + f,); or six numbers by an interface's name, those that are left out have no
-        load, and each further input by its name.
-    names
-        Of the i interfaces.
-    further
-        The names of the f inputs behind the loads.
-
-    Raises
-    ------
-    ValueError
-        If it is not six finite numbers an interface and one a further input, names an unknown
-        interface, or lacks a further input.
+    wrench: shape (6 i + f,); or a mapping from an interface's name to six numbers (none for no
+    load) and from each further input's name to a number.
+    names: of the i interfaces.
+    further: the names of the f inputs behind the loads.
+    Raises ValueError if there are not six finite numbers an interface and one a further input, an
+    interface is unknown, or a further input is missing.
     """
     if isinstance(wrench, Mapping):
         every = (*names, *further)

@@ -122,10 +122,7 @@ class Solver:
     def inputs(self, wrench: Loads) -> Array:
         """Return the inputs of `solve` as a new array, shape (k,).
 
-        Raises
-        ------
-        ValueError
-            As `solve` does.
+        Raises ValueError as `solve` does.
         """
         names = tuple(interface.name for interface in self.component.interfaces)
         return checked_wrench(wrench, names, [scalar.name for scalar in self.component.further])
@@ -150,10 +147,7 @@ class Solver:
     def linear(self) -> LinearResponse:
         """The response to small loads, from one factorisation.
 
-        Raises
-        ------
-        SolveFailed
-            ``mechanism`` or ``ill_conditioned``.
+        Raises SolveFailed: ``mechanism`` or ``ill_conditioned``.
         """
         return linear_response(self._system)
 
@@ -238,24 +232,15 @@ class Solver:
     def vibration(self, riding: Riding) -> Vibration:
         """Return the first natural frequency with a rigid mass on the interface, unloaded.
 
-        Materials without a density weigh nothing.
-
-        Raises
-        ------
-        ValueError, SolveFailed
-            As `fea.solver.vibration.first_vibration` does.
+        Materials without a density weigh nothing. Raises as `first_vibration` does.
         """
         return first_vibration(self._system, self._mass, riding)
 
     def craig_bampton(self, modes: int) -> CraigBampton:
         """Return the part's stiffness and mass, of its frames and some modes, unloaded.
 
-        The first frame is the held interface's, or else the mesh's axes, for the supports.
-
-        Raises
-        ------
-        ValueError, SolveFailed
-            As `fea.solver.vibration.craig_bampton` does.
+        The first frame is the held interface's, or else the mesh's axes, for the supports. Raises
+        as `fea.solver.vibration.craig_bampton` does.
         """
         held, frames = [("base", np.zeros(3), np.eye(3))], []
         for interface in self.component.interfaces:
@@ -278,10 +263,7 @@ class Solver:
     def unit_stresses(self) -> Array:
         """Return the small-strain stresses of unit inputs, shape (p, 6, k), Pa per unit.
 
-        Raises
-        ------
-        SolveFailed
-            As `linear` does.
+        Raises SolveFailed as `linear` does.
         """
         return small_stress(self.body, self.linear.fields, self._system.coupling.freedoms)
 
@@ -292,13 +274,8 @@ class Solver:
     def buckling(self, wrench: Loads) -> tuple[float, float]:
         """Return the multiples of a wrench, and of its opposite, at which the part buckles.
 
-        The wrench is as of `solve`. As linear buckling has it (`fea.solver.vibration`);
-        infinite where it does not.
-
-        Raises
-        ------
-        ValueError, SolveFailed
-            As `solve` and `linear` do.
+        By linear buckling (`fea.solver.vibration`); infinite where no multiple buckles it. The
+        wrench is as of `solve`. Raises ValueError and SolveFailed as `solve` and `linear` do.
         """
         acting = self.inputs(wrench) - self.component.at_rest
         fields = self.linear.fields @ acting

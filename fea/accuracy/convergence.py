@@ -152,18 +152,11 @@ def _order(change: float, first: float, second: float, third: float) -> float:
 def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
     """Solve the component on its mesh and on finer meshes.
 
-    Parameters
-    ----------
-    finer_meshes
-        One or two files with the bundle's groups, in the unit of its mesh, each finer than that
-        before. Without them cells are halved, twice where that makes at most `MAX_UNKNOWNS`.
-
-    Raises
-    ------
-    ValueError
-        If a mesh is not finer, or none can be made.
-    BundleError, SolveFailed
-        If a mesh cannot be read, lacks a group, or cannot be solved.
+    finer_meshes: one or two files with the bundle's groups, in the unit of its mesh, each finer
+    than the one before. Without them cells are halved, twice where that makes at most
+    `MAX_UNKNOWNS`.
+    Raises ValueError if a mesh is not finer, or none can be made; BundleError or SolveFailed if a
+    mesh cannot be read, lacks a group, or cannot be solved.
     """
     solvers = [Solver(build(bundle))]
     for path in finer_meshes:

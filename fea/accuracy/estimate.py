@@ -131,39 +131,31 @@ at 2.3 times the error."""
 def accuracy_of(solver: Solver) -> dict[str, Any]:
     """Return the estimated error of a component's answers.
 
-    What `fea.accuracy.convergence` found of this setup is taken as it is. Else a second mesh is
-    made: of a small mesh a finer mesh, of a large mesh a coarser mesh where possible. What the
-    two differ by shows the first mesh's error as of first order, the slowest, at the ratio of
-    cell sizes that the meshes really have where the error is
+    A study of this setup by `fea.accuracy.convergence` is used as it is. Else a second mesh is
+    made: of a small mesh a finer mesh, of a large mesh a coarser mesh where possible. The
+    difference of the two shows the first mesh's error as of first order, the slowest, at the ratio
+    of cell sizes that the meshes really have where the error is
     (`fea.accuracy.mesh_error.RecoveredError.coarsening`). Beside a coarser mesh the error is the
-    mean, entry by entry, of that and of what stresses recovered on the first mesh lack, with a
-    margin; of large mesh files it is the latter alone. Where a geometry has no second mesh, or none
-    that is coarser where the error is, the error is not known: ``mesh`` is None.
+    mean, entry by entry, of that and of the error of recovered stresses on the first mesh, with a
+    margin; of large mesh files it is only the latter. Where a geometry has no second mesh, or none
+    that is coarser where the error is, the error is unknown: ``mesh`` is None.
     On nineteen STEP parts with holes and fillets this holds 99 % of the errors of single loads; the
     same mean without the ratio 95 %, and with cells left as they are round small holes 82 %
     (`make bench NAME=mesh_error`). The finer mesh costs about a second, the coarser mesh and the
     stresses 0.2 to 1.1 of a linear solve (`make bench NAME=check`); a linear component costs two
-    nonlinear solves besides, on the coarser mesh if there is any. What straight edges of a mesh
-    file change on round surfaces is added (`roundness`): no refinement and no stress shows it.
+    nonlinear solves besides, on the coarser mesh if there is any. The effect of a mesh file's
+    straight edges on round surfaces is added (`roundness`): no refinement and no stress shows it.
 
-    Returns
-    -------
-    dict
-        ``mesh``: shape (6 i, k) for i interfaces and k inputs, as lists, not negative, m/N,
-        m/(N·m), rad/N, rad/(N·m): the bar at a wrench is this times the size of each input, from
-        ``zero`` (k numbers, where any is not 0). ``mesh_stiffness``: shape (k, 6 i), the inverse
-        units: what the mesh adds to the stiffness, signed. ``mesh_basis``, in words.
-        ``rounded``, of a mesh file with straight edges across round surfaces: these' part of
-        ``mesh`` (``mesh``), its largest share of a compliance (``share``) and ``basis``, in words.
-        ``cell_size``: the median of all edges' lengths, m. ``loads``: the largest of the range,
-        k numbers, SI, 0 on locked freedoms: the guide takes these. Of a linear component also
-        ``linearity`` (six numbers, m and rad, or None)
-        and ``buckling`` (or None): see `fea.accuracy.estimate`; ``linearity_basis``.
-
-    Raises
-    ------
-    SolveFailed
-        If the component cannot be solved for small loads.
+    Returns ``mesh``: shape (6 i, k) for i interfaces and k inputs, as lists, not negative, m/N,
+    m/(N·m), rad/N, rad/(N·m): the error bar at a wrench is this times the size of each input, from
+    ``zero`` (k numbers, where any is not 0). ``mesh_stiffness``: shape (k, 6 i), the inverse units:
+    the mesh's addition to the stiffness, signed. ``mesh_basis``: text. ``rounded``, of a mesh file
+    with straight edges across round surfaces: their part of ``mesh`` (``mesh``), its largest
+    fraction of a compliance (``share``) and ``basis``, text. ``cell_size``: the median length of
+    edges, m. ``loads``: the largest of the range, k numbers, SI, 0 on locked freedoms. Of a linear
+    component also ``linearity`` (six numbers, m and rad, or None) and ``buckling`` (or None): see
+    the module; ``linearity_basis``.
+    Raises SolveFailed if the component cannot be solved for small loads.
     """
     bundle = solver.component.bundle
     second = coarser(solver)

@@ -90,67 +90,30 @@ def bows_of(mesh: Mesh) -> tuple[Array, float]:
     geometry has them.
     """
     bows, largest = np.zeros_like(mesh.points), 0.0
-    # The surface's facets with midside nodes: corners and those nodes, each (f, 4). A triangle's
-    # last corner stands twice, and so it has a side of no length.
-    corners, middles = [], []
-    for kind, nodes in outer_surface(mesh.blocks).blocks:
-        count = corners_of(kind)
-        if nodes.shape[1] < 2 * count:
-            continue
-        indices = np.minimum(np.arange(4), count - 1)
-        corners.append(nodes[:, indices])
-        # The side from the last corner to the first is the last; a triangle's third has no length.
-        sides = np.array([0, 1, 2, 3] if count == 4 else [0, 1, 1, 2])
-        middles.append(nodes[:, count : 2 * count][:, sides])
-    empty = np.empty((0, 4), dtype=np.int64)
-    corners, middles = np.concatenate([empty, *corners]), np.concatenate([empty, *middles])
+    corners, middles = _surface_facets(mesh)
     points = mesh.points[corners]
-    # The surface's normal at each facet's corners, (f, 4, 3), and the facet's largest angle: the
-    # mean of the normals of the facets there at small angles to this facet, by their angles there.
-    normal = np.cross(points[:, 2] - points[:, 0], points[:, 3] - points[:, 1])
-    triangle = corners[:, 2] == corners[:, 3]
-    of_triangle = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
-    normal[triangle] = of_triangle[triangle]
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    # The angles of facets at their corners, (f, 4), rad; a repeated corner's is halved.
-    before, after = np.roll(points, 1, axis=1), np.roll(points, -1, axis=1)
-    before[triangle, 3] = points[triangle, 1]
-    after[triangle, 2] = points[triangle, 0]
-    back, ahead = before - points, after - points
-    cosine = np.einsum("fci,fci->fc", back, ahead)
-    size = np.linalg.norm(back, axis=2) * np.linalg.norm(ahead, axis=2)
-    angles = np.arccos(np.clip(cosine / np.where(size > 0, size, 1.0), -1.0, 1.0))
-    angles[triangle, 2:] /= 2
-    facet, corner = np.divmod(np.argsort(corners, axis=None, kind="stable"), 4)
-    ends = np.append(np.flatnonzero(np.diff(corners[facet, corner])) + 1, len(facet))
-    normals, facet_angle, start = np.empty_like(points), np.zeros(len(corners)), 0
-    for end in ends.tolist():
-        at, of = facet[start:end], corner[start:end]
-        cosines = np.clip(normal[at] @ normal[at].T, -1.0, 1.0)
-        near = cosines > np.cos(SMOOTH)
-        mean = (near * angles[at, of]) @ normal[at]
-        normals[at, of] = mean / np.linalg.norm(mean, axis=1, keepdims=True)
-        np.maximum.at(facet_angle, at, np.arccos(np.where(near, cosines, 1.0).min(axis=1)))
-        start = end
+    normals, facet_angle = _corner_normals(corners, points)
     for side in range(corners.shape[1]):
         ends = [side, (side + 1) % corners.shape[1]]
-        way = points[:, ends[1]] - points[:, ends[0]]
-        length = np.linalg.norm(way, axis=1, keepdims=True)
+        edge = points[:, ends[1]] - points[:, ends[0]]
+        length = np.linalg.norm(edge, axis=1)
         first, second = normals[:, ends[0]], normals[:, ends[1]]
-        rise = np.einsum("fi,fi->f", second - first, way)[:, None] / 8
+        sagitta = np.einsum("fi,fi->f", second - first, edge)[:, None] / 8
         outward = first + second
-        bow = rise * outward / np.linalg.norm(outward, axis=1, keepdims=True)
+        bow = sagitta * outward / np.linalg.norm(outward, axis=1, keepdims=True)
+
         height = np.linalg.norm(
             mesh.points[middles[:, side]] - points[:, ends].mean(axis=1), axis=1
         )
         if mesh.dependents is not None:  # tied nodes lie, and move, where others put them
             nodes = np.stack([middles[:, side], *corners[:, ends].T])
             height[np.isin(nodes, mesh.dependents.nodes).any(axis=0)] = 0.0
-        if (height > STRAIGHT * length[:, 0]).any():
+        if (height > STRAIGHT * length).any():
             return np.zeros_like(bows), 0.0
+
+        # Of the two facets at an edge the one with the larger bow counts.
         size = np.linalg.norm(bow, axis=1)
-        curved = np.flatnonzero(size > STRAIGHT * length[:, 0])
-        # Of the facets at an edge that which bends it most counts.
+        curved = np.flatnonzero(size > STRAIGHT * length)
         curved = curved[np.argsort(size[curved])]
         nodes = middles[curved, side]
         curved = curved[size[curved] > np.linalg.norm(bows[nodes], axis=1)]
@@ -159,6 +122,59 @@ def bows_of(mesh: Mesh) -> tuple[Array, float]:
     return bows if mesh.dependents is None else mesh.dependents.expanded(bows), largest
 
 
+def _surface_facets(mesh: Mesh) -> tuple[Array, Array]:
+    """Return corners and midside nodes of the surface's second-order facets, (f, 4) each.
+
+    A triangle repeats its last corner; its third side, of no length, has the second's midside node.
+    """
+    empty = np.empty((0, 4), dtype=np.int64)
+    corners, middles = [empty], [empty]
+    for kind, nodes in outer_surface(mesh.blocks).blocks:
+        count = corners_of(kind)
+        if nodes.shape[1] >= 2 * count:
+            corners.append(nodes[:, np.minimum(np.arange(4), count - 1)])
+            sides = [0, 1, 2, 3] if count == 4 else [0, 1, 1, 2]
+            middles.append(nodes[:, count : 2 * count][:, sides])
+    return np.concatenate(corners), np.concatenate(middles)
+
+
+def _corner_normals(corners: Array, points: Array) -> tuple[Array, Array]:
+    """Return the surface's unit normals, (f, 4, 3), and each facet's largest angle, (f,), rad.
+
+    corners, points: shapes (f, 4), of `_surface_facets`, and (f, 4, 3), m. The normal at a facet's
+    corner is the mean over facets there at angles below `SMOOTH` to it, by their angles there.
+    """
+    facet_normals = np.cross(points[:, 2] - points[:, 0], points[:, 3] - points[:, 1])
+    triangle = corners[:, 2] == corners[:, 3]
+    of_triangle = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
+    facet_normals[triangle] = of_triangle[triangle]
+    facet_normals /= np.linalg.norm(facet_normals, axis=1, keepdims=True)
+
+    # The facets' angles at their corners, (f, 4), rad; that at a repeated corner is halved.
+    before, after = np.roll(points, 1, axis=1), np.roll(points, -1, axis=1)
+    before[triangle, 3] = points[triangle, 1]
+    after[triangle, 2] = points[triangle, 0]
+    back, ahead = before - points, after - points
+    cosine = np.einsum("fci,fci->fc", back, ahead)
+    size = np.linalg.norm(back, axis=2) * np.linalg.norm(ahead, axis=2)
+    angles = np.arccos(np.clip(cosine / np.where(size > 0, size, 1.0), -1.0, 1.0))
+    angles[triangle, 2:] /= 2
+
+    facet, corner = np.divmod(np.argsort(corners, axis=None, kind="stable"), 4)
+    ends = np.append(np.flatnonzero(np.diff(corners[facet, corner])) + 1, len(facet))
+    normals, largest, start = np.empty_like(points), np.zeros(len(corners)), 0
+    for end in ends.tolist():  # the facets of one node
+        at, of = facet[start:end], corner[start:end]
+        cosines = np.clip(facet_normals[at] @ facet_normals[at].T, -1.0, 1.0)
+        near = cosines > np.cos(SMOOTH)
+        mean = (near * angles[at, of]) @ facet_normals[at]
+        normals[at, of] = mean / np.linalg.norm(mean, axis=1, keepdims=True)
+        np.maximum.at(largest, at, np.arccos(np.where(near, cosines, 1.0).min(axis=1)))
+        start = end
+    return normals, largest
+
+
+# By the first letters of a kind: the cell of first order with the same corners.
 _FIRST_ORDER = {"hex": "hex8", "tet": "tet4", "wed": "wedge6", "pyr": "pyramid5"}
 
 

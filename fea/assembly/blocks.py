@@ -10,8 +10,8 @@ from wrenchbook.fea.element.cell_stiffness import CellStiffness
 from wrenchbook.fea.element.neo_hookean import NeoHookeanStiffness
 from wrenchbook.fea.element.pressure_projection import projects, require_no_locking, volume_modes
 from wrenchbook.fea.element.st_venant_kirchhoff import (
+    IsotropicStiffness,
     OrthotropicStiffness,
-    Stiffness,
     turned_elasticity,
 )
 from wrenchbook.fea.mesh.mapping import Gradients, cell_gradients
@@ -22,7 +22,7 @@ from wrenchbook.fea.spec.material import LAWS, AnyMaterial
 Array = np.ndarray
 
 # By law: the cells of materials with a Young's modulus and a Poisson's ratio.
-_OF_TWO_CONSTANTS = {"isotropic": Stiffness, "neo-hookean": NeoHookeanStiffness}
+_OF_TWO_CONSTANTS = {"isotropic": IsotropicStiffness, "neo-hookean": NeoHookeanStiffness}
 
 
 def filled_cells(

@@ -76,6 +76,7 @@ class Linearisation:
 
     @cached_property
     def _solved(self) -> Array:
+        """K^-1 C, shape (n, 3, border)."""
         return self.tangent.solve(self._columns)
 
     def release(self) -> None:
@@ -107,6 +108,7 @@ class Linearisation:
 
     @property
     def _softest_interface(self) -> tuple[float, Array]:
+        """`interface_ratio` and the border's motion, shape (border,), that has it."""
         diagonal = np.diagonal(self._block)
         if not diagonal.size or (diagonal <= 0).any():
             return 1.0, np.zeros(diagonal.size)
@@ -190,8 +192,8 @@ class Linearisation:
         return np.concatenate([-thermal, self._body_force], axis=2)
 
     @cached_property
-    def _alone(self) -> Array:
-        """Change of the free nodes with those inputs while the border stays, in m per unit."""
+    def _free_response(self) -> Array:
+        """Change of the free nodes by the further inputs, border fixed, (n, 3, k - 6 i), m/unit."""
         return self.tangent.solve(self.load_columns[0][:, :, self._coupling.freedoms :])
 
     @cached_property
@@ -200,7 +202,7 @@ class Linearisation:
         loads = self.wrench_columns
         if self.further.shape[2]:
             loads = self.load_columns[1].copy()
-            loads[:, self._coupling.freedoms :] -= contract(self._columns, self._alone)
+            loads[:, self._coupling.freedoms :] -= contract(self._columns, self._free_response)
         return self._solve_border(loads)
 
     @property
@@ -208,14 +210,14 @@ class Linearisation:
         """Change of all nodes per change of the inputs, shape (n, 3, k), m per unit of each."""
         moved = (self.border.constraint - self._solved) @ self.border_response
         if self.further.shape[2]:
-            moved[:, :, self._coupling.freedoms :] += self._alone
+            moved[:, :, self._coupling.freedoms :] += self._free_response
         return moved
 
     def conjugate_rate(self, change: Array) -> Array:
-        """Return the change, with that of the inputs (k,), of what each input does work on: (k,).
+        """Return the change of what each input does work on by a change of the inputs, both (k,).
 
-        Translations and spins, m and rad, less the strain energy's change per kelvin, J/K, and
-        moments of mass, kg·m.
+        Loads do work on translations and spins, m and rad, the temperature on the negative change
+        of the strain energy per kelvin, J/K, and accelerations on moments of mass, kg·m.
         """
         nodal, border = self.load_columns
         rates = border.T @ (self.border_response @ change)
@@ -255,6 +257,7 @@ class Linearisation:
 
     @cached_property
     def _border_scale(self) -> Array:
+        """Scales, (border,), with largest entries of S near 1 in each row (Ruiz 2001)."""
         scale = np.ones(len(self.schur))
         for _ in range(3):
             largest = np.abs(self.schur * scale[:, None] * scale).max(axis=1, initial=0.0)

@@ -61,7 +61,7 @@ class System:
         return self.body.dissection.unknowns + self.coupling.motions
 
     def balance(self, state: CoupledState, wrench: Array) -> Balance:
-        """Weigh the internal forces of a state against inputs, shape (k,): see `Balance.wrench`."""
+        """Return the residual of a state under inputs, shape (k,): see `Balance.wrench`."""
         forces, energy, least = self._forces(state.nodes, wrench)
         energy += self.coupling.spring_energy(state)
         return self._balance(state, wrench, forces, energy, least)
@@ -74,10 +74,10 @@ class System:
 
     def dead_forces(self, inputs: Array) -> Array:
         """Return the nodal forces of weight, bolts and acceleration, (n, 3), N, of inputs (k,)."""
-        pulled = self.body_force @ inputs[self.coupling.freedoms + self.body.expands :]
+        forces = self.body_force @ inputs[self.coupling.freedoms + self.body.expands :]
         for constant in (self.weight, self.preload):
-            pulled = pulled if constant is None else pulled + constant
-        return pulled
+            forces = forces if constant is None else forces + constant
+        return forces
 
     def reload(self, balance: Balance, wrench: Array) -> Balance:
         """Return the balance of the same state under other inputs, shape (k,)."""
@@ -88,11 +88,7 @@ class System:
             balance.state, wrench, balance.forces, balance.energy, balance.least_stretch
         )
 
-    def linearise(
-        self,
-        balance: Balance,
-        step: tuple[Array, Array] | None = None,
-    ) -> Linearisation:
+    def linearise(self, balance: Balance, step: tuple[Array, Array] | None = None) -> Linearisation:
         """Return the tangent at a state.
 
         balance: the state and its forces.
@@ -169,11 +165,12 @@ class System:
 
 
 ROUNDOFF = float(np.finfo(float).eps)
+"""Relative spacing of double precision; times a condition number the relative error of a solve."""
 
 MECHANISM = 1e-22
 """Strain energy of the softest motion, relative, below which it is the square of roundoff."""
 
-_POWER_STEPS = 3
+_POWER_STEPS = 3  # of inverse iteration; a mechanism, far softer than all else, needs one
 
 
 def scaled_condition(tangent: Tangent) -> float:

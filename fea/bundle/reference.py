@@ -41,7 +41,7 @@ def json_schema() -> dict[str, Any]:
 def _tidy(part: Any) -> Any:
     """Return a part of a schema without null, which TOML has not, and with examples as values."""
     if isinstance(part, list):
-        return [_tidy(each) for each in part if each != {"type": "null"}]
+        return [_tidy(item) for item in part if item != {"type": "null"}]
     if not isinstance(part, dict):
         return part
     tidy = {k: _tidy(v) for k, v in part.items() if k not in _OURS or isinstance(v, dict)}
@@ -60,8 +60,8 @@ def _tidy(part: Any) -> Any:
 def descriptions(cls: type) -> dict[str, str]:
     """Return the description of each key of a model: the texts below its fields in the source."""
     texts: dict[str, str] = {}
-    for each in reversed(cls.__mro__[:-1]):
-        (source,) = ast.parse(inspect.getsource(each)).body
+    for base in reversed(cls.__mro__[:-1]):
+        (source,) = ast.parse(inspect.getsource(base)).body
         for entry, text in pairwise(getattr(source, "body", ())):
             match entry, text:
                 case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(ast.Constant(str(note))):
@@ -70,7 +70,7 @@ def descriptions(cls: type) -> dict[str, str]:
     return {key: texts[names.get(key, key)] for key in keys_of(cls)}
 
 
-_OURS = ("toml", "absent", "write", "among", "title")
+_OURS = ("toml", "absent", "write", "among", "title")  # of `key` and pydantic, not for a schema
 
 
 def tables() -> dict[str, list[type]]:

@@ -23,7 +23,7 @@ machine.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 
@@ -36,24 +36,30 @@ _NONLINEAR = 2.5  # times the work of a linear solve
 _PROJECTED = 2.0  # times that where pressure is a separate unknown: more, and larger, matrices
 
 
-def estimate(component: ComponentModel) -> dict[str, Any]:
-    """Return the estimated seconds and bytes of one solve.
+class Cost(TypedDict):
+    """Time and memory of one solve."""
 
-    Result: ``unknowns`` (without nodes that are fixed or follow others), ``linear_seconds``,
-    ``nonlinear_seconds``, ``memory_bytes`` and ``basis``, a sentence.
-    """
-    mesh, follow = component.mesh, component.mesh.dependents
+    unknowns: int  # without nodes that are fixed or follow others
+    linear_seconds: float
+    nonlinear_seconds: float
+    memory_bytes: int
+    basis: str  # a sentence
+
+
+def estimate(component: ComponentModel) -> Cost:
+    """Return the estimated cost of one solve."""
+    mesh, dependents = component.mesh, component.mesh.dependents
     free = np.ones(len(mesh.points), dtype=bool)
     free[component.fixed_nodes] = False
-    for hold in (*component.interfaces, *component.frames):
-        if hold.coupling == "rigid":
-            free[hold.section.node_ids] = False
+    for attached in (*component.interfaces, *component.frames):
+        if attached.coupling == "rigid":
+            free[attached.section.node_ids] = False
     groups = [block.nodes for block in mesh.blocks]  # the nodes that move each cell, (m, s)
-    if follow is not None:
-        free[follow.nodes] = False
-        tied = [follow.among(nodes) for nodes in groups]
+    if dependents is not None:
+        free[dependents.nodes] = False
+        tied = [dependents.among(nodes) for nodes in groups]
         pairs = list(zip(groups, tied, strict=True))
-        moving = [follow.outer(nodes[at])[0] for nodes, at in pairs if at.any()]
+        moving = [dependents.outer(nodes[at])[0] for nodes, at in pairs if at.any()]
         groups = [nodes[~at] for nodes, at in pairs] + moving
     unknowns = 3 * int(free.sum())
     entries = sum(len(nodes) * (3 * nodes.shape[1]) ** 2 for nodes in groups)
@@ -64,10 +70,10 @@ def estimate(component: ComponentModel) -> dict[str, Any]:
         m, b = float(part.eliminated), float(part.boundary.size)
         operations += m**3 / 3 + m * m * b + m * b * b
         numbers += m * m / 2 + m * b
-    ready = 4.3e-8 * entries + 2.3e-6 * len(cells) * np.log2(len(cells) + 1)
-    halved = 0.5 if numbers > SINGLE_NUMBERS else 1.0  # by single precision
-    tightened = 2 if component.bolts else 1  # by a factor of its own
-    linear, work = (tightened * (ready + part * operations / 22e9) for part in (halved, 1.0))
+    assembly = 4.3e-8 * entries + 2.3e-6 * len(cells) * np.log2(len(cells) + 1)
+    precision = 0.5 if numbers > SINGLE_NUMBERS else 1.0  # of a linear solve, relative to double
+    factors = 2 if component.bolts else 1  # one more while bolts are tightened
+    linear, work = (factors * (assembly + p * operations / 22e9) for p in (precision, 1.0))
     # Some cells take the pressure as a separate unknown.
     kinds = {"hex20", "hex27"} & set(mesh.cell_counts)
     ratios = [
@@ -75,8 +81,8 @@ def estimate(component: ComponentModel) -> dict[str, Any]:
     ]
     projects = kinds and any(np.max(ratio) > NEARLY_INCOMPRESSIBLE for ratio in ratios)
     times = _NONLINEAR * (_PROJECTED if projects else 1.0)
-    halved = 1.0 if component.analysis.nonlinear else halved
-    memory = 100e6 + 9 * halved * numbers + 8 * entries
+    precision = 1.0 if component.analysis.nonlinear else precision
+    memory = 100e6 + 9 * precision * numbers + 8 * entries
     return {
         "unknowns": unknowns,
         "linear_seconds": float(f"{0.04 + linear:.2g}"),

@@ -29,12 +29,12 @@ from wrenchbook.fea.spec.schema import FREEDOMS
 
 Array = np.ndarray
 
-_MAX_BODIES = 40
-_MAX_REPORTED = 5
+_MAX_BODIES = 40  # checked and listed: the equations' matrix is dense, with six columns a body
+_MAX_REPORTED = 5  # free bodies; the message counts the others
 
 
-def parts(mesh: Mesh, bodies: Bodies) -> list[dict[str, Any]]:
-    """Return number, cells, size (m) and middle (m) of the largest bodies."""
+def listed_bodies(mesh: Mesh, bodies: Bodies) -> list[dict[str, Any]]:
+    """Return number, cells, size (m) and middle (m) of the first `_MAX_BODIES` bodies."""
     return [
         {
             "part": number + 1,
@@ -49,9 +49,8 @@ def parts(mesh: Mesh, bodies: Bodies) -> list[dict[str, Any]]:
 def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> list[BundleProblem]:
     """Return a problem for each body that supports and coupling do not hold.
 
-    component, bodies: what is looked at, and the bodies it falls into.
-    pairs: shape (k, 2), int64: indices of coincident nodes
-    (`fea.inspection.coincident_nodes`).
+    bodies: of the component's mesh before bolts are cut.
+    pairs: shape (k, 2), int64: indices of coincident nodes (`fea.inspection.coincident_nodes`).
     """
     if bodies.count > _MAX_BODIES:
         message = (
@@ -61,8 +60,8 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
         return [BundleProblem("mesh", message)]
     motions = free_motions(component, bodies)
     if component.bolts and not any(map(len, motions)):
-        parts = bodies_of(component.mesh)
-        slipping = next((m for m in free_motions(component, parts) if len(m)), None)
+        cut_bodies = bodies_of(component.mesh)  # with the bolts' cuts, unlike `bodies`
+        slipping = next((m for m in free_motions(component, cut_bodies) if len(m)), None)
         if slipping is not None:
             message = (
                 "only the bolts hold the part together while they are tightened: "
@@ -130,7 +129,7 @@ def _neighbour(mesh: Mesh, bodies: Bodies, number: int, pairs: Array) -> str:
 _ZERO = 1e-7
 """Singular value, relative to the largest, that counts as none."""
 
-_ROUNDOFF = 1e-14  # of a stiffness, relative to the largest
+_ZERO_STIFFNESS = 1e-14  # eigenvalue relative to the largest; smaller ones are roundoff
 
 
 def free_motions(component: ComponentModel, bodies: Bodies) -> list[Array]:
@@ -272,7 +271,7 @@ class _Equations:
         """Hold the motion of a frame, or the difference of two motions, where a spring resists."""
         lengths = np.repeat([1.0, self.extent], 3)
         sizes, motions = np.linalg.eigh(stiffness / lengths / lengths[:, None])
-        resisted = motions[:, sizes > _ROUNDOFF * sizes[-1]].T
+        resisted = motions[:, sizes > _ZERO_STIFFNESS * sizes[-1]].T
         rows = resisted @ self._freedoms(frame)
         self._add({ends[-1]: rows} | ({ends[0]: -rows} if ends[1:] else {}))
 
@@ -300,11 +299,12 @@ class _Equations:
         moves[:, 2, 3], moves[:, 2, 4] = y, -x
         return moves.reshape(-1, 6)
 
-    def _add(self, parts: dict[int, Array]) -> None:
+    def _add(self, blocks: dict[int, Array]) -> None:
+        """Add rows, zero but for blocks of columns that begin at the motion of each number."""
         count = self.bodies.count + len(self.component.interfaces) + len(self.component.frames)
-        rows = np.zeros((len(next(iter(parts.values()))), 6 * count))
-        for number, part in parts.items():
-            rows[:, 6 * number : 6 * number + part.shape[1]] = part
+        rows = np.zeros((len(next(iter(blocks.values()))), 6 * count))
+        for number, block in blocks.items():
+            rows[:, 6 * number : 6 * number + block.shape[1]] = block
         self.rows.append(rows)
 
 

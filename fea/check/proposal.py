@@ -261,27 +261,14 @@ def propose(
 ) -> dict[str, Any]:
     """Write a component's folder from a deck.
 
-    Parameters
-    ----------
-    file, folder
-        Abaqus or CalculiX (.inp), Nastran (.bdf, .nas, .dat) or Ansys (.cdb), and what is to be
-        made; it must not have a ``component.toml``.
-    unit
-        The deck's length unit, a key of `fea.spec.mesh_source.UNITS`; None guesses mm, in or m by
-        the elastic constants and densities.
-    case
-        The step, load case or subcase whose supports and loads are taken over; None takes the last.
-
-    Returns
-    -------
-    dict
-        ``files`` written, ``left``: what is not taken over, ``decide``: what the deck does not
-        tell, and ``check``: the report on the proposal.
-
-    Raises
-    ------
-    BundleError
-        If the deck cannot be read or has no such case, or the folder has a component.
+    file: Abaqus or CalculiX (.inp), Nastran (.bdf, .nas, .dat) or Ansys (.cdb).
+    folder: a folder to write, without a ``component.toml``.
+    unit: the deck's length unit, a key of `fea.spec.mesh_source.UNITS`; None guesses mm, in or m by
+    the elastic constants and densities.
+    case: the step, load case or subcase whose supports and loads are taken over; None for the last.
+    Returns ``files`` written, ``left``: what is not taken over, ``decide``: what the deck does not
+    give, and ``check``: the report on the proposal.
+    Raises BundleError if the deck cannot be read or lacks the case, or the folder has a component.
     """
     if (folder / FILE_NAME).exists():
         raise BundleError([BundleProblem(str(folder), f"has a {FILE_NAME}; name a new folder")])

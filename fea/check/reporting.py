@@ -16,7 +16,7 @@ from wrenchbook.fea.bundle.read import FILE_NAME, Bundle, BundleError, read_bund
 from wrenchbook.fea.bundle.tables import ComponentFile
 from wrenchbook.fea.check.cost import estimate
 from wrenchbook.fea.check.deck_differences import contradictions, listing
-from wrenchbook.fea.check.mechanisms import motion_problems, parts
+from wrenchbook.fea.check.mechanisms import listed_bodies, motion_problems
 from wrenchbook.fea.check.trial import (
     deflection_warnings,
     frequency,
@@ -80,19 +80,15 @@ def report(
     dict
         Always ``ok``, ``problems`` (what stops a solve) and ``warnings`` (what may make it wrong),
         each a list of ``{"where", "message"}``. As far as it gets: ``name``, ``fingerprint``,
-        ``has_fea``; ``faces`` and ``bodies`` of a geometry file (``faces``
-        with ``toml`` of any surface); ``unknowns`` (three a node),
-        ``nodes``, ``cells``, ``groups``, ``quality`` (see `fea.inspection`), ``parts``,
-        ``coincident_nodes``; of an input deck ``mesh_file`` (see `fea.check.deck_differences`);
-        ``materials``, ``section`` (of several interfaces ``sections``, with
-        their names), ``supports``, ``ties`` where there are any, ``temperature`` and
-        ``acceleration`` where they are inputs, and
-        ``estimate`` (see `fea.check.cost`), ``trial`` (see `fea.check.trial`), and where a density
-        or a mass is given ``vibration`` (see `fea.check.trial`), and where a yield strength is
-        given ``strength`` (see `fea.check.trial`), and where it takes no longer than a check may
-        ``solver_error``
-        (see `fea.accuracy.estimate`). Lengths in m. Instead of all from ``faces`` on,
-        ``deck`` (see `fea.deck.running`).
+        ``has_fea``; ``faces`` and ``bodies`` of a geometry file (``faces`` with ``toml`` of any
+        surface); ``unknowns`` (three a node), ``nodes``, ``cells``, ``groups``, ``quality`` (see
+        `fea.inspection`), ``parts``, ``coincident_nodes``; of an input deck ``mesh_file`` (see
+        `fea.check.deck_differences`); ``materials``, ``section`` (of several interfaces
+        ``sections``, with their names), ``supports``, ``ties``, ``temperature`` and
+        ``acceleration`` where there are any; ``estimate`` (`fea.check.cost.Cost`), ``trial``,
+        ``vibration`` and ``strength`` (`Trial`, `Swing` and `LargestStress` of `fea.check.trial`);
+        for meshes that solve in seconds ``solver_error`` (see `fea.accuracy.estimate`). Lengths in
+        m. Instead of all from ``faces`` on, ``deck`` (see `fea.deck.running`).
     """
     summary: dict[str, Any] = {"ok": False, "problems": [], "warnings": []}
     folder = Path(folder)
@@ -191,7 +187,7 @@ def _inspect_mesh(
     warnings: list[BundleProblem] = summary["warnings"]
     warnings += [BundleProblem("mesh", text) for text in quality_warnings(summary["quality"])]
     bodies = bodies_of(mesh)
-    summary["parts"] = parts(mesh, bodies)
+    summary["parts"] = listed_bodies(mesh, bodies)
     if mesh.deck is not None:
         summary["mesh_file"] = listing(mesh.deck)
     try:
@@ -214,7 +210,8 @@ def _inspect_mesh(
         warnings += weight_warnings(solver)
     summary["vibration"], more = frequency(solver, riding)
     warnings += more
-    summary["strength"], more = strength(solver, nonlinear)
+    stresses, more = strength(solver, nonlinear)
+    summary["strength"] = [stress.as_json() for stress in stresses]
     warnings += more
     # Find what the solver's answers may be wrong by, and whether that is over the tolerance.
     cost, bundle = summary["estimate"], solver.component.bundle
@@ -315,13 +312,7 @@ _EACH = len(FREEDOMS)  # values of one interface
 
 
 def as_text(report: Mapping[str, Any]) -> str:
-    """Write out a report of `fea.check.report`.
-
-    Returns
-    -------
-    str
-        Lines without a newline at the end; what is wrong comes last, where it is read first.
-    """
+    """Return a report of `fea.check.report` as lines, its warnings and errors last."""
     lines = [f"{report.get('name', 'bundle')}  {report.get('fingerprint', '')}".rstrip()]
     if report.get("has_fea") is False:
         lines.append("a table only: nothing to mesh or solve")

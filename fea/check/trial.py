@@ -1,11 +1,13 @@
-"""A trial of the solver: failures, deflection and stress at the full range, first frequency."""
+"""Trial solves of a check: failures, deflection and stress at the full range, first frequency."""
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import asdict, dataclass, replace
+from typing import Any, NotRequired, TypedDict
 
 import numpy as np
 
+from wrenchbook.fea.check.cost import Cost
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.coupling.coupling import each_interface, largest_rotation
 from wrenchbook.fea.failure import SolveFailed
@@ -22,7 +24,53 @@ _MAX_BYTES = 4e9  # of the same; the server's other solvers run at the same time
 
 _STANDARD_GRAVITY = 9.81  # m/s^2
 
+# The key of component.toml to change after a failure of each kind; "mesh" after others.
 _WHERE = {"locking_material": "material", "inverted_elements": "mesh", "mechanism": "supports"}
+
+
+class Trial(TypedDict):
+    """Size, mass and linear displacements of a component."""
+
+    size: list[float]  # three edges of the box around the mesh, m
+    volume: float  # m^3
+    mass: float | None  # kg; None where a material has no density
+    # By the linear compliance the largest of each output over the load range, six numbers an
+    # interface, m and rad; None where it was not tried or failed. Then of single further inputs.
+    deflection: list[float] | None
+    failed: NotRequired[bool]
+    sag: NotRequired[list[float]]  # at no wrench, where self-weight or bolts move an interface
+    by_temperature: NotRequired[list[float]]
+    by_acceleration: NotRequired[list[float]]
+
+
+class Swing(TypedDict, total=False):
+    """First natural oscillation; without keys where nothing has a mass or no mode converged."""
+
+    mass: float | None  # of the component, kg; None without any density
+    first_frequency: float  # Hz
+    motion: list[float]  # of the interfaces, six numbers each, m and rad, of length one
+    riding_mass: float  # kg
+    condensed_mass: list[list[float]]  # shape (6 i, 6 i), kg to kg·m^2
+
+
+@dataclass(frozen=True)
+class LargestStress:
+    """Largest von Mises stress of a material's region under the load range."""
+
+    region: str
+    largest: float  # Pa
+    at: list[float]  # m, in the mesh's axes
+    wrench: list[float]  # of all interfaces, N and N·m
+    further: dict[str, float]  # values of the further inputs by name
+    yield_strength: float | None  # Pa
+    first_order: bool  # whether a nonlinear component was not solved for it
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the entry of the report: the further inputs stand among the other keys."""
+        entry: dict[str, Any] = {}
+        for key, value in asdict(self).items():
+            entry |= value if key == "further" else {key: value}
+        return entry
 
 
 def solver_of(component: ComponentModel) -> Solver:
@@ -33,28 +81,14 @@ def solver_of(component: ComponentModel) -> Solver:
         raise BundleError([_problem(failure)]) from None
 
 
-def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[BundleProblem]]:
+def trial(solver: Solver, cost: Cost) -> tuple[Trial, list[BundleProblem]]:
     """Solve six unit loads; return size, mass and deflection, and problems that stop a solve.
 
     solver: the component's.
-    cost: as `fea.check.cost.estimate` has it: what takes too long is not tried.
-    Returns result: ``size`` (three numbers, m), ``volume`` (m^3), ``mass`` (kg; None where a
-    material tells no density), ``sag``: the interfaces' displacement at no wrench, where
-    self-weight or bolts move them; ``deflection``: the largest of each output over the load range
-    by the linear compliance, six numbers an interface, m and rad; None where it was not tried or
-    ``failed`` (then true). ``by_temperature`` and ``by_acceleration``: the same of these alone,
-    where they are inputs. problems: ``mechanism`` and ``ill_conditioned``, with the text of the
-    failure.
+    cost: of one solve; above `_MAX_SECONDS` or `_MAX_BYTES` nothing is solved.
+    The problems are ``mechanism`` and ``ill_conditioned``, with the text of the failure.
     """
-    points, bundle = solver.component.mesh.points, solver.component.bundle
-    component = solver.component
-    volumes = np.zeros(len(component.materials))
-    for numbers, volume in solver.volumes:
-        np.add.at(volumes, numbers, volume)
-    densities = [material.density for material in component.materials]
-    known = None if None in densities else float(volumes @ np.array(densities, dtype=float))
-    size = np.ptp(points, axis=0).tolist()
-    result = {"size": size, "volume": float(volumes.sum()), "mass": known, "deflection": None}
+    component, result = solver.component, _untried(solver)
     if cost["linear_seconds"] > _MAX_SECONDS or cost["memory_bytes"] > _MAX_BYTES:
         return result, []
     try:
@@ -63,17 +97,35 @@ def trial(solver: Solver, cost: dict[str, Any]) -> tuple[dict[str, Any], list[Bu
     except SolveFailed as failure:
         result["failed"] = True
         return result, [_problem(failure)]
-    low, high = bundle.acting.low, bundle.acting.high
-    result["deflection"] = largest(compliance, low, high).tolist()
+
+    def deflection(inputs: slice) -> list[float]:
+        acting = component.bundle.acting
+        return largest(compliance[:, inputs], acting.low[inputs], acting.high[inputs]).tolist()
+
+    result["deflection"] = deflection(slice(None))
     if component.analysis.gravity is not None or component.analysis.zero == "untightened":
         result["sag"] = at_rest.tolist()
-    first = len(bundle.range.low)
-    groups = {"by_temperature": slice(first, first + 1), "by_acceleration": slice(-3, None)}
-    present = solver.component.temperature is not None, solver.component.accelerated
-    for (name, columns), there in zip(groups.items(), present, strict=True):
-        if there:
-            result[name] = largest(compliance[:, columns], low[columns], high[columns]).tolist()
+    if component.temperature is not None:  # the first input behind the loads
+        loads = len(component.bundle.range.low)
+        result["by_temperature"] = deflection(slice(loads, loads + 1))
+    if component.accelerated:  # the last three inputs
+        result["by_acceleration"] = deflection(slice(-3, None))
     return result, []
+
+
+def _untried(solver: Solver) -> Trial:
+    """Return size, volume and mass of the component, without a deflection."""
+    component = solver.component
+    volumes = np.zeros(len(component.materials))
+    for numbers, volume in solver.volumes:
+        np.add.at(volumes, numbers, volume)
+    densities = [material.density for material in component.materials]
+    return {
+        "size": np.ptp(component.mesh.points, axis=0).tolist(),
+        "volume": float(volumes.sum()),
+        "mass": None if None in densities else float(volumes @ np.array(densities, dtype=float)),
+        "deflection": None,
+    }
 
 
 def largest(compliance: Array, low: Array, high: Array) -> Array:
@@ -86,7 +138,10 @@ def largest(compliance: Array, low: Array, high: Array) -> Array:
 def deflection_warnings(
     component: ComponentModel, deflection: list[float] | None
 ) -> list[BundleProblem]:
-    """Return warnings where the full load range moves the part by nothing, or by too much."""
+    """Return warnings where the full load range moves the part by nothing, or by too much.
+
+    deflection: shape (6 i,), m and rad; None for no warning.
+    """
     if deflection is None:
         return []
     moved, problems = np.array(deflection), []
@@ -125,16 +180,11 @@ def _problem(failure: SolveFailed) -> BundleProblem:
     )
 
 
-def frequency(solver: Solver, riding: Riding | None) -> tuple[dict[str, Any], list[BundleProblem]]:
+def frequency(solver: Solver, riding: Riding | None) -> tuple[Swing, list[BundleProblem]]:
     """Return mass and first natural frequency of the component, and warnings.
 
-    solver: of the component; its materials without a density weigh nothing.
     riding: the rigid mass on the interface; None for none.
-    Returns vibration: ``mass`` (kg, of the component; None without any density),
-    ``first_frequency`` (Hz), ``motion`` of the interfaces (6 numbers each, m and rad, of length
-    one), ``riding_mass`` (kg), ``condensed_mass`` to the interfaces (6 x 6 each, kg to kg·m^2);
-    empty where neither bundle nor argument tells a mass, or no frequency was found. warnings: Why
-    not, or that some materials count as weightless.
+    Warnings say why there is no frequency, or which materials count as weightless.
     """
     component = solver.component
     without_density = [
@@ -152,7 +202,7 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[dict[str, Any], li
         vibration = solver.vibration(carried)
     except (ValueError, SolveFailed) as error:
         return {}, [*warnings, BundleProblem("material", f"no natural frequency: {error}")]
-    result = {
+    result: Swing = {
         "mass": vibration.mass if len(without_density) < len(component.materials) else None,
         "first_frequency": vibration.frequency,
         "motion": vibration.interface.tolist(),
@@ -196,75 +246,84 @@ def weight_warnings(solver: Solver) -> list[BundleProblem]:
 
 
 _MAX_CORNERS = 4096  # of two interfaces' twelve loads: 0.2 s for 30,000 points
-_FIRST_POINTS = 64
+_FIRST_POINTS = 64  # by the bound of `_worst`; their stresses exclude most other points
 
 
-def strength(solver: Solver, nonlinear: bool) -> tuple[list[dict[str, Any]], list[BundleProblem]]:
-    """Return the largest stress of each material under the load range, and what to know of it.
+def strength(solver: Solver, nonlinear: bool) -> tuple[list[LargestStress], list[BundleProblem]]:
+    """Return the largest stress of each material with cells under the load range, and warnings.
 
-    To first order stresses are linear in the wrench, and the von Mises stress is a norm of them:
-    no wrench of the range has a larger stress than its worst corner.
+    Both are empty if no material has a `yield_strength`.
 
-    solver: Nothing is made of a component whose bundle tells no `yield_strength`.
-    nonlinear: whether a nonlinear component is solved at that corner; else its stresses stay first
-    order.
-    Returns strength: for each material that has cells: ``region``, ``largest`` (Pa), ``at`` (m, in
-    the mesh's axes), ``wrench`` (N and N·m), each further input by its name, ``yield_strength`` (Pa
-    or None), ``first_order``. warnings: where a material yields, or von Mises says nothing of it;
-    why stresses are first order.
+    nonlinear: whether a nonlinear component is solved at the worst corner of the range; else its
+    stresses stay first order.
     """
     component = solver.component
     if all(material.yield_strength is None for material in component.materials):
         return [], []
     try:
-        # The worst corner of the range for each material that has cells.
-        corners, count = component.bundle.acting.corners(), len(component.bundle.range.low)
-        if len(corners) > _MAX_CORNERS * 2 ** len(component.further):
-            raise ValueError("three interfaces or more have too many corners; give one the range 0")
-        unit = solver.unit_stresses()
-        loads = corners
-        if component.analysis.gravity or component.bolts:  # a load that is always there
-            sag = small_stress(solver.body, solver.at_rest[1][:, :, None])
-            unit = np.concatenate((unit, sag), axis=2)
-            loads = np.column_stack((corners, np.ones(len(corners))))
-        coordinates, numbers = integration_points(component, component.mesh.points)
-        stresses = []
-        for number in np.unique(numbers):
-            points = np.flatnonzero(numbers == number)
-            largest, corner, point = _worst(unit[points], loads)
-            material = component.materials[number]
-            pairs = zip(component.further, corners[corner][count:].tolist(), strict=True)
-            stresses.append(
-                {
-                    "region": material.region,
-                    "largest": largest,
-                    "at": coordinates[points[point]].tolist(),
-                    "wrench": corners[corner][:count].tolist(),
-                    **{scalar.name: value + scalar.reference for scalar, value in pairs},
-                    "yield_strength": material.yield_strength,
-                    "first_order": component.analysis.nonlinear,
-                }
-            )
+        stresses = _first_order_stresses(solver)
     except SolveFailed as error:
         return [], [BundleProblem("material", f"no stresses: {error}")]
     except ValueError as error:
         return [], [BundleProblem("material", f"no largest stress: {error}")]
     warnings: list[BundleProblem] = []
     if nonlinear and component.analysis.nonlinear:
-        warnings += _replace_by_nonlinear(component, solver, stresses)
+        warnings += _replace_by_nonlinear(solver, stresses)
     return stresses, warnings + _yielding(component, stresses)
 
 
-def _worst(unit: Array, corners: Array) -> tuple[float, int, int]:
-    """Return the largest stress, Pa, and the first corner and point (of `unit`) that have it.
+def _first_order_stresses(solver: Solver) -> list[LargestStress]:
+    """Return the largest linear stress of each material that has cells.
 
-    The sum of single loads' stresses bounds that of all: few points are candidates.
+    Linear stresses are proportional to the wrench and the von Mises stress is a norm of them, so no
+    wrench of the range has a larger stress than the worst corner.
+
+    Raises ValueError if the range has too many corners, SolveFailed as `Solver.unit_stresses`.
+    """
+    component = solver.component
+    corners, count = component.bundle.acting.corners(), len(component.bundle.range.low)
+    if len(corners) > _MAX_CORNERS * 2 ** len(component.further):
+        raise ValueError("three interfaces or more have too many corners; give one the range 0")
+    unit, loads = solver.unit_stresses(), corners
+    if component.analysis.gravity or component.bolts:  # a load that is always there
+        sag = small_stress(solver.body, solver.at_rest[1][:, :, None])
+        unit = np.concatenate((unit, sag), axis=2)
+        loads = np.column_stack((corners, np.ones(len(corners))))
+
+    coordinates, numbers = integration_points(component, component.mesh.points)
+    stresses = []
+    for number in np.unique(numbers):
+        points = np.flatnonzero(numbers == number)
+        stress, corner, point = _worst(unit[points], loads)
+        material = component.materials[number]
+        pairs = zip(component.further, corners[corner][count:].tolist(), strict=True)
+        stresses.append(
+            LargestStress(
+                material.region,
+                stress,
+                coordinates[points[point]].tolist(),
+                corners[corner][:count].tolist(),
+                {scalar.name: value + scalar.reference for scalar, value in pairs},
+                material.yield_strength,
+                component.analysis.nonlinear,
+            )
+        )
+    return stresses
+
+
+def _worst(unit: Array, corners: Array) -> tuple[float, int, int]:
+    """Return the largest stress, Pa, and the corner and point that have it.
+
+    unit: shape (points, 6, k), Pa per unit of the inputs.
+    corners: shape (c, k), of the range of the inputs.
+    A point's stress is at most the sum of the single loads' stresses (triangle inequality), so only
+    points whose sum reaches the stress of some other point are candidates.
     """
     loads = np.abs(corners).max(axis=0)
     bound = sum(load * von_mises(unit[:, :, i]) for i, load in enumerate(loads))
     top = unit[np.argsort(bound)[-_FIRST_POINTS:]]
-    least = max(von_mises(top @ corner).max() for corner in corners)
-    points = np.flatnonzero(bound >= (1 - 1e-9) * least)
+    reached = max(von_mises(top @ corner).max() for corner in corners)
+    points = np.flatnonzero(bound >= (1 - 1e-9) * reached)  # less than it only by roundoff
     candidates, worst_so_far = unit[points], (-1.0, 0, 0)
     for i, corner in enumerate(corners):
         equivalent = von_mises(candidates @ corner)
@@ -274,30 +333,25 @@ def _worst(unit: Array, corners: Array) -> tuple[float, int, int]:
     return worst_so_far
 
 
-def _replace_by_nonlinear(
-    component: ComponentModel, solver: Solver, stresses: list[dict[str, Any]]
-) -> list[BundleProblem]:
+def _replace_by_nonlinear(solver: Solver, stresses: list[LargestStress]) -> list[BundleProblem]:
     """Put the nonlinear stresses at the worst corners in place of the first-order ones."""
+    component = solver.component
     regions = [material.region for material in component.materials]
     coordinates, numbers = integration_points(component, component.mesh.points)
-    for row in stresses:
-        worst = [*row["wrench"], *(row[scalar.name] for scalar in component.further)]
+    for i, linear in enumerate(stresses):
         try:
-            stress = solver.stresses(solver.solve(worst))
+            stress = solver.stresses(solver.solve([*linear.wrench, *linear.further.values()]))
         except SolveFailed as error:
             message = f'are linear: the solve at a corner of [range] fails ("{error}")'
             return [BundleProblem("stresses", message)]
-        equivalent = np.where(numbers == regions.index(row["region"]), von_mises(stress), -1.0)
+        equivalent = np.where(numbers == regions.index(linear.region), von_mises(stress), -1.0)
         point = int(equivalent.argmax())
-        row |= {
-            "largest": float(equivalent[point]),
-            "at": coordinates[point].tolist(),
-            "first_order": False,
-        }
+        largest, at = float(equivalent[point]), coordinates[point].tolist()
+        stresses[i] = replace(linear, largest=largest, at=at, first_order=False)
     return []
 
 
-def _yielding(component: ComponentModel, stresses: list[dict[str, Any]]) -> list[BundleProblem]:
+def _yielding(component: ComponentModel, stresses: list[LargestStress]) -> list[BundleProblem]:
     problems = []
     for number, material in enumerate(component.materials):
         key, strength = f"material[{number}].yield_strength", material.yield_strength
@@ -306,11 +360,11 @@ def _yielding(component: ComponentModel, stresses: list[dict[str, Any]]) -> list
         if material.law == "orthotropic":
             message = "is compared with the von Mises stress, which suits isotropic ones only"
             problems.append(BundleProblem(key, message))
-        for row in stresses:
-            if row["region"] == material.region and row["largest"] > strength:
+        for stress in stresses:
+            if stress.region == material.region and stress.largest > strength:
                 message = (
-                    f"is exceeded at the full range: the stress is {row['largest']:.4g} Pa, "
-                    f"{row['largest'] / strength:.2g} times as high. The solver has no plasticity, "
+                    f"is exceeded at the full range: the stress is {stress.largest:.4g} Pa, "
+                    f"{stress.largest / strength:.2g} times as high. The solver has no plasticity, "
                     "so its answers are too stiff. Narrow [range], or strengthen the part"
                 )
                 problems.append(BundleProblem(key, message))

@@ -2,11 +2,10 @@
 
 A coupling adds a few unknowns, the *border*, to the body's free nodes: the interface displacement
 (and multipliers). The body's stiffness stays sparse and positive definite; the border is eliminated
-last, by its Schur complement, which is also where the tangent compliance comes from, 6x6 an
-interface.
+last, by its Schur complement, which also gives the tangent compliance, 6x6 an interface.
 
-The body is in the undeformed frame of the first interface, its origin at that interface's point;
-each interface's displacement and wrench in the interface's.
+The body is in the undeformed frame of the first interface, its origin at that interface's point.
+The displacement and the wrench of each interface are in that interface's frame.
 """
 
 from wrenchbook.fea.coupling.coupling import Border, CoupledState, Coupling

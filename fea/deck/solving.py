@@ -6,7 +6,6 @@ import contextlib
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,10 +24,12 @@ FOLDER = "deck"
 _MOMENT_GAP = 1e-5
 """Largest relative difference between the moment that acted and the required moment."""
 
-_MAX_RUNS = 12  # 20 degrees take half of them
-_LINEAR_GAP = 1e-5  # CalculiX prints seven digits
+_MAX_RUNS = 12  # of a nonlinear deck; a rotation of 20 degrees takes half of them
+# Largest relative differences of sums of displacements, and of the works of two loads on each
+# other's displacements (square roots of the works' product): CalculiX prints seven digits.
+_LINEAR_GAP = 1e-5
 _RECIPROCAL_GAP = 1e-4
-_ROUNDOFF = 1e-9
+_ZERO_WORK = 1e-9  # relative to the largest work; smaller ones are roundoff
 
 
 def solve_deck(
@@ -40,32 +41,20 @@ def solve_deck(
 ) -> Solution:
     """Solve a component for one wrench with its deck.
 
-    A linear component runs the deck seven times: for the wrench, and for six single loads, which
-    make its compliance and show whether the deck is linear at all. A nonlinear deck runs it once
-    where it takes spatial moments, else until the conjugate moment fits the rotation (two or three
-    times for small rotations); its compliance and strain energy are unknown: NaN.
+    A linear deck runs seven times: for the wrench, and for six single loads, which give its
+    compliance and show whether it is linear. A nonlinear deck runs once if it takes spatial
+    moments, else until the conjugate moment fits the rotation (two or three times for small
+    rotations); its compliance and strain energy are unknown: NaN.
 
-    Parameters
-    ----------
-    bundle
-        With a deck.
-    wrench
-        Shape (6,), N and N·m: at the interface point where it is now, in the
-        undeformed interface frame's axes.
-    progress
-        Called with the fraction done and a message.
-    folder
-        Where the files of every run stay, below ``deck``; without it they are deleted.
-    accept
-        Raises if a displacement (shape (6,), m and rad) is beyond what may be answered.
-
-    Raises
-    ------
-    ValueError
-        If the wrench is not six finite numbers, or the bundle has no deck.
-    SolveFailed
-        As `fea.deck.running.run_deck`; also ``not_linear``, ``not_reciprocal``, or
-        ``not_converged`` if no conjugate moment fits.
+    bundle: with a deck.
+    wrench: shape (6,), N and N·m: at the interface point where it is now, in the undeformed
+    interface frame's axes.
+    progress: called with the fraction done and a message.
+    folder: where the files of every run stay, below ``deck``; None deletes them.
+    accept: raises if a displacement, shape (6,), m and rad, is beyond the limits of an answer.
+    Raises ValueError if the wrench is not six finite numbers, or the bundle has no deck. Raises
+    SolveFailed as `run_deck` does; also ``not_linear``, ``not_reciprocal``, or ``not_converged`` if
+    no conjugate moment fits.
     """
     started = time.perf_counter()
     loads = checked_wrench(wrench)
@@ -73,68 +62,28 @@ def solve_deck(
         raise ValueError("the bundle has no [deck]; write one")
     report = progress or (lambda fraction, message: None)
     with _work_folder(folder) as work_folder:
-        # Run the deck as often as it takes, and gather its results.
         runs = _Runs(bundle.deck, work_folder, report, accept)
         if bundle.analysis.nonlinear:
             displacement, compliance = _nonlinear(runs, loads), np.full((6, 6), np.nan)
             work = np.nan
         else:
-            # Displacement and compliance of a linear deck.
-            displacement = runs.run("wrench", loads, 0.0, 1.0 / 7.0)
-            # Loads of the size expected, so that nothing in the deck is far from its purpose.
             sizes = np.maximum(np.abs(bundle.range.low), np.abs(bundle.range.high))
-            columns = []
-            for i, name in enumerate(("fx", "fy", "fz", "mx", "my", "mz")):
-                load = np.zeros(6)
-                load[i] = sizes[i]
-                columns.append(runs.run(name, load, (i + 1) / 7.0, (i + 2) / 7.0) / sizes[i])
-            compliance = np.stack(columns, axis=1)
-            # Each entry against the largest of its kind: what symmetry forbids is only roundoff.
-            largest = (np.abs(compliance) @ np.abs(loads)).reshape(2, 3).max(axis=1)
-            gaps = np.abs(compliance @ loads - displacement).reshape(2, 3).max(axis=1)
-            if (gaps > _LINEAR_GAP * largest).any():
-                gap = float((gaps / np.maximum(largest, 1e-300)).max())
-                raise SolveFailed(
-                    "not_linear",
-                    f"The deck's answer to this wrench differs by {gap:.1e} from the sum of its "
-                    "answers to single loads.",
-                    "Set nonlinear = true in [analysis], or remove what is nonlinear from the "
-                    "deck: NLGEOM, contact, plasticity, loads other than the wrench.",
-                )
-            # A compliance is that of an elastic body if loads do no negative work, and as much on
-            # each other's displacements (Betti). Compared is the work (J) of loads of these sizes:
-            # a locked freedom may show roundoff.
-            exchange = compliance * np.outer(sizes, sizes)
-            works = np.diagonal(exchange)
-            floor = _ROUNDOFF * float(np.abs(works).max())
-            if (works < -floor).any():
-                freedom = FREEDOMS[int(np.argmin(works))]
-                raise not_reciprocal(f"The load on {freedom} moves it the opposite way.")
-            works = np.maximum(works, 0.0)
-            gap = np.abs(exchange - exchange.T) - _RECIPROCAL_GAP * np.sqrt(np.outer(works, works))
-            i, j = np.unravel_index(int(np.argmax(gap)), gap.shape)
-            if gap[i, j] > floor:
-                first, second = FREEDOMS[i], FREEDOMS[j]
-                raise not_reciprocal(
-                    f"A unit load on {second} moves {first} by {compliance[i, j]:.6e}, one on "
-                    f"{first} moves {second} by {compliance[j, i]:.6e}: in an elastic body the two "
-                    "are equal."
-                )
+            displacement, compliance = _linear(runs, loads, sizes)
+            _require_reciprocity(compliance, sizes)
             work = float(loads @ displacement)
-        solution = Solution(
-            wrench=loads,
-            displacement=displacement,
-            compliance=compliance,
-            strain_energy=0.5 * work,
-            work=work,
-            unknowns=runs.unknowns,
-            seconds=0.0,
-            history=(),
-            nodes=np.empty((0, 3)),
-        )
-    accept(solution.displacement)
+    accept(displacement)
     report(1.0, "done")
-    return replace(solution, seconds=time.perf_counter() - started)
+    return Solution(
+        wrench=loads,
+        displacement=displacement,
+        compliance=compliance,
+        strain_energy=0.5 * work,
+        work=work,
+        unknowns=runs.unknowns,
+        seconds=time.perf_counter() - started,
+        history=(),
+        nodes=np.empty((0, 3)),
+    )
 
 
 class _Runs:
@@ -158,6 +107,62 @@ class _Runs:
         progress(0.0, "starting")
         displacement, self.unknowns = run_deck(self.deck, wrench, self._folder / name, progress)
         return displacement
+
+
+def _linear(runs: _Runs, wrench: Array, sizes: Array) -> tuple[Array, Array]:
+    """Return displacement, shape (6,), and compliance, shape (6, 6), of a linear deck.
+
+    sizes: shape (6,), N and N·m: of the six single loads, those of the load range, at which nothing
+    in the deck is far from its purpose.
+    Raises SolveFailed, ``not_linear``, if the displacement is not the sum of the single loads'.
+    """
+    displacement = runs.run("wrench", wrench, 0.0, 1.0 / 7.0)
+    columns = []
+    for i, name in enumerate(("fx", "fy", "fz", "mx", "my", "mz")):
+        load = np.zeros(6)
+        load[i] = sizes[i]
+        columns.append(runs.run(name, load, (i + 1) / 7.0, (i + 2) / 7.0) / sizes[i])
+    compliance = np.stack(columns, axis=1)
+
+    # Each entry relative to the largest translation or rotation: entries that symmetry makes zero
+    # are roundoff.
+    largest = (np.abs(compliance) @ np.abs(wrench)).reshape(2, 3).max(axis=1)
+    gaps = np.abs(compliance @ wrench - displacement).reshape(2, 3).max(axis=1)
+    if (gaps > _LINEAR_GAP * largest).any():
+        gap = float((gaps / np.maximum(largest, 1e-300)).max())
+        raise SolveFailed(
+            "not_linear",
+            f"The deck's answer to this wrench differs by {gap:.1e} from the sum of its "
+            "answers to single loads.",
+            "Set nonlinear = true in [analysis], or remove what is nonlinear from the "
+            "deck: NLGEOM, contact, plasticity, loads other than the wrench.",
+        )
+    return displacement, compliance
+
+
+def _require_reciprocity(compliance: Array, sizes: Array) -> None:
+    """Raise SolveFailed, ``not_reciprocal``, unless a compliance is that of an elastic body.
+
+    No load of `sizes`, shape (6,), N and N·m, does negative work, and two loads do the same work on
+    each other's displacements (Betti 1872). Works in J are compared, because a locked freedom may
+    have a compliance of roundoff.
+    """
+    exchange = compliance * np.outer(sizes, sizes)
+    works = np.diagonal(exchange)
+    floor = _ZERO_WORK * float(np.abs(works).max())
+    if (works < -floor).any():
+        freedom = FREEDOMS[int(np.argmin(works))]
+        raise not_reciprocal(f"The load on {freedom} moves it the opposite way.")
+    works = np.maximum(works, 0.0)
+    gap = np.abs(exchange - exchange.T) - _RECIPROCAL_GAP * np.sqrt(np.outer(works, works))
+    i, j = np.unravel_index(int(np.argmax(gap)), gap.shape)
+    if gap[i, j] > floor:
+        first, second = FREEDOMS[i], FREEDOMS[j]
+        raise not_reciprocal(
+            f"A unit load on {second} moves {first} by {compliance[i, j]:.6e}, one on "
+            f"{first} moves {second} by {compliance[j, i]:.6e}: in an elastic body the two "
+            "are equal."
+        )
 
 
 def _nonlinear(runs: _Runs, wrench: Array) -> Array:

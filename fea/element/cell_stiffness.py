@@ -18,7 +18,7 @@ from wrenchbook.fea.mesh.mapping import Gradients
 
 Array = np.ndarray
 
-_CHUNK = 64  # cells at a time
+_CHUNK = 64  # cells at a time, whose temporaries stay in cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ class CellStiffness(ABC):
         """Return strains and stresses of a few cells.
 
         part: which cells.
-        displacement: Theirs, shape (cells, 3, nodes), m; None for the undeformed state.
+        displacement: of these cells, shape (cells, 3, nodes), m; None for the undeformed state.
         """
 
     @abstractmethod
@@ -90,7 +90,7 @@ class CellStiffness(ABC):
 
         displacement: shape (cells, 3, nodes), m.
         step: shape (2, cells, 3, nodes), m: the last step of Newton's method, see
-        `ElasticBody.tangent`; None for the forces proper.
+        `ElasticBody.tangent`; None for the forces at the displacement.
         Returns forces: shape (cells, 3, nodes), N. energy: J. least: the smallest determinant of
         the deformation gradient.
         """
@@ -108,10 +108,10 @@ class CellStiffness(ABC):
     def tangent(self, displacement: Array | None, step: Array | None, cells: Array) -> Array:
         """Return the tangent stiffness of some cells.
 
-        displacement: Theirs, shape (k, 3, nodes), m; None for the undeformed state.
-        step: Theirs, shape (2, k, 3, nodes), m: the last step of Newton's method, see
-        `ElasticBody.tangent`; None for the tangent proper.
-        cells: shape (k,), their numbers, dimensionless.
+        displacement: of these cells, shape (k, 3, nodes), m; None for the undeformed state.
+        step: shape (2, k, 3, nodes), m: the last step of Newton's method, see
+        `ElasticBody.tangent`; None for the consistent tangent.
+        cells: shape (k,): indices.
         Result: shape (k, size, size), N/m.
         """
         out = np.empty((len(cells), self.size, self.size))

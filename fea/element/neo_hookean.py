@@ -36,14 +36,14 @@ from wrenchbook.fea.element.cell_state import (
     green_strain,
     symmetrised,
 )
-from wrenchbook.fea.element.st_venant_kirchhoff import Stiffness, projected_gram, weighted
+from wrenchbook.fea.element.st_venant_kirchhoff import IsotropicStiffness, projected_gram, weighted
 from wrenchbook.fea.tensors import COLUMNS, ROWS
 
 Array = np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
-class NeoHookeanStiffness(Stiffness):
+class NeoHookeanStiffness(IsotropicStiffness):
     """Neo-Hookean cells of one block; first_lame and shear are those at small strains."""
 
     def state(self, part: Which, displacement: Array | None) -> CellState:
@@ -104,10 +104,10 @@ class _State(DenseState):
         pressed, P = self.pressure * self.J, self.J * self._pressure(self.J * t)
         along = (pressed - 4.0 / 9.0 * third) / 3.0 * t + 4.0 / 9.0 * self.scale * s + P
         twice = 4.0 / 3.0 * (self.scale * s - third * t) - 2.0 * (pressed * t + P)
-        alone = _times(8.0 * (pressed - third), XX).reshape(count, count, -1) @ rows.T
+        local = _times(8.0 * (pressed - third), XX).reshape(count, count, -1) @ rows.T
         pairs = np.stack([t[:, None] * t, p]).reshape(2, count, count, -1)
         sums = pairs @ np.stack([along, twice]).reshape(2, 1, count, -1).swapaxes(-1, -2)
-        return alone + symmetrised(np.asarray(sums.sum(axis=0)))
+        return local + symmetrised(np.asarray(sums.sum(axis=0)))
 
     def _pressure(self, growth: Array) -> Array:
         """Return the pressure of J - 1, shape (..., cells, points), times the weights."""

@@ -33,7 +33,7 @@ Array = np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
-class Stiffness(CellStiffness):
+class IsotropicStiffness(CellStiffness):
     """Isotropic cells of one block."""
 
     # first_lame, shear: shape (cells,), Pa: lambda and mu
@@ -52,7 +52,7 @@ class Stiffness(CellStiffness):
         """Return strains and stresses, displacements of shape (cells, 3, nodes), m."""
         return _State(self, part, displacement)
 
-    def stretched(self, stretch: Array) -> Stiffness:
+    def stretched(self, stretch: Array) -> IsotropicStiffness:
         """Return the cells after a stretch without stress, shape (cells, 3, 3), all directions'."""
         factor = stretch[:, 0, 0]
         return replace(self, first_lame=self.first_lame / factor, shear=self.shear / factor)
@@ -74,7 +74,7 @@ class Stiffness(CellStiffness):
 class _State(CellState):
     """Strains and stresses of a few cells at one displacement (None: undeformed)."""
 
-    def __init__(self, cells: Stiffness, part: Which, displacement: Array | None) -> None:
+    def __init__(self, cells: IsotropicStiffness, part: Which, displacement: Array | None) -> None:
         super().__init__(cells.gradients, part, displacement, cells.thermal_strain(part))
         self.first_lame = cells.first_lame[part, None]
         self.shear = cells.shear[part, None]

@@ -34,7 +34,7 @@ PLACEHOLDERS = ("$FX", "$FY", "$FZ", "$MX", "$MY", "$MZ")
 
 # Their nodes are in the same order as those of `fea.mesh.mesh`.
 _ELEMENTS = {"hex20": "C3D20R", "tet10": "C3D10", "wedge15": "C3D15"}
-_ROUNDOFF = 1e-12  # of a direction's component
+_ZERO = 1e-12  # of a component of a unit vector; smaller ones are roundoff
 
 # The increments are halved by CalculiX where they are too large. Its default tolerance leaves up to
 # 5e-3 in small rotations.
@@ -55,18 +55,9 @@ def deck_of(component: ComponentModel, comments: Iterable[str] = ()) -> str:
     printed motion is that of the sets REF (translation) and ROT (rotation vector), as the reader
     "calculix-dat" takes it; of an interface with a name REF_NAME and ROT_NAME.
 
-    Parameters
-    ----------
-    component
-        What to write.
-    comments
-        Lines to put first.
-
-    Raises
-    ------
-    BundleError
-        If CalculiX has no counterpart: a distributed coupling, whose mean motion it does not
-        report, interfaces of different axes, or cells it has no element for.
+    comments: first lines of the deck.
+    Raises BundleError if CalculiX has no counterpart: a distributed coupling, whose mean motion it
+    does not report, interfaces of different axes, or cells it has no element for.
     """
     problems = []
     for interface in component.interfaces:
@@ -159,7 +150,7 @@ def _springs(component: ComponentModel) -> Iterator[str]:
                 for end, sign in zip(ends, signs, strict=True)
                 for j, x in enumerate(motion @ rotation)
             ]
-            terms = [term for term in terms if abs(term[2]) > _ROUNDOFF]
+            terms = [term for term in terms if abs(term[2]) > _ZERO]
             yield f"*NODE\n{node}, {at}\n*BOUNDARY\n{node}, 2, 3"
             yield from _equation([(node, 1, -1.0), *terms])
             yield f"*ELEMENT, TYPE=SPRING1, ELSET=K{element}\n{element}, {node}"
@@ -229,7 +220,7 @@ def _sliding(component: ComponentModel) -> Iterator[str]:
         ]  # a dependent one each
         rows = np.linalg.solve(projector[np.ix_(first, first)], projector[first])
         for axis, row in zip(first, rows, strict=True):
-            others = [i for i in range(3) if i not in first and abs(row[i]) > _ROUNDOFF]
+            others = [i for i in range(3) if i not in first and abs(row[i]) > _ZERO]
             terms = [f"{node}, {i + 1}, {_numbers([row[i]])}" for i in (axis, *others)]
             equation = f"*EQUATION\n{len(terms)}\n" + ", ".join(terms)
             yield equation if others else f"*BOUNDARY\n{node}, {axis + 1}"

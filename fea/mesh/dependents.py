@@ -42,10 +42,7 @@ class Dependents:
 
         Masters that are dependent themselves are replaced by what they depend on.
 
-        Raises
-        ------
-        CircularError
-            If a node depends on itself.
+        Raises CircularError if a node depends on itself.
         """
         nodes, masters, weights = entries
         dependent = np.unique(nodes)

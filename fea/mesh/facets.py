@@ -86,7 +86,7 @@ class Face:
     """A face of a geometry file, or a connected smooth part of a mesh's surface."""
 
     number: int  # what ``faces = [...]`` names it by
-    kind: str  # "Plane", "Cylinder", "Cone", "Sphere", "Torus", "BSpline surface", "Curved",
+    kind: str  # gmsh's, such as "Plane", "Cylinder" or "BSpline surface"; "Curved" of a mesh
     area: float  # m^2
     centre: tuple[float, float, float]  # area centre, m
     # Outward unit normal of a plane face; None for others

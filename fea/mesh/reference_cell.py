@@ -164,8 +164,8 @@ def _products(kind: str, points: Array) -> tuple[Array, Array]:
         value[:] = np.prod([factors[letter] for letter in product], axis=0)
         for i, letter in enumerate(product):
             others = product[:i] + product[i + 1 :]
-            rest = np.prod([ones, *(factors[each] for each in others)], axis=0)
-            slope += rest[:, None] * np.stack(np.broadcast_arrays(*slopes[letter]), axis=1)
+            cofactor = np.prod([ones, *(factors[other] for other in others)], axis=0)
+            slope += cofactor[:, None] * np.stack(np.broadcast_arrays(*slopes[letter]), axis=1)
     corners = len(products) if len(products) < 10 else int(np.max(EDGES[kind])) + 1
     for table in (N, dN):
         table[corners:] *= 4
@@ -191,7 +191,7 @@ def _pyramid_factors(x: Array, y: Array, h: Array) -> tuple[dict[str, Array], di
     h is the height and d = 1 - h; p = x/d, q = 1 - p, r = y/d and s = 1 - r, so that the faces are
     those of hexahedra and tetrahedra. At the apex slopes are those on the line p = r = 1/2.
     """
-    ones, d = np.ones_like(h), np.maximum(1 - h, 1e-30)
+    ones, d = np.ones_like(h), np.maximum(1 - h, 1e-30)  # no division by zero at the apex
     p, r = (np.where(h < 1, each / d, 0.5) for each in (x, y))
     factors = {"d": d, "h": h, "p": p, "q": 1 - p, "r": r, "s": 1 - r}
     slopes = {"d": (0, 0, -ones), "h": (0, 0, ones)}

@@ -1,4 +1,4 @@
-"""A coarser or finer mesh: made again from a generator or geometry, or its cells halved.
+"""A coarser or finer mesh: from its generator or geometry with another size, or by halving cells.
 
 Each cell becomes eight, each facet four. The new nodes lie on the cell's isoparametric map, so
 curved edges keep their shape and the finer mesh holds every field of the coarser mesh.
@@ -7,7 +7,7 @@ curved edges keep their shape and the finer mesh holds every field of the coarse
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import NamedTuple
 
@@ -23,7 +23,7 @@ from wrenchbook.fea.spec.schema import Bundle
 
 Array = np.ndarray
 
-# The counts of cells that a finer mesh multiplies, by generator.
+# The parameters of each generator that count cells; a finer mesh multiplies them.
 _COUNTS = {
     "bar": ("cells_along", "cells_across"),
     "plate": ("cells", "rings", "corner_cells", "layers"),
@@ -36,7 +36,7 @@ def refined(bundle: Bundle, factor: float) -> Bundle | None:
 
     factor: Above 1 finer, below 1 coarser.
     Result: None if the mesh is a file, which only its author can refine. The fingerprint is that of
-    the original: what is solved with it must not become a row.
+    the original, so its solutions must not become rows of the table.
     """
     mesh = bundle.mesh
     if mesh is None:
@@ -59,8 +59,9 @@ def refined(bundle: Bundle, factor: float) -> Bundle | None:
 _CORNERS = {second: first for first, second in SECOND.items()}
 _CORNERS |= {"hex27": "hex8", "quad8": "quad4", "quad9": "quad4", "tri6": "tri3"}
 
-# Children of a triangle and a tetrahedron by corners: two equal digits for a corner, two others for
-# the middle between them. The octahedron within a tetrahedron is cut along 02-13 (Bey 1995).
+# Children of a triangle and a tetrahedron by their corners: two equal digits are a corner of the
+# parent, two different ones the middle between two corners. The octahedron within a tetrahedron is
+# cut along 02-13 (Bey 1995).
 _OF_TRIANGLE = ("00 01 02", "01 11 12", "02 12 22", "01 12 02")
 _OF_TETRAHEDRON = (
     *("00 01 02 03", "01 11 12 13", "02 12 22 23", "03 13 23 33"),
@@ -68,15 +69,15 @@ _OF_TETRAHEDRON = (
 )
 
 _DENOMINATOR = 64
-"""Parts of the corners' weights: nodes of children lie at quarters along three directions."""
+"""Of the corners' weights: the nodes of children lie at quarters along three directions, 4^3."""
 
 
 class _Pattern(NamedTuple):
-    """How one kind splits."""
+    """The children of one kind of cell or facet: their nodes are points in the parent."""
 
     children: Array  # shape (children, nodes): indices of points
-    # Shape (corners, points), uint64: of the corners at each point, in parts of `_DENOMINATOR`. Two
-    # cells that meet have the same corners' weights at a common point.
+    # Shape (corners, points), uint64: linear weights of the parent's corners at each point, times
+    # `_DENOMINATOR`. Adjacent cells have the same weights at a common point.
     weights: Array
     values: Array  # shape (points, nodes): the parent's shape functions
 
@@ -85,10 +86,10 @@ class _Pattern(NamedTuple):
 def _pattern(kind: str) -> _Pattern:
     linear = _CORNERS.get(kind, kind)
     inside = tabulate(linear, node_coordinates(kind))[0]
-    every = np.array([inside @ corners for corners in _children(linear)])
-    points, numbers = np.unique(every.reshape(-1, every.shape[2]), axis=0, return_inverse=True)
+    nodes = np.array([inside @ corners for corners in _children(linear)])
+    points, numbers = np.unique(nodes.reshape(-1, nodes.shape[2]), axis=0, return_inverse=True)
     weights = np.rint(_DENOMINATOR * tabulate(linear, points)[0].T).astype(np.uint64)
-    return _Pattern(numbers.reshape(every.shape[:2]), weights, tabulate(kind, points)[0])
+    return _Pattern(numbers.reshape(nodes.shape[:2]), weights, tabulate(kind, points)[0])
 
 
 def _children(linear: str) -> list[Array]:
@@ -98,92 +99,111 @@ def _children(linear: str) -> list[Array]:
         return [0.5 * (points + corner) for corner in points]
     if linear == "wedge6":
         layers = 0.5 * (points[[0, 3], 2])
-        flat = [_between(points[:3, :2], patterns) for patterns in _OF_TRIANGLE]
+        triangles = [_between(points[:3, :2], pattern) for pattern in _OF_TRIANGLE]
         return [
-            np.vstack([np.column_stack([three, np.full(3, z)]) for z in (low, low + 0.5)])
+            np.vstack([np.column_stack([corners, np.full(3, z)]) for z in (low, low + 0.5)])
             for low in layers
-            for three in flat
+            for corners in triangles
         ]
     patterns = _OF_TRIANGLE if linear == "tri3" else _OF_TETRAHEDRON
-    return [_between(points, word) for word in patterns]
+    return [_between(points, pattern) for pattern in patterns]
 
 
 def _between(points: Array, pattern: str) -> Array:
+    """Return the corners of one child, as a pattern such as "00 01 02" names them."""
     return np.array([0.5 * (points[int(a)] + points[int(b)]) for a, b in pattern.split()])
+
+
+@dataclass(frozen=True, eq=False)
+class _FinerNodes:
+    """Nodes of the finer mesh, and where they lie in the cells of the coarse mesh."""
+
+    points: Array  # shape (nodes, 3), m
+    numbers: list[Array]  # for each block, shape (cells, points of its pattern): nodes
+    # corner_keys, keys: the random keys of the coarse nodes, and the finer nodes' sums of them in
+    # ascending order, both uint64. The sum is the same in each cell or facet that has the node.
+    corner_keys: Array
+    keys: Array
 
 
 def halved(mesh: Mesh) -> Mesh:
     """Return the mesh with cells of half the size, and its groups.
 
-    A node group gets the new nodes that lie between nodes of it alone: those of a facet or an edge
-    all of whose nodes it has.
+    A node group gets the new nodes that lie between nodes of the group only: those of a facet or an
+    edge all of whose nodes it has.
 
     Raises BundleError if there are pyramids, which no eight cells of one kind make.
     """
     if any(block.kind.startswith("pyramid") for block in mesh.blocks):
         message = "pyramids cannot be halved; give finer meshes: wrenchbook converge --finer FILE"
         raise BundleError([BundleProblem("mesh", message)])
-    # A sum of random 64-bit numbers of the corners names a point, whichever cell it belongs to:
-    # of a million points two share a number with a probability of 3e-8.
-    names = np.random.default_rng(0).integers(2**64, size=len(mesh.points), dtype=np.uint64)
-    parents = [(block.nodes, _pattern(block.kind)) for block in mesh.blocks]
-    keys = [_keys(names, nodes, pattern) for nodes, pattern in parents]
-    points = [pattern.values @ mesh.points[nodes] for nodes, pattern in parents]
-    known, first, number = np.unique(
-        np.concatenate([local.ravel() for local in keys]), return_index=True, return_inverse=True
-    )
-    ends = np.cumsum([local.size for local in keys])[:-1]
-    numbers = [
-        part.reshape(local.shape) for part, local in zip(np.split(number, ends), keys, strict=True)
-    ]
+    finer = _finer_nodes(mesh)
     blocks = tuple(
-        CellBlock(block.kind, _nodes(number, pattern))
-        for block, number, (_, pattern) in zip(mesh.blocks, numbers, parents, strict=True)
+        CellBlock(block.kind, _children_nodes(numbers, _pattern(block.kind)))
+        for block, numbers in zip(mesh.blocks, finer.numbers, strict=True)
     )
     regions = {
         name: tuple((8 * local[:, None] + np.arange(8)).ravel() for local in cells)
         for name, cells in mesh.regions.items()
     }
     faces = FaceFinder(mesh.blocks)
-    facets = {
-        name: _split_facets(group, faces, names, known) for name, group in mesh.facet_groups.items()
+    facets = {name: _split_facets(group, faces, finer) for name, group in mesh.facet_groups.items()}
+    node_groups = {name: _split_nodes(mesh, ids, finer) for name, ids in mesh.node_groups.items()}
+
+    number_of = np.full(len(mesh.points) + 1, -1)  # of each coarse node; the last for no node
+    for block, numbers in zip(mesh.blocks, finer.numbers, strict=True):
+        at_nodes = _pattern(block.kind).values.argmax(axis=0)  # points where a shape function is 1
+        number_of[block.nodes] = numbers[:, at_nodes]
+    weights = {
+        name: (number_of[nodes], sizes) for name, (nodes, sizes) in mesh.node_weights.items()
     }
-    sets = {
-        name: np.unique(np.concatenate([
-            number[_all_of(np.isin(nodes, ids), pattern)]
-            for number, (nodes, pattern) in zip(numbers, parents, strict=True)
-        ]))
-        for name, ids in mesh.node_groups.items()
-    }  # fmt: skip
-    every = np.concatenate([point.reshape(-1, 3) for point in points])
-    same = np.full(len(mesh.points) + 1, -1)  # the last for nodes in no cell
-    for number, (nodes, pattern) in zip(numbers, parents, strict=True):
-        same[nodes] = number[:, pattern.values.argmax(axis=0)]  # where a shape function is 1
-    weights = {name: (same[nodes], sizes) for name, (nodes, sizes) in mesh.node_weights.items()}
-    return Mesh(every[first], blocks, regions, facets, sets, mesh.deck, node_weights=weights)
+    return Mesh(finer.points, blocks, regions, facets, node_groups, mesh.deck, node_weights=weights)
 
 
-def _keys(names: Array, nodes: Array, pattern: _Pattern) -> Array:
-    """Return the names of the points of each cell, (cells, points), uint64."""
-    return names[nodes[:, : len(pattern.weights)]] @ pattern.weights
+def _finer_nodes(mesh: Mesh) -> _FinerNodes:
+    """Return the points of all cells' patterns, each once however many cells have it."""
+    # A sum of random 64-bit numbers of the corners is a point's key, whichever cell it belongs to:
+    # of a million points two have the same key with a probability of 3e-8.
+    corner_keys = np.random.default_rng(0).integers(2**64, size=len(mesh.points), dtype=np.uint64)
+    parents = [(block.nodes, _pattern(block.kind)) for block in mesh.blocks]
+    keys = [_point_keys(corner_keys, nodes, pattern) for nodes, pattern in parents]
+    points = [(pattern.values @ mesh.points[nodes]).reshape(-1, 3) for nodes, pattern in parents]
+
+    unique_keys, first, number = np.unique(
+        np.concatenate([local.ravel() for local in keys]), return_index=True, return_inverse=True
+    )
+    ends = np.cumsum([local.size for local in keys])[:-1]
+    numbers = [
+        part.reshape(local.shape) for part, local in zip(np.split(number, ends), keys, strict=True)
+    ]
+    return _FinerNodes(np.concatenate(points)[first], numbers, corner_keys, unique_keys)
 
 
-def _nodes(numbers: Array, pattern: _Pattern) -> Array:
-    """Return the children's nodes, (8 cells, nodes), a parent's children in a row."""
+def _point_keys(corner_keys: Array, nodes: Array, pattern: _Pattern) -> Array:
+    """Return the keys of the points of cells or facets, shape (cells, points), uint64."""
+    return corner_keys[nodes[:, : len(pattern.weights)]] @ pattern.weights
+
+
+def _children_nodes(numbers: Array, pattern: _Pattern) -> Array:
+    """Return the children's nodes, (8 cells, nodes), the children of a parent consecutive."""
     return numbers[:, pattern.children].reshape(-1, pattern.children.shape[1])
 
 
-def _split_facets(group: FacetGroup, faces: FaceFinder, names: Array, known: Array) -> FacetGroup:
-    facets = [face for kind, nodes in group.blocks for face in faces.find(kind, nodes)[0]]
-    return FacetGroup(
-        tuple(
-            FacetBlock(kind, _nodes(np.searchsorted(known, _keys(names, local, pattern)), pattern))
-            for kind, local, pattern in ((kind, local, _pattern(kind)) for kind, local in facets)
-        )
-    )
+def _split_facets(group: FacetGroup, faces: FaceFinder, finer: _FinerNodes) -> FacetGroup:
+    """Return the four children of each facet of a group."""
+    blocks = []
+    for kind, nodes in (face for block in group.blocks for face in faces.find(*block)[0]):
+        keys = _point_keys(finer.corner_keys, nodes, _pattern(kind))
+        numbers = np.searchsorted(finer.keys, keys)
+        blocks.append(FacetBlock(kind, _children_nodes(numbers, _pattern(kind))))
+    return FacetGroup(tuple(blocks))
 
 
-def _all_of(member: Array, pattern: _Pattern) -> Array:
-    """Return at which points, (cells, points), all nodes that count are members, (cells, nodes)."""
-    counts = np.abs(pattern.values) > 1e-9  # shape functions are multiples of 1/64
-    return (~member).astype(int) @ counts.T.astype(int) == 0
+def _split_nodes(mesh: Mesh, group: Array, finer: _FinerNodes) -> Array:
+    """Return the finer nodes, sorted, that depend on nodes of the group only."""
+    inside = []
+    for block, numbers in zip(mesh.blocks, finer.numbers, strict=True):
+        matters = np.abs(_pattern(block.kind).values) > 1e-9  # values are multiples of 1/64
+        outside = ~np.isin(block.nodes, group)
+        inside.append(numbers[outside.astype(int) @ matters.T.astype(int) == 0])
+    return np.unique(np.concatenate(inside))

@@ -74,7 +74,7 @@ def cauchy_stress(
         stresses.append(_six(stress))
         changes.append(np.moveaxis(_six(slopes), 0, -1))
     stress_field, slopes = np.concatenate(stresses), np.concatenate(changes)
-    if body.expands and slopes.shape[2]:  # what the temperature changes at this displacement
+    if body.expands and slopes.shape[2]:  # per kelvin at a fixed displacement, central difference
         no_fields = tangents[:, :, :0]
         warmer, cooler = (
             cauchy_stress(body, displacement, no_fields, temperature + step)[0]
@@ -115,11 +115,12 @@ def most_used(component: ComponentModel, body: ElasticBody, fields: Array) -> Ar
 
 
 def _strengths(component: ComponentModel) -> Array:
+    """Return the yield strength of each material, Pa; infinite if it has none."""
     return np.array([material.yield_strength or np.inf for material in component.materials])
 
 
 def yielding(component: ComponentModel, body: ElasticBody, solution: Solution) -> str:
-    """Return the share of the part's volume beyond its yield strength, as text; empty if none is.
+    """Return a text with the fraction of the volume beyond its yield strength; empty if none is.
 
     By the von Mises stress at the integration points.
     """

@@ -19,10 +19,10 @@ from wrenchbook.fea.solver.newton import Equilibrium, Report, Stuck, correct, ta
 
 Array = np.ndarray
 
-_MAX_STEPS = 80
-_MAX_ITERATIONS = 10
-_FEW_ITERATIONS = 5
-_GROWTH = 1.6
+_MAX_STEPS = 80  # after which the path is "lost"
+_MAX_ITERATIONS = 10  # of a step, which is then halved
+_FEW_ITERATIONS = 5  # after so many or fewer the next step grows
+_GROWTH = 1.6  # times the last step
 _LEAST = 1.0 / 256  # of the first step
 _FINE = 1.0 / 8  # of the first step: short enough to tell a limit point from a bifurcation
 _MAX_NODE_STEP = 0.01  # of the part's size: the furthest that a node may go in one step
@@ -145,7 +145,7 @@ class ArcPath:
         system, balance = self._system, self._point.equilibrium.balance
         tangent = self._point.equilibrium.tangent
         tangent.release()  # `rate` is known
-        proper = False
+        consistent = False
         for iteration in range(1, _MAX_ITERATIONS + 1):
             balance = system.reload(balance, size * self._direction)
             try:
@@ -156,11 +156,11 @@ class ArcPath:
             self._report(size / self._full)(iteration, balance.norm)
             if not np.isfinite(balance.norm):
                 return None
-            if proper and step.converged:
+            if consistent and step.converged:
                 settled = tangent_after(system, step, tangent)
                 return size, Equilibrium(balance, settled, iteration)
-            proper = step.nearly
-            tangent = system.linearise(balance, None if proper else step.aim)
+            consistent = step.nearly
+            tangent = system.linearise(balance, None if consistent else step.aim)
             moved, edge = tangent.correction(balance)
             rate = self._rate(tangent)
             constraint = tangent.border.constraint

@@ -12,10 +12,10 @@ from wrenchbook.fea.failure import SolveFailed
 
 Array = np.ndarray
 
-_MAX_CORRECTIONS = 4
-_SMALL = 1e-7  # of a correction; what it leaves is about its square
-_ROUNDOFF = 1e-6
-"""Asymmetry or energy gap, relative, above which the compliance is not to be trusted."""
+_MAX_CORRECTIONS = 4  # one is enough for all but extreme parts; each costs a solve
+_SMALL = 1e-7  # relative size of a correction, whose own error is about its square
+_MAX_ERROR = 1e-6
+"""Largest relative asymmetry, energy gap and roundoff of a compliance: six digits of an answer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ def linear_response(system: System) -> LinearResponse:
     energies = system.body.strain_energy_products(fields) + system.coupling.spring_energies(border)
     asymmetry = float(np.abs((compliance - compliance.T) * unit).max())
     energy_gap = float(np.abs((compliance - energies[:loads, :loads]) * unit).max())
-    if not max(asymmetry, energy_gap, condition * ROUNDOFF * correction) < _ROUNDOFF:
+    if not max(asymmetry, energy_gap, condition * ROUNDOFF * correction) < _MAX_ERROR:
         raise SolveFailed(
             "ill_conditioned",
             f"Roundoff limits this solve: the compliance is symmetric only to {asymmetry:.1e} and "
@@ -85,11 +85,11 @@ def linear_response(system: System) -> LinearResponse:
 
 
 def _refined(system: System, start: Linearisation) -> tuple[Array, Array, float]:
-    """Return nodal fields and border of unit inputs and weight, and the size of a last correction.
+    """Return nodal fields, (n, 3, k), border, (border, k), and the size of the last correction.
 
-    Corrections are made until they are small, relative to the displacement.
-    The residual comes from the stresses, which are exact to a few digits more than the stiffness
-    matrix on slender parts. One correction is enough but for extreme ones.
+    The k columns are the unit inputs, and self-weight last. Iterative refinement: the residual
+    comes from the stresses, which on slender parts are exact to a few digits more than the
+    stiffness matrix.
     """
     acting, loads = start.load_columns
     border = start.border

@@ -37,12 +37,11 @@ SAME_STATE = 1e-10
 On that spring a tangent changes by 500 times the correction: this leaves 5e-8 of a compliance.
 """
 
-MAX_ITERATIONS = 16
-
-_NEARLY = 1e-3
+MAX_ITERATIONS = 16  # of a load step, which is then halved
+_NEARLY = 1e-3  # relative size of a correction after which tangents are consistent
 _MAX_CHORDS = 3  # by when a correction that shrinks tenfold is below what a new tangent needs
 _CHORD_GAIN = 0.1  # a correction that shrinks less says that the tangent has changed
-_MAX_IDLE = 3
+_MAX_IDLE = 3  # small corrections in a row of which none halves either norm: roundoff
 _FAR_ROTATION = 2.0  # rad: a rotation vector is of no use near half a turn
 _FAR = 1e3  # times the size of the part
 
@@ -62,7 +61,7 @@ class Equilibrium(NamedTuple):
     """A converged state."""
 
     balance: Balance  # the state with its forces
-    # The tangent proper at this state, to within a correction of `SAME_STATE`
+    # The consistent tangent at this state, to within a correction of `SAME_STATE`
     tangent: Linearisation
     iterations: int  # their number
 
@@ -80,7 +79,7 @@ class Correction(NamedTuple):
 
     @property
     def converged(self) -> bool:
-        """Whether a correction with a tangent proper proves the new state to be in balance."""
+        """Whether a correction with a consistent tangent proves the new state to be in balance."""
         return (
             self.size <= CONVERGED
             and self.energy <= CONVERGED_ENERGY
@@ -89,7 +88,7 @@ class Correction(NamedTuple):
 
     @property
     def nearly(self) -> bool:
-        """Whether it is small enough to go on with tangents proper."""
+        """Whether it is small enough to go on with consistent tangents."""
         return self.size <= _NEARLY
 
 
@@ -103,8 +102,8 @@ def find_equilibrium(
     """Iterate from a state out of balance.
 
     The first correction uses `tangent` as it is. While steps are large, later tangents take the
-    stress that the step aimed at (`ElasticBody.tangent`). The last are tangents proper at the state
-    itself: only these prove convergence. The older of two corrects again, while that helps.
+    stress that the step aimed at (`ElasticBody.tangent`). The last are the consistent tangents at
+    the state: only these prove convergence. The older of two corrects again, while that helps.
 
     balance: where to start, under the required wrench.
     tangent: a linearisation at, or near, that state; its factor is released after the first
@@ -113,7 +112,7 @@ def find_equilibrium(
     max_iterations: after which to give up.
     Raises Stuck if it does not converge.
     """
-    proper, corrections = False, []
+    consistent, corrections = False, []
     for iteration in range(1, max_iterations + 1):
         step = correct(system, balance, tangent, *tangent.correction(balance))
         balance = step.balance
@@ -122,7 +121,7 @@ def find_equilibrium(
             raise Stuck("the iteration diverged to forces that are not finite")
         if largest_rotation(balance.state.interface) > _FAR_ROTATION:
             raise Stuck("the iteration rotated the interface by more than 115 degrees")
-        if proper and step.converged:
+        if consistent and step.converged:
             return Equilibrium(balance, tangent_after(system, step, tangent), iteration)
         corrections.append((step.size, step.energy))
         recent = np.array(corrections[-_MAX_IDLE:])
@@ -133,11 +132,11 @@ def find_equilibrium(
                 f"corrections stay at {step.size:.0e} of the displacement, by roundoff",
                 at_roundoff=True,
             )
-        proper = step.nearly
-        balance = _settled(system, step, tangent) if proper else balance
+        consistent = step.nearly
+        balance = _settled(system, step, tangent) if consistent else balance
         if iteration == 1:
             tangent.release()  # the caller keeps it: its factor would be there with each next
-        tangent = system.linearise(balance, None if proper else step.aim)
+        tangent = system.linearise(balance, None if consistent else step.aim)
     raise Stuck(f"there is no equilibrium after {max_iterations} iterations")
 
 
@@ -168,7 +167,7 @@ def _settled(system: System, step: Correction, tangent: Linearisation) -> Balanc
     """Return the state after further corrections with the same tangent, while each is much smaller.
 
     These cost a solve with factors at hand and no new ones (the modified Newton method). They prove
-    nothing, but the tangent proper at a better state needs one correction less.
+    nothing, but the consistent tangent at a better state needs one correction less.
     """
     for _ in range(_MAX_CHORDS):
         try:
@@ -182,9 +181,9 @@ def _settled(system: System, step: Correction, tangent: Linearisation) -> Balanc
 
 
 def tangent_after(system: System, step: Correction, tangent: Linearisation) -> Linearisation:
-    """Return the tangent proper at the state after a last correction.
+    """Return the consistent tangent at the state after a last correction.
 
-    tangent: the tangent proper at the state before it.
+    tangent: the consistent tangent at the state before it.
     """
     if step.energy <= SAME_STATE:
         return tangent

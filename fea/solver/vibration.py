@@ -36,7 +36,7 @@ from wrenchbook.fea.tensors import skew
 
 Array = np.ndarray
 
-_SEED = 20170726  # of the start vector: the same bundle gives the same digits
+_SEED = 20170726  # of the first mode's start vector: the same bundle gives the same digits
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,16 +114,15 @@ class Vibration:
 def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibration:
     """Return the lowest eigenfrequency of K x = omega^2 M x, undamped, small motions.
 
-    By Lanczos' method with K^-1 M (shift-invert at zero, ARPACK), K^-1 by the factorisation that
-    solves are made with. The frequency is Rayleigh's quotient of the motion found, with the strain
-    energy from the strains: right to the square of the motion's error.
+    By Lanczos' method with K^-1 M (shift-invert at zero, ARPACK), K^-1 by the factorisation of the
+    static solves. The frequency is Rayleigh's quotient of the mode, with the strain energy from the
+    strains: its error is the square of the mode's.
 
     system: the equations, in the interface frame.
-    mass: shape (n, n), kg, from `fea.solver.vibration`; without entries the component is massless.
-    riding: what stands on the interface.
-    Raises ValueError if nothing has a mass, or what has a mass cannot move (locked freedoms);
-    or if a mass stands on one of several interfaces. Raises SolveFailed: ``mechanism`` or
-    ``ill_conditioned``.
+    mass: shape (n, n), kg, of `consistent_mass`; without entries the component is massless.
+    riding: the rigid mass on the interface.
+    Raises ValueError if nothing has a mass, or everything with a mass is locked; or if a mass
+    stands on one of several interfaces. Raises SolveFailed: ``mechanism`` or ``ill_conditioned``.
     """
     active, count = system.coupling.active, system.coupling.freedoms
     interface_mass = np.zeros((count, count))
@@ -134,41 +133,49 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     inertia = Inertia(system, mass, interface_mass)
     cells = 1.0 - system.body.slips
     mass_of_part = float(cells @ (mass @ cells))
-    if mass.nnz:
-        # The motion of the lowest frequency, by Lanczos' method.
-        masses, inverse = (
-            Applied(inertia.size, apply) for apply in (inertia.times, inertia.solved)
-        )
-        start = np.random.default_rng(_SEED).standard_normal(inertia.size)
-        # In this mode ARPACK multiplies by K^-1 and M alone; the first argument gives the size.
-        _, motions = eigsh(masses, k=1, M=masses, sigma=0.0, which="LM", OPinv=inverse, v0=start)
-        x = motions[:, 0]
-    else:
-        # The motion of a massless component of compliance C = L L^T that carries the mass M: the
-        # largest eigenvalue of L^T M L is 1 / omega^2.
-        moving = inertia.active.size
-        part = slice(inertia.first, inertia.first + moving)
-        units = np.zeros((moving, inertia.size))
-        units[:, part] = np.eye(moving)
-        moved = inertia.solved(units).T
-        compliance = moved[part]
-        lower = np.linalg.cholesky(0.5 * (compliance + compliance.T))
-        carried = inertia.interface_mass[np.ix_(inertia.active, inertia.active)]
-        values, motions = np.linalg.eigh(lower.T @ carried @ lower)
-        if not values[-1] > 0:
-            raise ValueError(
-                "nothing that can move has a mass; give materials a density, or the scene a mass"
-            )
-        x = np.linalg.solve(compliance, lower @ motions[:, -1]) @ moved.T
+    x = _lowest_mode(inertia) if mass.nnz else _lowest_mode_of_massless(inertia)
+
+    # Rayleigh's quotient, with the strain energy from the strains.
     fields, interface = inertia.fields(x)
     stiffness = system.body.strain_energy_products(fields[:, :, None])[0, 0]
     stiffness += system.coupling.spring_energies(inertia.border(x))[0, 0]
     square = stiffness / float(x @ inertia.times(x))
-    bare = Inertia(system, mass, np.zeros((count, count)))
     frequency = float(np.sqrt(square) / (2 * np.pi))
+
+    without_riding = Inertia(system, mass, np.zeros((count, count)))
     if length := float(np.linalg.norm(interface)):  # 1, its largest part positive
         interface = interface / (length * np.sign(interface[np.abs(interface).argmax()]))
-    return Vibration(mass_of_part, frequency, interface, condensed_mass(bare))
+    return Vibration(mass_of_part, frequency, interface, condensed_mass(without_riding))
+
+
+def _lowest_mode(inertia: Inertia) -> Array:
+    """Return the mode of the lowest frequency by Lanczos' method, shape (size,)."""
+    mass, inverse = (Applied(inertia.size, apply) for apply in (inertia.times, inertia.solved))
+    start = np.random.default_rng(_SEED).standard_normal(inertia.size)
+    # In shift-invert mode ARPACK applies only K^-1 and M; the first argument gives the size.
+    _, modes = eigsh(mass, k=1, M=mass, sigma=0.0, which="LM", OPinv=inverse, v0=start)
+    return modes[:, 0]
+
+
+def _lowest_mode_of_massless(inertia: Inertia) -> Array:
+    """Return the mode of a component without mass that carries a mass M, shape (size,).
+
+    With the compliance C = L L^T of the interface, 1 / omega^2 is an eigenvalue of L^T M L.
+    """
+    active = inertia.active.size
+    rows = slice(inertia.first, inertia.first + active)
+    units = np.zeros((active, inertia.size))
+    units[:, rows] = np.eye(active)
+    moved = inertia.solved(units).T
+    compliance = moved[rows]
+    lower = np.linalg.cholesky(0.5 * (compliance + compliance.T))
+    carried = inertia.interface_mass[np.ix_(inertia.active, inertia.active)]
+    values, vectors = np.linalg.eigh(lower.T @ carried @ lower)
+    if not values[-1] > 0:
+        raise ValueError(
+            "nothing that can move has a mass; give materials a density, or the scene a mass"
+        )
+    return np.linalg.solve(compliance, lower @ vectors[:, -1]) @ moved.T
 
 
 def condensed_mass(inertia: Inertia) -> Array:
@@ -290,7 +297,7 @@ def consistent_mass(mesh: Mesh, density: Sequence[Array]) -> csr_array:
     return csr_array(total)
 
 
-_START = 19680701  # of the start vector: the same bundle gives the same digits
+_HELD_SEED = 19680701  # of the held modes' start vector: the same bundle gives the same digits
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,8 +312,8 @@ class CraigBampton:
     # kg^0.5·m between both.
     stiffness: Array
     mass: Array
-    # held, free: Natural frequencies, Hz, ascending: with all frames held, shape (n,); and with the
-    # base alone held, by these matrices, shape (6 f - 6 + n,).
+    # held, free: Natural frequencies, Hz, ascending: with all frames held, shape (n,); and with
+    # only the base held, by these matrices, shape (6 f - 6 + n,).
     held: Array
     free: Array
 
@@ -319,13 +326,13 @@ def craig_bampton(
     frames: Sequence[tuple[str, Array, Array]],
     modes: int,
 ) -> CraigBampton:
-    """Return the part's matrices, of so many modes with all frames held.
+    """Return the part's matrices with a number of modes, of all frames held.
 
-    mass: shape (n, n), kg: `fea.solver.vibration.consistent_mass`.
+    mass: shape (n, n), kg: `consistent_mass`.
     points, body: shape (n, 3), m: the nodes in the mesh's axes; and (3, 3): the axes of the
     equations' fields in the mesh's, in rows.
     frames: of the base, and then of each interface that moves, the name, point (3,), m, and axes.
-    Raises ValueError if freedoms are locked, nothing has a mass, or there are not so many modes.
+    Raises ValueError if freedoms are locked, nothing has a mass, or the part has fewer modes.
     Raises SolveFailed: ``mechanism`` or ``ill_conditioned``.
     """
     count = system.coupling.freedoms
@@ -340,36 +347,49 @@ def craig_bampton(
         raise ValueError(f"the modes must be 1 to {inertia.size - freedoms - 1}, not {modes}")
     shapes, compliance = static_shapes(inertia)
     squares, motions = _held_modes(inertia, shapes, modes)
-    # The frames' motions (6 i, 6) by that of the first frame, and of the interfaces in their axes.
-    moved = np.concatenate(
+    # Rigid motions of the interfaces by unit motions of the base, (6 i, 6), and the rotation from
+    # the mesh's axes to those of the interfaces, (6 i, 6 i).
+    rigid = np.concatenate(
         [np.vstack([_rigid((point - origin)[None])[0], np.eye(6)[3:]]) for _, point, _ in moving]
     )
     turn = np.asarray(block_diag(*(axes for _, _, axes in moving for _ in range(2))))
+
+    # Fields of the base, the interfaces and the modes, each (n, 3, k).
     static = _nodal(inertia, shapes) @ turn
-    rigid = _rigid(points - origin) * ~system.body.slips[:, None, None]
-    base = np.einsum("ij,njk->nik", body, rigid) - static @ moved
+    rigid_fields = _rigid(points - origin) * ~system.body.slips[:, None, None]
+    base = np.einsum("ij,njk->nik", body, rigid_fields) - static @ rigid
     fields = np.concatenate([base, static, _nodal(inertia, motions)], axis=2)
-    total = sum(fields[:, axis].T @ (mass @ fields[:, axis]) for axis in range(3))
-    energies = 0.5 * np.asarray(total + np.transpose(total))  # twice the kinetic ones of pairs
-    # The stiffness of base, interfaces and modes, from what the base moves (6 i, 6).
-    both = turn @ np.hstack([-moved, np.eye(len(compliance))])
-    first = both.shape[1]
-    stiffness = np.zeros((first + len(squares),) * 2)
-    stiffness[:first, :first] = both.T @ np.linalg.inv(compliance) @ both
-    stiffness[first:, first:] = np.diag(squares)
-    stiffness = 0.5 * (stiffness + stiffness.T)
-    eigenvalues = eigh(stiffness[6:, 6:], energies[6:, 6:], eigvals_only=True)
-    names, origins, axes = zip(*frames, strict=True)
-    turned = np.array(axes).swapaxes(1, 2)
+    products = sum(fields[:, axis].T @ (mass @ fields[:, axis]) for axis in range(3))
+    reduced_mass = 0.5 * np.asarray(products + np.transpose(products))
+
+    elastic = turn @ np.hstack([-rigid, np.eye(len(compliance))])  # relative to the base
+    stiffness = _reduced_stiffness(compliance, elastic, squares)
+    eigenvalues = eigh(stiffness[6:, 6:], reduced_mass[6:, 6:], eigvals_only=True)
     held, free = (np.sqrt(squared) / (2 * np.pi) for squared in (squares, eigenvalues))
-    return CraigBampton(names, np.array(origins), turned, stiffness, energies, held, free)
+    names, origins, axes = zip(*frames, strict=True)
+    rotations = np.array(axes).swapaxes(1, 2)
+    return CraigBampton(names, np.array(origins), rotations, stiffness, reduced_mass, held, free)
+
+
+def _reduced_stiffness(compliance: Array, elastic: Array, squares: Array) -> Array:
+    """Return the stiffness of f frames and n modes, shape (6 f + n, 6 f + n).
+
+    compliance, elastic: of the interfaces, in their axes: shape (6 i, 6 i), and their motions
+    relative to the base by unit motions of the frames, shape (6 i, 6 f).
+    squares: shape (n,), (rad/s)^2: of the modes' frequencies.
+    """
+    frames = elastic.shape[1]
+    stiffness = np.zeros((frames + len(squares),) * 2)
+    stiffness[:frames, :frames] = elastic.T @ np.linalg.inv(compliance) @ elastic
+    stiffness[frames:, frames:] = np.diag(squares)
+    return 0.5 * (stiffness + stiffness.T)
 
 
 def _held_modes(inertia: Inertia, shapes: Array, count: int) -> tuple[Array, Array]:
     """Return squares of frequencies (count,), (rad/s)^2, and motions of unit mass, (size, count).
 
-    By Lanczos' method with the inverse of the stiffness while the interfaces are held: a solve less
-    the static shapes of what it moves them by.
+    By Lanczos' method with the inverse of the stiffness while the interfaces are held: a solve,
+    less the static shapes times the motions of the interfaces in it.
     """
     interface_rows = slice(inertia.first, inertia.first + inertia.active.size)
 
@@ -378,7 +398,7 @@ def _held_modes(inertia: Inertia, shapes: Array, count: int) -> tuple[Array, Arr
         return moved - shapes @ moved[interface_rows]
 
     mass, inverse = (Applied(inertia.size, apply) for apply in (inertia.times, held))
-    start = held(np.random.default_rng(_START).standard_normal(inertia.size))
+    start = held(np.random.default_rng(_HELD_SEED).standard_normal(inertia.size))
     squares, motions = eigsh(mass, k=count, M=mass, sigma=0.0, which="LM", OPinv=inverse, v0=start)
     order = np.argsort(squares)
     return squares[order], motions[:, order]
@@ -395,8 +415,10 @@ def _rigid(arms: Array) -> Array:
     return np.concatenate([translations, -skew(arms)], axis=2)
 
 
-_MODES = 8  # at once, of both signs; the two extreme ones converge as the quotient to the ninth
-_ITERATIONS = 12
+# Modes of a subspace iteration, of both signs. The two extreme ones converge at the ratio of the
+# ninth eigenvalue to theirs.
+_MODES = 8
+_ITERATIONS = 12  # a ratio of 0.5 leaves 2e-4 of the vectors' error
 _CONVERGED = 1e-4  # relative change: factors are judged by their first two digits
 _BUCKLING_SEED = 20170726  # of the start vectors: the same bundle gives the same digits
 

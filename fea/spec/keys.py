@@ -53,20 +53,12 @@ def key(
 ) -> Any:
     """Field of a table: a key of the file. The text below the field says what it is.
 
-    Parameters
-    ----------
-    unit, example
-        As the reference shows them; `example` is TOML.
-    default
-        A value, or a function that makes it; the key must be there without it.
-    absent
-        The reference's text for a default that no value shows.
-    name
-        The key, where the attribute has another name.
-    write
-        What to write, where the key's type does not say so.
-    among
-        The words to choose from, where the type has fewer.
+    unit, example: texts of the reference; `example` is TOML.
+    default: a value, or a function that makes it; without it the key is required.
+    absent: the reference's text for a default that no value shows.
+    name: the key, where the attribute has another name.
+    write: the text of messages for a valid value, where the key's type does not give it.
+    among: the words to choose from, where the type has fewer.
     """
     extra = {"unit": unit, "toml": example, "absent": absent, "write": write, "among": list(among)}
     shown: Any = {word: value for word, value in extra.items() if value}

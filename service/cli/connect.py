@@ -61,7 +61,7 @@ def connected(server: str, data: Path | None, solvers: int = 2) -> Iterator[Clie
     """Yield a client of the running server, or of a temporary one on ``data``."""
     if data is None:
         with Client(server) as client:
-            client.retry_s = 0.0  # a person reads at once how a server is started
+            client.retry_s = 0.0  # without a server its error, with the remedy, comes at once
             yield client
         return
     from wrenchbook.service.workers.private import private_server

@@ -102,13 +102,15 @@ def describe(component: str, guid: str, tool: str, summary: str, space: Space = 
         ElementTree.SubElement(categories, "Category", name=name)
     ElementTree.SubElement(root, "DefaultExperiment", startTime="0", stopTime="1")
     _add_variables(ElementTree.SubElement(root, "ModelVariables"), space)
-    # Which outputs follow which inputs: each follows all of them, at once.
+    # Each output depends on all inputs, without delay. Variables count from 1 in the order of
+    # `_add_variables`: two tolerances stand between coverage and within_tolerance.
     structure = ElementTree.SubElement(root, "ModelStructure")
-    first, last = len(space.inputs) + 1, len(space.inputs) + 2 * len(space.outputs) + 1  # coverage
+    first = len(space.inputs) + 1
+    coverage = first + 2 * len(space.outputs)
     inputs = " ".join(map(str, range(1, first)))
     for part in ("Outputs", "InitialUnknowns"):
         unknowns = ElementTree.SubElement(structure, part)
-        for index in (*range(first, last + 1), last + 3):  # the last variable
+        for index in (*range(first, coverage + 1), coverage + 3):
             ElementTree.SubElement(unknowns, "Unknown", index=str(index), dependencies=inputs)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
@@ -124,7 +126,7 @@ def _unit(text: str) -> str:
 
 
 def _add_variables(root: ElementTree.Element, space: Space) -> None:
-    """Add the variables; their value references are their places, as c/fmu.h has them."""
+    """Add the variables; their value references are their positions, as in c/fmu.h."""
     for load in space.inputs:
         unit, kind = _unit(load.unit), "input" if load.kind == "scalar" else "load"
         point = f", about {MOMENT_POINT}" if load.kind == "moment" else ""
@@ -162,7 +164,7 @@ def _add(
     ElementTree.SubElement(variable, "Integer" if name in _INTEGERS else "Real", attributes)
 
 
-# Those of the kernel, whose numbers an FMU has to the last bit.
+# The kernel's, so that an FMU's answers are the same to the last bit.
 FLAGS = tuple(flag for flag in build.FLAGS if flag != "-DWB_SHARED")
 OPTIONS = " ".join(flag for flag in FLAGS if flag.startswith(("-O", "-f")))  # for a CMakeLists.txt
 # Folders of binaries: the ending, and the keys of `build.PLATFORMS` whose code each file holds.
@@ -213,7 +215,7 @@ class Fmu:
 
     content: bytes  # the zip file
     platforms: tuple[str, ...]  # of its binaries, of `PLATFORMS`; empty if it holds sources only
-    method: str  # how it answers
+    method: str  # of `METHODS`, or several with commas: those of its groups of outputs
 
 
 def platforms_of(text: str) -> tuple[str, ...]:
@@ -239,13 +241,10 @@ def make_fmu(
 ) -> Fmu:
     """Return the FMU of a component's table, which answers by its default method or another.
 
-    `platforms`, names of `PLATFORMS`, are what ziglang compiles for; if empty, the machine's
-    compiler compiles for this machine. Without a compiler, or on a machine without a name, the FMU
-    then holds sources only.
-
-    UnknownMethodError if the table does not answer by the method; NotExportableError if it has no
-    rows within its load range; KernelBuildError if the compiler fails, or platforms are named and
-    there is no ziglang.
+    platforms: names of `PLATFORMS`, compiled by ziglang; empty for this machine by its compiler.
+    Raises UnknownMethodError if the table does not answer by the method, NotExportableError if it
+    has no rows within its load range, and KernelBuildError if the compiler fails, or platforms are
+    named and ziglang is missing.
     """
     if method is not None and method not in METHODS:
         raise UnknownMethodError(method)
@@ -259,15 +258,16 @@ def make_fmu(
         raise NotExportableError(
             "all rows of the table are outside its load range; fill the table, then export it"
         )
-    table.answer(table.space.zero.tolist(), None, method)  # by this method, or not at all
-    used = ", ".join(dict.fromkeys(method or group["method"] for group in table.meta["groups"]))
-    facts, space, identifier = table.meta["provenance"], table.space, identifier_of(component)
-    summary = f"table version {facts['version']}, {facts['rows']} rows, method {used}"
+    table.answer(table.space.zero.tolist(), None, method)  # raises if it cannot by this method
+    methods = ", ".join(dict.fromkeys(method or group["method"] for group in table.meta["groups"]))
+    provenance, space, identifier = table.meta["provenance"], table.space, identifier_of(component)
+    summary = f"table version {provenance['version']}, {provenance['rows']} rows, method {methods}"
     zeros = " ".join(f"{load.zero:.17g}" for load in space.inputs)
-    number = -1 if method is None else METHODS.index(method)
-    # Of what the FMU answers: the same table has the same GUID.
-    named = f"{component}\0{number}\0".encode()
-    digest = hashlib.blake2b(named + table.content, digest_size=16).hexdigest()
+    method_index = -1 if method is None else METHODS.index(method)  # -1: of each group
+
+    # The GUID is a digest of all that decides the answers: the same table has the same GUID.
+    header = f"{component}\0{method_index}\0".encode()
+    digest = hashlib.blake2b(header + table.content, digest_size=16).hexdigest()
     guid = "{" + "-".join(digest[a:b] for a, b in pairwise((0, 8, 12, 16, 20, 32))) + "}"
     try:
         tool = f"wrenchbook {version('wrenchbook')}"
@@ -277,22 +277,29 @@ def make_fmu(
     parts = {
         "modelDescription.xml": describe(component, guid, tool, summary, space),
         "resources/table.wbt": table.content,
-        "resources/model.txt": f"{guid}\n{number}\n{zeros}\n".encode(),
+        "resources/model.txt": f"{guid}\n{method_index}\n{zeros}\n".encode(),
         **{f"sources/{path.name}": path.read_bytes() for path in _source_paths()},
         "sources/CMakeLists.txt": cmake.encode(),
     }
+    binaries = _binaries(platforms)
+    for name, content in binaries.items():
+        parts[f"binaries/{name}/{identifier}{PLATFORMS[name][0]}"] = content
+    return Fmu(zipped(parts), tuple(binaries), methods)
+
+
+def _binaries(platforms: Sequence[str]) -> dict[str, bytes]:
+    """Return the library of each platform; without names that of this machine, if it compiles."""
     targets = {name: PLATFORMS[name][1] for name in platforms}
-    if not platforms:  # this machine's, by its compiler
-        here = _MACHINES.get((platform.system(), platform.machine()))
+    if not platforms:
+        machine = _MACHINES.get((platform.system(), platform.machine()))
         with contextlib.suppress(build.KernelBuildError):
             build.compiler_command()
-            targets = {} if here is None else {here: ("",)}
-    for place, processors in targets.items():
-        ending = PLATFORMS[place][0]
-        slices = [_compiled(ending, build.PLATFORMS.get(part)) for part in processors]
-        content = slices[0] if len(slices) == 1 else universal(slices)
-        parts[f"binaries/{place}/{identifier}{ending}"] = content
-    return Fmu(zipped(parts), tuple(targets), used)
+            targets = {} if machine is None else {machine: ("",)}
+    libraries = {}
+    for name, processors in targets.items():
+        slices = [_compiled(PLATFORMS[name][0], build.PLATFORMS.get(key)) for key in processors]
+        libraries[name] = slices[0] if len(slices) == 1 else universal(slices)
+    return libraries
 
 
 def universal(slices: Sequence[bytes]) -> bytes:
@@ -313,7 +320,7 @@ def _source_paths() -> list[Path]:
     return [*(folder / name for name in (*sources, *_HEADERS)), *_KERNEL]
 
 
-@cache  # what differs between FMUs is their table: the library is the same
+@cache  # FMUs differ by their tables only; the library is the same
 def _compiled(ending: str, target: str | None = None) -> bytes:
     """Return the compiled library of a target of ziglang, or of this machine."""
     paths = [path for path in _source_paths() if path.suffix == ".c"]

@@ -37,6 +37,8 @@ Spans = Sequence[tuple[int, int, ImportRecord]]
 
 
 class DisagreeingRow(Message):
+    """A measured row beside the answer of the solves, in m or rad of one output."""
+
     row: int
     wrench: dict[str, float]
     output: str
@@ -47,6 +49,8 @@ class DisagreeingRow(Message):
 
 
 class Disagreement(Message):
+    """Measured rows beside the solves, and the rows that differ most."""
+
     component: str
     table_version: int
     measured: int

@@ -47,21 +47,22 @@ def faces_of(gmsh: Any) -> tuple[Face, ...]:
 
 
 def _face(gmsh: Any, number: int) -> Face:
-    # An older gmsh knows it as getType.
-    kind = getattr(gmsh.model, "getEntityType", None) or gmsh.model.getType
-    name = kind(2, number)
+    # Older versions of gmsh have getType only.
+    type_of = getattr(gmsh.model, "getEntityType", None) or gmsh.model.getType
+    kind = type_of(2, number)
     return Face(
         number,
-        name,
+        kind,
         gmsh.model.occ.getMass(2, number) * METRES**2,
         _metres(gmsh.model.occ.getCenterOfMass(2, number)),
-        _outward(gmsh, number) if name == "Plane" else None,
-        _radius(gmsh, number) if name == "Cylinder" else None,
+        _outward(gmsh, number) if kind == "Plane" else None,
+        _radius(gmsh, number) if kind == "Cylinder" else None,
     )
 
 
 def _metres(point: Any) -> tuple[float, float, float]:
-    x, y, z = (float(each) * METRES for each in point)
+    """Return a point of gmsh, mm, in m."""
+    x, y, z = (float(coordinate) * METRES for coordinate in point)
     return x, y, z
 
 
@@ -72,19 +73,20 @@ def _middle(gmsh: Any, number: int) -> list[float]:
 
 
 def _radius(gmsh: Any, number: int) -> float:
+    """Return the radius of a cylinder, m: the inverse of its larger principal curvature."""
     largest, smallest, _, _ = gmsh.model.getPrincipalCurvatures(number, _middle(gmsh, number))
     return METRES / max(abs(float(largest[0])), abs(float(smallest[0])))
 
 
 def _outward(gmsh: Any, number: int) -> tuple[float, float, float]:
-    """Return a plane's normal, away from its body (the first of them where two share it)."""
+    """Return a plane's unit normal, away from its body (the first one where two share it)."""
     normal = np.array(gmsh.model.getNormal(number, _middle(gmsh, number)))
     inside = _point_on(gmsh, number)
     body = int(gmsh.model.getAdjacencies(2, number)[0][0])
-    step = 1e-4 * np.sqrt(gmsh.model.occ.getMass(2, number))
+    step = 1e-4 * np.sqrt(gmsh.model.occ.getMass(2, number))  # small against the body behind it
     if gmsh.model.isInside(3, body, (inside + step * normal).tolist()):
         normal = -normal
-    x, y, z = (round(float(each), 12) + 0.0 for each in normal)
+    x, y, z = (round(float(component), 12) + 0.0 for component in normal)  # + 0.0: no -0.0
     return x, y, z
 
 
@@ -98,5 +100,6 @@ def _point_on(gmsh: Any, number: int) -> Array:
     return np.array(gmsh.model.occ.getCenterOfMass(2, number))
 
 
-# The middle, then points that fill the square evenly (additive recurrence of the plastic number).
+# The middle, then points that fill the square evenly: additive recurrence of the plastic number
+# (Roberts 2018, "The unreasonable effectiveness of quasirandom sequences").
 _FRACTIONS = [((0.5 + 0.7548776662 * i) % 1, (0.5 + 0.5698402910 * i) % 1) for i in range(200)]

@@ -368,15 +368,15 @@ def test_the_largest_displacement_over_a_range_is_that_of_its_worst_corner():
 
 def test_no_wrench_of_the_range_has_a_larger_stress():
     part = build(read_bundle(SHIPPED / "bar"))
-    ((one,), _) = strength(Solver(part), nonlinear=False)
+    ((worst,), _) = strength(Solver(part), nonlinear=False)
     loads = part.bundle.range
-    assert set(one["wrench"]) <= {*loads.low, *loads.high}
+    assert set(worst.wrench) <= {*loads.low, *loads.high}
     built = Solver(part)
     rng = np.random.default_rng(3)
     for wrench in rng.uniform(loads.low, loads.high, (20, 6)):
-        assert von_mises(built.unit_stresses() @ wrench).max() <= one["largest"]
-    ends = von_mises(built.unit_stresses() @ np.array(one["wrench"]))
-    assert ends.max() == pytest.approx(one["largest"], rel=1e-12)
+        assert von_mises(built.unit_stresses() @ wrench).max() <= worst.largest
+    ends = von_mises(built.unit_stresses() @ np.array(worst.wrench))
+    assert ends.max() == pytest.approx(worst.largest, rel=1e-12)
 
 
 def rod(times=1.0, nonlinear=True):
@@ -391,18 +391,18 @@ def rod(times=1.0, nonlinear=True):
 def test_a_nonlinear_component_is_first_order_unless_it_is_solved():
     ((plain,), _) = strength(Solver(rod()), nonlinear=False)
     ((solved,), _) = strength(Solver(rod()), nonlinear=True)
-    assert (plain["first_order"], solved["first_order"]) == (True, False)
-    assert solved["wrench"] == plain["wrench"]
-    assert solved["largest"] != plain["largest"]
-    assert solved["largest"] == pytest.approx(plain["largest"], rel=0.1)
+    assert (plain.first_order, solved.first_order) == (True, False)
+    assert solved.wrench == plain.wrench
+    assert solved.largest != plain.largest
+    assert solved.largest == pytest.approx(plain.largest, rel=0.1)
     built = Solver(rod())
-    stress = built.fields(built.solve(solved["wrench"])).largest
-    assert solved["largest"] == pytest.approx(stress, rel=1e-9)
+    stress = built.fields(built.solve(solved.wrench)).largest
+    assert solved.largest == pytest.approx(stress, rel=1e-9)
 
 
 def test_a_range_that_cannot_be_solved_stays_first_order_and_says_why():
-    ((one,), warnings) = strength(Solver(rod(times=300.0)), nonlinear=True)
-    assert one["first_order"]
+    ((stress,), warnings) = strength(Solver(rod(times=300.0)), nonlinear=True)
+    assert stress.first_order
     assert any("fails" in warning.message for warning in warnings)
 
 

@@ -9,8 +9,8 @@ from tests.fea.boxes import box
 from wrenchbook.fea.element.neo_hookean import NeoHookeanStiffness
 from wrenchbook.fea.element.pressure_projection import volume_modes
 from wrenchbook.fea.element.st_venant_kirchhoff import (
+    IsotropicStiffness,
     OrthotropicStiffness,
-    Stiffness,
     turned_elasticity,
 )
 from wrenchbook.fea.mesh.mapping import cell_gradients
@@ -44,13 +44,13 @@ def cells(law, kind="hex20"):
         moduli = turned_elasticity(CARBON.elasticity, TURN)
         return OrthotropicStiffness(gradients, np.array([[moduli]] * len(block))), nodes
     if law == "isotropic":
-        return Stiffness(gradients, *RNG.uniform(1, 2, (2, len(block)))), nodes
+        return IsotropicStiffness(gradients, *RNG.uniform(1, 2, (2, len(block)))), nodes
     modes = None
     if law.endswith("projected"):
         modes = volume_modes(mesh.points, block, gradients.weights, "full")
     if law == "isotropic, projected":
         lame = RNG.uniform(100, 200, len(block)), RNG.uniform(1, 2, len(block))
-        return Stiffness(gradients, *lame, modes), nodes
+        return IsotropicStiffness(gradients, *lame, modes), nodes
     lame = RNG.uniform(3, 9, len(block)), RNG.uniform(1, 2, len(block))
     return NeoHookeanStiffness(gradients, *lame, modes), nodes
 
@@ -193,7 +193,7 @@ def test_equal_constants_in_all_directions_are_the_isotropic_material_in_any_axe
     ours = OrthotropicStiffness(
         gradients, np.array([[turned_elasticity(same.elasticity, TURN)]] * 4)
     )
-    plain = Stiffness(gradients, ones * 2 * shear * nu / (1 - 2 * nu), ones * shear)
+    plain = IsotropicStiffness(gradients, ones * 2 * shear * nu / (1 - 2 * nu), ones * shear)
     u = 0.05 * RNG.uniform(-1, 1, nodes.shape)
     for one, other in zip(ours.forces(u), plain.forces(u), strict=True):
         np.testing.assert_allclose(one, other, atol=1e-12)
