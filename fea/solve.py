@@ -55,7 +55,7 @@ __all__ = ["MAX_DEGREES", "Solver", "solve"]
 
 Array = np.ndarray
 
-_ROUNDOFF_WORTH_TELLING = 1e-6
+_MAX_ROUNDOFF_ERROR = 1e-6  # relative, of a solve without refinement; a larger one is a note
 
 MAX_DEGREES = 20.0
 """Rotation of the interface, degrees, beyond which an answer is refused."""
@@ -221,7 +221,7 @@ class Solver:
         )
         notes += pressure_notes(self.body.parts)
         lost = self._system.condition * ROUNDOFF
-        if lost > _ROUNDOFF_WORTH_TELLING:
+        if lost > _MAX_ROUNDOFF_ERROR:
             notes += (
                 f"The scaled condition number is {self._system.condition:.0e}, so rounding would "
                 f"leave a relative error of {lost:.0e}. The answer is corrected for that; nothing "

@@ -125,8 +125,8 @@ class _Proposal:
             section for section in self.deck.sections if section.region in self.mesh.regions
         ]
         kinds = {(section.material, self.directions(section)) for section in sections}
-        alone = len(kinds) == 1 and self.filled(sections)
-        by_region = {"all" if alone else section.region: section for section in sections}
+        one_material = len(kinds) == 1 and self.filled(sections)
+        by_region = {"all" if one_material else section.region: section for section in sections}
         lines = []
         for region, section in (by_region or {"all": SolidSection("", "all", "")}).items():
             constants = self.deck.materials.get(section.material, {})
