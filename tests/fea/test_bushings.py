@@ -190,7 +190,9 @@ def test_calculix_has_no_distributed_bushing(tmp_path):
         deck_of(on_bushings(tmp_path, bushing(coupling="distributed")))
     require_ccx()
     solver = Solver(on_bushings(tmp_path, bushing(coupling="distributed")))
-    assert "a deck has no such spring" in second_opinion.second_opinion(solver, WRENCH.tolist()).failed
+    assert (
+        "a deck has no such spring" in second_opinion.second_opinion(solver, WRENCH.tolist()).failed
+    )
 
 
 @pytest.mark.parametrize("coupling", COUPLINGS)

@@ -276,7 +276,9 @@ def test_inputs_without_the_temperature_are_refused(tmp_path):
         own.solve(LOADS)
     with pytest.raises(ValueError, match='"temperature" is missing'):
         own.solve({"": LOADS})
-    with pytest.raises(ValueError, match='"temprature" must be one of temperature; did you mean "temperature"'):
+    with pytest.raises(
+        ValueError, match='"temprature" must be one of temperature; did you mean "temperature"'
+    ):
         own.solve({"": LOADS, "temprature": 20.0})
 
 

@@ -22,7 +22,12 @@ from wrenchbook.service.client.async_client import AsyncClient
 from wrenchbook.service.client.mount import Mount
 
 DONE = {"id": 1, "status": "done"}
-PROBLEM = {"type": "urn:x", "title": "No such job", "status": 404, "detail": "the modes must be 1 to 7"}
+PROBLEM = {
+    "type": "urn:x",
+    "title": "No such job",
+    "status": 404,
+    "detail": "the modes must be 1 to 7",
+}
 CALLS = sorted(name for name in dir(Client) if not name.startswith("_"))
 OWN = ("abandon",)  # of the connection
 

@@ -241,7 +241,10 @@ def database(path, *statements):
     ("make", "says"),
     [
         (lambda path: database(path, "CREATE TABLE notes (text)"), "another program"),
-        (lambda path: path.write_bytes(b"long enough to be read as a database" * 20), "put back a copy"),
+        (
+            lambda path: path.write_bytes(b"long enough to be read as a database" * 20),
+            "put back a copy",
+        ),
         (
             lambda path: [Ledger(path).close(), database(path, "PRAGMA user_version = 99")],
             "newer w",

@@ -159,9 +159,7 @@ def test_a_folder_with_anothers_name_in_its_file_does_not_answer_in_its_place(tm
         (folder / "component.toml").write_text(text)
     library = Library(tmp_path / "components", tmp_path / "none")
     assert library["rig"].title == "rig"
-    assert library.broken() == {
-        place: f'give both the same'
-    }
+    assert library.broken() == {place: "give both the same"}
 
 
 def test_a_folder_does_not_take_the_place_of_a_shipped_component(tmp_path):

@@ -102,7 +102,10 @@ def test_of_two_tdms_groups_with_columns_the_sender_names_one():
 @pytest.mark.parametrize(
     ("weg", "says"),
     [
-        ((PATH[:5], MM), "at most 256 channels of one length, not Kraft: 25, Weg: 5; resample them"),
+        (
+            (PATH[:5], MM),
+            "at most 256 channels of one length, not Kraft: 25, Weg: 5; resample them",
+        ),
         ((PATH, MM | WAVE | {"wf_increment": 0.1}), "different times; resample them"),
     ],
 )

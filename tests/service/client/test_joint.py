@@ -318,7 +318,10 @@ def test_a_scene_that_has_not_the_parts_freedoms_is_refused_by_name(pieces, opti
 
 def test_two_joints_of_one_tip_or_of_two_scenes_are_refused():
     one, other = (MujocoJoint(*scene(sphere(3)), TABLE) for _ in range(2))
-    for joints, text in (((one, one), "two joints have the same tip"), ((one, other), "with the same data")):
+    for joints, text in (
+        ((one, one), "two joints have the same tip"),
+        ((one, other), "with the same data"),
+    ):
         with pytest.raises(JointError, match=text):
             step_joints(*joints)
 

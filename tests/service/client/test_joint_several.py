@@ -257,7 +257,10 @@ UNFIT = [
     (lambda: Joint(link()).step(np.eye(3), 0, 0, 0, 1e-3), "R has (2, 3, 3)"),
     (lambda: Joints(link(), 1).step(*[np.zeros(1)] * 3, 1e-3), "(1, 2, 7), (1, 2, 6)"),
     (lambda: copy.copy(Joints(link(), 1)), "share states"),
-    (lambda: Joint(link()).step([np.eye(3)] * 2, NONE, np.zeros((2, 6)), HALF, 1), "must be symmetric"),
+    (
+        lambda: Joint(link()).step([np.eye(3)] * 2, NONE, np.zeros((2, 6)), HALF, 1),
+        "must be symmetric",
+    ),
 ]
 
 

@@ -142,7 +142,9 @@ def test_a_mocap_base_that_moves_is_warned_of_once_by_name():
     data, joint = mocap_scene()
     joint.step()
     data.mocap_pos[0, 2] += 1e-3
-    with pytest.warns(JointWarning, match="base 'base' follows the mocap body 'base'.*does not feel"):
+    with pytest.warns(
+        JointWarning, match="base 'base' follows the mocap body 'base'.*does not feel"
+    ):
         joint.step()
     data.mocap_pos[0, 2] += 1e-3
     with warnings.catch_warnings():

@@ -264,7 +264,10 @@ def test_an_environment_whose_part_is_torn_stays_and_the_others_go_on():
     joints.step()
     assert [data.time for data in datas] == [2e-3, 1e-3, 2e-3]
     other = mujoco.MjData(mujoco.MjModel.from_xml_string("<mujoco/>"))
-    for wrong, text in ((datas[0], "one for each environment"), (other, "belongs to another model")):
+    for wrong, text in (
+        (datas[0], "one for each environment"),
+        (other, "belongs to another model"),
+    ):
         with pytest.raises(InvalidArgument, match=text):
             MujocoJoints(model, [datas[0], wrong], linear_table())
     with pytest.raises(InvalidArgument, match="belongs to another model"):
