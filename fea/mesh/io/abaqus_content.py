@@ -196,7 +196,7 @@ def _take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     elif kind in NODES:
         take_elements(reader, deck, keyword)
     elif kind_of(kind) is None:
-        reader.lack(keyword, f"has the unsupported type {kind}; mesh it with solid cells")
+        reader.lack(keyword, f"has the unsupported type {kind}; use solids, or leave it out")
     elif keyword.at in deck.element_lines[-1:]:
         counts = reader.content.elements
         counts[kind] = counts.get(kind, 0) + len(deck.cells[-1])
