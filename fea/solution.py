@@ -86,8 +86,8 @@ def checked_wrench(
         every = (*names, *further)
         for name in wrench:
             if name not in every:
-                known = ", ".join(every)
-                raise ValueError(f'"{name}" must be one of {known}{suggest(name, every)}')
+                known = ", ".join(filter(None, every))
+                raise ValueError(f'"{name}" is unknown; give {known}{suggest(name, every)}')
         for name in further:
             if name not in wrench:
                 raise ValueError(f'"{name}" is missing; this component needs its value')

@@ -195,8 +195,8 @@ class Solver:
             reached = " and ".join(f"{part * cut.bolt.force:.3g} N" for cut in cuts)
             raise SolveFailed(
                 failure.kind,
-                f"The part cannot carry the preload of {bolts}; the solve reached {reached}. "
-                f"{failure.message}",
+                f"The preload of {bolts} exceeds what the part can carry; the solve reached "
+                f"{reached}. {failure.message}",
                 "Write a smaller force, or stiffen what the bolt clamps and its bearing surface.",
             ) from None
 

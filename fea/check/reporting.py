@@ -109,7 +109,7 @@ def report(
             summary["deck"], warnings = deck_report(bundle.deck)
             summary["warnings"] += warnings
             if riding is not None:
-                message = "has no effect: this solver computes no natural frequency"
+                message = "gives no natural frequency, so the mass has no effect; leave it out"
                 summary["warnings"].append(BundleProblem("deck", message))
         elif bundle.mesh is not None:
             if bundle.mesh.geometry is not None:

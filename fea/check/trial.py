@@ -196,7 +196,7 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[Swing, list[Bundle
     warnings = []
     if without_density:
         names = ", ".join(f'"{name}"' for name in without_density)
-        message = f"is missing for {names}, so its mass counts as 0; write it in kg/m^3"
+        message = f"has no density for {names}, whose mass counts as 0; write it in kg/m^3"
         warnings.append(BundleProblem("material", message))
     try:
         vibration = solver.vibration(carried)

@@ -258,7 +258,7 @@ def supervise(settings: Settings, *, as_json: bool = False) -> None:
     if (lock := take(shared / _LOCK)) is None:  # held until this process ends
         raise WorkerFailedError(in_use(settings.data))
     os.truncate(lock, 0)
-    os.write(lock, f"the server at {address} (pid {os.getpid()})".encode())
+    os.write(lock, f"the server at {address} (process {os.getpid()})".encode())
     for path in shared.iterdir():  # counts and rates of a server that was killed
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)

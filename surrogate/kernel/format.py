@@ -166,11 +166,12 @@ def _aligned(size: int) -> int:
 
 
 def _check(head: bytes, size: int, following: Iterable[bytes | memoryview]) -> None:
-    if len(head) < _HEADER.itemsize:
-        raise PackedTableError(f"this is not a packed table, since it has {size} bytes")
+    if len(head) < _HEADER.itemsize or head[: len(MAGIC)] != MAGIC:
+        raise PackedTableError(
+            "this is not a packed table (.wbt); load rows with wrenchbook import, and save a table "
+            "with Table.save"
+        )
     header = np.frombuffer(head, dtype=_HEADER)[0]
-    if head[: len(MAGIC)] != MAGIC:
-        raise PackedTableError("this is not a packed table; download it as .wbt, or Table.save it")
     if header["byte_order"] != _BYTE_ORDER:
         raise PackedTableError("the table has another byte order or is damaged; download it again")
     if header["format"] != FORMAT:

@@ -277,7 +277,7 @@ def test_inputs_without_the_temperature_are_refused(tmp_path):
     with pytest.raises(ValueError, match='"temperature" is missing'):
         own.solve({"": LOADS})
     with pytest.raises(
-        ValueError, match='"temprature" must be one of temperature; did you mean "temperature"'
+        ValueError, match='"temprature" is unknown; give temperature; did you mean "temperature"'
     ):
         own.solve({"": LOADS, "temprature": 20.0})
 

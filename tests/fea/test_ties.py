@@ -221,9 +221,17 @@ SPRING = {"groups": ["b_x0", "a_x1"], "coupling": "distributed", "stiffness": [1
         ({"main": "a_z0"}, {}, "nearest nodes are 2 m apart. Correct the groups, or write"),
         ({"main": "a_z2"}, {}, r'tie\[0\].main: the mesh has no facet group "a_z2"'),
         ({"distance": -1}, {}, r"tie\[0\].distance: must be above 0"),
-        ({}, {"section": "b_x0"}, "are of interface.section: a node can follow one only. Swap"),
-        ({}, {"supports": {"bushing": [BUSHING]}}, r"are of supports.bushing\[0\].group: a node"),
-        ({}, {"spring": [SPRING]}, r"are of spring\[0\].groups: a node"),
+        (
+            {},
+            {"section": "b_x0"},
+            "belong to interface.section, but a node can follow one only. Swap",
+        ),
+        (
+            {},
+            {"supports": {"bushing": [BUSHING]}},
+            r"belong to supports.bushing\[0\].group, but a node",
+        ),
+        ({}, {"spring": [SPRING]}, r"belong to spring\[0\].groups, but a node"),
         ({}, {"fixed": "b_z0"}, 'no node of "b_z0" is free to follow'),
     ],
 )

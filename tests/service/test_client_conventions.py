@@ -70,6 +70,12 @@ def test_a_pose_that_is_none_is_refused(R0, words):
         answer([1, 2, 3], [0, 0, 0]).apply(R0, np.zeros(3))
 
 
+@pytest.mark.parametrize("R0", [2 * np.eye(3), np.diag([1, 1, -1]), np.full((3, 3), np.nan)])
+def test_a_pose_that_is_no_rotation_is_refused(R0):
+    with pytest.raises(ValueError, match="R0"):
+        answer([1, 2, 3], [0, 0, 0]).apply(R0, np.zeros(3))
+
+
 def test_ros_messages_are_read_as_mapping_object_or_stamped():
     mapping = conv.to_ros(WRENCH)
     assert mapping["force"] == {"x": 1.0, "y": 2.0, "z": 3.0}

@@ -85,7 +85,7 @@ def test_a_saved_table_is_the_export_and_cannot_be_refreshed(client: Client, tmp
 
 def test_wrong_input_is_refused_before_anything_is_answered(client: Client) -> None:
     table = client.download("solved")
-    with pytest.raises(ValueError, match="not finite"):
+    with pytest.raises(ValueError, match="must be finite"):
         table.answer([0, 0, np.nan])
     with pytest.raises(ValueError, match="unknown method"):
         table.answer([0, 0, 1], method="magic")
@@ -96,7 +96,7 @@ def test_wrong_input_is_refused_before_anything_is_answered(client: Client) -> N
 def test_a_file_that_is_no_packed_table_is_refused_with_its_name(tmp_path: Path) -> None:
     path = tmp_path / "rows.wbt"
     path.write_bytes(b"fx [N]\n")
-    with pytest.raises(ValueError, match=r"rows\.wbt: .*not a packed table"):
+    with pytest.raises(ValueError, match=r"rows\.wbt: .*not a packed table .*wrenchbook import"):
         Table.open(path)
 
 
@@ -116,7 +116,7 @@ def test_a_stiffness_that_is_not_there_is_refused_with_the_reason(client: Client
     wrench = [0, 0, 0.1]
     with pytest.raises(ValueError, match="locked freedom"):
         client.download("spring").stiffness(wrench)
-    with pytest.raises(ValueError, match="not known"):
+    with pytest.raises(ValueError, match="unknown here"):
         client.download("partial").stiffness(wrench)
 
 

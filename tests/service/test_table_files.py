@@ -341,7 +341,7 @@ def test_texts_of_numbers_follow_one_law_of_marks_in_every_format(form):
         assert not report.mistakes
         assert table.wrench[:, 2].tolist() == loads
         assert table.displacement[:, 2].tolist() == [0.00125] * len(loads)
-    assert "say decimal=, (--decimal ,) for 15.009" in error_of(form(loads_of("15,009")))
+    assert "set decimal=, (--decimal ,) for 15.009" in error_of(form(loads_of("15,009")))
     if form is not as_frame:  # whose columns have one type
         table, _ = read(form(loads_of(1354.5, "915,01", 15.009)))
         assert table.wrench[:, 2].tolist() == [1354.5, 915.01, 15.009]
@@ -401,7 +401,7 @@ HOSTILE = {
     ),
     "a field without end": (f'{HEADER},note\n0,0,1,0,0,0,0,"{"x" * 200_000}\n'.encode(), "as CSV"),
     "json nested deeply": (b'{"rows": [' + b"[" * 100_000, "nested too deeply"),
-    "a list nested deeply": (b"[" * 100_000, "is not JSON"),
+    "a list nested deeply": (b"[" * 100_000, "nested too deeply"),
     "a long value": (b'{"rows": [{"note": "' + b"x" * (3 << 20), "is not JSON"),
     "100,000 columns": (f"{HEADER},{NAMES}\n".encode(), "at most 256"),
     "100,000 columns by ;": (f"{HEADER},{NAMES}\n".replace(",", ";").encode(), "at most 256"),
@@ -562,7 +562,7 @@ def test_one_long_source_does_not_take_the_memory_of_all_rows():
 
 def test_a_sheet_that_is_not_there_is_answered_with_the_names_of_the_others():
     message = error_of(BOOK, replace(ZERO, sheet="Run 9"))
-    assert "there is no sheet 'Run 9'; it has table" in message
+    assert "there is no sheet 'Run 9'; choose table" in message
 
 
 # -- units ---------------------------------------------------------------------------------------

@@ -31,6 +31,7 @@ from wrenchbook.service.http.app import create_app
 from wrenchbook.service.keys import Keyring
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.workers import supervisor as supervisors
+from wrenchbook.service.workers.private import ServerDidNotStartError, private_server
 from wrenchbook.service.workers.supervisor import RETIRE, Child, Supervisor
 from wrenchbook.service.workspace import Settings
 
@@ -262,6 +263,8 @@ def test_a_second_server_on_the_same_directory_is_refused_with_what_to_do(severa
     assert "is in use by the server at" in said
     assert "--data" in said
     assert "pid" not in said  # no process was started
+    with pytest.raises(ServerDidNotStartError, match="call that server with --server"):
+        private_server(several.folder, 1).__enter__()
 
 
 def test_all_processes_end_with_a_supervisor_that_is_killed_and_the_next_counts_from_zero(tmp_path):

@@ -209,7 +209,7 @@ def _take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     elif kind in NODES:
         take_elements(reader, deck, keyword)
     elif kind_of(kind) is None:
-        reader.lack(keyword, f"has the unsupported type {kind}; mesh it with solid cells")
+        reader.lack(keyword, f"has the unsupported type {kind}; use solids, or leave it out")
         if "ELSET" in keyword.options:
             labels = [keyword.frame.label(row[0]) for row in keyword.rows]
             add(deck, deck.element_sets, keyword.frame, keyword.options["ELSET"], labels)

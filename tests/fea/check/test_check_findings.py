@@ -242,7 +242,7 @@ def test_two_parts_that_only_look_joined_are_an_error_that_says_merge(tmp_path):
 def test_a_part_beside_the_others_is_named_with_its_distance(tmp_path):
     reported = report(write_inp(tmp_path, cubes(offset=(1.25, 0, 0))))
     (problem,) = messages(reported, "problems")
-    assert "nearest is part 1, 250 mm away" in problem
+    assert "nearest part is number 1, 250 mm away" in problem
 
 
 def test_a_hinge_is_an_error_that_names_its_axis(tmp_path):
@@ -262,7 +262,7 @@ def test_supports_that_hold_points_only_are_a_warning(tmp_path):
     reported = report(write_inp(tmp_path, mesh, supports='["pins"]', extra=pins))
     assert reported["ok"]
     (warning,) = messages(reported, "warnings")
-    assert warning.startswith("holds 3 nodes and no whole face")
+    assert warning.startswith("has 3 nodes but no complete face")
 
 
 def test_steel_in_megapascals_and_a_point_in_millimetres_are_warnings(tmp_path):
@@ -274,7 +274,7 @@ def test_steel_in_megapascals_and_a_point_in_millimetres_are_warnings(tmp_path):
     reported = report(folder)
     assert reported["ok"]
     modulus, density, point, turned = messages(reported, "warnings")
-    assert "write it in kg/m^3" in density
+    assert "convert it to kg/m^3" in density
     assert "degrees at the full range" in turned
     assert "write it in Pa" in modulus
     assert "convert it to m" in point
@@ -296,7 +296,7 @@ def test_one_layer_between_section_and_supports_is_a_warning(tmp_path):
     folder = tmp_path / "held"
     folder.mkdir()
     reported = report(write_inp(folder, box("hex20", (2, 2, 2)), supports='["most"]', extra=pinned))
-    assert any("8 cells have every node fixed" in text for text in messages(reported, "warnings"))
+    assert any("8 cells cannot deform" in text for text in messages(reported, "warnings"))
 
 
 def test_badly_shaped_cells_are_a_warning_with_their_place(tmp_path):
@@ -333,7 +333,7 @@ def test_a_geometry_lists_its_faces_even_where_the_bundle_has_mistakes(tmp_path)
 def test_bodies_that_do_not_touch_are_told_by_the_check(tmp_path):
     groups = 'wall = {plane = "x", at = 0}\nhole = {plane = "x", at = 0.101}\n'
     (problem,) = messages(two_bars(tmp_path, groups, "0.01", space=1.0), "problems")
-    assert "is free: it can move in all six ways" in problem
+    assert "is free: it can move in all six directions" in problem
     assert "1 mm away" in problem
 
 

@@ -146,7 +146,7 @@ REFUSED = {
         "ELSET=K1, NONLINEAR\n1\n0., 0.\n5., 1.",
         "not one constant",
     ),
-    "a seventh freedom": ("ELSET=K1\n1\n", "ELSET=K1\n7\n", "freedoms 7, not one of 1 to 6"),
+    "a seventh freedom": ("ELSET=K1\n1\n", "ELSET=K1\n7\n", "freedoms 7 are not one of 1 to 6"),
     "a number twice": ("9202, 9100", "9201, 9100", "element 9201 is defined twice"),
     "a solid's number": ("9201, 9100", "1, 9100", "element 1 is defined twice"),
     "two blocks": ("*SPRING, ELSET=K2", "*SPRING, ELSET=K1", "SPRING2, or is defined twice"),

@@ -108,7 +108,7 @@ def test_steps_that_hold_different_nodes_are_listed_and_named_at_choice(tmp_path
     result = proposal(tmp_path, text)
     assert tip(tmp_path) == pytest.approx(ROOT_HELD, rel=1e-5)
     line = next(words for words in result["decide"] if words.startswith("case:"))
-    assert '"step 2" stands (--case NAME)' in line
+    assert '"step 2" is taken (or write --case NAME)' in line
     assert '"step 1" holds MID (xyz), ROOT (xyz); loads TIP (0, 0, 100, 0, 0, 0)' in line
     (tmp_path / "other").mkdir()
     result = proposal(tmp_path / "other", text, "STEP 1")

@@ -140,7 +140,7 @@ def test_an_orientation_turns_nine_constants_as_in_calculix(tmp_path, name, cons
         ("axes = [[0.69", "#", "in other directions"),
         ("135e3, 10e3", "135e3, 11e3", "1.1e+10, 9e+09 in SI; the component has 1.35e+11, 1e+10"),
         (PLY, "*ELASTIC\n70000., 0.3\n", "which is isotropic"),
-        ("-1., 1., 0.\n", "2., 2., 0.6\n", "*ORIENTATION is not understood"),
+        ("-1., 1., 0.\n", "2., 2., 0.6\n", "*ORIENTATION is not imported"),
         ("NAME=Ply", "NAME=Ply, SYSTEM=SPHERICAL", "SPHERICAL by COORDINATES"),
         ("ORIENTATION=PLY", "ORIENTATION=OTHER", 'orientation "OTHER", which is not imported'),
     ],
@@ -317,9 +317,13 @@ def test_an_rbe3_spreads_a_wrench_by_its_weights_as_these_forces_do_in_calculix(
     ("old", "new", "words"),
     [
         ('"deck"', '"equal"', 'by weights of its own; interface says weights = "equal"'),
-        ('"distributed"', '"rigid"', "interface.weights: a rigid coupling has no mean"),
-        ('"RBE3_80"\n', '"nodes_held_in_xyz"\n', "interface.weights: the deck gives"),
-        (f"{TIP[3]}, 1\n", f"{TIP[3]}, -99.\n", "interface.weights: they have no sum above 0"),
+        ('"distributed"', '"rigid"', "interface.weights: has no effect on a rigid coupling"),
+        ('"RBE3_80"\n', '"nodes_held_in_xyz"\n', "interface.weights: the deck has none"),
+        (
+            f"{TIP[3]}, 1\n",
+            f"{TIP[3]}, -99.\n",
+            "interface.weights: the deck's weights add up to 0",
+        ),
     ],
 )
 def test_weights_that_are_not_the_decks_or_make_no_mean_are_named(tmp_path, old, new, words):

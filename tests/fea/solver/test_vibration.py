@@ -101,9 +101,9 @@ def test_nothing_with_a_mass_is_named():
 @pytest.mark.parametrize(
     ("riding", "words"),
     [
-        ((-1.0,), "a mass of -1 kg"),
+        ((-1.0,), "not -1 kg"),
         ((float("nan"),), "finite"),
-        ((1.0, [1.0, 2.0]), "three numbers"),
+        ((1.0, [1.0, 2.0]), "the inertia must be xx, yy, zz"),
         ((1.0, [-1.0, 2.0, 2.0]), "none may be negative"),
         ((1.0, None, [1.0]), "centre of mass must be three"),
     ],

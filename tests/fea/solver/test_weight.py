@@ -84,7 +84,9 @@ def table(**analysis):
 
 
 def test_gravity_without_a_density_is_a_mistake_of_the_bundle(tmp_path):
-    with pytest.raises(BundleError, match=r"material\[0\].density: missing; \[analysis\] gravity"):
+    with pytest.raises(
+        BundleError, match=r"material\[0\].density: is missing; \[analysis\] gravity"
+    ):
         bundle_of(table(gravity=[0, 0, -9.81]), tmp_path)
 
 
