@@ -249,7 +249,7 @@ class _Proposal:
         force = force or moment / _LEVER or _FORCE
         moment = moment or force * _LEVER
         if not complete:
-            why = f"the deck has no load; check the assumed {force:.4g} N and {moment:.4g} N·m"
+            why = f"the deck lacks a force or a moment; check {force:.4g} N and {moment:.4g} N·m"
             self.decide.append(f'range at "{group.group}": {why}')
         return [
             f"{k} = [{v:.4g}, {v:.4g}, {v:.4g}]" for k, v in (("force", force), ("moment", moment))

@@ -99,7 +99,7 @@ def test_an_included_file_that_is_a_link_out_of_the_folder_is_refused(tmp_path):
     folder = included(tmp_path)
     shutil.move(folder / "n.txt", tmp_path / "n.txt")
     (folder / "n.txt").symlink_to(tmp_path / "n.txt")
-    with pytest.raises(BundleError, match="outside the deck's folder"):
+    with pytest.raises(BundleError, match="outside the folder of the deck"):
         read_bundle(folder)
 
 
