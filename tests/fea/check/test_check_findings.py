@@ -276,7 +276,7 @@ def test_steel_in_megapascals_and_a_point_in_millimetres_are_warnings(tmp_path):
     modulus, density, point, turned = messages(reported, "warnings")
     assert "convert it to kg/m^3" in density
     assert "degrees at the full range" in turned
-    assert "write it in Pa" in modulus
+    assert "convert it to Pa" in modulus
     assert "convert it to m" in point
 
 
