@@ -246,7 +246,9 @@ def test_wait_takes_an_answer_that_has_a_job_and_says_what_else_it_takes(stub: S
     stub.answers(Answer(COVERED))
     with pytest.raises(InvalidArgument, match=r"an answer with a job, not.*complete"):
         client.wait(client.displacement("plate", [0, 0, 1]))
-    with pytest.raises(InvalidArgument, match=r"a job is a Job, its number, or an answer.*'bar'"):
+    with pytest.raises(
+        InvalidArgument, match=r"a job must be a Job, its number, or an answer.*'bar'"
+    ):
         client.wait("bar")  # type: ignore[arg-type]
 
 

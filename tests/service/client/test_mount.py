@@ -105,7 +105,7 @@ def test_a_reading_that_is_not_finite_is_named_and_moves_nothing(bad):
     table = LinearTable()
     mount = mounted(table)
     before = mount.step(WEIGHT)
-    with pytest.raises(SensorError, match=r"my is .*diverged before this step"):
+    with pytest.raises(SensorError, match=r"my must be finite, .*diverged before this step"):
         mount.step([0, 0, -100.0], [0, bad, 0])
     assert len(table.asked) == 1
     assert np.array_equal(mount.pose[1], before[1])
