@@ -57,8 +57,8 @@ def checked_pose(R0: ArrayLike, p0: ArrayLike) -> tuple[Vector, Vector]:
     # 1e-6 rad is a pose in single precision; the displacement is exact to the square of it.
     if not np.allclose(axes.T @ axes, np.eye(3), atol=1e-6) or np.linalg.det(axes) < 0.0:
         raise InvalidArgument(
-            "R0 must be a rotation matrix: its columns are the axes of the undeformed interface "
-            "frame, orthogonal and right-handed"
+            "R0 must be a right-handed rotation matrix, whose columns are the axes of the "
+            "undeformed interface frame"
         )
     return axes, point
 

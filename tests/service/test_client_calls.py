@@ -154,9 +154,9 @@ def test_a_call_is_given_the_time_that_it_lets_the_server_hold_it_back(stub: Stu
     [
         ([0, 0], None, r"force must be three numbers, not of shape \(2,\)"),
         ([0, 0, 0], [1], r"moment must be three numbers"),
-        ([0, np.nan, 0], None, "fy is nan"),
-        ([0, 0, 0], [0, 0, np.inf], "mz is inf"),
-        ([0, 0, 0, 0, -np.inf, 0], None, "my is -inf"),
+        ([0, np.nan, 0], None, "fy must be finite, not nan"),
+        ([0, 0, 0], [0, 0, np.inf], "mz must be finite, not inf"),
+        ([0, 0, 0, 0, -np.inf, 0], None, "my must be finite, not -inf"),
         (["1", "2", "3"], None, "force must be numbers"),
         ([1, None, 3], None, "force must be numbers"),
         ([[1], [2, 3]], None, "regular array"),
@@ -172,7 +172,7 @@ def test_a_bad_wrench_is_named_before_anything_is_sent(stub: Stub, client, force
 def test_a_bad_batch_or_option_is_named_before_anything_is_sent(stub: Stub, client: Client):
     wrenches = np.zeros((3, 6))
     wrenches[1, 4] = np.nan
-    with pytest.raises(ValueError, match="wrench 1: my is nan"):
+    with pytest.raises(ValueError, match="wrench 1: my must be finite, not nan"):
         client.displacements("plate", wrenches)
     with pytest.raises(ValueError, match=r"shape \(n, 6\), not \(3, 5\)"):
         client.displacements("plate", np.zeros((3, 5)))
@@ -247,14 +247,14 @@ def test_wait_takes_an_answer_that_has_a_job_and_says_what_else_it_takes(stub: S
     with pytest.raises(InvalidArgument, match=r"an answer with a job, not.*complete"):
         client.wait(client.displacement("plate", [0, 0, 1]))
     with pytest.raises(
-        InvalidArgument, match=r"job must be a Job, its number, or an answer.*'bar'"
+        InvalidArgument, match=r"a job must be a Job, its number, or an answer.*'bar'"
     ):
         client.wait("bar")  # type: ignore[arg-type]
 
 
 def test_wait_gives_up_in_time_and_says_that_the_job_goes_on(stub: Stub, client: Client):
     stub.answers(Answer({"id": 7, "status": "running", "url": "/v1/jobs/7"}))
-    with pytest.raises(ServerTimeout, match=r"job 7 is still running after 0\.2 s; it goes"):
+    with pytest.raises(ServerTimeout, match=r"job 7 is still running after 0\.2 s and continues"):
         client.wait(7, timeout=0.2)
     assert len(stub.seen) < 10  # an answer that comes at once is not asked for in a tight loop
 
@@ -309,12 +309,15 @@ def test_fill_until_stops_when_a_whole_round_fails(stub: Stub, client: Client):
 @pytest.mark.parametrize(
     ("call", "text"),
     [
-        (lambda client: client.component(5), "name is a text, not 5"),
-        (lambda client: client.displacement("plate", loads=[1] * 6), "loads are a mapping by name"),
-        (lambda client: client.displacement("plate", inputs=3), "inputs are a mapping by name"),
+        (lambda client: client.component(5), "name must be a text, not 5"),
+        (
+            lambda client: client.displacement("plate", loads=[1] * 6),
+            "loads must be a mapping by name",
+        ),
+        (lambda client: client.displacement("plate", inputs=3), "inputs must be a mapping by name"),
         (lambda _: Client("127.0.0.1:99999"), "not a server address"),
         (lambda _: Client("http://127.0.0.1:x"), "not a server address"),
-        (lambda _: Client(None), "None is no address of a server"),
+        (lambda _: Client(None), "None is not a server address"),
         (lambda _: Client(timeout="5"), "timeout must be a number of seconds above 0, not '5'"),
         (lambda _: Client(timeout=-1), "timeout must be a number of seconds above 0, not -1"),
     ],

@@ -183,7 +183,7 @@ def test_a_workbook_says_which_sheets_it_has_and_which_was_read(write):
     assert (report.sheets, report.sheet) == (list(SHEETS), "run 3")
     table, report = read(content, replace(ZERO, sheet="run 4"))
     assert (table.displacement[:, 2].tolist(), report.sheet) == ([2.0], "run 4")
-    assert "no sheet 'run 5'; it has cover, run 3, run 4" in message(
+    assert "no sheet 'run 5'; choose cover, run 3, run 4" in message(
         content, replace(NAMED, sheet="run 5")
     )
 
@@ -274,7 +274,7 @@ def test_an_object_of_matlab_is_refused_by_name_and_loads_as_a_struct(tmp_path, 
         file["T"].attrs.update(MATLAB_class=np.bytes_(kind), MATLAB_object_decode=3)
 
     content = opaque(kind.encode()) if level == "5" else hdf5(tmp_path, fill)
-    assert f"holds T, a {kind} object" in message(content)
+    assert f"has T, a {kind} object" in message(content)
     assert says in message(content)
     assert_loaded(STRUCT, IN_UNITS)
 

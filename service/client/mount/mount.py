@@ -488,7 +488,7 @@ def checked_reading(force: ArrayLike, moment: ArrayLike | None) -> Vector:
     try:
         return single_wrench(force, moment)
     except ValueError as error:
-        if "not finite" not in str(error):
+        if "must be finite" not in str(error):
             raise
         raise SensorError(
             f"the sensor reading is not a wrench: {error}. The simulation diverged before this "

@@ -105,7 +105,7 @@ def test_a_reading_that_is_not_finite_is_named_and_moves_nothing(bad):
     table = LinearTable()
     mount = mounted(table)
     before = mount.step(WEIGHT)
-    with pytest.raises(SensorError, match=r"my is .*diverged before this step"):
+    with pytest.raises(SensorError, match=r"my must be finite, .*diverged before this step"):
         mount.step([0, 0, -100.0], [0, bad, 0])
     assert len(table.asked) == 1
     assert np.array_equal(mount.pose[1], before[1])
@@ -244,22 +244,22 @@ def test_wrenches_are_saved_while_the_component_stays_rigid(monkeypatch, mode, k
 
 MASKED = np.ma.masked_greater([1.0, 2.0, 900.0, 0.0, 0.0, 0.0], 100.0)
 OPTIONS = [
-    *(({"mode": mode}, "asks a Client, not LinearTable") for mode in ("solve", "record")),
-    ({"mode": "envelope"}, "asks a Client, not LinearTable"),
+    *(({"mode": mode}, "needs a Client, not LinearTable") for mode in ("solve", "record")),
+    ({"mode": "envelope"}, "needs a Client, not LinearTable"),
     ({"mode": "tabel"}, "mode must be one of table, solve, record, envelope"),
     ({"relaxation": "aitkin"}, "relaxation must be one of aitken, newton, off"),
-    ({"relaxation": None}, "relaxation must be one of aitken, newton, off, or a fixed factor"),
+    ({"relaxation": None}, "relaxation must be one of aitken, newton, off, or a factor above 0"),
     ({"relaxation": 0.0}, "above 0 and at most 1"),
     ({"relaxation": 1.5}, "above 0 and at most 1"),
     ({"on_thin": "ask"}, "on_thin must be one of"),
     ({"unmeasured": 0}, "unmeasured must be one of"),
     ({"stiffness": np.eye(3)}, r"shape \(6, 6\)"),
     ({"tolerance": (0.0, 1.0)}, "positive and finite"),
-    ({"natural_frequency": 27.0}, "given together"),
+    ({"natural_frequency": 27.0}, "give natural_frequency"),
     ({"source": linear_table(), "method": "krigging"}, "krigging"),
 ]
 CALLS = [
-    (lambda on: Mount(LinearTable(), "bar", np.eye(3), POINT), "component 'plate', not of 'bar'"),
+    (lambda on: Mount(LinearTable(), "bar", np.eye(3), POINT), "belongs to 'plate', not 'bar'"),
     (lambda on: Mount(LinearTable(), "plate", "x", POINT), "R0 and p0 must be numbers, not 'x'"),
     (lambda on: on.place(np.eye(4), POINT), "shape"),
     (lambda on: on.place(2 * np.eye(3), POINT), "rotation"),
