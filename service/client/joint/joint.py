@@ -286,6 +286,11 @@ class Joint:
             no rotation, or a shape wrong or a number not finite.
         """
         k, size = len(self.interfaces), self._size
+        try:
+            arrays = (np.asarray(a, dtype=float) for a in (R, p, velocity, inverse_mass))
+            (R, p, velocity, inverse_mass), dt = arrays, float(dt)
+        except (TypeError, ValueError) as error:
+            raise InvalidArgument(f"a step is of arrays of numbers and seconds: {error}") from None
         shapes = np.shape(p), np.shape(velocity), np.shape(inverse_mass)
         expected = shape_of(k, 3), shape_of(k, FREEDOMS), (size, size)
         if shapes != expected or (self._several and np.shape(R) != (k, 3, 3)):
@@ -301,7 +306,7 @@ class Joint:
                 f"{dt} s, {p}, {velocity}"
             )
         steps = self._steps
-        rotations = list(np.asarray(R)) if self._several else [R]
+        rotations = list(R) if self._several else [R]
         turned = [quaternion(rotation_vector(matrix)) for matrix in rotations]
         steps.poses[0, ..., :3], steps.poses[0, ..., 3:] = p, np.squeeze(turned)
         steps.velocities[0], steps.inverse_masses[0] = velocity, inverse_mass
@@ -327,10 +332,13 @@ class Joint:
 
         Raises
         ------
-        JointRangeError
+        InvalidArgument, JointRangeError
             See `step`.
         """
         last_step, steps = (self._steps, self._entry), self.new_steps(1, None)
+        each = shape_of(len(self.interfaces), 3)
+        if not np.shape(translation) == np.shape(rotation) == each:
+            raise InvalidArgument(f"translation and rotation vector have the shape {each}, each")
         turned = [quaternion(vector) for vector in np.reshape(rotation, (-1, 3))]
         steps.poses[0, ..., :3], steps.poses[0, ..., 3:] = translation, np.squeeze(turned)
         steps.memory[0] = self._memory
@@ -445,6 +453,8 @@ def further_inputs(table: Table, by_name: Mapping[str, float]) -> tuple[float, .
     InvalidArgument if one is unknown, missing or beyond its range.
     """
     space, count = table.space, len(table.space.scalars)
+    if not isinstance(by_name, Mapping):
+        raise InvalidArgument(f"inputs are a mapping from names to numbers, not {by_name!r}")
     try:
         values = space.vector({}, by_name)[len(space.inputs) - count :]
     except ValueError as error:
@@ -474,5 +484,6 @@ def moving(
         raise InvalidArgument(
             f"a joint or springs of one interface need one that moves and all others held; "
             f"{table.name} moves at {', '.join(map(repr, names)) or 'none'}"
+            f"{', the only one: leave out interface' * (names == ('',))}"
         )
     return indices[free.any(axis=1)].ravel(), np.flatnonzero(free[free.any(axis=1)]), names

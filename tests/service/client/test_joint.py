@@ -286,6 +286,7 @@ STATE = {"R": np.eye(3), "p": np.zeros(3), "velocity": np.zeros(6), "inverse_mas
         ({"velocity": np.zeros(3)}, r"\(3,\) and \(6, 6\)$"),
         ({"inverse_mass": np.eye(3)}, r"\(3, 3\)$"),
         ({"p": np.full(3, np.nan)}, "finite numbers"),
+        *(({name: "x"}, "of arrays of numbers and seconds") for name in ("R", "p", "dt")),
         ({"R": np.diag([1.0, 1.0, -1.0])}, "right-handed"),
     ],
 )
@@ -303,8 +304,10 @@ def test_a_state_that_is_none_is_refused_by_name(changed, words):
         ({"joints": FREEDOMS.replace('"ball"', '"ball" damping="1"')}, {}, "has damping"),
         ({"joints": FREEDOMS.replace('"slide"', '"slide" stiffness="9"', 1)}, {}, "has stiffness"),
         ({"joints": FREEDOMS.replace('"slide"', '"slide" ref="1"', 1)}, {}, "has a reference"),
+        ({"joints": FREEDOMS.replace('"ball"', '"ball" armature="1"')}, {}, "has armature"),
         ({"option": 'integrator="RK4"'}, {}, "RK4"),
         ({}, {"tip": "hand"}, "no body 'hand'; it has 'base', 'tip'"),
+        ({}, {"base": None}, "no body None; it has 'base', 'tip'"),
         ({}, {"bodies": {"end": "tip"}}, "has one interface: give tip=BODY"),
         ({}, {"damping": -0.1}, "damping"),
         ({}, {"damping": math.nan}, "damping"),

@@ -299,6 +299,13 @@ def test_a_joint_without_its_inputs_is_refused(inputs, words):
         (lambda: Joint(None), "takes a Table"),
         (lambda: LinearPart.of(None), "takes a Table"),
         (lambda: LinearPart.of(linear_table(), [0.0] * 5), "6 finite numbers"),
+        (
+            lambda: LinearPart.of(linear_table(), [1e9, 0, 0, 0, 0, 0]),
+            "give a load within its range",
+        ),
+        (lambda: Joint(linear_table(), inputs=80.0), "inputs are a mapping"),
+        (lambda: Joint(linear_table(), interface="end"), "leave out interface"),
+        (lambda: MujocoJoint(None, None, linear_table()), "model and data are MjModel"),
         (lambda: Joint(linear_table(), damping="0.1"), "damping"),
         (lambda: Joint(linear_table(), method="x"), "unknown method"),
     ],
