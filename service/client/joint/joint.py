@@ -461,9 +461,9 @@ def further_inputs(table: Table, by_name: Mapping[str, float]) -> tuple[float, .
         raise InvalidArgument(f"{table.name}: {error}") from None
     ends = table.packed.arrays["space/range"][:, len(space.inputs) - count :].T
     for load, value, (low, high) in zip(space.scalars, values, ends, strict=True):
-        if not low <= value <= high:
+        if not (isinstance(value, Real) and low <= value <= high):
             raise InvalidArgument(
-                f"{table.name}: {load.name} is from {low:g} to {high:g} {load.unit}, not {value:g}"
+                f"{table.name}: {load.name} is from {low:g} to {high:g} {load.unit}, not {value}"
             )
     return tuple(map(float, values))
 

@@ -286,6 +286,7 @@ def test_springs_are_those_of_the_temperature():
         (None, "temperature: missing; give its value in degC"),
         ({"heat": 30.0}, "no such input; there is temperature"),
         ({"temperature": 200.0}, "temperature is from 20 to 120 degC, not 200"),
+        ({"temperature": "80"}, "temperature is from 20 to 120 degC, not 80"),
     ],
 )
 def test_a_joint_without_its_inputs_is_refused(inputs, words):
