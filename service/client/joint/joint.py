@@ -105,6 +105,7 @@ class Joint:
     ) -> None:
         self._table, self.damping, self._method = table, damping, method
         self._at, self.free, self.interfaces = moving(table, interface)
+        self._packed = table.packed  # of one version: a refresh of the table does not change it
         self._several, self._size = len(self.interfaces) > 1, FREEDOMS * len(self.interfaces)
         names = [f"{name} " * self._several for name in self.interfaces]
         self._symbols = np.array([name + load for name in names for load in SYMBOLS])
@@ -117,7 +118,7 @@ class Joint:
 
     def _require_stiffness(self) -> None:
         """Refuse a table without stiffness; warn where in its range no joint can invert it."""
-        packed, at, free, method = self._table.packed, self._at, self.free, self._method
+        packed, at, free, method = self._packed, self._at, self.free, self._method
         sample = packed.sample(self._inputs(np.zeros(self._size)), at[free])
         answers = packed.batch(sample, None, method)
         slopes = packed.derivatives(sample, None, method)[:, at[free]][:, :, at[free]]
@@ -209,7 +210,7 @@ class Joint:
     def new_steps(self, count: int, axes: Vector | None) -> JointSteps:
         """Return the kernel's arrays for so many joints of these options; see `_begin`."""
         try:
-            steps = self._table.packed.joints(count, self._method, axes)
+            steps = self._packed.joints(count, self._method, axes)
         except ValueError as error:  # no such method, or too many interfaces
             raise InvalidArgument(f"{self._name}: {error}") from error
         steps.inputs[:] = self._inputs(np.zeros(self._size))
@@ -239,7 +240,7 @@ class Joint:
         if self._several:
             return dict(zip(self.interfaces, COVERED_AS[self._coverage].tolist(), strict=True))
         loads = self._inputs(self.wrench).tolist()
-        return str(self._table.packed.answer(loads, None, self._method).coverage)
+        return str(self._packed.answer(loads, None, self._method).coverage)
 
     def _more_rows(self) -> str:
         other = "" if self._method is None else f", or leave out method={self._method!r}"
@@ -250,7 +251,7 @@ class Joint:
         shares = zip(loads, self._symbols[self.free], strict=True)
         shown = " ".join(f"{share:+.2g} {load}" for share, load in shares if abs(share) >= SHOWN)
         return (
-            f"{self._name}, method {self._table.packed.answers_by(self._method)!r}: the part "
+            f"{self._name}, method {self._packed.answers_by(self._method)!r}: the part "
             f"moves against a load along ({shown}, in parts of the load range) at the wrench "
             f"({', '.join(f'{load:.4g}' for load in wrench)}) N, N·m: its compliance is not "
             f"positive definite there, and a joint would blow up; {self._more_rows()}"
@@ -362,7 +363,7 @@ class Joint:
     def _warn_uncovered(self, wrench: Vector) -> None:
         """Warn once that the table does not cover a wrench."""
         if not self._warned_uncovered:
-            self._warned_uncovered, packed = True, self._table.packed
+            self._warned_uncovered, packed = True, self._packed
             answer = packed.answer(self._inputs(wrench).tolist(), None, self._method)
             warn(
                 f"{self._name}: the wrench of a step is {answer.coverage} by the method "
@@ -412,13 +413,13 @@ class Joint:
 
     def _weakest(self, stiffness: Vector) -> tuple[Vector, Vector]:
         """Return `PackedTable.weakest` of stiffnesses (k, 6, 6): below zero a part gives energy."""
-        packed, free = self._table.packed, self.free
+        packed, free = self._packed, self.free
         compliance = np.asarray(np.linalg.inv(stiffness[:, free][:, :, free]), dtype=float)
         return packed.weakest(compliance, packed.arrays["space/scale"][self._at][free])
 
     def _inputs(self, wrench: Vector) -> Vector:
         """Return the table's inputs with a wrench at the tip, shape (n,), SI."""
-        packed = self._table.packed
+        packed = self._packed
         loads = np.concatenate([np.zeros(packed.inputs - len(self._further)), self._further])
         loads[self._at] = np.ravel(wrench)
         return loads

@@ -316,6 +316,13 @@ def test_an_argument_of_another_kind_is_refused(make, text: str):
         make()
 
 
+def test_a_joint_keeps_the_version_of_its_table_after_a_refresh():
+    table, moved = linear_table(), ([0.0, 0.0, 1e-3], [0.0] * 3)
+    joint = Joint(table)
+    table._now = linear_table(2.0 * bar_compliance()).packed, ""
+    np.testing.assert_array_equal(joint.state(*moved)[0], Joint(linear_table()).state(*moved)[0])
+
+
 @pytest.mark.parametrize("threads", [1, 3])
 def test_many_joints_in_one_call_have_the_bits_of_each_alone(threads):
     table, rng = turning_table(), np.random.default_rng(5)
