@@ -32,6 +32,7 @@ _Moment = Annotated[
     Three, typer.Option(help="moment about which the part is linear, N·m", metavar="MX MY MZ")
 ]
 ZERO: Three = (0.0, 0.0, 0.0)
+DAMPING = 0.02  # as `MujocoJoint` has it
 
 
 def joint(
@@ -54,7 +55,7 @@ def joint(
     ] = False,
     damping: Annotated[
         float, typer.Option(min=0.0, help="of --linear: share of critical damping of each mode")
-    ] = 0.02,
+    ] = DAMPING,
     force: _Force = ZERO,
     moment: _Moment = ZERO,
     further: FurtherInput = None,
@@ -66,6 +67,11 @@ def joint(
     data: Data = None,
 ) -> None:
     """Write a MuJoCo scene in which a component can bend between two bodies, for MujocoJoint."""
+    if not linear and (damping != DAMPING or (*force, *moment) != 2 * ZERO or further):
+        raise typer.BadParameter(
+            "--damping, --force, --moment and --input are for --linear; else MujocoJoint takes "
+            "damping and inputs"
+        )
     from wrenchbook.service.client.joint.mujoco_model import scene_with_joint, scene_with_springs
 
     with connected(server, data) as client:
@@ -101,7 +107,11 @@ def _moving(name: str, facts: dict[str, Any], interface: str | None = None) -> t
     moving = [end for end, part in parts.items() if not part.get("held")]
     at = moving[0] if interface is None and len(moving) == 1 else interface
     if at is None or at not in moving:
-        ends = ", ".join(moving) or "one interface without a name"
+        if not any(moving):
+            raise typer.BadParameter(
+                f"{name} has one interface without a name; leave out --interface"
+            )
+        ends = ", ".join(moving)
         raise typer.BadParameter(f"{name} moves at {ends}; name the tip's with --interface")
     of = slice(first := FREEDOMS * [*parts].index(at), first + FREEDOMS)
     matrix = (facts.get("vibration") or {}).get("condensed_mass") or []

@@ -105,6 +105,7 @@ class Joint:
     ) -> None:
         self._table, self.damping, self._method = table, damping, method
         self._at, self.free, self.interfaces = moving(table, interface)
+        self._packed = table.packed  # of one version: a refresh of the table does not change it
         self._several, self._size = len(self.interfaces) > 1, FREEDOMS * len(self.interfaces)
         names = [f"{name} " * self._several for name in self.interfaces]
         self._symbols = np.array([name + load for name in names for load in SYMBOLS])
@@ -117,7 +118,7 @@ class Joint:
 
     def _require_stiffness(self) -> None:
         """Refuse a table without stiffness; warn where in its range no joint can invert it."""
-        packed, at, free, method = self._table.packed, self._at, self.free, self._method
+        packed, at, free, method = self._packed, self._at, self.free, self._method
         sample = packed.sample(self._inputs(np.zeros(self._size)), at[free])
         answers = packed.batch(sample, None, method)
         slopes = packed.derivatives(sample, None, method)[:, at[free]][:, :, at[free]]
@@ -209,7 +210,7 @@ class Joint:
     def new_steps(self, count: int, axes: Vector | None) -> JointSteps:
         """Return the kernel's arrays for so many joints of these options; see `_begin`."""
         try:
-            steps = self._table.packed.joints(count, self._method, axes)
+            steps = self._packed.joints(count, self._method, axes)
         except ValueError as error:  # no such method, or too many interfaces
             raise InvalidArgument(f"{self._name}: {error}") from error
         steps.inputs[:] = self._inputs(np.zeros(self._size))
@@ -239,7 +240,7 @@ class Joint:
         if self._several:
             return dict(zip(self.interfaces, COVERED_AS[self._coverage].tolist(), strict=True))
         loads = self._inputs(self.wrench).tolist()
-        return str(self._table.packed.answer(loads, None, self._method).coverage)
+        return str(self._packed.answer(loads, None, self._method).coverage)
 
     def _more_rows(self) -> str:
         other = "" if self._method is None else f", or leave out method={self._method!r}"
@@ -250,7 +251,7 @@ class Joint:
         shares = zip(loads, self._symbols[self.free], strict=True)
         shown = " ".join(f"{share:+.2g} {load}" for share, load in shares if abs(share) >= SHOWN)
         return (
-            f"{self._name}, method {self._table.packed.answers_by(self._method)!r}: at the wrench "
+            f"{self._name}, method {self._packed.answers_by(self._method)!r}: at the wrench "
             f"({', '.join(f'{load:.4g}' for load in wrench)}) N, N·m the part moves against a load "
             f"along ({shown}, in fractions of the load range), so its compliance is not positive "
             f"definite and a joint would be unstable; {self._more_rows()}"
@@ -286,6 +287,11 @@ class Joint:
             no rotation, or a shape wrong or a number not finite.
         """
         k, size = len(self.interfaces), self._size
+        try:
+            arrays = (np.asarray(a, dtype=float) for a in (R, p, velocity, inverse_mass))
+            (R, p, velocity, inverse_mass), dt = arrays, float(dt)
+        except (TypeError, ValueError) as error:
+            raise InvalidArgument(f"a step is of arrays of numbers and seconds: {error}") from None
         shapes = np.shape(p), np.shape(velocity), np.shape(inverse_mass)
         expected = shape_of(k, 3), shape_of(k, FREEDOMS), (size, size)
         if shapes != expected or (self._several and np.shape(R) != (k, 3, 3)):
@@ -301,7 +307,7 @@ class Joint:
                 f"dt must be above 0 s, and p and velocity finite, not {dt} s, {p}, {velocity}"
             )
         steps = self._steps
-        rotations = list(np.asarray(R)) if self._several else [R]
+        rotations = list(R) if self._several else [R]
         turned = [quaternion(rotation_vector(matrix)) for matrix in rotations]
         steps.poses[0, ..., :3], steps.poses[0, ..., 3:] = p, np.squeeze(turned)
         steps.velocities[0], steps.inverse_masses[0] = velocity, inverse_mass
@@ -327,10 +333,13 @@ class Joint:
 
         Raises
         ------
-        JointRangeError
+        InvalidArgument, JointRangeError
             See `step`.
         """
         last_step, steps = (self._steps, self._entry), self.new_steps(1, None)
+        each = shape_of(len(self.interfaces), 3)
+        if not np.shape(translation) == np.shape(rotation) == each:
+            raise InvalidArgument(f"translation and rotation vector have the shape {each}, each")
         turned = [quaternion(vector) for vector in np.reshape(rotation, (-1, 3))]
         steps.poses[0, ..., :3], steps.poses[0, ..., 3:] = translation, np.squeeze(turned)
         steps.memory[0] = self._memory
@@ -354,7 +363,7 @@ class Joint:
     def _warn_uncovered(self, wrench: Vector) -> None:
         """Warn once that the table does not cover a wrench."""
         if not self._warned_uncovered:
-            self._warned_uncovered, packed = True, self._table.packed
+            self._warned_uncovered, packed = True, self._packed
             answer = packed.answer(self._inputs(wrench).tolist(), None, self._method)
             warn(
                 f"{self._name}: the wrench of a step is {answer.coverage} by the method "
@@ -404,13 +413,13 @@ class Joint:
 
     def _weakest(self, stiffness: Vector) -> tuple[Vector, Vector]:
         """Return `PackedTable.weakest` of stiffnesses (k, 6, 6): below zero a part gives energy."""
-        packed, free = self._table.packed, self.free
+        packed, free = self._packed, self.free
         compliance = np.asarray(np.linalg.inv(stiffness[:, free][:, :, free]), dtype=float)
         return packed.weakest(compliance, packed.arrays["space/scale"][self._at][free])
 
     def _inputs(self, wrench: Vector) -> Vector:
         """Return the table's inputs with a wrench at the tip, shape (n,), SI."""
-        packed = self._table.packed
+        packed = self._packed
         loads = np.concatenate([np.zeros(packed.inputs - len(self._further)), self._further])
         loads[self._at] = np.ravel(wrench)
         return loads
@@ -445,15 +454,17 @@ def further_inputs(table: Table, by_name: Mapping[str, float]) -> tuple[float, .
     InvalidArgument if one is unknown, missing or beyond its range.
     """
     space, count = table.space, len(table.space.scalars)
+    if not isinstance(by_name, Mapping):
+        raise InvalidArgument(f"inputs are a mapping from names to numbers, not {by_name!r}")
     try:
         values = space.vector({}, by_name)[len(space.inputs) - count :]
     except ValueError as error:
         raise InvalidArgument(f"{table.name}: {error}") from None
     ends = table.packed.arrays["space/range"][:, len(space.inputs) - count :].T
     for load, value, (low, high) in zip(space.scalars, values, ends, strict=True):
-        if not low <= value <= high:
+        if not (isinstance(value, Real) and low <= value <= high):
             raise InvalidArgument(
-                f"{table.name}: {load.name} must be {low:g} to {high:g} {load.unit}, not {value:g}"
+                f"{table.name}: {load.name} must be {low:g} to {high:g} {load.unit}, not {value}"
             )
     return tuple(map(float, values))
 
@@ -473,6 +484,7 @@ def moving(
     if not names or interface not in (None, *names) or (single and len(names) > 1):
         raise InvalidArgument(
             f"a joint or springs need exactly one interface that moves, but {table.name} moves at "
-            f"{', '.join(map(repr, names)) or 'none'}; hold the others"
+            f"{', '.join(map(repr, names)) or 'none'}; "
+            + ("leave out interface" if names == ("",) else "hold the others")
         )
     return indices[free.any(axis=1)].ravel(), np.flatnonzero(free[free.any(axis=1)]), names

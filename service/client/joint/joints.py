@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
+from numbers import Real
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -148,8 +149,8 @@ class Joints:
                 "poses, velocities and inverse_masses of {} joints must have shapes {}, {} and {}, "
                 "not {}, {} and {}".format(n, *each, *shapes)
             )
-        if not (math.isfinite(dt) and dt > 0):
-            raise InvalidArgument(f"dt must be above 0 s, not {dt} s")
+        if not (isinstance(dt, Real) and math.isfinite(dt) and dt > 0):
+            raise InvalidArgument(f"dt must be a number above 0 s, not {dt!r}")
         steps.poses[:], steps.velocities[:], steps.inverse_masses[:] = inputs
         steps.step(dt, self._joint.damping, threads or os.cpu_count() or 1)
         self._check_status()

@@ -68,8 +68,8 @@ class LinearPart:
         ------
         InvalidArgument
             If the part moves at several interfaces or at none; if the wrench is not 6 finite
-            numbers; if a further input is unknown, missing or beyond its range; if the table's
-            derivative there is not known or not that of springs.
+            numbers within the load range; if a further input is unknown, missing or beyond its
+            range; if the table's derivative there is not known or not that of springs.
         """
         at, free, _ = moving(table, None, several=False)
         packed, indices = table.packed, at[free]
@@ -79,6 +79,10 @@ class LinearPart:
         further = further_inputs(table, inputs or {})
         centre = np.concatenate([np.zeros(packed.inputs - len(further)), further])
         centre[at] = load
+        low, high = packed.arrays["space/range"][:, indices]
+        if not ((low <= load[free]) & (load[free] <= high)).all():
+            ends = f"{low.tolist()} to {high.tolist()} N, N·m"
+            raise InvalidArgument(f"{table.name}: give a load within its range, {ends}")
         slope = packed.derivative(centre.tolist())[np.ix_(indices, indices)]
         compliance = 0.5 * (slope + slope.T)
         if not np.isfinite(compliance).all() or np.linalg.eigvalsh(compliance).min() <= 0.0:

@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeAlias
-from weakref import WeakKeyDictionary, WeakValueDictionary
+from weakref import WeakKeyDictionary, WeakSet, WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +30,9 @@ engine: Any = required("mujoco", "MujocoJoint", "'wrenchbook[mujoco]'")
 _PGS, _RK4 = int(engine.mjtSolver.mjSOL_PGS), int(engine.mjtIntegrator.mjINT_RK4)
 _JOINT, _OBJECT = engine.mjtJoint, engine.mjtObj
 _SQUARE = 1e-5  # the axes of the slides are unit and orthogonal to the six digits of MuJoCo's XML
-# The joints of each MjData by the first freedom of each tip: a step is of all of them.
-_JOINTS: WeakKeyDictionary[Data, WeakValueDictionary[int, MujocoJoint]] = WeakKeyDictionary()
+# The joints of each MjData by the first freedom of each tip and their id: a step is of all tips.
+_Registered: TypeAlias = "WeakValueDictionary[tuple[int, int], MujocoJoint]"
+_JOINTS: WeakKeyDictionary[Data, _Registered] = WeakKeyDictionary()
 _NO_CONTROL = int(engine.mjtDisableBit.mjDSBL_ACTUATION)
 _REMEDY = "make the scene with: wrenchbook joint NAME --base BODY --tip BODY scene.xml"
 
@@ -89,6 +90,9 @@ class MujocoJoint(Joint):
         bodies: Mapping[str, str] | None = None,
         **options: Any,
     ) -> None:
+        if not (isinstance(model, engine.MjModel) and isinstance(data, engine.MjData)):
+            kinds = f"{type(model)} and {type(data)}"
+            raise InvalidArgument(f"model and data are MjModel and MjData of mujoco, not {kinds}")
         super().__init__(table, damping, **options)
         _refuse_rk4(model)
         self._model, self._data = model, data
@@ -119,11 +123,14 @@ class MujocoJoint(Joint):
         names = self.interfaces
         if bodies is not None and names == ("",):
             raise JointError(f"{self._table.name} has one interface; give tip=BODY, no bodies")
+        if not isinstance(bodies, Mapping | None):
+            bodies = {}
         if bodies is None:
             bodies = {} if self._several else {names[0]: tip}
         wrong = [f"no body for {name!r}" for name in names if name not in bodies]
         wrong += [f"no interface {name!r} that moves" for name in bodies if name not in names]
-        wrong += ["one body at two interfaces"] * (len(set(bodies.values())) < len(bodies))
+        single = {str(body) for body in bodies.values()}
+        wrong += ["one body at two interfaces"] * (len(single) < len(bodies))
         if wrong:
             expected = ", ".join(f"{name!r}: BODY" for name in names)
             raise JointError(f"{self._table.name}: {'; '.join(wrong)}. Give bodies={{{expected}}}")
@@ -179,6 +186,7 @@ class MujocoJoint(Joint):
                 "stiffness": model.jnt_stiffness[joint],
                 "damping": model.dof_damping[dof],
                 "frictionloss": model.dof_frictionloss[dof],
+                "armature": model.dof_armature[dof],
                 "a limited range": model.jnt_limited[joint],
             }
             if kinds[joint - first] != _JOINT.mjJNT_BALL:
@@ -220,6 +228,7 @@ class MujocoJoint(Joint):
         if data.signature != self._model.signature:
             raise InvalidArgument("data belongs to another model; give the data of this model")
         self._use(steps, at)
+        before = _JOINTS.get(self._data, {})
         self._data, self._pose, reply, self._scene = data, None, self._reply, self._model.opt
         self._solved = np.empty_like(self._units)
         self._pose_of_tip, self._inverse_mass = steps.poses[at], steps.inverse_masses[at]
@@ -234,7 +243,8 @@ class MujocoJoint(Joint):
         self._velocities, self._applied, self._mass = data.qvel, data.qfrc_applied, data.M
         self._base_pose = data.xpos[self._unmoved], data.xquat[self._unmoved]
         for start in self._starts:
-            _JOINTS.setdefault(data, WeakValueDictionary())[start] = self
+            before.pop((start, id(self)), None)
+            _JOINTS.setdefault(data, WeakValueDictionary())[start, id(self)] = self
 
     def __getstate__(self) -> dict[str, Any]:
         """All but MuJoCo's options, which it does not pickle: the model has them."""
@@ -255,6 +265,11 @@ class MujocoJoint(Joint):
         """Write the pose and the inverse mass of this step into the kernel's arrays."""
         if self._unmoved:
             self._watch_base()
+        now = float(self._data.time)
+        if now not in self._times:  # put elsewhere: its energy there is unknown
+            self._began = self._began and (self._began[0], np.nan)
+            self._memory[0] = 0.0  # else the inverse's last bits depend on the place before
+        self._times = now, now + self._scene.timestep
         self._read_pose()
         if not self.damping:  # modes that keep their energy bear no constraint forces of a step ago
             lags = (self._several or not self._blocks) and self._data.nefc
@@ -380,9 +395,13 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
         raise JointError("step_joints needs one or more joints with the same data; pass those")
     _refuse_rk4(joints[0]._model)  # it may have been chosen since
     stepped = [start for joint in joints for start in joint._starts]
-    of_scene = _JOINTS[joints[0]._data]
+    of_scene = _by_tip(joints[0]._data)
     if len(set(stepped)) < len(stepped):
         raise JointError("two joints have the same tip, which would feel only one; leave one out")
+    for joint in joints:
+        for start, tip in zip(joint._starts, joint._tips, strict=True):
+            if of_scene[start] is not joint:
+                raise JointError(f"the tip {tip!r} has a later joint; step that joint instead")
     if len(of_scene) > len(stepped):
         others = dict.fromkeys(joint for at, joint in of_scene.items() if at not in stepped)
         sides = [[tip for joint in some for tip in joint._tips] for some in (joints, others)]
@@ -414,9 +433,6 @@ def _pull(joints: Collection[MujocoJoint]) -> None:
         joint._read()
         joint._steps.law(dt, joint.damping)
         joint._check_status()
-        if joint._began and now not in joint._times:  # put elsewhere: its energy there is unknown
-            joint._began = joint._began[0], np.nan
-        joint._times = now, now + dt
     push(joints)
     if new := [joint for joint in joints if joint._began is None]:
         began = now, _energy(joints)
@@ -487,8 +503,13 @@ def _with_last_contacts(
     return np.linalg.solve(implicit, force + slope @ velocity), velocity, mobility, implicit
 
 
+def _by_tip(data: Data) -> dict[int, MujocoJoint]:
+    """Return the newest joint of each tip by the tip's first freedom."""
+    return {start: joint for (start, _), joint in _JOINTS.get(data, {}).items()}
+
+
 def _joints_of(data: Data) -> list[MujocoJoint]:
-    return list(dict.fromkeys(_JOINTS.get(data, {}).values()))
+    return list(dict.fromkeys(_by_tip(data).values()))
 
 
 def _energy(joints: Collection[MujocoJoint]) -> float:
@@ -517,12 +538,23 @@ def _energy(joints: Collection[MujocoJoint]) -> float:
     return total
 
 
+def _warn_bare(model: Model) -> None:
+    """Warn of a scene without joints whose model has some in another scene."""
+    if model.signature in {data.signature for data in [*_JOINTS] if _by_tip(data)}:
+        warn(
+            "an MjData steps without a joint, and others of its model have joints: nothing holds "
+            "its tip. Make a MujocoJoint for each MjData, and keep it",
+            JointWarning,
+        )
+
+
 @contextmanager
 def joints_in_mj_step() -> Iterator[None]:
     """Let ``mj_step`` itself step the joints of each scene that has some, within a ``with``.
 
     The step has the bits of `step_joints`. It is MuJoCo's control callback, of the whole process:
-    threads take turns. With actuation, springs and dampers all disabled MuJoCo calls none, and no
+    threads take turns. A `JointWarning` names a scene without joints, if another of its model has
+    some. With actuation, springs and dampers all disabled MuJoCo calls none, and no
     joint pulls. A `report` counts ``mj_forward`` as a step.
 
     Raises
@@ -532,12 +564,18 @@ def joints_in_mj_step() -> Iterator[None]:
         threads of ``mujoco.rollout`` an error ends a scene's motion, and the ``with`` raises it.
     """
     errors: list[Exception] = []
+    bare: WeakSet[Data] = WeakSet()  # scenes without joints
 
     def pull(model: Model, data: Data, passive: bool = False) -> None:
         joints = _joints_of(data)
-        if not joints or bool(model.opt.disableflags & _NO_CONTROL) != passive:
+        disabled = bool(model.opt.disableflags & _NO_CONTROL)
+        if disabled != passive or (data in bare and not joints):
             return
         try:
+            if not joints:
+                bare.add(data)
+                _warn_bare(model)
+                return
             if passive:  # it comes before the bias
                 engine.mj_rne(model, data, False, data.qfrc_bias)
             _pull(joints)
@@ -587,7 +625,8 @@ def _block_positions(model: Model, dofs: NDArray[np.intp]) -> list[NDArray[np.in
 
 def _body(model: Model, name: str) -> int:
     """Return the number of a named body."""
-    number = engine.mj_name2id(model, _OBJECT.mjOBJ_BODY, name)
+    # MuJoCo ends the process at a name that is None.
+    number = engine.mj_name2id(model, _OBJECT.mjOBJ_BODY, name) if isinstance(name, str) else -1
     if number < 0:
         names = [engine.mj_id2name(model, _OBJECT.mjOBJ_BODY, k) for k in range(1, model.nbody)]
         known = ", ".join(repr(text) for text in names if text) or "none with a name"

@@ -74,7 +74,7 @@ class JointReport:
 
 def report_of(joint: Joint, began: float = 0.0, energy_drift: float = np.nan) -> JointReport:
     """Review a joint's steps, of which the first began at a time, s; J, or NaN if not known."""
-    history, free, arrays = joint._history, joint.free, joint._table.packed.arrays
+    history, free, arrays = joint._history, joint.free, joint._packed.arrays
     count, outputs, loads, covered_at = int(history["steps"]), OUTPUTS, LOADS, {}
     if len(joint.interfaces) > 1:
         space = joint._table.space
@@ -104,7 +104,7 @@ def report_of(joint: Joint, began: float = 0.0, energy_drift: float = np.nan) ->
             stiff.append(StiffAxis(loads[load], float(error), float(allowed), *limits))
     covered = float(history["covered"]) / count if count else None
     uncovered = covered is not None and covered < 1.0
-    remedy, packed = joint._more_rows(), joint._table.packed
+    remedy, packed = joint._more_rows(), joint._packed
     if joint._method is None and packed.answers_by() == "linear":
         remedy = "more solves do not help a linear component; use a finer mesh or nonlinear = true"
     if joint._warned_beyond:

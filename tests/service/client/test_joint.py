@@ -286,6 +286,7 @@ STATE = {"R": np.eye(3), "p": np.zeros(3), "velocity": np.zeros(6), "inverse_mas
         ({"velocity": np.zeros(3)}, r"\(3,\) and \(6, 6\)$"),
         ({"inverse_mass": np.eye(3)}, r"\(3, 3\)$"),
         ({"p": np.full(3, np.nan)}, "finite, not"),
+        *(({name: "x"}, "of arrays of numbers and seconds") for name in ("R", "p", "dt")),
         ({"R": np.diag([1.0, 1.0, -1.0])}, "right-handed"),
     ],
 )
@@ -303,8 +304,10 @@ def test_a_state_that_is_none_is_refused_by_name(changed, words):
         ({"joints": FREEDOMS.replace('"ball"', '"ball" damping="1"')}, {}, "has damping"),
         ({"joints": FREEDOMS.replace('"slide"', '"slide" stiffness="9"', 1)}, {}, "has stiffness"),
         ({"joints": FREEDOMS.replace('"slide"', '"slide" ref="1"', 1)}, {}, "has a reference"),
+        ({"joints": FREEDOMS.replace('"ball"', '"ball" armature="1"')}, {}, "has armature"),
         ({"option": 'integrator="RK4"'}, {}, "RK4"),
         ({}, {"tip": "hand"}, "no body 'hand'; name one of 'base', 'tip'"),
+        ({}, {"base": None}, "no body None; name one of 'base', 'tip'"),
         ({}, {"bodies": {"end": "tip"}}, "has one interface; give tip=BODY"),
         ({}, {"damping": -0.1}, "damping"),
         ({}, {"damping": math.nan}, "damping"),
@@ -330,7 +333,7 @@ def test_a_joint_whose_tip_has_a_later_joint_is_not_stepped():
     model, data = scene(sphere(3))
     first, later = (MujocoJoint(model, data, TABLE) for _ in range(2))
     later.step()
-    with pytest.raises(JointError, match="made later has the tip 'tip'"):
+    with pytest.raises(JointError, match="the tip 'tip' has a later joint"):
         first.step()
 
 

@@ -12,10 +12,10 @@ import pytest
 from mujoco import rollout
 
 import wrenchbook
-from tests.service.client.joint_scenes import linear_table, mujoco, scene, sphere
+from tests.service.client.joint_scenes import known_table, linear_table, mujoco, scene, sphere
 from tests.service.client.test_joint import FOOT
 from tests.service.client.test_joint_tables import two_joints
-from wrenchbook.service.client.joint import JointError, JointRangeError
+from wrenchbook.service.client.joint import JointError, JointRangeError, JointWarning
 from wrenchbook.service.client.joint.mujoco_joint import (
     MujocoJoint,
     joints_in_mj_step,
@@ -100,6 +100,36 @@ def test_after_a_step_the_mass_matrix_is_that_of_the_scene():
     fresh = mujoco.MjData(model)
     mujoco.mj_fwdPosition(model, fresh)
     np.testing.assert_array_equal(data.M, fresh.M)
+
+
+def test_a_scene_without_a_joint_in_mj_step_is_warned_of():
+    model, data, joint = made("bar")
+    with joints_in_mj_step(), pytest.warns(JointWarning, match="nothing holds its tip"):
+        mujoco.mj_step(model, mujoco.MjData(model))
+    assert joint._data is data
+
+
+def test_a_joint_pulls_in_mj_step_again_once_another_of_its_tip_is_gone():
+    model, data, joint = made("bar")
+    MujocoJoint(model, data, TABLE)
+    with joints_in_mj_step():
+        mujoco.mj_step(model, data, 10)
+    assert joint.report().steps == 10
+
+
+def test_a_scene_put_elsewhere_has_the_bits_of_a_new_joint():
+    table, ends = known_table(40), []
+    for before in (0, 20):
+        model, data, _ = made("bar")
+        joint = MujocoJoint(model, data, table)
+        for _ in range(before):
+            joint.step()
+        mujoco.mj_resetData(model, data)
+        data.time, data.qvel[2] = 1.0, -0.03
+        for _ in range(20):
+            joint.step()
+        ends.append(data.qpos.copy())
+    np.testing.assert_array_equal(*ends)
 
 
 def rolled(pose: float):

@@ -134,6 +134,11 @@ def test_each_of_several_interfaces_has_its_own_mass_and_must_be_named():
         _moving("beam", facts)
 
 
+def test_an_interface_of_a_part_with_a_single_one_is_refused():
+    with pytest.raises(typer.BadParameter, match="leave out --interface"):
+        _moving("bar", {}, "end")
+
+
 def test_a_keyframe_has_the_new_freedoms_at_their_place(path):
     arm = '<body><joint type="hinge"/><geom size=".01"/></body>'
     key = '</worldbody><keyframe><key qpos="0 0 1 1 0 0 0 .7" qvel="1 2 3 4 5 6 7"/></keyframe>'

@@ -249,10 +249,12 @@ def with_bodies(bodies) -> MujocoJoint:
 HALF, NONE = np.tril(np.ones((12, 12)) + np.eye(12)), np.zeros((2, 3))
 UNFIT = [
     (lambda: with_bodies(None), "no body for 'left'; no body for 'right'. Give bodies={'left': B"),
+    (lambda: with_bodies(["wheel_l", "wheel_r"]), "Give bodies={'left': BODY, 'right': BODY}"),
     (lambda: with_bodies(TIPS | {"top": "chassis"}), "no interface 'top' that moves"),
     (lambda: with_bodies(TIPS | {"right": "wheel_l"}), "one body at two interfaces"),
     (lambda: with_bodies(TIPS | {"right": "chassis"}), "'chassis' must be a child of body 'chas"),
     (lambda: Joint(link(), interface="left"), "one interface that moves, but"),
+    (lambda: Joint(link()).state([0, 0, 1e-3], [0, 0, 0]), "have the shape (2, 3)"),
     (lambda: LinearPart.of(link()), "springs need exactly one interface"),
     (lambda: Joint(link()).step(np.eye(3), 0, 0, 0, 1e-3), "R has (2, 3, 3)"),
     (lambda: Joints(link(), 1).step(*[np.zeros(1)] * 3, 1e-3), "(1, 2, 7), (1, 2, 6)"),

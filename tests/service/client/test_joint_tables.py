@@ -288,6 +288,7 @@ def test_springs_are_those_of_the_temperature():
         (None, "temperature: missing; give its value in degC"),
         ({"heat": 30.0}, "no such input; there is temperature"),
         ({"temperature": 200.0}, "temperature is from 20 to 120 degC, not 200"),
+        ({"temperature": "80"}, "temperature is from 20 to 120 degC, not 80"),
     ],
 )
 def test_a_joint_without_its_inputs_is_refused(inputs, words):
@@ -301,6 +302,13 @@ def test_a_joint_without_its_inputs_is_refused(inputs, words):
         (lambda: Joint(None), "needs a Table"),
         (lambda: LinearPart.of(None), "needs a Table"),
         (lambda: LinearPart.of(linear_table(), [0.0] * 5), "6 finite numbers"),
+        (
+            lambda: LinearPart.of(linear_table(), [1e9, 0, 0, 0, 0, 0]),
+            "give a load within its range",
+        ),
+        (lambda: Joint(linear_table(), inputs=80.0), "inputs are a mapping"),
+        (lambda: Joint(linear_table(), interface="end"), "leave out interface"),
+        (lambda: MujocoJoint(None, None, linear_table()), "model and data are MjModel"),
         (lambda: Joint(linear_table(), damping="0.1"), "damping"),
         (lambda: Joint(linear_table(), method="x"), "unknown method"),
     ],
@@ -308,6 +316,13 @@ def test_a_joint_without_its_inputs_is_refused(inputs, words):
 def test_an_argument_of_another_kind_is_refused(make, text: str):
     with pytest.raises(InvalidArgument, match=text):
         make()
+
+
+def test_a_joint_keeps_the_version_of_its_table_after_a_refresh():
+    table, moved = linear_table(), ([0.0, 0.0, 1e-3], [0.0] * 3)
+    joint = Joint(table)
+    table._now = linear_table(2.0 * bar_compliance()).packed, ""
+    np.testing.assert_array_equal(joint.state(*moved)[0], Joint(linear_table()).state(*moved)[0])
 
 
 @pytest.mark.parametrize("threads", [1, 3])
