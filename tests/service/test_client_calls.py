@@ -129,7 +129,7 @@ def test_a_queued_answer_has_its_job_and_no_pose(stub: Stub, client: Client):
     stub.answers(Answer(full, status=202))
     answer = client.displacement("plate", [0, 0, -800])
     assert (answer.job, answer.covered, answer.reason) == (None, False, full["reason"])
-    with pytest.raises(ValueError, match=r"not known .*the queue is full"):
+    with pytest.raises(ValueError, match=r"unknown .*the queue is full"):
         answer.apply(np.eye(3), np.zeros(3))
 
 

@@ -119,7 +119,7 @@ def test_a_joint_without_a_wrench_is_named_and_does_not_stop_the_others():
     )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        joints.step(poses, velocities, masses, 1e-3)  # said once
+        joints.step(poses, velocities, masses, 1e-3)  # appears once
         poses[1, 0] = 0.0
         joints.restart(joints.failed)
         assert not np.isnan(joints.step(poses, velocities, masses, 1e-3)[1]).any()

@@ -141,7 +141,7 @@ def test_where_a_table_knows_nothing_the_pose_stays_and_it_is_said():
     nothing = answer(None, WEIGHT, "outside", reason="the table has no rows")
     mount = mounted(ScriptedTable(answer(np.full(6, 1e-3)), nothing))
     before = mount.step(WEIGHT)
-    with pytest.warns(MountWarning, match=r"no rows.*said once"):
+    with pytest.warns(MountWarning, match=r"no rows.*appears once"):
         after = mount.step(2 * WEIGHT)
     assert np.array_equal(before[1], after[1])
     assert mount.coverage.unknown == 1
