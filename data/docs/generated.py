@@ -109,7 +109,8 @@ def _type(schema: dict) -> str:
             f"`{json.dumps(value)}`" for value in schema.get("enum", [schema.get("const")])
         )
     if schema.get("type") == "array":
-        return f"array of {_type(schema.get('items', {}))}"
+        items = _type(schema.get("items", {}))
+        return f"array of ({items})" if " or " in items else f"array of {items}"
     return schema.get("format") or schema.get("type", "any")
 
 

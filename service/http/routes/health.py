@@ -32,14 +32,6 @@ async def live() -> dict[str, str]:
 @router.get(
     "/health/ready",
     summary="Readiness of jobs and tables",
-    description="`status` is `ready`, `building` while tables are built, `degraded` if something "
-    "is wrong with components (see `broken`), or `not ready` (503; see `faults`). `tables` has "
-    "`ready`, `building`, `degraded` (it answers, but not from all its rows or not from its file) "
-    "or `broken` for each component; `pending_rows` the rows that are being built into a table. "
-    "`ready` is true if the server and all tables are. With `component`, the tables and the status "
-    "code are of its table. `copies` has the outcome of the last shipping of the "
-    "replica and of the last scheduled backup, with `trouble`; `age_s` of a read-only server how "
-    "old its state is at most.",
     responses=answers(dict[str, Any], "ready, degraded, or tables are being built")
     | answers(dict[str, Any], "not ready; see faults", 503)
     | refused(404, 422),

@@ -59,8 +59,12 @@ _FILES = {MEDIA_TYPES[form]: BYTES for form in ("hdf5", "xlsx", "parquet")} | {
 }
 _LOGS = {
     "type": "object",
-    "description": "one 'table', or two logs that are joined by their time columns",
-    "properties": dict.fromkeys(("table", "loads", "displacements"), BYTES["schema"]),
+    "description": "one `table`, or the two logs `loads` and `displacements`, joined by time",
+    "properties": {
+        "table": {**BYTES["schema"], "description": "one file with loads and displacements"},
+        "loads": {**BYTES["schema"], "description": "log of the loads, with a time column"},
+        "displacements": {**BYTES["schema"], "description": "log of the displacements"},
+    },
 }
 _SENT = {
     **_FILES,
