@@ -359,7 +359,7 @@ def _attach(
         section = InterfaceSection(nodes, np.empty(0), 0.0, np.zeros(3), by_area=False)
     else:
         if not _spans_a_plane(mesh.points[nodes]):
-            message = f'"{interface.section}" lies on one line and has no rotation; name a face'
+            message = f'"{interface.section}" lies on one line, so it has no rotation; name a face'
             problems.append(BundleProblem(key, message))
         if interface.section in mesh.facet_groups:
             section = section_of_facets(mesh.points, mesh.facet_groups[interface.section])

@@ -186,7 +186,7 @@ class Surface:
         try:
             order = [*TopologicalSorter(users).static_order()]
         except CycleError as error:
-            message = f"{' inside '.join(error.args[1])} is a circle; choose one by other keys"
+            message = f"{' inside '.join(error.args[1])} is circular; remove one inside key"
             _refuse(f"mesh.groups.{error.args[1][0]}.inside", message)
         for name in order:
             where, inside = f"mesh.groups.{name}", groups[name].inside

@@ -77,7 +77,7 @@ def deck_text(path: Path) -> DeckText:
             try:
                 if size > _MAX_CHARACTERS or len(stack) > _MAX_DEPTH or len(included) > _MAX_FILES:
                     most = f"{_MAX_CHARACTERS >> 20} MiB, {_MAX_FILES} in all and {_MAX_DEPTH} deep"
-                    raise ValueError(f"which is one too many; at most {most}")
+                    raise ValueError(f"which exceeds the limit: {most}; include fewer files")
                 included.append(_inside(folder, stack[-1].parent, inner, beside))
                 if included[-1] in stack:
                     raise ValueError("which includes itself; remove one of the two lines")

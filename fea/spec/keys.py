@@ -118,7 +118,7 @@ def _name(value: str) -> str:
 def different(values: tuple[_T, ...]) -> tuple[_T, ...]:
     """Refuse a value that is there twice."""
     if len(set(values)) < len(values):
-        raise ValueError("has one name twice; keep one of the two")
+        raise ValueError("has one entry twice; remove one of the two")
     return values
 
 

@@ -180,7 +180,7 @@ def _stiffness(numbers: tuple[Any, ...]) -> Array:
     scale = np.sqrt(np.where(np.diagonal(matrix) > 0, np.diagonal(matrix), 1.0))
     scaled = matrix / scale / scale[:, None]
     if np.abs(scaled - scaled.T).max() > _ROUNDING:
-        raise ValueError("must be symmetric; correct it")
+        raise ValueError("must be symmetric; make row i, column j equal to row j, column i")
     if np.linalg.eigvalsh(scaled)[0] < -_ROUNDING:
         raise ValueError("has a negative eigenvalue, so it would release energy; correct it")
     if not matrix.any():

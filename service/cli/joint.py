@@ -69,7 +69,7 @@ def joint(
     """Write a MuJoCo scene in which a component can bend between two bodies, for MujocoJoint."""
     if not linear and (damping != DAMPING or (*force, *moment) != 2 * ZERO or further):
         raise typer.BadParameter(
-            "--damping, --force, --moment and --input are for --linear; else MujocoJoint takes "
+            "--damping, --force, --moment and --input need --linear; without it, MujocoJoint takes "
             "damping and inputs"
         )
     from wrenchbook.service.client.joint.mujoco_model import scene_with_joint, scene_with_springs

@@ -78,7 +78,7 @@ class Scene:
             with Path(path).open("rb") as file:
                 body = tomllib.load(file)
             if unknown := body.keys() - {"components", "title"}:
-                raise SceneError(f"unknown {', '.join(sorted(unknown))}; write components, title")
+                raise SceneError(f"unknown key {', '.join(sorted(unknown))}; use components, title")
             return cls(body.get("components", {}))
         except (tomllib.TOMLDecodeError, UnicodeDecodeError, SceneError) as error:
             raise SceneError(f"{path}: {error}") from error

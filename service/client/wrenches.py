@@ -91,7 +91,7 @@ def loads_body(
         for name, load in _mapping("loads", loads).items():
             parts = load if isinstance(load, Mapping) else {"force": load}
             if unknown := ", ".join(parts.keys() - {"force", "moment"}):
-                raise InvalidArgument(f"a load must have force and moment, not {unknown}")
+                raise InvalidArgument(f"a load can have force and moment only, not {unknown}")
             wrench = single_wrench(parts.get("force", np.zeros(3)), parts.get("moment"))
             body["loads"][name] = _parts(wrench)
     elif inputs is None:

@@ -124,7 +124,7 @@ def _positive(value: str) -> float:
     except ValueError:
         number = math.nan
     if not 0.0 < number < math.inf:
-        raise ValueError(f"'{value[:40]}' in the lines above the header must be above zero")
+        raise ValueError(f"'{value[:40]}' above the header must be a number above 0")
     return number
 
 

@@ -44,7 +44,7 @@ class ProxyTrust:
         named = {"*", *(group.strip() for group in groups)}
         allowed: list[Scope] = [self.scopes[group] for group in named & self.scopes.keys()]
         if not allowed:
-            raise _refused(f"Add a group of the user {sent} to --trust-proxy-scopes.")
+            raise _refused(f"No group of {sent} has a scope; add one to --trust-proxy-scopes.")
         name, scope = f"{USER}{sent}", max(allowed, key=SCOPES.index)
         return Key(name, scope, digest_of(name), 0.0)
 
@@ -67,7 +67,7 @@ def proxy_trust(settings: Settings) -> ProxyTrust | None:
         return None
     for header in filter(None, (user, groups)):
         if not _HEADER.fullmatch(header) or header.lower() in _OF_CALLERS:
-            raise SettingsError(f"{header!r} is no user header; write for example X-Forwarded-User")
+            raise SettingsError(f"{header!r} cannot name users; write for example X-Forwarded-User")
     scopes: dict[str, Scope] = {}
     for part in settings.trust_proxy_scopes.split(","):
         group, _, word = part.strip().partition("=")

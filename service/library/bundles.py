@@ -277,7 +277,7 @@ def _unpack(bundle: zipfile.ZipFile, target: Path) -> None:
     """Refuse a hostile archive, then write each member and count its bytes."""
     entries = bundle.infolist()
     if len(entries) > MAX_FILES:
-        message = f"The zip holds {len(entries)} files; leave at most {MAX_FILES}."
+        message = f"The zip holds {len(entries)} files; keep at most {MAX_FILES}."
         raise problem_at("bundle", message)
     if sum(info.file_size for info in entries) > MAX_BUNDLE_BYTES:
         raise problem_at("bundle", _TOO_LARGE.format(MAX_BUNDLE_BYTES >> 20))

@@ -128,7 +128,7 @@ class Replica:
     def newest(self, until: float = float("inf")) -> Manifest:
         """Return the newest complete manifest that was created `until` then; raises BackupError."""
         why = ReplicaError(
-            f"{self.url} has no manifest{' of that time' * (until < 1e99)}; check it"
+            f"{self.url} has no manifest{' of that time' * (until < 1e99)}; check the URL or --at"
         )
         for name in self.manifests():
             try:
@@ -263,7 +263,7 @@ class Shipper:
     def _check(self) -> None:
         """Raise ReplicaError unless the place is as it was left: blocks may be missing now."""
         if self._replica.place.get(LATEST, b"") != self._pointer:
-            raise ReplicaError(f"{self._replica.url} was changed by others; start anew")
+            raise ReplicaError(f"{self._replica.url} was changed by others; stop them")
 
     def collect(self) -> None:
         """Remove the manifests that need not stay, and the blocks that no manifest needs."""

@@ -133,7 +133,7 @@ def scaling_of(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DE
     fewest = int(measured.sum(axis=0).min()) if len(rows) else 0
     if fewest < settings.min_rows:
         raise TooFewRowsError(
-            f"kriging needs {settings.min_rows} rows in the load range with each output, but there "
+            f"kriging needs {settings.min_rows} rows of each output in the load range, but there "
             f"are {fewest}; solve or import more"
         )
     centre = (load_range.low + load_range.high) / 2

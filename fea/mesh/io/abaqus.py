@@ -400,7 +400,7 @@ def _members(deck: Deck, sets: dict[str, list[int]], keyword: Keyword) -> list[i
 def _few(entries: Sequence[int]) -> Sequence[int]:
     """Return a set's members if a mesh can have so many: a line of text may name any number."""
     if len(entries) > _MAX_MEMBERS:
-        raise MeshFileError(f"names {len(entries)} nodes or elements, too many; correct it")
+        raise MeshFileError(f"names {len(entries)} nodes or elements; name at most {_MAX_MEMBERS}")
     return entries
 
 

@@ -388,7 +388,7 @@ def _node(deck: Deck, keyword: Keyword, option: str) -> int | None:
 def _take_tie(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     """Take a tie of surfaces of faces."""
     if "CYCLIC SYMMETRY" in keyword.options:
-        raise ValueError("it is a part of a circle, which is not supported")
+        raise ValueError("CYCLIC SYMMETRY is not supported")
     distance = float(keyword.options.get("POSITION TOLERANCE", 0.0)) or None
     for row in keyword.rows:
         if len(row) < 2:

@@ -412,7 +412,7 @@ def _take_springs(data: _Bulk) -> None:
             ends = [(node, int(way or 0)) for node, way in ends if node.strip("0")]
             sizes = [_real(text) for text in texts]
             if not any(sizes) or not ends or not data.grids.keys() >= {node for node, _ in ends}:
-                raise ValueError("it has no property, the stiffness 0, or no GRID")
+                raise ValueError("its property or a GRID is missing, or its stiffness is 0")
             axes = _spring_axes(data, fields if bush else [], [node for node, _ in ends], sizes)
         except (ValueError, LookupError) as error:
             data.skipped[f"{name} ({error}): write [[supports.bushing]] or [[spring]]"] += 1

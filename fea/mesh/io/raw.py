@@ -82,7 +82,7 @@ def to_mesh(raw: RawMesh, metres: float) -> Mesh:
     number = np.full(len(raw.points), -1, dtype=np.int64)
     number[used] = np.arange(len(used))
     if not (np.abs(raw.points[used]) < _LARGEST).all():
-        raise MeshFileError(f"has coordinates beyond {_LARGEST:g}, or no numbers; write it anew")
+        raise MeshFileError(f"has coordinates above {_LARGEST:g} or not finite; export it again")
     kinds = list(dict.fromkeys(raw.blocks[i][0] for i in solids))
     cells = {k: number[np.concatenate([b for kind, b in raw.blocks if kind == k])] for k in kinds}
     once = {kind: _without_twins(nodes) for kind, nodes in cells.items()}

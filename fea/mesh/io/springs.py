@@ -111,7 +111,7 @@ def _constants(
         raise ValueError("its stiffness is not one constant")
     freedoms = [int(each) - 1 for each in rows[0] if each]
     if not 0 < (size := float(rows[1][0])) < math.inf:
-        raise ValueError(f"its stiffness is {size:g}")
+        raise ValueError(f"its stiffness is {size:g}, but must be above 0 and finite")
     if len(freedoms) != len(nodes) or not {*freedoms} <= {*range(6)}:
         raise ValueError(f"its freedoms {', '.join(rows[0])} are not one of 1 to 6 for each node")
     if name := keyword.options.get("ORIENTATION", ""):

@@ -291,7 +291,7 @@ class Joint:
             arrays = (np.asarray(a, dtype=float) for a in (R, p, velocity, inverse_mass))
             (R, p, velocity, inverse_mass), dt = arrays, float(dt)
         except (TypeError, ValueError) as error:
-            raise InvalidArgument(f"a step is of arrays of numbers and seconds: {error}") from None
+            raise InvalidArgument(f"a step needs arrays of numbers, and dt in s: {error}") from None
         shapes = np.shape(p), np.shape(velocity), np.shape(inverse_mass)
         expected = shape_of(k, 3), shape_of(k, FREEDOMS), (size, size)
         if shapes != expected or (self._several and np.shape(R) != (k, 3, 3)):
@@ -339,7 +339,7 @@ class Joint:
         last_step, steps = (self._steps, self._entry), self.new_steps(1, None)
         each = shape_of(len(self.interfaces), 3)
         if not np.shape(translation) == np.shape(rotation) == each:
-            raise InvalidArgument(f"translation and rotation vector have the shape {each}, each")
+            raise InvalidArgument(f"translation and rotation must each have the shape {each}")
         turned = [quaternion(vector) for vector in np.reshape(rotation, (-1, 3))]
         steps.poses[0, ..., :3], steps.poses[0, ..., 3:] = translation, np.squeeze(turned)
         steps.memory[0] = self._memory
@@ -437,7 +437,7 @@ def rotation_vector(R: ArrayLike) -> Vector:
     size = math.sqrt(float(sine @ sine))
     angle = math.atan2(size, 0.5 * (float(np.trace(matrix)) - 1.0))
     if size == 0.0 and angle > 1.0:
-        raise InvalidArgument("R is a half turn, whose axis is ambiguous; give a smaller one")
+        raise InvalidArgument("R rotates by 180 degrees, so its axis is ambiguous; rotate less")
     return sine * (angle / size if size > 0.0 else 1.0)
 
 

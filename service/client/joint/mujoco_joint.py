@@ -122,7 +122,7 @@ class MujocoJoint(Joint):
         """Return the names of the tips in the order of the interfaces."""
         names = self.interfaces
         if bodies is not None and names == ("",):
-            raise JointError(f"{self._table.name} has one interface; give tip=BODY, no bodies")
+            raise JointError(f"{self._table.name} has one interface; give tip=BODY, not bodies")
         if not isinstance(bodies, Mapping | None):
             bodies = {}
         if bodies is None:
@@ -171,7 +171,7 @@ class MujocoJoint(Joint):
         moves, turns = free[free < 3], free[free >= 3]
         if len(turns) not in (0, 1, 3):
             raise JointError(
-                f"{self._table.name} locks one rotation, which MuJoCo cannot; lock none or two"
+                f"{self._table.name} locks one rotation, which MuJoCo cannot do; lock none or two"
             )
         turning = {0: [], 1: [_JOINT.mjJNT_HINGE], 3: [_JOINT.mjJNT_BALL]}[len(turns)]
         expected = [int(kind) for kind in [_JOINT.mjJNT_SLIDE] * len(moves) + turning]

@@ -47,7 +47,7 @@ def scene_with_joint(
     """
     free = [name for name in OUTPUTS if name not in locked]
     if sum(name[0] == "r" for name in free) not in (0, 1, 3):
-        raise JointError("the part locks one rotation, which MuJoCo cannot; lock none or two")
+        raise JointError("the part locks one rotation, which MuJoCo cannot do; lock none or two")
     return str(_with_freedoms(scene, base, tip, free, site, mass, ball=True).to_xml())
 
 

@@ -399,7 +399,7 @@ class Mount:
                 f"nothing moves in mode {self.mode!r}; settle with mode 'table' or 'solve'"
             )
         if not (accuracy > 0.0 and most >= 1):
-            raise InvalidArgument("accuracy must be above 0, in tolerances, and most at least 1")
+            raise InvalidArgument("accuracy (in tolerances) must be above 0 and most at least 1")
 
         def read(displacement: Vector) -> Vector:
             before, self.displacement = self.displacement, within_limit(displacement)

@@ -28,7 +28,7 @@ def from_table(
     """Answer from a downloaded table: in microseconds, without a server."""
     name = getattr(table, "name", component)
     if name != component:
-        raise InvalidArgument(f"the table belongs to {name!r}, not {component!r}; use its own")
+        raise InvalidArgument(f"the table belongs to {name!r}; give that of {component!r}")
     space = getattr(table, "space", DEFAULT)
     if space.several or len(space.inputs) != len(DEFAULT.inputs):
         raise InvalidArgument(

@@ -185,7 +185,7 @@ async def evaluate(request: Request) -> Response:
         return _reply(outcome, [values.tolist()])
     lost = [name for name, value in zip(names, values, strict=True) if not np.isfinite(value)]
     why = reply.reason or "no row of the table has it; import or solve one"
-    raise UmBridgeError("InvalidOutput", f"{', '.join(lost)} not known: {why}")
+    raise UmBridgeError("InvalidOutput", f"{', '.join(lost)} unknown at this wrench: {why}")
 
 
 @_post("/Gradient", "transposed derivative times `sens`", _Vector, GradientBody)
