@@ -136,8 +136,9 @@ def yielding(component: ComponentModel, body: ElasticBody, solution: Solution) -
     percent = 100 * volumes[used > 1.0].sum() / volumes.sum()
     material = component.materials[materials[worst]]
     return (
-        f"{percent:.2g} % of the part's volume is above its yield strength at this wrench, up to "
-        f"{used[worst]:.3g} times that of {material.region} ({material.yield_strength:.4g} Pa). "
+        f"{percent:.3g} % of the part's volume is above its yield strength at this wrench: the "
+        f'stress in "{material.region}" is {used[worst]:.3g} times its '
+        f"{material.yield_strength:.4g} Pa. "
         "The solver does not model yielding, so this answer is too stiff. Narrow [range] or "
         "strengthen the part."
     )

@@ -113,7 +113,7 @@ class Scene:
             If the scene has no such component.
         """
         if name not in self.components:
-            raise SceneError(f"the scene has no component {name!r}; name one of {', '.join(self)}")
+            raise SceneError(f"the scene has no component {name!r}; it has {', '.join(self)}")
         return self.components[name]
 
     @overload

@@ -117,7 +117,7 @@ def test_every_missing_group_is_told_at_once():
 
 def test_a_table_only_component_cannot_be_built():
     table = {key: BLOCKS[key] for key in ("name", "title", "range")}
-    with pytest.raises(BundleError, match="cannot be solved"):
+    with pytest.raises(BundleError, match="to solve this component, add a"):
         build(bundle_of(table, FILES))
 
 

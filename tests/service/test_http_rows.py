@@ -56,7 +56,7 @@ def test_a_withdrawn_row_leaves_table_and_export_and_restore_brings_it_back(http
     assert http.get("/v1/components/rig").json()["rows"] == 4
     assert exported(http) == before - 1
     again = http.delete(f"/v1/components/rig/table/{rig[2]}")
-    assert (again.status_code, "withdrawn already" in again.json()["detail"]) == (409, True)
+    assert (again.status_code, "already withdrawn" in again.json()["detail"]) == (409, True)
     back = http.post(f"/v1/components/rig/table/{rig[2]}/restore")
     assert back.json()["table_version"] > gone.json()["table_version"]
     assert http.get("/v1/components/rig").json()["rows"] == 5

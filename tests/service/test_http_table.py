@@ -265,7 +265,7 @@ def slow_build(monkeypatch):
 
 def test_a_file_that_is_no_table_is_not_said_to_have_good_rows(rig):
     detail = load(rig, b"\0\0").json()["detail"]
-    assert "the first is in file: " in detail
+    assert "the first in file: " in detail
     assert "--partial" not in detail
 
 
@@ -413,5 +413,5 @@ def test_a_table_that_is_too_large_is_413_without_a_declared_length(rig, monkeyp
     pieces = (b"#" * 65536 for _ in range(17))
     reply = rig.post(CALL, content=pieces, headers={"content-type": "text/csv"})
     assert reply.status_code == 413
-    assert "Send at most 1 MiB a call" in reply.json()["detail"]
+    assert "Send at most 1 MiB" in reply.json()["detail"]
     assert reply.headers["content-type"] == "application/problem+json"

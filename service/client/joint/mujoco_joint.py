@@ -630,5 +630,5 @@ def _body(model: Model, name: str) -> int:
     if number < 0:
         names = [engine.mj_id2name(model, _OBJECT.mjOBJ_BODY, k) for k in range(1, model.nbody)]
         known = ", ".join(repr(text) for text in names if text) or "none with a name"
-        raise JointError(f"the scene has no body {name!r}; name one of {known}")
+        raise JointError(f"the scene has no body {name!r}; it has {known}")
     return number

@@ -113,7 +113,7 @@ def _with_freedoms(
     body = spec.body(tip)
     if body is None or spec.body(base) is None:
         missing = tip if body is None else base
-        raise JointError(f"the scene has no body {missing!r}; name one of {_names(spec.bodies)}")
+        raise JointError(f"the scene has no body {missing!r}; it has {_names(spec.bodies)}")
     if body.parent.name != base:
         raise JointError(f"body {tip!r} must be a child of body {base!r}; move it")
     if body.joints:
@@ -124,7 +124,7 @@ def _with_freedoms(
     if site is not None:
         if site not in [item.name for item in body.sites]:
             names = _names(body.sites)
-            raise JointError(f"body {tip!r} has no site {site!r}; name one of {names}")
+            raise JointError(f"body {tip!r} has no site {site!r}; it has {names}")
         model, matrix = spec.compile(), np.zeros(9)
         number = engine.mj_name2id(model, engine.mjtObj.mjOBJ_SITE, site)
         engine.mju_quat2Mat(matrix, model.site_quat[number])

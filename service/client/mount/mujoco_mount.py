@@ -393,7 +393,7 @@ def _named(model: Model, kind: int, name: str, word: str) -> int:
         count = model.nbody if kind == _OBJECT.mjOBJ_BODY else model.nsensor
         names = [text for k in range(count) if (text := engine.mj_id2name(model, kind, k))]
         raise SensorError(
-            f"the scene has no {word} {name!r}; name one of {', '.join(map(repr, names)) or 'none'}"
+            f"the scene has no {word} {name!r}; it has {', '.join(map(repr, names)) or 'none'}"
         )
     return number
 

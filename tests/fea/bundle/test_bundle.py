@@ -229,7 +229,7 @@ def test_the_check_of_two_loaded_interfaces_finds_their_stress_error_and_bucklin
 
 def test_a_measured_interface_must_have_its_range(tmp_path):
     measured = 'name = "m"\ntitle = "M"\n[[interface]]\nname = "a"\n[[interface]]\nname = "b"\n'
-    with pytest.raises(BundleError, match=r"interface\[0\]\.range: missing; write a table"):
+    with pytest.raises(BundleError, match=r"interface\[0\]\.range: is missing; write a table"):
         bundle_of(tomllib.loads(measured), tmp_path)
 
 

@@ -221,10 +221,10 @@ def test_a_wrench_that_is_not_finite_is_outside(on):
 
 
 def test_another_method_and_wrenches_of_another_length_are_refused(on):
-    with pytest.raises(InvalidArgument, match="not guess"):
+    with pytest.raises(InvalidArgument, match="unknown method 'guess'"):
         on.evaluator(downloaded("solved"), "guess")
     own = on.evaluator(downloaded("solved"), "linear")
-    with pytest.raises(InvalidArgument, match=r"shape \(6,\) or \(k, 6\), not \(3, 5\)"):
+    with pytest.raises(InvalidArgument, match=r"shape \(6,\) or \(k, 6\).*, not \(3, 5\)"):
         own(np.zeros((3, 5)))
     with pytest.raises(InvalidArgument, match=r"displacements of .* not \(\)"):
         own.inverse(np.float64(0.0))

@@ -95,7 +95,8 @@ def test_the_remedy_of_a_linear_part_beyond_its_range_is_not_more_solves():
     with pytest.warns(JointWarning, match="outside the load range"):
         joint.step(rotation_matrix(moved[3:]), moved[:3], np.zeros(6), 0.1 * np.eye(6), 1e-3)
     assert (
-        "widen the load range, which a pose of the steps exceeds; no more" in joint.report().remedy
+        "widen the load range, which a pose of the steps exceeds; more solves do not help"
+        in joint.report().remedy
     )
 
 

@@ -51,7 +51,7 @@ def with_one_negative(place: int) -> np.ndarray:
     [
         (
             lambda model, data: setattr(model.opt, "timestep", np.inf),
-            "is inf s: set it above 0, and f",
+            "is inf s; set it to a finite number",
         ),
         (lambda model, data: data.qpos.fill(0.0), "the quaternion not zero"),
         (
@@ -104,7 +104,7 @@ def test_coverage_is_that_of_the_method_of_the_joint():
 
 def test_a_compliance_that_is_not_positive_definite_is_warned_of_with_its_direction():
     table = linear_table(with_one_negative(2))
-    with pytest.warns(JointWarning, match=r"along \(\+1 F_z,.*at the wrench.*solve more rows"):
+    with pytest.warns(JointWarning, match=r"at the wrench.*along \(\+1 F_z,.*solve more rows"):
         Joint(table)
 
 
@@ -263,7 +263,7 @@ def test_beyond_the_load_range_the_temperature_stays():
 
 def test_a_damping_below_zero_is_refused_later_too():
     joint = Joint(linear_table())
-    with pytest.raises(InvalidArgument, match="0 or more, not"):
+    with pytest.raises(InvalidArgument, match="from 0, not"):
         joint.damping = -0.1
     assert joint.damping == 0.02
 
@@ -287,8 +287,8 @@ def test_springs_are_those_of_the_temperature():
     [
         (None, "temperature: missing; give its value in degC"),
         ({"heat": 30.0}, "no such input; there is temperature"),
-        ({"temperature": 200.0}, "temperature is from 20 to 120 degC, not 200"),
-        ({"temperature": "80"}, "temperature is from 20 to 120 degC, not 80"),
+        ({"temperature": 200.0}, "temperature must be 20 to 120 degC, not 200"),
+        ({"temperature": "80"}, "temperature must be 20 to 120 degC, not 80"),
     ],
 )
 def test_a_joint_without_its_inputs_is_refused(inputs, words):

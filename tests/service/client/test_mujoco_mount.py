@@ -171,14 +171,14 @@ def test_a_reading_that_is_not_finite_moves_nothing():
     mujoco.mj_step(model, data)
     before = data.mocap_pos[0].copy()
     data.sensordata[1] = np.nan
-    with pytest.raises(SensorError, match="not finite"):
+    with pytest.raises(SensorError, match="must be finite"):
         mount.step()
     assert np.array_equal(data.mocap_pos[0], before)
 
 
 def test_gravcomp_reads_the_full_weight_and_must_be_told():
     scene = made(rod='gravcomp="1"')
-    with pytest.raises(SensorError, match=r"gravcomp is set on 'rod': .* full weight"):
+    with pytest.raises(SensorError, match=r"gravcomp is set on 'rod', .* full weight"):
         mounted(scene)
     felt, outside = (mounted(scene, gravcomp=what) for what in ("motors", "float"))
     for mount in (felt, outside):
@@ -238,7 +238,7 @@ WELD = '<equality><weld body1="base" body2="loose"/></equality>'
 REFUSED = {  # pieces of the scene, options of the mount, and words of the error
     "a base with a free joint": (
         {"worldbody": LOOSE, "sensors": SENSORS.replace('"mount"', '"free"')}, {},
-        r"has a free joint: .* its sensors read 0; hang the"),
+        r"has a free joint, so .* its sensors read 0; attach the"),
     "a scene welded to the mocap body": (
         {"worldbody": LOOSE, "extra": WELD}, {}, "equality constraint holds the scene"),
     "a body beside the mounted one": (
@@ -253,14 +253,14 @@ REFUSED = {  # pieces of the scene, options of the mount, and words of the error
         "at two sites"),
     "a cutoff": (
         {"sensors": SENSORS.replace('site="mount"', 'site="mount" cutoff="10"')}, {},
-        "has cutoff: its reading is not the wrench of now"),
+        "has cutoff, so its reading is not the present wrench"),
     "no such body": (
         {}, {"mocap": "bse"}, "no body 'bse'; it has 'world', 'base', 'mounted', 'rod'"),
     "not a mocap body": ({}, {"mocap": "rod"}, "body 'rod' is not a mocap body"),
     "no such sensor": (
         {}, {"force": "f"}, "no sensor 'f'; it has 'mount_force', 'mount_torque'"),
     "another kind of sensor": (
-        {}, {"force": "mount_torque"}, "sensor 'mount_torque' is no force sensor"),
+        {}, {"force": "mount_torque"}, "sensor 'mount_torque' is not a force sensor"),
 }  # fmt: skip
 
 

@@ -81,8 +81,8 @@ def test_a_deformed_part_is_drawn_displaced_by_a_tenth_of_its_size(pyplot):
     ("draw", "names", "words"),
     [
         (plot.response, ("fx", "ux"), "name one with component="),
-        (plot.response, ("ux", "ux", "rig"), "is none of fx, fy"),
-        (plot.response, ("fx", "fx", "rig"), "is none of ux, uy"),
+        (plot.response, ("ux", "ux", "rig"), "must be one of fx, fy"),
+        (plot.response, ("fx", "fx", "rig"), "must be one of ux, uy"),
         (plot.coverage, ("fx", "fx", "rig"), "two different loads"),
     ],
 )

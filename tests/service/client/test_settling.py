@@ -256,14 +256,14 @@ def test_a_load_far_beyond_the_range_writes_no_pose_beyond_20_degrees():
             mount.step(np.array([0, 0, -1e6, 0, 0, 0]))
             turned.append(np.linalg.norm(mount.displacement[3:]))
 
-    with pytest.raises(CouplingDiverged, match="tables hold 20: the load is far beyond"):
+    with pytest.raises(CouplingDiverged, match=r"tables end at 20. Check the load"):
         push()
     assert np.degrees(max(turned)) <= 20 + 1e-9
 
 
 def test_statics_beyond_20_degrees_are_refused_and_not_returned():
     mount = mounted()
-    with pytest.raises(CouplingDiverged, match="tables hold 20"):
+    with pytest.raises(CouplingDiverged, match="tables end at 20"):
         mount.settle(lambda R, p: np.array([0, 0, -5000 * 9.81, 0, 0, 0]))
     assert not mount.displacement.any()
 
@@ -280,7 +280,7 @@ def test_a_limit_cycle_is_raised_and_not_followed_without_end():
         for k in range(2000):
             mount.step(np.array([0, 0, cycle(k), 0, 0, 0]))
 
-    with pytest.raises(CouplingDiverged, match="does not come to rest: for 256 syncs"):
+    with pytest.raises(CouplingDiverged, match="does not settle: for 256 syncs"):
         swing()
 
 

@@ -113,7 +113,7 @@ def test_an_attempt_handed_in_twice_is_one(bench):
     try:
         engine.submit(attempt)
     except EngineError as error:
-        assert "at work" in str(error)  # noqa: PT017
+        assert "already works in" in str(error)  # noqa: PT017
     bench.go(attempt)
     assert bench.end(engine, attempt) == "finished"
     assert bench.starts(attempt) == 1

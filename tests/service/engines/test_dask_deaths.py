@@ -151,7 +151,7 @@ def test_a_solve_waits_for_a_worker_with_the_memory_it_takes(own, cluster):
     assert own.end(engine, small) == "finished"  # what waits keeps nobody else waiting
     until(lambda: engine.trouble)
     assert "3 GB" in engine.trouble
-    assert "the largest workers have 1 GB" in engine.trouble
+    assert "the largest Dask workers have 1 GB" in engine.trouble
     assert "3 GB" in read_progress(large.folder).message
     cluster.start_worker(memory="4GB")
     assert own.end(engine, large) == "finished"

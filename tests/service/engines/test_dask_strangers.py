@@ -28,7 +28,7 @@ def test_an_address_where_nobody_is_is_told_and_has_no_places(tmp_path, own):
     [
         ("dask", None, "needs --scheduler"),
         ("dask", "10.0.0.1:8786", "write tcp://10.0.0.1:8786"),
-        ("dask", "http://10.0.0.1:8786", "begins with tcp:// or tls://"),
+        ("dask", "http://10.0.0.1:8786", "must begin with tcp:// or tls://"),
         ("local", "tcp://10.0.0.1:8786", "add --engine dask"),
         ("cloud", None, "the engine must be local or dask"),
     ],

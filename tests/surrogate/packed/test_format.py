@@ -106,7 +106,7 @@ def test_a_truncated_or_a_longer_file_is_refused(tmp_path):
     assert is_refused(content + b"\0")
     (tmp_path / "plate.wbt").write_bytes(content[:-1])
     for opens in (PackedTable.open, map_file):
-        with pytest.raises(PackedTableError, match="damaged"):
+        with pytest.raises(PackedTableError, match=r"damaged|of its .* bytes"):
             opens(tmp_path / "plate.wbt")
 
 
