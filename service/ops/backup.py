@@ -76,7 +76,7 @@ def back_up(folder: Path, target: Path) -> Manifest:
     """
     folder, target = folder.absolute(), target.absolute()
     if not (folder / LEDGER).is_file():
-        raise BackupError(f"{folder} is no data directory (no {LEDGER}); name another one")
+        raise BackupError(f"{folder} is not a data directory: it has no {LEDGER}; name another one")
     root, real = folder.resolve(), target.parent.resolve() / target.name
     if real.is_relative_to(root) and HELD.fullmatch(real.relative_to(root).as_posix()):
         problem = f"{target} is in a folder of backups, so each would contain the earlier"
@@ -186,7 +186,7 @@ def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
     outside = [name for name in skipped if name.startswith("/") or ".." in name.split("/")]
     if outside or (skipped and schema > 1):
         raise BackupError(
-            f"{source} holds {(outside or skipped)[0]!r}, which no backup does, so it was changed. "
+            f"{source} holds {(outside or skipped)[0]!r}, which no backup contains, so it was changed. "
             "Nothing was restored; use another one"
         )
     if LEDGER not in held:

@@ -63,7 +63,10 @@ def test_the_pose_as_one_matrix_equals_apply_at_the_origin():
 
 @pytest.mark.parametrize(
     ("R0", "words"),
-    [(np.eye(4), r"R0 must have shape \(3, 3\)"), (2 * np.eye(3), "R0 must be a rotation")],
+    [
+        (np.eye(4), r"R0 must have shape \(3, 3\)"),
+        (2 * np.eye(3), "R0 must be a right-handed rotation"),
+    ],
 )
 def test_a_pose_that_is_none_is_refused(R0, words):
     with pytest.raises(ValueError, match=words):

@@ -79,7 +79,7 @@ def test_an_exception_comes_back_by_its_name_without_its_traceback(run):
 
 
 def test_an_answer_that_is_not_of_the_form_is_refused(run):
-    with pytest.raises(SandboxError, match="answer cannot be used"):
+    with pytest.raises(SandboxError, match="answered wrongly"):
         run("lying")
 
 
@@ -105,7 +105,7 @@ def test_a_fork_server_that_was_killed_is_replaced(sandbox, run):
 
 def test_a_parser_that_disarms_its_deadline_is_ended_by_the_server(run, monkeypatch):
     monkeypatch.setattr(process, "GRACE_S", 1.0)
-    with pytest.raises(SandboxError, match=r"has not ended after 3 s"):
+    with pytest.raises(SandboxError, match=r"more than 3 s"):
         run("disarming", SHORT)
     assert run("doubled", factor=1)
 
