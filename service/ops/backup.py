@@ -186,7 +186,8 @@ def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
     outside = [name for name in skipped if name.startswith("/") or ".." in name.split("/")]
     if outside or (skipped and schema > 1):
         raise BackupError(
-            f"{source} holds {(outside or skipped)[0]!r}, which no backup contains, so it was changed. "
+            f"{source} holds {(outside or skipped)[0]!r}, which no backup contains, so it was "
+            "changed. "
             "Nothing was restored; use another one"
         )
     if LEDGER not in held:

@@ -114,7 +114,7 @@ def test_a_row_damaged_in_both_places_is_told_and_not_made_up(folder):
     edit(folder, damaged(7, "wrench"))
     overwrite(folder / "tables" / "rig.h5", 3000, 50)
     result = examine(folder, repair=True)
-    assert "row 7 of rig is damaged in the ledger no whole table file has it" in words(result)
+    assert "row 7 of rig is damaged in the ledger no complete table file has it" in words(result)
     assert "fault" in kinds(result)
 
 
@@ -360,7 +360,7 @@ def test_a_missing_or_empty_ledger_is_made_from_the_tables(folder, empty):
     ("name", "said"),
     [
         ("keys.json", "nobody can log in"),
-        ("wrenchbook.toml", "is not TOML"),
+        ("wrenchbook.toml", "cannot be read as TOML"),
         ("fields/rig/f/a.fields", "its surface comes from the others"),
     ],
 )

@@ -65,7 +65,7 @@ def test_a_solver_that_does_not_hear_is_killed_after_the_grace(tmp_path, monkeyp
 def test_a_second_solver_in_the_same_folder_is_refused(tmp_path):
     folder, engine = attempt(tmp_path), engine_with("endless")
     engine.submit(asked(folder))
-    with pytest.raises(EngineError, match="at work"):
+    with pytest.raises(EngineError, match="already works"):
         engine.submit(asked(folder))
     engine.cancel(asked(folder))
     until(lambda: ended(engine, folder))

@@ -160,7 +160,7 @@ def test_a_mesh_that_has_a_file_of_this_machine_read_as_its_own_is_refused(tmp_p
 def test_an_xdmf_mesh_with_numbers_elsewhere_is_refused_before_they_are_read(tmp_path, kind, where):
     item = f'<DataItem Dimensions="4 3" Format="{kind}">{where}</DataItem>'
     (tmp_path / "a.xdmf").write_text(f"<Xdmf><Grid><Geometry>{item}</Geometry></Grid></Xdmf>")
-    with pytest.raises(BundleError, match="its numbers in"):
+    with pytest.raises(BundleError, match="has its numbers"):
         read_mesh(tmp_path / "a.xdmf", "mm")
 
 
@@ -199,7 +199,7 @@ def hostile_check(monkeypatch):
 
 def test_a_check_that_needs_too_much_memory_is_refused_by_that_name(tmp_path, hostile_check):
     hostile_check("greedy")
-    with pytest.raises(BundleError, match="takes more than 2048 MiB of memory"):
+    with pytest.raises(BundleError, match="needs more than 2048 MiB of memory"):
         check_mesh(tmp_path)
 
 
@@ -208,7 +208,7 @@ def test_a_check_that_ends_in_a_mistake_of_ours_tells_no_path_of_the_machine(
     tmp_path, hostile_check, name
 ):
     hostile_check(name)
-    with pytest.raises(BundleError, match="answer") as caught:
+    with pytest.raises(BundleError, match="The mesh check stopped") as caught:
         check_mesh(tmp_path)
     assert str(tmp_path) not in str(caught.value)
     assert "Traceback" not in str(caught.value)
