@@ -100,7 +100,7 @@ def check_mesh(folder: Path) -> dict[str, Any]:
             limit = CHECK.memory >> 20
             why = f"The mesh check needs more than {limit} MiB of memory. Give a coarser mesh."
         elif error.kind in ("time", "elapsed", "crash", "size"):
-            why = f"{error} Give a coarser mesh."
+            why = f"{error} Or give a coarser mesh."
         else:
             why = _NO_REPORT.format(why=redact(f"{error.kind}: {error}")[:300])
         raise problem_at("mesh", why) from None

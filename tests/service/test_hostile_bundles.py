@@ -208,7 +208,7 @@ def test_a_check_that_ends_in_a_mistake_of_ours_tells_no_path_of_the_machine(
     tmp_path, hostile_check, name
 ):
     hostile_check(name)
-    with pytest.raises(BundleError, match="The mesh check stopped") as caught:
+    with pytest.raises(BundleError, match="stopped") as caught:
         check_mesh(tmp_path)
     assert str(tmp_path) not in str(caught.value)
     assert "Traceback" not in str(caught.value)
