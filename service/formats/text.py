@@ -174,7 +174,11 @@ def read_pieces(
         if report.is_beyond_limits():
             return
     if not report.read and not mistakes:
-        message = "there is no row below the header; add one" if header.named else "no row; add one"
+        message = (
+            "there is no row below the header; add one"
+            if header.named
+            else "there is no row; add one"
+        )
         mistakes.ruin(0, "file" if header.named else "rows", message)
 
 

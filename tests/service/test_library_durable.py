@@ -110,7 +110,7 @@ def test_a_second_server_on_the_folder_does_not_answer_201_with_the_first_ones_c
     library.add_table_only(
         name="two", title="first", range={"force": [[-9, 9]] * 3, "moment": [[-9, 9]] * 3}
     )
-    with pytest.raises(ComponentExistsError, match="'two' is there already"):
+    with pytest.raises(ComponentExistsError, match="already is a component 'two'"):
         second.add_table_only(
             name="two", title="second", range={"force": [[-1, 1]] * 3, "moment": [[-1, 1]] * 3}
         )
@@ -159,7 +159,9 @@ def test_a_folder_with_anothers_name_in_its_file_does_not_answer_in_its_place(tm
         (folder / "component.toml").write_text(text)
     library = Library(tmp_path / "components", tmp_path / "none")
     assert library["rig"].title == "rig"
-    assert library.broken() == {place: "give both the same"}
+    assert library.broken() == {
+        place: f'name: is "rig", but the folder is "{place}"; give both the same name'
+    }
 
 
 def test_a_folder_does_not_take_the_place_of_a_shipped_component(tmp_path):

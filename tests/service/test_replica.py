@@ -140,7 +140,7 @@ def test_a_manifest_with_values_that_cannot_be_is_damaged(shipped, tmp_path, cha
 def test_a_file_whose_blocks_cannot_be_is_not_restored(shipped, tmp_path, entry):
     shipped.shipper._files[CATALOGUE] = entry
     shipped.round()
-    with pytest.raises(ReplicaError, match="are damaged"):
+    with pytest.raises(ReplicaError, match="is damaged"):
         restore(shipped.url, tmp_path / "again")
 
 

@@ -95,7 +95,7 @@ def test_of_two_tdms_groups_with_columns_the_sender_names_one():
     content = tdms(first={"Kraft": ([0.0], KN), "Weg": ([0.0], MM)}, second=RUN)
     assert read(content, NAMED)[1].sheet == "first"
     assert_loaded(content, replace(NAMED, sheet="second"))
-    assert "'third'; it has first, second" in message(content, replace(NAMED, sheet="third"))
+    assert "'third'; choose first, second" in message(content, replace(NAMED, sheet="third"))
     assert "no sheet with data" in message(tdms(run={"Kraft": ([], KN)}))
 
 

@@ -70,7 +70,10 @@ def test_a_file_of_hdf5_without_columns_says_so(tmp_path):
 
 
 def test_no_rows_say_so():
-    assert only_error(read_hdf5(write_hdf5(Rows.empty(), (), META))).message == "there is no row"
+    assert (
+        only_error(read_hdf5(write_hdf5(Rows.empty(), (), META))).message
+        == "there is no row; add one"
+    )
 
 
 def test_a_table_cannot_point_at_files_of_the_server(changed, tmp_path):
@@ -98,7 +101,7 @@ def test_a_table_cannot_point_at_files_of_the_server(changed, tmp_path):
 
     for edit in (outside, linked, virtual):
         error = only_error(read_hdf5(changed(edit)))
-        assert "rows/wrench outside of itself" in error.message
+        assert "rows/wrench in another file" in error.message
     assert "no group rows" in only_error(read_hdf5(changed(linked_group))).message
 
 
@@ -278,7 +281,7 @@ def test_an_empty_cell_of_a_load_is_named(tmp_path: Path):
     ("columns", "says"),
     [
         ({**COLUMNS, "Fz [kN]": [1.0]}, "needs columns of one length (Fz [kN]: 1, uz [mm]: 3)"),
-        ({**COLUMNS, "image": np.zeros((4, 4))}, "holds image of shape (4, 4)"),
+        ({**COLUMNS, "image": np.zeros((4, 4))}, "has image of shape (4, 4)"),
         ({**COLUMNS, "z": np.zeros(3, dtype=complex)}, "type complex128"),
     ],
 )
@@ -302,8 +305,8 @@ def test_data_in_another_file_is_refused(tmp_path: Path):
     ("content", "says"),
     [
         ({"a": [1.0, 2.0], "b": [1.0, 2.0, 3.0]}, "their lengths are [2, 3]"),
-        ({"a": np.zeros((2, 2))}, "a is not such a vector"),
-        ({"a": np.array([1, "x"], dtype=object)}, "a is not such a vector"),
+        ({"a": np.zeros((2, 2))}, "a is not a numeric vector"),
+        ({"a": np.array([1, "x"], dtype=object)}, "a is not a numeric vector"),
         ({"a": "1"}, "needs numeric vectors"),
     ],
 )

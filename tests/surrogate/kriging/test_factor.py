@@ -106,7 +106,7 @@ def test_a_singular_covariance_takes_a_larger_nugget_and_says_so() -> None:
 
 
 def test_a_covariance_no_nugget_mends_is_refused_by_name() -> None:
-    with pytest.raises(SingularCovarianceError, match="invalidate"):
+    with pytest.raises(SingularCovarianceError, match="withdraw"):
         inverse_factor(np.array([[1.0, 2.0], [2.0, 1.0]]), 1e-10, 1e-4, np.ones(2))
 
 
