@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..kriging.correlation import Hyperparameters, covariance
+from ..kriging.equations import evenly
 from ..table.rows import ZERO_LOAD, Floats, LoadRange, Rows
 from .response import RobustFit
 
@@ -45,7 +46,7 @@ class Slopes(NamedTuple):
 
 def slopes_at_zero(rows: Rows, load_range: LoadRange, response: RobustFit) -> Slopes:
     """Return the compliance at no load of rows in the order of their measurement."""
-    chosen = np.linspace(0, len(rows) - 1, min(len(rows), SAMPLE)).round().astype(np.intp)
+    chosen = evenly(len(rows), SAMPLE)
     wrench = rows.wrench[chosen] / load_range.scale
     time = np.linspace(-0.5, 0.5, len(rows))[chosen]
     estimate, spread = np.zeros((6, 12)), np.zeros((6, 12, 12))

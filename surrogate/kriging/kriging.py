@@ -107,19 +107,45 @@ class Kriging:
         if observations is None:
             rows, _, observations = merge(rows, load_range).usable()
         data = _TrainingData.of(rows, observations, load_range, settings)
-        scaling, x = data.scaling, data.equations.x
         with single_thread():
-            span = span_of(x, scaling, settings)
-            kinds = kinds_of(x, scaling, span, settings)
-            secondary_limits = kinds[0].secondary_limits
-            if data.equations.known[:, 1:].any():  # slopes of a few rows show interactions of axes
-                secondary_limits = largest_secondary_loads(x, scaling, settings)
-            model = _Model.of(data, kinds[0].queries, settings)
-            solution = _solution(model, scaling, kinds, settings)
+            return cls._solved(data, _Model.of(data, settings), settings)
+
+    @classmethod
+    def _solved(cls, data: _TrainingData, model: _Model, settings: KrigingSettings) -> Kriging:
+        """Solve for the weights of each output group, and calibrate its error bars."""
+        equations, known = model.equations, model.equations.known
+        weights, (n_rows, n_outputs) = np.zeros(equations.data.shape), equations.measured.shape
+        coefficients = np.empty((1 + equations.loads, n_outputs))
+        deviation, rounding = np.empty((2, n_outputs))
+        errors = np.full(equations.measured.shape, np.nan)
+        parts: list[tuple[Neighbourhoods, Calibration]] = []
+        for factor, table in model.factors(settings):
+            rows, outputs = factor.output_group.rows, factor.output_group.outputs
+            # The weights among the values and derivatives of all rows.
+            all_rows = np.zeros((*known.shape, len(outputs)))
+            all_rows[known & np.isin(np.arange(n_rows), rows)[:, None]] = factor.weights
+            weights[:, :, outputs], coefficients[:, outputs] = all_rows, factor.coefficients
+            deviation[outputs] = np.sqrt(factor.variance)
+            value_rows = np.abs(table[np.nonzero(known)[1] == 0])
+            rounding[outputs] = (ROUNDING_LOSS * value_rows @ np.abs(all_rows[known])).max(axis=0)
+            leave_one_out = left_out(factor, np.arange(len(rows)))
+            errors[np.ix_(rows, outputs)] = leave_one_out.errors
+            through, widening = bool(model.inducing), model.estimate.widening[outputs]
+            neighbours = Neighbourhoods(equations, factor, table, settings, of_all_rows=through)
+            calibration = (
+                of_posterior(factor, table, settings)
+                if through
+                else calibrated(neighbours, leave_one_out, data.scaling, data.kinds, widening)
+            )
+            parts.append((neighbours, calibration))
+        neighbourhoods, calibrations = zip(*parts, strict=True)
         noises = model.observation_variance, model.estimate.noise_widening
-        limits = span, secondary_limits
+        groups = equations, neighbourhoods, calibrations
+        arrays = weights, coefficients, deviation, rounding, errors
+        limits = data.span, data.secondary_limits
+        tangent = data.mean_tangent()
         return cls(
-            settings, scaling, *noises, _mean_tangent(data), *solution, *limits, model.detail
+            settings, data.scaling, *noises, tangent, *groups, *arrays, *limits, model.detail
         )
 
     @property
@@ -248,6 +274,9 @@ class _TrainingData(NamedTuple):
     scaling: Scaling
     equations: Equations  # of values alone, evenly chosen, where rows are measured and many
     total: int  # number of equations of all rows
+    kinds: list[Kind]
+    span: Floats  # see `Kriging`
+    secondary_limits: Floats  # see `Kriging`
 
     @classmethod
     def of(
@@ -267,16 +296,31 @@ class _TrainingData(NamedTuple):
         if len(rows) > settings.many_rows and not np.isfinite(rows.compliance).any():
             chosen = evenly(len(rows), settings.most_rows)
             few, behind = rows.take(chosen), observations.take(chosen)
-            equations = values_of(few, scaling, behind, settings)
-            return cls(rows, observations, scaling, equations, len(rows))
-        equations = equations_of(rows, scaling, observations, settings)
-        if len(equations) < settings.min_rows:
-            raise TooFewRowsError(
-                f"kriging needs {settings.min_rows} rows at different wrenches, but there are "
-                f"{len(equations)}; solve or import more"
-            )
-        limited = limited_to_factor(equations, settings)
-        return cls(rows, observations, scaling, limited, equations.count)
+            equations, total = values_of(few, scaling, behind, settings), len(rows)
+        else:
+            equations = equations_of(rows, scaling, observations, settings)
+            if len(equations) < settings.min_rows:
+                raise TooFewRowsError(
+                    f"kriging needs {settings.min_rows} rows at different wrenches, but there are "
+                    f"{len(equations)}; solve or import more"
+                )
+            equations, total = limited_to_factor(equations, settings), equations.count
+        x = equations.x
+        span = span_of(x, scaling, settings)
+        kinds = kinds_of(x, scaling, span, settings)
+        limits = kinds[0].secondary_limits
+        if equations.known[:, 1:].any():  # slopes of a few rows show interactions of axes
+            limits = largest_secondary_loads(x, scaling, settings)
+        return cls(rows, observations, scaling, equations, total, kinds, span, limits)
+
+    def mean_tangent(self) -> Floats:
+        """Return the mean tangent of the rows, (6, 6), SI: see `Kriging.tangent`."""
+        compliance = self.rows.compliance
+        tangents = compliance[np.isfinite(compliance).all(axis=(1, 2))]
+        if len(tangents):
+            return tangents.mean(axis=0)
+        is_varied = np.ptp(self.equations.x, axis=0) > NEAR
+        return np.where(is_varied, np.zeros(compliance.shape[1:]), np.nan)
 
 
 class _Model(NamedTuple):
@@ -289,12 +333,12 @@ class _Model(NamedTuple):
     detail: str  # see `Kriging`
 
     @classmethod
-    def of(cls, data: _TrainingData, queries: Floats, settings: KrigingSettings) -> _Model:
-        """Estimate covariances and noise; `queries` (m, 6), half ranges: see `estimate_noise`."""
+    def of(cls, data: _TrainingData, settings: KrigingSettings) -> _Model:
+        """Estimate covariances and noise."""
         equations, scaling, through = data.equations, data.scaling, None
         values_alone = equations.n_derivatives == 1
         some = equations.take(evenly(len(equations), CANDIDATES)) if values_alone else equations
-        estimate = estimated(some, scaling, queries, settings)
+        estimate = estimated(some, scaling, data.kinds[0].queries, settings)
         if values_alone:
             through = induced(equations, estimate, settings)
         noise = estimate.noise if through is None else through.noise
@@ -338,60 +382,3 @@ class _Model(NamedTuple):
             if group.noise.any():  # with it the mean's coefficients are integrated out
                 factor = replace(factor, variance=estimate.variance[group.outputs])
             yield factor, table
-
-
-class _Solution(NamedTuple):
-    """The fields of `Kriging` that follow from its factors, in their order there."""
-
-    equations: Equations
-    neighbourhoods: tuple[Neighbourhoods, ...]
-    calibrations: tuple[Calibration, ...]
-    weights: Floats
-    coefficients: Floats
-    deviation: Floats
-    rounding: Floats
-    errors: Floats
-
-
-def _solution(
-    model: _Model, scaling: Scaling, kinds: list[Kind], settings: KrigingSettings
-) -> _Solution:
-    """Solve for the weights of each output group, and calibrate its error bars."""
-    equations, known = model.equations, model.equations.known
-    weights, (n_rows, n_outputs) = np.zeros(equations.data.shape), equations.measured.shape
-    coefficients = np.empty((1 + equations.loads, n_outputs))
-    deviation, rounding = np.empty((2, n_outputs))
-    errors = np.full(equations.measured.shape, np.nan)
-    parts: list[tuple[Neighbourhoods, Calibration]] = []
-    for factor, table in model.factors(settings):
-        rows, outputs = factor.output_group.rows, factor.output_group.outputs
-        # The weights among the values and derivatives of all rows.
-        all_rows = np.zeros((*known.shape, len(outputs)))
-        all_rows[known & np.isin(np.arange(n_rows), rows)[:, None]] = factor.weights
-        weights[:, :, outputs], coefficients[:, outputs] = all_rows, factor.coefficients
-        deviation[outputs] = np.sqrt(factor.variance)
-        value_rows = np.abs(table[np.nonzero(known)[1] == 0])
-        rounding[outputs] = (ROUNDING_LOSS * value_rows @ np.abs(all_rows[known])).max(axis=0)
-        leave_one_out = left_out(factor, np.arange(len(rows)))
-        errors[np.ix_(rows, outputs)] = leave_one_out.errors
-        through, widening = bool(model.inducing), model.estimate.widening[outputs]
-        neighbours = Neighbourhoods(equations, factor, table, settings, of_all_rows=through)
-        calibration = (
-            of_posterior(factor, table, settings)
-            if through
-            else calibrated(neighbours, leave_one_out, scaling, kinds, widening)
-        )
-        parts.append((neighbours, calibration))
-    neighbourhoods, calibrations = zip(*parts, strict=True)
-    arrays = weights, coefficients, deviation, rounding, errors
-    return _Solution(equations, neighbourhoods, calibrations, *arrays)
-
-
-def _mean_tangent(data: _TrainingData) -> Floats:
-    """Return the mean tangent of the rows, (6, 6), SI: see `Kriging.tangent`."""
-    rows = data.rows
-    tangents = rows.compliance[np.isfinite(rows.compliance).all(axis=(1, 2))]
-    tangent = tangents.mean(axis=0) if len(tangents) else np.zeros(rows.compliance.shape[1:])
-    constant = np.ptp(data.equations.x, axis=0) <= NEAR
-    tangent[:, constant & (len(tangents) == 0)] = np.nan
-    return tangent

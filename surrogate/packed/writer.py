@@ -1,6 +1,7 @@
 """From what was built of a table to its packed file: everything that an answer needs.
 
-`arrays` describes each array; those of group k of outputs are named ``gK/...``.
+`arrays` describes each array; those of group k of outputs are named ``gK/...``. `check` refuses a
+name, type or shape that is not described there.
 """
 
 from __future__ import annotations

@@ -82,7 +82,7 @@ def _cut_group(group: Arrays, need: Need, needs_all: bool, slopes: Mask) -> Arra
     if needs_all:
         arrays["held"] = group["outputs"]
     arrays["outputs"] = np.where(is_read, group["outputs"], 0).astype(np.int32)
-    arrays |= _cut_rows(group, need)
+    arrays |= named("row/", _cut_rows(block_of(group, "row/"), need))
     if need.tolerance is not None:
         arrays["allowed"] = np.array(allowed_by(need.tolerance, need.span.space))
     if "kriging/x" in group:
@@ -96,17 +96,17 @@ def _cut_group(group: Arrays, need: Need, needs_all: bool, slopes: Mask) -> Arra
     return arrays
 
 
-def _cut_rows(group: Arrays, need: Need) -> Arrays:
+def _cut_rows(rows: Arrays, need: Need) -> Arrays:
     """Return the rows whose loads can occur."""
-    possible = ~(need.beyond(group["row/wrench"]) & ~need.varying).any(axis=1)
-    arrays = {name: group[name] for name in ("row/rates", "row/steepest")}
+    possible = ~(need.beyond(rows["wrench"]) & ~need.varying).any(axis=1)
+    arrays = {name: rows[name] for name in ("rates", "steepest")}
     for name in ("key", "number", "seq", "wrench", "moved", "bar", "source"):
-        arrays[f"row/{name}"] = group[f"row/{name}"][possible]
-    arrays["row/bucket"], arrays["row/start"] = buckets_of(arrays["row/key"])
-    tangent = group["row/tangent_of"][possible]
+        arrays[name] = rows[name][possible]
+    arrays["bucket"], arrays["start"] = buckets_of(arrays["key"])
+    tangent = rows["tangent_of"][possible]
     known = tangent >= 0
-    arrays["row/tangent"] = group["row/tangent"][tangent[known]]
-    arrays["row/tangent_of"] = np.where(known, np.cumsum(known) - 1, -1).astype(np.int32)
+    arrays["tangent"] = rows["tangent"][tangent[known]]
+    arrays["tangent_of"] = np.where(known, np.cumsum(known) - 1, -1).astype(np.int32)
     return arrays
 
 
