@@ -95,7 +95,7 @@ def test_the_solves_that_a_fill_asks_for_are_those_of_the_plan(kind: str) -> Non
 def test_without_rows_the_plan_says_what_one_solve_would_tell() -> None:
     plan = plan_of(empty(), need(PLANAR, tolerance=TIGHT))
     assert plan.decision == "table"
-    assert "one solve gives the tangent compliance" in plan.reason
+    assert "solve one wrench for the tangent compliance" in plan.reason
     assert np.isnan(plan.bound).all()
 
 
@@ -228,7 +228,7 @@ def test_a_load_on_a_locked_freedom_is_none_of_the_scenes() -> None:
 @pytest.mark.parametrize(
     ("ends", "told"),
     [
-        ((1.0, -1.0), "the low end of fx, 1000, is above the high end, -1000"),
+        ((1.0, -1.0), "the low end of fx, 1000, must be below the high, -1000"),
         ((-1.0, 1.5), "fx must lie within -1000 to 1000 N, the load range"),
         ((-1.5, 0.0), "fx must lie within -1000 to 1000 N, the load range"),
     ],

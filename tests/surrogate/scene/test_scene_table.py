@@ -233,7 +233,7 @@ def test_the_derivative_by_a_load_of_an_axis_that_is_left_out_is_unknown() -> No
 def test_a_method_that_is_not_kept_is_refused_by_name() -> None:
     part = scene_of(whole("kriging"), need())
     assert part.answer([0.0] * 6, method="kriging").method == "kriging"
-    with pytest.raises(UnknownMethodError, match="download the whole table"):
+    with pytest.raises(UnknownMethodError, match="download the complete table"):
         part.answer([0.0] * 6, method="griddata")
 
 
