@@ -38,7 +38,7 @@ class Caller(NamedTuple):
 
 
 CALLER: ContextVar[Caller] = ContextVar("caller", default=Caller(LOCAL))  # noqa: B039 (a tuple)
-"""The caller that this context works for; threads of a server have none, and are not limited."""
+"""The caller that this context works for; threads of a server have the default, without limits."""
 
 
 @contextmanager

@@ -76,7 +76,7 @@ class _Proposal:
             alike.setdefault(other.summary(), []).append(f'"{other.name}"')
         if len(alike) > 1 and name is None:
             parts = [f"{', '.join(names)} {summary}" for summary, names in alike.items()]
-            more = [f"{len(parts) - _MAX_CASES} more"][: len(parts) > _MAX_CASES]
+            more = [f"{len(parts) - _MAX_CASES} more"] if len(parts) > _MAX_CASES else []
             self.decide.append(
                 f'case: the deck has several; "{case.name}" is taken (or write --case NAME). '
                 + ". ".join(parts[:_MAX_CASES] + more)
@@ -111,10 +111,8 @@ class _Proposal:
 
     def integration(self, first: bool) -> list[str]:
         """Return full integration for cells that follow each other singly, else nothing."""
-        deck = "".join(self.deck.elements)
-        if len(re.findall("C3D20(?!R)", deck)) or not len(
-            stacked_singly(second_order(self.mesh) if first else self.mesh)
-        ):
+        is_full = any(re.match("C3D20(?!R)", kind) for kind in self.deck.elements)
+        if is_full or not len(stacked_singly(second_order(self.mesh) if first else self.mesh)):
             return []
         why = "cells follow each other singly; by reduced integration they have hourglass motions"
         self.decide.append(f'integration = "full": {why}')

@@ -552,6 +552,9 @@ def _vector(vector: Any) -> str:
 
 
 def _time(seconds: float) -> str:
-    if seconds < 120:
+    if seconds < 99.5:  # of two digits: more would be written 1e+02
         return f"{seconds:.2g} s"
-    return f"{seconds / 60:.2g} min" if seconds < 7200 else f"{seconds / 3600:.2g} h"
+    minutes, hours = seconds / 60, seconds / 3600
+    if minutes < 99.5:
+        return f"{minutes:.2g} min"
+    return f"{hours:.2g} h" if hours < 99.5 else f"{hours:.0f} h"

@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from wrenchbook.fea.mesh.dependents import Dependents
 from wrenchbook.fea.mesh.facets import EDGES, FaceFinder
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.spec.problems import BundleProblem
@@ -97,7 +98,8 @@ def second_order(mesh: Mesh) -> Mesh:
             for name, ids in mesh.node_groups.items()
         },
         mesh.deck,
-        node_weights=mesh.node_weights,
+        mesh.dependents and Dependents.of(len(points), mesh.dependents.entries),
+        mesh.node_weights,
     )
 
 

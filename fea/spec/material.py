@@ -70,7 +70,7 @@ _Moduli = tuple[Modulus, Modulus, Modulus]
 
 def _direction(axis: tuple[float, float, float]) -> tuple[float, float, float]:
     if not 1e-6 < np.sqrt(sum(x * x for x in axis)) < 1e6:
-        raise ValueError("must be a direction: three numbers that are not all zero")
+        raise ValueError("must be a direction: three numbers, of a length from 1e-6 to 1e6")
     return unit_vector(axis)
 
 

@@ -1,4 +1,4 @@
-"""``wrenchbook jobs``: the list of jobs, or a line for each change of one."""
+"""``wrenchbook jobs``, the list of jobs or a line for each change of one, and ``audit``."""
 
 from __future__ import annotations
 
@@ -34,6 +34,8 @@ def jobs(
     data: Data = None,
 ) -> None:
     """List jobs, newest first, or follow their changes."""
+    if follow and (status is not None or after is not None):
+        raise typer.BadParameter("--follow shows all changes; leave --status and --after out")
     with connected(server, data) as client:
         if follow:
             follow_jobs(Screen(), client, component, as_json=as_json)

@@ -149,6 +149,8 @@ def tolerance_body(tolerance: Tolerance) -> dict[str, float]:
     It is ``translation`` in m and ``rotation`` in rad, as keys, as attributes or in this order.
     """
     try:
+        if isinstance(tolerance, str):
+            raise TypeError
         if isinstance(tolerance, Mapping):
             pair = (tolerance["translation"], tolerance["rotation"])
         elif isinstance(tolerance, Iterable):

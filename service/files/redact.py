@@ -10,7 +10,9 @@ from typing import Any, Final
 # What is no folder of the machine but a path of the service's own.
 _OURS: Final = frozenset({"v1", "health", "metrics", "umbridge", "docs", "openapi.json"})
 _TRACEBACK: Final = re.compile(
-    r"Traceback \(most recent call last\):.*?(?=^\S(?!raceback))", re.MULTILINE | re.DOTALL
+    # Up to the line of the exception, or the end of a text that was cut.
+    r"Traceback \(most recent call last\):.*?(?=^\S(?!raceback)|\Z)",
+    re.MULTILINE | re.DOTALL,
 )
 
 

@@ -60,6 +60,8 @@ def read_parquet(path: Path, options: Options, report: ReadReport) -> Iterator[P
             if metadata.num_rows == 0:
                 pieces = iter([(labels, [()] * len(labels))])
             yield from read_columns(pieces, options, report)
+    except ParquetBoundsError as error:
+        report.mistakes.ruin(0, "file", str(error))
     except Exception as error:  # pyarrow raises many classes on damaged files
         report.mistakes.ruin(0, "file", f"cannot be read as Parquet ({error}); write it again")
 

@@ -23,10 +23,6 @@ _OF_FILES = {"tare", "preview", "sheet", "time_offset_s", "max_gap_s", "filename
 _OF_FILES |= {"skip_cycles", "branch", "thin", "mean_cycles"}
 WAIT_S = 10.0  # a table of 20,000 measured rows is built by then
 MAX_WAIT_S = 600.0  # a million rows take minutes
-_POINT = "x,y,z from the interface's point in its frame, m: the point that"
-_LOAD_CELL = "the point where it is now, or where it was: translation x force is taken off them"
-_THIN = "rows of a pass of the main load within it become their mean"
-_MEAN = "become their mean, with its 95 % half width as uncertainty"
 _Text = Annotated[str, Field(max_length=1000)]
 
 

@@ -164,7 +164,7 @@ def method_code(method: str | None) -> int:
 
 
 def mistake(code: int, method: str | None, packed: Packed) -> Exception:
-    """Return the message of a code other than WB_OK: see wrenchbook.h."""
+    """Return the exception for a code other than WB_OK, of 1 to 6: see wrenchbook.h."""
     if code == NO_METHOD and "scene" in packed.meta:
         default = packed.meta["summary"]["method"]
         return UnknownMethodError(

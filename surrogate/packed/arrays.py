@@ -215,6 +215,8 @@ def check(arrays: Mapping[str, NDArray[Any]]) -> Mapping[str, NDArray[Any]]:
     Raises PackedTableError if one is missing or unknown, or has another type or shape than stated
     here.
     """
+    if "space/sizes" not in arrays:
+        raise PackedTableError("space/: ['sizes']")
     inputs, outputs, _ = arrays["space/sizes"].tolist()
     table = {"n": inputs, "m": outputs, "n1": inputs + 1}
     blocks: dict[str, set[str]] = {}
@@ -229,7 +231,7 @@ def check(arrays: Mapping[str, NDArray[Any]]) -> Mapping[str, NDArray[Any]]:
         if names - set(described) or lacking:
             raise PackedTableError(f"{start}: {sorted((names - set(described)) | lacking)}")
         sizes = dict(table)
-        for name in names:
+        for name in sorted(names):  # the same array is named each time
             array, values = described[name], arrays[start + name]
             dimensions = array.shape.split()
             same = values.dtype == TYPES[array.type] and values.ndim == len(dimensions)

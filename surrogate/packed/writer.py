@@ -151,7 +151,7 @@ class _Sources:
         return [list(sources) for sources in self._numbers]
 
     def numbers(self, wrenches: Floats) -> NDArray[np.int32]:
-        """Return the number of the sources of the rows at each wrench (r, 6), N and N·m, (r,)."""
+        """Return the number of the sources of the rows at each of the inputs (r, n), SI: (r,)."""
         if self._single:
             self._numbers[self._single] = 0
             return np.zeros(len(wrenches), dtype=np.int32)
@@ -228,7 +228,7 @@ def _kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     rows = len(kriging.equations)
     stride = -(-rows // LANES) * LANES
     x = np.pad(kriging.equations.x.T, ((0, 0), (0, stride - rows)))
-    padded_weights = np.zeros((*kriging.weights.shape[:0:-1], stride))
+    padded_weights = np.zeros((kriging.weights.shape[2], kriging.weights.shape[1], stride))
     padded_weights[:, :, :rows] = kriging.weights.transpose(2, 1, 0)
     yield "x", x
     terms = [neighbours.factor.hyperparameters.terms for neighbours in kriging.neighbourhoods]

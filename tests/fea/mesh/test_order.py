@@ -13,6 +13,7 @@ from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
 from wrenchbook.fea.check import report
 from wrenchbook.fea.component import build
 from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.mesh.dependents import Dependents
 from wrenchbook.fea.mesh.element_order import first_order_problems, second_order
 from wrenchbook.fea.mesh.facets import outer_surface
 from wrenchbook.fea.mesh.mapping import area_weights, cell_problems, determinants, volumes
@@ -206,6 +207,16 @@ def test_a_finer_mesh_yields_more_as_it_holds_the_fields_of_the_coarser_one(kind
     own, fine = (component(item, integration="full") for item in (mesh, halved(mesh)))
     more = Solver(fine).linear.compliance - Solver(own).linear.compliance
     assert (np.linalg.eigvalsh(0.5 * (more + more.T)) > 0).all()
+
+
+def test_nodes_that_follow_others_still_do_so_in_a_raised_mesh():
+    mesh = box("tet4", (1, 1, 1))
+    entries = np.array([1]), np.array([0]), np.array([1.0])
+    mesh = replace(mesh, dependents=Dependents.of(len(mesh.points), entries))
+    raised = second_order(mesh)
+    assert raised.dependents is not None
+    assert raised.dependents.nodes.tolist() == [1]
+    assert raised.dependents.map.shape[1] == len(raised.points)
 
 
 FOLDED = "are inverted or flat"
