@@ -37,10 +37,7 @@ REMEDIES = {
         "which are accurate up to a ratio of 0.4999; for a higher ratio write 0.4999."
     ),
     # A part of which a fraction, named in the message, yields.
-    "yields": (
-        'Lower the load range, strengthen the part, or write on_yield = "warn" under [analysis] to '
-        "accept such answers."
-    ),
+    "yields": ('Or accept such answers: write on_yield = "warn" under [analysis].'),
 }
 """What to change after a failure of each kind that has the same remedy everywhere."""
 

@@ -286,7 +286,7 @@ STATE = {"R": np.eye(3), "p": np.zeros(3), "velocity": np.zeros(6), "inverse_mas
         ({"velocity": np.zeros(3)}, r"\(3,\) and \(6, 6\)$"),
         ({"inverse_mass": np.eye(3)}, r"\(3, 3\)$"),
         ({"p": np.full(3, np.nan)}, "finite, not"),
-        *(({name: "x"}, "of arrays of numbers and seconds") for name in ("R", "p", "dt")),
+        *(({name: "x"}, "needs arrays of numbers") for name in ("R", "p", "dt")),
         ({"R": np.diag([1.0, 1.0, -1.0])}, "right-handed"),
     ],
 )
