@@ -41,13 +41,13 @@ class Reports:
         self._lock = threading.Lock()
         self._making: dict[str, subprocess.Popen[bytes]] = {}
 
-    def make(self, component: Component, wrenches: int, seed: int) -> None:
-        """Start making a component's report, unless that goes on already.
+    def make(self, component: Component, rows: int, wrenches: int, seed: int) -> None:
+        """Start making the report of a component with `rows`, unless that goes on already.
 
-        Raises FileNotFoundError if the component's table has not been written yet: it has no rows.
+        Raises FileNotFoundError if it has no rows, or its table has not been written yet.
         """
         table = self._tables / f"{component.name}.h5"
-        if not table.exists():
+        if not rows or not table.exists():
             raise FileNotFoundError(
                 f"{component.name!r} has no rows yet, so there is nothing to report. Fill its "
                 f"table first: wrenchbook fill {component.name}"

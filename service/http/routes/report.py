@@ -49,11 +49,11 @@ def make_report(
         )
     # The builder writes the file of a table after its rows.
     deadline, tables = time.monotonic() + CATCH_UP_S, workspace.tables
-    if tables.caught_up(name, CATCH_UP_S).row_count:
-        while tables.written(name) is None and time.monotonic() < deadline:
-            time.sleep(POLL_S)
+    rows = tables.caught_up(name, CATCH_UP_S).row_count
+    while rows and tables.written(name) is None and time.monotonic() < deadline:
+        time.sleep(POLL_S)
     try:
-        workspace.reports.make(component, wrenches, seed)
+        workspace.reports.make(component, rows, wrenches, seed)
     except FileNotFoundError as error:
         raise HttpProblemError(409, "no-rows", "The table has no rows", str(error)) from None
     return _state(workspace, name)
