@@ -47,15 +47,15 @@ def measure(
     wrenches = acting(wrenches, np.flatnonzero(freedoms).tolist())
     levels = _solve_levels(bundle, wrenches, report)
     displacements = [level.pop("displacement") for level in levels]
-    own = [level["level"] for level in levels].index("own")
-    solved = np.isfinite(displacements[-1] + displacements[own]).all(axis=1)
+    same = [level["level"] for level in levels].index("own")
+    solved = np.isfinite(displacements[-1] + displacements[same]).all(axis=1)
     if not solved.any():
         kinds = {failure["kind"] for level in levels for failure in level["failures"]}
         raise ValueError(
             f"none of the {count} wrenches could be solved ({', '.join(sorted(kinds))}); "
             "solve one and look at its job's files, or lower the component's load range"
         )
-    reference, same_mesh = displacements[-1][solved], displacements[own][solved]
+    reference, same_mesh = displacements[-1][solved], displacements[same][solved]
     # An error is relative to the range of its output, or to a floor if that is near zero.
     span = np.ptp(reference, axis=0)
     scale = np.maximum(span, NEAR_ZERO * space.largest_of_kind(span))
@@ -72,7 +72,7 @@ def measure(
         wrenches[solved],
         (reference, same_mesh),
         scale,
-        levels[own]["seconds_p50"],
+        levels[same]["seconds_p50"],
     )
     summary = build(rows, load_range, linear=linear).coverage_summary()
     return {
@@ -92,7 +92,7 @@ def measure(
             "full_wrench_rows": summary["full_wrench_rows"],
         },
         # None where the component's mesh is the finest: its error is not known.
-        "mesh_error": levels[own]["largest_error"] if own < len(levels) - 1 else None,
+        "mesh_error": levels[same]["largest_error"] if same < len(levels) - 1 else None,
         "fea": levels,
         "tables": tables,
         "pareto": pareto([*tables, *levels]),

@@ -127,9 +127,9 @@ class ReplyReader:
         if by_row:
             number = int(self._packed.arrays[f"g{group}/row/source"][index])
             source = ", ".join(self._packed.meta["sources"][number])
-        words = NAMES[coverage], text, WITHIN[within], ANSWERED[method]
+        names_of_codes = NAMES[coverage], text, WITHIN[within], ANSWERED[method]
         row, exact = (row, bool(exact)) if by_row else (None, False)
-        return Reply._make((*fields, *words, row, exact, source, names))
+        return Reply._make((*fields, *names_of_codes, row, exact, source, names))
 
     def _text(self, reply: Buffer, count: int) -> str:
         """Return a reply's reasons in words; those without loads in them are cached."""

@@ -42,8 +42,8 @@ def cut(table: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -
     groups = np.flatnonzero(read).tolist() or [0]  # the first one says that nothing is measured
     slopes = np.ones(table.inputs, dtype=bool)
     for number, group in enumerate(groups):
-        whole = block_of(table.arrays, f"g{group}/")
-        arrays |= named(f"g{number}/", _cut_group(whole, need, needs_all, slopes))
+        uncut = block_of(table.arrays, f"g{group}/")
+        arrays |= named(f"g{number}/", _cut_group(uncut, need, needs_all, slopes))
     arrays |= _scene_arrays(table, need, len(groups), slopes)
     meta = {
         **table.meta,

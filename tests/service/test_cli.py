@@ -331,7 +331,11 @@ def test_ctrl_c_cancels_the_solves_of_a_fill_and_no_others(tmp_path: Path):
 def test_a_package_that_is_missing_is_named_with_its_installation(
     run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    for module in ("mujoco_model", "mujoco_joint"):  # another test may have imported them
+    for module in (
+        "mujoco_model",
+        "mujoco_joint",
+        "mujoco_scene",
+    ):  # another test may have imported them
         monkeypatch.delitem(sys.modules, f"wrenchbook.service.client.joint.{module}", raising=False)
     monkeypatch.setitem(sys.modules, "mujoco", None)
     (tmp_path / "arm.xml").write_text("<mujoco/>")

@@ -12,9 +12,10 @@ from weakref import WeakKeyDictionary, WeakSet, WeakValueDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InvalidArgument, JointError, JointWarning, required, warn
+from ..errors import InvalidArgument, JointError, JointWarning, warn
 from ..wrenches import Vector
 from .joint import FREEDOMS, Joint, quaternion
+from .mujoco_scene import OBJECT, Data, Model, block_positions, body_number, engine, refuse_rk4
 from .report import JointReport, report_of
 
 if TYPE_CHECKING:
@@ -22,13 +23,8 @@ if TYPE_CHECKING:
 
     from ..table import Table
 
-Model: TypeAlias = Any  # mujoco.MjModel, mujoco.MjData: compiled, without types
-Data: TypeAlias = Any
-
-engine: Any = required("mujoco", "MujocoJoint", "'wrenchbook[mujoco]'")
-# Integers: to compare with an enumeration takes 0.8 us.
-_PGS, _RK4 = int(engine.mjtSolver.mjSOL_PGS), int(engine.mjtIntegrator.mjINT_RK4)
-_JOINT, _OBJECT = engine.mjtJoint, engine.mjtObj
+_PGS = int(engine.mjtSolver.mjSOL_PGS)  # to compare with an enumeration takes 0.8 us
+_JOINT = engine.mjtJoint
 _SQUARE = 1e-5  # the axes of the slides are unit and orthogonal to the six digits of MuJoCo's XML
 # The joints of each MjData by the first freedom of each tip and their id: a step is of all tips.
 _Registered: TypeAlias = "WeakValueDictionary[tuple[int, int], MujocoJoint]"
@@ -78,6 +74,8 @@ class MujocoJoint(Joint):
     contacts within the step, and those of the others with the step after.
     """
 
+    _others_copied: Mapping[int, Sequence[str]] = {}  # of the scene of which this is a copy: tips
+
     def __init__(
         self,
         model: Model,
@@ -94,13 +92,13 @@ class MujocoJoint(Joint):
             kinds = f"{type(model)} and {type(data)}"
             raise InvalidArgument(f"model and data are MjModel and MjData of mujoco, not {kinds}")
         super().__init__(table, damping, **options)
-        _refuse_rk4(model)
+        refuse_rk4(model)
         self._model, self._data = model, data
         self._base, self._tips = base, self._bodies(tip, bodies)
         self._name = f"{table.name} at tip{'s' * self._several} " + ", ".join(map(repr, self._tips))
-        parent = _body(model, base)
+        parent = body_number(model, base)
         for name in self._tips:
-            if model.body_parentid[_body(model, name)] != parent:
+            if model.body_parentid[body_number(model, name)] != parent:
                 raise JointError(f"body {name!r} must be a child of body {base!r}; {_REMEDY}")
         # The last body towards the base that no freedom moves: a mocap body, or the world.
         while model.body_dofnum[top := int(model.body_weldid[parent])]:
@@ -147,7 +145,7 @@ class MujocoJoint(Joint):
             free, first = self.free[self.free // FREEDOMS == k] % FREEDOMS, len(dofs)
             self._starts.append(self._find_tip(k, name, free, axes))
             block = self._starts[k] + np.arange(len(free))
-            rows, columns, positions = _block_positions(self._model, block)
+            rows, columns, positions = block_positions(self._model, block)
             if not len(rows) == len(block) > 1:
                 self._blocks.append(slice(first, first + len(block)))
                 pairs.append([len(self.free) * (first + rows) + first + columns, positions])
@@ -164,7 +162,7 @@ class MujocoJoint(Joint):
 
     def _find_tip(self, k: int, name: str, free: NDArray[np.intp], spins: list[Any]) -> int:
         """Return a tip's first freedom; `spins` get its axes, None without a ball."""
-        model, body = self._model, _body(self._model, name)
+        model, body = self._model, body_number(self._model, name)
         first = int(model.body_jntadr[body])
         joints = list(range(first, first + int(model.body_jntnum[body])))
         kinds = [int(model.jnt_type[joint]) for joint in joints]
@@ -248,7 +246,9 @@ class MujocoJoint(Joint):
 
     def __getstate__(self) -> dict[str, Any]:
         """All but MuJoCo's options, which it does not pickle: the model has them."""
-        return {name: value for name, value in self.__dict__.items() if name != "_scene"}
+        others = {at: joint._tips for at, joint in _by_tip(self._data).items() if joint is not self}
+        state = {name: value for name, value in self.__dict__.items() if name != "_scene"}
+        return state | {"_others_copied": others}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(state)
@@ -337,7 +337,7 @@ class MujocoJoint(Joint):
         if before is None or pose[0] <= before[0] or pose[1:] == before[1:]:
             return
         self._unmoved = 0
-        name = engine.mj_id2name(self._model, _OBJECT.mjOBJ_BODY, body) or f"#{body}"
+        name = engine.mj_id2name(self._model, OBJECT.mjOBJ_BODY, body) or f"#{body}"
         warn(
             f"{self._name}: base {self._base!r} follows the mocap body {name!r}, which has no "
             "velocity in MuJoCo, so the tip does not feel the motion. Give the base joints of its "
@@ -393,12 +393,18 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
     """Raise JointError if joints are not all those of one scene, or its step is not above zero."""
     if len({joint._data for joint in joints}) != 1:
         raise JointError("step_joints needs one or more joints with the same data; pass those")
-    _refuse_rk4(joints[0]._model)  # it may have been chosen since
+    refuse_rk4(joints[0]._model)  # it may have been chosen since
     stepped = [start for joint in joints for start in joint._starts]
     of_scene = _by_tip(joints[0]._data)
     if len(set(stepped)) < len(stepped):
         raise JointError("two joints have the same tip, which would feel only one; leave one out")
     for joint in joints:
+        for start, tips in joint._others_copied.items():
+            if start not in of_scene:
+                raise JointError(
+                    f"this scene is a copy without the joint at {', '.join(map(repr, tips))}; copy "
+                    "all joints of a scene together: copy.deepcopy([a, b])"
+                )
         for start, tip in zip(joint._starts, joint._tips, strict=True):
             if of_scene[start] is not joint:
                 raise JointError(f"the tip {tip!r} has a later joint; step that joint instead")
@@ -419,7 +425,7 @@ def _pull(joints: Collection[MujocoJoint]) -> None:
     """Add the joints to the equation of motion, once ``mj_step1`` has computed pose and motion."""
     first = next(iter(joints))
     model, data, dt = first._model, first._data, first._scene.timestep
-    _refuse_rk4(model)
+    refuse_rk4(model)
     if any(len(joint._steps.replies) > 1 for joint in joints):
         raise JointError("a joint of MujocoJoints cannot step alone; call their step instead")
     for joint in joints:  # of a second call, unless MuJoCo has computed the matrix anew
@@ -538,16 +544,6 @@ def _energy(joints: Collection[MujocoJoint]) -> float:
     return total
 
 
-def _warn_bare(model: Model) -> None:
-    """Warn of a scene without joints whose model has some in another scene."""
-    if model.signature in {data.signature for data in [*_JOINTS] if _by_tip(data)}:
-        warn(
-            "an MjData steps without a joint, and others of its model have joints: nothing holds "
-            "its tip. Make a MujocoJoint for each MjData, and keep it",
-            JointWarning,
-        )
-
-
 @contextmanager
 def joints_in_mj_step() -> Iterator[None]:
     """Let ``mj_step`` itself step the joints of each scene that has some, within a ``with``.
@@ -574,7 +570,12 @@ def joints_in_mj_step() -> Iterator[None]:
         try:
             if not joints:
                 bare.add(data)
-                _warn_bare(model)
+                if model.signature in {data.signature for data in [*_JOINTS] if _by_tip(data)}:
+                    warn(
+                        "an MjData steps without a joint, and others of its model have joints: "
+                        "nothing holds its tip. Make a MujocoJoint for each MjData, and keep it",
+                        JointWarning,
+                    )
                 return
             if passive:  # it comes before the bias
                 engine.mj_rne(model, data, False, data.qfrc_bias)
@@ -600,35 +601,3 @@ def joints_in_mj_step() -> Iterator[None]:
         raise errors[0]
     if exchanged:
         raise JointError("a callback set within joints_in_mj_step stops the joints; remove it")
-
-
-def _refuse_rk4(model: Model) -> None:
-    if model.opt.integrator == _RK4:
-        raise JointError(
-            "the integrator RK4 evaluates forces four times a step, but the joint only once; use "
-            "Euler, implicit or implicitfast"
-        )
-
-
-def _block_positions(model: Model, dofs: NDArray[np.intp]) -> list[NDArray[np.intp]]:
-    """Return rows, columns and places in MuJoCo's mass matrix of pairs of some freedoms."""
-    if [int(number) for number in engine.__version__.split(".")[:2]] < [3, 17]:
-        # Constraints of 3.3.7 do not feel what is added to the matrix.
-        raise JointError("MujocoJoint needs MuJoCo 3.17 or newer; run: pip install 'mujoco>=3.17'")
-    entries = []
-    for row, dof in enumerate(dofs.tolist()):
-        start, count = int(model.M_rowadr[dof]), int(model.M_rownnz[dof])
-        columns = model.M_colind[start : start + count] - dofs[0]
-        entries += [(row, int(at), start + k) for k, at in enumerate(columns) if at >= 0]
-    return list(np.array(entries).T)
-
-
-def _body(model: Model, name: str) -> int:
-    """Return the number of a named body."""
-    # MuJoCo ends the process at a name that is None.
-    number = engine.mj_name2id(model, _OBJECT.mjOBJ_BODY, name) if isinstance(name, str) else -1
-    if number < 0:
-        names = [engine.mj_id2name(model, _OBJECT.mjOBJ_BODY, k) for k in range(1, model.nbody)]
-        known = ", ".join(repr(text) for text in names if text) or "none with a name"
-        raise JointError(f"the scene has no body {name!r}; it has {known}")
-    return number

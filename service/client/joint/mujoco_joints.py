@@ -12,7 +12,8 @@ import numpy as np
 
 from ..errors import InvalidArgument
 from .joints import Joints
-from .mujoco_joint import Data, Model, MujocoJoint, advance, engine, push, require_scene
+from .mujoco_joint import MujocoJoint, advance, push, require_scene
+from .mujoco_scene import Data, Model, engine
 
 if TYPE_CHECKING:
     from ..table import Table

@@ -16,7 +16,7 @@ from ..errors import JointError
 from ..wrenches import Vector
 from .joint import FREEDOMS
 from .linear_part import LinearPart
-from .mujoco_joint import engine
+from .mujoco_scene import engine
 
 Spec: TypeAlias = Any  # mujoco.MjSpec, and its bodies
 

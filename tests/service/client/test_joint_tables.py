@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import warnings
 
 import numpy as np
@@ -180,6 +181,17 @@ def test_a_step_of_one_of_two_joints_is_refused_and_names_the_right_call():
     assert data.time == 0.0
     step_joints(*joints)
     assert data.time > 0.0
+
+
+def test_joints_of_a_scene_are_copied_together_and_one_alone_is_not_stepped():
+    data, joints = two_joints()
+    step_joints(*joints)
+    with pytest.raises(JointError, match=r"without the joint at 'tip1'; copy all"):
+        copy.deepcopy(joints[0]).step()
+    both = copy.deepcopy(joints)
+    step_joints(*both)
+    step_joints(*joints)
+    np.testing.assert_array_equal(both[0]._data.qpos, data.qpos)
 
 
 def test_each_of_two_joints_warns_by_the_name_of_its_tip_at_the_line_of_the_step():
