@@ -544,6 +544,16 @@ def _energy(joints: Collection[MujocoJoint]) -> float:
     return total
 
 
+def _warn_bare(model: Model) -> None:
+    """Warn of a scene without joints whose model has some in another scene."""
+    if model.signature in {data.signature for data in [*_JOINTS] if _by_tip(data)}:
+        warn(
+            "an MjData steps without a joint, and others of its model have joints: nothing holds "
+            "its tip. Make a MujocoJoint for each MjData, and keep it",
+            JointWarning,
+        )
+
+
 @contextmanager
 def joints_in_mj_step() -> Iterator[None]:
     """Let ``mj_step`` itself step the joints of each scene that has some, within a ``with``.
@@ -570,12 +580,7 @@ def joints_in_mj_step() -> Iterator[None]:
         try:
             if not joints:
                 bare.add(data)
-                if model.signature in {data.signature for data in [*_JOINTS] if _by_tip(data)}:
-                    warn(
-                        "an MjData steps without a joint, and others of its model have joints: "
-                        "nothing holds its tip. Make a MujocoJoint for each MjData, and keep it",
-                        JointWarning,
-                    )
+                _warn_bare(model)
                 return
             if passive:  # it comes before the bias
                 engine.mj_rne(model, data, False, data.qfrc_bias)
