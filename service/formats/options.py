@@ -70,6 +70,7 @@ class Options:
     "auto" is the lag that the logs show; `max_gap_s` is the longest interval between loads, s.
 
     `optional` are labels of `ignore` and `mapping` that a file may lack: those of a rig's profile.
+    So may a file of another format lack its `sheet`, with `optional_sheet`.
     Of cycles of the main load: `skip_cycles` first ones are left out, `branch` is the one to load,
     rows of a pass within `thin` of the load range are averaged, and with `mean_cycles` the cycles.
 
@@ -86,6 +87,7 @@ class Options:
     missing_loads: Literal["zero"] | None = None
     zero_rows: int = 0
     sheet: str | None = None
+    optional_sheet: bool = False
     rig: str = ""
     time_offset_s: float | Literal["auto"] = 0.0
     max_gap_s: float | None = None

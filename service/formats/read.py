@@ -269,7 +269,8 @@ def _columns(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
     except ContentError as error:
         report.mistakes.ruin(0, "file", str(error))
         return
-    if options.sheet and options.role == "table" and report.format not in ("xlsx", "xls", "tdms"):
+    needed = options.sheet and not options.optional_sheet and options.role == "table"
+    if needed and report.format not in ("xlsx", "xls", "tdms"):
         message = (
             f"is for a workbook or a TDMS file, not for {report.format}; leave it out (--sheet)"
         )

@@ -112,6 +112,7 @@ class ImportQuery(Body):
                 "ignore": (*self.ignore, *ignore),
                 "mapping": mapping | mapped,
                 "optional": [*(ignore | mapping.keys()) - mapped.keys() - set(self.ignore)],
+                "optional_sheet": "sheet" not in self.model_fields_set,
                 "zero_rows": query.tare,
                 "rig": rig,
             }

@@ -91,6 +91,13 @@ def test_a_stored_profile_is_used_by_name_and_options_of_the_import_win(rig):
     assert rig.get("/v1/rigs/hall-3").status_code == 404
 
 
+def test_a_sheet_and_a_lag_of_the_profile_do_not_refuse_a_single_csv(rig):
+    profile = 'sheet = "Data"\nlag = 0.1\nmissing_loads = "zero"\nload_cell = "moving"\n'
+    query = {"rig": profile, "dry_run": "true"}
+    reply = rig.post(CALL, content="fx [N],ux [mm]\n1,0\n2,1\n", params=query)
+    assert (reply.status_code, reply.json()["inserted"]) == (200, 2), reply.text
+
+
 def test_a_load_of_the_profile_that_the_file_lacks_is_not_zero(rig):
     content = "fx [N],uz [mm]\n1,2\n"
     body = rig.post(CALL, content=content, params={"rig": PROFILE, "dry_run": "true"}).json()
