@@ -266,7 +266,8 @@ def propose(
     case: the step, load case or subcase whose supports and loads are taken over; None for the last.
     Returns ``files`` written, ``left``: what is not taken over, ``decide``: what the deck does not
     give, and ``check``: the report on the proposal.
-    Raises BundleError if the deck cannot be read or lacks the case, or the folder has a component.
+    Raises BundleError if the deck cannot be read or lacks the case, or the folder has a component
+    or another deck of this name.
     """
     if (folder / FILE_NAME).exists():
         raise BundleError([BundleProblem(str(folder), f"has a {FILE_NAME}; name a new folder")])
@@ -274,6 +275,9 @@ def propose(
     deck = folder / f"{file.stem}.inp"
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        if deck.exists() and deck.read_bytes() != text.encode():  # a second try writes the same
+            message = f"has another {deck.name}, which is left as it is; name a new folder"
+            raise BundleError([BundleProblem(str(folder), message)])
         deck.write_text(text, encoding="utf-8")
     except OSError as error:
         message = f"cannot be written ({error.strerror}); name a new folder"

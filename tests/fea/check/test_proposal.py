@@ -158,6 +158,13 @@ def test_a_folder_with_a_component_is_not_overwritten(tmp_path):
     assert (tmp_path / "component.toml").read_text() == "mine"
 
 
+def test_another_deck_in_the_folder_is_left_as_it_is(tmp_path):
+    (tmp_path / "calculix.inp").write_text("** mine\n")
+    with pytest.raises(BundleError, match=r"has another calculix\.inp, which is left as it is"):
+        propose(cards.HERE / "calculix.inp", tmp_path)
+    assert (tmp_path / "calculix.inp").read_text() == "** mine\n"
+
+
 def test_a_folder_that_cannot_be_made_and_a_deck_that_cannot_be_read_are_named(tmp_path, capsys):
     (tmp_path / "file").write_text("no folder")
     assert main(["new", str(cards.HERE / "calculix.inp"), str(tmp_path / "file")]) == 1
