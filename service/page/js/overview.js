@@ -13,7 +13,7 @@ export async function show(root, { name }, signal) {
   put(root, el("p", { class: "muted" }, "…"));
   const about = await get(of(name), signal);
   const warned = el("div", { class: "stack" }), glance = el("div", { class: "stack" }, el("p", { class: "muted" }, "…"));
-  const rows = el("section", { class: "card" });
+  const rows = el("section", { class: "card" }), range = el("section", { class: "card" });
   let latest = 0;
   const refresh = async () => {
     const mine = latest += 1; // of two at once the later one counts
@@ -21,13 +21,14 @@ export async function show(root, { name }, signal) {
     if (mine !== latest) return;
     put(warned, warnings(now, signal, refresh));
     put(rows, el("h2", {}, "Method and rows"), method(now));
+    put(range, el("h2", {}, "Load range"), loads(now));
     await cover(glance, now, signal, () => mine === latest);
   };
   put(root, warned,
     el("div", { class: "halves" },
       el("section", { class: "card" }, el("h2", {}, "Coverage"), glance, about.has_fea ? fill(about) : el("p", {}, el("a", { href: `#/c/${about.name}/table` }, "Import measured rows"), ".")),
       rows,
-      el("section", { class: "card" }, el("h2", {}, "Load range"), loads(about)),
+      range,
       el("section", { class: "card" }, el("h2", {}, "Conventions"), contract(about))));
   listenToTable(name, about.table_version, signal, () => refresh().catch(() => {}));
   await refresh();
@@ -113,10 +114,12 @@ function method(about) {
   ]);
 }
 
+// The range of each load, and the part of it that the table's rows reach.
 function loads(about) {
-  const spans = spansOf(about);
-  return table(["Load", "#from", "#to", ""], inputsOf(about).map(({ name, unit }, place) =>
-    [el("span", {}, mark(name)), number(spans[place][0]), number(spans[place][1]), unit]));
+  const spans = spansOf(about), reached = Object.assign({}, ...(about.coverage.axes || []).map((one) => one.spans));
+  const known = Object.values(reached).some(Boolean);
+  return table(["Load", "#from", "#to", "", ...(known ? ["#rows reach"] : [])], inputsOf(about).map(({ name, unit }, place) =>
+    [el("span", {}, mark(name)), number(spans[place][0]), number(spans[place][1]), unit, ...(known ? [reached[name] ? reached[name].map((one) => number(one, 3)).join(" to ") : ""] : [])]));
 }
 
 function contract(about) {

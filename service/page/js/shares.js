@@ -4,7 +4,7 @@ import { el } from "./dom.js";
 import { quantity } from "./format.js";
 
 const NAMES = ["covered", "thin", "outside"];
-const WHOLE = ["within the tolerance", "beyond it by the discretisation error", "not covered by the rows"];
+const WHOLE = ["within the tolerance", "beyond it", "outside the rows"];
 
 export function sharesBar(shares, names = NAMES) {
   const said = names.map((name, place) => `${Math.round(100 * shares[place])} % ${name}`).join(", ");
@@ -29,7 +29,7 @@ export const solverError = (about) => (about.linear ? "discretisation and linear
 
 // The share of the load range whose whole error bar is within the tolerance, and that bar's parts.
 export function wholeError(glance, about) {
-  const [covered] = glance.whole, within = glance.within_tolerance ?? covered;
+  const [covered, , outside] = glance.whole, within = glance.within_tolerance ?? covered;
   const known = !about.has_fea || glance.bars_are_whole, errors = glance.error.slice(0, 3);
   const k = errors.reduce((best, one, place) => ((one ?? 0) > (errors[best] ?? 0) ? place : best), 0);
   const exactly = (value) => quantity(value, "m", 2).replaceAll(" ", "\u00a0");
@@ -42,6 +42,6 @@ export function wholeError(glance, about) {
     : known ? `interpolation ${bar(glance.interpolation[k])} + ${solverError(about)} ${bar(Math.max(0, errors[k] - glance.interpolation[k]))}`
       : "interpolation; the discretisation error is not known";
   return el("div", { class: "stack tight" },
-    el("div", { class: "shares" }, el("span", {}, glance.within_tolerance === null && about.has_fea ? "covered" : "within tolerance"), sharesBar([within, Math.max(0, covered - within), 1 - covered], WHOLE), el("span", {}, `${Math.round(100 * within)} %`)),
+    el("div", { class: "shares" }, el("span", {}, glance.within_tolerance === null && about.has_fea ? "covered" : "within tolerance"), sharesBar([within, Math.max(0, 1 - within - outside), outside], WHOLE), el("span", {}, `${Math.round(100 * within)} %`)),
     errors[k] === null ? el("span", { class: "muted small" }, "The size of the error bar is not known.") : el("span", { class: "muted small" }, `Error bar ± ${bar(errors[k])}: ${parts}${about.tolerance ? `; tolerance ${exactly(about.tolerance.translation)}` : ""}`));
 }

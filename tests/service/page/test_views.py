@@ -393,6 +393,13 @@ def test_an_open_overview_counts_the_rows_that_arrive(browser, client):
     browser.named("dl", "2 measured")
 
 
+def test_the_overview_tells_how_far_the_rows_reach_in_each_load(browser, client):
+    measured(client, "reaching")
+    measured(client, "reaching", 100, 200)
+    browser.visit("#/c/reaching")
+    browser.named("td", "100 to 200")
+
+
 def test_the_band_of_a_response_has_a_gap_where_its_error_is_not_known(browser, plate):
     known = [0.001] * 6
     sweep = {
