@@ -163,6 +163,13 @@ def test_the_component_names_its_inputs_its_range_and_its_interfaces(solved):
     assert body["interface"] is None
 
 
+def test_a_glance_tells_the_covered_share_of_several_interfaces_and_the_bar_of_each_output(solved):
+    body = solved.get(f"{URL}/glance").json()
+    assert body["whole"] == [1.0, 0.0, 0.0]
+    assert len(body["error"]) == 12
+    assert body["axes"] == {}
+
+
 def test_a_load_at_one_interface_moves_it_and_not_the_held_one(solved):
     body = solved.post(f"{URL}/displacement", json=RIGHT).json()
     assert body["coverage"] == "covered"

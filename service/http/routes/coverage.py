@@ -29,12 +29,12 @@ from wrenchbook.surrogate.table.rows import ZERO_LOAD, Floats, LoadRange
 router = APIRouter(prefix="/v1/components/{name}", tags=["components"], responses=refused(404, 422))
 MAX_ROWS = 5_000  # what a browser turns in 3-D without delay; the reply is then some 1 MB
 SAMPLE = 128  # wrenches: the covered share of a range to some 4 %
-PRIMES = (2, 3, 5, 7, 11, 13)  # the first six: the bases of Halton's sequence for each load
 CELLS = 7  # of each load in the grid of an axis; odd, so that no load is a middle of one
 
 Load = Literal["fx", "fy", "fz", "mx", "my", "mz"]
 Number = Annotated[float, Query(allow_inf_nan=False)]
 Positions = NDArray[np.intp]
+ErrorBars = Sequence[Sequence[float | None] | None]
 
 
 class Compliance(Message):
@@ -99,53 +99,49 @@ def compliance(name: str, table: Newest) -> Response:
 @router.get(
     "/glance",
     summary="Covered, thin and outside fractions of the load range, and error bars",
-    responses=refused(409),
 )
 def glance(name: str, workspace: Opened) -> Response:
     table = workspace.tables.surrogate(name)
     span = table.load_range
-    require_single_wrench(name, span.space)
-    # Halton's sequence (1960). Importing `scipy.stats` for it takes a fifth of a server's start.
-    sample = np.zeros((SAMPLE, 6))
-    for load, base in enumerate(PRIMES):
-        numbers, part = np.arange(1, SAMPLE + 1), 1.0  # without 0, which is a corner
-        while numbers.any():
-            part /= base
-            sample[:, load] += part * (numbers % base)
-            numbers = numbers // base
-    wrenches = span.low + sample * (span.high - span.low)
+    # A Latin hypercube (McKay, Beckman and Conover 1979) spreads them evenly in each input.
+    layers = np.tile(np.arange(SAMPLE), (len(span.low), 1))
+    layers = np.random.default_rng(SAMPLE).permuted(layers, axis=1).T
+    wrenches = span.low + (layers + 0.5) / SAMPLE * (span.high - span.low)
     replies = [table.packed.answer(wrench) for wrench in wrenches.tolist()]
     within = [reply.within_tolerance for reply in replies if reply.coverage == "covered"]
+    axes, outputs = AXES if span.space.is_default else (), len(span.space.outputs)
     body = {
         "component": name,
         "table_version": table.version,
         "shares": COVERAGE,
         "whole": _shares(table, wrenches),
-        "error": _median([reply.error for reply in replies]),
-        "interpolation": _median([reply.interpolation for reply in replies]),
+        "error": _median([reply.error for reply in replies], outputs),
+        "interpolation": _median(
+            [reply.interpolation for reply in replies], len(span.space.outputs)
+        ),
         "bars_are_whole": table.bars_are_complete,
         # The share of wrenches that are covered and within the tolerance; a covered one that
         # cannot be compared leaves it unknown.
         "within_tolerance": None if None in within else sum(map(bool, within)) / SAMPLE,
-        "axes": {axis.name: _shares(table, _grid(span, axis)) for axis in AXES},
+        "axes": {axis.name: _shares(table, _grid(span, axis)) for axis in axes},
     }
     return json_reply(body)
 
 
 def _shares(table: ServedTable, wrenches: Floats) -> list[float]:
-    """Return the shares of wrenches (n, 6) that are covered, thin and outside."""
+    """Return the shares of wrenches (n, inputs) that are covered, thin and outside."""
     coverage = table.packed.batch(wrenches).coverage
     return (np.bincount(coverage, minlength=3) / len(wrenches)).tolist()
 
 
-def _median(errors: Sequence[Sequence[float | None] | None]) -> Floats:
+def _median(bars: ErrorBars, outputs: int) -> Floats:
     """Return the median of each output's error bars; an unknown one counts as the largest."""
-    return np.median(np.nan_to_num(_six_each(errors), nan=np.inf), axis=0)
+    return np.median(np.nan_to_num(_as_array(bars, outputs), nan=np.inf), axis=0)
 
 
-def _six_each(errors: Sequence[Sequence[float | None] | None]) -> Floats:
-    """Error bars as an array (n, 6); NaN where they are not known."""
-    return np.array([six or (None,) * 6 for six in errors], dtype=float)
+def _as_array(bars: ErrorBars, outputs: int) -> Floats:
+    """Return error bars as an array (n, outputs); NaN where they are not known."""
+    return np.array([bar or (None,) * outputs for bar in bars], dtype=float)
 
 
 def _ends(span: LoadRange) -> tuple[Floats, Floats]:
@@ -273,7 +269,7 @@ def response(
             "outputs": OUTPUTS,
             "displacement": replies.outputs,
             "error": replies.errors,
-            "interpolation": _six_each(each),
+            "interpolation": _as_array(each, len(OUTPUTS)),
             "bars_are_whole": table.bars_are_complete,
             "coverage": replies.coverage.tolist(),
         }

@@ -66,7 +66,6 @@ const rowsText = (rows) => (!rows ? "" : rows === 1 ? "1 row" : `${count(rows)} 
 async function refresh(name, cards, signal, rows) {
   const shown = cards.get(name);
   if (rows !== undefined) { shown.rows.textContent = rowsText(rows); shown.all = rows; }
-  if (shown.about.space && shown.all) { put(shown.covered, `${shown.about.space.inputs.length} inputs`); return; } // no drawing of their range
   if (!shown.all) { // none, or none yet
     put(shown.covered, shown.about.pending_rows ? `${beingBuilt(shown.about.pending_rows)} …` : `empty table: ${shown.has_fea ? "ask a query, or fill it" : "import rows"}`);
     return;

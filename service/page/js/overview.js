@@ -52,17 +52,13 @@ const VERB = /^(is|are|has|have|holds|keeps|counts|names|must|cannot|consists|mo
 const textOf = (one) => (typeof one === "string" ? one : one.message || one.msg || JSON.stringify(one));
 
 async function cover(place, about, signal, isLatest) {
-  if (about.space) {
-    put(place, el("p", {}, about.rows ? `${count(about.rows)} rows.` : "The table has no rows yet."), el("p", { class: "muted small" }, "Drawings of coverage, rows, response and shape are for one wrench at one interface; an answer has its coverage."));
-    return;
-  }
-  const { of: rows } = await caughtUp(about.name, signal);
+  const rows = about.space ? about.rows : (await caughtUp(about.name, signal)).of; // the rows of several inputs have no drawing to wait for
   const parts = [];
   if (rows) {
     const glance = await get(`${of(about.name)}/glance`, signal);
     if (about.has_fea) parts.push(wholeError(glance, about));
     parts.push(sharesOf(glance));
-    parts.push(el("p", { class: "muted small" }, `Share of the load range, and of each axis' three loads, whose interpolation error is within the tolerance${about.has_fea ? "; the first bar is of the whole error" : ""}.`));
+    parts.push(el("p", { class: "muted small" }, `Share of the load range${about.space ? "" : ", and of each axis' three loads,"} whose interpolation error is within the tolerance${about.has_fea ? "; the first bar is of the whole error" : ""}.`));
   } else parts.push(el("p", {}, about.pending_rows ? `${beingBuilt(about.pending_rows)} …` : "The table has no rows yet."));
   if (isLatest()) put(place, parts);
 }

@@ -2,9 +2,12 @@
 
 import { el } from "./dom.js";
 import { quantity } from "./format.js";
+import { outputsOf } from "./inputs.js";
 
 const NAMES = ["covered", "thin", "outside"];
 const WHOLE = ["within the tolerance", "beyond it", "outside the rows"];
+
+const IS_TRANSLATION = /(^|\.)u[xyz]$/;
 
 export function sharesBar(shares, names = NAMES) {
   const said = names.map((name, place) => `${Math.round(100 * shares[place])} % ${name}`).join(", ");
@@ -16,9 +19,8 @@ export function sharesBar(shares, names = NAMES) {
   return el("span", { class: "bar", role: "img", "aria-label": said, title: said }, parts);
 }
 
-export function sharesOf(glance, withAxes = true) {
-  const lines = [["all loads", glance.whole]];
-  if (withAxes) lines.push(...Object.entries(glance.axes).map(([axis, shares]) => [`axis ${axis}`, shares]));
+export function sharesOf(glance) {
+  const lines = [["all loads", glance.whole], ...Object.entries(glance.axes).map(([axis, shares]) => [`axis ${axis}`, shares])];
   return el("div", { class: "shares" }, lines.map(([name, shares]) => [
     el("span", {}, name), sharesBar(shares), el("span", {}, `${Math.round(100 * shares[0])} %`),
   ]));
@@ -29,8 +31,9 @@ export const solverError = (about) => (about.linear ? "discretisation and linear
 
 // The share of the load range whose whole error bar is within the tolerance, and that bar's parts.
 export function wholeError(glance, about) {
+  const outputs = outputsOf(about);
   const [covered, , outside] = glance.whole, within = glance.within_tolerance ?? covered;
-  const known = !about.has_fea || glance.bars_are_whole, errors = glance.error.slice(0, 3);
+  const known = !about.has_fea || glance.bars_are_whole, errors = glance.error.map((one, place) => (IS_TRANSLATION.test(outputs[place]) ? one : 0));
   const k = errors.reduce((best, one, place) => ((one ?? 0) > (errors[best] ?? 0) ? place : best), 0);
   const exactly = (value) => quantity(value, "m", 2).replaceAll(" ", "\u00a0");
   const bar = (value) => (value > 0 && value < errors[k] / 1000 ? "negligible" : exactly(value));
