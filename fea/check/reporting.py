@@ -47,10 +47,11 @@ from wrenchbook.fea.spec.keys import keys_of, kind_of, validated
 from wrenchbook.fea.spec.mesh_source import GEOMETRY_ENDINGS
 from wrenchbook.fea.spec.problems import BundleProblem
 
+# Of a linear solve, for an estimate of the solver's error too: that takes up to three solves more,
+# and beside them the memory of a coarser mesh.
 _MAX_SECONDS = 5.0
-"""Of a linear solve, to estimate the solver's error too: that takes up to three more."""
-_MAX_BYTES = 1e9  # of the same: a coarser mesh and nonlinear solves come on top
-_OF_MATERIAL = ["region", "law", "youngs_modulus", "poisson_ratio", "density", "yield_strength"]
+_MAX_BYTES = 1e9
+_MATERIAL_KEYS = ["region", "law", "youngs_modulus", "poisson_ratio", "density", "yield_strength"]
 
 
 def report(
@@ -159,6 +160,7 @@ def _geometry_named_in(folder: Path) -> Path | None:
 
 
 def _list_geometry(path: Path | None, summary: dict[str, Any]) -> None:
+    """Add the bodies of a geometry file, and its faces unless they are there with their TOML."""
     if path is not None:
         faces, summary["bodies"] = list_shape(path)
         summary.setdefault("faces", faces)
@@ -167,17 +169,24 @@ def _list_geometry(path: Path | None, summary: dict[str, Any]) -> None:
 def _inspect_mesh(
     bundle: Bundle, mesh: Mesh, riding: Riding | None, nonlinear: bool, summary: dict[str, Any]
 ) -> None:
-    facets = {
+    """Add to `summary` what the mesh and trial solves show, with `warnings`.
+
+    Raises BundleError with what stops a solve; `summary` then has what comes before.
+    """
+    facet_counts = {
         name: sum(len(nodes) for _, nodes in group.blocks)
         for name, group in mesh.facet_groups.items()
+    }
+    cell_counts = {
+        name: sum(len(cells) for cells in by_block) for name, by_block in mesh.regions.items()
     }
     summary |= {
         "unknowns": mesh.unknowns,
         "nodes": len(mesh.points),
         "cells": mesh.cell_counts,
         "groups": {
-            "cells": {n: sum(len(part) for part in r) for n, r in mesh.regions.items()},
-            "facets": facets,
+            "cells": cell_counts,
+            "facets": facet_counts,
             "nodes": {name: len(nodes) for name, nodes in mesh.node_groups.items()},
         },
     }
@@ -212,7 +221,7 @@ def _inspect_mesh(
     summary["strength"] = [stress.as_json() for stress in stresses]
     warnings += more
     # Find what the solver's answers may be wrong by, and whether that is over the tolerance.
-    cost, bundle = summary["estimate"], solver.component.bundle
+    cost = summary["estimate"]
     if cost["linear_seconds"] > _MAX_SECONDS or cost["memory_bytes"] > _MAX_BYTES:
         return
     summary["solver_error"] = accuracy_or_why(solver)
@@ -220,35 +229,50 @@ def _inspect_mesh(
         why = f"has an unknown error bar: {summary['solver_error']['mesh_basis']}"
         warnings.append(BundleProblem("mesh", why))
     warnings += straight_edges(summary["solver_error"])
-    limit = None if bundle is None else bundle.tolerance
-    if limit is not None:
+    if (limit := bundle.tolerance) is not None:
         warnings += over_tolerance(summary["solver_error"], limit.translation, limit.rotation)
 
 
 def _inspect_component(
-    component: ComponentModel, bodies: Bodies, pairs: Any, summary: dict[str, Any]
+    component: ComponentModel, bodies: Bodies, pairs: np.ndarray, summary: dict[str, Any]
 ) -> None:
-    numbers = component.material_of_cells
-    attached = [_section(interface) for interface in component.interfaces]
-    joined: dict[str, Any] = {}
+    """Add to `summary` what the bundle attaches to the mesh, and the cost of a solve.
+
+    `pairs` are coincident nodes, shape (k, 2). Raises BundleError if a body can move freely.
+    """
+    summary["materials"] = [
+        {key: getattr(material, key) for key in _MATERIAL_KEYS}
+        | {"cells": sum(int((numbers == i).sum()) for numbers in component.material_of_cells)}
+        for i, material in enumerate(component.materials)
+    ]
+    supports = summary["supports"] = {"nodes": len(component.fixed_nodes)}
+    if sliding := len(component.sliding[0]):
+        supports["sliding_nodes"] = sliding
+    if component.bushings:
+        supports["bushings"] = len(component.bushings)
+    # The ranges of the inputs behind the loads, where there are any.
+    if warm := component.temperature:
+        ends = {"low": warm.low, "high": warm.high}
+        summary["temperature"] = ends | {"reference": warm.reference}
+    if component.accelerated:
+        summary["acceleration"] = [scalar.high for scalar in component.further[-3:]]
+    # Ties, bolts and springs join parts of the mesh.
     if component.ties:
-        joined["ties"] = [
-            {"secondary": names.secondary, "main": names.main}
-            | {"nodes": len(tie.nodes), "untied": tie.untied, "gap": tie.gap}
+        summary["ties"] = [
+            {
+                "secondary": names.secondary,
+                "main": names.main,
+                "nodes": len(tie.nodes),
+                "untied": tie.untied,
+                "gap": tie.gap,
+            }
             for names, tie in zip(component.bundle.ties, component.ties, strict=True)
         ]
-    # The ranges of the inputs behind the loads, where there are any.
-    inputs: dict[str, Any] = {}
-    if warm := component.temperature:
-        inputs["temperature"] = {"low": warm.low, "high": warm.high, "reference": warm.reference}
-    if component.accelerated:
-        inputs["acceleration"] = [scalar.high for scalar in component.further[-3:]]
     if component.bolts:
-        joined["bolts"] = [_bolt(component, bolt) for bolt in component.bolts]
-        joined["zero"] = component.analysis.zero
+        summary["bolts"] = [_bolt(component, bolt) for bolt in component.bolts]
+        summary["zero"] = component.analysis.zero
     if component.joints:
-        sources = zip(component.bundle.joints, component.joints, strict=True)
-        joined["springs"] = [
+        summary["springs"] = [
             {
                 "groups": list(source.groups),
                 "nodes": [len(end.section.node_ids) for end in joint.ends],
@@ -256,22 +280,14 @@ def _inspect_component(
                 "coupling": source.coupling,
                 "rigid": source.rigid,
             }
-            for source, joint in sources
+            for source, joint in zip(component.bundle.joints, component.joints, strict=True)
         ]
-    counts = {"sliding_nodes": len(component.sliding[0]), "bushings": len(component.bushings)}
-    summary |= {
-        "materials": [
-            {key: getattr(material, key) for key in _OF_MATERIAL}
-            | {"cells": sum(int((block == i).sum()) for block in numbers)}
-            for i, material in enumerate(component.materials)
-        ],
-        "supports": {"nodes": len(component.fixed_nodes)}
-        | {name: count for name, count in counts.items() if count},
-        **inputs,
-        **joined,
-        **({"sections": attached} if attached[1:] else {"section": attached[0]}),
-        "nonlinear": component.analysis.nonlinear,
-    }
+    sections = [_section(interface) for interface in component.interfaces]
+    if len(sections) > 1:
+        summary["sections"] = sections
+    else:
+        summary["section"] = sections[0]
+    summary["nonlinear"] = component.analysis.nonlinear
     summary["warnings"] += set_up_warnings(component)
     problems = motion_problems(component, bodies, pairs)
     if problems:
