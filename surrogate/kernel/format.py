@@ -180,7 +180,7 @@ def _check(head: bytes, size: int, following: Iterable[bytes | memoryview]) -> N
             f"the table has format {header['format']}; this program reads {FORMAT}: {remedy}"
         )
     if header["size"] != size:
-        raise PackedTableError(f"it has {size} of its {header['size']} bytes; download it again")
+        raise PackedTableError(f"the file has {size} of {header['size']} bytes; download it again")
     if _checksum(head, following) != header["checksum"]:
         raise PackedTableError("the table is damaged, as its checksum shows; download it again")
 

@@ -63,7 +63,9 @@ class LoadRange:
             bound = np.array(getattr(self, name), dtype=float)
             count = len(self.space.inputs)
             if bound.shape != (count,) or not np.isfinite(bound).all():
-                raise RowError(f"load range: {name} must be {count} finite numbers")
+                raise RowError(
+                    f"load range: {name} needs {count} finite numbers, not {str(bound)[:99]}"
+                )
             object.__setattr__(self, name, bound)
         if (self.low > self.high).any():
             load = self.space.input_names[int(np.argmax(self.low > self.high))]
@@ -194,16 +196,17 @@ class Rows:
                 "numbers, or all NaN"
             )
         unmeasured = np.isnan(self.displacement)
-        self._refuse(~np.isfinite(self.wrench), self.space.input_names, "is not a finite number")
-        self._refuse(np.isinf(self.displacement), self.space.output_names, "is not a finite number")
+        self._refuse(~np.isfinite(self.wrench), self.wrench, self.space.input_names)
+        self._refuse(np.isinf(self.displacement), self.displacement, self.space.output_names)
         if unmeasured.all(axis=1).any():
             row = int(np.argmax(unmeasured.all(axis=1)))
             raise RowError(f"row {self.seq[row]}: at least one displacement must be finite")
 
-    def _refuse(self, wrong: NDArray[np.bool_], names: tuple[str, ...], why: str) -> None:
+    def _refuse(self, wrong: NDArray[np.bool_], values: Floats, names: tuple[str, ...]) -> None:
         if wrong.any():
             row, column = np.argwhere(wrong)[0]
-            raise RowError(f"row {self.seq[row]}: {names[column]} {why}")
+            value = values[row, column]
+            raise RowError(f"row {self.seq[row]}: {names[column]} must be finite, not {value}")
 
     @property
     def partial(self) -> bool:
