@@ -82,9 +82,8 @@ def cell_problems(mesh: Mesh) -> list[BundleProblem]:
             at = point_text(mesh.points[block.nodes[bad[0]]].mean(axis=0))
             message = (
                 f"{bad.size} of {len(block)} {block.kind} cells are inverted or flat, one of them "
-                f"near {at} m. Mesh more finely there, put nodes in the format's order and midside "
-                "nodes in the middle of their edges, and write collapsed cells as wedges or "
-                "tetrahedra"
+                f"near {at} m. Mesh more finely there, keep the format's order of nodes, put "
+                "midside nodes in the middle, and write collapsed cells as wedges or tetrahedra"
             )
             problems.append(BundleProblem("mesh", message))
     return problems

@@ -405,7 +405,7 @@ class NamedInterface(Interface):
         if not self.held:
             super().__post_init__()
             if self.range is None:
-                raise MistakesError(("range", "is missing; write a table"))
+                raise MistakesError(("range", "is missing; write range = {force, moment}"))
         elif self.locked not in ((), FREEDOMS) or self.range is not None:
             message = "cannot be combined with locked or range; leave them out"
             raise MistakesError(("held", message))
