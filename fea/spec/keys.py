@@ -238,7 +238,7 @@ def _orthonormal(rows: Sequence[Sequence[float]]) -> Array:
     axes = np.array(rows)
     # A direction that is far from a unit's length would overflow in the product.
     if np.abs(axes).max() > 2.0 or np.abs(axes @ axes.T - np.eye(3)).max() > 1e-6:
-        raise ValueError("must be three unit directions at right angles (to 1e-6); correct them")
+        raise ValueError("must be three directions of length 1 at right angles, to 1e-6")
     if np.linalg.det(axes) < 0.0:
         raise ValueError("must be right-handed; reverse one direction")
     # An exact frame with the same x, in plain floats: the digits go into the fingerprint, so

@@ -181,8 +181,8 @@ def _stiffness(numbers: tuple[Any, ...]) -> Array:
     scaled = matrix / scale / scale[:, None]
     if np.abs(scaled - scaled.T).max() > _ROUNDING:
         raise ValueError("must be symmetric; make row i, column j equal to row j, column i")
-    if np.linalg.eigvalsh(scaled)[0] < -_ROUNDING:
-        raise ValueError("has a negative eigenvalue, so it would release energy; correct it")
+    if (least := np.linalg.eigvalsh(scaled)[0]) < -_ROUNDING:
+        raise ValueError(f"must have no negative eigenvalue ({least:.2g}): it would release energy")
     if not matrix.any():
         raise ValueError("is zero; write a stiffness, or leave the bushing out")
     return 0.5 * matrix + 0.5 * matrix.T  # the sum may be no number

@@ -86,7 +86,7 @@ def pieces(arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> list[
         array = np.asarray(arrays[name])
         code = _CODES.get(array.dtype.newbyteorder("<"))
         if code is None or array.ndim > 4 or len(name.encode()) >= 64:
-            raise PackedTableError(f"array {name}: {array.dtype} of shape {array.shape}")
+            raise PackedTableError(f"array {name} cannot be {array.dtype} of shape {array.shape}")
         content = np.ascontiguousarray(array, dtype=_TYPES[code]).tobytes()
         entry["name"], entry["type"], entry["dimensions"] = name.encode(), code, array.ndim
         entry["shape"][: array.ndim] = array.shape

@@ -68,8 +68,10 @@ class LoadRange:
                 )
             object.__setattr__(self, name, bound)
         if (self.low > self.high).any():
-            load = self.space.input_names[int(np.argmax(self.low > self.high))]
-            raise RowError(f"load range: the low end of {load} must not be above its high end")
+            at = int(np.argmax(self.low > self.high))
+            ends = f"its high end, {self.low[at]:g} > {self.high[at]:g}; swap the two"
+            load = self.space.input_names[at]
+            raise RowError(f"load range: the low end of {load} must not be above {ends}")
 
     @cached_property
     def scale(self) -> Floats:
@@ -135,7 +137,8 @@ class Tolerance:
 
     def __post_init__(self) -> None:
         if not (self.translation > 0 and self.rotation > 0):
-            raise RowError("tolerance: translation and rotation must be numbers above zero")
+            values = f"{self.translation} m and {self.rotation} rad"
+            raise RowError(f"tolerance: translation and rotation must be above zero, not {values}")
 
 
 @dataclass(frozen=True)
@@ -200,7 +203,7 @@ class Rows:
         self._refuse(np.isinf(self.displacement), self.displacement, self.space.output_names)
         if unmeasured.all(axis=1).any():
             row = int(np.argmax(unmeasured.all(axis=1)))
-            raise RowError(f"row {self.seq[row]}: at least one displacement must be finite")
+            raise RowError(f"row {self.seq[row]}: no displacement is finite; leave the row out")
 
     def _refuse(self, wrong: NDArray[np.bool_], values: Floats, names: tuple[str, ...]) -> None:
         if wrong.any():
