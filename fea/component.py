@@ -451,16 +451,16 @@ def _weights(
     if interface.coupling == "rigid":
         message = "has no effect on a rigid coupling, which takes no mean; leave weights out"
     elif interface.weights == "deck" and interface.section not in mesh.node_weights:
-        message = f'the deck has none for "{interface.section}"; write "area" or "equal"'
+        message = f'the deck has no weights for "{interface.section}"; write "area" or "equal"'
     elif interface.weights == "deck":
         ids, sizes = mesh.node_weights[interface.section]
         inside = np.isin(ids, nodes)
         weights = np.zeros(len(nodes))
         weights[np.searchsorted(nodes, ids[inside])] = sizes[inside]
         if sizes[~inside].any():
-            message = f"{(~inside).sum()} of {len(ids)} are in no solid cell; correct the deck"
+            message = f"{(~inside).sum()} nodes are in no solid cell; remove their weights"
         elif not (weights.sum() > 0 and _spans_a_plane(mesh.points[nodes[weights != 0]])):
-            message = "the deck's weights add up to 0 or lie on one line; correct them there"
+            message = "the deck's weights add up to 0 or lie on one line; weight nodes of a plane"
     problems += [BundleProblem(f"{key}.weights", message)] if message else []
     return weights
 
@@ -517,7 +517,8 @@ def _check_disjoint(
             message = (
                 f'"{second.name or second.key}" shares {nodes.size} nodes with '
                 f'"{first.name or first.key}", such as the one at '
-                f"{point_text(mesh.points[nodes[0]])} m, but a node can have one; narrow either"
+                f"{point_text(mesh.points[nodes[0]])} m, but a node can be in one only; narrow one "
+                "section"
             )
             problems.append(BundleProblem(second.where, message))
 

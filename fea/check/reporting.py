@@ -226,7 +226,7 @@ def _inspect_mesh(
         return
     summary["solver_error"] = accuracy_or_why(solver)
     if summary["solver_error"]["mesh"] is None:
-        why = f"has an unknown error bar: {summary['solver_error']['mesh_basis']}"
+        why = f"the discretisation error is unknown: {summary['solver_error']['mesh_basis']}"
         warnings.append(BundleProblem("mesh", why))
     warnings += straight_edges(summary["solver_error"])
     if (limit := bundle.tolerance) is not None:

@@ -74,7 +74,7 @@ def _retained_rows(rows: ParsedTable, options: Options, report: ReadReport) -> P
     main = int(np.argmax(np.ptp(rows.wrench[:, :loads], axis=0) / size[:loads]))
     name, passes = options.columns.wrench[main], passes_of(rows.wrench[:, main])
     if (count := int(passes.number[-1]) // 2) < options.skip_cycles:
-        message = f"the main load {name} returns only {count} times to its first branch; use fewer"
+        message = f"the main load {name} has only {count} cycles; give at most {count}"
         raise _CycleError("skip_cycles", message)
     retained, omitted = passes.number >= 2 * options.skip_cycles, report.omitted
     load = rows.wrench[:, main]
@@ -84,7 +84,7 @@ def _retained_rows(rows: ParsedTable, options: Options, report: ReadReport) -> P
         side = np.sign(load[passes.number == 0][-1] - first)
         retained &= (passes.number > 2 * options.skip_cycles) | (side * (load - first) >= 0)
         if not retained.any():
-            message = f"the test has {count} cycles of the main load {name}; give a smaller number"
+            message = f"the test has {count} cycles of main load {name}; give less than {count}"
             raise _CycleError("skip_cycles", message)
     omitted["skipped"] = int((~retained).sum())
     if options.branch:
@@ -99,7 +99,7 @@ def _retained_rows(rows: ParsedTable, options: Options, report: ReadReport) -> P
         rows, passes = _thinned(rows, passes, options.thin * size)
     if options.mean_cycles:
         if passes.number[-1] - passes.number[0] < 2:
-            message = "needs two or more cycles, but the file has one; leave it out"
+            message = "needs two or more cycles, but the file has one; leave mean_cycles out"
             raise _CycleError("mean_cycles", message)
         branches = [_mean(rows, passes, way, main, size) for way in (True, False)]
         branches = sorted((part for part in branches if len(part)), key=lambda part: part.seq[0])
