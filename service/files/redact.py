@@ -9,6 +9,11 @@ from typing import Any, Final
 
 # What is no folder of the machine but a path of the service's own.
 _OURS: Final = frozenset({"v1", "health", "metrics", "umbridge", "docs", "openapi.json"})
+# Of files that the service and its solvers read and write.
+_SUFFIXES: Final = (
+    "csv|dat|db|fmu|frd|gz|h5|hdf5|inp|json|log|lvm|mat|msh|npz|parquet|py|step|stp|tdms|toml|txt|"
+    "wbt|xls|xlsx|zip"
+)
 _TRACEBACK: Final = re.compile(
     # Up to the line of the exception, or the end of a text that was cut.
     r"Traceback \(most recent call last\):.*?(?=^\S(?!raceback)|\Z)",
@@ -20,11 +25,14 @@ def redact(text: str) -> str:
     """Return a text with absolute paths cut to their last names, and no traceback.
 
     Only what begins with a folder that this machine has is taken for a path; ``N/m`` and
-    ``/v1/jobs/3`` stay.
+    ``/v1/jobs/3`` stay. A path with spaces is cut if it is quoted, or ends with one of `_SUFFIXES`.
     """
     if "/" not in text:
         return text
-    return _paths().sub(lambda match: f".../{match[1]}", _TRACEBACK.sub("", text))
+    text = _TRACEBACK.sub("", text)
+    for pattern in _path_patterns():
+        text = pattern.sub(r".../\g<name>", text)
+    return text
 
 
 def redact_values(value: Any) -> Any:
@@ -39,8 +47,17 @@ def redact_values(value: Any) -> Any:
 
 
 @cache
-def _paths() -> re.Pattern[str]:
+def _path_patterns() -> tuple[re.Pattern[str], ...]:
+    """Return patterns of paths, whose group ``name`` is the last name: the most certain first."""
     names = {path.name for path in Path("/").iterdir() if path.is_dir()} - _OURS
     roots = "|".join(sorted(map(re.escape, names))) or "tmp"
-    name = r"[^/\s'\"<>|:;,()]*"
-    return re.compile(rf"(?<![\w.:/-])/(?:{roots})(?=/)(?:/{name})*/({name})")
+    root = rf"(?<![\w.:/-])/(?:{roots})(?=/)"
+    plain, spaced = r"[^/\s'\"<>|:;,()]*", r"[^/\n'\"<>|:;,]*"
+    # The space before a slash is between two paths, not within one. The count of folders is limited
+    # since each start of a text without a suffix would read on to the text's end.
+    folder = rf"/(?! ){spaced}(?<! )"
+    return (
+        re.compile(rf"(?<=(['\"])){root}(?:/{spaced})*/(?P<name>{spaced})(?=\1)"),
+        re.compile(rf"{root}(?:{folder}){{0,40}}?/(?P<name>(?! ){spaced}?\.(?:{_SUFFIXES})\b)"),
+        re.compile(rf"{root}(?:/{plain})*/(?P<name>{plain})"),
+    )

@@ -176,8 +176,12 @@ def cell_text(value: Any) -> str:
         return Digits(value)
     text = value.isoformat() if hasattr(value, "isoformat") else str(value)
     if len(text) > MAX_TEXT:
-        raise ValueError(f"a text is longer than {MAX_TEXT:,} characters; shorten it")
+        raise ContentError(f"a text is longer than {MAX_TEXT:,} characters; shorten it")
     return text
+
+
+class ContentError(ValueError):
+    """The file is no table that can be read; the message is complete, with the remedy."""
 
 
 class UnitError(ValueError):

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.io import loadmat, whosmat
 
+from wrenchbook.service.formats.cells import ContentError
 from wrenchbook.service.formats.columns import ARRAYS, Columns, Layout, WritableRows
 from wrenchbook.service.formats.header import array_header, named_columns, readings_of, with_unit
 from wrenchbook.service.formats.options import MAX_ROWS, Array, Options, ParsedTable, ReadReport
@@ -20,10 +21,6 @@ from wrenchbook.surrogate.table.hdf5 import foreign_columns, foreign_tables, is_
 from wrenchbook.surrogate.table.rows import unknown_column
 
 MAX_UNPACKED = 1024 * 1024 * 1024
-
-
-class ParquetBoundsError(ValueError):
-    """The file exceeds a limit, or has columns that no table has."""
 
 
 def read_parquet(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
@@ -37,12 +34,12 @@ def read_parquet(path: Path, options: Options, report: ReadReport) -> Iterator[P
             metadata, schema = file.metadata, file.schema_arrow
             groups = range(metadata.num_row_groups)
         if metadata.num_rows > MAX_ROWS or len(schema) > options.columns.most:
-            raise ParquetBoundsError(
+            raise ContentError(
                 f"it has {metadata.num_rows} rows and {len(schema)} columns; send at most "
                 f"{MAX_ROWS:,} rows and {options.columns.most} columns"
             )
         if sum(metadata.row_group(at).total_byte_size for at in groups) > MAX_UNPACKED:
-            raise ParquetBoundsError(f"it unpacks to over {MAX_UNPACKED >> 20} MiB; send parts")
+            raise ContentError(f"it unpacks to over {MAX_UNPACKED >> 20} MiB; send parts")
         index = tuple(name for name in schema.names if name.startswith("__index_level_"))
         ignore = (*options.ignore, *index)  # of a data frame
         strings = arrow.types.is_string, arrow.types.is_large_string
@@ -60,7 +57,7 @@ def read_parquet(path: Path, options: Options, report: ReadReport) -> Iterator[P
             if metadata.num_rows == 0:
                 pieces = iter([(labels, [()] * len(labels))])
             yield from read_columns(pieces, options, report)
-    except ParquetBoundsError as error:
+    except ContentError as error:
         report.mistakes.ruin(0, "file", str(error))
     except Exception as error:  # pyarrow raises many classes on damaged files
         report.mistakes.ruin(0, "file", f"cannot be read as Parquet ({error}); write it again")
@@ -98,7 +95,7 @@ def _values(column: Any) -> Array | list[Any]:
         texts = column.dictionary.to_pylist()
         return [None if at is None else texts[at] for at in column.indices.to_pylist()]
     if types.is_nested(kind):
-        raise ParquetBoundsError(f"a column holds {kind}; write numbers or texts only")
+        raise ContentError(f"a column holds {kind}; write numbers or texts only")
     if types.is_floating(kind) or types.is_integer(kind):
         return column.to_numpy(zero_copy_only=False)
     return column.to_pylist()
@@ -123,7 +120,7 @@ def _stored_pieces(path: Path, columns: Columns) -> Iterator[Piece]:
     for rows, notes in foreign_tables(path):
         if rows.space != columns.space:
             names = ", ".join((*columns.wrench, *columns.displacement))
-            raise ValueError(f"has inputs, outputs or units of another component; write {names}")
+            raise ContentError(f"has inputs, outputs or units of another component; write {names}")
         n, cells = len(rows), []
         for key in ARRAYS:
             block, width = getattr(rows, key), len(getattr(columns, key))
@@ -148,23 +145,25 @@ def read_mat(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
 
 
 def _mat_variables(path: Path) -> dict[str, Any]:
-    """Return the variables of a MATLAB file by name; ValueError if they are no numbers."""
+    """Return the variables of a MATLAB file by name; ContentError if it cannot be read."""
     try:
         try:
             size = sum(8 * math.prod(shape) for _, shape, _ in whosmat(path))
         except TypeError:  # an object of MATLAB has no shape and no name
             name, _, kind, _ = loadmat(path, variable_names=["None"])["None"].item()
-            raise ValueError(matlab_object(name.decode(), kind.decode())) from None
+            raise ContentError(matlab_object(name.decode(), kind.decode())) from None
         if size > MAX_UNPACKED:
-            raise ValueError(f"it unpacks to over {MAX_UNPACKED >> 20} MiB; send parts")
+            raise ContentError(f"it unpacks to over {MAX_UNPACKED >> 20} MiB; send parts")
         values = loadmat(path, squeeze_me=True)
+    except ContentError:
+        raise
     except Exception as error:  # scipy raises many classes on damaged files
-        raise ValueError(f"cannot be read as a MATLAB file: {error}") from error
+        raise ContentError(f"cannot be read as a MATLAB file: {error}") from error
     return {name: value for name, value in values.items() if not name.startswith("__")}
 
 
 def _vectors(values: dict[str, Any]) -> dict[str, Array]:
-    """Return variables, or the fields of a single struct, as vectors of one length; ValueError."""
+    """Return variables, or a single struct's fields, as vectors of one length; ContentError."""
     only = next(iter(values.values()), None) if len(values) == 1 else None
     if isinstance(only, np.ndarray) and only.dtype.names:
         values = {name: only[name].tolist() for name in only.dtype.names}
@@ -183,7 +182,7 @@ def _vectors(values: dict[str, Any]) -> dict[str, Array]:
         no_vector = f"{wrong[0]} is not a numeric vector; {each}" if wrong else ""
         why = no_vector or f"their lengths are {sorted(lengths)}"
         form = "needs numeric vectors of one length, one a column"
-        raise ValueError(f"{form}: {why}")
+        raise ContentError(f"{form}: {why}")
     return columns
 
 
@@ -207,6 +206,8 @@ def read_tdms(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
             sheet = chosen_sheet(list(scores), options.sheet, most.__contains__, report)
             report.ignored += [c.name for c in file[sheet].channels() if not len(c)]
             yield from read_columns(_tdms_pieces(groups[sheet], options), options, report)
+    except ContentError as error:
+        report.mistakes.ruin(0, "file", str(error))
     except Exception as error:  # nptdms raises many classes on damaged files
         report.mistakes.ruin(0, "file", f"cannot be read as TDMS: {error}")
 
@@ -219,7 +220,7 @@ def _tdms_pieces(
     if len(lengths) != 1 or len(channels) > columns.most:
         sizes = ", ".join(f"{c.name}: {len(c)}" for c in channels[:8])
         message = f"it must have at most {columns.most} channels of one length, not {sizes}"
-        raise ValueError(f"{message}; resample them to one length")
+        raise ContentError(f"{message}; resample them to one length")
     labels = [with_unit(c.name, c.properties.get("unit_string", ""), columns) for c in channels]
     times = {
         tuple(c.properties.get(f"wf_{key}") for key in ("start_time", "start_offset", "increment"))
@@ -227,7 +228,9 @@ def _tdms_pieces(
         if c.properties.get("wf_increment")
     }
     if len(times) > 1:
-        raise ValueError("the channels' waveforms have different times; resample them to one time")
+        raise ContentError(
+            "the channels' waveforms have different times; resample them to one time"
+        )
     names = [name for label in labels for name, _, _ in readings_of(label, columns)]
     named = any(name.startswith("time") for name in (*names, *options.mapping.values()))
     _, start, step = next(iter(times), (None, None, 0.0))

@@ -21,7 +21,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from wrenchbook.service.formats.cells import guard_formula, number_text
+from wrenchbook.service.formats.cells import ContentError, guard_formula, number_text
 from wrenchbook.service.formats.columns import TEXTS, TIME_COLUMN, Layout, WritableRows
 from wrenchbook.service.formats.header import (
     Header,
@@ -64,10 +64,6 @@ _NO_CSV = (
     "cannot be read as CSV ({}); close open quotation marks, and write a quotation mark within a "
     "quoted text twice"
 )
-
-
-class UnreadableFileError(ValueError):
-    """The bytes are no CSV text; the message has the remedy."""
 
 
 def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
@@ -269,11 +265,11 @@ class _Lines(list[str]):
 
 
 def encoding_of(path: Path) -> str:
-    """Return utf-8-sig, utf-16 (with a mark) or cp1252; UnreadableFileError."""
+    """Return utf-8-sig, utf-16 (with a mark) or cp1252; ContentError."""
     with path.open("rb") as content:
         head = content.read(4)
         if head.startswith(b"PK\x03\x04"):
-            raise UnreadableFileError("this is a spreadsheet or zip file; save it as CSV first")
+            raise ContentError("this is a spreadsheet or zip file; save it as CSV first")
         utf16 = head.startswith((b"\xff\xfe", b"\xfe\xff"))
         for encoding in ("utf-16",) if utf16 else ("utf-8-sig", "cp1252"):
             content.seek(0)
@@ -287,7 +283,7 @@ def encoding_of(path: Path) -> str:
             except UnicodeDecodeError:
                 continue
             return encoding
-    raise UnreadableFileError("has an unknown text encoding; save the file as UTF-8")
+    raise ContentError("has an unknown text encoding; save the file as UTF-8")
 
 
 def lines_of(content: BinaryIO, encoding: str, number: int = 1) -> Iterator[str]:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from wrenchbook.service.formats.options import (
@@ -72,20 +73,10 @@ def _retained_rows(rows: ParsedTable, options: Options, report: ReadReport) -> P
     size = np.abs(rows.wrench).max(axis=0) if span is None else largest_loads(span) / LOAD_LIMIT
     size = np.where(np.isfinite(size) & (size > 0), size, 1.0)
     main = int(np.argmax(np.ptp(rows.wrench[:, :loads], axis=0) / size[:loads]))
-    name, passes = options.columns.wrench[main], passes_of(rows.wrench[:, main])
-    if (count := int(passes.number[-1]) // 2) < options.skip_cycles:
-        message = f"the main load {name} has only {count} cycles; give at most {count}"
-        raise _CycleError("skip_cycles", message)
-    retained, omitted = passes.number >= 2 * options.skip_cycles, report.omitted
-    load = rows.wrench[:, main]
-    first, margin = load[0], TURN * np.ptp(load)
-    if options.skip_cycles and load.min() + margin < first < load.max() - margin:
-        # A test to both sides begins within its range: its cycles end at the load of its first row.
-        side = np.sign(load[passes.number == 0][-1] - first)
-        retained &= (passes.number > 2 * options.skip_cycles) | (side * (load - first) >= 0)
-        if not retained.any():
-            message = f"the test has {count} cycles of main load {name}; give less than {count}"
-            raise _CycleError("skip_cycles", message)
+    name, load = options.columns.wrench[main], rows.wrench[:, main]
+    passes, omitted = passes_of(load), report.omitted
+
+    retained = _after_first_cycles(load, passes, options.skip_cycles, name)
     omitted["skipped"] = int((~retained).sum())
     if options.branch:
         retained &= (passes.loading == (options.branch == "loading")) & passes.sure
@@ -94,71 +85,114 @@ def _retained_rows(rows: ParsedTable, options: Options, report: ReadReport) -> P
             message = f"the main load {name} has no {options.branch} branch; leave branch out"
             raise _CycleError("branch", message)
     rows, passes = rows.take(retained), passes.take(retained)
-    omitted["averaged"] = len(rows)
+
+    count_before_means = len(rows)
     if options.thin is not None:
         rows, passes = _thinned(rows, passes, options.thin * size)
     if options.mean_cycles:
         if passes.number[-1] - passes.number[0] < 2:
             message = "needs two or more cycles, but the file has one; leave mean_cycles out"
             raise _CycleError("mean_cycles", message)
-        branches = [_mean(rows, passes, way, main, size) for way in (True, False)]
-        branches = sorted((part for part in branches if len(part)), key=lambda part: part.seq[0])
-        rows = _joined(branches)
-    omitted["averaged"] -= len(rows)
+        branches = [_branch_mean(rows, passes, loading, main, size) for loading in (True, False)]
+        measured = [branch for branch in branches if len(branch)]
+        rows = _joined(sorted(measured, key=lambda branch: branch.seq[0]))
+    omitted["averaged"] = count_before_means - len(rows)
     return rows
+
+
+def _after_first_cycles(load: Array, passes: Passes, count: int, name: str) -> NDArray[np.bool_]:
+    """Return the mask, (n,), of the rows after the first `count` cycles of the main load, (n,)."""
+    complete = int(passes.number[-1]) // 2
+    if complete < count:
+        message = f"the main load {name} has only {complete} cycles; give at most {complete}"
+        raise _CycleError("skip_cycles", message)
+    retained = passes.number >= 2 * count
+    first, margin = load[0], TURN * np.ptp(load)
+    if count and load.min() + margin < first < load.max() - margin:
+        # A test to both sides begins within its range: its cycles end at the load of its first row.
+        direction = np.sign(load[passes.number == 0][-1] - first)
+        retained &= (passes.number > 2 * count) | (direction * (load - first) >= 0)
+        if not retained.any():
+            message = f"the test has {complete} cycles of load {name}; give less than {complete}"
+            raise _CycleError("skip_cycles", message)
+    return retained
 
 
 def _thinned(rows: ParsedTable, passes: Passes, place: Array) -> tuple[ParsedTable, Passes]:
     """Return the mean of the rows of each pass within one place, as large as `place`, (inputs,)."""
     keys = np.column_stack((passes.number, passes.sure, np.rint(rows.wrench / place)))
     _, first, group = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(first)
+    order = np.argsort(first)  # of the groups, as they were measured
     columns: dict[str, Array] = {}
     for name in ("wrench", "displacement", "uncertainty"):
         values = getattr(rows, name)
-        known, (sums, counts) = np.isfinite(values), np.zeros((2, len(first), values.shape[1]))
+        known = np.isfinite(values)
+        sums, counts = np.zeros((2, len(first), values.shape[1]))
         np.add.at(sums, group.ravel(), np.where(known, values, 0.0))
         np.add.at(counts, group.ravel(), known)
         columns[name] = (sums / np.where(counts > 0, counts, np.nan))[order]
     return replace(rows.take(first[order]), **columns), passes.take(first[order])
 
 
-def _mean(rows: ParsedTable, passes: Passes, loading: bool, main: int, size: Array) -> ParsedTable:
-    """Return the mean of the passes of a branch at the loads of its widest one.
+def _branch_mean(
+    rows: ParsedTable, passes: Passes, loading: bool, main: int, size: Array
+) -> ParsedTable:
+    """Return the mean of the passes of a branch at the main loads of its widest pass.
 
-    Each pass is interpolated along the main load. The 95 % half width of a mean is that of the
-    scatter about it, which all loads have in common; a larger stated one stays.
+    The 95 % half width of a mean is that of the scatter about it, which all loads have in common; a
+    larger stated one stays. `size` is that of each input, (inputs,).
     """
     chosen = np.flatnonzero(passes.sure & (passes.loading == loading))
-    number, n = passes.number[chosen], rows.wrench.shape[1]
-    some = [at for pass_number in np.unique(number) if len(at := chosen[number == pass_number]) > 1]
-    if not some:
+    number, inputs = passes.number[chosen], rows.wrench.shape[1]
+    by_pass = [chosen[number == pass_number] for pass_number in np.unique(number)]
+    by_pass = [indices for indices in by_pass if len(indices) > 1]
+    if not by_pass:
         return rows.take(chosen[:0])
-    numbers = np.hstack((rows.wrench, rows.displacement))
-    widest = max(some, key=lambda at: np.ptp(numbers[at, main]))
-    values = np.full((len(some), len(widest), numbers.shape[1]), np.nan)
-    for k, at in enumerate(some):
-        at = at[np.argsort(numbers[at, main], kind="stable")]
-        for column in np.flatnonzero(np.isfinite(numbers[at]).any(axis=0)).tolist():
-            x, y = numbers[at[np.isfinite(numbers[at, column])]][:, [main, column]].T
-            values[k, :, column] = np.interp(numbers[widest, main], x, y, np.nan, np.nan)
-        values[k] = numbers[widest] if some[k] is widest else values[k]
+    widest = max(by_pass, key=lambda indices: np.ptp(rows.wrench[indices, main]))
+    columns = np.hstack((rows.wrench, rows.displacement))
+    values = np.stack(
+        [
+            columns[widest] if at is widest else _interpolated(columns[at], columns[widest], main)
+            for at in by_pass
+        ]
+    )  # (passes, rows of the widest, inputs and outputs)
     counts = np.isfinite(values).sum(axis=0)
     mean = np.nansum(values, axis=0) / np.where(counts > 0, counts, np.nan)
-    apart = np.nanmax(values[:, :, :n], axis=0) - np.nanmin(values[:, :, :n], axis=0)
-    differs = (apart > _REPEATED * size).mean(axis=0)
-    if (differs > _FEW).any():
-        other = int(differs.argmax())
+    _require_same_loads(values[:, :, :inputs], size, rows.space.input_names)
+    freedom = np.maximum(counts - 1, 0).sum(axis=0)[inputs:]
+    squares = np.nansum((values - mean) ** 2, axis=(0, 1))[inputs:]
+    scatter = np.sqrt(squares / np.where(freedom > 0, freedom, np.nan))
+    half_width = stdtrit(np.maximum(freedom, 1), 0.975) * scatter
+    half_width = half_width / np.sqrt(np.maximum(counts[:, inputs:], 1))
+    return replace(
+        rows.take(widest),
+        wrench=mean[:, :inputs],
+        displacement=mean[:, inputs:],
+        uncertainty=np.fmax(half_width, rows.uncertainty[widest]),
+    )
+
+
+def _interpolated(columns: Array, at: Array, main: int) -> Array:
+    """Return the columns of a pass, (n, c), at the main loads of another, (m, c); NaN beyond."""
+    columns = columns[np.argsort(columns[:, main], kind="stable")]
+    values = np.full(at.shape, np.nan)
+    for column in range(columns.shape[1]):
+        known = columns[np.isfinite(columns[:, column])]
+        if len(known):
+            x, y = known[:, main], known[:, column]
+            values[:, column] = np.interp(at[:, main], x, y, np.nan, np.nan)
+    return values
+
+
+def _require_same_loads(wrenches: Array, size: Array, names: Sequence[str]) -> None:
+    """Raise an error if the passes, (passes, n, inputs), differ in a load besides the main one."""
+    spread = np.nanmax(wrenches, axis=0) - np.nanmin(wrenches, axis=0)
+    differing = (spread > _REPEATED * size).mean(axis=0)
+    if (differing > _FEW).any():
+        other = int(differing.argmax())
         message = (
-            f"the cycles differ: {rows.space.input_names[other]} changes by up to "
-            f"{apart[:, other].max():.4g} between them at the same main load. Leave mean_cycles "
+            f"the cycles differ: {names[other]} changes by up to "
+            f"{spread[:, other].max():.4g} between them at the same main load. Leave mean_cycles "
             "out, or send the test of each load as a file of its own"
         )
         raise _CycleError("mean_cycles", message)
-    freedom = np.maximum(counts - 1, 0).sum(axis=0)[n:]
-    squares = np.nansum((values - mean) ** 2, axis=(0, 1))[n:]
-    scatter = np.sqrt(squares / np.where(freedom > 0, freedom, np.nan))
-    half = stdtrit(np.maximum(freedom, 1), 0.975) * scatter / np.sqrt(np.maximum(counts[:, n:], 1))
-    stated = np.fmax(half, rows.uncertainty[widest])
-    rows = rows.take(widest)
-    return replace(rows, wrench=mean[:, :n], displacement=mean[:, n:], uncertainty=stated)

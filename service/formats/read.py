@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.service.formats.cells import FORCE, si_factor
+from wrenchbook.service.formats.cells import FORCE, ContentError, si_factor
 from wrenchbook.service.formats.columnar import read_hdf5, read_mat, read_parquet, read_tdms
 from wrenchbook.service.formats.csv import read_csv
 from wrenchbook.service.formats.cycles import with_cycles
@@ -285,10 +285,6 @@ def _columns(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
     except ModuleNotFoundError:
         message = f"is {report.format}; on the server run pip install 'wrenchbook[rig]'"
         report.mistakes.ruin(0, "file", f"{message}; or send XLSX or CSV")
-
-
-class ContentError(ValueError):
-    """The file is no table that can be read; the message names its format."""
 
 
 def _is_gzip(path: Path) -> bool:

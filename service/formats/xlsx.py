@@ -16,7 +16,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from wrenchbook.service.formats.cells import NO_VALUE, Digits
+from wrenchbook.service.formats.cells import NO_VALUE, ContentError, Digits
 from wrenchbook.service.formats.columns import Layout, WritableRows
 from wrenchbook.service.formats.header import MAX_TITLES, Record
 from wrenchbook.service.formats.options import Options, ParsedTable, ReadReport
@@ -34,15 +34,11 @@ _UNFIT = re.compile("[\x00-\x08\x0b-\x0d\x0e-\x1f\ufffe\uffff]|_(?=x[0-9A-Fa-f]{
 _ESCAPE = re.compile(r"_x([0-9A-Fa-f]{4})_")
 
 
-class NoSheetError(ValueError):
-    """The workbook has no such sheet, or none at all."""
-
-
 class SheetFullError(ValueError):
     """The table has more rows than a sheet."""
 
 
-class ZipBoundsError(ValueError):
+class ZipBoundsError(ContentError):
     """The archive is damaged, or unpacks to more than the limit; see the message."""
 
 
@@ -64,6 +60,8 @@ def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
             name = chosen_sheet(list(sheets), options.sheet, is_filled, report)
             records = _records(sheets[name], lambda: _sheets(formulas, values=False)[name], most)
             yield from read_records(records, options, report)
+    except ContentError as error:
+        report.mistakes.ruin(0, "file", str(error))
     except Exception as error:  # openpyxl raises many classes on damaged files
         report.mistakes.ruin(0, "file", f"is no readable XLSX workbook: {error}")
 
@@ -128,6 +126,8 @@ def read_xls(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         empty = [""] * (sheet.start or (0, 0))[1]  # columns on the left
         cells = enumerate((empty + [_text(v) for v in row] for row in sheet.iter_rows()), start=1)
         yield from read_records(filter(lambda row: any(row[1]), cells), options, report)
+    except ContentError as error:
+        report.mistakes.ruin(0, "file", str(error))
     except BaseException as error:  # calamine's panic on a damaged file is no Exception
         if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
             raise
@@ -138,12 +138,12 @@ def read_xls(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
 def chosen_sheet(
     names: Sequence[str], wanted: str | None, is_filled: Callable[[str], bool], report: ReadReport
 ) -> str:
-    """Return the sheet of a name, or the first with rows; the report has it. NoSheetError."""
+    """Return the sheet of a name, or the first with rows; the report has it. ContentError."""
     report.sheets = list(names)
     fitting = [name for name in names if wanted is None or name == wanted]
     if not fitting:
         known, missing = ", ".join(names) or "none", repr(wanted) if wanted else "with data"
-        raise NoSheetError(
+        raise ContentError(
             f"there is no sheet {missing}; choose {known} with sheet=NAME (--sheet NAME)"
         )
     filled = (name for name in fitting if name != ABOUT_SHEET and is_filled(name))
@@ -167,10 +167,12 @@ def _records(sheet: Any, formulas: Callable[[], Any], most: int) -> Iterator[Rec
     below = None
     for number, row in enumerate(sheet.iter_rows(values_only=True), start=1):
         if number > MAX_SHEET_ROWS + 1:
-            raise ValueError(f"a sheet has more than {MAX_SHEET_ROWS + 1:,} rows; send it in parts")
+            raise ContentError(
+                f"a sheet has more than {MAX_SHEET_ROWS + 1:,} rows; send it in parts"
+            )
         width = max((at for at, value in enumerate(row, start=1) if value is not None), default=0)
         if width > most:
-            raise ValueError(f"row {number} has {width} columns, at most {most} fit; remove some")
+            raise ContentError(f"row {number} has {width} columns, at most {most} fit; remove some")
         cells = [_text(value) for value in row[:most]]
         if not any(cells):
             continue

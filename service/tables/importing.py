@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ TWICE = (
     "the earlier one: wrenchbook withdraw {0.component} {0.id}"
 )
 _MAX_TRIED = 16  # stored rows of nearly one sum that a row is compared with; others hardly occur
+_DISPLACEMENT_WEIGHT = 1e6  # they are of 1e-6 to 1e-3 m and rad, loads of 1 to 1000 N and N·m
 
 # By component: its setup and number of solves, and their compliance.
 _solved: dict[str, tuple[tuple[str, int], list[list[float]]]] = {}
@@ -66,38 +67,22 @@ def import_files(
     report = dict(read.report)
     refused = report.pop("whole") or bool(report["errors"] and not partial)
     report.pop("converted")
-    inserted, existing, number = 0, 0, None
 
     def pieces() -> Iterator[ParsedTable]:
         # A block that is sent again has its numbers; with each row there are more to compare.
         return read.pieces() if append else _with_stored_numbers(ledger, component, read)
-
-    def keys(piece: ParsedTable) -> list[bytes]:
-        return row_keys(component.name, NotedRows(piece, piece.note))
 
     if table is not None and not refused:
         report["findings"] += _compared(read, table, report["findings"])
     earlier = ledger.same_file(component.name, origin.digest) if origin.digest else None
     if earlier is not None and not refused:
         report["findings"].append(RigFinding("twice", TWICE.format(earlier)).body())
+    inserted, existing, number = 0, 0, None
     if not refused and dry_run:
-        named = [key for piece in pieces() for key in keys(piece)]
-        distinct = set(named)  # a row that stands twice in the file is loaded once
-        known = ledger.known_rows(distinct)
-        inserted, existing = len(distinct - known), sum(key in known for key in named)
+        inserted, existing = _count_rows(ledger, component, pieces())
     elif not refused:
-        findings = report["findings"]
-        rows_of_findings = [row for finding in findings for row in finding["rows"]]
-        key_of: dict[int, str] = {}
-        for piece in pieces() if rows_of_findings else ():
-            some = piece.take(np.isin(piece.seq, rows_of_findings))
-            key_of |= zip(some.seq.tolist(), (key.hex() for key in keys(some)), strict=True)
-        stored = [
-            {**finding, "rows": [], "keys": [key_of[row] for row in finding["rows"]]}
-            for finding in findings
-        ]
-        origin = replace(origin, format=report["format"], rig=options.rig)
-        origin = replace(origin, findings=json.dumps(stored))
+        findings = _findings_by_key(component, report["findings"], pieces)
+        origin = replace(origin, format=report["format"], rig=options.rig, findings=findings)
         blocks = (NotedRows(piece, piece.note) for piece in pieces())
         load = ledger.append_rows if append else ledger.import_rows
         inserted, existing, number = load(component.name, blocks, origin)
@@ -118,6 +103,39 @@ def import_files(
         **report,
         "rows": {**rows, "loaded": 0 if refused or dry_run else good},
     }
+
+
+def _keys(component: Component, piece: ParsedTable) -> list[bytes]:
+    return row_keys(component.name, NotedRows(piece, piece.note))
+
+
+def _count_rows(
+    ledger: Ledger, component: Component, pieces: Iterator[ParsedTable]
+) -> tuple[int, int]:
+    """Return how many rows of a file the ledger would insert, and how many it already has."""
+    keys = [key for piece in pieces for key in _keys(component, piece)]
+    distinct = set(keys)  # a row that stands twice in the file is loaded once
+    known = ledger.known_rows(distinct)
+    return len(distinct - known), sum(key in known for key in keys)
+
+
+def _findings_by_key(
+    component: Component,
+    findings: Sequence[Mapping[str, Any]],
+    pieces: Callable[[], Iterator[ParsedTable]],
+) -> str:
+    """Return findings as JSON that names rows by hexadecimal keys, not by places in the file."""
+    rows = [row for finding in findings for row in finding["rows"]]
+    key_of: dict[int, str] = {}
+    for piece in pieces() if rows else ():
+        named = piece.take(np.isin(piece.seq, rows))
+        keys = [key.hex() for key in _keys(component, named)]
+        key_of |= zip(named.seq.tolist(), keys, strict=True)
+    stored = [
+        {**finding, "rows": [], "keys": [key_of[row] for row in finding["rows"]]}
+        for finding in findings
+    ]
+    return json.dumps(stored)
 
 
 def _compared(
@@ -148,13 +166,13 @@ def solved_compliance(component: Component, table: ServedTable) -> list[list[flo
     """Return the compliance (outputs, inputs), SI, of a component's solves, zero where unknown."""
     if not component.has_fea or not (count := table.sources.get("fea")):
         return None
-    setup, known = (component.fingerprint, count), _solved.get(component.name)
-    if known is None or known[0] != setup:  # appended rows come often, solves do not
+    setup, cached = (component.fingerprint, count), _solved.get(component.name)
+    if cached is None or cached[0] != setup:  # appended rows come often, solves do not
         rows = table.rows
         solved = rows.take(np.flatnonzero(rows.source == "fea")[:MAX_ROWS])
         fit = fit_compliance(solved, component.load_range, linear=component.linear)
-        known = _solved[component.name] = setup, np.where(fit.known, fit.matrix, 0.0).tolist()
-    return known[1]
+        cached = _solved[component.name] = setup, np.where(fit.known, fit.matrix, 0.0).tolist()
+    return cached[1]
 
 
 def _with_stored_numbers(
@@ -165,30 +183,28 @@ def _with_stored_numbers(
     Factors of units round. A row whose numbers all agree with those of a stored row to `SAME` gets
     that row's bits, so that an export in any unit comes back as known rows.
     """
-    space = component.space
     if not read.report["converted"]:
         yield from read.pieces()
         return
-    stored = ledger.stored_numbers(component.name, len(space.inputs), len(space.outputs))
-    sums = _sums(stored, len(space.inputs))[0]
+    inputs, outputs = len(component.space.inputs), len(component.space.outputs)
+    stored = ledger.stored_numbers(component.name, inputs, outputs)
+    sums, _ = _sums(stored, inputs)
     order = np.argsort(sums, kind="stable")
     sums = sums[order]
     for piece in read.pieces():
-        columns = piece.wrench, piece.displacement, piece.uncertainty
-        numbers = np.hstack(columns)
-        total, size = _sums(numbers, len(space.inputs))
+        numbers = np.hstack((piece.wrench, piece.displacement, piece.uncertainty))
+        total, size = _sums(numbers, inputs)
+        # Rows with stored rows of nearly the same sum are open until they agree with one of these.
         first = np.searchsorted(sums, total - 2.0 * SAME * size)
         end = np.searchsorted(sums, total + 2.0 * SAME * size, side="right")
         open_ = np.flatnonzero(first < end)
         for step in range(_MAX_TRIED):
-            candidates = stored[order[first[open_] + step]]
-            ours = numbers[open_]
-            same = np.abs(candidates - ours) <= SAME * np.abs(ours)
-            same = np.all(same | (np.isnan(candidates) & np.isnan(ours)), axis=1)
+            candidates, received = stored[order[first[open_] + step]], numbers[open_]
+            same = np.abs(candidates - received) <= SAME * np.abs(received)
+            same = np.all(same | (np.isnan(candidates) & np.isnan(received)), axis=1)
             numbers[open_[same]] = candidates[same]
             open_ = open_[~same & (first[open_] + step + 1 < end[open_])]
-        n, m = len(space.inputs), len(space.outputs)
-        wrench, displacement, uncertainty = np.hsplit(numbers, [n, n + m])
+        wrench, displacement, uncertainty = np.hsplit(numbers, [inputs, inputs + outputs])
         known = {"uncertainty": uncertainty} if any(piece.uncertainty.strides) else {}
         yield replace(piece, wrench=wrench, displacement=displacement, **known)
 
@@ -196,13 +212,12 @@ def _with_stored_numbers(
 def _sums(numbers: np.ndarray, inputs: int) -> tuple[np.ndarray, np.ndarray]:
     """Return a weighted sum of numbers (n, k), SI, and the same sum of their sizes, (n,) each.
 
-    Two rows of one sum are the same but by chance: weights are drawn, so that loads of
-    both signs differ in it, and displacements count a million times, so that repeated values of
-    a wrench do.
+    Two rows of one sum are the same but by chance: the random weights tell loads of both signs
+    apart, and the weight of displacements tells repeated values of a wrench apart.
     """
     columns = np.arange(numbers.shape[1])
     weights = np.random.default_rng(0).uniform(1.0, 2.0, len(columns))
-    parts = numbers * weights * np.where(columns < inputs, 1.0, 1e6)
+    parts = numbers * weights * np.where(columns < inputs, 1.0, _DISPLACEMENT_WEIGHT)
     return np.nansum(parts, axis=1), np.nansum(np.abs(parts), axis=1)
 
 

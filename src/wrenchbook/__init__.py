@@ -90,9 +90,9 @@ if TYPE_CHECKING:
         LinearPart as LinearPart,
     )
     from .service.client.joint.mujoco_joints import MujocoJoints as MujocoJoints
+    from .service.client.joint.mujoco_callback import joints_in_mj_step as joints_in_mj_step
     from .service.client.joint.mujoco_joint import (
         MujocoJoint as MujocoJoint,
-        joints_in_mj_step as joints_in_mj_step,
         pull_joints as pull_joints,
         step_joints as step_joints,
     )
@@ -123,7 +123,8 @@ _NAMES = {
     "service.client.joint": (
         "Joint JointError JointRangeError JointReport JointWarning Joints LinearPart"
     ),
-    "service.client.joint.mujoco_joint": "MujocoJoint joints_in_mj_step pull_joints step_joints",
+    "service.client.joint.mujoco_callback": "joints_in_mj_step",
+    "service.client.joint.mujoco_joint": "MujocoJoint pull_joints step_joints",
     "service.client.joint.mujoco_joints": "MujocoJoints",
     "service.client.mount.mujoco_mount": "MujocoMount",
     "service.client.arrays": "arrays",

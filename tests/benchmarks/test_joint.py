@@ -20,7 +20,8 @@ from tests.service.client.joint_scenes import (
     sphere,
 )
 from wrenchbook.service.client.joint.joint import quaternion
-from wrenchbook.service.client.joint.mujoco_joint import MujocoJoint, joints_in_mj_step
+from wrenchbook.service.client.joint.mujoco_callback import joints_in_mj_step
+from wrenchbook.service.client.joint.mujoco_joint import MujocoJoint
 
 ROUNDS, STEPS, MANY, THREADS = 200, 40, 4096, 2
 

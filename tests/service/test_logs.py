@@ -176,6 +176,12 @@ def test_a_line_ends_where_it_would_be_too_long_to_be_carried():
             "not written to .../components: full",
         ),
         ("'/usr/lib/python3/json.py' line 3", "'.../json.py' line 3"),
+        ("not read: '/tmp/a b/c d': not open", "not read: '.../c d': not open"),
+        (
+            "/tmp/a b/c (1).h5 and N/m in /usr/d.csv are bad",
+            ".../c (1).h5 and N/m in .../d.csv are bad",
+        ),
+        ("/tmp/x y/u.v w/c.h5: full", ".../c.h5: full"),
         ("POST /v1/components/plate/table failed", "POST /v1/components/plate/table failed"),
         ("12 N/m and m/s, /health/ready", "12 N/m and m/s, /health/ready"),
         ("http://host/tmp/x", "http://host/tmp/x"),

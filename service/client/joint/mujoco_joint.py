@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from functools import partial
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
-from weakref import WeakKeyDictionary, WeakSet, WeakValueDictionary
+from weakref import WeakKeyDictionary, WeakValueDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InvalidArgument, JointError, JointWarning, warn
 from ..wrenches import Vector
 from .joint import FREEDOMS, Joint, quaternion
 from .mujoco_scene import OBJECT, Data, Model, block_positions, body_number, engine, refuse_rk4
+from .mujoco_tip import REMEDY, find_tip
 from .report import JointReport, report_of
 
 if TYPE_CHECKING:
@@ -24,13 +21,9 @@ if TYPE_CHECKING:
     from ..table import Table
 
 _PGS = int(engine.mjtSolver.mjSOL_PGS)  # to compare with an enumeration takes 0.8 us
-_JOINT = engine.mjtJoint
-_SQUARE = 1e-5  # the axes of the slides are unit and orthogonal to the six digits of MuJoCo's XML
 # The joints of each MjData by the first freedom of each tip and their id: a step is of all tips.
 _Registered: TypeAlias = "WeakValueDictionary[tuple[int, int], MujocoJoint]"
 _JOINTS: WeakKeyDictionary[Data, _Registered] = WeakKeyDictionary()
-_NO_CONTROL = int(engine.mjtDisableBit.mjDSBL_ACTUATION)
-_REMEDY = "make the scene with: wrenchbook joint NAME --base BODY --tip BODY scene.xml"
 
 
 class MujocoJoint(Joint):
@@ -99,7 +92,7 @@ class MujocoJoint(Joint):
         parent = body_number(model, base)
         for name in self._tips:
             if model.body_parentid[body_number(model, name)] != parent:
-                raise JointError(f"body {name!r} must be a child of body {base!r}; {_REMEDY}")
+                raise JointError(f"body {name!r} must be a child of body {base!r}; {REMEDY}")
         # The last body towards the base that no freedom moves: a mocap body, or the world.
         while model.body_dofnum[top := int(model.body_weldid[parent])]:
             parent = int(model.body_parentid[top])
@@ -140,11 +133,16 @@ class MujocoJoint(Joint):
         self._runs: list[tuple[int, int, int, int]] = []
         self._hinges: list[tuple[int, Vector, int]] = []
         # Blocks are the freedoms of tips of which the matrix has pairs.
-        self._starts, self._blocks, pairs, dofs, axes = [], [], [], [], []
+        self._starts, self._blocks, pairs, dofs, ball_axes = [], [], [], [], []
         for k, name in enumerate(self._tips):
             free, first = self.free[self.free // FREEDOMS == k] % FREEDOMS, len(dofs)
-            self._starts.append(self._find_tip(k, name, free, axes))
-            block = self._starts[k] + np.arange(len(free))
+            tip = find_tip(self._model, name, free, self._table.name)
+            self._starts.append(tip.dof)
+            ball_axes.append(tip.ball_axes)
+            self._runs += [(k, *run) for run in tip.runs]
+            if tip.hinge:
+                self._hinges.append((k, *tip.hinge))
+            block = tip.dof + np.arange(len(free))
             rows, columns, positions = block_positions(self._model, block)
             if not len(rows) == len(block) > 1:
                 self._blocks.append(slice(first, first + len(block)))
@@ -153,70 +151,16 @@ class MujocoJoint(Joint):
         self._pairs, self._at_pairs = np.hstack([np.empty((2, 0), dtype=int), *pairs])
         self._dofs: Any = np.array(dofs) if self._several else slice(dofs[0], dofs[-1] + 1)
         self._units = np.eye(self._model.nv)[self._dofs]
-        full, square = len(self.free) == self._size, np.ix_(self.free, self.free)
-        self._moving, self._square = (slice(None),) * 2 if full else (self.free, square)
-        balls = np.array([np.eye(3) if turned is None else turned for turned in axes])
-        self._spin_axes = balls if self._several else None if axes[0] is None else balls[0]
+        # Where the kernel's arrays (freedoms,) and (freedoms, freedoms) have the free freedoms.
+        self._moving, self._square = self.free, np.ix_(self.free, self.free)
+        if len(self.free) == self._size:  # slices are faster
+            self._moving = self._square = slice(None)
+        if self._several:
+            self._spin_axes = np.array([np.eye(3) if axes is None else axes for axes in ball_axes])
+        else:
+            self._spin_axes = ball_axes[0]
         self._begin(self._spin_axes)
         self._watch(self._data, self._steps, 0)
-
-    def _find_tip(self, k: int, name: str, free: NDArray[np.intp], spins: list[Any]) -> int:
-        """Return a tip's first freedom; `spins` get its axes, None without a ball."""
-        model, body = self._model, body_number(self._model, name)
-        first = int(model.body_jntadr[body])
-        joints = list(range(first, first + int(model.body_jntnum[body])))
-        kinds = [int(model.jnt_type[joint]) for joint in joints]
-        moves, turns = free[free < 3], free[free >= 3]
-        if len(turns) not in (0, 1, 3):
-            raise JointError(
-                f"{self._table.name} locks one rotation, which MuJoCo cannot do; lock none or two"
-            )
-        turning = {0: [], 1: [_JOINT.mjJNT_HINGE], 3: [_JOINT.mjJNT_BALL]}[len(turns)]
-        expected = [int(kind) for kind in [_JOINT.mjJNT_SLIDE] * len(moves) + turning]
-        if kinds != expected:
-            also = {0: "", 1: " and a hinge", 3: " and a ball"}[len(turns)]
-            raise JointError(
-                f"body {name!r} must have {len(moves)} slides{also}, in this order; {_REMEDY}"
-            )
-        for joint in joints:
-            dof = int(model.jnt_dofadr[joint])
-            forces = {
-                "stiffness": model.jnt_stiffness[joint],
-                "damping": model.dof_damping[dof],
-                "frictionloss": model.dof_frictionloss[dof],
-                "armature": model.dof_armature[dof],
-                "a limited range": model.jnt_limited[joint],
-            }
-            if kinds[joint - first] != _JOINT.mjJNT_BALL:
-                forces["a reference (ref)"] = model.qpos0[model.jnt_qposadr[joint]]
-            present = [word for word, value in forces.items() if np.any(value)]
-            if present:
-                raise JointError(
-                    f"a joint of body {name!r} has {present[0]}, which would add to that of the "
-                    "part; remove it (a default class may set it)"
-                )
-        # The interface frame's axes in the tip's body; of a part with locked freedoms the body's.
-        axis_of = {int(at): axis for at, axis in zip(free, model.jnt_axis[joints], strict=False)}
-        straight = [axis_of[at] for at in range(3) if at in axis_of]
-        left, _, right = np.linalg.svd(np.array(straight).T if len(straight) == 3 else np.eye(3))
-        axes = left @ right
-        hinges = [] if len(turns) == 3 else turns.tolist()
-        along = [at for at in range(3) if at in axis_of] + hinges
-        off = [np.abs(axis_of[at] - axes[:, at % 3]).max() for at in along]
-        if max(off, default=0.0) > _SQUARE or np.linalg.det(axes) < 0:
-            raise JointError(
-                f"the joints of body {name!r} must have the axes x, y, z of the interface frame "
-                f"(with locked freedoms: of the body), unit, orthogonal and right-handed; {_REMEDY}"
-            )
-        addresses = model.jnt_qposadr[joints].tolist()
-        slides = [(k, to, of, 1) for to, of in zip(moves.tolist(), addresses, strict=False)]
-        self._runs += [(k, 0, addresses[0], 3)] if len(slides) == 3 else slides
-        spins.append(axes if len(turns) == 3 else None)
-        if len(turns) == 3:
-            self._runs.append((k, 3, addresses[-1], 4))
-        elif len(turns):
-            self._hinges.append((k, np.eye(3)[turns[0] - 3], addresses[-1]))
-        return int(model.jnt_dofadr[first])
 
     def _watch(self, data: Data, steps: JointSteps, at: int) -> None:
         """Take a joint of the kernel's arrays, and views of the data of its scene.
@@ -303,7 +247,7 @@ class MujocoJoint(Joint):
 
     def report(self) -> JointReport:
         """Return coverage, largest error bars and energy of all steps since `restart`."""
-        parts, began = _joints_of(self._data), self._began
+        parts, began = joints_of(self._data), self._began
         time, energy = began or (0.0, np.nan)
         if began and all(part._began == began for part in parts) and self._data.time in self._times:
             return report_of(self, time, _energy(parts) - energy)
@@ -366,7 +310,7 @@ def step_joints(*joints: MujocoJoint) -> None:
     joints[0]._with_part = None
     engine.mj_step1(model, data)
     if joints[0]._with_part is None:  # joints_in_mj_step has not
-        _pull(joints)
+        pull(joints)
     advance(joints)
 
 
@@ -386,7 +330,7 @@ def pull_joints(*joints: MujocoJoint) -> None:
     raises as `step_joints` does.
     """
     require_scene(joints)
-    _pull(joints)
+    pull(joints)
 
 
 def require_scene(joints: Sequence[MujocoJoint]) -> None:
@@ -421,7 +365,7 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
         raise JointError(f"the scene's time step is {step} s; set it to a finite number above 0")
 
 
-def _pull(joints: Collection[MujocoJoint]) -> None:
+def pull(joints: Collection[MujocoJoint]) -> None:
     """Add the joints to the equation of motion, once ``mj_step1`` has computed pose and motion."""
     first = next(iter(joints))
     model, data, dt = first._model, first._data, first._scene.timestep
@@ -514,8 +458,14 @@ def _by_tip(data: Data) -> dict[int, MujocoJoint]:
     return {start: joint for (start, _), joint in _JOINTS.get(data, {}).items()}
 
 
-def _joints_of(data: Data) -> list[MujocoJoint]:
+def joints_of(data: Data) -> list[MujocoJoint]:
+    """Return the joints of a scene."""
     return list(dict.fromkeys(_by_tip(data).values()))
+
+
+def has_joints_elsewhere(model: Model) -> bool:
+    """Return whether a scene of a model has joints."""
+    return model.signature in {data.signature for data in [*_JOINTS] if _by_tip(data)}
 
 
 def _energy(joints: Collection[MujocoJoint]) -> float:
@@ -542,67 +492,3 @@ def _energy(joints: Collection[MujocoJoint]) -> float:
         steps.memory[:], steps.replies[:] = memory, replies
     data.qpos[:] = now
     return total
-
-
-def _warn_bare(model: Model) -> None:
-    """Warn of a scene without joints whose model has some in another scene."""
-    if model.signature in {data.signature for data in [*_JOINTS] if _by_tip(data)}:
-        warn(
-            "an MjData steps without a joint, and others of its model have joints: nothing holds "
-            "its tip. Make a MujocoJoint for each MjData, and keep it",
-            JointWarning,
-        )
-
-
-@contextmanager
-def joints_in_mj_step() -> Iterator[None]:
-    """Let ``mj_step`` itself step the joints of each scene that has some, within a ``with``.
-
-    The step has the bits of `step_joints`. It is MuJoCo's control callback, of the whole process:
-    threads take turns. A `JointWarning` names a scene without joints, if another of its model has
-    some. With actuation, springs and dampers all disabled MuJoCo calls none, and no
-    joint pulls. A `report` counts ``mj_forward`` as a step.
-
-    Raises
-    ------
-    JointError
-        If MuJoCo has another callback, or had at the end of the ``with``; see `Joint.step`. In
-        threads of ``mujoco.rollout`` an error ends a scene's motion, and the ``with`` raises it.
-    """
-    errors: list[Exception] = []
-    bare: WeakSet[Data] = WeakSet()  # scenes without joints
-
-    def pull(model: Model, data: Data, passive: bool = False) -> None:
-        joints = _joints_of(data)
-        disabled = bool(model.opt.disableflags & _NO_CONTROL)
-        if disabled != passive or (data in bare and not joints):
-            return
-        try:
-            if not joints:
-                bare.add(data)
-                _warn_bare(model)
-                return
-            if passive:  # it comes before the bias
-                engine.mj_rne(model, data, False, data.qfrc_bias)
-            _pull(joints)
-        except Exception as error:
-            if sys._getframe().f_back is not None:
-                raise
-            errors.append(error)  # raised in a thread of C++ it would end the process
-            data.qfrc_applied[:] = np.nan
-
-    ours = pull, partial(pull, passive=True)  # without actuation the first is not called
-    if engine.get_mjcb_control() or engine.get_mjcb_passive():
-        raise JointError("MuJoCo already has a callback; remove it, or call step_joints instead")
-    engine.set_mjcb_control(ours[0])
-    engine.set_mjcb_passive(ours[1])
-    try:
-        yield
-        exchanged = (engine.get_mjcb_control(), engine.get_mjcb_passive()) != ours
-    finally:
-        engine.set_mjcb_control(None)
-        engine.set_mjcb_passive(None)
-    if errors:
-        raise errors[0]
-    if exchanged:
-        raise JointError("a callback set within joints_in_mj_step stops the joints; remove it")

@@ -16,12 +16,8 @@ from tests.service.client.joint_scenes import known_table, linear_table, mujoco,
 from tests.service.client.test_joint import FOOT
 from tests.service.client.test_joint_tables import two_joints
 from wrenchbook.service.client.joint import JointError, JointRangeError, JointWarning
-from wrenchbook.service.client.joint.mujoco_joint import (
-    MujocoJoint,
-    joints_in_mj_step,
-    pull_joints,
-    step_joints,
-)
+from wrenchbook.service.client.joint.mujoco_callback import joints_in_mj_step
+from wrenchbook.service.client.joint.mujoco_joint import MujocoJoint, pull_joints, step_joints
 
 TABLE, FULL = linear_table(), mujoco.mjtState.mjSTATE_FULLPHYSICS
 DOCS = Path(__file__).parents[3] / "data/docs/how-to/joint-loops.md"

@@ -1,0 +1,82 @@
+"""Joints in plain ``mj_step``: MuJoCo's callbacks, which are of the whole process."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from weakref import WeakSet
+
+import numpy as np
+
+from ..errors import JointError, JointWarning, warn
+from .mujoco_joint import has_joints_elsewhere, joints_of, pull
+from .mujoco_scene import Data, Model, engine
+
+_NO_CONTROL = int(engine.mjtDisableBit.mjDSBL_ACTUATION)
+
+
+@contextmanager
+def joints_in_mj_step() -> Iterator[None]:
+    """Let ``mj_step`` itself step the joints of each scene that has some, within a ``with``.
+
+    The step has the bits of `step_joints`. It is MuJoCo's control callback, of the whole process:
+    threads take turns. A `JointWarning` names a scene without joints, if another of its model has
+    some. With actuation, springs and dampers all disabled MuJoCo calls none, and no
+    joint pulls. A `report` counts ``mj_forward`` as a step.
+
+    Raises
+    ------
+    JointError
+        If MuJoCo has another callback, or had at the end of the ``with``; see `Joint.step`. In
+        threads of ``mujoco.rollout`` an error ends a scene's motion, and the ``with`` raises it.
+    """
+    errors: list[Exception] = []
+    bare: WeakSet[Data] = WeakSet()  # scenes without joints
+
+    def pull_scene(model: Model, data: Data, passive: bool = False) -> None:
+        joints = joints_of(data)
+        disabled = bool(model.opt.disableflags & _NO_CONTROL)
+        if disabled != passive or (data in bare and not joints):
+            return
+        try:
+            if not joints:
+                bare.add(data)
+                _warn_bare(model)
+                return
+            if passive:  # it comes before the bias
+                engine.mj_rne(model, data, False, data.qfrc_bias)
+            pull(joints)
+        except Exception as error:
+            if sys._getframe().f_back is not None:  # a frame of Python called `mj_step`
+                raise
+            errors.append(error)  # raised in a thread of C++ it would end the process
+            data.qfrc_applied[:] = np.nan
+
+    # MuJoCo calls the control callback only with actuation; the passive callback stands in for it.
+    callbacks = pull_scene, partial(pull_scene, passive=True)
+    if engine.get_mjcb_control() or engine.get_mjcb_passive():
+        raise JointError("MuJoCo already has a callback; remove it, or call step_joints instead")
+    engine.set_mjcb_control(callbacks[0])
+    engine.set_mjcb_passive(callbacks[1])
+    try:
+        yield
+        exchanged = (engine.get_mjcb_control(), engine.get_mjcb_passive()) != callbacks
+    finally:
+        engine.set_mjcb_control(None)
+        engine.set_mjcb_passive(None)
+    if errors:
+        raise errors[0]
+    if exchanged:
+        raise JointError("a callback set within joints_in_mj_step stops the joints; remove it")
+
+
+def _warn_bare(model: Model) -> None:
+    """Warn of a scene without joints whose model has some in another scene."""
+    if has_joints_elsewhere(model):
+        warn(
+            "an MjData steps without a joint, and others of its model have joints: nothing holds "
+            "its tip. Make a MujocoJoint for each MjData, and keep it",
+            JointWarning,
+        )
