@@ -110,6 +110,7 @@ def glance(name: str, workspace: Opened) -> Response:
     replies = [table.packed.answer(wrench) for wrench in wrenches.tolist()]
     within = [reply.within_tolerance for reply in replies if reply.coverage == "covered"]
     axes, outputs = AXES if span.space.is_default else (), len(span.space.outputs)
+    used = table.rows.wrench[span.holds(table.rows.wrench)]
     body = {
         "component": name,
         "table_version": table.version,
@@ -124,6 +125,7 @@ def glance(name: str, workspace: Opened) -> Response:
         # cannot be compared leaves it unknown.
         "within_tolerance": None if None in within else sum(map(bool, within)) / SAMPLE,
         "axes": {axis.name: _shares(table, _grid(span, axis)) for axis in axes},
+        "reach": np.stack((used.min(axis=0), used.max(axis=0)), axis=1) if len(used) else None,
     }
     return json_reply(body)
 

@@ -15,7 +15,7 @@ const CHECKS = {
 };
 
 // Checks whose failure breaks no law: strong curvature between rows bends tangents too.
-const FAILED = { linear: ["no", "thin"], tangents: ["deviates", "thin"] };
+const FAILED = { linear: ["not linear", ""], tangents: ["deviates", "thin"] };
 
 export async function show(root, about, signal) {
   if (!about.rows) {

@@ -30,14 +30,14 @@ export async function jobList(root, component, signal) {
   list.count = () => {
     empty.hidden = list.rows.size > 0;
     const waiting = [...list.rows.values()].map((row) => row.job).filter((job) => job.status === "waiting");
-    cancelAll.hidden = !waiting.length && !following && ["", "waiting"].includes(status.value);
+    get(`${query("waiting")}`.replace(`limit=${SHOWN}`, "limit=1"), signal).then(({ jobs }) => { cancelAll.hidden = !jobs.length; }).catch(() => {});
     return waitingTime(waiting.sort((a, b) => b.id - a.id)[0], queue, signal);
   };
   const fresh = () => load(query(), true).catch((error) => { if (!signal.aborted) put(root, trouble(error)); });
   older.addEventListener("click", () => load(following.replace(/^\//, ""), false));
   const filter = el("select", { "aria-label": "Which jobs", onchange: (event) => { status.value = event.target.value; fresh(); } },
     ["", "waiting", "running", "done", "failed", "cancelled"].map((one) => el("option", { value: one }, one || "all")));
-  const cancelAll = el("button", { type: "button", class: "small", onclick: () => cancelWaiting(component) }, "Cancel all waiting jobs");
+  const cancelAll = el("button", { type: "button", class: "small", hidden: true, onclick: () => cancelWaiting(component) }, "Cancel all waiting jobs");
   const head = ["job", component ? null : "component", "state", "wrench", "took", ""].filter((one) => one !== null);
   put(root,
     el("div", { class: "line ends" }, el("label", { class: "line" }, "Show", filter), cancelAll), queue,

@@ -31,7 +31,7 @@ export async function show(root, _, signal, archived = false) {
     el("div", { class: "head" },
       el("div", {}, el("h1", {}, "Library"),
         el("p", { class: "muted" }, "Deformable components, and the share of each load range whose whole error bar, interpolation and discretisation, is within the tolerance. An empty table is filled by its first query, or by an import of measured rows.")),
-      el("div", { class: "line" }, el("div", { class: "search" }, search), away, el("a", { class: "button", href: "#/add" }, "Add a component"))),
+      el("div", { class: "line" }, el("div", { class: "search" }, search), away, el("button", { type: "button", class: "quiet", onclick: () => tour(components, true) }, "Tour"), el("a", { class: "button", href: "#/add" }, "Add a component"))),
     broken.length ? note("outside", el("strong", {}, "Not usable"), broken.map((one) => el("span", {}, `${one.name}: ${one.reason}`)), el("span", {}, "Mend its files in the data directory, and reload this page; its rows and jobs are kept.")) : null,
     components.length ? list : empty("No components yet.", el("a", { class: "button first", href: "#/add" }, "Add a component")), none);
   if (!archived) tour(components);

@@ -7,7 +7,7 @@ import { beingBuilt } from "./empty.js";
 import { findingNote } from "./findings.js";
 import { count, number, quantity, sentence } from "./format.js";
 import { inputsOf, mark, spansOf } from "./inputs.js";
-import { sharesOf, wholeError } from "./shares.js";
+import { legend, sharesOf, wholeError } from "./shares.js";
 
 export async function show(root, { name }, signal) {
   put(root, el("p", { class: "muted" }, "…"));
@@ -22,7 +22,8 @@ export async function show(root, { name }, signal) {
     put(warned, warnings(now, signal, refresh));
     put(rows, el("h2", {}, "Method and rows"), method(now));
     put(range, el("h2", {}, "Load range"), loads(now));
-    await cover(glance, now, signal, () => mine === latest);
+    const shares = await cover(glance, now, signal, () => mine === latest);
+    if (shares?.reach && mine === latest) put(range, el("h2", {}, "Load range"), loads(now, shares.reach));
   };
   put(root, warned,
     el("div", { class: "halves" },
@@ -54,13 +55,15 @@ const textOf = (one) => (typeof one === "string" ? one : one.message || one.msg 
 async function cover(place, about, signal, isLatest) {
   const rows = about.space ? about.rows : (await caughtUp(about.name, signal)).of; // the rows of several inputs have no drawing to wait for
   const parts = [];
+  let glance = null;
   if (rows) {
-    const glance = await get(`${of(about.name)}/glance`, signal);
+    glance = await get(`${of(about.name)}/glance`, signal);
     if (about.has_fea) parts.push(wholeError(glance, about));
     parts.push(sharesOf(glance));
-    parts.push(el("p", { class: "muted small" }, `Share of the load range${about.space ? "" : ", and of each axis' three loads,"} whose interpolation error is within the tolerance${about.has_fea ? "; the first bar is of the whole error" : ""}.`));
+    parts.push(legend(), el("p", { class: "muted small" }, `Share of the load range${about.space ? "" : ", and of each axis' three loads,"} whose interpolation error is within the tolerance${about.has_fea ? "; the first bar is of the whole error" : ""}.`));
   } else parts.push(el("p", {}, about.pending_rows ? `${beingBuilt(about.pending_rows)} …` : "The table has no rows yet."));
   if (isLatest()) put(place, parts);
+  return glance;
 }
 
 // Rows of another setup: the component's files have changed since these were solved.
@@ -68,7 +71,7 @@ function resolve(about) {
   const order = async () => {
     try {
       const reply = await post(`${of(about.name)}/table/resolve`, {});
-      notify(reply.jobs.length ? `${reply.jobs.length} solves are queued. ${reply.reason || ""}` : reply.reason || "Nothing to solve.");
+      notify(reply.jobs.length ? `${reply.jobs.length} solves are queued. ${reply.reason ? sentence(reply.reason) : ""}` : reply.reason || "Nothing to solve.");
     } catch (error) { notify(error.message, "wrong"); }
   };
   return el("button", { onclick: order }, "Solve them again");
@@ -80,7 +83,7 @@ function fill(about) {
     event.preventDefault();
     try {
       const reply = await post(`${of(about.name)}/fill`, { budget: Number(budget.value) });
-      notify(reply.jobs.length ? `${reply.jobs.length} solves are queued. ${reply.reason || ""}` : reply.reason || "Nothing to solve.");
+      notify(reply.jobs.length ? `${reply.jobs.length} solves are queued. ${reply.reason ? sentence(reply.reason) : ""}` : reply.reason || "Nothing to solve.");
     } catch (error) { notify(error.message, "wrong"); }
   };
   return el("form", { class: "line bottom", onsubmit: order },
@@ -111,12 +114,13 @@ function method(about) {
 }
 
 // The range of each load, and the part of it that the table's rows reach.
-function loads(about) {
-  const spans = spansOf(about), reached = Object.assign({}, ...(about.coverage.axes || []).map((one) => one.spans));
-  const known = Object.values(reached).some(Boolean);
-  return table(["Load", "#from", "#to", "", ...(known ? ["#rows reach"] : [])], inputsOf(about).map(({ name, unit }, place) =>
-    [el("span", {}, mark(name)), number(spans[place][0]), number(spans[place][1]), unit, ...(known ? [reached[name] ? reached[name].map((one) => number(one, 3)).join(" to ") : ""] : [])]));
+function loads(about, reach) {
+  const spans = spansOf(about);
+  return table(["Load", "#from", "#to", "", ...(reach ? ["#rows reach"] : [])], inputsOf(about).map(({ name, unit }, place) =>
+    [el("span", {}, mark(name)), number(spans[place][0]), number(spans[place][1]), unit, ...(reach ? [between(...reach[place])] : [])]));
 }
+
+const between = (low, high) => (low === high ? `only ${number(low, 3)}` : `${number(low, 3)} to ${number(high, 3)}`);
 
 function contract(about) {
   const held = about.interface;

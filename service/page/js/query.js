@@ -59,14 +59,15 @@ async function query(place, about, wrench, options, signal, watched = null) {
   if (answer.job && answer.job.id !== watched) await watch(place, about, wrench, options, answer.job, signal);
 }
 
+const ROUNDOFF = 1e-20; // m or rad: the kernel's least error bar is 1e-30
 const shareOf = (part) => (part < 10 ? percent(part, 3) : `${number(part, 2)} times`);
 
 const beyond = (about) => `The error bar exceeds the tolerance because of the ${solverError(about)} error. More solves do not lower it; the component's overview says what does.`;
 
 function shown(answer, about, wrench) {
   return [
-    el("div", { class: "line" }, pill(answer.coverage), el("span", { class: "muted small" }, about_(answer))),
-    answer.reason ? note(answer.coverage, answer.reason) : null,
+    el("div", { class: "line" }, stateOf(answer), el("span", { class: "muted small" }, about_(answer))),
+    answer.reason ? note(answered(answer) ? answer.coverage : "", answer.reason) : null,
     answer.coverage === "covered" && answer.within_tolerance === false ? note("thin", beyond(about)) : null,
     Object.entries(answer.displacements || { "": answer }).map(([name, part]) => moved(name, part, about.tolerance)),
     answer.notes ? note("thin", el("ul", {}, answer.notes.map((one) => el("li", {}, one)))) : null,
@@ -74,11 +75,21 @@ function shown(answer, about, wrench) {
   ];
 }
 
+const answered = ({ translation, displacements }) => Boolean(translation || Object.values(displacements || {})[0]?.translation);
+
+// Coverage as a pill; a table without rows has none yet.
+function stateOf(answer) {
+  const { coverage, within_tolerance: within } = answer;
+  if (!answered(answer)) return pill("no answer yet", "");
+  return coverage === "covered" && within === false ? pill("covered, over tolerance", "thin") : pill(coverage);
+}
+
 // The displacement of an interface, its name empty where there is one.
 function moved(name, part, limit) {
   if (!part.translation) return null;
-  const values = [...part.translation, ...part.rotation];
-  const bars = part.error ? [...part.error.translation, ...part.error.rotation] : [];
+  const values = [...part.translation, ...part.rotation].map((one) => (Math.abs(one) < ROUNDOFF ? 0 : one));
+  const bars = part.error ? [...part.error.translation, ...part.error.rotation].map((one) => (one !== null && one < ROUNDOFF ? 0 : one)) : [];
+  if (name && bars.length && ![...values, ...bars].some((one) => one !== 0)) return el("p", { class: "muted" }, `${name}: no displacement`);
   const lines = OUTPUTS.map((output, place) => {
     const { value, bar } = withBar(values[place], bars[place], unitOfOutput(output));
     const allowed = limit && (place < 3 ? limit.translation : limit.rotation);
@@ -97,7 +108,7 @@ function row(name, value, bar, share) {
 
 function about_(answer) {
   const source = answer.source === "fea" ? "a solve of this wrench" : answer.source === "table" ? "from the table" : answer.source || "no source";
-  return `${source} · ${answer.method} · version ${answer.table_version} · ${number(answer.elapsed_us, 3)} µs`;
+  return `${source}${answer.source ? ` · ${answer.method}` : ""} · version ${answer.table_version} · ${number(answer.elapsed_us, 3)} µs`;
 }
 
 // Events tell how far the solve is; its end is asked for as well, since it may come before them.

@@ -9,6 +9,7 @@ import { NARROW, figure } from "./view3d.js";
 import { lastWrench, wrenchForm } from "./wrench_form.js";
 
 const MM = 1000;
+const LONGEST = 1.6; // of the box of the axes, for the camera's distance: all corners are in the picture when it turns
 const SEEN = 0.12; // of the part's size: what the largest displacement is first magnified to
 const SHOWN = () => [["size", "|u|"], ["0", symbol("ux")], ["1", symbol("uy")], ["2", symbol("uz")]];
 
@@ -117,8 +118,18 @@ function picture(shape, sizes, { factor, colour, edges }, shade, camera, narrow)
   };
   const before = { type: "scatter3d", mode: "lines", ...lines(shape.vertices, edges, MM), line: { color: shade.muted, width: 3 }, hoverinfo: "skip", connectgaps: false };
   const after = { ...before, ...lines(points, edges, MM), line: { color: shade.ink, width: 3 } };
-  const axis = (name) => ({ title: { text: `${name}, mm` }, nticks: 5 });
-  return { data: [body, before, after], layout: { scene: { xaxis: axis("x"), yaxis: axis("y"), zaxis: { ...axis("z"), nticks: narrow ? 2 : 4 }, aspectmode: "data", domain: narrow ? { x: [0, 1], y: [0.2, 1] } : { x: [0, 0.9], y: [0, 1] }, camera }, uirevision: "same" } };
+  const axis = (name) => ({ ...measure(name, factor), nticks: 5 });
+  return { data: [body, before, after], layout: { scene: { xaxis: axis("x"), yaxis: axis("y"), zaxis: { ...axis("z"), nticks: narrow ? 2 : 4 }, aspectmode: "manual", aspectratio: aspect(points), domain: narrow ? { x: [0, 1], y: [0.2, 1] } : { x: [0, 0.9], y: [0, 1] }, camera }, uirevision: "same" } };
+}
+
+// Ticks are lengths at true scale alone.
+const measure = (name, factor) => ({ title: { text: factor === 1 ? `${name}, mm` : name }, showticklabels: factor === 1 });
+
+// The box of the axes: as long as the body, and no longer where the body is flat.
+function aspect(points) {
+  const extents = [0, 1, 2].map((k) => column(points, k, 1)).map((values) => values.reduce((most, one) => Math.max(most, one), -Infinity) - values.reduce((least, one) => Math.min(least, one), Infinity));
+  const [x, y, z] = extents.map((one) => LONGEST * Math.max(one / Math.max(...extents), 0.01));
+  return { x, y, z };
 }
 
 // Only points are moved: colours and triangles stay as they are.
@@ -126,9 +137,10 @@ function redraw(drawing, shape, factor) {
   const points = moved(shape.vertices, shape.displacement, factor);
   const edges = outline(shape.vertices, shape.triangles);
   const after = lines(points, edges, MM);
-  drawing.plotly.restyle(drawing.place, {
+  const axes = Object.fromEntries(["x", "y", "z"].flatMap((name) => Object.entries(measure(name, factor)).map(([key, value]) => [`scene.${name}axis.${key}`, value])));
+  drawing.plotly.update(drawing.place, {
     x: [column(points, 0, MM), after.x], y: [column(points, 1, MM), after.y], z: [column(points, 2, MM), after.z],
-  }, [0, 2]);
+  }, { ...axes, "scene.aspectratio": aspect(points) }, [0, 2]);
 }
 
 function measured(shape, sizes, largest) {

@@ -19,6 +19,9 @@ export function sharesBar(shares, names = NAMES) {
   return el("span", { class: "bar", role: "img", "aria-label": said, title: said }, parts);
 }
 
+// The colours of the bars.
+export const legend = () => el("p", { class: "legend muted small" }, NAMES.map((name) => el("span", {}, el("i", { class: name }), ` ${name}`)));
+
 export function sharesOf(glance) {
   const lines = [["all loads", glance.whole], ...Object.entries(glance.axes).map(([axis, shares]) => [`axis ${axis}`, shares])];
   return el("div", { class: "shares" }, lines.map(([name, shares]) => [

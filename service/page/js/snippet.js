@@ -15,8 +15,16 @@ function literal(value) {
 
 const entries = (values) => Object.entries(values).map(([key_, value]) => `"${key_}": ${literal(value)}`).join(", ");
 
+// The inputs of a request; an interface without loads may be left out.
+function loaded(about, wrench) {
+  const given = named(about, wrench);
+  if (!given.loads) return given;
+  const acting = Object.entries(given.loads).filter(([, load]) => [...load.force, ...load.moment].some((one) => one !== 0));
+  return { ...given, loads: acting.length ? Object.fromEntries(acting) : given.loads };
+}
+
 export function curlOf(about, wrench, options) {
-  const { name } = about, body = `{${entries(named(about, wrench))}${extra(options)}}`;
+  const { name } = about, body = `{${entries(loaded(about, wrench))}${extra(options)}}`;
   const lines = [`curl -X POST ${server()}/${of(name)}/displacement`, "-H 'Content-Type: application/json'"];
   if (key()) lines.push('-H "Authorization: Bearer $WRENCHBOOK_KEY"');
   lines.push(`-d '${body}'`);
@@ -28,7 +36,7 @@ function extra({ onThin, method }) {
 }
 
 export function pythonOf(about, wrench, { onThin, method }) {
-  const { name } = about, { loads, force, moment, inputs } = named(about, wrench);
+  const { name } = about, { loads, force, moment, inputs } = loaded(about, wrench);
   const keyed = key() ? ', key=os.environ["WRENCHBOOK_KEY"]' : "";
   const more = (onThin === "queue" ? "" : `, on_thin="${onThin}"`) + (method ? `, method="${method}"` : "");
   const given = [loads ? "loads=loads" : "force, moment", ...(inputs ? [`inputs=${literal(inputs)}`] : [])].join(", ");
@@ -37,9 +45,9 @@ export function pythonOf(about, wrench, { onThin, method }) {
     "from wrenchbook import Client",
     "",
     `with Client("${server()}"${keyed}) as client:`,
-    loads ? `    loads = ${literal(loads)}` : `    force, moment = ${list(force)}, ${list(moment)}`,
+    loads ? `    loads = {\n${Object.entries(loads).map(([at, load]) => `        "${at}": ${literal(load)},`).join("\n")}\n    }` : `    force, moment = ${list(force)}, ${list(moment)}`,
     `    answer = client.displacement("${name}", ${given}${more})`,
-    loads ? "    print({name: one.translation for name, one in answer.interfaces.items()}, answer.coverage)" : "    print(answer.translation, answer.rotation, answer.error, answer.coverage)",
+    loads ? "    for name, one in answer.interfaces.items():\n        print(name, one.translation, one.rotation, answer.coverage)" : "    print(answer.translation, answer.rotation, answer.error, answer.coverage)",
   ].join("\n");
 }
 

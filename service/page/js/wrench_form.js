@@ -32,8 +32,14 @@ export function wrenchForm(about, { action, asked, changed, more = [] }) {
     type: "number", step: "any", required: true, value: String(start[place]), name, id: id(name),
     "aria-label": `${name} in ${unit}`,
     title: `${number(spans[place][0])} to ${number(spans[place][1])} ${unit}`,
-    oninput: () => changed?.(read()),
+    oninput: (event) => { mind(event.target, place); changed?.(read()); },
   }));
+  // A load beyond its range is marked as it is typed: its answer is extrapolated.
+  const mind = (input, place) => {
+    const [low, high] = spans[place], value = Number(input.value);
+    input.classList.toggle("beyond", value < low || value > high);
+  };
+  inputs.forEach(mind);
   const read = () => inputs.map((input) => (input.value === "" ? NaN : Number(input.value)));
   const labelled = (places) => el("div", { class: "three" }, places.map((place) =>
     el("label", {}, known[place].kind === "scalar" ? `${known[place].name}, ${known[place].unit}` : mark(known[place].name.split(".").at(-1)), inputs[place])));
