@@ -35,7 +35,7 @@ USE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _READ_ONLY = "its disk is read-only: remount it writable (dmesg tells why the kernel changed it)"
-_REMEDIES = {
+REMEDIES = {  # by the number of an OSError
     **dict.fromkeys(_FULL, "make room on its disk"),
     errno.EROFS: _READ_ONLY,
     errno.EACCES: "make its folder and files writable for the user of the server",
@@ -321,7 +321,7 @@ def unavailable(path: Path, error: Exception) -> LedgerUnavailableError:
         number = errno.EROFS
     elif code & 0xFF == sqlite3.SQLITE_IOERR:
         number = errno.EIO
-    remedy = _REMEDIES.get(number, "check that its disk has space and is writable")
+    remedy = REMEDIES.get(number, "check that its disk has space and is writable")
     kind = LedgerFullError if number in _FULL else LedgerUnavailableError
     return kind(
         f"the ledger {path} could not be used: {error}. Nothing was changed; {remedy}, "

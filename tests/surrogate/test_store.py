@@ -62,7 +62,7 @@ def test_what_is_written_is_read_back(rows: Rows, last_seq: int, title: str) -> 
 
 
 def test_a_full_disk_is_an_error_and_no_end_of_the_process(tmp_path: Path) -> None:
-    """libhdf5 ended server and doctor by a segmentation fault; a limit of file sizes does it too."""
+    """libhdf5 ended server and doctor by a segmentation fault, as at a limit of file sizes."""
     write_table(tmp_path / "plate.h5", table(smooth, clean_wrenches(10, 1)), META)
     before = (tmp_path / "plate.h5").read_bytes()
     program = """
