@@ -35,7 +35,7 @@ USE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _READ_ONLY = "its disk is read-only: remount it writable (dmesg tells why the kernel changed it)"
-REMEDIES = {  # by the number of an OSError
+_REMEDIES = {
     **dict.fromkeys(_FULL, "make room on its disk"),
     errno.EROFS: _READ_ONLY,
     errno.EACCES: "make its folder and files writable for the user of the server",
@@ -299,6 +299,12 @@ def damaged_file(path: Path, why: str) -> LedgerDamagedError:
     )
 
 
+def with_remedy(error: Exception) -> str:
+    """Return an error's text, with the remedy if the disk is the cause."""
+    remedy = _REMEDIES.get(getattr(error, "errno", None) or 0)
+    return f"{error}; {remedy}" if remedy else str(error) or repr(error)
+
+
 def is_damage(error: Exception) -> bool:
     """Return whether an error is that of a damaged file; damaged text need not be UTF-8."""
     code = getattr(error, "sqlite_errorcode", 0) & 0xFF  # the other bits: where it was noticed
@@ -321,7 +327,7 @@ def unavailable(path: Path, error: Exception) -> LedgerUnavailableError:
         number = errno.EROFS
     elif code & 0xFF == sqlite3.SQLITE_IOERR:
         number = errno.EIO
-    remedy = REMEDIES.get(number, "check that its disk has space and is writable")
+    remedy = _REMEDIES.get(number, "check that its disk has space and is writable")
     kind = LedgerFullError if number in _FULL else LedgerUnavailableError
     return kind(
         f"the ledger {path} could not be used: {error}. Nothing was changed; {remedy}, "

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from wrenchbook.service.contract import CONTRACT
 from wrenchbook.service.files.program import give_back, usable_cores
 from wrenchbook.service.ledger import LedgerUnavailableError
-from wrenchbook.service.ledger.connection import REMEDIES
+from wrenchbook.service.ledger.connection import with_remedy
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.settings import Settings
@@ -36,14 +36,6 @@ SAVE_AFTER_QUIET_S = 1.0
 RETRY_S = 1.0
 START_S = 30.0  # for small tables at a start; larger ones answer 503 until they are built
 _UNCONFIRMED = -1  # version of rows of a file that the ledger could not confirm
-
-
-def _why(error: Exception) -> str:
-    """Return the cause of a table's fault, with the remedy of one of the disk."""
-    number = getattr(error, "errno", None)
-    if number not in REMEDIES:
-        return str(error) or repr(error)
-    return f"{os.strerror(number)}; {REMEDIES[number]}"
 
 
 def build_table(
@@ -215,10 +207,10 @@ class TableBuilder:
             faults.pop(name, None)
             return True
         except Exception as error:
-            why, of_the_disk = _why(error), getattr(error, "errno", None) in REMEDIES
+            why = with_remedy(error)
             if faults.get(name) != why:
                 text = "the table of %s is not as it should be: %s"
-                log.error(text, name, why, exc_info=not of_the_disk)
+                log.error(text, name, why, exc_info=why in (str(error), repr(error)))
             faults[name] = why
             return False
 
@@ -274,8 +266,8 @@ class TableBuilder:
             self._store.write_packed(name, number, content)
             content = b""
         except OSError as error:  # the version before answers; `_write` tries again
-            log.warning("the packed table of %s cannot be written: %s", name, _why(error))
-            save_at, self._unwritten[name], self._failed_at[name] = 0.0, _why(error), number
+            log.warning("the packed table of %s cannot be written: %s", name, with_remedy(error))
+            save_at, self._unwritten[name], self._failed_at[name] = 0.0, with_remedy(error), number
         now = time.monotonic()
         self._versions[name] = _Version(component, number, table, now + save_at, content, now)
         log.debug("%s: version %d, %.3f s", name, number, now - started)
