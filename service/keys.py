@@ -277,8 +277,8 @@ def is_loopback(host: str) -> bool:
 
 
 def require_keys(host: str, folder: Path) -> None:
-    """Raise KeysNeededError if other machines reach an address and there is no key."""
-    if not is_loopback(host) and not len(Keyring(folder)):
+    """Raise KeysNeededError without keys where other machines reach the address; KeysError."""
+    if not len(Keyring(folder)) and not is_loopback(host):
         raise KeysNeededError(_WITHOUT_KEYS.format(host=host, folder=folder))
 
 

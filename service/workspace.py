@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import tempfile
 import threading
 import time
 from collections.abc import Callable
@@ -327,6 +328,8 @@ class Workspace:
             return [f"nothing is accepted: {trouble}"]
         if is_full(self.settings.data):
             return ["nothing is accepted, because the disk is full; make room"]
+        if is_full(Path(tempfile.gettempdir())):
+            return ["files are refused, because the disk of TMPDIR is full; make room there"]
         trouble = self.tables.trouble()
         return [f"jobs do not run: {trouble}"] if trouble else []
 

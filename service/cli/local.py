@@ -36,6 +36,7 @@ from wrenchbook.service.settings import (
 CORES = usable_cores()
 DEFAULT_DATA = Settings.data
 Folder = Annotated[Path, typer.Option(help="data directory", envvar="WRENCHBOOK_DATA")]
+_KEYLESS = "anybody on this machine may call it. Make one with: wrenchbook keys add NAME{}"
 
 
 def serve(
@@ -236,8 +237,7 @@ def restore(
     if has_keys:
         texts.append("Its keys stay as they were.")
     else:
-        add = f"Make one with: wrenchbook keys add NAME{option}"
-        texts.append(f"It has no keys: anybody on this machine may call it. {add}")
+        texts.append(f"It has no keys: {_KEYLESS.format(option)}")
     if former is not None:
         texts.append(f"The former files are in {former}; remove them once you need them no more.")
     reply = {"data": data, "files": len(manifest.files), "former": former, **state}
@@ -347,7 +347,10 @@ def revoke(name: KeyName, as_json: AsJson = False, data: Folder = DEFAULT_DATA) 
     """Revoke a key; servers refuse it within a second."""
     with _noted(data, "key.revoke", name):
         Keyring(data).revoke(name)
-    show({"name": name, "revoked": True}, as_json, f"The key {name} is revoked.")
+    text = f"The key {name} is revoked."
+    if not len(Keyring(data)):
+        text += f" {data} has no keys left: {_KEYLESS.format(_data_option(data))}"
+    show({"name": name, "revoked": True}, as_json, text)
 
 
 @contextmanager

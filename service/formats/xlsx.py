@@ -7,11 +7,14 @@ openpyxl writes 16 of them, too few for every third float.
 
 from __future__ import annotations
 
+import errno
+import os
 import re
 import warnings
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -69,10 +72,31 @@ def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
 def write_xlsx(
     path: Path, pieces: Iterable[WritableRows], layout: Layout, metadata: Mapping[str, str]
 ) -> None:
-    """Write pieces of a table to one sheet, and `metadata` to another; SheetFullError."""
+    """Write pieces of a table to one sheet, and `metadata` to another; SheetFullError, OSError."""
     from openpyxl import Workbook
 
     book = Workbook(write_only=True)
+    try:
+        _write_book(book, path, pieces, layout, metadata)
+    except Exception as error:
+        writers: list[Any] = [getattr(sheet, "_writer", None) for sheet in book.worksheets]
+        for writer in filter(None, writers):
+            with suppress(Exception):  # the end of its file is not written either
+                writer.xf.close()
+            writer.cleanup()
+        number = getattr(errno, str(error).removeprefix("IO_"), None)  # of lxml: IO_ENOSPC
+        if number is None:
+            raise
+        raise OSError(number, os.strerror(number)) from error
+
+
+def _write_book(
+    book: Any,
+    path: Path,
+    pieces: Iterable[WritableRows],
+    layout: Layout,
+    metadata: Mapping[str, str],
+) -> None:
     sheet = book.create_sheet("table")
     sheet.append([_write_cell(sheet, label, "s") for label in layout.labels()])
     count = 0

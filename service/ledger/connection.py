@@ -299,6 +299,12 @@ def damaged_file(path: Path, why: str) -> LedgerDamagedError:
     )
 
 
+def with_remedy(error: Exception) -> str:
+    """Return an error's text, with the remedy if the disk is the cause."""
+    remedy = _REMEDIES.get(getattr(error, "errno", None) or 0)
+    return f"{error}; {remedy}" if remedy else str(error) or repr(error)
+
+
 def is_damage(error: Exception) -> bool:
     """Return whether an error is that of a damaged file; damaged text need not be UTF-8."""
     code = getattr(error, "sqlite_errorcode", 0) & 0xFF  # the other bits: where it was noticed

@@ -22,6 +22,7 @@ from typing import IO, Any
 
 from wrenchbook.service.files.durable import sync
 from wrenchbook.service.ledger import Ledger, LedgerError, earlier
+from wrenchbook.service.ledger.connection import with_remedy
 from wrenchbook.service.ledger.schema import VERSION
 
 FORMAT = "wrenchbook backup"
@@ -105,7 +106,8 @@ def back_up(folder: Path, target: Path) -> Manifest:
         draft.replace(target)
         sync(target.parent)
     except OSError as error:
-        path, problem = Path(str(error.filename)), f"{target} cannot be written: {error}"
+        path, problem = Path(str(error.filename)), f"{target} cannot be written"
+        problem = f"{problem}: {with_remedy(error)}"
         if path.is_relative_to(folder) and HELD.fullmatch(path.relative_to(folder).as_posix()):
             problem = f"{path} cannot be read: {error.strerror}"
         raise BackupError(f"{problem}. No backup was made") from error

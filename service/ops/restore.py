@@ -15,6 +15,7 @@ from wrenchbook.service.files.durable import sync, sync_tree
 from wrenchbook.service.keys import FILE as KEYS
 from wrenchbook.service.keys import USED
 from wrenchbook.service.ledger import Ledger, LedgerError
+from wrenchbook.service.ledger.connection import with_remedy
 from wrenchbook.service.ops import replica
 from wrenchbook.service.ops.backup import LEDGER, BackupError, Manifest, unpack, verify
 from wrenchbook.service.tables.coordinator_state import FOLDER as SHARED
@@ -75,9 +76,7 @@ def restore(
             f"the ledger in {source} cannot be used ({error}); use another backup"
         ) from error
     except OSError as error:
-        raise BackupError(
-            f"{folder} cannot be written ({error}); make it writable. {state}"
-        ) from error
+        raise BackupError(f"{folder} cannot be written: {with_remedy(error)}. {state}") from error
     finally:
         shutil.rmtree(draft, ignore_errors=True)
         if is_new:

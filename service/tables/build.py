@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from wrenchbook.service.contract import CONTRACT
 from wrenchbook.service.files.program import give_back, usable_cores
 from wrenchbook.service.ledger import LedgerUnavailableError
+from wrenchbook.service.ledger.connection import with_remedy
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.settings import Settings
@@ -206,9 +207,10 @@ class TableBuilder:
             faults.pop(name, None)
             return True
         except Exception as error:
-            why = str(error) or repr(error)
+            why = with_remedy(error)
             if faults.get(name) != why:
-                log.exception("the table of %s is not as it should be", name)
+                text = "the table of %s is not as it should be: %s"
+                log.error(text, name, why, exc_info=why in (str(error), repr(error)))
             faults[name] = why
             return False
 
@@ -264,8 +266,8 @@ class TableBuilder:
             self._store.write_packed(name, number, content)
             content = b""
         except OSError as error:  # the version before answers; `_write` tries again
-            log.warning("the packed table of %s cannot be written: %s", name, error)
-            save_at, self._unwritten[name], self._failed_at[name] = 0.0, str(error), number
+            log.warning("the packed table of %s cannot be written: %s", name, with_remedy(error))
+            save_at, self._unwritten[name], self._failed_at[name] = 0.0, with_remedy(error), number
         now = time.monotonic()
         self._versions[name] = _Version(component, number, table, now + save_at, content, now)
         log.debug("%s: version %d, %.3f s", name, number, now - started)

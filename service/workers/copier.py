@@ -72,11 +72,14 @@ def keep(settings: Settings, stop: threading.Event) -> None:
     pause = 0.0
     while not stop.wait(pause):
         pause = POLL_S
-        newest = max((path.stat().st_mtime for path in folder.glob(_PATTERN)), default=0.0)
-        if time.time() - newest >= period * HOUR:
+        ages = [time.time() - path.stat().st_mtime for path in folder.glob(_PATTERN)]
+        # A backup of a clock that was ahead must not postpone all others until its date.
+        if all(abs(age) >= period * HOUR for age in ages):
             try:
                 facts = {"trouble": None, **tested_backup(settings.data, folder)}
-                for path in sorted(folder.glob(_PATTERN))[: -settings.backup_keep]:
+                newest = folder / facts["file"]
+                files = sorted(folder.glob(_PATTERN), key=lambda file: (file <= newest, file))
+                for path in files[: -settings.backup_keep]:  # later dates first, of such a clock
                     path.unlink(missing_ok=True)
             except Exception as error:
                 log.exception("the scheduled backup failed")

@@ -14,6 +14,7 @@ import json
 import os
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -68,21 +69,25 @@ def write_table(
 
     `notes`, one text a row, are for an export; the store's files have none.
 
+    It is made in memory, 0.5 kB a row: libhdf5 ends the process by a segmentation fault after a
+    write that a full disk refuses.
+
     Raises OSError if the folder cannot be written; the file that was there is untouched.
     """
-    target = Path(path)
+    target, content = Path(path), BytesIO()
+    with h5py.File(content, "w", userblock_size=USER_BLOCK) as file:
+        _write_meta(file, meta)
+        _write_rows(file, rows)
+        if any(notes):
+            # Each of its length: a long note must not make every other as long.
+            kind = h5py.string_dtype("utf-8")
+            file.create_dataset("rows/note", data=list(notes), dtype=kind)
+    write_digest(content)
     handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".tmp")
-    os.close(handle)
     draft = Path(name)
     try:
-        with h5py.File(draft, "w", userblock_size=USER_BLOCK) as file:
-            _write_meta(file, meta)
-            _write_rows(file, rows)
-            if any(notes):
-                # Each of its length: a long note must not make every other as long.
-                kind = h5py.string_dtype("utf-8")
-                file.create_dataset("rows/note", data=list(notes), dtype=kind)
-        write_digest(draft)
+        with open(handle, "wb") as file:  # noqa: PTH123 (a descriptor)
+            file.write(content.getbuffer())
         draft.chmod(0o644)  # a temporary file is private, a table is for other programs too
         sync(draft)
         draft.replace(target)

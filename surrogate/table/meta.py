@@ -62,10 +62,9 @@ class TableMeta:
     locked: tuple[int, ...] = ()
 
 
-def write_digest(path: Path) -> None:
+def write_digest(file: BinaryIO) -> None:
     """Put the digest of a file into its user block."""
-    with path.open("r+b") as file:
-        file.write(_DIGEST_MARK + _digest(file))
+    file.write(_DIGEST_MARK + _digest(file))
 
 
 def is_as_written(path: Path) -> bool:

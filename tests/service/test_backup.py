@@ -323,7 +323,9 @@ def test_a_restore_that_fails_half_way_says_where_the_former_files_are(
 
     with monkeypatch.context() as patched:
         patched.setattr(Path, "rename", full)
-        with pytest.raises(BackupError, match="is not complete") as reported:
+        with pytest.raises(
+            BackupError, match=r"make room on its disk\. The restore is not complete"
+        ) as reported:
             restore(backup, folder, overwrite=True)
     (aside,) = folder.glob(".before-restore-*")
     assert str(aside) in str(reported.value)

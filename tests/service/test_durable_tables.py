@@ -372,7 +372,7 @@ def test_a_full_disk_leaves_the_version_before_and_the_file_is_written_later(sit
     insert(site.ledger, "rig", "", new_rows(30))
     assert not site.tables.catch_up("rig", 20)
     assert site.tables.surrogate("rig").row_count == 0
-    assert "No space" in site.tables.faults()["rig"]
+    assert "No space left on device; make room on its disk" in site.tables.faults()["rig"]
     monkeypatch.undo()
     until(lambda: not site.tables.faults())
     assert site.wrenches() == expected(30)

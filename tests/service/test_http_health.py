@@ -79,12 +79,16 @@ def test_a_table_whose_file_a_full_disk_does_not_take_is_not_ready_and_broken_at
         assert http.get(READY, params={"component": "rig"}).status_code == 200
 
 
-def test_a_full_disk_is_not_ready_whatever_its_tables_are(tmp_path, monkeypatch):
+@pytest.mark.parametrize(("of_data", "said"), [(True, "the disk is full"), (False, "TMPDIR")])
+def test_a_full_disk_is_not_ready_whatever_its_tables_are(tmp_path, monkeypatch, of_data, said):
+    """With the disk of temporary files full it was ready, and refused all files."""
     with TestClient(create_app(Settings(tmp_path, solvers=0))) as http:
         add(http, "rig")
-        monkeypatch.setattr("wrenchbook.service.workspace.is_full", lambda _: True)
+        full = "wrenchbook.service.workspace.is_full"
+        monkeypatch.setattr(full, lambda folder: (folder == tmp_path) == of_data)
         reply = http.get(READY)
         assert (reply.status_code, reply.json()["status"]) == (503, "not ready")
+        assert said in reply.json()["faults"][0]
 
 
 def test_a_component_that_cannot_be_read_makes_no_server_ready(tmp_path):

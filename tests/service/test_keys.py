@@ -91,6 +91,8 @@ def test_damaged_keys_let_nobody_in_and_are_told_of(tmp_path, content):
     (tmp_path / FILE).write_text(content)
     with pytest.raises(KeysError, match="wrenchbook keys add"):
         Keyring(tmp_path)
+    with pytest.raises(KeysError, match="wrenchbook keys add"):  # it was a worker's traceback
+        app(["serve", "--data", str(tmp_path), "--port", "0"], standalone_mode=False)
 
 
 def test_keys_that_are_damaged_under_a_server_stay_as_they_were(keyring, tmp_path):
@@ -144,6 +146,8 @@ def test_keys_are_added_listed_and_revoked_by_commands(tmp_path):
     listed = run("list").stdout
     assert "ann" in listed
     assert secret not in listed
-    assert run("revoke", "ann").exit_code == 0
+    revoked = run("revoke", "ann")
+    assert revoked.exit_code == 0
+    assert "has no keys left: anybody" in revoked.stdout
     assert len(Keyring(tmp_path)) == 0
     assert run("revoke", "ann").exit_code != 0

@@ -324,13 +324,15 @@ def test_a_read_only_server_refuses_writes_and_names_the_main_server(tmp_path, p
 # -- the process ---------------------------------------------------------------------------------
 
 
-def test_a_scheduled_backup_is_tested_by_its_restore_and_old_ones_go(shipped, tmp_path):
+@pytest.mark.parametrize("year", [2020, 2999])
+def test_a_scheduled_backup_is_tested_by_its_restore_and_old_ones_go(shipped, tmp_path, year):
+    """Backups of a clock that was ahead stopped all others, and new ones went before them."""
     folder, stop = tmp_path / "backups", threading.Event()
     folder.mkdir()
     for number in range(3):
-        old = folder / f"wrenchbook-2020010{number}T000000Z.wbb"
+        old = folder / f"wrenchbook-{year}010{number}T000000Z.wbb"
         old.touch()
-        os.utime(old, (0, 0))
+        os.utime(old, ((year - 1970) * 31_556_952,) * 2)
     settings = Settings(shipped.folder, backup_every=1.0, backup_folder=folder, backup_keep=2)
     thread = threading.Thread(target=copier.keep, args=(settings, stop))
     thread.start()
@@ -338,8 +340,8 @@ def test_a_scheduled_backup_is_tested_by_its_restore_and_old_ones_go(shipped, tm
     stop.set()
     thread.join()
     assert (status["trouble"], status["tested"]) == (None, True)
-    assert [path.name for path in sorted(folder.iterdir())][1] == status["file"]
-    assert len(list(folder.iterdir())) == 2
+    kept = {path.name for path in folder.iterdir()}
+    assert kept == {f"wrenchbook-{year}0102T000000Z.wbb", status["file"]}
 
 
 def test_a_backup_that_does_not_restore_is_no_backup_and_health_and_doctor_say_so(

@@ -6,6 +6,8 @@ import csv
 import gzip
 import io
 import math
+import resource
+import tempfile
 import zipfile
 from dataclasses import replace
 from decimal import Decimal
@@ -156,6 +158,20 @@ def test_an_export_says_its_contract_and_its_units():
     file = parquet.ParquetFile(io.BytesIO(written(write_parquet, table)))
     assert file.schema_arrow.metadata[b"wrenchbook:contract"] == b"SI"
     assert file.schema_arrow.field("fz [N]").metadata[b"unit"] == b"N"
+
+
+def test_a_workbook_that_a_full_disk_refuses_is_an_error_of_the_disk(tmp_path, monkeypatch):
+    """It was a 500, and its temporary file stayed; the limit of file sizes stands for the disk."""
+    table = read_csv(f"{FORCE}\n" + "1,0\n" * 3000)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, hard))
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            written(write_xlsx, table)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert list(tmp_path.rglob("openpyxl*")) == []
 
 
 @pytest.mark.parametrize("write", WRITERS.values(), ids=WRITERS.keys())

@@ -1,3 +1,5 @@
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -57,6 +59,26 @@ def test_what_is_written_is_read_back(rows: Rows, last_seq: int, title: str) -> 
     assert (about.component, about.last_seq, about.title) == ("bar", last_seq, title)
     assert about.fingerprint == "f00"
     np.testing.assert_array_equal(about.load_range.high, HIGH)
+
+
+def test_a_full_disk_is_an_error_and_no_end_of_the_process(tmp_path: Path) -> None:
+    """libhdf5 ended server and doctor by a segmentation fault, as at a limit of file sizes."""
+    write_table(tmp_path / "plate.h5", table(smooth, clean_wrenches(10, 1)), META)
+    before = (tmp_path / "plate.h5").read_bytes()
+    program = """
+import resource, sys
+from tests.surrogate import test_store as t
+resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+try:
+    t.write_table(sys.argv[1], t.table(t.smooth, t.clean_wrenches(600, 1)), t.META)
+except OSError as error:
+    print(error.strerror)
+"""
+    command = [sys.executable, "-c", program, str(tmp_path / "plate.h5")]
+    ended = subprocess.run(command, cwd=HERE.parents[2], capture_output=True, text=True)
+    assert (ended.returncode, ended.stdout) == (0, "File too large\n"), ended.stderr
+    assert (tmp_path / "plate.h5").read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["plate.h5"]
 
 
 def test_third_derivatives_of_some_rows_are_read_back_to_the_bit(tmp_path: Path) -> None:
