@@ -15,7 +15,7 @@ from wrenchbook.service.formats.columns import ARRAYS, Columns, Layout, Writable
 from wrenchbook.service.formats.header import array_header, named_columns, readings_of, with_unit
 from wrenchbook.service.formats.options import MAX_ROWS, Array, Options, ParsedTable, ReadReport
 from wrenchbook.service.formats.text import PIECE, CellFormat, Piece, read_columns, read_pieces
-from wrenchbook.service.formats.xlsx import chosen_sheet
+from wrenchbook.service.formats.xlsx import NoSheetError, chosen_sheet
 from wrenchbook.surrogate.table.hdf5 import foreign_columns, foreign_tables, is_table, matlab_object
 from wrenchbook.surrogate.table.rows import unknown_column
 
@@ -207,6 +207,8 @@ def read_tdms(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
             sheet = chosen_sheet(list(scores), options.sheet, most.__contains__, report)
             report.ignored += [c.name for c in file[sheet].channels() if not len(c)]
             yield from read_columns(_tdms_pieces(groups[sheet], options), options, report)
+    except NoSheetError as error:
+        report.mistakes.ruin(0, "file", str(error))
     except Exception as error:  # nptdms raises many classes on damaged files
         report.mistakes.ruin(0, "file", f"cannot be read as TDMS: {error}")
 

@@ -64,6 +64,8 @@ def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
             name = chosen_sheet(list(sheets), options.sheet, is_filled, report)
             records = _records(sheets[name], lambda: _sheets(formulas, values=False)[name], most)
             yield from read_records(records, options, report)
+    except NoSheetError as error:
+        report.mistakes.ruin(0, "file", str(error))
     except Exception as error:  # openpyxl raises many classes on damaged files
         report.mistakes.ruin(0, "file", f"is no readable XLSX workbook: {error}")
 
@@ -128,6 +130,8 @@ def read_xls(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         empty = [""] * (sheet.start or (0, 0))[1]  # columns on the left
         cells = enumerate((empty + [_text(v) for v in row] for row in sheet.iter_rows()), start=1)
         yield from read_records(filter(lambda row: any(row[1]), cells), options, report)
+    except NoSheetError as error:
+        report.mistakes.ruin(0, "file", str(error))
     except BaseException as error:  # calamine's panic on a damaged file is no Exception
         if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
             raise
