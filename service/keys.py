@@ -302,8 +302,8 @@ def _checked(fields: dict[str, Any]) -> Key:
     named = key.components[:_MAX_PATTERNS] == key.components != ()
     if not (named and all(_PATTERN.fullmatch(str(part)) for part in key.components)):
         raise ValueError(
-            f"{key.components!r} are not valid patterns of components; use up to {_MAX_PATTERNS} "
-            "of letters, digits, '_', '-', * and ?"
+            f"{', '.join(key.components)!r} is not valid as patterns of components; use up to "
+            f"{_MAX_PATTERNS} of letters, digits, '_', '-', * and ?"
         )
     # Before the year 5138: a time in milliseconds is a mistake.
     ends = 1 if key.expires is None else key.expires

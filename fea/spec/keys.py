@@ -110,7 +110,7 @@ def _name(value: str) -> str:
     if is_slug(value):
         return value
     raise ValueError(
-        f'"{value}" cannot be used in a path and a URL; use 1 to 64 of a-z, 0-9, _ and -, '
+        f"{shown(value)} cannot be used in a path and a URL; use 1 to 64 of a-z, 0-9, _ and -, "
         "beginning with a letter or digit"
     )
 

@@ -392,8 +392,8 @@ def _print_import(name: str, reply: dict[str, Any]) -> None:
     lines.append(f"{reply['inserted']} rows {verb}, {reply['existing']} were there already.")
     if reply["existing"]:
         lines.append(
-            "Those stay as they are, withdrawn ones too: slopes and second derivatives of this "
-            "file are not added to them."
+            "Equal rows count once, within the file too. Those there stay as they are, withdrawn "
+            "ones too: slopes and second derivatives of this file are not added to them."
         )
     if rig := reply["rig"]:
         axes = "left-handed" if rig["left_handed"] else "right-handed"

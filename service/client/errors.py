@@ -176,5 +176,6 @@ def mistake_line(error: Document) -> str:
         count = error.get("count", 1)
         fields = ", ".join(error.get("fields") or [error.get("field", "")])
         more = f" ({count} mistakes)" if count > 1 else ""
-        return f"row {error['row']}, {fields}: {error.get('message', '')}{more}"
+        place = f"row {error['row']}, " * bool(error["row"])  # 0: of the file, or of a column
+        return f"{place}{fields}: {error.get('message', '')}{more}"
     return f"{error.get('loc', '')}: {error.get('msg', '')}"

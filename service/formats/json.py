@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.service.formats.cells import Digits, vanished
+from wrenchbook.service.formats.cells import Digits, quoted, vanished
 from wrenchbook.service.formats.columns import ARRAYS, ORIGIN, TEXTS, Columns, WritableRows
 from wrenchbook.service.formats.header import Record, array_header
 from wrenchbook.service.formats.options import MAX_MISTAKES, Options, ParsedTable, ReadReport
@@ -98,7 +98,7 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(members) < len(pairs):
         keys = [key for key, _ in pairs]
         twice = next(key for key in keys if keys.count(key) > 1)
-        raise ValueError(f"the key {twice!r} is twice in one object; keep one")
+        raise ValueError(f"the key {quoted(twice)} is twice in one object; keep one")
     return members
 
 

@@ -166,9 +166,11 @@ def chosen_sheet(
     report.sheets = list(names)
     fitting = [name for name in names if wanted is None or name == wanted]
     if not fitting:
-        known, missing = ", ".join(names) or "none", repr(wanted) if wanted else "with data"
+        if not names:
+            raise ContentError("there is no sheet with data; export the file again")
+        known = ", ".join(names)
         raise ContentError(
-            f"there is no sheet {missing}; choose {known} with sheet=NAME (--sheet NAME)"
+            f"there is no sheet {wanted!r}; choose {known} with sheet=NAME (--sheet NAME)"
         )
     filled = (name for name in fitting if name != ABOUT_SHEET and is_filled(name))
     report.sheet = next(filled, fitting[0])

@@ -65,7 +65,7 @@ OutputVector = Annotated[list[Finite], _as_many("outputs")]
 def _known(method: str | None) -> str | None:
     if method is not None and method not in METHODS:
         text = "the method must be one of {methods}, not {method}"
-        known = {"method": repr(method), "methods": ", ".join(METHODS)}
+        known = {"method": repr(method[:40]), "methods": ", ".join(METHODS)}
         raise PydanticCustomError("unknown_method", text, known)
     return method
 

@@ -58,7 +58,8 @@ from wrenchbook.surrogate.answer import UnknownMethodError
 MEDIA_TYPE = "application/problem+json"
 CLIENT_GONE = 499  # as nginx counts it: the caller left before its request was complete
 MAX_ERRORS = 1000
-MAX_TEXT = 1000  # characters of a message: it quotes the mistaken key or text
+MAX_TEXT = 1000  # characters of a message
+MAX_PLACE = 200  # characters of a path or a key: a caller may send any
 # By pydantic's type of an error, where its own text has no next action.
 _PLAIN = {
     "extra_forbidden": "is unknown; correct its name, or leave it out (see the fields at /docs)",
@@ -164,7 +165,7 @@ def plain_errors(error: ValidationError | RequestValidationError) -> list[dict[s
     mistakes = []
     for mistake in islice(errors, MAX_ERRORS):
         path = mistake["loc"][1:] if mistake["loc"][:1] == ("body",) else mistake["loc"]
-        loc = ".".join(map(str, path))[:MAX_TEXT] or "body"
+        loc = ".".join(map(str, path))[:MAX_PLACE] or "body"
         text = _PLAIN.get(mistake["type"]) or mistake["msg"].removeprefix("Value error, ")
         text = text.replace("Input should be", "must be")
         if text.startswith("must be") and isinstance(sent := mistake.get("input"), str | float):
@@ -216,19 +217,20 @@ def install(app: FastAPI) -> None:
 
     def http_answer(request: Request, error: Exception) -> Response:
         assert isinstance(error, HTTPException)
+        call = f"{request.method} {request.url.path[:MAX_PLACE]}"
         problem = HttpProblemError(
             error.status_code,
             "http",
             str(error.detail),
-            f"{request.method} {request.url.path}: {error.detail}. See /openapi.json for all "
-            "calls.",
+            f"{call}: {error.detail}. See /openapi.json for all calls.",
         )
         response = problem.response()
         response.headers.update(error.headers or {})
         return response
 
     def crash(request: Request, _: Exception) -> Response:
-        detail = f"{request.method} {request.url.path} failed; the server's log has the traceback."
+        path = request.url.path[:MAX_PLACE]
+        detail = f"{request.method} {path} failed; the server's log has the traceback."
         return HttpProblemError(500, "internal", "Internal server error", detail).response()
 
     def gone(_: Request, __: Exception) -> Response:

@@ -35,7 +35,7 @@ log = logging.getLogger(__name__)
 MAX_CONNECTIONS: Final = 8192  # below the open files of a server, see `server.OPEN_FILES`
 MAX_HEAD_BYTES: Final = 64 * 1024  # what proxies and other servers take, or less
 HEAD_S: Final = 10.0  # for a head, from its first byte or from the connection's beginning
-BODY_S: Final = 30.0  # for a body, and the time that it takes at this rate:
+BODY_S: Final = 30.0  # for a body, the rest of a refused one, and the time at this rate:
 SLOWEST: Final = 16 * 1024  # bytes a second; a bad mobile connection has more
 READ_S: Final = 60.0  # in which the caller must read some of an answer that waits
 POLL_S: Final = 5.0  # between two checks of a connection's timeouts
@@ -333,6 +333,11 @@ class FastPathProtocol(HttpToolsProtocol):
         self._in_request = False
         super().on_message_complete()
 
+    def on_response_complete(self) -> None:
+        """Begin the time limit for the rest of a body that is not read, such as a refused one."""
+        self._since = self.loop.time()
+        super().on_response_complete()
+
     def shutdown(self) -> None:
         """Close after the present answer; without one, after the next one or `LAST_S`."""
         self._is_last = True
@@ -474,4 +479,5 @@ class FastPathProtocol(HttpToolsProtocol):
             return "a first request" if not self._used and waited > HEAD_S else ""
         if not self._in_body:
             return "the rest of a head" if waited > HEAD_S else ""
-        return "the rest of a body" if waited > BODY_S + self._body_bytes / SLOWEST else ""
+        read = 0 if self._is_answered() else self._body_bytes
+        return "the rest of a body" if waited > BODY_S + read / SLOWEST else ""

@@ -101,6 +101,7 @@ def file_stamp(files: Iterable[Path]) -> FileStamp:
     return tuple(stamps)
 
 
+MAX_QUOTED = 64  # characters of a requested name in a refusal: no component has more
 MAX_NAMES = 20  # in a refusal; those most like the requested one, if there are more
 
 
@@ -113,13 +114,13 @@ class UnknownComponentError(KeyError):
         self.known = known
 
     def __str__(self) -> str:
-        some = self.known
+        name, some = self.name[:MAX_QUOTED], self.known
         if len(some) > MAX_NAMES:
-            some = get_close_matches(self.name, some, MAX_NAMES, 0.0)
+            some = get_close_matches(name, some, MAX_NAMES, 0.0)
         known = ", ".join(some) or "none yet"
         more = len(self.known) - len(some)
         return (
-            f"There is no component {self.name!r}. The library has: {known}"
+            f"There is no component {name!r}. The library has: {known}"
             f"{f' and {more} more (GET /v1/components)' if more else ''}."
         )
 

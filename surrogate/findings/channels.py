@@ -149,11 +149,19 @@ def _load_faults(load: Floats, terms: Floats, y: Floats) -> list[Broken]:
     off, size = y - fitted(terms, y), float(np.ptp(y[known]))
     high, low, run = _constant_rows(load, equal)
     run = np.setdiff1d(run, np.concatenate((high, low)))
+    moving = y.copy()
+    moving[np.concatenate((high, low, run))] = np.nan
+    is_enough = np.isfinite(moving).sum() >= 2 * terms.shape[1]
+    off_moving = moving - fitted(terms, moving) if is_enough else off
     for is_end, constant in ((True, high), (True, low), (False, run)):
         some, others = constant[known[constant]], np.setdiff1d(np.flatnonzero(known), constant)
         if len(some) < MIN_EQUAL or len(others) < 2 * terms.shape[1]:
             continue
-        spread, usual = (np.median(np.abs(off[at] - np.median(off[at]))) for at in (some, others))
+        spread = np.median(np.abs(off[some] - np.median(off[some])))
+        # Many rows of one wrench whose load is wrong bend the fit of all rows.
+        is_one_wrench = np.ptp(terms[some], axis=0).max() < PLACE
+        of_others = (off_moving if is_one_wrench else off)[others]
+        usual = np.nanmedian(np.abs(of_others - np.nanmedian(of_others)))
         if spread > max(CONFIDENT * usual, REMARKABLE * size):
             cause = "clipped" if is_end else "stuck"
             broken.append((cause, some, float(load[some[0]]), np.abs(off[some]).max() / size))

@@ -41,6 +41,7 @@ FORMAT = "wrenchbook table"
 # What an upload may unpack to. A row takes 450 bytes, so that this is two million rows; a
 # compressed file of a few bytes can declare any size.
 MAX_FOREIGN_BYTES = 1024 * 1024 * 1024
+MAX_DEPTH = 8  # groups above the columns; a file may link a group to itself
 MAX_CHUNK_BYTES = 64 * 1024 * 1024  # a chunk is unpacked in full, however little is read of it
 MAX_STRING_BYTES = 1024  # of a source or a fingerprint; each takes as much as the longest
 FOREIGN_PIECE = 20_000  # rows read at once
@@ -412,8 +413,12 @@ def _named_columns(file: h5py.File) -> list[NamedColumn]:
     group: h5py.Group = file
     # MATLAB's references begin with #.
     inside = [dataset for name, dataset in file.items() if not name.startswith("#")]
-    if len(inside) == 1 and isinstance(inside[0], h5py.Group):
-        group = inside[0]
+    for _ in range(MAX_DEPTH):
+        if len(inside) == 1 and isinstance(inside[0], h5py.Group):
+            group, inside = inside[0], list(inside[0].values())
+    if inside and all(isinstance(member, h5py.Group) for member in inside):
+        groups = ", ".join(list(group)[:8])
+        raise TableFileError(f"has columns in several groups ({groups}); send one as a file")
     columns: list[NamedColumn] = []
     room = MAX_FOREIGN_BYTES
     for name, dataset in group.items():

@@ -130,7 +130,8 @@ def test_import_says_what_became_of_the_rows(stub: Stub, tmp_path: Path):
     rows = {"read": 9, "loaded": 1, "refused": 0, "tare": 5, "unmatched": 3}
     reply = {"inserted": 1, "existing": 0, "errors": [], "dry_run": False, "in_use": False}
     sheets = {"sheets": ["cover", "run"], "sheet": "run"}
-    stub.answers(Answer({**reply, "rows": rows, "ignored": ["Temp"], **sheets}))
+    causes = {"causes": [{"row": 0, "fields": ["file"], "message": "is torn", "count": 1}]}
+    stub.answers(Answer({**reply, "rows": rows, "ignored": ["Temp"], **sheets, **causes}))
     for name in ("t.h5", "t.tsv"):
         file = tmp_path / name
         file.write_bytes(b"x")
@@ -143,6 +144,7 @@ def test_import_says_what_became_of_the_rows(stub: Stub, tmp_path: Path):
         assert json.loads(asked["mapping"]) == meanings
         assert (asked["tare"], asked["decimal"], asked["filename"]) == ("5", ",", name)
         assert "Of 9 rows read 5 are the tare, 3 have no load" in run.output
+        assert run.output.startswith("file: is torn")
         assert "Columns left out: Temp" in run.output
         assert "Sheet run was read, of cover, run." in run.output
         assert "still builds its table" in run.output

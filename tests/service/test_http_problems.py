@@ -99,6 +99,33 @@ def test_a_wrong_call_is_refused_as_documented_and_changes_nothing(http, documen
     assert [words for words in case.get("words", ()) if words not in reply.text] == []
 
 
+LONG = "q" * 3000
+
+
+@pytest.mark.parametrize(
+    ("call", "sent"),
+    [
+        (f"GET /{LONG}", {}),
+        (f"GET /v1/components/{LONG}", {}),
+        ("POST /v1/components", {"headers": {"content-type": LONG}}),
+        ("POST /v1/components/rig/table", {"headers": {"content-type": LONG}}),
+        ("POST /v1/components/rig/table", {"content": f'[{{"{LONG}": 1, "{LONG}": 2}}]'}),
+        ("POST /v1/components/rig/displacement", {"json": {LONG: 1}}),
+        ("POST /v1/components/rig/displacement", {"json": {"force": [0, 0, 1], "method": LONG}}),
+    ],
+)
+def test_a_refusal_quotes_at_most_200_characters(http, call, sent):
+    reply = http.request(*call.split(" "), **sent)
+    assert reply.is_client_error
+    assert "q" * 201 not in reply.text
+
+
+def test_a_sheet_that_is_not_there_is_no_sheet_none(http):
+    workbook = Path("data/tables/workbook.xlsx").read_bytes()
+    reply = http.post("/v1/components/rig/table?sheet=Run 9", content=workbook)
+    assert "1 mistake(s), the first in file: there is no sheet 'Run 9'" in reply.json()["detail"]
+
+
 def test_every_call_with_a_path_parameter_is_called_wrongly_here(document):
     calls = [case["call"].split(" ") for case in CASES.values()]
     called = {(verb, operation(document, verb.lower(), url)[0]) for verb, url in calls}

@@ -190,6 +190,18 @@ def test_a_connection_that_keeps_the_server_waiting_is_closed(live, sent):
     assert live.is_ready()
 
 
+def test_a_connection_whose_body_is_refused_is_closed_however_fast_it_sends(live, monkeypatch):
+    monkeypatch.setattr(protocol, "SLOWEST", 1e-9)
+    head = b"POST /v1/components/rig/displacement HTTP/1.1\r\nHost: x\r\n"
+    with opened(live) as connection:
+        connection.sendall(head + b"Content-Length: 900000\r\n\r\n" + bytes(100_000))
+        connection.settimeout(60)
+        assert connection.recv(1000).startswith(b"HTTP/1.1 413")
+        with contextlib.suppress(ConnectionResetError):
+            while connection.recv(1000):
+                pass
+
+
 def test_a_connection_that_asks_within_the_time_is_answered(live):
     with opened(live) as connection:
         for piece in (b"GET /health/live HTTP/1.1\r\n", b"Host: x\r\n", b"\r\n"):

@@ -224,7 +224,7 @@ def write(path: Path, columns: dict[str, Any], group: str = "", unit: str = "uni
     return path
 
 
-@pytest.mark.parametrize("group", ["", "run 3"])
+@pytest.mark.parametrize("group", ["", "run 3", "rig/run 3"])
 @pytest.mark.parametrize("unit", ["unit", "units"])
 def test_datasets_of_one_length_are_columns(tmp_path: Path, group: str, unit: str):
     assert read_columns(write(tmp_path / "a", COLUMNS, group, unit)) == (EXPECTED, [])
@@ -274,7 +274,16 @@ def test_an_empty_cell_of_a_load_is_named(tmp_path: Path):
     path = write(tmp_path / "a", {**COLUMNS, "Fz [kN]": [-0.5, np.nan, -1.5]})
     result, messages = read_columns(path)
     assert result[0] == [-500.0, -1500.0]
-    assert messages == ["is empty; write 0 for no load"]
+    assert messages == ["is empty; write 0 for no load, or leave the row out"]
+
+
+def test_columns_in_several_groups_are_named(tmp_path: Path):
+    path = write(tmp_path / "a", COLUMNS, "rig/run 3")
+    with h5py.File(path, "a") as file:
+        file["rig/run 4/uz"] = [1.0]
+    assert read_columns(path)[1] == [
+        "has columns in several groups (run 3, run 4); send one as a file"
+    ]
 
 
 @pytest.mark.parametrize(

@@ -253,7 +253,11 @@ async def import_table(
             for error in errors
         ]
         sent, others = "block" if query.append else "complete file", reply["sheets"][1:]
-        sheet = f" of sheet {reply['sheet']} (--sheet reads another)" if others else ""
+        sheet = (
+            f" of sheet {reply['sheet']} (--sheet reads another)"
+            if others and reply["sheet"]
+            else ""
+        )
         place = f"row {first['row']}, " * bool(first["row"])  # 0: of the file, or of a column
         cure = ""
         rows = reply["rows"]  # none are read under a header with mistakes

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from tests.surrogate.findings.rigs import CAUSES, DIRECTED, Rig
 from wrenchbook.surrogate.findings.contract import named_unit
 from wrenchbook.surrogate.findings.find import find
-from wrenchbook.surrogate.table.rows import Rows
+from wrenchbook.surrogate.table.rows import LoadRange, Rows
 from wrenchbook.surrogate.table.space import LOADS
 
 SEEDS = range(4200, 4210)
@@ -155,6 +155,19 @@ def test_a_load_cell_at_the_end_of_its_range_or_stuck_is_named_with_its_rows(sha
     named = np.isin(rows.seq, np.concatenate([result.rows for result in results]))
     assert named[load != true].all()
     assert named[load == true].sum() <= 2  # the first of those held, and the largest within
+
+
+def test_a_load_cell_that_is_clipped_in_half_the_rows_is_named_with_its_rows():
+    load = 4500 * np.sin(np.arange(400) / 40)
+    wrench, displacement = np.zeros((400, 6)), np.full((400, 6), np.nan)
+    wrench[:, 2] = load.clip(-3000, 3000)
+    noise = np.random.default_rng(1).normal(size=400)
+    displacement[:, 2] = load / 2e6 + 5e-5 * (load / 5000) ** 3 + 1e-6 * noise
+    rows = Rows.of(wrench, displacement)
+    bound = np.array([5000.0] * 3 + [200.0] * 3)
+    results = find(rows, LoadRange(-bound, bound))
+    named = np.concatenate([result.rows for result in results if result.cause == "clipped"])
+    assert set(named) == set(rows.seq[np.abs(load) >= 3000])
 
 
 def test_an_offset_is_named_where_no_row_is_at_rest():
