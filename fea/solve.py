@@ -286,10 +286,7 @@ class Solver:
         return fields_of(self.component, self.body, solution)
 
     def solve(
-        self,
-        wrench: Loads,
-        progress: Progress | None = None,
-        start: CoupledState | None = None,
+        self, wrench: Loads, progress: Progress | None = None, start: CoupledState | None = None
     ) -> Solution:
         """Solve for one wrench.
 

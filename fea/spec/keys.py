@@ -195,8 +195,7 @@ def union(choose: Callable[[Mapping[str, Any]], type], *classes: type) -> GetPyd
 
     return GetPydanticSchema(
         lambda _, handler: core_schema.tagged_union_schema(
-            {~i: handler.generate_schema(cls) for i, cls in enumerate(classes)},
-            discriminator=tag,
+            {~i: handler.generate_schema(cls) for i, cls in enumerate(classes)}, discriminator=tag
         )
     )
 

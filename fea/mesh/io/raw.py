@@ -109,13 +109,7 @@ def to_mesh(raw: RawMesh, metres: float) -> Mesh:
     node_groups, number = _node_groups(raw, number), np.append(number, -1)  # of none
     weights = {name: (number[nodes], sizes) for name, (nodes, sizes) in raw.node_weights.items()}
     return Mesh(
-        points,
-        blocks,
-        regions,
-        groups,
-        node_groups,
-        dependents=dependents,
-        node_weights=weights,
+        points, blocks, regions, groups, node_groups, dependents=dependents, node_weights=weights
     )
 
 
