@@ -102,23 +102,7 @@ def joined(
         may[others] = False  # a common node holds the two together as it is
         tied, follow = tied_nodes(mesh.points, secondary, main, pair.distance, may)
         if not tied.nodes.size:
-            message = (
-                f'no facet of "{pair.secondary}" with free nodes faces "{pair.main}" within '
-                f"{tied.distance:.3g} m; their nearest nodes are {gaps.min():.3g} m apart. Correct "
-                "the groups, or write a larger distance"
-                if gaps.min() > tied.distance
-                else f'the facets of "{pair.secondary}" are up to {tied.beyond:.3g} m off '
-                f'"{pair.main}", beyond the distance of {tied.distance:.3g} m; write a larger one'
-                if tied.beyond
-                else f'"{pair.main}" covers at most a third of each facet of "{pair.secondary}". '
-                "Swap the two groups, or split these facets there"
-            )
-            if not may[nodes].any():
-                message = (
-                    f'no node of "{pair.secondary}" is free to follow: all are fixed, are in '
-                    f'"{pair.main}", or already follow others. Leave the tie out, or name other '
-                    "nodes"
-                )
+            message = _why_untied(pair, tied, float(gaps.min()), bool(may[nodes].any()))
             problems.append(BundleProblem(key, message))
         for where, attached in sections:
             if (shared := np.intersect1d(tied.nodes, attached)).size:
@@ -144,6 +128,32 @@ def joined(
     points, nodes = mesh.points.copy(), np.concatenate([tied.nodes for tied in done])
     points[nodes] = dependents.expanded(points)[nodes]
     return replace(mesh, points=points, dependents=dependents), tuple(done)
+
+
+def _why_untied(pair: Tie, tied: TiedNodes, gap: float, any_free: bool) -> str:
+    """Return why no node is tied; `gap` is the least distance of nodes of the two surfaces, m."""
+    if not any_free:
+        return (
+            f'no node of "{pair.secondary}" is free to follow: all are fixed, are in '
+            f'"{pair.main}", or already follow others. Leave the tie out, or name other '
+            "nodes"
+        )
+    if gap > tied.distance:
+        return (
+            f'no facet of "{pair.secondary}" with free nodes faces "{pair.main}" within '
+            f"{tied.distance:.3g} m; their nearest nodes are {gap:.3g} m apart. "
+            "Correct the groups, or write a larger distance"
+        )
+    if tied.beyond:
+        return (
+            f'the facets of "{pair.secondary}" are up to {tied.beyond:.3g} m off '
+            f'"{pair.main}", beyond the distance of {tied.distance:.3g} m; write a larger '
+            "one"
+        )
+    return (
+        f'"{pair.main}" covers at most a third of each facet of "{pair.secondary}". '
+        "Swap the two groups, or split these facets there"
+    )
 
 
 def tied_nodes(
