@@ -58,13 +58,9 @@ def following(reader: Reader, deck: Deck) -> list[tuple[int, int, float]]:
     All are of second-order cells, and have the same weights and axes in all three directions.
     """
     row, entries = {label: i for i, label in enumerate(deck.nodes)}, []
-    solid = {
-        label
-        for kind, cells in zip(deck.kinds, deck.cells, strict=True)
-        if kind in SECOND.values()
-        for cell in cells
-        for label in cell
-    }
+    blocks = zip(deck.kinds, deck.cells, strict=True)
+    second = [cell for kind, cells in blocks if kind in SECOND.values() for cell in cells]
+    solid = {label for cell in second for label in cell}
     for node, rows in reader.equations.items():
         keyword, weights = next(iter(rows.values()))
         nodes = {node, *weights}
