@@ -184,12 +184,14 @@ def tied_nodes(
         transform[count + corner, count + corner] = 1 - 2 * _ALPHA
         transform[count + corner[:, None], pairs] = _ALPHA
         ends[nodes[:, count + corner]] = nodes[:, pairs]
+        # The mean plane of each facet, and the areas of its points there.
         at, element = points[nodes], reference_element(kind)
         arms = at[:, :count] - at[:, :count].mean(axis=1)[:, None]
         normal = np.cross(arms, np.roll(arms, -1, axis=1)).sum(axis=1)
         plane = np.linalg.qr(np.stack([normal, arms[:, 0], arms[:, 1]], axis=2)).Q[:, :, 1:]
         areas = np.einsum("fki,qkj->fqij", at @ plane, element.slopes)
         areas = np.abs(np.linalg.det(areas)) * element.weights
+        # Integrals over overlaps of products of functions: of this facet's, and with the main's.
         mass, mixed, off = np.zeros((len(nodes), size, size)), [], np.zeros(len(nodes))
         for other, cover in zip(main.blocks, covers, strict=True):
             overlaps = _overlaps(points, FacetBlock(kind, nodes), other, plane, edge)
@@ -202,6 +204,7 @@ def tied_nodes(
                 np.add.at(mass, of, weighted @ functions)
                 area = weights.sum(axis=1)
                 mixed.append((of, other.nodes[to], weighted @ there, far, cover, to, area))
+        # Facets that are covered enough are tied, by dual functions on them.
         integrals = mass.sum(axis=2)  # the transformed functions sum to one
         ratio = integrals.sum(axis=1) / areas.sum(axis=1)
         taken, cut = ratio > _COVER, cut + int((np.abs(ratio - 0.5) < 0.5 - _EDGE).sum())
@@ -214,8 +217,8 @@ def tied_nodes(
             gap = max(gap, float(far[taken[of]].max(initial=0.0)))
             np.add.at(cover, facet[taken[of]], area[taken[of]])
             weights = dual[of] @ products
-            both = np.broadcast_arrays(nodes[of][:, :, None], to[:, None], weights)
-            entries.append([part[taken[of]].ravel() for part in both])
+            triples = np.broadcast_arrays(nodes[of][:, :, None], to[:, None], weights)
+            entries.append([part[taken[of]].ravel() for part in triples])
     tied = free & (covered > _NODE * complete)
     none = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0)
     rows, masters, weights = (np.concatenate(each) for each in zip(none, *entries, strict=True))
