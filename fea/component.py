@@ -189,7 +189,11 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     held = _held_directions(mesh, supports, fixed, problems)
     sliding = _projectors(held)
 
-    interfaces = _attached_interfaces(mesh, bundle, problems)
+    alone = len(bundle.interfaces) == 1
+    interfaces = [
+        _attach(mesh, f"interface{'' if alone else f'[{i}]'}.section", interface, problems)
+        for i, interface in enumerate(bundle.interfaces)
+    ]
     bushings = [
         _attach(mesh, f"supports.bushing[{i}].group", bushing.end(bushing.group), problems)
         for i, bushing in enumerate(supports.bushings)
@@ -219,6 +223,11 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     if problems:
         raise BundleError(problems)
 
+    rises = (
+        shape_on(mesh.points, scalar.field, scalar.reference)
+        for scalar in bundle.further
+        if scalar.field is not None
+    )
     return ComponentModel(
         bundle=bundle,
         mesh=mesh,
@@ -233,7 +242,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
         ),
         further=bundle.further,
         ties=ties,
-        temperature_rise=_temperature_rise(bundle, mesh),
+        temperature_rise=next(rises, None),  # only the temperature has a field
         joints=tuple(joints),
         bolts=bolts,
         uncut=_without_cuts(mesh, uncut) if bolts else None,
@@ -256,25 +265,6 @@ def _materials(bundle: Bundle) -> tuple[AnyMaterial, ...]:
     if any(scalar.name == TEMPERATURE for scalar in bundle.further):
         return bundle.materials
     return tuple(replace(material, thermal_expansion=None) for material in bundle.materials)
-
-
-def _temperature_rise(bundle: Bundle, mesh: Mesh) -> Array | None:
-    """Return the part of the temperature's rise at each node, shape (n,), if a field gives it."""
-    for scalar in bundle.further:
-        if scalar.field is not None:  # only the temperature has one
-            return shape_on(mesh.points, scalar.field, scalar.reference)
-    return None
-
-
-def _attached_interfaces(
-    mesh: Mesh, bundle: Bundle, problems: list[BundleProblem]
-) -> list[AttachedInterface]:
-    if len(bundle.interfaces) == 1:
-        return [_attach(mesh, "interface.section", bundle.interfaces[0], problems)]
-    return [
-        _attach(mesh, f"interface[{i}].section", interface, problems)
-        for i, interface in enumerate(bundle.interfaces)
-    ]
 
 
 def _held_directions(

@@ -49,6 +49,10 @@ from wrenchbook.fea.tensors import determinant
 
 Array = np.ndarray
 
+_IDEAL_VOLUME = {"tet": 0.5**0.5, "pyr": 0.5**0.5, "wed": 0.75**0.5, "hex": 1.0}
+"""Volume that the three edges of length 1 at a corner of the ideal cell span, by kind of cell."""
+_NO_LENGTH = 1e-300  # m: in place of a length of 0, by which nothing can be divided
+
 
 @dataclass(frozen=True)
 class Measure:
@@ -65,7 +69,7 @@ class Measure:
 
 def scaled_jacobian(points: Array, block: CellBlock) -> Array:
     """Return the least scaled Jacobian of each cell's corners, shape (m,)."""
-    # For each corner itself and its three neighbours, right-handed, and the ideal.
+    # For each corner itself and its three neighbours, right-handed.
     coordinates = node_coordinates(block.kind)
     pairs = EDGES[block.kind]
     triples = []
@@ -73,14 +77,13 @@ def scaled_jacobian(points: Array, block: CellBlock) -> Array:
         ends = [b if a == corner else a for a, b in pairs if corner in (a, b)][:3]
         edges = coordinates[ends] - coordinates[corner]
         triples.append([corner, *(ends if np.linalg.det(edges) > 0 else ends[::-1])])
-    ideal = {"tet": 0.5**0.5, "pyr": 0.5**0.5, "wed": 0.75**0.5, "hex": 1.0}[block.kind[:3]]
     at = points[block.nodes]
     triples = np.array(triples)
     edges = at[:, triples[:, 1:]] - at[:, triples[:, :1]]
     volume = determinant(edges)
     length = np.linalg.norm(edges, axis=3).prod(axis=2)
     scaled = np.divide(volume, length, out=np.zeros_like(volume), where=length > 0)
-    return np.minimum(scaled.min(axis=1) / ideal, 1.0)
+    return np.minimum(scaled.min(axis=1) / _IDEAL_VOLUME[block.kind[:3]], 1.0)
 
 
 def jacobian_ratio(points: Array, block: CellBlock) -> Array:
@@ -92,7 +95,7 @@ def jacobian_ratio(points: Array, block: CellBlock) -> Array:
 def aspect_ratio(points: Array, block: CellBlock) -> Array:
     """Return the longest over the shortest edge of each cell, shape (m,)."""
     lengths = edge_lengths(points, block)
-    shortest = np.maximum(lengths.min(axis=1), 1e-300)
+    shortest = np.maximum(lengths.min(axis=1), _NO_LENGTH)
     return lengths.max(axis=1) / shortest
 
 
@@ -105,7 +108,7 @@ def edge_curvature(points: Array, block: CellBlock) -> Array:
     ends = points[block.nodes[:, pairs]]
     middle = points[block.nodes[:, corners : corners + len(pairs)]]
     offset = np.linalg.norm(middle - ends.mean(axis=2), axis=2)
-    return (offset / np.maximum(edge_lengths(points, block), 1e-300)).max(axis=1)
+    return (offset / np.maximum(edge_lengths(points, block), _NO_LENGTH)).max(axis=1)
 
 
 def edge_lengths(points: Array, block: CellBlock) -> Array:
@@ -143,7 +146,8 @@ def quality_warnings(measured: dict[str, dict[str, Any]]) -> list[str]:
 
 
 def _worst(mesh: Mesh, measure: Measure) -> dict[str, Any]:
-    sign = 1.0 if measure.larger_is_worse else -1.0
+    """Return a measure's worst value with its cell, and the number of cells beyond its limit."""
+    sign = 1.0 if measure.larger_is_worse else -1.0  # times a value: the worst is the largest
     bad = 0
     worst, kind, centre = -np.inf, "", np.zeros(3)
     for block in mesh.blocks:
@@ -180,17 +184,20 @@ class Bodies:
 
 def bodies_of(mesh: Mesh) -> Bodies:
     """Group the cells that share faces; cells that share only an edge or a point do not join."""
+    # A graph of cells, and behind these of faces, with an edge from each cell to each of its faces.
     faces, owners = _faces(mesh)
     total = sum(len(block) for block in mesh.blocks)
     size = total + int(faces.max(initial=-1)) + 1
     graph = coo_array((np.ones(len(faces), dtype=np.int8), (owners, total + faces)), (size, size))
     count, label = connected_components(graph, directed=False)
     label = label[:total]
+    # Number bodies from the one with the most cells.
     sizes = np.bincount(label, minlength=count)
     order = np.argsort(-sizes, kind="stable")
     rank = np.empty(count, dtype=np.int64)
     rank[order] = np.arange(count)
     number = rank[label]
+    # The nodes of each body: pairs of body and node as one number, body * nodes + node.
     pairs, first = [], 0
     for block in mesh.blocks:
         bodies = np.repeat(number[first : first + len(block)], block.nodes.shape[1])
@@ -223,19 +230,21 @@ def stacked_singly(mesh: Mesh) -> Array:
     if all(block.kind != "hex20" for block in mesh.blocks):
         return np.empty((0, 3))
     number, _ = _faces(mesh)
-    shared = np.bincount(number)[number] > 1
-    first, of_single, single_faces, middles = 0, np.zeros(len(number), dtype=bool), [], []
+    is_shared = np.bincount(number)[number] > 1
+    # Cells that are joined to others along one direction at most: their faces, (6, k), and middles.
+    first, single_faces, middles = 0, [], []
     for block in mesh.blocks:
         faces = slice(first, first + len(FACES[block.kind]) * len(block))
         first = faces.stop
         if block.kind == "hex20":
-            joined = shared[faces].reshape(-1, len(block))[_OPPOSITE].any(axis=1)
+            joined = is_shared[faces].reshape(-1, len(block))[_OPPOSITE].any(axis=1)
             single = joined.sum(axis=0) <= 1
-            of_single[faces] = np.tile(single, len(FACES[block.kind]))
             single_faces.append(number[faces].reshape(-1, len(block))[:, single])
             middles.append(mesh.points[block.nodes[single]].mean(axis=1))
-    times = np.bincount(number[of_single], minlength=int(number.max()) + 1)
-    return np.concatenate(middles)[(times[np.hstack(single_faces)] > 1).any(axis=0)]
+    # Of these, cells with a face that another of them has too.
+    faces_of_single = np.hstack(single_faces)
+    times = np.bincount(faces_of_single.ravel(), minlength=int(number.max()) + 1)
+    return np.concatenate(middles)[(times[faces_of_single] > 1).any(axis=0)]
 
 
 def coincident_nodes(mesh: Mesh) -> Array:
@@ -285,7 +294,21 @@ def warnings_of(component: ComponentModel) -> list[BundleProblem]:
 def set_up_warnings(component: ComponentModel) -> list[BundleProblem]:
     """Return warnings on what the bundle attaches to the mesh: sections, supports and units."""
     problems = section_warnings(component) + support_warnings(component) + unit_warnings(component)
-    problems += tie_warnings(component)
+    problems += tie_warnings(component) + bolt_warnings(component)
+    for number, material in enumerate(component.bundle.materials if component.bundle else ()):
+        if material.thermal_expansion is not None and component.temperature is None:
+            message = "has no effect without [inputs.temperature]; add that, or leave this key out"
+            problems.append(BundleProblem(f"material[{number}].thermal_expansion", message))
+    return problems
+
+
+_STRAINED = 0.1  # bolts of steel and titanium yield at 0.01 at most, those of nylon at 0.05
+_OBLIQUE = np.radians(3.0)  # 5 % of the force pulls across; straight facets of a round shank show 1
+
+
+def bolt_warnings(component: ComponentModel) -> list[BundleProblem]:
+    """Return warnings on preloads that no shank carries, and axes that are not the shank's."""
+    problems = []
     for bolt in component.bolts:
         strength = strength_at(component, bolt)
         stiffest = max(material.youngs_modulus for material in component.materials)
@@ -311,15 +334,8 @@ def set_up_warnings(component: ComponentModel) -> list[BundleProblem]:
                 "or move point to where the shank is straight"
             )
             problems.append(BundleProblem(f"{bolt.key}.axis", message))
-    for number, material in enumerate(component.bundle.materials if component.bundle else ()):
-        if material.thermal_expansion is not None and component.temperature is None:
-            message = "has no effect without [inputs.temperature]; add that, or leave this key out"
-            problems.append(BundleProblem(f"material[{number}].thermal_expansion", message))
     return problems
 
-
-_STRAINED = 0.1  # bolts of steel and titanium yield at 0.01 at most, those of nylon at 0.05
-_OBLIQUE = np.radians(3.0)  # 5 % of the force pulls across; straight facets of a round shank show 1
 
 _SIDEWAYS = 0.1
 """Of the middle direction's area, that of free facets along the axis of a shank: 0.06 of a cone of
@@ -443,9 +459,9 @@ def support_warnings(component: ComponentModel) -> list[BundleProblem]:
 
 def tie_warnings(component: ComponentModel) -> list[BundleProblem]:
     """Return warnings on nodes that a tie leaves loose, gaps that it closes, and a coarse side."""
-    texts, follow = [], component.mesh.dependents
-    for i, tie in enumerate(component.ties if follow else ()):
-        count, loose = len(tie.nodes), f"{tie.untied} secondary nodes are not tied"
+    texts, dependents = [], component.mesh.dependents
+    for i, tie in enumerate(component.ties):
+        loose = f"{tie.untied} secondary nodes are not tied"
         if tie.beyond and tie.untied:
             off = f"facets up to {tie.beyond:.3g} m off are beyond the distance, {tie.distance:.3g}"
             texts.append((i, f"{off} m: {loose}; write a larger distance if they belong together"))
@@ -460,7 +476,7 @@ def tie_warnings(component: ComponentModel) -> list[BundleProblem]:
         if tie.gap > _CLOSED * tie.distance:
             gap = f"closes gaps of up to {tie.gap:.3g} m by moving nodes"
             texts.append((i, f"{gap}; write a smaller distance if the gaps are real"))
-        if follow and follow.map[tie.nodes].nnz > _FINER * count:
+        if dependents is not None and dependents.map[tie.nodes].nnz > _FINER * len(tie.nodes):
             swap = "swap the two groups, which is faster and more exact"
             texts.append((i, f"the secondary surface is coarser than the main surface: {swap}"))
     return [BundleProblem(f"tie[{i}]", text) for i, text in texts]

@@ -286,10 +286,7 @@ class Solver:
         return fields_of(self.component, self.body, solution)
 
     def solve(
-        self,
-        wrench: Loads,
-        progress: Progress | None = None,
-        start: CoupledState | None = None,
+        self, wrench: Loads, progress: Progress | None = None, start: CoupledState | None = None
     ) -> Solution:
         """Solve for one wrench.
 
@@ -317,23 +314,22 @@ class Solver:
         """
         started = time.perf_counter()
         inputs = self.inputs(wrench)
-        above, further = inputs - self.component.at_rest, self._system.coupling.freedoms
-        acting = np.zeros_like(inputs)
-        acting[self._active], acting[further:] = inputs[self._active], above[further:]
+        # Loads on locked freedoms do nothing; the inputs behind the loads act by their rise.
+        acting, loads = inputs - self.component.at_rest, self._system.coupling.freedoms
+        acting[np.setdiff1d(np.arange(loads), self._active)] = 0.0
         analysis = self.component.analysis
         if not analysis.nonlinear or not (acting.any() or self._hangs):
             solution = self._solve_linear(inputs, acting)
         else:
             solution = self._solve_nonlinear(inputs, acting, progress, start)
         # Where the loads alone exclude that anything yields, no stresses of the answer are needed.
-        by_loads = not (analysis.nonlinear or self._hangs or self.body.expands)
-        if not (by_loads and np.abs(acting) @ self._most_used <= 1.0):
+        by_loads_alone = not (analysis.nonlinear or self._hangs or self.body.expands)
+        if not (by_loads_alone and np.abs(acting) @ self._most_used <= 1.0):
             exceeded = yielding(self.component, self.body, solution)
             if exceeded and analysis.on_yield == "fail":
                 raise SolveFailed("yields", exceeded)
-            solution = (
-                replace(solution, notes=(*solution.notes, exceeded)) if exceeded else solution
-            )
+            if exceeded:
+                solution = replace(solution, notes=(*solution.notes, exceeded))
         if progress is not None:
             progress(1.0, "done")
         return replace(solution, seconds=time.perf_counter() - started)
@@ -343,12 +339,11 @@ class Solver:
         return most_used(self.component, self.body, self.linear.fields)
 
     def _solve_linear(self, wrench: Array, acting: Array) -> Solution:
-        linear = self.linear
+        """Return the linear answer to inputs that act, (k,); `wrench` has all inputs."""
+        linear, tight = self.linear, self.tightened
         displacement, nodes = linear.compliance @ acting, linear.fields @ acting
-        tight, inputs = self.tightened, acting
-        if self._system.weight is not None:
-            inputs = np.append(acting, 1.0)
-        after = nodes + linear.sag
+        after = nodes + linear.sag  # after bolts are tightened, with the self-weight
+        inputs = acting if self._system.weight is None else np.append(acting, 1.0)
         energy = 0.5 * inputs @ linear.energies @ inputs
         work = acting[: len(displacement)] @ (displacement + linear.sag_displacement)
         work += np.vdot(self._system.dead_forces(acting), after)
@@ -361,7 +356,8 @@ class Solver:
             if warming := self._system.temperature(acting):
                 rates, _ = self.body.thermal_rates(np.zeros_like(after))
                 energy += warming * np.vdot(rates, tight.sag)
-        displacement, nodes = displacement + self.at_rest[0], nodes + self.at_rest[1]
+        at_rest, nodes_at_rest = self.at_rest
+        displacement, nodes = displacement + at_rest, nodes + nodes_at_rest
         _require_small_rotation(displacement)
         return Solution(
             wrench=wrench,
@@ -381,8 +377,10 @@ class Solver:
     def _solve_nonlinear(
         self, wrench: Array, acting: Array, progress: Progress | None, start: CoupledState | None
     ) -> Solution:
+        """Return the nonlinear answer to inputs that act, (k,); `wrench` has all inputs."""
         unloaded, tight = self.unloaded if self._hangs else None, self._tight
-        if start is not None and tight is not None:  # of another solver, with its own roundoff
+        if start is not None and tight is not None:
+            # Bolts keep the length of this solver's; another's differs by roundoff.
             nodes, held = start.nodes.copy(), self.body.slips & ~self.body.free
             nodes[held] = tight.nodes[held]
             start = replace(start, nodes=nodes)
@@ -402,7 +400,7 @@ class Solver:
             failure.last = factor, self.body.expanded(nodes) @ self.component.axes
             raise
         work = path.work
-        if unloaded is not None:
+        if unloaded is not None:  # from where the path begins: with the work of constant loads
             sunk = equilibrium.balance.state.nodes - unloaded.balance.state.nodes
             constant = self._system.dead_forces(np.zeros_like(acting))
             work += unloaded.balance.energy + float(np.vdot(constant, sunk))
@@ -411,6 +409,7 @@ class Solver:
     def _solution(
         self, wrench: Array, equilibrium: Equilibrium, work: float, history: tuple[Iteration, ...]
     ) -> Solution:
+        """Return the answer that an equilibrium and the work of all loads on its way there make."""
         balance = equilibrium.balance
         displacement, compliance = balance.state.interface, equilibrium.tangent.compliance
         if self._origin is not None:
@@ -437,6 +436,7 @@ class Solver:
         )
 
     def _curvature(self, balance: Balance, tangent: Linearisation) -> Array | None:
+        """Return the packed third derivatives at a state; None if linear or of too many inputs."""
         if not self.component.analysis.nonlinear or self._system.inputs > MAX_CURVATURE_INPUTS:
             return None
         return packed(third_derivatives(self._system, balance, tangent, self._origin))
@@ -457,6 +457,10 @@ def _check_rotation(balance: Balance) -> None:
 
 
 def _require_small_rotation(displacement: Array, load_factor: float = 1.0) -> None:
+    """Raise SolveFailed if an interface turns by more than `MAX_DEGREES`.
+
+    displacement: of all interfaces, shape (6 i,), m and rad, under this part of the load.
+    """
     degrees = float(np.degrees(largest_rotation(displacement)))
     if degrees > MAX_DEGREES:
         raise rotation_too_large(degrees, MAX_DEGREES, load_factor)
@@ -474,34 +478,39 @@ def system_of(component: ComponentModel, active: Array) -> System:
     for attached in (*component.interfaces, *component.frames):
         nodes = attached.section.node_ids
         points = ((component.mesh.points - attached.point) @ attached.axes.T)[nodes]
-        rigid = attached.coupling == "rigid"
-        holds = Rigid(points) if rigid else Distributed(points, attached.section.weights)
+        if attached.coupling == "rigid":
+            holds = Rigid(points)
+        else:
+            holds = Distributed(points, attached.section.weights)
         same = np.array_equal(attached.axes, component.axes)
         sections.append((holds, nodes, None if same else attached.axes @ component.axes.T))
     first, frames = len(component.interfaces), len(component.frames)
-    springs = [(tuple(first + n for n in ends), k) for ends, k in component.springs]
+    springs = [
+        (tuple(first + frame for frame in ends), stiffness) for ends, stiffness in component.springs
+    ]
     coupling = Coupling(len(mesh.points), sections, active, _anchors(component), frames, springs)
+    # The cells, their free nodes, and the tension of bolts on the slips of their cuts.
     free = np.ones(len(mesh.points), dtype=bool)
     free[component.fixed_nodes] = False
     free[coupling.constrained] = False
-    materials, numbers = component.materials, component.material_of_cells
-    integration = component.analysis.integration
-    frame = component.axes, component.interfaces[0].point
-    filled = filled_cells(mesh, materials, numbers, integration, *frame)
-    if component.temperature_rise is not None:
-        rise = component.temperature_rise
-        filled = [(block, _warmed(block, part, rise, integration)) for block, part in filled]
-    nodes, held = component.guided
     pulled = np.zeros_like(mesh.points)
     for bolt in component.bolts:
         free[bolt.slip] = bolt.bolt.keeps == "force"
         pulled[bolt.slip] = -bolt.bolt.force * (component.axes @ bolt.axis)
+    integration, rise = component.analysis.integration, component.temperature_rise
+    materials, numbers = component.materials, component.material_of_cells
+    frame = component.axes, component.interfaces[0].point
+    filled = filled_cells(mesh, materials, numbers, integration, *frame)
+    if rise is not None:
+        filled = [(block, _warmed(block, part, rise, integration)) for block, part in filled]
+    nodes, held = component.guided
     body = ElasticBody(mesh, filled, free, (nodes, component.axes @ held @ component.axes.T))
+    # Self-weight is constant; the acceleration is an input.
     gravity, weight, body_force = component.analysis.gravity, None, None
-    if gravity is not None or component.accelerated:
+    if gravity is not None:
+        weight = body_force_of(component, body) @ np.array(gravity)
+    if component.accelerated:
         body_force = body_force_of(component, body)
-        weight = None if gravity is None else body_force @ np.array(gravity)
-    body_force = body_force if component.accelerated else None
     preload = pulled if component.bolts else None
     return System(body, coupling, component.mesh.points, weight, body_force, preload)
 

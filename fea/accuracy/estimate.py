@@ -81,40 +81,37 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
     if not np.allclose(corners[1], -corners[0]):
         factors[1] = solver.buckling(corners[1] + zero)[0]
     for corner, factor in zip(corners, tuple(factors), strict=True):
-        answer = _Corner(other, solver.linear, corner, factor)
-        deviation = np.fmax(deviation, answer.deviation)
-        factors += answer.factors
-        why = why or answer.why
-    lowest = min(factors, default=np.inf)
-    return BeyondLinear(
-        _SAFETY * deviation, float(lowest) if lowest <= _MAX_REPORTED else None, why
-    )
+        at_corner, ends, reason = _at_corner(other, solver.linear, corner, factor)
+        deviation = np.fmax(deviation, at_corner)
+        factors += ends
+        why = why or reason
+    lowest = float(min(factors))
+    return BeyondLinear(_SAFETY * deviation, lowest if lowest <= _MAX_REPORTED else None, why)
 
 
-class _Corner:
-    """The nonlinear answer at one corner of the range, or at a part of it."""
+def _at_corner(
+    solver: Solver, linear: LinearResponse, wrench: Array, buckling: float
+) -> tuple[Array, list[float], str]:
+    """Return deviation, factors and reason of `BeyondLinear` at one corner, or at a part of it.
 
-    def __init__(
-        self, solver: Solver, linear: LinearResponse, wrench: Array, buckling: float
-    ) -> None:
-        self.deviation = np.full(len(linear.compliance), np.nan)
-        self.factors: list[float] = []
-        self.why = ""
-        limit = 1.0
-        if buckling < _STEEP:
-            limit, self.why = 0.5 * buckling, f"it buckles at {buckling:.3g} of one"
-        for part in (limit * part for part in _PARTS):
-            try:
-                solution = solver.solve(part * wrench + solver.component.at_rest)
-            except SolveFailed as failure:
-                self.why = self.why or failure.message
-                if failure.load_factor is not None:
-                    self.factors.append(part * failure.load_factor)
-                continue
-            expected = linear.compliance @ (part * wrench) + solver.at_rest[0]
-            missed = np.abs(solution.displacement - expected) / part**2
-            self.deviation = np.repeat(missed.reshape(-1, 3).max(axis=1), 3)
-            return
+    The factors are parts of the wrench at which solves ended.
+    """
+    ends: list[float] = []
+    limit, why = 1.0, ""
+    if buckling < _STEEP:
+        limit, why = 0.5 * buckling, f"it buckles at {buckling:.3g} of one"
+    for part in (limit * part for part in _PARTS):
+        try:
+            solution = solver.solve(part * wrench + solver.component.at_rest)
+        except SolveFailed as failure:
+            why = why or failure.message
+            if failure.load_factor is not None:
+                ends.append(part * failure.load_factor)
+            continue
+        expected = linear.compliance @ (part * wrench) + solver.at_rest[0]
+        missed = np.abs(solution.displacement - expected) / part**2
+        return np.repeat(missed.reshape(-1, 3).max(axis=1), 3), ends, why
+    return np.full(len(linear.compliance), np.nan), ends, why
 
 
 _MARGIN = 1.25
@@ -217,11 +214,13 @@ def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[Array], str]:
     study = stored(bundle, compliance.shape)
     if study is not None:
         return [study[0]], study[1]
+    # Half of the error of recovered stresses: the mean with the half of another mesh's change.
     recovered = recovered_error(solver)
-    cut = any(tie.cut or tie.within for tie in solver.component.ties)
     lacks = 0.5 * _MARGIN * recovered.total[: len(compliance)]
+    cut = any(tie.cut or tie.within for tie in solver.component.ties)
     within = max((tie.within for tie in solver.component.ties), default=0.0)
     more = _TIED * max(1.0, within) if cut else 1.0
+    # A second mesh, finer if it can be solved, and the ratio of cell sizes, of larger to smaller.
     try:
         fine = finer(solver, FINER_UNKNOWNS)
         _ = fine and fine.linear
@@ -247,6 +246,7 @@ def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[Array], str]:
     )
     if fine and not cut:
         return [-change], f"{basis}, at six unit loads"
+    # A finer mesh shows the end of a tie in part, so both are added; else they make the mean.
     parts = [-change, lacks] if fine else [0.5 * change, more * lacks]
     return parts, f"{basis}, and recovered stresses, at six unit loads"
 

@@ -225,9 +225,7 @@ class ElasticBody:
         return total, energy, least
 
     def tangent(
-        self,
-        displacement: Array | None,
-        step: tuple[Array, Array] | None = None,
+        self, displacement: Array | None, step: tuple[Array, Array] | None = None
     ) -> Tangent:
         """Return the tangent stiffness.
 

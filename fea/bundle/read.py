@@ -40,13 +40,7 @@ from wrenchbook.fea.spec.schema import (
     ScalarInput,
 )
 
-__all__ = [
-    "Bundle",
-    "BundleError",
-    "BundleProblem",
-    "bundle_of",
-    "read_bundle",
-]
+__all__ = ["Bundle", "BundleError", "BundleProblem", "bundle_of", "read_bundle"]
 
 FILE_NAME = "component.toml"
 

@@ -4,14 +4,8 @@ The factorisation's operations and the numbers it holds follow exactly from the 
 substructures (`fea.linalg.nested_dissection`). Cells at ties and at bolts' cuts count with all
 nodes that move them. Time and memory of the solver's process are fitted to those, to the cells that
 are ordered and to the entries of their matrices, on the shipped components, plates, blocks (hex20,
-tet10) and tied slabs of 5,000 to 75,000 unknowns, one core of a server:
-
-    work             = assembly of the entries + ordering of the cells + operations
-    linear solve     = start + work
-    nonlinear solve  = start + 2.5 work (3 to 6 iterations; up to 20 by load and part),
-                       5.0 work where cells project their volumetric strain
-    memory           = process + numbers of the factor + entries, nonlinear solves too (one factor
-                       at a time: 0.91 to 1.15 of the peaks of nine, 140 to 590 MB)
+tet10) and tied slabs of 5,000 to 75,000 unknowns, one core of a server. The memory of nonlinear
+solves is the same, one factor at a time: 0.91 to 1.15 of the peaks of nine, 140 to 590 MB.
 
 `make bench NAME=check` prints these against time and memory of a solve: within 1.5 on a like
 machine.
@@ -41,7 +35,7 @@ _ENTRY_BYTES = 8  # of an entry of a cell's matrix
 
 _SINGLE_PRECISION = 0.5
 """Bytes and time of a linear solve's factor above `SINGLE_NUMBERS`, over those in double."""
-_NONLINEAR = 2.5  # times the work of a linear solve
+_NONLINEAR = 2.5  # times the work of a linear solve: 3 to 6 iterations; up to 20 by load and part
 _PROJECTED = 2.0  # times that where pressure is a separate unknown: more, and larger, matrices
 
 
@@ -126,9 +120,7 @@ def _elimination(points: Array, groups: list[Array], free: Array) -> tuple[float
 
 def _projects(component: ComponentModel) -> bool:
     """Return whether some cells take the pressure as a separate unknown."""
-    if not {"hex20", "hex27"} & set(component.mesh.cell_counts):
-        return False
-    ratios = [
-        material.poisson_ratio for material in component.materials if material.law != "orthotropic"
-    ]
-    return any(np.max(ratio) > NEARLY_INCOMPRESSIBLE for ratio in ratios)
+    return bool({"hex20", "hex27"} & set(component.mesh.cell_counts)) and any(
+        material.law != "orthotropic" and np.max(material.poisson_ratio) > NEARLY_INCOMPRESSIBLE
+        for material in component.materials
+    )

@@ -25,6 +25,7 @@ from wrenchbook.fea.spec.problems import BundleProblem
 Array = np.ndarray
 
 _SAME = 1e-3  # relative: decks write constants to three digits and more
+_MOST = 0.5  # of nodes at which directions differ: those on a cylinder's axis have none
 _NEAR = 1e-6  # of the mesh's size: two points coincide
 _SOLID = re.compile(r"(C3D\d+)([A-Z]*)")
 _COMPARED = (
@@ -97,7 +98,10 @@ def contradictions(component: ComponentModel) -> list[BundleProblem]:
     return [BundleProblem("mesh.file", text) for text in messages]
 
 
-def _other_material(component: ComponentModel, deck: DeckContent, section: Any) -> Iterator[str]:
+def _other_material(
+    component: ComponentModel, deck: DeckContent, section: SolidSection
+) -> Iterator[str]:
+    """Yield the constants and directions of a section's material that the component has not."""
     cells = component.mesh.regions.get(section.region, ())
     numbers = [value[c] for value, c in zip(component.material_of_cells, cells, strict=False)]
     unit = component.bundle.mesh.unit if component.bundle.mesh else "m"
@@ -119,13 +123,12 @@ def _other_material(component: ComponentModel, deck: DeckContent, section: Any) 
             if value is None and key == "yield_strength":
                 continue  # named with *PLASTIC itself
             if value is None or np.abs(value - other).max() > _SAME * np.abs(other).max():
-                there = (
-                    "none" if value is None else _listed(value if orthotropic else np.unique(value))
-                )
-                here = (
-                    f"{_listed(constants[key], 6)}, with lengths in {unit} {_listed(other)} in SI"
-                )
-                yield f"{start}: {key} {here}; the component has {there}"
+                there = "none"
+                if value is not None:
+                    there = _listed(value if orthotropic else np.unique(value))
+                here = _listed(constants[key], 6)
+                in_unit = f"with lengths in {unit} {_listed(other)} in SI"
+                yield f"{start}: {key} {here}, {in_unit}; the component has {there}"
 
 
 def _listed(values: Any, digits: int = 4) -> str:
@@ -145,11 +148,12 @@ def _turned(
     else:
         other = replace(material, axes=np.reshape(axes, (3, 3)), cylinder=None)
     same = np.abs((material.directions(points) * other.directions(points)).sum(axis=-1))
-    if (same < 1 - _SAME).any(axis=-1).mean() > 0.5:  # on a cylinder's axis they are of no kind
+    if (same < 1 - _SAME).any(axis=-1).mean() > _MOST:
         yield f"{start} in other directions than the component: see its *ORIENTATION"
 
 
 def _freed(component: ComponentModel, group: HeldGroup) -> Iterator[str]:
+    """Yield the number of nodes that are free in a direction in which the deck holds them."""
     nodes = group_nodes(component.mesh, "", group.group, [])  # none if the mesh has no such group
     nodes = np.setdiff1d(nodes, component.fixed_nodes)
     held_ones = [attached for attached in component.interfaces if len(attached.locked) == 6]
@@ -159,9 +163,9 @@ def _freed(component: ComponentModel, group: HeldGroup) -> Iterator[str]:
     sliding, projectors = component.sliding
     held[sliding] = projectors
     axes = np.reshape(group.axes or np.eye(3), (3, 3))
-    ways = axes[["xyz".index(letter) for letter in group.directions]]
-    free = int((np.einsum("di,nij,dj->nd", ways, held[nodes], ways) < 1 - _NEAR).any(axis=1).sum())
-    if free:
+    directions = axes[["xyz".index(letter) for letter in group.directions]]
+    parts_held = np.einsum("di,nij,dj->nd", directions, held[nodes], directions)
+    if free := int((parts_held < 1 - _NEAR).any(axis=1).sum()):
         yield (
             f'{group.where} holds "{group.group}" along {", ".join(group.directions)}; {free} of '
             "its nodes are free in the component: name it under [supports]"
@@ -169,6 +173,7 @@ def _freed(component: ComponentModel, group: HeldGroup) -> Iterator[str]:
 
 
 def _uncoupled(component: ComponentModel, group: CoupledGroup) -> Iterator[str]:
+    """Yield how a coupling of the deck differs from the component's of the same nodes."""
     nodes = group_nodes(component.mesh, "", group.group, [])
     attached = [*component.interfaces, *component.frames]
     same = [
@@ -192,6 +197,7 @@ def _uncoupled(component: ComponentModel, group: CoupledGroup) -> Iterator[str]:
 
 
 def _unsprung(component: ComponentModel, spring: DeckSpring) -> Iterator[str]:
+    """Yield how a spring of the deck, (6, 6), differs from the component's of the same groups."""
     ends = [replace(end, point=spring.ends[0].point) for end in spring.ends]
     yield from (text for end in ends for text in _uncoupled(component, end))
     groups = {group_nodes(component.mesh, "", end.group, []).tobytes() for end in ends}

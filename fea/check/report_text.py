@@ -23,20 +23,14 @@ def as_text(report: Mapping[str, Any]) -> str:
     for part in (_source, _mesh, _materials, _set_up, _trial, _error_bars, _vibration):
         lines += part(report)
     lines += [*_strength(report), *_cost(report)]
-    warnings, errors = report["warnings"], report["problems"]
-    for kind, entries in (("warning", warnings), ("error", errors)):
+    counts = {}
+    for kind, entries in (("warning", report["warnings"]), ("error", report["problems"])):
         lines += [f"{kind}: {entry['where']}: {entry['message']}" for entry in entries]
-    if not report["ok"]:
-        lines.append(_count(errors, "error"))
-    elif warnings:
-        lines.append(f"ready to solve, {_count(warnings, 'warning')}")
-    else:
-        lines.append("ready to solve")
-    return "\n".join(lines)
-
-
-def _count(entries: Sequence[Any], kind: str) -> str:
-    return f"1 {kind}" if len(entries) == 1 else f"{len(entries)} {kind}s"
+        counts[kind] = f"1 {kind}" if len(entries) == 1 else f"{len(entries)} {kind}s"
+    if report["ok"]:
+        warned = f", {counts['warning']}" if report["warnings"] else ""
+        return "\n".join([*lines, f"ready to solve{warned}"])
+    return "\n".join([*lines, counts["error"]])
 
 
 def _source(report: Mapping[str, Any]) -> Iterator[str]:

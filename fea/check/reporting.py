@@ -259,13 +259,8 @@ def _inspect_component(
     # Ties, bolts and springs join parts of the mesh.
     if component.ties:
         summary["ties"] = [
-            {
-                "secondary": names.secondary,
-                "main": names.main,
-                "nodes": len(tie.nodes),
-                "untied": tie.untied,
-                "gap": tie.gap,
-            }
+            {"secondary": names.secondary, "main": names.main}
+            | {"nodes": len(tie.nodes), "untied": tie.untied, "gap": tie.gap}
             for names, tie in zip(component.bundle.ties, component.ties, strict=True)
         ]
     if component.bolts:

@@ -12,12 +12,7 @@ import numpy as np
 from wrenchbook.fea.coupling import spring_motion
 from wrenchbook.fea.element.cell_state import symmetrised
 from wrenchbook.fea.spec.schema import FREEDOMS
-from wrenchbook.fea.tensors import (
-    rotation,
-    rotation_derivatives,
-    rotation_vector,
-    spin_per_vector,
-)
+from wrenchbook.fea.tensors import rotation, rotation_derivatives, rotation_vector, spin_per_vector
 
 Array = np.ndarray
 

@@ -9,12 +9,7 @@ import numpy as np
 from wrenchbook.fea.coupling.coupling import PER_INTERFACE, Border, CoupledState, SectionCoupling
 from wrenchbook.fea.mesh.mapping import area_weights
 from wrenchbook.fea.mesh.mesh import FacetGroup
-from wrenchbook.fea.tensors import (
-    rotation_less_identity,
-    skew,
-    spin_per_vector,
-    spin_slope,
-)
+from wrenchbook.fea.tensors import rotation_less_identity, skew, spin_per_vector, spin_slope
 
 Array = np.ndarray
 

@@ -20,12 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wrenchbook.fea.element.cell_state import (
-    UNIT_STRAINS,
-    CellState,
-    DenseState,
-    Which,
-)
+from wrenchbook.fea.element.cell_state import UNIT_STRAINS, CellState, DenseState, Which
 from wrenchbook.fea.element.cell_stiffness import CellStiffness
 from wrenchbook.fea.tensors import COLUMNS, ROWS
 

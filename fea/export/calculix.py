@@ -139,7 +139,8 @@ def _springs(component: ComponentModel) -> Iterator[str]:
         node += 2
     for ends, stiffness in component.springs:
         frame = component.frames[ends[0]]
-        at, signs = _numbers(component.axes @ frame.point), (-1.0, 1.0)[-len(ends) :]
+        at = _numbers(component.axes @ frame.point)
+        signs = (1.0,) if len(ends) == 1 else (-1.0, 1.0)  # the second end relative to the first
         rotation = np.kron(np.eye(2), frame.axes @ component.axes.T)
         sizes, motions = np.linalg.eigh(stiffness)
         for size, motion in zip(sizes, motions.T, strict=True):
@@ -215,12 +216,12 @@ def _sliding(component: ComponentModel) -> Iterator[str]:
     """Yield what holds sliding nodes: a boundary condition along an axis, or an equation."""
     nodes, held = component.guided
     for node, projector in zip(nodes + 1, component.axes @ held @ component.axes.T, strict=True):
-        first = np.argsort(-np.diagonal(projector))[
-            : round(np.trace(projector))
-        ]  # a dependent one each
-        rows = np.linalg.solve(projector[np.ix_(first, first)], projector[first])
-        for axis, row in zip(first, rows, strict=True):
-            others = [i for i in range(3) if i not in first and abs(row[i]) > _ZERO]
+        # Each held direction makes one displacement depend on the others: the largest in it.
+        held_count = round(np.trace(projector))
+        dependent = np.argsort(-np.diagonal(projector))[:held_count]
+        rows = np.linalg.solve(projector[np.ix_(dependent, dependent)], projector[dependent])
+        for axis, row in zip(dependent, rows, strict=True):
+            others = [i for i in range(3) if i not in dependent and abs(row[i]) > _ZERO]
             terms = [f"{node}, {i + 1}, {_numbers([row[i]])}" for i in (axis, *others)]
             equation = f"*EQUATION\n{len(terms)}\n" + ", ".join(terms)
             yield equation if others else f"*BOUNDARY\n{node}, {axis + 1}"
@@ -257,6 +258,7 @@ def _elements(component: ComponentModel) -> Iterator[str]:
 
 
 def _step(component: ComponentModel) -> Iterator[str]:
+    """Yield the step with the loads, and before it one that tightens bolts if there are any."""
     start = _NONLINEAR if component.analysis.nonlinear else _LINEAR
     if component.bolts:
         yield "** Bolts are tightened in a first step. Displacements count from before it."
@@ -269,8 +271,10 @@ def _step(component: ComponentModel) -> Iterator[str]:
             yield f"{bolt.slip + 1}, {axis + 1}, {_numbers([load])}"
         yield "*END STEP"
         yield from start
-        fixed = [f"{b.slip + 1}, {a + 1}, {a + 1}" for b, a in slips if b.bolt.keeps == "length"]
-        yield from ("*BOUNDARY, FIXED", *fixed) if fixed else ()
+        fixed = [(bolt.slip + 1, axis + 1) for bolt, axis in slips if bolt.bolt.keeps == "length"]
+        if fixed:
+            yield "*BOUNDARY, FIXED"
+            yield from (f"{node}, {axis}, {axis}" for node, axis in fixed)
     else:
         yield from start
     yield from _pulls(component)
@@ -285,7 +289,7 @@ def _step(component: ComponentModel) -> Iterator[str]:
         yield f"*TEMPERATURE\nALL, {further_placeholder(TEMPERATURE)}"
     for attached in component.interfaces:
         for kind in ("REF", "ROT"):
-            yield from [f"*NODE PRINT, NSET={_set(kind, attached)}", "U"]
+            yield f"*NODE PRINT, NSET={_set(kind, attached)}\nU"
     yield "*END STEP"
 
 

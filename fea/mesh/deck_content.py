@@ -137,7 +137,8 @@ class LoadCase:
             if any(values)
         ]
         held, loads = (", ".join(sorted(set(names))) or "nothing" for names in (held, loads))
-        return f"holds {held}; loads {loads}{'; large displacements' * self.nonlinear}"
+        nonlinear = "; large displacements" if self.nonlinear else ""
+        return f"holds {held}; loads {loads}{nonlinear}"
 
 
 @dataclass

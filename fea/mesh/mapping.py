@@ -16,6 +16,7 @@ Array = np.ndarray
 
 _FLAT = 1e-9
 """Of the largest determinant of a cell: below it a cell is flat but for roundoff."""
+_MAX_LISTED = 5  # numbers of cells in a message
 
 
 def determinants(points: Array, block: CellBlock) -> Array:
@@ -83,8 +84,7 @@ def cell_problems(mesh: Mesh) -> list[BundleProblem]:
             message = (
                 f"{bad.size} of {len(block)} {block.kind} cells are inverted or flat, one of them "
                 f"near {at} m. Mesh more finely there, with nodes in the format's order and "
-                "midside "
-                "nodes in the middle; write collapsed cells as wedges"
+                "midside nodes in the middle; write collapsed cells as wedges"
             )
             problems.append(BundleProblem("mesh", message))
     return problems
@@ -118,11 +118,11 @@ def cell_gradients(points: Array, block: CellBlock, integration: str) -> Gradien
     volumes_of = determinant(jacobian)
     bad = folded_cells(points, block)
     if bad.size:
-        listed = ", ".join(str(cell) for cell in bad[:5])
+        listed = ", ".join(str(cell) for cell in bad[:_MAX_LISTED])
         raise SolveFailed(
             "inverted_elements",
             f"{bad.size} of {len(block)} {block.kind} cells are inverted or flat (cell numbers "
-            f"{listed}{', ...' if bad.size > 5 else ''}).",
+            f"{listed}{', ...' if bad.size > _MAX_LISTED else ''}).",
         )
     inverse = np.linalg.inv(jacobian)
     slopes = inverse.transpose(0, 1, 3, 2) @ element.slopes.transpose(0, 2, 1)

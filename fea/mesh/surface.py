@@ -40,6 +40,12 @@ _EDGE = 2e-2  # of a facet's size: its triangles are off a round face by less, a
 _MAX_RADIUS = 10.0  # of a face's size; a flatter arc shows no radius to three digits
 _ANGLE = 10.0  # degrees, of `normal` without `angle`
 _THIN = 0.5  # of the side of a square of the chosen area: a thinner wall has two sides in a box
+_TINY = 1e-300  # in place of a length or an area of 0, by which nothing can be divided
+_FIT_POINTS = 2000  # of a face: enough for the five numbers of a cylinder
+_FIT = 1e-12  # relative, of these numbers: roundoff
+_FIT_STEPS = 50  # evaluations of such a fit at most
+_OPPOSED = -0.99  # cosine of the normals of two sides of a wall: 8 degrees
+_ALIGNED = 1 - 1e-6  # cosine of a normal with a plane's: 0.08 degrees
 _NO_AREA = "a face of the surface has no area: its cells have no volume; mesh the part again"
 _UNKNOWN = Face(0, "Curved", 0.0, (0.0, 0.0, 0.0), None, None)
 
@@ -70,7 +76,7 @@ class Surface:
         parts = np.linalg.norm(self._vectors, axis=1, keepdims=True)
         self.areas = self._of_facets(parts)[:, 0]
         self.normals = _unit(self._of_facets(self._vectors))
-        weight = np.maximum(self.areas, 1e-300)[:, None]
+        weight = np.maximum(self.areas, _TINY)[:, None]
         self.middles = self._of_facets(parts * x.mean(axis=1)) / weight
         self.sizes = np.linalg.norm(np.ptp(mesh.points[self.corners], axis=1), axis=1)
         if numbers is None:
@@ -133,6 +139,7 @@ class Surface:
         return numbers, tuple(replace(faces[i], number=n) for n, i in enumerate(ranked, 1))
 
     def _face(self, members: Array) -> Face:
+        """Return the plane, cylinder or curved face of facets, by their indices (k,)."""
         x, areas = self.mesh.points[np.unique(self.corners[members])], self.areas[members]
         if not areas.any():
             raise BundleError([BundleProblem("mesh", _NO_AREA)])
@@ -150,20 +157,22 @@ class Surface:
         vectors = self.normals[members] * self.areas[members, None] / size**2
         frame = np.linalg.eigh(vectors.T @ vectors)[1]  # first: the direction square to normals
         local = (x - middle) @ frame / size
-        some = local[:: max(1, len(x) // 2000)]  # enough for five numbers
+        some = local[:: max(1, len(x) // _FIT_POINTS)]
 
         from scipy.optimize import least_squares  # here: 50 ms of a solve's imports
 
+        # The axis by the point (0, b, c) and the direction (1, d, e) of the frame; and the radius.
         def off(values: Array, at: Array) -> Array:
             arms = np.cross(at - [0, *values[:2]], _unit(np.array([[1, *values[2:4]]])))
             return np.linalg.norm(arms, axis=1) - values[4]
 
+        # Start from the circle that fits best across the first direction.
         ones = np.column_stack([2 * some[:, 1:], np.ones(len(some))])
         b, c, rest = np.linalg.lstsq(ones, (some[:, 1:] ** 2).sum(axis=1))[0]
         start = np.array([b, c, 0, 0, np.sqrt(max(rest + b**2 + c**2, 1e-30))])
         if len(some) < 6 or np.abs(off(start, some)).max() > start[4]:
             return None
-        fit = least_squares(off, start, args=(some,), xtol=1e-12, ftol=1e-12, max_nfev=50).x
+        fit = least_squares(off, start, args=(some,), xtol=_FIT, ftol=_FIT, max_nfev=_FIT_STEPS).x
         if fit[4] > _MAX_RADIUS or np.abs(off(fit, local)).max() > _NEAR * min(fit[4], 1.0):
             return None
         axis = _unit((frame @ [1, *fit[2:4]])[None])[0]
@@ -264,7 +273,7 @@ class Surface:
         edges = np.roll(x, -1, axis=1) - x
         # Above the inside of a triangle it is that to its plane, else that to an edge.
         sides = np.einsum("tex,tx->te", np.cross(x, edges), normals)
-        along = -np.einsum("tex,tex->te", x, edges) / np.maximum((edges**2).sum(axis=2), 1e-300)
+        along = -np.einsum("tex,tex->te", x, edges) / np.maximum((edges**2).sum(axis=2), _TINY)
         to_edges = np.linalg.norm(x + np.clip(along, 0, 1)[:, :, None] * edges, axis=2).min(axis=1)
         height = np.abs(np.einsum("tx,tx->t", x[:, 0], normals))
         distance = np.where((sides >= 0).all(axis=1), height, to_edges)
@@ -276,6 +285,7 @@ class Surface:
         return numbers[0]
 
     def _in_plane(self, choice: FaceSelector, where: str) -> Array:
+        """Return the facets in the plane of a choice, a mask of shape (f,)."""
         plane = choice.plane
         normal = np.eye(3)["xyz".index(plane)] if isinstance(plane, str) else np.array(plane)
         at = float(normal @ choice.at) if isinstance(choice.at, tuple) else float(choice.at or 0)
@@ -285,7 +295,7 @@ class Surface:
         level = np.abs(heights).max(axis=1) <= _NEAR * self.sizes
         level &= np.isin(self.numbers, even)
         if not level.any():
-            square = [f for f in self.faces if f.normal and abs(normal @ f.normal) > 1 - 1e-6]
+            square = [f for f in self.faces if f.normal and abs(normal @ f.normal) > _ALIGNED]
             positions = sorted({round(float(normal @ face.centre), 9) for face in square})
             listed = ", ".join(f"{place:g}" for place in positions) or "none anywhere"
             along = plane if isinstance(plane, str) else f"x . {point_text(normal)}"
@@ -293,6 +303,7 @@ class Surface:
         return level
 
     def _round(self, choice: FaceSelector, where: str) -> Array:
+        """Return the facets on a cylinder, or on all of a radius, a mask of shape (f,)."""
         radius = float(choice.radius or 0)
         if choice.cylinder is None:
             radii = {face.number: face.radius for face in self.faces if face.radius is not None}
@@ -322,7 +333,7 @@ class Surface:
             normal = np.array(a.normal)
             gap = float(normal @ np.subtract(a.centre, b.centre))
             least = min(self.areas[parts[a]].sum(), self.areas[parts[b]].sum())
-            if normal @ b.normal < -0.99 and 0 < gap < _THIN * np.sqrt(least):
+            if normal @ b.normal < _OPPOSED and 0 < gap < _THIN * np.sqrt(least):
                 message = (
                     f"has both sides of a wall {gap:.3g} m thick: {parts[a].sum()} facets of face "
                     f"{a.number} and {parts[b].sum()} of face {b.number}; add normal = "
@@ -358,7 +369,8 @@ def _refuse(where: str, message: str) -> NoReturn:
 
 
 def _unit(vectors: Array) -> Array:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)
+    """Return vectors (k, 3) at length one; zero stays zero."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), _TINY)
 
 
 def _members(labels: Array) -> list[Array]:

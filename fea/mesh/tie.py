@@ -102,23 +102,7 @@ def joined(
         may[others] = False  # a common node holds the two together as it is
         tied, follow = tied_nodes(mesh.points, secondary, main, pair.distance, may)
         if not tied.nodes.size:
-            message = (
-                f'no facet of "{pair.secondary}" with free nodes faces "{pair.main}" within '
-                f"{tied.distance:.3g} m; their nearest nodes are {gaps.min():.3g} m apart. Correct "
-                "the groups, or write a larger distance"
-                if gaps.min() > tied.distance
-                else f'the facets of "{pair.secondary}" are up to {tied.beyond:.3g} m off '
-                f'"{pair.main}", beyond the distance of {tied.distance:.3g} m; write a larger one'
-                if tied.beyond
-                else f'"{pair.main}" covers at most a third of each facet of "{pair.secondary}". '
-                "Swap the two groups, or split these facets there"
-            )
-            if not may[nodes].any():
-                message = (
-                    f'no node of "{pair.secondary}" is free to follow: all are fixed, are in '
-                    f'"{pair.main}", or already follow others. Leave the tie out, or name other '
-                    "nodes"
-                )
+            message = _why_untied(pair, tied, float(gaps.min()), bool(may[nodes].any()))
             problems.append(BundleProblem(key, message))
         for where, attached in sections:
             if (shared := np.intersect1d(tied.nodes, attached)).size:
@@ -144,6 +128,32 @@ def joined(
     points, nodes = mesh.points.copy(), np.concatenate([tied.nodes for tied in done])
     points[nodes] = dependents.expanded(points)[nodes]
     return replace(mesh, points=points, dependents=dependents), tuple(done)
+
+
+def _why_untied(pair: Tie, tied: TiedNodes, gap: float, any_free: bool) -> str:
+    """Return why no node is tied; `gap` is the least distance of nodes of the two surfaces, m."""
+    if not any_free:
+        return (
+            f'no node of "{pair.secondary}" is free to follow: all are fixed, are in '
+            f'"{pair.main}", or already follow others. Leave the tie out, or name other '
+            "nodes"
+        )
+    if gap > tied.distance:
+        return (
+            f'no facet of "{pair.secondary}" with free nodes faces "{pair.main}" within '
+            f"{tied.distance:.3g} m; their nearest nodes are {gap:.3g} m apart. "
+            "Correct the groups, or write a larger distance"
+        )
+    if tied.beyond:
+        return (
+            f'the facets of "{pair.secondary}" are up to {tied.beyond:.3g} m off '
+            f'"{pair.main}", beyond the distance of {tied.distance:.3g} m; write a larger '
+            "one"
+        )
+    return (
+        f'"{pair.main}" covers at most a third of each facet of "{pair.secondary}". '
+        "Swap the two groups, or split these facets there"
+    )
 
 
 def tied_nodes(
@@ -174,12 +184,14 @@ def tied_nodes(
         transform[count + corner, count + corner] = 1 - 2 * _ALPHA
         transform[count + corner[:, None], pairs] = _ALPHA
         ends[nodes[:, count + corner]] = nodes[:, pairs]
+        # The mean plane of each facet, and the areas of its points there.
         at, element = points[nodes], reference_element(kind)
         arms = at[:, :count] - at[:, :count].mean(axis=1)[:, None]
         normal = np.cross(arms, np.roll(arms, -1, axis=1)).sum(axis=1)
         plane = np.linalg.qr(np.stack([normal, arms[:, 0], arms[:, 1]], axis=2)).Q[:, :, 1:]
         areas = np.einsum("fki,qkj->fqij", at @ plane, element.slopes)
         areas = np.abs(np.linalg.det(areas)) * element.weights
+        # Integrals over overlaps of products of functions: of this facet's, and with the main's.
         mass, mixed, off = np.zeros((len(nodes), size, size)), [], np.zeros(len(nodes))
         for other, cover in zip(main.blocks, covers, strict=True):
             overlaps = _overlaps(points, FacetBlock(kind, nodes), other, plane, edge)
@@ -192,6 +204,7 @@ def tied_nodes(
                 np.add.at(mass, of, weighted @ functions)
                 area = weights.sum(axis=1)
                 mixed.append((of, other.nodes[to], weighted @ there, far, cover, to, area))
+        # Facets that are covered enough are tied, by dual functions on them.
         integrals = mass.sum(axis=2)  # the transformed functions sum to one
         ratio = integrals.sum(axis=1) / areas.sum(axis=1)
         taken, cut = ratio > _COVER, cut + int((np.abs(ratio - 0.5) < 0.5 - _EDGE).sum())
@@ -204,8 +217,8 @@ def tied_nodes(
             gap = max(gap, float(far[taken[of]].max(initial=0.0)))
             np.add.at(cover, facet[taken[of]], area[taken[of]])
             weights = dual[of] @ products
-            both = np.broadcast_arrays(nodes[of][:, :, None], to[:, None], weights)
-            entries.append([part[taken[of]].ravel() for part in both])
+            triples = np.broadcast_arrays(nodes[of][:, :, None], to[:, None], weights)
+            entries.append([part[taken[of]].ravel() for part in triples])
     tied = free & (covered > _NODE * complete)
     none = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0)
     rows, masters, weights = (np.concatenate(each) for each in zip(none, *entries, strict=True))

@@ -27,6 +27,7 @@ _LEAST = 1.0 / 256  # of the first step
 _FINE = 1.0 / 8  # of the first step: short enough to tell a limit point from a bifurcation
 _MAX_NODE_STEP = 0.01  # of the part's size: the furthest that a node may go in one step
 _LONGEST = 8.0  # times the first step
+_SAMPLES = 201  # of the cubic between two points, whose maximum is the critical load
 _MIN_COSINE = 0.7  # cosine of a path that bends no more than it should in one step
 
 
@@ -108,7 +109,7 @@ class ArcPath:
                     middle = 0.5 * (self._point.size + ahead.size) / self._full
                     return Ending("bifurcation", middle, self._point.equilibrium)
                 length = float(np.linalg.norm(self._between(ahead)))
-                s = np.linspace(0.0, 1.0, 201)
+                s = np.linspace(0.0, 1.0, _SAMPLES)
                 start, end = length / self._point.speed, -length / ahead.speed
                 cubic = (
                     self._point.size * (1 + 2 * s) * (1 - s) ** 2
@@ -166,8 +167,8 @@ class ArcPath:
             constraint = tangent.border.constraint
             along = float(np.vdot(normal, moved + constraint @ edge))
             shift = -along / float(np.vdot(normal, rate[0] + constraint @ rate[1]))
-            nodes, border, more = moved + shift * rate[0], edge + shift * rate[1], shift
-            size += more
+            nodes, border = moved + shift * rate[0], edge + shift * rate[1]
+            size += shift
         return None
 
     def _rate(self, tangent: Linearisation) -> tuple[Array, Array]:

@@ -28,9 +28,10 @@ FIRST_STEP = 1.0
 GROWTH = 2.0
 """How much longer the next step is after a step that converged quickly."""
 
-_MIN_STEP = 1.0 / 32
-_FEW_ITERATIONS = 8
-_SECANT_MARGIN = 0.25
+_MIN_STEP = 1.0 / 32  # of the full load; where it is too long the path is followed by its length
+_FEW_ITERATIONS = 8  # after so many or fewer the next step grows; after one more it is halved
+_SECANT_MARGIN = 0.25  # of a slope: a secant may be so far outside the tangents at its ends
+_UNDONE = 0.6  # of a step after each iteration, as the progress shows it
 _SOFTENED = 5.0  # times the compliance it started with: a load limit is near
 
 
@@ -248,7 +249,7 @@ class LoadPath:
         def report(iteration: int, norm: float) -> None:
             self.history.append(Iteration(target, iteration, norm))
             if self._progress is not None:
-                done = self._factor + (min(target, 1.0) - self._factor) * (1 - 0.6**iteration)
+                done = self._factor + (min(target, 1.0) - self._factor) * (1 - _UNDONE**iteration)
                 self._progress(done, f"load factor {target:.2f}, iteration {iteration}")
 
         return report

@@ -171,17 +171,21 @@ def array_of(inner: Any, make: Callable[[Any], Array] = np.array) -> GetPydantic
     )
 
 
+# Branches of unions have negative tags, ~0 = -1, ~1 = -2: in the path of a mistake, where pydantic
+# puts them, no index of a list is negative.
+
+
 def either(single: Any, several: Any, depth: int = 1) -> GetPydanticSchema:
     """Take a `single`, or `several` where the value is a list of lists so many levels deep."""
 
     def choose(value: Any) -> int:
         for _ in range(depth - 1):
             value = value[0] if isinstance(value, list | tuple) and value else None
-        return -2 if isinstance(value, list | tuple) else -1
+        return ~1 if isinstance(value, list | tuple) else ~0
 
     return GetPydanticSchema(
         lambda _, handler: core_schema.tagged_union_schema(
-            {-1: handler.generate_schema(single), -2: handler.generate_schema(several)},
+            {~0: handler.generate_schema(single), ~1: handler.generate_schema(several)},
             discriminator=choose,
         )
     )
@@ -191,12 +195,11 @@ def union(choose: Callable[[Mapping[str, Any]], type], *classes: type) -> GetPyd
     """Take one of several classes under `table`: that which `choose` returns for a parsed table."""
 
     def tag(value: object) -> int:
-        return ~classes.index(choose(value)) if isinstance(value, dict) else -1
+        return ~classes.index(choose(value)) if isinstance(value, dict) else ~0
 
     return GetPydanticSchema(
         lambda _, handler: core_schema.tagged_union_schema(
-            {~i: handler.generate_schema(cls) for i, cls in enumerate(classes)},
-            discriminator=tag,
+            {~i: handler.generate_schema(cls) for i, cls in enumerate(classes)}, discriminator=tag
         )
     )
 
@@ -230,6 +233,7 @@ def unit_vector(v: Sequence[float]) -> tuple[float, float, float]:
 
 
 def _cross(a: Sequence[float], b: Sequence[float]) -> list[float]:
+    """Return the vector product; indices from -2 to 1 stand for those after each, cyclically."""
     return [a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)]
 
 
@@ -315,7 +319,7 @@ def _problems(kind: Any, where: str, entry: Mapping[str, Any]) -> Iterator[Bundl
     """Yield the mistakes of one entry of pydantic's, each at its path."""
     path, info, classes, named = where, None, list(tables_in(kind)), False
     for part in entry["loc"]:
-        if isinstance(part, int) and part < 0:  # the branch of a union: no index, nor a key's name
+        if isinstance(part, int) and part < 0:  # the branch of a union
             classes = classes[~part:][:1]
         elif isinstance(part, int):
             path += f"[{part}]"
@@ -329,15 +333,13 @@ def _problems(kind: Any, where: str, entry: Mapping[str, Any]) -> Iterator[Bundl
             named = bool(known) and not named and get_origin(known[0].annotation) is Mapping
     unit = extra_of(info).get("unit") or "no unit"
     if entry["type"] == "literal_error":
-        path = path.removesuffix("]").rstrip("0123456789").removesuffix("[")  # of the list
+        path = re.sub(r"\[\d+\]$", "", path)  # of the list
     if entry["type"] == "value_error":
         error = entry["ctx"]["error"]
-        pairs = (
-            error.pairs
-            if isinstance(error, MistakesError)
-            else (("", str(error).replace("{unit}", unit)),)
-        )
-        yield from (BundleProblem(f"{path}.{at}" if at else path, text) for at, text in pairs)
+        if isinstance(error, MistakesError):
+            yield from (BundleProblem(f"{path}.{at}", text) for at, text in error.pairs)
+        else:
+            yield BundleProblem(path, str(error).replace("{unit}", unit))
     elif entry["type"] == "unexpected_keyword_argument":
         yield BundleProblem(path, unknown(entry["loc"][-1], classes[0]))
     else:

@@ -137,10 +137,8 @@ def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
         axes = reader.orientations.get(orientation, _GLOBAL)
         content.sections.append(SolidSection(where, regions[key], material, axes))
         if orientation and orientation not in reader.orientations:
-            content.missing[where] = (
-                f'has the orientation "{orientation}", which is not imported; write axes under '
-                "[[material]]"
-            )
+            message = "which is not imported; write axes under [[material]]"
+            content.missing[where] = f'has the orientation "{orientation}", {message}'
     for case in content.cases:
         _finish(case, content, groups, faces)
     content.ties = [

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from wrenchbook.fea.mesh.io.raw import Case, Translated
 from wrenchbook.fea.spec.problems import MeshFileError
 
+# SOLID elements by number: hexahedra, which may be collapsed, and tetrahedra.
 _HEX, _TET = ("45", "185", "95", "186"), ("92", "187", "285")
 _SKIPPED = {"CE", "CP", "SFE", "SF", "BF", "BFE", "TB", "ACEL", "RBE3", "CERIG", "OMEGA"}
 _SKIPPED |= {"DA", "DK", "DL", "FK", "SFA", "SFL", "SFGRAD", "BFA", "BFK", "BFL", "BFV", "BFUNIF"}
@@ -29,11 +30,12 @@ _TETRAHEDRON = [0, 1, 2, 4, 8, 9, 11, 16, 17, 18]
 class _Archive(Translated):
     """A deck in the making, and the state of an archive that is read.
 
-    `held` and `forces` are values by node and freedom; `selected` is whether nodes are selected
-    that the archive does not list, `branches` the number of open *IF.
+    `types` are the name and whether full integration is asked for by the number of a type; `held`
+    and `forces` are values by node and freedom; `selected` is whether nodes are selected that the
+    archive does not list, `branches` the number of open *IF.
     """
 
-    types: dict[str, str] = field(default_factory=dict)
+    types: dict[str, tuple[str, bool]] = field(default_factory=dict)
     materials: dict[str, dict[str, str]] = field(default_factory=dict)
     parameters: dict[str, str] = field(default_factory=dict)
     held: dict[tuple[str, str], float] = field(default_factory=dict)
@@ -76,16 +78,16 @@ def read_ansys(text: str) -> Translated:
 
 
 def _take_command(archive: _Archive, word: str, fields: list[str]) -> None:
+    """Take a command of one line; parameters stand for their values."""
     if assigned := re.fullmatch(r"(\w+)\s*=\s*(.+)", word):
         word, fields = "*SET", [assigned[1], assigned[2]]
     values = [archive.parameters.get(each, each) for each in fields]
     if word == "*SET":
         archive.parameters[fields[0]] = "".join(values[1:2])
     elif word == "ET":
-        full = values[3:4] == ["1"]
-        archive.types[values[0]] = re.sub(r"\D", "", values[1]) + " full" * full
-    elif word.startswith("KEYOP") and values[1:3] == ["2", "1"]:
-        archive.types[values[0]] += " full"
+        archive.types[values[0]] = re.sub(r"\D", "", values[1]), values[3:4] == ["1"]
+    elif word.startswith("KEYOP") and values[1:3] == ["2", "1"]:  # option 2: full integration
+        archive.types[values[0]] = archive.types[values[0]][0], True
     elif word in ("MP", "MPDATA"):
         _take_constant(archive, word, values)
     elif word in ("D", "F", "DDELE", "FDELE"):
@@ -99,6 +101,7 @@ def _take_command(archive: _Archive, word: str, fields: list[str]) -> None:
 
 
 def _take_nodes(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
+    """Take nodes by a format such as (3i9,6e21.13e3): number, coordinates, angles of axes."""
     ints, width, size = map(int, re.findall(r"(\d+)[iI](\d+),\d+[eE](\d+)", next(rows))[0])
     for row in rows:
         if not row[:width].strip().isdigit():
@@ -117,14 +120,14 @@ def _take_types(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
         number, *fields = _fixed(row, int(widths[0]))
         if number == "-1":
             return
-        archive.types[number] = fields[0] + (" full" if fields[2:3] == ["1"] else "")
+        archive.types[number] = fields[0], fields[2:3] == ["1"]
 
 
 def _take_elements(archive: _Archive, fields: list[str], rows: Iterator[str]) -> None:
     if fields[:2] != ["19", "SOLID"]:
         raise ValueError("it must have the form 19,SOLID; write the archive with CDWRITE,DB")
     width = int(re.findall(r"[iI](\d+)", next(rows))[0])
-    for row in rows:
+    for row in rows:  # 0 the material, 1 the type, 8 the count of nodes, 10 the element, 11 nodes
         numbers = _fixed(row, width)
         if numbers[0] == "-1":
             return
@@ -134,20 +137,25 @@ def _take_elements(archive: _Archive, fields: list[str], rows: Iterator[str]) ->
         if numbers[1] not in archive.types:
             known = ", ".join(archive.types) or "none"
             raise ValueError(f"no ET above defines the type {numbers[1]}; there are {known}")
-        _take_cell(archive, archive.types[numbers[1]], f"MAT_{numbers[0]}", numbers[10], nodes)
+        kind, is_full = archive.types[numbers[1]]
+        _take_cell(archive, kind, is_full, f"MAT_{numbers[0]}", [numbers[10], *nodes])
 
 
 def _fixed(row: str, width: int) -> list[str]:
+    """Split a row into fields of a fixed width."""
     return [row[i : i + width].strip() for i in range(0, len(row.rstrip()), width)]
 
 
-def _take_cell(archive: Translated, kind: str, region: str, number: str, nodes: list[str]) -> None:
-    name, _, full = kind.partition(" ")
-    if name not in (*_HEX, *_TET):
-        archive.skipped[f"elements of type {name}"] += 1
+def _take_cell(
+    archive: Translated, kind: str, is_full: bool, region: str, numbers: list[str]
+) -> None:
+    """Take a cell by the numbers of it and its nodes; a collapsed hexahedron is a cell of fewer."""
+    number, *nodes = numbers
+    if kind not in (*_HEX, *_TET):
+        archive.skipped[f"elements of type {kind}"] += 1
         return
     archive.sections[region] = region
-    collapsed = (nodes[2] == nodes[3], nodes[4] == nodes[5]) if name in _HEX else (False, False)
+    collapsed = (nodes[2] == nodes[3], nodes[4] == nodes[5]) if kind in _HEX else (False, False)
     if any(collapsed):
         indices = {(True, True): _TETRAHEDRON, (True, False): _WEDGE}.get(collapsed, _PYRAMID)
         nodes = [nodes[i] for i in indices if i < len(nodes)]
@@ -156,7 +164,7 @@ def _take_cell(archive: Translated, kind: str, region: str, number: str, nodes: 
         raise ValueError(f"element {number} has too few corners")
     if set(nodes[corners:]) == {"0"}:
         nodes = nodes[:corners]
-    integration = "R" if len(nodes) == 20 and not full else ""
+    integration = "R" if len(nodes) == 20 and not is_full else ""
     archive.elements[f"C3D{len(nodes)}{integration}", region].append([number, *nodes])
 
 
@@ -171,11 +179,8 @@ def _take_component(archive: _Archive, fields: list[str], rows: Iterator[str]) -
         return
     members = archive.groups[fields[0]]
     for number in numbers:
-        members += (
-            [str(number)]
-            if number > 0
-            else [str(i) for i in range(int(members[-1]) + 1, 1 - number)]
-        )
+        first = number if number > 0 else int(members[-1]) + 1
+        members += map(str, range(first, abs(number) + 1))
 
 
 def _take_constant(archive: _Archive, word: str, fields: list[str]) -> None:

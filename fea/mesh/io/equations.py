@@ -35,11 +35,12 @@ def take_constraints(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     for kind, *names in keyword.rows:
         labels = [named(deck, deck.node_sets, name, keyword.frame) for name in names]
         alike = kind.upper() in ("TIE", "PIN") and [len(each) for each in labels] == [1, 1]
-        for axis in "123" if alike else "0":
+        for axis in "123" if alike else "0":  # no node follows along 0: the reader notes it
             _equate(reader, keyword, [(labels[0][0], axis, -1.0), (labels[-1][0], axis, 1.0)])
 
 
 def _equate(reader: Reader, keyword: Keyword, terms: list[tuple[int, str, float]]) -> None:
+    """Note that a node follows others by terms of nodes, freedoms from "1", and factors."""
     (node, freedom, factor), *others = terms
     weights: dict[int, float] = defaultdict(float)
     for label, _, other in others:
@@ -57,14 +58,15 @@ def following(reader: Reader, deck: Deck) -> list[tuple[int, int, float]]:
     All are of second-order cells, and have the same weights and axes in all three directions.
     """
     row, entries = {label: i for i, label in enumerate(deck.nodes)}, []
-    cells = [c for k, c in zip(deck.kinds, deck.cells, strict=True) if k in SECOND.values()]
-    solid = {label for block in cells for cell in block for label in cell}
+    blocks = zip(deck.kinds, deck.cells, strict=True)
+    second = [cell for kind, cells in blocks if kind in SECOND.values() for cell in cells]
+    solid = {label for cell in second for label in cell}
     for node, rows in reader.equations.items():
         keyword, weights = next(iter(rows.values()))
         nodes = {node, *weights}
-        alike = weights and all(other == weights for _, other in rows.values())
-        axes = {reader.turned.get(label) for label in nodes}
-        if {*rows} == {0, 1, 2} and alike and len(axes) == 1 and nodes <= solid:
+        same_weights = weights and all(other == weights for _, other in rows.values())
+        same_axes = len({reader.turned.get(label) for label in nodes}) == 1
+        if {*rows} == {0, 1, 2} and same_weights and same_axes and nodes <= solid:
             entries += [(row[node], row[label], weight) for label, weight in weights.items()]
         else:
             reader.lack(keyword, _LOOSE)

@@ -32,11 +32,12 @@ _ORDER = {
     "C3D20R": [*range(12), *range(16, 20), *range(12, 16)],
     "C3D15": [*range(9), *range(12, 15), *range(9, 12)],
 }
-_QUIET = {"PARAM", "END BULK", "MPCADD"}
+_QUIET = {"PARAM", "END BULK", "MPCADD"}  # without content, so not named as left out
 _SYSTEMS = ("CORD1R", "CORD1C", "CORD1S", "CORD2R", "CORD2C", "CORD2S")
 _EXPONENT = re.compile(r"(?<=[\d.])([+-]\d+)$")
 _MASS_FACTOR = re.compile(r"^\s*PARAM[\s,*]+WTMASS[\s,]+([\w.+-]+)", re.I | re.M)
 _ALONG = 1e-6  # of a length: decks write coordinates to 7 digits
+_FIRST_SPRING = 10**9  # number of the first element of springs: Nastran's own end at 1e8
 _NONLINEAR = re.compile(r"^\s*SOL\s+(106|NLSTATIC|400|60[01])\b", re.I | re.M)
 _CASE = re.compile(r"(SUBCASE|SUBC|SYM|SUBCOM|SYMCOM|REPCASE)\b\s*=?\s*(\d+)")
 _SELECTION = re.compile(r"(SPC|LOAD)\b\s*(?:\([^)]*\))?\s*=?\s*(\w+)")
@@ -168,29 +169,34 @@ def _take_cases(data: _Bulk, control: str) -> None:
             for node, way, value in (*rows("GRID", ""), *rows("SPC", number)):
                 held[number].append(f"{node}, {way}")
                 data.skipped["SPC with a motion that is not 0"] += value != 0.0
-        loads = [
-            f"{node}, {first + i}, {part * value:.9g}"
-            for node, way, value in rows("LOAD", selected.get("LOAD", ""))
-            for first in (1 if way in "123" else 4,)
-            for i, part in enumerate(turned.get(node, np.eye(3))[:, int(way) - first].tolist())
-            if part * value
-        ]
-        data.cases.append(Case(name, held[number], loads))
+        loads = _along_axes(rows("LOAD", selected.get("LOAD", "")), turned)
+        data.cases.append(Case(name, held[number], list(loads)))
     for (kind, number), unused in data.sets.items():
         if (kind, number) not in used:
             data.skipped[f"{kind} set {number}, which no case selects"] += len(unused)
 
 
+def _along_axes(loads: Iterator[tuple[str, str, float]], turned: dict[str, Array]) -> Iterator[str]:
+    """Yield rows of *CLOAD along the axes of each node for loads along the basic axes."""
+    for node, way, value in loads:
+        first = 1 if way in "123" else 4
+        for i, part in enumerate(turned.get(node, np.eye(3))[:, int(way) - first].tolist()):
+            if part * value:
+                yield f"{node}, {first + i}, {part * value:.9g}"
+
+
 def _turn(data: _Bulk) -> dict[str, Array]:
     """Give nodes that are held in a system of their own (CD) its axes there; return them."""
-    ways, turned = defaultdict[str, set[str]](set), dict[str, Array]()
-    for node, way, _ in (row for key in data.sets if key[0] != "LOAD" for row in data.sets[key]):
-        ways[node].add(way)
-    for node, local_axes in ways.items():
+    held, turned = defaultdict[str, set[str]](set), dict[str, Array]()
+    for (kind, _), rows in data.sets.items():
+        for node, way, _ in rows if kind != "LOAD" else ():
+            held[node].add(way)
+    for node, ways in held.items():
         number = data.grids[node][5] if node in data.grids else ""
         if number not in ("", "0", "-1"):
             kind, axes, _ = data.system(number)
-            alike = kind == "C" and ("1" in local_axes) == ("2" in local_axes)  # about the axis
+            # Held both radially and around, or neither, is the same along the axes of the system.
+            alike = kind == "C" and ("1" in ways) == ("2" in ways)
             turned[node] = axes if alike else data.axes_at(number, node)
             row = ", ".join(f"{each:.15g}" for each in turned[node][:2].ravel().tolist())
             data.transforms[row].append(node)
@@ -268,14 +274,17 @@ def _grid(data: _Bulk, _: str, fields: list[str]) -> None:
 
 
 def _hold(data: _Bulk, key: tuple[str, str], node: str, freedoms: str, value: str = "") -> None:
+    """Add the freedoms of a node, such as "123", to a set; a row may have no node."""
     ways = sorted(set(freedoms) & set("123456")) if node else ()
     data.sets[key] += [(node, way, _real(value)) for way in ways]
 
 
 def _solid(data: _Bulk, name: str, fields: list[str]) -> None:
+    """Take a cell; a midside node that it lacks is "0"."""
     corners, most = _SOLIDS[name]
     count = max((i for i, each in enumerate(fields[2:], 1) if each), default=0)
-    count = count if count <= corners else max(count, most)
+    if count > corners:
+        count = max(count, most)
     nodes = [each or "0" for each in (*fields[2:], *[""] * most)[:count]]
     if (kind := _SOLIDS[name].get(len(nodes))) is None or "0" in nodes[:corners]:
         raise ValueError(f"it must have its {corners} corners and at most {most} nodes")
@@ -284,6 +293,7 @@ def _solid(data: _Bulk, name: str, fields: list[str]) -> None:
 
 
 def _material(data: _Bulk, name: str, fields: list[str]) -> None:
+    """Take a MAT1, whose third of E, G and nu follows from the other two."""
     young, shear, ratio = (_real(each) for each in fields[1:4])
     if not fields[1]:
         young = 2 * shear * (1 + ratio)
@@ -297,17 +307,20 @@ def _material(data: _Bulk, name: str, fields: list[str]) -> None:
 
 def _orthotropic(data: _Bulk, name: str, fields: list[str]) -> None:
     """Take a MAT9 of nine constants; its shears are xy, yz, zx."""
-    values, stiffness = [_real(each) for each in (*fields, *[""] * 29)[:29]], np.zeros((6, 6))
-    stiffness[np.triu_indices(6)] = values[1:22]
+    values = [_real(each) for each in (*fields, *[""] * 29)[:29]]
+    _, constants, density, expansion = values[0], values[1:22], values[22], values[23:]
+    stiffness = np.zeros((6, 6))
+    stiffness[np.triu_indices(6)] = constants
     if np.triu(stiffness, 1)[:, 3:].any():
         data.skipped[f"{name} {fields[0]} that is not orthotropic, with constants beyond nine"] += 1
         return
-    rows = [*stiffness.T[:3, :3][np.tril_indices(3)], *np.diag(stiffness)[[3, 5, 4]]]
-    row = ", ".join(f"{each:.12g}" for each in rows)
-    data.constants[f"MAT_{fields[0]}"]["ELASTIC, TYPE=ORTHO"] = row
-    if values[22]:
-        data.constants[f"MAT_{fields[0]}"]["DENSITY"] = f"{values[22] * data.mass_factor:.9g}"
-    data.skipped[f"expansion of {name}"] += any(values[23:])
+    # Abaqus has 11, 12, 22, 13, 23, 33, then the shears 12, 13, 23.
+    in_order = [*stiffness.T[:3, :3][np.tril_indices(3)], *np.diag(stiffness)[[3, 5, 4]]]
+    material = data.constants[f"MAT_{fields[0]}"]
+    material["ELASTIC, TYPE=ORTHO"] = ", ".join(f"{each:.12g}" for each in in_order)
+    if density:
+        material["DENSITY"] = f"{density * data.mass_factor:.9g}"
+    data.skipped[f"expansion of {name}"] += any(expansion)
 
 
 def _section(data: _Bulk, name: str, fields: list[str]) -> None:
@@ -386,13 +399,14 @@ def _mean(data: _Bulk, name: str, fields: list[str]) -> None:
 
 
 def _spring(data: _Bulk, name: str, fields: list[str]) -> None:
-    """Keep a spring, or the stiffness of one direction or of six."""
-    springs = {fields[0]: (name, [*fields, *[""] * 8])}
-    if name == "PELAS":
+    """Keep a spring, or a property: the stiffness of one direction or of six."""
+    if name == "PELAS":  # two properties a card, of four fields each
         springs = {f"{name}{fields[i]}": (name, [fields[i + 1]]) for i in (0, 4) if fields[i]}
-    elif name == "PBUSH":
+    elif name == "PBUSH":  # stiffnesses follow the word K at the start of a line of eight fields
         row = next((i + 1 for i in range(1, len(fields), 8) if fields[i] == "K"), len(fields))
         springs = {name + fields[0]: (name, [each or "0" for each in fields[row : row + 6]])}
+    else:
+        springs = {fields[0]: (name, [*fields, *[""] * 8])}
     if data.springs.keys() & springs:
         raise ValueError(f"{fields[0]} is defined twice")
     data.springs |= springs
@@ -400,29 +414,33 @@ def _spring(data: _Bulk, name: str, fields: list[str]) -> None:
 
 def _take_springs(data: _Bulk) -> None:
     """Take each freedom of a spring as an element; the reader of the deck checks them."""
-    numbers = itertools.count(10**9)  # Nastran's end at 1e8
+    numbers = itertools.count(_FIRST_SPRING)
     for number, (name, fields) in data.springs.items():
         if name[0] == "P":
             continue
-        bush, fallback = name == "CBUSH", ("", fields[1:2])  # of CELAS2
-        key = f"P{name[1:].rstrip('12')}{fields[1] or number}"
-        _, texts = fallback if name == "CELAS2" else data.springs.get(key, ("", []))
-        ends = [(fields[2], "1"), (fields[3], "1")] if bush else [fields[2:4], fields[4:6]]
+        is_bush = name == "CBUSH"
+        if name == "CELAS2":  # has its stiffness itself
+            texts = fields[1:2]
+        else:
+            key = f"{'PBUSH' if is_bush else 'PELAS'}{fields[1] or number}"
+            _, texts = data.springs.get(key, ("", []))
+        # Both ends by node and first freedom, less a grounded end: its node is empty or 0.
+        ends = [(fields[2], "1"), (fields[3], "1")] if is_bush else [fields[2:4], fields[4:6]]
         try:
-            ends = [(node, int(way or 0)) for node, way in ends if node.strip("0")]
-            sizes = [_real(text) for text in texts]
-            if not any(sizes) or not ends or not data.grids.keys() >= {node for node, _ in ends}:
+            ends = [(node, int(freedom or 0)) for node, freedom in ends if node.strip("0")]
+            sizes, nodes = [_real(text) for text in texts], [node for node, _ in ends]
+            if not any(sizes) or not nodes or not data.grids.keys() >= {*nodes}:
                 raise ValueError("its property or a GRID is missing, or its stiffness is 0")
-            axes = _spring_axes(data, fields if bush else [], [node for node, _ in ends], sizes)
+            axes = _spring_axes(data, fields if is_bush else [], nodes, sizes)
         except (ValueError, LookupError) as error:
             data.skipped[f"{name} ({error}): write [[supports.bushing]] or [[spring]]"] += 1
             continue
         option = data.oriented(f"{name}_{number}", axes)
         for i, size in enumerate(sizes):
-            if size or not bush:
+            if size or not is_bush:
                 element = f"{name}_{number}_{i + 1}"
                 data.couplings += [f"*ELEMENT, TYPE=SPRING{len(ends)}, ELSET={element}"]
-                data.couplings += [", ".join([str(next(numbers)), *(node for node, _ in ends)])]
+                data.couplings += [", ".join([str(next(numbers)), *nodes])]
                 data.couplings += [f"*SPRING, ELSET={element}{option}"]
                 data.couplings += [", ".join(str(way + i) for _, way in ends), f"{size:.12g}"]
 
@@ -443,11 +461,11 @@ def _spring_axes(data: _Bulk, bush: list[str], nodes: list[str], sizes: list[flo
 
 
 def _load(data: _Bulk, name: str, fields: list[str]) -> None:
-    first, size = (1 if name == "FORCE" else 4), _real(fields[3])
-    load = np.array([size * _real(each) for each in fields[4:7]])
-    load = load @ data.axes_at(fields[2], fields[1])
-    values = ((first + i, each) for i, each in enumerate(load.tolist()))
-    data.sets["LOAD", fields[0]] += [(fields[1], str(way), value) for way, value in values]
+    """Take a FORCE on the freedoms 1 to 3 of a node, or a MOMENT on 4 to 6, in basic axes."""
+    number, node, system, size = fields[0], fields[1], fields[2], _real(fields[3])
+    load = np.array([size * _real(each) for each in fields[4:7]]) @ data.axes_at(system, node)
+    for freedom, value in enumerate(load.tolist(), 1 if name == "FORCE" else 4):
+        data.sets["LOAD", number].append((node, str(freedom), value))
 
 
 _TAKERS: dict[str, Callable[[_Bulk, str, list[str]], None]] = {

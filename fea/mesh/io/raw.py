@@ -109,13 +109,7 @@ def to_mesh(raw: RawMesh, metres: float) -> Mesh:
     node_groups, number = _node_groups(raw, number), np.append(number, -1)  # of none
     weights = {name: (number[nodes], sizes) for name, (nodes, sizes) in raw.node_weights.items()}
     return Mesh(
-        points,
-        blocks,
-        regions,
-        groups,
-        node_groups,
-        dependents=dependents,
-        node_weights=weights,
+        points, blocks, regions, groups, node_groups, dependents=dependents, node_weights=weights
     )
 
 
@@ -242,6 +236,7 @@ class Translated:
         if not any("0" in row for row in rows):
             return
         kinds = {count: kind for kind, count in NODES_PER_CELL.items()}
+        # The midside node of each edge by its ends, and places in rows without one.
         middles, blank = dict[frozenset[str], str](), []
         for row in rows:
             edges = EDGES[kinds[len(row) - 1]]
@@ -252,6 +247,7 @@ class Translated:
                     middles[ends] = row[i]
                 else:
                     blank.append((row, i, ends))
+        # New nodes, for edges that no cell has one of.
         points = dict(row.split(", ", 1) for row in self.nodes)
         numbers = itertools.count(max(map(int, points)) + 1)
         lacking = dict.fromkeys(ends for _, _, ends in blank if ends not in middles)
@@ -262,6 +258,7 @@ class Translated:
         for node, ends in new.items():
             at = np.mean([[float(x) for x in points[end].split(",")] for end in ends], axis=0)
             self.nodes.append(f"{node}, {', '.join(f'{x:.12g}' for x in at.tolist())}")
+        # They are grouped, turned and held as both their ends are.
         for nodes in (*self.groups.values(), *self.transforms.values()):
             members = {*nodes}
             nodes += [node for node, ends in new.items() if ends <= members]
@@ -269,9 +266,12 @@ class Translated:
         alike = {node: ends for node, ends in new.items() if len({*map(turned.get, ends)}) == 1}
         for case in self.cases:
             held = {*case.held}
-            ways = ((node, ends, way) for node, ends in alike.items() for way in "123456")
-            both = (at for at in ways if held.issuperset(f"{end}, {at[2]}" for end in at[1]))
-            case.held = [*case.held, *(f"{node}, {way}" for node, _, way in both)]
+            case.held = case.held + [
+                f"{node}, {freedom}"
+                for node, ends in alike.items()
+                for freedom in "123456"
+                if held.issuperset(f"{end}, {freedom}" for end in ends)
+            ]
         self.decide.append(
             f"{len(blank)} midside nodes that cells lack are on straight edges: {len(new)} new, in "
             "their middle, held as both ends are if these have the same axes"
@@ -298,7 +298,7 @@ class Translated:
         lines += self.couplings
         before = Case()
         for case in self.cases or [before]:
-            lines.append(f"*STEP, NAME={case.name}" + ", NLGEOM" * self.nonlinear)
+            lines.append(f"*STEP, NAME={case.name}{', NLGEOM' if self.nonlinear else ''}")
             if case.held != before.held:  # a step keeps what it does not change
                 lines += ["*BOUNDARY, OP=NEW", *case.held]
             if case.loads != before.loads:

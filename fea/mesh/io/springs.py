@@ -38,6 +38,7 @@ def take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 def join_springs(reader: Reader, deck: Deck, step: Step, case: LoadCase) -> None:
     """Add springs that join the same couplings as one; the reader notes those that cannot be."""
     remaining, joined = dict(reader.springs), dict[tuple[int, ...], tuple[Keyword, Array]]()
+    # The freedoms that the step holds of each node of a spring.
     held = {node: set[int]() for _, nodes in remaining.values() for node in nodes}
     for motion in step.motions.rows if held else ():
         for node in held.keys() & motion.labels:
@@ -48,21 +49,22 @@ def join_springs(reader: Reader, deck: Deck, step: Step, case: LoadCase) -> None
             labels = {*named(deck, deck.element_sets, name, keyword.frame)}
             if not labels <= remaining.keys() or any(label in deck.where for label in labels):
                 raise ValueError("an element of its set is not SPRING1 or SPRING2, or is repeated")
-            springs = [remaining.pop(label)[1] for label in sorted(labels)]
-            springs = [_spring(reader, deck, case, held, keyword, nodes) for nodes in springs]
+            nodes_of_each = [remaining.pop(label)[1] for label in sorted(labels)]
+            springs = [_spring(reader, deck, case, held, keyword, nodes) for nodes in nodes_of_each]
         except (ValueError, LookupError) as error:
             _refuse(reader, keyword, error)
             continue
         for ends, stiffness in (spring for spring in springs if spring[0]):
-            joined.setdefault(ends, (keyword, np.zeros((6, 6))))[1][:] += stiffness
+            _, total = joined.setdefault(ends, (keyword, np.zeros((6, 6))))
+            total += stiffness
     for keyword, _ in remaining.values():
         _refuse(reader, keyword, "an element has no *SPRING")
-    used = Counter(i for ends in joined for i in ends)
+    used = Counter(number for ends in joined for number in ends)
     for ends, (keyword, stiffness) in joined.items():
-        if max(used[i] for i in ends) > 1:
+        if max(used[number] for number in ends) > 1:
             _refuse(reader, keyword, "a point has springs to several others, or the ground too")
         else:
-            coupled = tuple(case.couplings[i] for i in ends)
+            coupled = tuple(case.couplings[number] for number in ends)
             case.springs.append(DeckSpring(keyword.where, coupled, stiffness))
 
 
@@ -79,11 +81,11 @@ def _spring(
     Shape (6, 6): of the motion of one from the other, along the global axes.
     """
     freedoms, axes, size = _constants(reader, keyword, nodes)
-    free, ways = list[int](), set[int]()
+    free, ways = list[int](), set[int]()  # numbers of couplings, and the freedoms of their points
     for node, freedom in zip(nodes, freedoms, strict=True):
         number, first = reader.points.get(node, (None, 0))
         if number is None:
-            three = {freedom - freedom % 3 + i for i in range(3)}
+            three = {0, 1, 2} if freedom < 3 else {3, 4, 5}
             if node not in deck.nodes or not three <= held[node]:
                 raise ValueError(
                     f"node {node % STRIDE} is neither the point of a coupling nor held"
@@ -96,9 +98,11 @@ def _spring(
             ways.add(freedom + first)
     if len(ways) > 1 or (way := max(ways, default=0)) > 5:
         raise ValueError("its ends have different freedoms, or freedoms above 6")
+    direction, is_rotation = axes[way % 3], way > 2
     if len(free) == 2:
-        _check_between(case, [case.couplings[i] for i in free], axes[way % 3] * (way < 3))
-    along = np.kron(np.eye(2)[way // 3], axes[way % 3])
+        shift = np.zeros(3) if is_rotation else direction
+        _check_between(case, [case.couplings[number] for number in free], shift)
+    along = np.append(np.zeros(3), direction) if is_rotation else np.append(direction, np.zeros(3))
     return tuple(sorted(free)), size * np.outer(along, along)
 
 
@@ -124,11 +128,14 @@ def _constants(
     return freedoms, axes, size
 
 
-def _check_between(case: LoadCase, ends: list[CoupledGroup], direction: Array) -> None:
-    """Refuse a spring between two points that ``[[spring]]`` is not; zero direction: of turns."""
+def _check_between(case: LoadCase, ends: list[CoupledGroup], shift: Array) -> None:
+    """Refuse a spring between two points that ``[[spring]]`` is not.
+
+    shift: the direction that it resists, shape (3,); zero for a spring of rotations.
+    """
     first, second = ends
     points = np.array([first.point, second.point])
-    across = np.linalg.norm(np.cross(points[1] - points[0], direction))
+    across = np.linalg.norm(np.cross(points[1] - points[0], shift))
     if first is second or (first.kind, first.weighted) != (second.kind, second.weighted):
         raise ValueError("it joins couplings of two kinds, or a point with itself")
     if across > _ALONG * np.abs(points).max():
