@@ -6,6 +6,7 @@ A single answer keeps the interpreter (it takes microseconds); batches release i
 from __future__ import annotations
 
 import ctypes
+import math
 import os
 import struct
 from collections.abc import Sequence
@@ -21,7 +22,7 @@ from ..table.rows import NEAR
 from ..table.space import Space
 from ..table.spread import sample_of, weakest
 from .build import ready_library
-from .format import CHECKSUM, Packed, PackedTableError, map_file, read
+from .format import CHECKSUM, Packed, PackedTableError, SolverFlag, map_file, read
 from .joint import JointSteps
 from .reasons import Reason, text_of
 from .replies import (
@@ -218,6 +219,32 @@ class PackedTable:
         return Space.read(self.meta["space"])
 
     @property
+    def load_range(self) -> Floats:
+        """The ends of the range of the loads, (2, n), SI."""
+        return self.arrays["space/range"]
+
+    @property
+    def load_scale(self) -> Floats:
+        """Half the range of each load or its larger end, (n,), SI."""
+        return self.arrays["space/scale"]
+
+    @property
+    def locked(self) -> NDArray[np.bool_]:
+        """Whether each load acts on a locked freedom, (n,)."""
+        return self.arrays["space/locked"] != 0
+
+    @property
+    def tolerance(self) -> tuple[float, float] | None:
+        """The component's tolerance of a translation, m, and of a rotation, rad; None without."""
+        translation, rotation = self.arrays["space/tolerance"][[0, 3]].tolist()
+        return None if math.isnan(translation) else (translation, rotation)
+
+    @property
+    def bars_are_complete(self) -> bool:
+        """Whether the error bars have all their parts."""
+        return bool(self.arrays["solver/flags"][SolverFlag.BARS_COMPLETE])
+
+    @property
     def checksum(self) -> int:
         """The CRC-32 of the file's content, from its header."""
         return int.from_bytes(self._packed.content[CHECKSUM], "little")
@@ -332,14 +359,14 @@ class PackedTable:
         shows, and an output that no row holds.
         `origin`: ``row``, a method, or ``none``.
         """
-        arrays, locked = self.arrays, self.arrays["space/locked"] != 0
+        arrays, locked = self.arrays, self.locked
         tangents = self.derivatives(np.zeros(self.inputs), without_rows=True)[0]
         row = np.full_like(tangents, np.nan)
         for group in range(len(self.meta["groups"])):
             outputs, name = arrays[f"g{group}/outputs"] != 0, f"g{group}/row/"
             unknown = (arrays[f"g{group}/fit/known"] == 0) & ~locked
             tangents[np.ix_(outputs, unknown)] = np.nan
-            distances = np.abs(arrays[f"{name}wrench"] / arrays["space/scale"]).max(axis=1)
+            distances = np.abs(arrays[f"{name}wrench"] / self.load_scale).max(axis=1)
             if len(distances) and distances.min() <= NEAR:
                 nearest = np.flatnonzero(distances == distances.min())
                 index = nearest[arrays[f"{name}number"][nearest].argmin()]
@@ -412,7 +439,7 @@ class PackedTable:
 
     def sample(self, centre: Floats, indices: NDArray[np.intp]) -> Floats:
         """Return the corners of the load range and wrenches within it: see `sample_of`."""
-        return sample_of(self.arrays["space/range"], centre, indices)
+        return sample_of(self.load_range, centre, indices)
 
     @staticmethod
     def joint_rate(stiffness: Floats, inverse_mass: Floats, dt: float, damping: float) -> Floats:
@@ -454,8 +481,7 @@ class PackedTable:
             raise mistake(wrong, None, self._packed)
         values = AXIS.unpack_from(reply)
         reasons = [Reason(*values[14:])._replace(group=group)] if values[7] else []
-        locked = self.arrays["space/locked"].tolist()
-        acting = [0.0 if idle else load for load, idle in zip(wrench, locked, strict=True)]
+        acting = np.where(self.locked, 0.0, wrench).tolist()
         return AxisPart(
             outputs=values[8:14],
             coverage=NAMES[values[0]],

@@ -15,6 +15,7 @@ import stat
 import tempfile
 import zlib
 from collections.abc import Iterable, Mapping
+from enum import IntEnum
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -55,6 +56,25 @@ _ENTRY = np.dtype(
         ("unused", "<u8"),
     ]
 )
+
+
+class SolverFlag(IntEnum):
+    """Columns of the array ``solver/flags``."""
+
+    BY_TANGENT = 0  # the discretisation error follows from an answer's tangent
+    MESH_KNOWN = 1
+    LINEAR = 2
+    LINEARITY_KNOWN = 3
+    BARS_COMPLETE = 4  # all parts of the error are known
+
+
+class GroupFlag(IntEnum):
+    """Columns of the array ``flags`` of a group of outputs."""
+
+    METHOD = 0  # the default, an index of `METHODS`
+    EXACT = 1  # the fit is
+    CAN_ANSWER = 2  # there are rows to answer from
+    IN_RANGE = 3  # rows lie in the load range
 
 
 class PackedTableError(ValueError):
