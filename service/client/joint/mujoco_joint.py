@@ -463,9 +463,14 @@ def joints_of(data: Data) -> list[MujocoJoint]:
     return list(dict.fromkeys(_by_tip(data).values()))
 
 
-def has_joints_elsewhere(model: Model) -> bool:
-    """Return whether a scene of a model has joints."""
-    return model.signature in {data.signature for data in [*_JOINTS] if _by_tip(data)}
+def warn_bare(model: Model) -> None:
+    """Warn of a scene without joints whose model has some in another scene."""
+    if model.signature in {data.signature for data in [*_JOINTS] if _by_tip(data)}:
+        warn(
+            "an MjData steps without a joint, and others of its model have joints: nothing holds "
+            "its tip. Make a MujocoJoint for each MjData, and keep it",
+            JointWarning,
+        )
 
 
 def _energy(joints: Collection[MujocoJoint]) -> float:
