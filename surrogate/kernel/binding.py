@@ -409,10 +409,7 @@ class PackedTable:
         return wrench, stiffness
 
     def joints(
-        self,
-        count: int,
-        method: str | None = None,
-        axes: Floats | None = None,
+        self, count: int, method: str | None = None, axes: Floats | None = None
     ) -> JointSteps:
         """Return the steps of joints of this table, with all its k interfaces that move.
 

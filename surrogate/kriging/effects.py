@@ -465,12 +465,7 @@ def _posterior(
 
 
 def _half_widths(
-    moved: Floats,
-    terms: Floats,
-    columns: Floats,
-    contrasts: Floats,
-    deviation: Floats,
-    free: int,
+    moved: Floats, terms: Floats, columns: Floats, contrasts: Floats, deviation: Floats, free: int
 ) -> tuple[Floats, Floats]:
     """Return half the interval to count by, (1 + c, k), and residuals, (k,), m and rad.
 

@@ -35,7 +35,15 @@ def find_tip(model: Model, body: str, free: NDArray[np.intp], part: str) -> Tip:
     joints = list(range(first, first + int(model.body_jntnum[number])))
     slides, turns = free[free < 3], free[free >= 3]
     has_ball = len(turns) == 3
-    _require_kinds(model, body, joints, (len(slides), len(turns)), part)
+    if len(turns) == 2:
+        raise JointError(f"{part} locks one rotation, which MuJoCo cannot do; lock none or two")
+    turning = [] if not len(turns) else [_JOINT.mjJNT_BALL if has_ball else _JOINT.mjJNT_HINGE]
+    expected = [int(kind) for kind in [_JOINT.mjJNT_SLIDE] * len(slides) + turning]
+    if [int(model.jnt_type[joint]) for joint in joints] != expected:
+        also = {0: "", 1: " and a hinge", 3: " and a ball"}[len(turns)]
+        raise JointError(
+            f"body {body!r} must have {len(slides)} slides{also}, in this order; {REMEDY}"
+        )
     for joint in joints:
         _refuse_forces(model, body, joint)
     axes = _interface_axes(model.jnt_axis[joints], body, free)
@@ -47,20 +55,6 @@ def find_tip(model: Model, body: str, free: NDArray[np.intp], part: str) -> Tip:
         runs.append((3, places[-1], 4))
     hinge = (np.eye(3)[turns[0] - 3], places[-1]) if len(turns) == 1 else None
     return Tip(int(model.jnt_dofadr[first]), runs, hinge, axes if has_ball else None)
-
-
-def _require_kinds(
-    model: Model, body: str, joints: list[int], counts: tuple[int, int], part: str
-) -> None:
-    """Raise JointError unless a body has the joints of some free translations and rotations."""
-    slides, turns = counts
-    if turns not in (0, 1, 3):
-        raise JointError(f"{part} locks one rotation, which MuJoCo cannot do; lock none or two")
-    turning = {0: [], 1: [_JOINT.mjJNT_HINGE], 3: [_JOINT.mjJNT_BALL]}[turns]
-    expected = [int(kind) for kind in [_JOINT.mjJNT_SLIDE] * slides + turning]
-    if [int(model.jnt_type[joint]) for joint in joints] != expected:
-        also = {0: "", 1: " and a hinge", 3: " and a ball"}[turns]
-        raise JointError(f"body {body!r} must have {slides} slides{also}, in this order; {REMEDY}")
 
 
 def _refuse_forces(model: Model, body: str, joint: int) -> None:
