@@ -38,7 +38,10 @@ from wrenchbook.fea.tensors import rotation_less_identity
 Array = np.ndarray
 
 _ZERO = 1e-9
-"""Of a projection, relative: axes are written to about so many digits."""
+"""Relative, of projections and of the width of a set of points: smaller ones are roundoff, since
+axes and coordinates are written to about so many digits."""
+_ANY_MOTION = np.array([0.3, 0.5, 0.7, 0.2, 0.6, 0.4])
+"""Of a section, m and rad: any, without a pattern by which two parts of it could cancel."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +60,9 @@ class AttachedInterface:
     @property
     def where(self) -> str:
         """The key of its nodes."""
-        names = {"supports": "group", "spring": "groups"}
-        return f"{self.key}.{names.get(self.key.partition('[')[0].partition('.')[0], 'section')}"
+        if self.key.startswith("supports."):
+            return f"{self.key}.group"
+        return f"{self.key}.{'groups' if self.key.startswith('spring[') else 'section'}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,11 +115,11 @@ class ComponentModel:
         """Each spring's stiffness, and the number of its frame, or of its two."""
         springs: list[tuple[tuple[int, ...], Array]]
         springs = [((i,), stiffness) for i, (_, stiffness) in enumerate(self.bushings)]
-        first = len(springs)
+        frame = len(springs)  # the number of the first frame of a joint, see `frames`
         for joint in self.joints:
             if joint.stiffness is not None:
-                springs.append(((first, first + 1), joint.stiffness))
-            first += len(joint.ends)
+                springs.append(((frame, frame + 1), joint.stiffness))
+            frame += len(joint.ends)
         return springs
 
     @property
@@ -162,8 +166,10 @@ class ComponentModel:
     @property
     def active(self) -> Array:
         """Indices of the freedoms that are not locked, six an interface, shape (k,), int64."""
-        every = [name not in interface.locked for interface in self.interfaces for name in FREEDOMS]
-        return np.flatnonzero(every)
+        is_active = [
+            name not in interface.locked for interface in self.interfaces for name in FREEDOMS
+        ]
+        return np.flatnonzero(is_active)
 
 
 def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
@@ -173,15 +179,8 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
 
     Raises BundleError if there is nothing to solve, or a file, group, material or support is wrong.
     """
-    supported = bundle.supports is not None or any(
-        interface.held for interface in bundle.interfaces
-    )
-    if bundle.mesh is None or bundle.interface is None or not supported:
-        message = "is missing; to solve this component, add a [mesh]"
-        if bundle.deck is not None:
-            message = "is missing; name a component with a [mesh], not a [deck]"
-        raise BundleError([BundleProblem("mesh", message)])
-    mesh = mesh_of(bundle.mesh) if mesh is None else mesh
+    source = _mesh_source(bundle)
+    mesh = mesh_of(source) if mesh is None else mesh
     problems = first_order_problems(mesh)
     uncut, (mesh, bolts) = mesh, cut_bolts(mesh, bundle.bolts, problems)
     material_of_cells = _material_numbers(mesh, bundle.materials, problems)
@@ -190,11 +189,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     held = _held_directions(mesh, supports, fixed, problems)
     sliding = _projectors(held)
 
-    # Interfaces, bushings and the ends of joints, attached to the mesh.
-    keys = [f"interface[{i}]" for i in range(len(bundle.interfaces))]
-    keys = ["interface"] if len(keys) == 1 else keys
-    pairs = zip(keys, bundle.interfaces, strict=True)
-    interfaces = [_attach(mesh, f"{key}.section", source, problems) for key, source in pairs]
+    interfaces = _attached_interfaces(mesh, bundle, problems)
     bushings = [
         _attach(mesh, f"supports.bushing[{i}].group", bushing.end(bushing.group), problems)
         for i, bushing in enumerate(supports.bushings)
@@ -206,8 +201,9 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     for frame in attached:
         sliding = _free_sliding(mesh, sliding, frame, problems)
 
-    sections = [(frame.where, frame.section.node_ids) for frame in attached]
+    # Ties move their nodes onto the main surfaces, and make them follow those.
     held[fixed], held[sliding[0]] = np.eye(3), sliding[1]
+    sections = [(frame.where, frame.section.node_ids) for frame in attached]
     mesh, ties = joined(mesh, bundle.ties, held, sections, problems)
     tied = np.concatenate([fixed[:0], *(tie.nodes for tie in ties)])
     not_tied = ~np.isin(sliding[0], tied)
@@ -216,26 +212,17 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     problems = cell_problems(mesh) + problems
     _check_disjoint(mesh, fixed, attached, problems)
     occupied = [fixed, *(nodes for _, nodes in sections)]
-    if mesh.dependents is not None:  # dependent nodes and their masters
-        occupied += [
-            group for tie in ties for group in (tie.nodes, mesh.dependents.map[tie.nodes].indices)
-        ]
+    if mesh.dependents is not None:
+        occupied += [tied, mesh.dependents.map[tied].indices]  # with the nodes that they follow
     _check_bolts(mesh, bolts, np.concatenate(occupied), sliding, problems)
     _check_locked(bundle, interfaces, problems)
     if problems:
         raise BundleError(problems)
 
-    heated = any(scalar.name == TEMPERATURE for scalar in bundle.further)
-    unheated = (replace(material, thermal_expansion=None) for material in bundle.materials)
-    rises = (
-        shape_on(mesh.points, scalar.field, scalar.reference)
-        for scalar in bundle.further
-        if scalar.field is not None
-    )
     return ComponentModel(
         bundle=bundle,
         mesh=mesh,
-        materials=bundle.materials if heated else tuple(unheated),
+        materials=_materials(bundle),
         material_of_cells=material_of_cells,
         fixed_nodes=fixed,
         interfaces=tuple(interfaces),
@@ -246,11 +233,48 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
         ),
         further=bundle.further,
         ties=ties,
-        temperature_rise=next(rises, None),  # only the temperature has a field
+        temperature_rise=_temperature_rise(bundle, mesh),
         joints=tuple(joints),
         bolts=bolts,
         uncut=_without_cuts(mesh, uncut) if bolts else None,
     )
+
+
+def _mesh_source(bundle: Bundle) -> MeshSource:
+    """Return the mesh of a bundle; raise BundleError if there is nothing to solve."""
+    has_supports = bundle.supports is not None or any(each.held for each in bundle.interfaces)
+    if bundle.mesh is not None and bundle.interface is not None and has_supports:
+        return bundle.mesh
+    message = "is missing; to solve this component, add a [mesh]"
+    if bundle.deck is not None:
+        message = "is missing; name a component with a [mesh], not a [deck]"
+    raise BundleError([BundleProblem("mesh", message)])
+
+
+def _materials(bundle: Bundle) -> tuple[AnyMaterial, ...]:
+    """Return the materials, which expand only where the temperature is an input."""
+    if any(scalar.name == TEMPERATURE for scalar in bundle.further):
+        return bundle.materials
+    return tuple(replace(material, thermal_expansion=None) for material in bundle.materials)
+
+
+def _temperature_rise(bundle: Bundle, mesh: Mesh) -> Array | None:
+    """Return the part of the temperature's rise at each node, shape (n,), if a field gives it."""
+    for scalar in bundle.further:
+        if scalar.field is not None:  # only the temperature has one
+            return shape_on(mesh.points, scalar.field, scalar.reference)
+    return None
+
+
+def _attached_interfaces(
+    mesh: Mesh, bundle: Bundle, problems: list[BundleProblem]
+) -> list[AttachedInterface]:
+    if len(bundle.interfaces) == 1:
+        return [_attach(mesh, "interface.section", bundle.interfaces[0], problems)]
+    return [
+        _attach(mesh, f"interface[{i}].section", interface, problems)
+        for i, interface in enumerate(bundle.interfaces)
+    ]
 
 
 def _held_directions(
@@ -340,6 +364,7 @@ def _material_numbers(
 
 
 def _fixed_nodes(mesh: Mesh, supports: Supports, problems: list[BundleProblem]) -> Array:
+    """Return the fixed nodes, sorted, (k,); note if they are all that holds, and on one line."""
     names = [(f"supports.fixed[{i}]", name) for i, name in enumerate(supports.fixed)]
     groups = [group_nodes(mesh, key, name, problems) for key, name in names]
     nodes = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *groups]))
@@ -354,6 +379,7 @@ def _fixed_nodes(mesh: Mesh, supports: Supports, problems: list[BundleProblem]) 
 def _attach(
     mesh: Mesh, key: str, interface: Interface, problems: list[BundleProblem]
 ) -> AttachedInterface:
+    """Return an interface with its section, by area where its nodes bound faces."""
     nodes = group_nodes(mesh, key, interface.section, problems)
     if not len(nodes):
         section = InterfaceSection(nodes, np.empty(0), 0.0, np.zeros(3), by_area=False)
@@ -369,13 +395,18 @@ def _attach(
                 section = section_of_facets(mesh.points, facets, nodes)
             else:
                 section = section_of_nodes(mesh.points, nodes)
-    point = section.centre if interface.point is None else interface.point
     table = key.rpartition(".")[0]
     if interface.weights != "area" and len(nodes):
         section = replace(section, weights=_weights(mesh, table, interface, nodes, problems))
-    of = interface
     return AttachedInterface(
-        table, of.name, section, point, of.axes, of.coupling, of.locked, of.weights
+        key=table,
+        name=interface.name,
+        section=section,
+        point=section.centre if interface.point is None else interface.point,
+        axes=interface.axes,
+        coupling=interface.coupling,
+        locked=interface.locked,
+        weights=interface.weights,
     )
 
 
@@ -420,16 +451,16 @@ def _weights(
     if interface.coupling == "rigid":
         message = "has no effect on a rigid coupling, which takes no mean; leave weights out"
     elif interface.weights == "deck" and interface.section not in mesh.node_weights:
-        message = f'the deck has none for "{interface.section}"; write "area" or "equal"'
+        message = f'the deck has no weights for "{interface.section}"; write "area" or "equal"'
     elif interface.weights == "deck":
         ids, sizes = mesh.node_weights[interface.section]
         inside = np.isin(ids, nodes)
         weights = np.zeros(len(nodes))
         weights[np.searchsorted(nodes, ids[inside])] = sizes[inside]
         if sizes[~inside].any():
-            message = f"{(~inside).sum()} of {len(ids)} are in no solid cell; correct the deck"
+            message = f"{(~inside).sum()} nodes are in no solid cell; remove their weights"
         elif not (weights.sum() > 0 and _spans_a_plane(mesh.points[nodes[weights != 0]])):
-            message = "the deck's weights add up to 0 or lie on one line; correct them there"
+            message = "the deck's weights add up to 0 or lie on one line; weight nodes of a plane"
     problems += [BundleProblem(f"{key}.weights", message)] if message else []
     return weights
 
@@ -453,7 +484,7 @@ def _free_sliding(
         return sliding
     arms = (mesh.points[nodes[shared]] - attached.point) @ attached.axes.T
     active = np.array([name not in attached.locked for name in FREEDOMS])
-    motion = active * np.array([0.3, 0.5, 0.7, 0.2, 0.6, 0.4])  # any: metres, radians
+    motion = active * _ANY_MOTION
     moved = motion[:3] + arms @ rotation_less_identity(motion[3:]).T
     off = np.abs(projectors[shared] @ (moved @ attached.axes)[:, :, None]).max()
     if attached.coupling == "distributed" or off > _ZERO * max(np.abs(arms).max(), 1.0):
@@ -468,6 +499,7 @@ def _free_sliding(
 def _check_disjoint(
     mesh: Mesh, fixed: Array, interfaces: list[AttachedInterface], problems: list[BundleProblem]
 ) -> None:
+    """Note nodes of a section that are fixed, or in another section."""
     for interface in interfaces:
         nodes = interface.section.node_ids
         shared = np.intersect1d(fixed, nodes)
@@ -485,7 +517,8 @@ def _check_disjoint(
             message = (
                 f'"{second.name or second.key}" shares {nodes.size} nodes with '
                 f'"{first.name or first.key}", such as the one at '
-                f"{point_text(mesh.points[nodes[0]])} m, but a node can have one; narrow either"
+                f"{point_text(mesh.points[nodes[0]])} m, but a node can be in one only; narrow one "
+                "section"
             )
             problems.append(BundleProblem(second.where, message))
 
@@ -493,15 +526,18 @@ def _check_disjoint(
 def _check_locked(
     bundle: Bundle, interfaces: list[AttachedInterface], problems: list[BundleProblem]
 ) -> None:
-    turned = bundle.bolts and bundle.analysis.nonlinear and bundle.analysis.zero == "preloaded"
+    """Note a single locked rotation where displacements count from the tightened state."""
+    analysis = bundle.analysis
+    if not (bundle.bolts and analysis.nonlinear and analysis.zero == "preloaded"):
+        return
+    message = (
+        "a single locked rotation leaves the motion from the tightened state undefined; lock "
+        'none or two, or write zero = "untightened" under [analysis]'
+    )
     problems += [
-        BundleProblem(
-            f"{interface.key}.locked",
-            "a single locked rotation leaves the motion from the tightened state undefined; lock "
-            'none or two, or write zero = "untightened" under [analysis]',
-        )
+        BundleProblem(f"{interface.key}.locked", message)
         for interface in interfaces
-        if turned and sum(name.startswith("r") for name in interface.locked) == 1
+        if sum(name.startswith("r") for name in interface.locked) == 1
     ]
 
 
@@ -510,4 +546,4 @@ def _spans_a_plane(points: Array) -> bool:
     if len(points) < 3:
         return False
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(spread[1] > 1e-9 * spread[0])
+    return bool(spread[1] > _ZERO * spread[0])

@@ -386,13 +386,13 @@ def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> list[Bundl
         here = pairs[(between == [first, second]).all(axis=1)]
         where = point_text(mesh.points[here[0, 0]])
         if first == second:
-            kind = f"inside part {first + 1}, which leaves a slit there"
+            kind = f"inside part {first + 1}"
         else:
-            kind = f"of part {first + 1} and part {second + 1}, which touch without being joined"
+            kind = f"of part {first + 1} and part {second + 1}"
         message = (
             f"{len(here)} pairs of nodes {kind} (one near {where} m) have the same coordinates but "
             "are not joined; if the material is joined there, merge them in the mesher (gmsh: "
-            "Coherence Mesh or removeDuplicateNodes; Abaqus: merge nodes)"
+            "removeDuplicateNodes)"
         )
         problems.append(BundleProblem("mesh", message))
     return problems
@@ -453,11 +453,13 @@ def tie_warnings(component: ComponentModel) -> list[BundleProblem]:
             ends = f"the main surface ends within {tie.cut} facets, and the tie at their edges"
             texts.append((i, f"{ends}: {loose}; split the surface there, or swap the two groups"))
         elif tie.untied:
-            texts.append((i, f"{loose}: they are held, or the main surface does not cover them"))
+            why = "they are held, or the main surface does not cover them"
+            texts.append((i, f"{loose}: {why}; extend the main surface, or hold fewer nodes"))
         if tie.within > _WIDE:
             texts.append((i, "main facets are larger than the tie: mesh them finer there"))
         if tie.gap > _CLOSED * tie.distance:
-            texts.append((i, f"closes gaps of up to {tie.gap:.3g} m by moving nodes; check it"))
+            gap = f"closes gaps of up to {tie.gap:.3g} m by moving nodes"
+            texts.append((i, f"{gap}; write a smaller distance if the gaps are real"))
         if follow and follow.map[tie.nodes].nnz > _FINER * count:
             swap = "swap the two groups, which is faster and more exact"
             texts.append((i, f"the secondary surface is coarser than the main surface: {swap}"))

@@ -90,7 +90,7 @@ def checked_wrench(
                 raise ValueError(f'"{name}" is unknown; give {known}{suggest(name, every)}')
         for name in further:
             if name not in wrench:
-                raise ValueError(f'"{name}" is missing; this component needs its value')
+                raise ValueError(f'"{name}" is missing; give its value, a number')
         loads = [
             np.asarray(wrench.get(name, np.zeros(PER_INTERFACE)), dtype=float) for name in names
         ]

@@ -240,7 +240,8 @@ class Keyring:
                     write_atomically(self._path, content.encode(), mode=0o600)
                 except OSError as error:
                     raise KeysError(
-                        f"{self._path} cannot be written: {error}. The keys stay as they were"
+                        f"{self._path} cannot be written ({error}); make it writable. No key "
+                        "changed"
                     ) from error
                 self._read()
         finally:

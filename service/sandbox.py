@@ -284,10 +284,10 @@ def _read(descriptor: int) -> tuple[list[Part], dict[str, Any]]:
                 return parts, dict(head["end"])
             arrays = {str(name): _read_array(content) for name in head["arrays"]}
             parts.append(Part(dict(head["fields"]), arrays))
-        raise ValueError("it has too many parts")
+        raise ValueError(f"it has more than {MAX_PARTS} parts")
     except (ValueError, KeyError, TypeError) as error:
         raise SandboxError(
-            "crash", f"Its reader answered wrongly ({error}); send it again."
+            "crash", f"The file's reader failed ({error}); send the file again."
         ) from None
 
 

@@ -206,7 +206,7 @@ def _read(file: Path, names: Iterable[str], *, named: bool) -> dict[str, Any]:
             f"{file.parent} must be a folder, but it or a part of its path is a file"
         ) from None
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise SettingsError(f"{file} is not TOML ({error}); correct it") from error
+        raise SettingsError(f"{file} cannot be read as TOML ({error}); correct it") from error
     for name in values:
         if name not in names:
             raise _unknown(name, names, str(file))

@@ -104,14 +104,14 @@ class SolverError:
 def _numbers(value: Any, shape: tuple[int, ...], name: str) -> Floats:
     array = _shaped(value, shape, name)
     if not (array >= 0).all():
-        raise ValueError(f"{name} of a solver's error must not be negative")
+        raise ValueError(f"{name} of a solver's error must be 0 or more, not {array.min():g}")
     return array
 
 
 def _shaped(value: Any, shape: tuple[int, ...], name: str) -> Floats:
     array = np.array(value, dtype=float)
     if array.shape != shape or not np.isfinite(array).all():
-        raise ValueError(f"{name} of a solver's error must be of shape {shape}, finite")
+        raise ValueError(f"{name} of a solver's error must be finite numbers of shape {shape}")
     return array
 
 

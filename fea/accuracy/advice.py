@@ -73,9 +73,9 @@ def over_tolerance(
     factor = solver_error.get("buckling")
     if factor is not None and factor < 1.0:
         message = (
-            f"the part buckles at {factor:.3g} of the loads at a corner of the range, which the "
-            "linear solver (nonlinear = false) does not detect, so answers beyond that load are "
-            "wrong. Narrow [range], or set nonlinear = true in [analysis]"
+            f"the part buckles at {factor:.3g} of the loads at a corner of the range; answers of "
+            "the linear solver are wrong beyond that load. Narrow [range], or set nonlinear = true "
+            "in [analysis]"
         )
         problems += [BundleProblem(WHERE, message)]
     return problems

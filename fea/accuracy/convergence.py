@@ -240,6 +240,6 @@ def stored(bundle: Bundle | None, shape: tuple[int, ...]) -> tuple[Array, str] |
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{FILE} is damaged ({error}); run wrenchbook converge again") from None
     if error.shape != shape or not np.isfinite(error).all():
-        raise ValueError(f"{FILE} is of another component state; run wrenchbook converge again")
+        raise ValueError(f"{FILE} is of an earlier component; run wrenchbook converge again")
     meshes = " and ".join(map(str, others))
     return error, f"finer meshes of {meshes} nodes beside this mesh of {first}, at six unit loads"

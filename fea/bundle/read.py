@@ -180,7 +180,7 @@ class _Reader:
         if loads is not None:
             vary = len(further) + int((loads.low < loads.high).sum())
             if vary > MAX_INPUTS:
-                message = f"{vary} inputs vary, but {MAX_INPUTS} may; give some loads the range 0"
+                message = f"{vary} inputs vary, at most {MAX_INPUTS} may; give some the range 0"
                 self.wrong("interface", message)
         return {
             "name": self.read("name"),
@@ -275,7 +275,7 @@ class _Reader:
                     if ends == (0.0, 0.0):
                         self.wrong(f"range.{name}[{i}]", f"must be above 0 ({unit}), not 0")
         else:
-            self.wrong("range", "is missing; write a table")
+            self.wrong("range", "is missing; write [range] with force and moment")
             return None
         none = ((0.0, 0.0),) * len(FREEDOMS)  # of an interface that is held
         ends = [(*loads.force, *loads.moment) if loads else none for loads in ranges]

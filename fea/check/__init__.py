@@ -4,6 +4,7 @@
 bundle, as a dictionary; `as_text` writes it out for people. It meshes and looks; it solves nothing.
 """
 
-from wrenchbook.fea.check.reporting import as_text, report
+from wrenchbook.fea.check.report_text import as_text
+from wrenchbook.fea.check.reporting import report
 
 __all__ = ["as_text", "report"]

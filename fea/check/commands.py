@@ -19,7 +19,8 @@ from wrenchbook.fea.accuracy.convergence import studied, write
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.reference import json_schema
 from wrenchbook.fea.check.proposal import propose
-from wrenchbook.fea.check.reporting import as_text, report, surface_in
+from wrenchbook.fea.check.report_text import as_text
+from wrenchbook.fea.check.reporting import report, surface_in
 from wrenchbook.fea.export import reduced
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.surface import Surface

@@ -1,21 +1,17 @@
 """Time and memory of a solve, from the order of elimination alone.
 
 The factorisation's operations and the numbers it holds follow exactly from the tree of nested
-substructures (`fea.linalg.nested_dissection`): a front that eliminates m of m + b unknowns takes
-m^3/3 + m^2 b + m b^2 multiply-adds and holds m^2/2 + m b numbers. Cells at ties and at bolts' cuts
-count with all nodes that move them. Time and memory of the solver's process are fitted to those, to
-the cells that are ordered and to the entries of their matrices, on the shipped components, plates,
-blocks (hex20, tet10) and tied slabs of 5,000 to 75,000 unknowns, one core of a server:
+substructures (`fea.linalg.nested_dissection`). Cells at ties and at bolts' cuts count with all
+nodes that move them. Time and memory of the solver's process are fitted to those, to the cells that
+are ordered and to the entries of their matrices, on the shipped components, plates, blocks (hex20,
+tet10) and tied slabs of 5,000 to 75,000 unknowns, one core of a server:
 
-    work [s]           = 4.3e-8 x entries + 2.3e-6 x cells x log2(cells) + operations / 22e9
-    linear solve       = 0.04 + work
-    nonlinear solve    = 0.04 + 2.5 work (3 to 6 iterations; up to 20 by load and part),
-                         5.0 work where cells project their volumetric strain
-    memory             = 100e6 + 9 x numbers + 8 x entries, nonlinear solves too (one factor at a
-                         time: 0.91 to 1.15 of the peaks of nine, 140 to 590 MB)
-
-Of over 30 million numbers a linear solve's factor is in single precision, with 4.5 bytes each and
-twice the operations a second.
+    work             = assembly of the entries + ordering of the cells + operations
+    linear solve     = start + work
+    nonlinear solve  = start + 2.5 work (3 to 6 iterations; up to 20 by load and part),
+                       5.0 work where cells project their volumetric strain
+    memory           = process + numbers of the factor + entries, nonlinear solves too (one factor
+                       at a time: 0.91 to 1.15 of the peaks of nine, 140 to 590 MB)
 
 `make bench NAME=check` prints these against time and memory of a solve: within 1.5 on a like
 machine.
@@ -32,6 +28,19 @@ from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.element.pressure_projection import NEARLY_INCOMPRESSIBLE
 from wrenchbook.fea.linalg.nested_dissection import dissect
 
+Array = np.ndarray
+
+# Fitted to the solves above, on one core.
+_START_SECONDS = 0.04  # of any solve
+_ENTRY_SECONDS = 4.3e-8  # to assemble an entry of a cell's matrix
+_ORDER_SECONDS = 2.3e-6  # to order a cell in each of log2(cells) bisections
+_OPERATIONS_PER_SECOND = 22e9  # multiply-adds of the factorisation, in double precision
+_PROCESS_BYTES = 100e6  # of a process without a mesh
+_NUMBER_BYTES = 9  # of a number that the factor holds, in double precision: 8 alone
+_ENTRY_BYTES = 8  # of an entry of a cell's matrix
+
+_SINGLE_PRECISION = 0.5
+"""Bytes and time of a linear solve's factor above `SINGLE_NUMBERS`, over those in double."""
 _NONLINEAR = 2.5  # times the work of a linear solve
 _PROJECTED = 2.0  # times that where pressure is a separate unknown: more, and larger, matrices
 
@@ -48,45 +57,78 @@ class Cost(TypedDict):
 
 def estimate(component: ComponentModel) -> Cost:
     """Return the estimated cost of one solve."""
-    mesh, dependents = component.mesh, component.mesh.dependents
-    free = np.ones(len(mesh.points), dtype=bool)
+    free, groups = _free_nodes(component), _nodes_of_cells(component)
+    count = sum(len(nodes) for nodes in groups)
+    entries = sum(len(nodes) * (3 * nodes.shape[1]) ** 2 for nodes in groups)
+    operations, numbers = _elimination(component.mesh.points, groups, free)
+
+    assembly = _ENTRY_SECONDS * entries + _ORDER_SECONDS * count * np.log2(count + 1)
+    factorisation = operations / _OPERATIONS_PER_SECOND
+    precision = _SINGLE_PRECISION if numbers > SINGLE_NUMBERS else 1.0
+    factors = 2 if component.bolts else 1  # one more while bolts are tightened
+    linear = factors * (assembly + precision * factorisation)
+    times = _NONLINEAR * (_PROJECTED if _projects(component) else 1.0)
+    nonlinear = times * (factors * (assembly + factorisation))
+    if component.analysis.nonlinear:
+        precision = 1.0
+    memory = _PROCESS_BYTES + _NUMBER_BYTES * precision * numbers + _ENTRY_BYTES * entries
+    return {
+        "unknowns": 3 * int(free.sum()),
+        "linear_seconds": float(f"{_START_SECONDS + linear:.2g}"),
+        "nonlinear_seconds": float(f"{_START_SECONDS + nonlinear:.2g}"),
+        "memory_bytes": int(float(f"{memory:.3g}")),
+        "basis": "an estimate from the order of elimination, within 1.5 on a like machine",
+    }
+
+
+def _free_nodes(component: ComponentModel) -> Array:
+    """Return whether each node has unknowns, shape (n,): no support and no other node moves it."""
+    free = np.ones(len(component.mesh.points), dtype=bool)
     free[component.fixed_nodes] = False
     for attached in (*component.interfaces, *component.frames):
         if attached.coupling == "rigid":
             free[attached.section.node_ids] = False
-    groups = [block.nodes for block in mesh.blocks]  # the nodes that move each cell, (m, s)
-    if dependents is not None:
-        free[dependents.nodes] = False
-        tied = [dependents.among(nodes) for nodes in groups]
-        pairs = list(zip(groups, tied, strict=True))
-        moving = [dependents.outer(nodes[at])[0] for nodes, at in pairs if at.any()]
-        groups = [nodes[~at] for nodes, at in pairs] + moving
-    unknowns = 3 * int(free.sum())
-    entries = sum(len(nodes) * (3 * nodes.shape[1]) ** 2 for nodes in groups)
+    if component.mesh.dependents is not None:
+        free[component.mesh.dependents.nodes] = False
+    return free
+
+
+def _nodes_of_cells(component: ComponentModel) -> list[Array]:
+    """Return the nodes that move each cell, for cells moved by as many, each of shape (m, s)."""
+    blocks, dependents = [block.nodes for block in component.mesh.blocks], component.mesh.dependents
+    if dependents is None:
+        return blocks
+    plain, tied = [], []
+    for nodes in blocks:
+        has_dependents = dependents.among(nodes)
+        plain.append(nodes[~has_dependents])
+        if has_dependents.any():
+            outer, _ = dependents.outer(nodes[has_dependents])
+            tied.append(outer)
+    return plain + tied
+
+
+def _elimination(points: Array, groups: list[Array], free: Array) -> tuple[float, float]:
+    """Return the multiply-adds of a factorisation, and the numbers that its factor holds.
+
+    A front that eliminates m of m + b unknowns takes m^3/3 + m^2 b + m b^2 multiply-adds and holds
+    m^2/2 + m b numbers.
+    """
     cells = [nodes for group in groups for nodes in group]
-    centres = np.concatenate([mesh.points[group].mean(axis=1) for group in groups])
+    centres = np.concatenate([points[group].mean(axis=1) for group in groups])
     operations = numbers = 0.0
     for part in dissect(cells, centres, free).substructures:
         m, b = float(part.eliminated), float(part.boundary.size)
         operations += m**3 / 3 + m * m * b + m * b * b
         numbers += m * m / 2 + m * b
-    assembly = 4.3e-8 * entries + 2.3e-6 * len(cells) * np.log2(len(cells) + 1)
-    precision = 0.5 if numbers > SINGLE_NUMBERS else 1.0  # of a linear solve, relative to double
-    factors = 2 if component.bolts else 1  # one more while bolts are tightened
-    linear, work = (factors * (assembly + p * operations / 22e9) for p in (precision, 1.0))
-    # Some cells take the pressure as a separate unknown.
-    kinds = {"hex20", "hex27"} & set(mesh.cell_counts)
+    return operations, numbers
+
+
+def _projects(component: ComponentModel) -> bool:
+    """Return whether some cells take the pressure as a separate unknown."""
+    if not {"hex20", "hex27"} & set(component.mesh.cell_counts):
+        return False
     ratios = [
         material.poisson_ratio for material in component.materials if material.law != "orthotropic"
     ]
-    projects = kinds and any(np.max(ratio) > NEARLY_INCOMPRESSIBLE for ratio in ratios)
-    times = _NONLINEAR * (_PROJECTED if projects else 1.0)
-    precision = 1.0 if component.analysis.nonlinear else precision
-    memory = 100e6 + 9 * precision * numbers + 8 * entries
-    return {
-        "unknowns": unknowns,
-        "linear_seconds": float(f"{0.04 + linear:.2g}"),
-        "nonlinear_seconds": float(f"{0.04 + times * work:.2g}"),
-        "memory_bytes": int(float(f"{memory:.3g}")),
-        "basis": "an estimate from the order of elimination, within 1.5 on a like machine",
-    }
+    return any(np.max(ratio) > NEARLY_INCOMPRESSIBLE for ratio in ratios)

@@ -1,6 +1,7 @@
 """A proposed component of an input deck: ``wrenchbook new``.
 
-What a deck has is taken over; what it has not is written with a mark, and said.
+The deck's materials, supports, couplings and loads become lines of ``component.toml``. What it
+lacks gets a value to start from, and a comment ``# DECIDE``.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ _TRANSLATORS: dict[str, Callable[[DeckText], Translated]] = {
 _INCLUDE = re.compile(r"^[ \t]*(/INPUT,|\*USE,)[^!\n]*", re.I | re.M)
 _FACES = "`wrenchbook check FOLDER --faces` lists its faces, with lines for [mesh.groups]"
 _CHOOSE = "CHOOSE"  # a group that no mesh has: `check` then lists those there are
-_UNITS = ((1e8, "m"), (2e6, "in"), (-1.0, "mm"))
+_UNIT_BY_MODULUS = ((1e8, "m"), (2e6, "in"), (-1.0, "mm"))
 """Young's moduli above which a deck's unit is likely: few in Pa are below 1e8, none in MPa is above
 2e6 (diamond 1.2e6), and metals in psi are between (magnesium 6.5e6, aluminium 1e7, steel 3e7)."""
 _IN_KILOGRAMS = 25.0  # kg/m³, foams too; t/mm³ and pounds of any kind an inch³ are below 1
@@ -50,6 +51,7 @@ _IN_SLINCHES = (3e-5, 9e-4)  # lbf·s²/in⁴, plastics 1e-4, steel 7e-4; g/mm³
 _MAX_CASES = 12  # in one line of `decide`
 _ELASTIC = ("youngs_modulus", "poisson_ratio")
 _FORCE, _LEVER = 100.0, 0.1  # N and m, where the deck has no load
+_EXACT = 15  # digits of points, axes and stiffnesses: as many as a double holds for sure
 
 
 class _Proposal:
@@ -64,22 +66,28 @@ class _Proposal:
         self.case = self.chosen(case)
 
     def chosen(self, name: str | None) -> LoadCase:
-        """Return the case of a name, else the last; where cases differ, `decide` lists them."""
-        cases = {case.name.upper(): case for case in self.deck.cases}
-        if name is not None and name.upper() not in cases:
+        """Return the case of a name, else the last; where cases differ, `decide` lists them.
+
+        Raises BundleError if the deck has no case of this name.
+        """
+        if name is not None:
+            cases = {case.name.upper(): case for case in self.deck.cases}
+            if name.upper() in cases:
+                return cases[name.upper()]
             names = ", ".join(f'"{case.name}"' for case in cases.values() if case.name)
             there = f"name one of {names}" if names else "it has no steps, so leave --case out"
             raise BundleError([BundleProblem("case", f'the deck has no "{name}"; {there}')])
-        case = cases[name.upper()] if name is not None else self.deck.cases[-1]
+        case = self.deck.cases[-1]
         alike: dict[str, list[str]] = {}
         for other in self.deck.cases:
             alike.setdefault(other.summary(), []).append(f'"{other.name}"')
-        if len(alike) > 1 and name is None:
+        if len(alike) > 1:
             parts = [f"{', '.join(names)} {summary}" for summary, names in alike.items()]
-            more = [f"{len(parts) - _MAX_CASES} more"] if len(parts) > _MAX_CASES else []
+            if (more := len(parts) - _MAX_CASES) > 0:
+                parts[_MAX_CASES:] = [f"{more} more"]
             self.decide.append(
                 f'case: the deck has several; "{case.name}" is taken (or write --case NAME). '
-                + ". ".join(parts[:_MAX_CASES] + more)
+                + ". ".join(parts)
             )
         return case
 
@@ -110,7 +118,10 @@ class _Proposal:
         ]
 
     def integration(self, first: bool) -> list[str]:
-        """Return full integration for cells that follow each other singly, else nothing."""
+        """Return full integration for cells that follow each other singly, else nothing.
+
+        first: whether cells are of first order, and so get midside nodes.
+        """
         is_full = any(re.match("C3D20(?!R)", kind) for kind in self.deck.elements)
         if is_full or not len(stacked_singly(second_order(self.mesh) if first else self.mesh)):
             return []
@@ -119,25 +130,32 @@ class _Proposal:
         return ['integration = "full"']
 
     def materials(self) -> list[str]:
+        """Return a material for each section, or for "all" if they are of one and fill the mesh."""
         sections = [
             section for section in self.deck.sections if section.region in self.mesh.regions
         ]
         kinds = {(section.material, self.directions(section)) for section in sections}
-        one_material = len(kinds) == 1 and self.filled(sections)
-        by_region = {"all" if one_material else section.region: section for section in sections}
+        by_region = {section.region: section for section in sections}
+        if not sections:
+            by_region = {"all": SolidSection("", "all", "")}
+        elif len(kinds) == 1 and self.filled(sections):
+            by_region = {"all": sections[-1]}
         lines = []
-        for region, section in (by_region or {"all": SolidSection("", "all", "")}).items():
-            constants = self.deck.materials.get(section.material, {})
-            each = ((key, _numbers(constants[key], in_si(key, self.unit))) for key in constants)
-            values = [*(f"{key} = {value}" for key, value in each), *self.directions(section)]
+        for region, section in by_region.items():
+            name = section.material
+            constants = self.deck.materials.get(name, {})
+            lines += ["", "[[material]]", f"region = {_text(region)}"]
+            for key, value in constants.items():
+                lines.append(f"{key} = {_numbers(value, in_si(key, self.unit))}")
+            lines += self.directions(section)
             lacking = [key for key in _ELASTIC if key not in constants]
             if lacking:
-                known, name = ", ".join(self.deck.materials) or "none", section.material
-                lost = f'the deck has no *MATERIAL "{name}" (it has {known}); '
-                lost *= bool(name) and name not in self.deck.materials
+                lost = ""
+                if name and name not in self.deck.materials:
+                    known = ", ".join(self.deck.materials) or "none"
+                    lost = f'the deck has no *MATERIAL "{name}" (it has {known}); '
                 write = f"write its {' and '.join(lacking)}"
                 self.decide.append(f'material of "{region}": {lost}{write}')
-            lines += ["", "[[material]]", f"region = {_text(region)}", *values]
         return lines
 
     def directions(self, section: SolidSection) -> tuple[str, ...]:
@@ -148,74 +166,77 @@ class _Proposal:
         axes = section.orientation
         if len(axes) != 6:
             return ('law = "orthotropic"', *_axes(axes))
-        point, axis = _numbers(axes[:3], UNITS[self.unit], 15), _numbers(axes[3:], digits=15)
+        point = _numbers(axes[:3], UNITS[self.unit], _EXACT)
+        axis = _numbers(axes[3:], digits=_EXACT)
         return 'law = "orthotropic"', f"cylinder = {{point = {point}, axis = {axis}}}"
 
     def filled(self, sections: list[SolidSection]) -> bool:
         """Return whether each cell is in a section."""
-        by_block = zip(*(self.mesh.regions[section.region] for section in sections), strict=True)
-        pairs = zip(by_block, self.mesh.blocks, strict=True)
-        return all(np.unique(np.concatenate(cells)).size == len(block) for cells, block in pairs)
+        for number, block in enumerate(self.mesh.blocks):
+            cells = [self.mesh.regions[section.region][number] for section in sections]
+            if np.unique(np.concatenate(cells)).size < len(block):
+                return False
+        return True
 
     def supports(self) -> list[str]:
+        """Return the groups that the case fixes, lets slide, or holds by springs."""
         held = [support for support in self.case.supports if support.group in self.groups]
-        fixed = [slide.group for slide in held if slide.directions == "xyz"]
-        sliding = [slide for slide in held if slide.directions != "xyz"]
+        fixed = [support.group for support in held if support.directions == "xyz"]
         bushings = self.springs(1)
         if not held and not bushings:
             self.decide.append("supports: the deck fixes no node; name the groups to fix")
             fixed = [_CHOOSE]
-        names = ", ".join(map(_text, dict.fromkeys(fixed)))
-        lines = ["", "[supports]", *([f"fixed = [{names}]"] if fixed else [])]
-        for support in sliding:
-            ways = ", ".join(_text(way) for way in support.directions)
-            lines += [
-                "[[supports.sliding]]",
-                f"group = {_text(support.group)}",
-                f"directions = [{ways}]",
-            ]
-            lines += _axes(support.axes)
-        return [*lines, *bushings]
+        lines = ["", "[supports]"]
+        if fixed:
+            names = ", ".join(map(_text, dict.fromkeys(fixed)))
+            lines.append(f"fixed = [{names}]")
+        for support in held:
+            if support.directions != "xyz":
+                directions = ", ".join(map(_text, support.directions))
+                lines += ["[[supports.sliding]]", f"group = {_text(support.group)}"]
+                lines += [f"directions = [{directions}]", *_axes(support.axes)]
+        return lines + bushings
 
     def springs(self, ends: int) -> list[str]:
         """Return the bushings, of one end each, or the springs between groups, of two."""
         lines = []
-        for spring in (spring for spring in self.case.springs if len(spring.ends) == ends):
+        for spring in self.case.springs:
+            if len(spring.ends) != ends:
+                continue
             groups = ", ".join(_text(end.group) for end in spring.ends)
-            table = ["", "[[spring]]", f"groups = [{groups}]"]
             if ends == 1:
-                table = ["[[supports.bushing]]", f"group = {groups}"]
+                lines += ["[[supports.bushing]]", f"group = {groups}"]
+            else:
+                lines += ["", "[[spring]]", f"groups = [{groups}]"]
             matrix = spring.in_si(self.unit)
-            rows = [_numbers(tuple(row), digits=15) for row in matrix.tolist()]
-            values = f"[{', '.join(rows)}]"
-            if not (matrix - np.diag(np.diagonal(matrix))).any():
-                values = _numbers(tuple(np.diagonal(matrix).tolist()), digits=15)
-            lines += [*table, *self.attached(spring.ends[0]), f"stiffness = {values}"]
+            diagonal = np.diagonal(matrix)
+            if (matrix == np.diag(diagonal)).all():
+                values = _numbers(tuple(diagonal.tolist()), digits=_EXACT)
+            else:
+                rows = [_numbers(tuple(row), digits=_EXACT) for row in matrix.tolist()]
+                values = f"[{', '.join(rows)}]"
+            lines += [*self.attached(spring.ends[0]), f"stiffness = {values}"]
         return lines
 
     def interfaces(self) -> list[str]:
         """Return each coupling that is free, else the group with forces, as an interface."""
         groups = [coupled for coupled in self.case.couplings if coupled.group in self.groups]
-        sections = {coupled.group for coupled in groups} or set(list(self.case.loads)[:1])
+        sections = {coupled.group for coupled in groups}
+        if not groups:
+            group, loads = next(iter(self.case.loads.items()), (_CHOOSE, [0.0] * 6))
+            sections = {group}
+            if group not in self.groups:
+                group = _CHOOSE
+            self.decide.append(f"interface: no coupling is free; check section = {group}")
+            groups = [CoupledGroup("", group, "distributed", (), set(), loads)]
         self.skipped += [
             f'forces on "{group}", which is not an interface'
             for group, loads in self.case.loads.items()
             if any(loads) and group not in sections
         ]
-        if not groups:
-            group, loads = next(iter(self.case.loads.items()), (_CHOOSE, [0.0] * 6))
-            group = group if group in self.groups else _CHOOSE
-            self.decide.append(f"interface: no coupling is free; check section = {group}")
-            groups = [CoupledGroup("", group, "distributed", (), set(), loads)]
         if len(groups) == 1:
-            return [
-                "",
-                "[interface]",
-                *self.interface(groups[0]),
-                "",
-                "[range]",
-                *self.range(groups[0]),
-            ]
+            interface, load_range = self.interface(groups[0]), self.range(groups[0])
+            return ["", "[interface]", *interface, "", "[range]", *load_range]
         lines = []
         for coupled in groups:
             lines += ["", "[[interface]]", f"name = {_text(_name(coupled.group))}"]
@@ -223,34 +244,43 @@ class _Proposal:
         return lines
 
     def tie(self, tie: Tie) -> list[str]:
-        near = f"distance = {(tie.distance or 0.0) * UNITS[self.unit]:.9g}"
-        sides = f"secondary = {_text(tie.secondary)}", f"main = {_text(tie.main)}"
-        return ["", "[[tie]]", *sides, *([near] if tie.distance else [])]
+        lines = ["", "[[tie]]", f"secondary = {_text(tie.secondary)}", f"main = {_text(tie.main)}"]
+        if tie.distance:
+            lines.append(f"distance = {tie.distance * UNITS[self.unit]:.9g}")
+        return lines
 
     def interface(self, group: CoupledGroup) -> list[str]:
-        locked = ", ".join(_text(FREEDOMS[i]) for i in sorted(group.held))
-        locks = [f"locked = [{locked}]"] if locked else []
-        return [f"section = {_text(group.group)}", *self.attached(group), *locks]
+        """Return section, point, coupling and locked freedoms of an interface."""
+        lines = [f"section = {_text(group.group)}", *self.attached(group)]
+        if group.held:
+            locked = ", ".join(_text(FREEDOMS[i]) for i in sorted(group.held))
+            lines.append(f"locked = [{locked}]")
+        return lines
 
     def attached(self, group: CoupledGroup) -> list[str]:
-        return [
-            *([f"point = {_numbers(group.point, UNITS[self.unit], 15)}"] if group.point else []),
-            f"coupling = {_text(group.kind)}",
-            *(['weights = "deck"'] if group.weighted else []),
-        ]
+        """Return point, coupling and weights of an interface or of a spring's end."""
+        lines = [f"coupling = {_text(group.kind)}"]
+        if group.point:
+            lines.insert(0, f"point = {_numbers(group.point, UNITS[self.unit], _EXACT)}")
+        if group.weighted:
+            lines.append('weights = "deck"')
+        return lines
 
     def range(self, group: CoupledGroup) -> list[str]:
-        """Return plus and minus the largest force and moment, or those of a lever."""
+        """Return plus and minus the largest force and moment; one that is 0, by `_LEVER`."""
         force = max(map(abs, group.loads[:3])) * in_si("force", self.unit)
         moment = max(map(abs, group.loads[3:])) * in_si("moment", self.unit)
-        complete = force and moment
-        force = force or moment / _LEVER or _FORCE
-        moment = moment or force * _LEVER
-        if not complete:
+        is_complete = force and moment
+        if not force:
+            force = moment / _LEVER if moment else _FORCE
+        if not moment:
+            moment = force * _LEVER
+        if not is_complete:
             why = f"the deck lacks a force or a moment; check {force:.4g} N and {moment:.4g} N·m"
             self.decide.append(f'range at "{group.group}": {why}')
         return [
-            f"{k} = [{v:.4g}, {v:.4g}, {v:.4g}]" for k, v in (("force", force), ("moment", moment))
+            f"force = [{force:.4g}, {force:.4g}, {force:.4g}]",
+            f"moment = [{moment:.4g}, {moment:.4g}, {moment:.4g}]",
         ]
 
 
@@ -285,25 +315,12 @@ def propose(
     proposal = _Proposal(read_mesh(deck, unit or "m"), unit or "m", case)
     proposal.decide += decide
     if unit is None:
-        materials = proposal.deck.materials.values()
-        largest, density = (
-            max([0.0, *(np.max(material.get(key, 0.0)) for material in materials)])
-            for key in ("youngs_modulus", "density")
-        )
-        unit = next(unit for least, unit in _UNITS if largest > least)
-        if density > _IN_KILOGRAMS:
-            unit = "m"
-        elif _IN_SLINCHES[0] < density < _IN_SLINCHES[1]:
-            unit = "in"
-        why = (
-            f"; {unit} by its constants" if largest or density else f" and has no constants; {unit}"
-        )
-        pounds = ", with pounds and psi" * (unit == "in")
-        proposal.decide.append(f"unit: a deck names none{why}{pounds} (--unit)")
-        proposal.unit = unit
+        proposal.unit, why = _guessed_unit(proposal.deck)
+        proposal.decide.append(why)
     lines = proposal.lines(_name(file.stem), deck.name)
-    at = f"{deck.name}, " * (deck.name != file.name)  # whose lines these are
-    skipped += [*proposal.skipped, *(f"{at}{note}" for note in proposal.deck.notes)]
+    # Notes name lines: of the deck that is written, if that is not the file.
+    prefix = "" if deck.name == file.name else f"{deck.name}, "
+    skipped += [*proposal.skipped, *(f"{prefix}{note}" for note in proposal.deck.notes)]
     notes = [f"# DECIDE: {note}" for note in proposal.decide]
     notes += [f"# not taken over: {note}" for note in skipped]
     (folder / FILE_NAME).write_text("\n".join([*lines, "", *notes, ""]), encoding="utf-8")
@@ -311,14 +328,36 @@ def propose(
     return {"files": files, "left": skipped, "decide": proposal.decide, "check": report(folder)}
 
 
+def _guessed_unit(deck: DeckContent) -> tuple[str, str]:
+    """Return the likely length unit of a deck, by its moduli and densities, and why."""
+
+    def largest(key: str) -> float:
+        values = [np.max(material.get(key, 0.0)) for material in deck.materials.values()]
+        return max([0.0, *values])
+
+    modulus, density = largest("youngs_modulus"), largest("density")
+    unit = next(unit for least, unit in _UNIT_BY_MODULUS if modulus > least)
+    if density > _IN_KILOGRAMS:
+        unit = "m"
+    elif _IN_SLINCHES[0] < density < _IN_SLINCHES[1]:
+        unit = "in"
+    by = f"; {unit} by its constants" if modulus or density else f" and has no constants; {unit}"
+    pounds = ", with pounds and psi" if unit == "in" else ""
+    return unit, f"unit: a deck names none{by}{pounds} (--unit)"
+
+
 def _deck_text(file: Path) -> tuple[str, list[str], list[str]]:
-    """Return an Abaqus deck, the file's contents that it lacks, and values the file leaves open."""
+    """Return an Abaqus deck, the file's contents that it lacks, and values the file leaves open.
+
+    Raises BundleError if the file cannot be read.
+    """
     try:
         text = deck_text(file)
         if (translate := _TRANSLATORS.get(file.suffix.lower())) is not None:
             if include := _INCLUDE.search(text):
-                where = f"line {text.count(chr(10), 0, include.start()) + 1}: {include[0].strip()}"
-                raise MeshFileError(f"{where} is not read; insert that file's lines in its place")
+                line = text[: include.start()].count("\n") + 1
+                message = "is not read; insert that file's lines in its place"
+                raise MeshFileError(f"line {line}: {include[0].strip()} {message}")
             translated = translate(text)
             skipped = [f"{name} ({count})" for name, count in translated.skipped.items() if count]
             return "\n".join(translated.lines()), skipped, translated.decide
@@ -335,19 +374,25 @@ def _deck_text(file: Path) -> tuple[str, list[str], list[str]]:
 
 
 def _numbers(value: Constant, factor: float = 1.0, digits: int = 9) -> str:
+    """Write a number or an array times a factor as TOML; + 0.0 makes -0.0 a plain 0."""
     if isinstance(value, tuple):
         return f"[{', '.join(_numbers(each, factor, digits) for each in value)}]"
     return f"{value * factor + 0.0:.{digits}g}"
 
 
 def _axes(axes: tuple[float, ...]) -> list[str]:
-    rows = ", ".join(_numbers(axes[i : i + 3], digits=15) for i in range(0, len(axes), 3))
-    return [f"axes = [{rows}]"] if axes else []
+    """Return the line of nine numbers, directions in rows; none for the global axes."""
+    if not axes:
+        return []
+    rows = ", ".join(_numbers(axes[i : i + 3], digits=_EXACT) for i in range(0, len(axes), 3))
+    return [f"axes = [{rows}]"]
 
 
 def _text(value: str) -> str:
+    """Write a string as TOML."""
     return json.dumps(value, ensure_ascii=False)
 
 
 def _name(text: str) -> str:
+    """Return a name of a component or an interface from any text."""
     return re.sub(r"[^a-z0-9_-]+", "_", text.lower()).strip("_-")[:64] or "part"

@@ -201,7 +201,8 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[Swing, list[Bundle
     try:
         vibration = solver.vibration(carried)
     except (ValueError, SolveFailed) as error:
-        return {}, [*warnings, BundleProblem("material", f"no natural frequency: {error}")]
+        why = f"the natural frequency is unknown: {error}"
+        return {}, [*warnings, BundleProblem("material", why)]
     result: Swing = {
         "mass": vibration.mass if len(without_density) < len(component.materials) else None,
         "first_frequency": vibration.frequency,
@@ -237,10 +238,9 @@ def weight_warnings(solver: Solver) -> list[BundleProblem]:
     down = -np.sign(direction[np.abs(direction).argmax()]) * direction * _STANDARD_GRAVITY
     gravity = ", ".join(f"{number + 0.0:.3g}" for number in np.round(down, 6))
     message = (
-        "is missing, so answers leave out self-weight, which moves the interface by up to "
-        f"{moved:.2g} m and {turned:.2g} rad under [{gravity}] m/s^2: more than the tolerance. "
-        "Write gravity = [0, 0, -9.81] under [analysis]; for a part that rotates use "
-        "[inputs.acceleration]"
+        f"is missing, but self-weight moves the interface by up to {moved:.2g} m and "
+        f"{turned:.2g} rad, more than the tolerance, under gravity = [{gravity}] m/s^2. Write it "
+        "under [analysis], or [inputs.acceleration] for a part that rotates"
     )
     return [BundleProblem("analysis.gravity", message)]
 
@@ -263,9 +263,9 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[LargestStress], list
     try:
         stresses = _first_order_stresses(solver)
     except SolveFailed as error:
-        return [], [BundleProblem("material", f"no stresses: {error}")]
+        return [], [BundleProblem("material", f"its stresses are unknown: {error}")]
     except ValueError as error:
-        return [], [BundleProblem("material", f"no largest stress: {error}")]
+        return [], [BundleProblem("material", f"its largest stress is unknown: {error}")]
     warnings: list[BundleProblem] = []
     if nonlinear and component.analysis.nonlinear:
         warnings += _replace_by_nonlinear(solver, stresses)
@@ -358,7 +358,9 @@ def _yielding(component: ComponentModel, stresses: list[LargestStress]) -> list[
         if strength is None:
             continue
         if material.law == "orthotropic":
-            message = "is compared with the von Mises stress, which suits isotropic ones only"
+            message = (
+                "is compared with von Mises stress, which suits isotropic ones only; leave it out"
+            )
             problems.append(BundleProblem(key, message))
         for stress in stresses:
             if stress.region == material.region and stress.largest > strength:

@@ -42,9 +42,9 @@ def first_order_problems(mesh: Mesh) -> list[BundleProblem]:
     if not counts:
         return []
     message = (
-        f"{' and '.join(counts)} cells are of first order, which can be several times too stiff in "
+        f"{' and '.join(counts)} cells are of first order, up to several times too stiff in "
         "bending. Mesh in second order (gmsh: Mesh.ElementOrder = 2; Abaqus: C3D20R, C3D10), or "
-        "write order = 2 under [mesh], which adds midside nodes on straight edges"
+        "write order = 2 under [mesh], for straight edges"
     )
     return [BundleProblem("mesh", message)]
 

@@ -82,9 +82,9 @@ def cell_problems(mesh: Mesh) -> list[BundleProblem]:
             at = point_text(mesh.points[block.nodes[bad[0]]].mean(axis=0))
             message = (
                 f"{bad.size} of {len(block)} {block.kind} cells are inverted or flat, one of them "
-                f"near {at} m. Mesh more finely there, put nodes in the format's order and midside "
-                "nodes in the middle of their edges, and write collapsed cells as wedges or "
-                "tetrahedra"
+                f"near {at} m. Mesh more finely there, with nodes in the format's order and "
+                "midside "
+                "nodes in the middle; write collapsed cells as wedges"
             )
             problems.append(BundleProblem("mesh", message))
     return problems

@@ -55,7 +55,7 @@ class Riding:
     def __post_init__(self) -> None:
         numbers = np.concatenate([[self.mass], np.ravel(self.inertia), np.ravel(self.centre)])
         if not np.isfinite(numbers).all():
-            raise ValueError("mass, inertia and centre must be finite numbers; correct them")
+            raise ValueError(f"mass, inertia and centre must be finite numbers, not {numbers}")
         if self.mass < 0:
             raise ValueError(f"the mass must be 0 or more, not {self.mass:g} kg")
         if not np.array_equal(self.inertia, self.inertia.T):
@@ -78,9 +78,9 @@ class Riding:
         moments = np.zeros(3) if inertia is None else np.asarray(inertia, dtype=float)
         position = np.zeros(3) if centre is None else np.asarray(centre, dtype=float)
         if moments.shape not in ((3,), (6,)):
-            raise ValueError("the inertia must be xx, yy, zz or xx, yy, zz, xy, xz, yz")
+            raise ValueError("the inertia must be xx, yy, zz or xx, yy, zz, xy, xz, yz, in kg·m^2")
         if position.shape != (3,):
-            raise ValueError("the centre of mass must be three numbers, in m")
+            raise ValueError(f"the centre of mass must be 3 numbers, in m, not {position.size}")
         tensor = np.diag(moments[:3])
         if len(moments) == 6:
             xy, xz, yz = moments[3:]
@@ -340,9 +340,9 @@ def craig_bampton(
     (_, origin, _), *moving = frames
     freedoms = inertia.active.size
     if freedoms != 6 * len(moving):
-        raise ValueError("a frame needs all six freedoms; leave `locked` out of the interface")
+        raise ValueError("a condensed mass needs six freedoms; leave locked out of the interface")
     if not mass.nnz:
-        raise ValueError("nothing has a mass; give the materials a density")
+        raise ValueError("no material has a density; write density, in kg/m^3, in [[material]]")
     if not 0 < modes < inertia.size - freedoms:
         raise ValueError(f"the modes must be 1 to {inertia.size - freedoms - 1}, not {modes}")
     shapes, compliance = static_shapes(inertia)

@@ -118,7 +118,8 @@ def _name(value: str) -> str:
 def different(values: tuple[_T, ...]) -> tuple[_T, ...]:
     """Refuse a value that is there twice."""
     if len(set(values)) < len(values):
-        raise ValueError("has one entry twice; remove one of the two")
+        twice = str(next(each for each in values if values.count(each) > 1))[:100]
+        raise ValueError(f"has {twice} twice; remove one of the two")
     return values
 
 
@@ -135,7 +136,7 @@ def _in_folder(value: object, handler: Any, info: ValidationInfo) -> Path:
         there = path.is_file()
     except (OSError, RuntimeError) as error:  # a name that no disk takes; a loop of symbolic links
         reason = error.strerror if isinstance(error, OSError) else "a loop of symbolic links"
-        raise ValueError(f'"{name[:100]}" cannot be a file ({reason}); correct it') from None
+        raise ValueError(f'"{name[:100]}" cannot be a file ({reason}); rename it') from None
     if not inside:
         raise ValueError(f'"{name}" is outside the bundle; put the file into its folder')
     if not there:
@@ -237,7 +238,7 @@ def _orthonormal(rows: Sequence[Sequence[float]]) -> Array:
     axes = np.array(rows)
     # A direction that is far from a unit's length would overflow in the product.
     if np.abs(axes).max() > 2.0 or np.abs(axes @ axes.T - np.eye(3)).max() > 1e-6:
-        raise ValueError("must be three unit directions at right angles (to 1e-6); correct them")
+        raise ValueError("must be three directions of length 1 at right angles, to 1e-6")
     if np.linalg.det(axes) < 0.0:
         raise ValueError("must be right-handed; reverse one direction")
     # An exact frame with the same x, in plain floats: the digits go into the fingerprint, so
@@ -390,7 +391,9 @@ def _sentence(entry: Mapping[str, Any], info: FieldInfo | None) -> str:
 
 def missing(info: FieldInfo | None) -> str:
     """Return the sentence for a key that must be there."""
-    return f"is missing; write {_noun(info)}"
+    noun, example = _noun(info), extra_of(info).get("toml", "") if info is not None else ""
+    is_open = example and not noun.startswith("one of ")
+    return f"is missing; write {noun}" + (f", such as {example}" if is_open else "")
 
 
 def _noun(info: FieldInfo | None) -> str:

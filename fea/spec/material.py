@@ -35,7 +35,7 @@ _LARGEST_EXPANSION = 1e-2  # 1/K: rubber has 2e-4; a number without its 1e-6 is 
 
 def _small(expansion: tuple[float, float, float]) -> tuple[float, float, float]:
     if max(map(abs, expansion)) > _LARGEST_EXPANSION:
-        raise ValueError(f"is above {_LARGEST_EXPANSION:g} 1/K; correct it (aluminium has 23e-6)")
+        raise ValueError(f"must be at most {_LARGEST_EXPANSION:g} 1/K (aluminium has 23e-6)")
     return expansion
 
 

@@ -181,8 +181,8 @@ def _stiffness(numbers: tuple[Any, ...]) -> Array:
     scaled = matrix / scale / scale[:, None]
     if np.abs(scaled - scaled.T).max() > _ROUNDING:
         raise ValueError("must be symmetric; make row i, column j equal to row j, column i")
-    if np.linalg.eigvalsh(scaled)[0] < -_ROUNDING:
-        raise ValueError("has a negative eigenvalue, so it would release energy; correct it")
+    if (least := np.linalg.eigvalsh(scaled)[0]) < -_ROUNDING:
+        raise ValueError(f"must have no negative eigenvalue ({least:.2g}): it would release energy")
     if not matrix.any():
         raise ValueError("is zero; write a stiffness, or leave the bushing out")
     return 0.5 * matrix + 0.5 * matrix.T  # the sum may be no number
@@ -405,7 +405,7 @@ class NamedInterface(Interface):
         if not self.held:
             super().__post_init__()
             if self.range is None:
-                raise MistakesError(("range", "is missing; write a table"))
+                raise MistakesError(("range", "is missing; write range = {force, moment}"))
         elif self.locked not in ((), FREEDOMS) or self.range is not None:
             message = "cannot be combined with locked or range; leave them out"
             raise MistakesError(("held", message))

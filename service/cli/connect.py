@@ -84,7 +84,7 @@ def by_name(option: str, values: list[str] | None) -> list[tuple[str, str]]:
     for text in values or ():
         name, equals, rest = text.partition("=")
         if not (name and equals):
-            raise InvalidArgument(f"{text!r} has the wrong form; write a name, = and numbers")
+            raise InvalidArgument(f"{option} {text!r} must have the form NAME=NUMBERS")
         if name in pairs:
             raise InvalidArgument(f"{option} {name} is given twice; keep one")
         pairs[name] = rest
@@ -103,4 +103,4 @@ def number(text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise InvalidArgument(f"{text!r} must be a number") from None
+        raise InvalidArgument(f"{text!r} must be a number, such as -12.5") from None

@@ -369,7 +369,7 @@ def _loads(
     for name, text in by_name("--load", load):
         numbers = [number(part) for part in text.split(",")]
         if len(numbers) not in (3, 6):
-            raise InvalidArgument(f"--load {name} needs 3 or 6 numbers separated by commas")
+            raise InvalidArgument(f"--load {name} needs 3 or 6 numbers with commas, not {text!r}")
         loads[name] = numbers + [0.0] * (6 - len(numbers))
     inputs = further_inputs(further)
     return {"force": force, "moment": moment, "loads": loads or None, "inputs": inputs}

@@ -144,7 +144,8 @@ def fill(
         for job in failed:
             plain(out, f"job {job.id} failed: {job_state(job)}", style="red")
         if len(failed) == len(ended):
-            raise RuntimeError("every solve of this round failed: wrenchbook jobs --status failed")
+            message = "every solve of this round failed; see: wrenchbook jobs --status failed"
+            raise RuntimeError(message)
     now = client.component(name)
     out.print(f"{spent} solves; {name} has {now['rows']} rows.")
     for warning in now.get("warnings", ()):

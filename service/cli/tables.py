@@ -227,10 +227,10 @@ def export_table(
     units = {quantity: unit for quantity, unit in units.items() if unit is not None}
     curves = {"others": bushing} if bushing else {}
     if curves and (format_ != "csv" or units or table_version is not None):
-        raise typer.BadParameter("--bushing is for a .csv of the newest table, in SI")
+        raise typer.BadParameter("--bushing writes a .csv of the newest table in SI only")
     format_ = "bushing" if curves else format_
     if printed and as_json:
-        raise typer.BadParameter("--json describes a written file; name one instead of -")
+        raise typer.BadParameter("--json describes a written file; name a file instead of -")
     if platforms is not None:  # checked before a server is called or started
         from wrenchbook.service.fmu.export import platforms_of
 

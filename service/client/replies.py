@@ -172,7 +172,7 @@ class Displacement(messages.Displacement):
             )
         if self.translation is None or self.rotation is None:
             remedy = (
-                f"wait for job {self.job.id}" if self.job else self.reason or "ask it with 'queue'"
+                f"wait for job {self.job.id}" if self.job else self.reason or "ask on_thin='queue'"
             )
             raise InvalidArgument(
                 f"the displacement of {self.component} at this wrench is unknown ({remedy})"

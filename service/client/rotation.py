@@ -53,7 +53,7 @@ def checked_pose(R0: ArrayLike, p0: ArrayLike) -> tuple[Vector, Vector]:
             f"R0 must have shape (3, 3) and p0 (3,), not {axes.shape} and {point.shape}"
         )
     if not (np.isfinite(axes).all() and np.isfinite(point).all()):
-        raise InvalidArgument("R0 and p0 must be finite; correct them")
+        raise InvalidArgument(f"R0 and p0 must be finite, not {axes.tolist()} and {point.tolist()}")
     # 1e-6 rad is a pose in single precision; the displacement is exact to the square of it.
     if not np.allclose(axes.T @ axes, np.eye(3), atol=1e-6) or np.linalg.det(axes) < 0.0:
         raise InvalidArgument(

@@ -172,7 +172,7 @@ def _numbers(values: ArrayLike, name: str) -> Vector:
     try:
         block = np.asarray(values)
     except ValueError:
-        raise InvalidArgument(f"{name} must be a regular array of numbers") from None
+        raise InvalidArgument(f"{name} must be numbers in rows of one length") from None
     if block.dtype.kind not in "fiu" and block.size:
         kind = "text" if block.dtype.kind in "SU" else block.dtype
         raise InvalidArgument(f"{name} must be numbers, not {kind}")

@@ -201,7 +201,7 @@ class DeformedSurfaces:
         wrenches = rows.wrench[solved]
         having = self._store.has(component.name, component.fingerprint, wrenches.tolist())
         if not having:
-            why = f"none of its {len(rows)} rows has one; solve some wrenches anew"
+            why = f"none of its {len(rows)} rows has fields; solve some wrenches anew"
             raise NoFieldsError(component, why)
         cells = np.rint(wrenches[having] / (2 * NEAR * component.load_range.scale))
         _, first = np.unique(cells, axis=0, return_index=True)

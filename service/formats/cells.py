@@ -284,7 +284,7 @@ def chosen_units(units: Mapping[str, str] | None) -> dict[Quantity, tuple[str, f
         chosen[quantity] = (unit, si_factor(unit, quantity))
     if others:
         names = ", ".join(quantity.name for quantity in QUANTITIES)
-        raise UnitError(f"no unit can be chosen for {', '.join(others)}; choose for {names}")
+        raise UnitError(f"no unit can be chosen for {', '.join(others)}; choose units for {names}")
     return chosen
 
 

@@ -228,7 +228,9 @@ def _tdms_pieces(
         if c.properties.get("wf_increment")
     }
     if len(times) > 1:
-        raise ContentError("the waveforms of its channels have different times; resample them")
+        raise ContentError(
+            "the channels' waveforms have different times; resample them to one time"
+        )
     names = [name for label in labels for name, _, _ in readings_of(label, columns)]
     named = any(name.startswith("time") for name in (*names, *options.mapping.values()))
     _, start, step = next(iter(times), (None, None, 0.0))

@@ -291,7 +291,7 @@ def lines_of(content: BinaryIO, encoding: str, number: int = 1) -> Iterator[str]
     with io.TextIOWrapper(content, encoding=encoding, newline="") as text:
         while line := text.readline(MAX_LINE):
             if len(line) >= MAX_LINE:
-                message = f"is longer than {MAX_LINE:,} characters; check that the file is a table"
+                message = f"is longer than {MAX_LINE:,} characters; end each row with a line break"
                 raise BrokenLineError(number, message)
             yield line
             number += 1
@@ -329,7 +329,7 @@ def _refuse_blank(count: int, line: int) -> None:
     """Refuse a file of line ends: half a megabyte of gzip would take minutes to read."""
     if count > MAX_BLANK:
         raise BrokenLineError(
-            line, f"comes after {MAX_BLANK:,} lines without a row; check that the file is a table"
+            line, f"comes after {MAX_BLANK:,} lines without a row; remove these lines"
         )
 
 

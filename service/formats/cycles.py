@@ -91,7 +91,7 @@ def _retained_rows(rows: ParsedTable, options: Options, report: ReadReport) -> P
         rows, passes = _thinned(rows, passes, options.thin * size)
     if options.mean_cycles:
         if passes.number[-1] - passes.number[0] < 2:
-            message = "needs two or more cycles, but the file has one; leave it out"
+            message = "needs two or more cycles, but the file has one; leave mean_cycles out"
             raise _CycleError("mean_cycles", message)
         branches = [_branch_mean(rows, passes, loading, main, size) for loading in (True, False)]
         measured = [branch for branch in branches if len(branch)]
@@ -104,8 +104,8 @@ def _after_first_cycles(load: Array, passes: Passes, count: int, name: str) -> N
     """Return the mask, (n,), of the rows after the first `count` cycles of the main load, (n,)."""
     complete = int(passes.number[-1]) // 2
     if complete < count:
-        message = f"the main load {name} returns only {complete} times to its first branch"
-        raise _CycleError("skip_cycles", f"{message}; use fewer")
+        message = f"the main load {name} has only {complete} cycles; give at most {complete}"
+        raise _CycleError("skip_cycles", message)
     retained = passes.number >= 2 * count
     first, margin = load[0], TURN * np.ptp(load)
     if count and load.min() + margin < first < load.max() - margin:
@@ -113,8 +113,8 @@ def _after_first_cycles(load: Array, passes: Passes, count: int, name: str) -> N
         direction = np.sign(load[passes.number == 0][-1] - first)
         retained &= (passes.number > 2 * count) | (direction * (load - first) >= 0)
         if not retained.any():
-            message = f"the test has {complete} cycles of the main load {name}"
-            raise _CycleError("skip_cycles", f"{message}; give a smaller number")
+            message = f"the test has {complete} cycles of load {name}; give less than {complete}"
+            raise _CycleError("skip_cycles", message)
     return retained
 
 

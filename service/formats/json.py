@@ -84,7 +84,7 @@ def _values(text: str, number: Callable[[str], Any]) -> Iterator[Any]:
         try:
             value, at = decoder.raw_decode(text, at)
         except RecursionError as error:
-            raise JsonError("is nested too deeply for a table; flatten it") from error
+            raise JsonError("is nested too deeply for a table; write one object a row") from error
         except ValueError as error:
             broken = isinstance(error, json.JSONDecodeError)
             reason, place = (error.msg, error.pos) if broken else (str(error), at)
@@ -120,7 +120,7 @@ def _records(values: Iterator[Any]) -> Iterator[Record]:
             raise JsonError(f"row {number} has columns that row 1 lacks: {more}; add them to row 1")
         for name, cell in row.items():
             if not (cell is None or isinstance(cell, str)):
-                raise JsonError(f"row {number}: {name!r} must be a number or a text")
+                raise JsonError(f"row {number}: {name!r} is {cell!s:.40}; write a number or a text")
         yield number, [row.get(name) or "" for name in names]
 
 

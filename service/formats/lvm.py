@@ -78,7 +78,7 @@ def _rows(
                 yield line, labels
             elif labels != first:
                 message = f"has {', '.join(labels)}, but the first has {', '.join(first)}"
-                raise ValueError(f"the segment of line {line} {message}; save one in each file")
+                raise ValueError(f"the segment of line {line} {message}; save each as a file")
             first = labels
         elif values := {cells[at].strip() for at in more_x if at < len(cells)} - {"", key}:
             message = f"the channels have different times, {key} is {', '.join(sorted(values))}"
@@ -107,7 +107,7 @@ def _segment(
         texts = {at: cell.strip() for at, cell in enumerate(tags.get(tag, [])) if at}
         texts = {at: value for at, value in texts.items() if value}
         if not texts.keys() <= channels:
-            raise ValueError(f"{tag} does not fit the channels {', '.join(names)}; correct it")
+            raise ValueError(f"{tag} has a value outside channels {', '.join(names)}; remove it")
         return texts
 
     units, kind = values("Y_Unit_Label"), set(values("X_Dimension").values())

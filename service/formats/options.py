@@ -373,8 +373,7 @@ def _excesses(
     for at, axis in np.argwhere((np.abs(displacement) > TRANSLATION_LIMIT) & ~is_rotation).tolist():
         message = (
             f"the translation is {displacement[at, axis]:.4g} m, but a table ends at "
-            f"{TRANSLATION_LIMIT:g} m, since within 20 degrees only a part longer than 40 m moves "
-            "further; check the unit (m or mm)"
+            f"{TRANSLATION_LIMIT:g} m; check the unit (m or mm)"
         )
         yield at, columns.displacement[axis], message
     limit = np.where(is_rotation, LONGEST, TRANSLATION_LIMIT)

@@ -47,7 +47,7 @@ def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
     try:
         for entry, size in entry_sizes(path, MAX_UNPACKED).items():
             if size > MAX_IN_MEMORY and not entry.startswith("xl/worksheets/"):
-                raise ZipBoundsError(f"has over {MAX_IN_MEMORY >> 20} MiB in {entry}; split it")
+                raise ZipBoundsError(f"has over {MAX_IN_MEMORY >> 20} MiB in {entry}; send parts")
         # Opened here, because openpyxl checks the ending of a name.
         with path.open("rb") as values, path.open("rb") as formulas, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of styles and extensions
@@ -167,10 +167,12 @@ def _records(sheet: Any, formulas: Callable[[], Any], most: int) -> Iterator[Rec
     below = None
     for number, row in enumerate(sheet.iter_rows(values_only=True), start=1):
         if number > MAX_SHEET_ROWS + 1:
-            raise ContentError(f"a sheet has more than {MAX_SHEET_ROWS + 1:,} rows; split it")
+            raise ContentError(
+                f"a sheet has more than {MAX_SHEET_ROWS + 1:,} rows; send it in parts"
+            )
         width = max((at for at, value in enumerate(row, start=1) if value is not None), default=0)
         if width > most:
-            raise ContentError(f"a row has {width} columns, but a table at most {most}; split it")
+            raise ContentError(f"row {number} has {width} columns, at most {most} fit; remove some")
         cells = [_text(value) for value in row[:most]]
         if not any(cells):
             continue

@@ -101,7 +101,7 @@ class ImportQuery(Body):
         others = profile.model_fields_set & _OF_FILES
         if self.append is not None and others:
             names = ", ".join(sorted(others))
-            raise RigError(f"append cannot be combined with {names} of this profile; use another")
+            raise RigError(f"append cannot go with {names} of this rig; name a rig without them")
         mapped, mapping = _pairs(self.mapping or "{}"), _pairs(profile.mapping or "{}")
         ignore = set(profile.ignore) - mapped.keys()
         query = profile.model_copy(update=self.model_dump(include=self.model_fields_set))

@@ -417,7 +417,7 @@ class FastPathProtocol(HttpToolsProtocol):
         """Count bytes of a head; the parser ends with an error at too many."""
         self._head_bytes += size
         if self._head_bytes > MAX_HEAD_BYTES:
-            raise ValueError("the head is too long")
+            raise ValueError(f"the head is longer than {MAX_HEAD_BYTES} bytes; send fewer fields")
 
     def _answer(self, fast: FastPath, data: bytes) -> bool:
         """Answer one complete query, or wait for the rest of its body; False for other requests."""

@@ -39,7 +39,7 @@ class ProxyTrust:
         if not sent or not self.trusts(head.get(PEER_FIELD, b"").decode()):
             return None
         if not _USER.fullmatch(sent):
-            raise _refused(f"The proxy sent {sent[:100]!r}, not a mail address or id; correct it.")
+            raise _refused(f"The proxy sent the user {sent[:100]!r}; send a mail address or an id.")
         groups = head.get(self.groups, b"").decode("latin-1").split(",")[:_MAX_GROUPS]
         named = {"*", *(group.strip() for group in groups)}
         allowed: list[Scope] = [self.scopes[group] for group in named & self.scopes.keys()]
@@ -83,7 +83,7 @@ def proxy_trust(settings: Settings) -> ProxyTrust | None:
     try:
         networks = tuple(ip_network(part) for part in listed)
     except ValueError as error:
-        raise SettingsError(f"--trust-proxy-from: {error}") from None
+        raise SettingsError(f"--trust-proxy-from: {error}; write such as 10.0.0.0/8") from None
     return ProxyTrust(user.lower().encode(), networks, (groups or "").lower().encode(), scopes)
 
 

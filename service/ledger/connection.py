@@ -151,9 +151,9 @@ def open_file(path: Path) -> Connection:
         if lost and log.exists() and log.stat().st_size:
             # SQLite would delete the log, and with it what it holds.
             raise LedgerFileError(
-                f"there is {log.name} without {path}, because the ledger's file was moved or "
-                "deleted. Nothing was changed; put the file back. If it is lost, wrenchbook doctor "
-                "--repair moves the log aside and creates a new file from the tables"
+                f"there is {log.name} without {path}: the ledger's file was moved or deleted. "
+                "Nothing was changed. Put the file back, or create it from the tables with "
+                "wrenchbook doctor --repair, which moves the log aside"
             )
         with suppress(FileExistsError):
             os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))

@@ -90,7 +90,7 @@ def import_rows(
     while (lock := _take_lock(ledger)) is None:  # one import of this ledger, of all processes
         if time.monotonic() > deadline:
             raise ImportRunningError(
-                "another large table is being imported; nothing was loaded. Send it again"
+                "another large table is being imported; nothing was loaded. Send this one later"
             )
     try:
         _drop_hidden(ledger)  # of a killed process
@@ -304,7 +304,10 @@ def edit_import(
         raise UnknownImportError(f"{component!r} has no import {number}; {known}")
     lists = [finding["keys"] for finding in _stored(record[0]) if finding.get("cause") == cause]
     if cause is not None and not lists:
-        raise UnknownImportError(f"import {number} of {component!r} has no finding {cause!r}")
+        causes = ", ".join(str(finding.get("cause")) for finding in _stored(record[0])) or "none"
+        raise UnknownImportError(
+            f"import {number} of {component!r} has no finding {cause!r}; its findings are {causes}"
+        )
     keys = [key for some in lists for key in some] if all(lists) else []
     seqs = _chosen(db, component, number, keys, withdrawn=not withdrawn)
     rows.edit(db, component, seqs, withdrawn=withdrawn, now=time.time())

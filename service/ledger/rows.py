@@ -251,7 +251,7 @@ def withdraw(db: Connection, component: str, seq: int, *, withdrawn: bool = True
     Raises UnknownRowError if the component has no such row, RowStatusError if it is so already.
     """
     if not any(record.component == component for _, record in containing(db, [seq])):
-        raise UnknownRowError(f"the table of {component!r} has no row {seq}")
+        raise UnknownRowError(f"the table of {component!r} has no row {seq}; see its export")
     if is_withdrawn(db, seq) == withdrawn:
         raise RowStatusError(f"row {seq} is already {'withdrawn' if withdrawn else 'in the table'}")
     edit(db, component, [seq], withdrawn=withdrawn, now=time.time())
@@ -367,7 +367,7 @@ def get(db: Connection, seq: int) -> LedgerRow:
     if rows:
         return rows[seq]
     if not list(containing(db, [seq])):
-        raise UnknownRowError(f"there is no row {seq}")
+        raise UnknownRowError(f"there is no row {seq}; see the exports of the tables")
     raise DamagedRowError(
         f"row {seq} is damaged on the disk and is not used; restore the ledger from a backup, or "
         "ask for its wrench again to have it solved anew"

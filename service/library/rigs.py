@@ -59,7 +59,7 @@ def remove_rig(ledger: Ledger, name: str) -> None:
     with ledger.writing() as db:
         before = _stored(db, name)
         if before is None:
-            raise UnknownRigError(f"the rig {name!r} is not stored; name a stored one")
+            raise UnknownRigError(f"there is no rig {name!r}; see wrenchbook rig list")
         db.execute("DELETE FROM rigs WHERE name = ?", (name,))
         note(db, "rig.remove", name, before=before)
 

@@ -135,7 +135,7 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
     except (*_UNREADABLE, OSError) as error:
         raise BackupError(
             f"{source} is not a complete backup ({error}), because its writing or copying was cut "
-            "off. Use another one; nothing was changed"
+            "off. Use another backup; nothing was changed"
         ) from error
     # A backup is its owner's alone to read: one that comes from somebody else was passed on.
     if status.st_uid not in (0, os.geteuid()):
@@ -150,7 +150,7 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
         if unpacked > status.st_size or any(entry.compress_type for entry in entries):
             raise BackupError(
                 f"{source} has compressed or overlapping entries ({unpacked:,} bytes in a file of "
-                f"{status.st_size:,}), so it was changed. Nothing was restored; use another one"
+                f"{status.st_size:,}), so it was changed. Nothing was restored; use another backup"
             )
         manifest = _manifest(archive, source)
         for name, expected in manifest.files.items():
@@ -170,7 +170,7 @@ def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
         fields: dict[str, Any] = json.loads(archive.read(MANIFEST))
         kind, schema = fields["format"], int(fields["schema"])
     except _UNREADABLE as error:
-        raise BackupError(f"{source} is a zip, but no backup ({error!r}); name one") from error
+        raise BackupError(f"{source} is a zip, but no backup ({error!r}); name a backup") from error
     if kind != FORMAT or schema > SCHEMA:
         raise BackupError(
             f"{source} was written by a newer wrenchbook ({fields.get('program')}, form {schema}; "
@@ -180,18 +180,17 @@ def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
         files = {str(name): (int(n), str(digest)) for name, (n, digest) in fields["files"].items()}
         created, ledger_schema = float(fields["created"]), int(fields["ledger_schema"])
     except _UNREADABLE as error:
-        raise BackupError(f"{source} has no valid contents ({error!r}); use another") from error
+        raise BackupError(f"{source} is damaged ({error!r}); use another backup") from error
     held = {name: digest for name, digest in files.items() if HELD.fullmatch(name)}
     skipped = tuple(files.keys() - held.keys())
     outside = [name for name in skipped if name.startswith("/") or ".." in name.split("/")]
     if outside or (skipped and schema > 1):
         raise BackupError(
             f"{source} holds {(outside or skipped)[0]!r}, which no backup contains, so it was "
-            "changed. "
-            "Nothing was restored; use another one"
+            "changed. Nothing was restored; use another backup"
         )
     if LEDGER not in held:
-        raise BackupError(f"{source} has no {LEDGER}, so it is not a backup; name another")
+        raise BackupError(f"{source} has no {LEDGER}, so it is not a backup; name a backup")
     return Manifest(created, ledger_schema, held, skipped=tuple(sorted(skipped)))
 
 

@@ -89,8 +89,11 @@ def place_of(url: str) -> Place:
 
         return fsspec.get_mapper(url, skip_instance_cache=True)
     except (ImportError, ValueError, TypeError) as error:
-        install = ": pip install 'wrenchbook[replica]'" * isinstance(error, ImportError)
-        raise ReplicaError(f"{shown(url)} cannot be used: {shown(str(error))}{install}") from error
+        remedy = "write file:///FOLDER, s3://BUCKET/FOLDER or sftp://..."
+        if isinstance(error, ImportError):
+            remedy = "pip install 'wrenchbook[replica]'"
+        why = f"{shown(url)} cannot be used ({shown(str(error))})"
+        raise ReplicaError(f"{why}; {remedy}") from error
 
 
 def shown(text: str) -> str:
@@ -123,7 +126,9 @@ class Replica:
             fields.update(_entries({name: fields[name] for name in ("ledger", "files")}))
             return Manifest(**fields)
         except _UNREADABLE as error:
-            raise ReplicaError(f"{name} of {self.url} is damaged: {error!r}") from error
+            raise ReplicaError(
+                f"{name} of {self.url} is damaged ({error!r}); use a backup"
+            ) from error
 
     def newest(self, until: float = float("inf")) -> Manifest:
         """Return the newest complete manifest that was created `until` then; raises BackupError."""
@@ -263,7 +268,7 @@ class Shipper:
     def _check(self) -> None:
         """Raise ReplicaError unless the place is as it was left: blocks may be missing now."""
         if self._replica.place.get(LATEST, b"") != self._pointer:
-            raise ReplicaError(f"{self._replica.url} was changed by others; stop them")
+            raise ReplicaError(f"another program changed {self._replica.url}; stop that program")
 
     def collect(self) -> None:
         """Remove the manifests that need not stay, and the blocks that no manifest needs."""

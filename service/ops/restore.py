@@ -71,9 +71,13 @@ def restore(
             entry.rename(folder / entry.name)
         sync(folder)
     except LedgerError as error:
-        raise BackupError(f"the ledger in {source} cannot be used: {error}") from error
+        raise BackupError(
+            f"the ledger in {source} cannot be used ({error}); use another backup"
+        ) from error
     except OSError as error:
-        raise BackupError(f"{folder} cannot be written: {error}. {state}") from error
+        raise BackupError(
+            f"{folder} cannot be written ({error}); make it writable. {state}"
+        ) from error
     finally:
         shutil.rmtree(draft, ignore_errors=True)
         if is_new:

@@ -53,7 +53,7 @@ def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
             low, high = curve.end(-1), curve.end(1)
             loads = curve.at(high).load - curve.at(low).load
             if not abs(loads) > SHORT * (curve.high - curve.low):
-                raise BushingError("the rows cover only zero load; add rows")
+                raise BushingError("the rows cover only zero load; add rows under load")
         except (InverseError, BushingError) as error:
             why = why or f"{OUTPUTS[axis]}: {error}"
             continue
@@ -82,7 +82,7 @@ class _Curve:
         self.unit = np.eye(len(LOADS))[axis]
         self.low, self.high = table.load_range.low[axis], table.load_range.high[axis]
         if not self.low < self.high:
-            raise BushingError("its load has no range; widen it")
+            raise BushingError("its load has no range; widen the load range")
         loads, rounding = table.rows.wrench[:, axis], 1e-9 * (self.high - self.low)
         self.rows = loads.min(initial=0.0) - rounding, loads.max(initial=0.0) + rounding
         self.rest = 0.0 if others == "displacement" else self._moved(0.0)
@@ -120,7 +120,7 @@ class _Curve:
         else:
             low, high = (self._moved(load) - d for load in (self.low, self.high))
             if not low * high <= 0:
-                raise BushingError("no load of the range has this displacement")
+                raise BushingError("no load of the range has this displacement; widen the range")
             span = self.low, self.high
             tight = 1e-15 * (self.high - self.low)
             load = root_scalar(lambda f: self._moved(f) - d, bracket=span, xtol=tight).root

@@ -47,7 +47,7 @@ class Follower:
         """Take the newest manifest over; return it, and when it had all that was committed, s."""
         if not (content := self._replica.place.get(replica.LATEST)):
             raise replica.ReplicaError(
-                f"{self._replica.url} has no replica; check that its server runs"
+                f"{self._replica.url} has no replica; start its server with --replicate"
             )
         pointer = json.loads(content)
         if self._manifest is None or pointer["manifest"] != self._name:

@@ -27,18 +27,17 @@ MESSAGES: dict[Cause, str] = {
     "dead": "{name} reads {value:.6g} {unit} in all rows while {load} varies, and so would its "
     "answers. Check the channel; if {name} was not measured, leave its cells empty",
     "noise": "{name} does not follow the loads, though {load} varies: its readings are noise of "
-    "{value:.3g} {unit}, and so would be answers of {name}. Check the channel; if {name} was not "
-    "measured, leave its cells empty",
-    "clipped": "{name} stops at {value:.6g} {unit} in {count} rows; by the other rows it goes on "
-    "by up to {off:.0%} of its range. The channel was at its limit, and answers near these rows "
-    "would be too small. Withdraw these rows, or leave these cells empty",
+    "{value:.3g} {unit}. Check the channel; if {name} was not measured, leave its cells empty",
+    "clipped": "{name} stops at {value:.6g} {unit} in {count} rows, up to {off:.0%} of its range "
+    "short of the other rows: the channel was at its limit. Withdraw these rows, or leave the "
+    "cells empty",
     "stuck": "{name} stays at {value:.6g} {unit} in {count} rows, up to {off:.0%} of its range "
-    "away from the other rows. The channel was stuck, and answers near these rows would be wrong. "
-    "Withdraw these rows, or leave these cells empty",
+    "away from the other rows: the channel was stuck. Withdraw these rows, or leave the cells "
+    "empty",
 }
 OF_LOADS = (
     "{} stays at {:.6g} {} in {} rows, where {} goes on by up to {:.0%} of its range: the load "
-    "cell was {} there, so these rows have a wrong load. Withdraw them"
+    "cell was {}. Withdraw these rows, because their load is wrong"
 )
 
 

@@ -114,25 +114,20 @@ def clock_findings(lag: Lag | None, applied: float) -> list[RigFinding]:
         message = (
             f"the clock of the displacement log runs {abs(lag.rate):.3%} "
             f"{'slower' if lag.rate > 0 else 'faster'} than that of the load log. In the file, "
-            f"multiply the times of the displacements by {1 + lag.rate:.6g}. Then import again "
-            f"with lag=auto (--lag auto). The misfit is then {lag.misfit_rate:.1%} of the "
-            f"displacements' scatter, and with a shift alone {lag.misfit:.1%}"
+            f"multiply the times of the displacements by {1 + lag.rate:.6g} (misfit "
+            f"{lag.misfit_rate:.1%} instead of {lag.misfit:.1%}), and import again with lag=auto"
         )
         return [RigFinding("clock", message, (), {"rate": lag.rate})]
     if lag is None or not lag.named or abs(applied - lag.seconds) <= lag.error:
         return []
     message = (
-        f"the displacement log is shifted in time against the load log. They fit best with "
-        f"{lag.seconds:.4g} +- {lag.error:.1g} s added to the times of the displacements; "
-        f"{applied:g} s was added. The misfit is then {lag.misfit:.1%} of the displacements' "
-        f"scatter, now {lag.misfit_applied:.1%}. Withdraw this import, and import again with "
-        f"lag={lag.seconds:.4g} (--lag {lag.seconds:.4g})"
+        f"the displacement log needs {lag.seconds:.4g} +- {lag.error:.1g} s added to its times, "
+        f"not {applied:g} s: the misfit falls from {lag.misfit_applied:.1%} to {lag.misfit:.1%}. "
+        f"Withdraw this import, and import again with lag={lag.seconds:.4g} "
+        f"(--lag {lag.seconds:.4g})"
     )
-    message += (
-        f". But {repeated(lag)}: use the lag that fits a load that occurs once"
-        if lag.others
-        else " or lag=auto"
-    )
+    if lag.others:
+        message += f". But {repeated(lag)}: use the lag that fits a load that occurs once"
     return [RigFinding("clock", message, (), {"lag": lag.seconds, "uncertainty": lag.error})]
 
 

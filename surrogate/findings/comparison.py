@@ -126,9 +126,9 @@ def comparison_findings(
         for name, pair in differ.items()
     )
     others, remedy = (
-        ("the solves", "Correct the part, its material or its clamping in the model")
+        ("the solves", "Correct geometry, material or clamping in the model")
         if solves
-        else ("the table's rows", "One of the two is wrong, or the part has changed; check both")
+        else ("the table's rows", "Check rig and part")
     )
     message = (
         f"these rows differ from {others} by more than noise and error bars ({listed}). {remedy}, "

@@ -64,12 +64,11 @@ def sign_findings(fit: Fit) -> list[RigFinding]:
     names = ", ".join(f"{LOADS[k]} on {OUTPUTS[k]}" for k in wrong)
     all_wrong = len(wrong) == work.sum()
     subject = (
-        "all loads, or all displacements, have the wrong sign. The wrench must act ON the "
-        "component; reverse the signs of the loads with a mapping such as Fz=-fz [N]"
+        "the wrench must act ON the component; reverse the signs of all loads with a mapping such "
+        "as Fz=-fz [N]"
         if all_wrong and len(wrong) > 1
-        else "these loads or displacements have a wrong sign or another frame (reverse one of them "
-        "with a mapping such as Fz=-fy [N], or both with --frame), or another reference point "
-        "(--load-point, --displacement-point)"
+        else "correct the sign (a mapping such as Fz=-fy [N]), the frame (--frame), or the "
+        "reference point (--load-point, --displacement-point)"
     )
     message = f"the loads do negative work ({names}), which no elastic part does: {subject}"
     return [RigFinding("sign", message, (), {"loads": [LOADS[k] for k in wrong]})]
@@ -237,21 +236,19 @@ def symmetry_findings(fit: Fit, load_range: LoadRange) -> list[RigFinding]:
     if is_sure and (np.diag(fit.matrix @ moved) > 0).all():
         load_point, moved_point = (",".join(f"{x:.4g}" for x in by * lever) for by in (-1, 1))
         message = (
-            f"moments and displacements have reference points about {np.linalg.norm(lever):.4g} m "
-            f"apart: the compliance is unsymmetric by {size:.0%}, with one point by "
-            f"{after.size:.1%}. Import with --load-point {load_point} (m) if the displacements are "
-            f"of the interface's point, or with --displacement-point {moved_point} if the moments "
-            "are (add it to an earlier point)"
+            f"the reference points of moments and displacements are {np.linalg.norm(lever):.4g} m "
+            f"apart: with one point the compliance is unsymmetric by {after.size:.1%}, not "
+            f"{size:.0%}. Import again with --load-point {load_point} or --displacement-point "
+            f"{moved_point} (m, added to an earlier point)"
         )
         return [RigFinding("lever", message, (), {"lever": lever.tolist(), "asymmetry": size})]
     at = int(np.argmax(np.abs(before.values) * before.sure))
     first, second = int(PAIRS[0][at]), int(PAIRS[1][at])
-    other = "No other" if complete else "Perhaps another"
+    other = "" if complete else ", reference point"
     message = (
-        f"the compliance is unsymmetric by {size:.0%}, which is impossible for an elastic part; "
-        f"the worst pair is {OUTPUTS[first]} by {LOADS[second]} and {OUTPUTS[second]} by "
-        f"{LOADS[first]}. {other} reference point explains it. Check that loads and displacements "
-        "have one frame, the load cell has no crosstalk and the rig does not move"
+        f"the compliance is unsymmetric by {size:.0%}, impossible for an elastic part; worst: "
+        f"{OUTPUTS[first]} by {LOADS[second]} against {OUTPUTS[second]} by {LOADS[first]}. Check "
+        f"the frame{other}, the load cell's crosstalk and the rig's own motion"
     )
     return [RigFinding("asymmetry", message, (), {"asymmetry": size})]
 
@@ -305,8 +302,8 @@ def clearance_findings(slopes: Slopes, response: RobustFit) -> list[RigFinding]:
     sizes = {OUTPUTS[output]: float(slopes.jump[output]) for output in at}
     units = [f"{sizes[name]:.3g} {'m' if name[0] == 'u' else 'rad'} in {name}" for name in sizes]
     message = (
-        f"the part has a clearance of about {', '.join(units)}, through which it moves when the "
-        "load changes its sign. This is no error. Measure rows on both sides of zero load, because "
-        "answers between them are unknown"
+        f"the part has a clearance of about {', '.join(units)} where the load changes its sign, "
+        "which is no error. Measure rows on both sides of zero load, because answers between them "
+        "are unknown"
     )
     return [RigFinding("clearance", message, (), {"clearance": sizes})]

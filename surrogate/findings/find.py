@@ -33,22 +33,18 @@ MIN_FIT_ROWS = 7  # a linear response needs as many: six loads and a constant
 MAX_ROWS = 5_000  # rows examined, some 0.5 s: every k-th of more
 # What only the order of the rows shows.
 EFFECTS: dict[Cause, str] = {
-    "hysteresis": "loading and unloading differ by {part:.1%} of the range of {name}. The cause is "
-    "friction or play in the rig, or two joined logs that are shifted in time. Answers are the "
-    "middle of both branches, and error bars hold both. For one branch only, import again with "
-    "branch=loading (--branch loading)",
+    "hysteresis": "loading and unloading differ by {part:.1%} of the range of {name} (friction, "
+    "play, or logs shifted in time). Answers are the middle of both branches; for one branch, "
+    "import again with branch=loading (--branch loading)",
     "drift": "at one load, {name} changes by {part:.1%} of its range from the first row to the "
-    "last (drift). Let the rig warm up. Or unload it between runs, and import each run with tare=N "
-    "(--tare N) for its first N rows without load. Answers are those of the middle of the test",
-    "session": "at one load, {name} of a test session (an import) differs by up to {part:.1%} of "
-    "its range from the mean of the sessions. Unload the part before each session, and import it "
-    "with tare=N (--tare N) for its first N rows without load. Answers are those of the mean",
-    "scale": "the displacement per load changes with time or between test sessions (imports), by "
-    "up to {part:.1%} of the range of {name}. Calibrate the sensors before each session, and look "
-    "for play in the rig. Error bars hold all sessions",
-    "zero": "{name} is {part:.1%} of its range at no load. Import again with tare=N (--tare N) for "
-    "the first N rows without load. Keep it if the part is preloaded, has play, or its "
-    "displacement has another reference",
+    "last. Let the rig warm up, or import each run with tare=N (--tare N), for N rows without load",
+    "session": "at one load, {name} of a session (an import) is up to {part:.1%} of its range from "
+    "the mean. Begin each session with N rows without load, and import with tare=N (--tare N)",
+    "scale": "the displacement per load changes with time or between sessions (imports), by up to "
+    "{part:.1%} of the range of {name}. Calibrate the sensors before each session, and look for "
+    "play in the rig",
+    "zero": "{name} is {part:.1%} of its range at no load. Import again with tare=N (--tare N), "
+    "for N rows without load; leave tare out for a preload, play or another reference",
 }
 
 

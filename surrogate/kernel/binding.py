@@ -112,7 +112,7 @@ class _Work:
         try:
             self._pack(self.inputs, 0, *wrench)
         except struct.error as error:
-            raise ValueError(f"a wrench of {len(self.inputs)} numbers: {error}") from error
+            raise ValueError(f"a wrench must be {len(self.inputs)} numbers: {error}") from error
 
     def options(
         self, tolerance: Sequence[float] | None, method: str | None, without_rows: bool = False
@@ -200,7 +200,9 @@ class PackedTable:
         try:
             return cls(handle, packed, source, size)
         except (LookupError, TypeError, ValueError) as error:
-            raise PackedTableError(f"the table's description is damaged: {error!r}") from error
+            raise PackedTableError(
+                f"the table is damaged ({error!r}); download it again"
+            ) from error
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return the arguments for pickle: the file's bytes, as one array."""

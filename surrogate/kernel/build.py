@@ -148,7 +148,9 @@ def compile_library(
             )
         built.replace(library)
     except OSError as error:
-        raise KernelBuildError(f"{command[0]} could not compile {library.name}: {error}") from error
+        raise KernelBuildError(
+            f"{command[0]} cannot compile {library.name} ({error}); name a compiler with CC=..."
+        ) from error
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 

@@ -106,7 +106,7 @@ def pieces(arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> list[
         array = np.asarray(arrays[name])
         code = _CODES.get(array.dtype.newbyteorder("<"))
         if code is None or array.ndim > 4 or len(name.encode()) >= 64:
-            raise PackedTableError(f"array {name}: {array.dtype} of shape {array.shape}")
+            raise PackedTableError(f"array {name} cannot be {array.dtype} of shape {array.shape}")
         content = np.ascontiguousarray(array, dtype=_TYPES[code]).tobytes()
         entry["name"], entry["type"], entry["dimensions"] = name.encode(), code, array.ndim
         entry["shape"][: array.ndim] = array.shape
@@ -200,7 +200,7 @@ def _check(head: bytes, size: int, following: Iterable[bytes | memoryview]) -> N
             f"the table has format {header['format']}; this program reads {FORMAT}: {remedy}"
         )
     if header["size"] != size:
-        raise PackedTableError(f"it has {size} of its {header['size']} bytes; download it again")
+        raise PackedTableError(f"the file has {size} of {header['size']} bytes; download it again")
     if _checksum(head, following) != header["checksum"]:
         raise PackedTableError("the table is damaged, as its checksum shows; download it again")
 

@@ -130,4 +130,4 @@ class JointSteps:
 
     def _done(self, wrong: int) -> None:
         if wrong:
-            raise MemoryError("no memory for the joints")
+            raise MemoryError(f"there is no memory for {len(self.poses)} joints; create fewer")

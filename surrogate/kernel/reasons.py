@@ -14,19 +14,18 @@ from .format import Packed
 EMPTY = "the table has no rows"
 ONLY_BEYOND = "all rows of the table are outside its load range; solve or import rows within it"
 FEW_ROWS = (
-    "there are too few rows: kriging needs four in the load range that have each output, the "
-    "compliance one for each input; solve or import more"
+    "there are too few rows: kriging needs four rows of each output in the load range, and the "
+    "compliance needs one row for each load; solve or import more"
 )
 UNKNOWN_TOGETHER = (
     "too few rows have several loads at once as large as this wrench: neither their joint effect "
     "nor the error is known; solve or import such rows"
 )
 UNKNOWN_ERROR = "the rows do not show the error of this answer; solve or import rows near it"
-LEAVES_LIMITS = "beyond a table's limits, 20 degrees or 10 m: no estimate is given; check the load"
+LEAVES_LIMITS = "no estimate is given beyond a table's 20 degrees or 10 m; give a smaller load"
 ERRORS_UNKNOWN = (
-    "the error between the rows is not known: they are too few, close together or along one "
-    "motion, so no row left out is as far from the others as wrenches of the load range are; solve "
-    "or import rows spread over the range"
+    "the error between the rows is not known: the rows are too few, too close together or along "
+    "one motion; solve or import rows spread over the load range"
 )
 TOO_FAR = (
     "the error is not known: this wrench is farther from the rows than any row is from the others; "

@@ -163,12 +163,12 @@ def mistake(code: int, method: str | None, packed: Packed) -> Exception:
         why = "the table has too few rows for it"
         if method in BY_AXES:
             why = "it needs one wrench at one interface and no further inputs"
-        return UnknownMethodError(method, f"the method {method!r} has no answer: {why}")
+        return UnknownMethodError(method, f"method {method!r} has no answer: {why}; leave it out")
     return {
-        1: ValueError("wrenches and displacements must be finite numbers"),
+        1: ValueError("wrenches and displacements must be finite numbers; leave out NaN and inf"),
         NO_METHOD: UnknownMethodError(method or "(default)"),
         3: MemoryError("there is no memory for this batch; send fewer wrenches"),
-        4: InverseError("only a table with as many loads as outputs has an inverse"),
-        5: InverseError("the derivative has no inverse here, or is unknown"),
-        6: InverseError("no wrench of the table gives this displacement; check the load range"),
+        4: InverseError("only a table without further inputs has an inverse; use such a table"),
+        5: InverseError("the derivative is unknown or singular here; solve or import rows nearby"),
+        6: InverseError("no wrench of the table gives this displacement; give a smaller one"),
     }[code]

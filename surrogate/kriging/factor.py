@@ -172,8 +172,8 @@ def inverse_factor(
         except np.linalg.LinAlgError:
             if nugget * 10 > nugget_limit:
                 raise SingularCovarianceError(
-                    f"the covariance of {len(matrix)} equations is singular with a nugget of "
-                    f"{nugget:g}, because rows contradict each other; withdraw the wrong rows"
+                    f"rows contradict each other (the covariance of {len(matrix)} equations is "
+                    f"singular with noise of {nugget:g}); withdraw the wrong rows"
                 ) from None
             scaled[diagonal] += 9 * nugget
             nugget *= 10

@@ -216,7 +216,7 @@ def check(arrays: Mapping[str, NDArray[Any]]) -> Mapping[str, NDArray[Any]]:
     here.
     """
     if "space/sizes" not in arrays:
-        raise PackedTableError("space/: ['sizes']")
+        raise PackedTableError("the array space/sizes is missing; build the table again")
     inputs, outputs, _ = arrays["space/sizes"].tolist()
     table = {"n": inputs, "m": outputs, "n1": inputs + 1}
     blocks: dict[str, set[str]] = {}
@@ -229,7 +229,8 @@ def check(arrays: Mapping[str, NDArray[Any]]) -> Mapping[str, NDArray[Any]]:
         described = {} if block is None else {array.name: array for array in block.arrays}
         lacking = {array.name for array in described.values() if not array.optional} - names
         if names - set(described) or lacking:
-            raise PackedTableError(f"{start}: {sorted((names - set(described)) | lacking)}")
+            wrong = sorted((names - set(described)) | lacking)
+            raise PackedTableError(f"arrays of {start} are missing or unknown: {wrong}")
         sizes = dict(table)
         for name in sorted(names):  # the same array is named each time
             array, values = described[name], arrays[start + name]
@@ -240,12 +241,13 @@ def check(arrays: Mapping[str, NDArray[Any]]) -> Mapping[str, NDArray[Any]]:
                 same &= symbol == "x" or stated == size
             if not same:
                 raise PackedTableError(
-                    f"array {start}{name}: {values.dtype} of shape {values.shape}"
+                    f"array {start}{name} cannot be {values.dtype} of shape {values.shape}; build "
+                    "the table again"
                 )
         # Factors have the rows of their kriging.
         kriging = re.sub(r"factor\d+/$", "", start)
         if "s" in sizes and rows.setdefault(kriging, sizes["s"]) != sizes["s"]:
-            raise PackedTableError(f"{start}: of {sizes['s']} rows")
+            raise PackedTableError(f"{start} has {sizes['s']} rows, but others {rows[kriging]}")
     return arrays
 
 

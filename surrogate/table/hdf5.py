@@ -282,7 +282,7 @@ def foreign_tables(path: str | os.PathLike[str]) -> Iterator[tuple[Rows, list[st
     except TableFileError:
         raise
     except Exception as error:  # h5py has no base of what it raises on a file that is not sound
-        raise TableFileError(f"is no readable wrenchbook table: {error}") from error
+        raise TableFileError(f"cannot be read ({error}); export the table again") from error
 
 
 def _check_contained(file: h5py.File) -> None:
@@ -291,7 +291,7 @@ def _check_contained(file: h5py.File) -> None:
     for folder in ("rows", "load_range", *(("edits",) if "edits" in file.keys() else ())):  # noqa: SIM118
         group = file[folder] if isinstance(file.get(folder, getlink=True), h5py.HardLink) else None
         if not isinstance(group, h5py.Group):
-            raise TableFileError(f"has no group {folder}, so it is not a wrenchbook table")
+            raise TableFileError(f"has no group {folder}; send a file that wrenchbook wrote")
         for name in group:
             dataset = (
                 group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
@@ -303,7 +303,7 @@ def _check_contained(file: h5py.File) -> None:
                 )
             size = dataset.dtype.itemsize
             if dataset.chunks and np.prod(dataset.chunks, dtype=float) * size > MAX_CHUNK_BYTES:
-                raise TableFileError(f"has chunks over {MAX_CHUNK_BYTES >> 20} MiB; rewrite it")
+                raise TableFileError(f"has chunks over {MAX_CHUNK_BYTES >> 20} MiB; write smaller")
             if name != "note" and (dataset.dtype.hasobject or size > MAX_STRING_BYTES):
                 raise TableFileError(
                     f"has texts in {folder}/{name}, unlike a wrenchbook table; send a file that "
@@ -339,7 +339,7 @@ def foreign_columns(path: Path) -> Iterator[tuple[list[str], list[np.ndarray]]]:
     `MAX_FOREIGN_BYTES`, or has no such columns of one length.
     """
     if leads_out(path):
-        raise TableFileError("refers to data in other files; copy them into one file")
+        raise TableFileError("refers to data in other files; copy the data into this file")
     try:
         with h5py.File(path, "r") as file:
             columns = _named_columns(file)
@@ -419,7 +419,7 @@ def _named_columns(file: h5py.File) -> list[NamedColumn]:
         if room < 0 or chunk > MAX_CHUNK_BYTES:
             raise TableFileError(
                 f"unpacks to more than {MAX_FOREIGN_BYTES >> 20} MiB, or has chunks over "
-                f"{MAX_CHUNK_BYTES >> 20} MiB; rewrite it; send the table in parts"
+                f"{MAX_CHUNK_BYTES >> 20} MiB; write smaller chunks, or send the table in parts"
             )
         columns += _columns_of(name, dataset)
     return columns
@@ -495,14 +495,15 @@ def _unpacking(dataset: h5py.Dataset, name: str, part: Any) -> Callable[[np.ndar
         numeric = values.dtype.kind in "iuf" and len(values) == count
         if not numeric or (key in _PACKING[:2] and not np.isfinite(values).all()):
             raise TableFileError(
-                f"holds {name} with the attribute {key} = {values.tolist()}, which must be one "
-                "number; unpack the values and remove it"
+                f"holds {name} with the attribute {key} = {str(values.tolist())[:100]}, not "
+                f"{'two numbers' if count == 2 else 'one number'}; unpack the values and remove "
+                f"{key}"
             )
         # The netCDF guide reads such limits as unpacked values, netCDF4 for Python as packed ones.
         if key in _VALID and packed and values.dtype.kind == "f":
             raise TableFileError(
-                f"has packed integers {name} with the attribute {key} = {values.tolist()}, which "
-                "is ambiguous; write the attribute as a packed integer, or remove it"
+                f"has packed integers {name} with {key} = {str(values.tolist())[:100]}, which is "
+                f"ambiguous; write {key} as a packed integer, or remove it"
             )
     if not attributes:
         return lambda piece: piece[part]

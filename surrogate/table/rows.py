@@ -63,11 +63,15 @@ class LoadRange:
             bound = np.array(getattr(self, name), dtype=float)
             count = len(self.space.inputs)
             if bound.shape != (count,) or not np.isfinite(bound).all():
-                raise RowError(f"load range: {name} must be {count} finite numbers")
+                raise RowError(
+                    f"load range: {name} needs {count} finite numbers, not {str(bound)[:99]}"
+                )
             object.__setattr__(self, name, bound)
         if (self.low > self.high).any():
-            load = self.space.input_names[int(np.argmax(self.low > self.high))]
-            raise RowError(f"load range: the low end of {load} must not be above its high end")
+            at = int(np.argmax(self.low > self.high))
+            ends = f"its high end, {self.low[at]:g} > {self.high[at]:g}; swap the two"
+            load = self.space.input_names[at]
+            raise RowError(f"load range: the low end of {load} must not be above {ends}")
 
     @cached_property
     def scale(self) -> Floats:
@@ -133,7 +137,8 @@ class Tolerance:
 
     def __post_init__(self) -> None:
         if not (self.translation > 0 and self.rotation > 0):
-            raise RowError("tolerance: translation and rotation must be numbers above zero")
+            values = f"{self.translation} m and {self.rotation} rad"
+            raise RowError(f"tolerance: translation and rotation must be above zero, not {values}")
 
 
 @dataclass(frozen=True)
@@ -194,16 +199,17 @@ class Rows:
                 "numbers, or all NaN"
             )
         unmeasured = np.isnan(self.displacement)
-        self._refuse(~np.isfinite(self.wrench), self.space.input_names, "is not a finite number")
-        self._refuse(np.isinf(self.displacement), self.space.output_names, "is not a finite number")
+        self._refuse(~np.isfinite(self.wrench), self.wrench, self.space.input_names)
+        self._refuse(np.isinf(self.displacement), self.displacement, self.space.output_names)
         if unmeasured.all(axis=1).any():
             row = int(np.argmax(unmeasured.all(axis=1)))
-            raise RowError(f"row {self.seq[row]}: at least one displacement must be finite")
+            raise RowError(f"row {self.seq[row]}: no displacement is finite; leave the row out")
 
-    def _refuse(self, wrong: NDArray[np.bool_], names: tuple[str, ...], why: str) -> None:
+    def _refuse(self, wrong: NDArray[np.bool_], values: Floats, names: tuple[str, ...]) -> None:
         if wrong.any():
             row, column = np.argwhere(wrong)[0]
-            raise RowError(f"row {self.seq[row]}: {names[column]} {why}")
+            value = values[row, column]
+            raise RowError(f"row {self.seq[row]}: {names[column]} must be finite, not {value}")
 
     @property
     def partial(self) -> bool:

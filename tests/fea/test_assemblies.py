@@ -12,8 +12,8 @@ from tests.fea.third_derivatives import unpacked
 from tests.fea.two_interfaces import rod_between_loads
 from tests.validation import calculix, second_opinion
 from wrenchbook.fea.bundle.read import bundle_of
+from wrenchbook.fea.check import as_text, report
 from wrenchbook.fea.check.mechanisms import motion_problems
-from wrenchbook.fea.check.reporting import as_text, report
 from wrenchbook.fea.component import build
 from wrenchbook.fea.coupling import spring_motion
 from wrenchbook.fea.failure import SolveFailed

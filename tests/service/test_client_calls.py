@@ -159,7 +159,7 @@ def test_a_call_is_given_the_time_that_it_lets_the_server_hold_it_back(stub: Stu
         ([0, 0, 0, 0, -np.inf, 0], None, "my must be finite, not -inf"),
         (["1", "2", "3"], None, "force must be numbers"),
         ([1, None, 3], None, "force must be numbers"),
-        ([[1], [2, 3]], None, "regular array"),
+        ([[1], [2, 3]], None, "rows of one length"),
         ([True, False, True], None, "force must be numbers"),
     ],
 )

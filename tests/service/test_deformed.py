@@ -108,7 +108,7 @@ def test_rows_of_another_fingerprint_or_measured_ones_have_no_fields(plate, stor
     component, rows, *_ = plate
     filled(store, plate)
     other = replace(rows, fingerprint=np.array(["other"] * ROWS))
-    with pytest.raises(NoFieldsError, match="none of its 24 rows has one"):
+    with pytest.raises(NoFieldsError, match="none of its 24 rows has fields"):
         shapes.answer(component, other, rows.wrench[0])
 
 

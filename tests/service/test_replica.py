@@ -166,7 +166,7 @@ def test_a_replica_that_was_away_is_trouble_and_whole_once_it_is_back(shipped, t
     place, away = tmp_path / "replica", tmp_path / "away"
     place.rename(away)
     shipped.insert(5, first=30)
-    with pytest.raises(ReplicaError, match="was changed by others; stop them"):
+    with pytest.raises(ReplicaError, match="another program changed"):
         shipped.round()
     shutil.rmtree(place)
     with pytest.raises(ReplicaError, match="is now empty; mount it, or"):

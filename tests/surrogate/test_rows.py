@@ -31,7 +31,7 @@ def test_an_empty_table_has_no_rows() -> None:
 
 
 def test_a_number_that_is_none_is_refused_by_row_and_field() -> None:
-    with pytest.raises(RowError, match="row 7: uy is not a finite number"):
+    with pytest.raises(RowError, match="row 7: uy must be finite"):
         Rows.of(np.eye(6)[:1], [0, np.inf, 0, 0, 0, 0], seq=[7])
     with pytest.raises(RowError, match="row 7: mz"):
         Rows.of([0, 0, 0, 0, 0, np.inf], np.eye(6)[:1], seq=[7])

@@ -164,7 +164,7 @@ def test_a_fill_chooses_full_loads_until_the_tolerance_is_met(space: Space):
 def test_a_row_names_the_input_that_is_no_number():
     wrench = np.zeros((1, 12))
     wrench[0, 8] = np.inf
-    with pytest.raises(RowError, match=r"row 1: right\.fz is not a finite number"):
+    with pytest.raises(RowError, match=r"row 1: right\.fz must be finite"):
         Rows.of(wrench, np.zeros((1, 12)), LINK)
 
 

@@ -337,8 +337,8 @@ def _take_elements(deck: Deck, keyword: Keyword) -> None:
         numbers += [keyword.frame.label(each) for each in row if each]
         ends.add(len(numbers))
     if not ends.issuperset(range(0, len(numbers) + columns, columns)):
-        text = f"has rows of other than the {columns - 1} nodes of {kind} elements"
-        raise MeshFileError(f"{text}; correct TYPE or the rows")
+        text = f"has rows with another number of nodes than the {columns - 1} of {kind} elements"
+        raise MeshFileError(f"{text}; complete the rows, or write another TYPE")
     table = [numbers[i : i + columns] for i in range(0, len(numbers), columns)]
     if not table:
         return
@@ -482,7 +482,7 @@ def add(
     """Add members to a set, a new one or that of its name."""
     deck.entries += len(entries)
     if deck.entries > _MAX_MEMBERS:
-        raise MeshFileError(f"has sets of {deck.entries} members in all; remove some")
+        raise MeshFileError(f"has sets of more than {_MAX_MEMBERS} members in all; remove sets")
     sets.setdefault(_key(deck, frame, name), []).extend(entries)
 
 
@@ -555,7 +555,8 @@ def _faces(deck: Deck, row: dict[int, int], faces: list[tuple[int, str]]) -> lis
         table = SOLID_FACES.get(shape, ())
         if int(face[1]) > len(table):
             raise MeshFileError(
-                f"has a surface on face {face} of element {element % STRIDE}, a {shape}; correct it"
+                f"has a surface on face {face} of element {element % STRIDE}, a {shape} with "
+                f"{len(table)} faces; write another face"
             )
         corners = [row[deck.cells[block][cell][int(c) - 1]] for c in table[int(face[1]) - 1]]
         by_kind.setdefault("quad4" if len(corners) == 4 else "tri3", []).append(corners)

@@ -45,16 +45,16 @@ from wrenchbook.fea.spec.schema import Tie
 
 _GLOBAL: tuple[float, ...] = ()  # axes
 _BOUNDARY_TYPES = {
-    "ENCASTRE": "012345",
-    "PINNED": "012",
-    "XSYMM": "045",
-    "YSYMM": "135",
-    "ZSYMM": "234",
-    "XASYMM": "123",
-    "YASYMM": "024",
-    "ZASYMM": "015",
+    "ENCASTRE": {0, 1, 2, 3, 4, 5},
+    "PINNED": {0, 1, 2},
+    "XSYMM": {0, 4, 5},
+    "YSYMM": {1, 3, 5},
+    "ZSYMM": {2, 3, 4},
+    "XASYMM": {1, 2, 3},
+    "YASYMM": {0, 2, 4},
+    "ZASYMM": {0, 1, 5},
 }
-
+"""Freedoms from 0 that a type of *BOUNDARY holds."""
 _MISSING = {
     "CONNECTOR SECTION": "is not supported; write [[supports.bushing]] or [[spring]]",
     "CONTACT": "is not supported; solve the parts bonded and separate for two bounds",
@@ -96,7 +96,7 @@ _MEAN_HELD = (
 
 _QUIET = {"", "HEADING", "PREPRINT", "ASSEMBLY", "END ASSEMBLY", "PART", "END PART", "END STEP"}
 _QUIET |= {"END LOAD CASE"}
-
+"""Keywords without content: no listing of a deck names them."""
 _PROPOSED = {"CLOAD", "STEP", "LOAD CASE"}
 """Keywords that propose load range and analysis of a new component; they are not compared."""
 
@@ -128,38 +128,49 @@ def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
     """
     reader = Reader()
     deck = parsed(path, lambda deck, keyword: _take(reader, deck, keyword))
-    # Make a case of each step: groups by their final names, and what acts on couplings.
     content = reader.content
+    content.cases = _cases(reader, deck)
+    # All sets are there: give groups their final names.
+    regions, groups = set_names(deck, deck.element_sets), set_names(deck, deck.node_sets)
+    faces = set_names(deck, deck.surfaces)
+    for where, key, material, orientation in reader.sections:
+        axes = reader.orientations.get(orientation, _GLOBAL)
+        content.sections.append(SolidSection(where, regions[key], material, axes))
+        if orientation and orientation not in reader.orientations:
+            content.missing[where] = (
+                f'has the orientation "{orientation}", which is not imported; write axes under '
+                "[[material]]"
+            )
+    for case in content.cases:
+        _finish(case, content, groups, faces)
+    content.ties = [
+        (where, Tie(faces[secondary], faces[main], distance))
+        for where, secondary, main, distance in reader.ties
+    ]
+    return replace(raw_mesh(deck), follow=following(reader, deck)), content
+
+
+def _cases(reader: Reader, deck: Deck) -> list[LoadCase]:
+    """Return a case of each step: what it holds and loads, groups by keys of the deck's sets."""
+    # Of sets of the same nodes the first gives its name.
     reader.sets = {frozenset(labels): key for key, labels in reversed(deck.node_sets.items())}
     couplings = _couplings(reader, deck)
-    steps = [step for step in reader.steps if step.name] or reader.steps
     held: dict[Motions, tuple[list[HeldGroup], list[set[int]]]] = {}
+    cases = []
+    steps = [step for step in reader.steps if step.name] or reader.steps
     for step in reversed(steps):  # from the last: its groups get the plain names
         if step.motions not in held:
             held[step.motions] = _supports(reader, deck, step.motions, len(couplings))
-        supports, freedoms = held[step.motions]
+        supports, freedoms_of_couplings = held[step.motions]
         coupled = [
-            replace(coupling, held=set(ways), loads=[0.0] * 6)
-            for coupling, ways in zip(couplings, freedoms, strict=True)
+            replace(coupling, held=set(freedoms), loads=[0.0] * 6)
+            for coupling, freedoms in zip(couplings, freedoms_of_couplings, strict=True)
         ]
         case = LoadCase(step.name, supports, coupled, nonlinear=step.nonlinear)
         _take_loads(reader, deck, step, case)
         join_springs(reader, deck, step, case)
-        content.cases.insert(0, case)
-    regions, groups = set_names(deck, deck.element_sets), set_names(deck, deck.node_sets)
-    faces = set_names(deck, deck.surfaces)
-    content.missing |= {
-        where: f'has the orientation "{name}", which is not imported; write axes under [[material]]'
-        for where, _, _, name in reader.sections
-        if name and name not in reader.orientations
-    }
-    for where, key, name, axes_name in reader.sections:
-        axes = reader.orientations.get(axes_name, _GLOBAL)
-        content.sections.append(SolidSection(where, regions[key], name, axes))
-    for case in content.cases:
-        _finish(case, content, groups, faces)
-    content.ties = [(at, Tie(faces[a], faces[b], near)) for at, a, b, near in reader.ties]
-    return replace(raw_mesh(deck), follow=following(reader, deck)), content
+        cases.append(case)
+    return cases[::-1]
 
 
 def _take_loads(reader: Reader, deck: Deck, step: Step, case: LoadCase) -> None:
@@ -173,31 +184,35 @@ def _take_loads(reader: Reader, deck: Deck, step: Step, case: LoadCase) -> None:
             loads = case.loads.setdefault(key or single_key, [0.0] * 6)
         else:
             loads = case.couplings[number].loads
-        turn, way = divmod((freedom + first) % 6, 3)
-        along = reader.turned.get(label, np.eye(3).ravel())[3 * way : 3 * way + 3]
-        for i, part in enumerate(along):
-            loads[3 * turn + i] += part * value
+        # A force is a moment (half 1) on a coupling's node for rotations, whose first freedom is 3.
+        half, axis = divmod((freedom + first) % 6, 3)
+        direction = reader.turned.get(label, np.eye(3).ravel())[3 * axis : 3 * axis + 3]
+        for i, part in enumerate(direction):
+            loads[3 * half + i] += part * value
 
 
 def _finish(
     case: LoadCase, content: DeckContent, groups: dict[str, str], faces: dict[str, str]
 ) -> None:
-    """Give groups their final names, and make supports of couplings whose points are held."""
+    """Give groups their final names, and make supports of couplings whose points are held.
+
+    The couplings that remain move freely: they are not fixed, and no spring holds them.
+    """
     case.supports = [replace(support, group=groups[support.group]) for support in case.supports]
     case.loads = {groups[key]: loads for key, loads in case.loads.items()}
-    sprung = {id(end) for spring in case.springs for end in spring.ends}
+    on_springs = {id(end) for spring in case.springs for end in spring.ends}
     couplings, case.couplings = case.couplings, []
     for coupled in couplings:
         coupled.group = faces.get(coupled.group) or groups[coupled.group]
-        fixed = len(coupled.held) == 6
-        if fixed and coupled.kind == "distributed":
+        is_fixed = len(coupled.held) == 6
+        if is_fixed and coupled.kind == "distributed":
             content.missing[coupled.where] = _MEAN_HELD
-        if fixed and coupled.directions:
+        if is_fixed and coupled.directions:
             held = HeldGroup(coupled.where, coupled.group, coupled.directions)
             case.supports.append(held)
         elif coupled.directions != "xyz":
             content.missing[coupled.where] = _PARTLY
-        if not fixed and id(coupled) not in sprung:
+        if not is_fixed and id(coupled) not in on_springs:
             case.couplings.append(coupled)
 
 
@@ -228,20 +243,21 @@ def _take_constants(reader: Reader, _: Deck, keyword: Keyword) -> None:
         values = [float(each) for row in keyword.rows for each in row if each][:9]
         if len(values) < 9:
             raise ValueError(f"it has {len(values)} constants, but needs nine")
-        if kind == "ORTHO":  # stresses by strains: 11, 12, 22, 13, 23, 33; then shears
-            a, b, c, d, e, f, *shears = values
-            flexible = np.linalg.inv([[a, b, d], [b, c, e], [d, e, f]])
-            moduli = 1 / np.diag(flexible)
-            ratios = -(flexible * moduli[:, None])[[0, 0, 1], [1, 2, 2]]
-            values = [*moduli.tolist(), *ratios.tolist(), *shears]
-        names = ("youngs_modulus", "poisson_ratio", "shear_modulus")
-        reader.constants.update({k: tuple(values[3 * i : 3 * i + 3]) for i, k in enumerate(names)})
+        if kind == "ORTHO":  # stresses over strains, from which engineering constants follow
+            c11, c12, c22, c13, c23, c33, *shears = values
+            compliance = np.linalg.inv([[c11, c12, c13], [c12, c22, c23], [c13, c23, c33]])
+            moduli = 1 / np.diag(compliance)
+            nu_12_13_23 = -(compliance * moduli[:, None])[[0, 0, 1], [1, 2, 2]]
+            values = [*moduli.tolist(), *nu_12_13_23.tolist(), *shears]
+        reader.constants["youngs_modulus"] = tuple(values[:3])
+        reader.constants["poisson_ratio"] = tuple(values[3:6])
+        reader.constants["shear_modulus"] = tuple(values[6:])
         return
     if kind not in ("ISO", "ISOTROPIC"):
         reader.lack(keyword, f"has the type {kind}, not imported; write it in [[material]]")
         return
-    values = zip(_CONSTANTS[keyword.word], keyword.rows[0], strict=False)
-    reader.constants.update({key: float(value) for key, value in values})
+    pairs = zip(_CONSTANTS[keyword.word], keyword.rows[0], strict=False)
+    reader.constants.update({key: float(value) for key, value in pairs})
     if keyword.word == "PLASTIC":
         reader.lack(keyword, "is not solved; its first stress becomes a yield_strength")
     elif len(keyword.rows) > 1:
@@ -272,7 +288,7 @@ def _take_orientation(reader: Reader, _: Deck, keyword: Keyword) -> None:
         axes = np.array([*points[0], *(axis / np.linalg.norm(axis))])
     else:
         axes = axes_through(origin, first, second)
-        if angle:
+        if angle:  # turns the two axes after that of the number, from 1
             i, j = int(number) % 3, (int(number) + 1) % 3
             cos, sin = math.cos(math.radians(angle)), math.sin(math.radians(angle))
             axes[[i, j]] = cos * axes[i] + sin * axes[j], cos * axes[j] - sin * axes[i]
@@ -287,21 +303,21 @@ def _take_transform(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     if (kind := keyword.options.get("TYPE", "R").upper()) not in ("R", "C"):
         raise ValueError(f"its TYPE must be R or C, not {kind}")
     frame, (first, second) = keyword.frame, numbers(keyword, 0, 6).reshape(2, 3)
-    axis, turn = second - first, np.reshape(frame.rotation or np.eye(3), (3, 3))
-    start = np.array(frame.transformed(first.tolist()))
+    rotation = np.reshape(frame.rotation or np.eye(3), (3, 3))
     labels = named(deck, deck.node_sets, keyword.options["NSET"], frame)
     if kind == "R":
-        axes = [axes_through(np.zeros(3), first, second) @ turn.T] * len(labels)
+        axes = [axes_through(np.zeros(3), first, second) @ rotation.T] * len(labels)
     else:
-        axes, axial = [], turn @ axis
+        start, axial = np.array(frame.transformed(first.tolist())), rotation @ (second - first)
+        axes = []
         for label in labels:
             try:
                 axes.append(radial_axes(axial, deck.nodes[label] - start))
             except ValueError:  # any direction across it will do, as in CalculiX
                 axes.append(radial_axes(axial, np.eye(3)[np.abs(axial).argmin()]))
                 reader.lack(keyword, _ON_AXIS)
-    rows = (tuple(each.ravel().tolist()) for each in axes)
-    reader.turned |= dict(zip(labels, rows, strict=True))
+    for label, matrix in zip(labels, axes, strict=True):
+        reader.turned[label] = tuple(matrix.ravel().tolist())
 
 
 def _take_boundary(reader: Reader, deck: Deck, keyword: Keyword) -> None:
@@ -312,9 +328,9 @@ def _take_boundary(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     for target, *fields in keyword.rows:
         word = fields[0].upper() if fields else ""
         if word in _BOUNDARY_TYPES:
-            held = {int(each) for each in _BOUNDARY_TYPES[word]}
+            held = set(_BOUNDARY_TYPES[word])
         else:
-            first, last, value = (*fields, "", "", "")[:3]
+            first, last, value = (*fields, "", "", "")[:3]  # a field that is not there is empty
             held = set(range(int(first) - 1, min(int(last or first), 6)))
             if held and float(value or 0.0):
                 reader.lack(keyword, "moves nodes by more than 0, here by 0; check them")
@@ -342,13 +358,13 @@ def _take_coupling(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 
 def _take_coupling_kind(reader: Reader, _: Deck, keyword: Keyword) -> None:
     rows = [[int(each) for each in row if each] for row in keyword.rows]
-    freedoms = {n for row in rows for n in range(row[0], row[-1] + 1)}
-    some = "".join(way for i, way in enumerate("xyz", 1) if i in freedoms)
+    freedoms = {freedom - 1 for row in rows for freedom in range(row[0], row[-1] + 1)}
+    directions = _directions(freedoms)
     if rows and keyword.word == "KINEMATIC":
-        reader.couplings[-1].directions = some
-    elif rows and some != "xyz":
+        reader.couplings[-1].directions = directions
+    elif rows and directions != "xyz":
         reader.lack(keyword, "couples some directions only, but here all three; check it")
-    elif rows and keyword.word == "DISTRIBUTING" and not freedoms >= {4, 5, 6}:
+    elif rows and not {3, 4, 5} <= freedoms:
         reader.lack(keyword, "couples no rotation, but here the mean rotation; check it")
     if (method := keyword.options.get("WEIGHTING METHOD", "UNIFORM").upper()) != "UNIFORM":
         reader.lack(keyword, f"has the weights {method}, but here distance has no effect")
@@ -393,7 +409,8 @@ def _take_tie(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     for row in keyword.rows:
         if len(row) < 2:
             raise ValueError("a row must name the secondary and the main surface")
-        if nodal := deck.node_sets.keys() - deck.surfaces & {*map(keyword.frame.key, row[:2])}:
+        keys = {keyword.frame.key(name) for name in row[:2]}
+        if nodal := (keys & deck.node_sets.keys()) - deck.surfaces.keys():
             raise ValueError(f"{', '.join(nodal)} consists of nodes; name a surface of faces")
         first, second = (set_key(deck, deck.surfaces, name, keyword.frame) for name in row[:2])
         reader.ties.append((keyword.where, first, second, distance))
@@ -411,7 +428,8 @@ def _take_force(reader: Reader, deck: Deck, keyword: Keyword) -> None:
         key, labels = _target(deck, target, keyword.frame)
         if not 1 <= int(freedom) <= 6:
             raise ValueError(f"the freedom must be 1 to 6, not {freedom}")
-        for entry in ((label, int(freedom) - 1) for label in labels):
+        for label in labels:
+            entry = label, int(freedom) - 1
             before = step.forces[entry][1] if entry in step.begun else 0.0  # a step's forces add up
             step.forces[entry] = key, before + float(value)
             step.begun.add(entry)
@@ -419,10 +437,12 @@ def _take_force(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 
 def _take_step(reader: Reader, _: Deck, keyword: Keyword) -> None:
     """Begin a step where the last general step ends, or a load case where its step stands."""
-    kinds, kind = ("general",), "perturbation" if "PERTURBATION" in keyword.options else "general"
+    kind, bases = "general", {"general"}  # the kind of this step, and of that where it begins
     if keyword.word == "LOAD CASE":
-        kinds, kind = ("general", "perturbation"), "load case"
-    base = next(step for step in reversed(reader.steps) if step.kind in kinds)
+        kind, bases = "load case", {"general", "perturbation"}
+    elif "PERTURBATION" in keyword.options:
+        kind = "perturbation"
+    base = next(step for step in reversed(reader.steps) if step.kind in bases)
     last = reader.steps[-1]
     if kind == "general" and last.kind == "perturbation" and "BOUNDARY" in last.begun:
         reader.lack(
@@ -505,26 +525,27 @@ def _supports(
 def _held_freedoms_of_couplings(reader: Reader, motions: Motions, count: int) -> list[set[int]]:
     """Return the freedoms 0 to 5 that are held of each of `count` couplings' points."""
     held: list[set[int]] = [set() for _ in range(count)]
-    turned = reader.points.keys() & reader.turned.keys()
-    of_turned = {
-        label: set().union(*(row.freedoms for row in motions.rows if label in row.labels))
-        for label in turned
-    }
     for where, _, labels, freedoms in motions.rows:
         for label in reader.points.keys() & labels:
-            (number, first), together = reader.points[label], of_turned.get(label, set())
-            # Along turned axes translations, and rotations, are taken over by three only: `locked`
-            # would hold one or two of them along other axes.
-            usable = {i for i in freedoms if sum(i // 3 == j // 3 for j in together) in (0, 3)}
+            usable = freedoms
+            if label in reader.turned:
+                # Along turned axes translations, and rotations, are taken over by three only:
+                # `locked` would hold one or two of them along other axes.
+                of_all = [row.freedoms for row in motions.rows if label in row.labels]
+                together = set[int]().union(*of_all)
+                threes = [three for three in ({0, 1, 2}, {3, 4, 5}) if three <= together]
+                usable = freedoms & set[int]().union(*threes)
             if usable != freedoms:
                 message = "fixes a coupled node along rotated axes; write axes and locked for it"
                 reader.content.missing[where] = message
+            number, first = reader.points[label]
             held[number] |= {first + i for i in usable if first + i < 6}
     return held
 
 
 def _directions(freedoms: set[int]) -> str:
-    return "".join(way for i, way in enumerate("xyz") if i in freedoms)
+    """Return the translations among freedoms from 0, such as "xz"."""
+    return "".join(direction for i, direction in enumerate("xyz") if i in freedoms)
 
 
 def _set_of(reader: Reader, deck: Deck, labels: list[int], name: str) -> str:
@@ -562,16 +583,16 @@ def _couplings(reader: Reader, deck: Deck) -> list[CoupledGroup]:
             key = _set_of(reader, deck, near, f"{deck.names[key]}_within_{coupled.radius:g}")
             if weights:
                 deck.weights[key] = Counter({n: weights[n] for n in near if n in weights})
-        directions, oriented = coupled.directions, "ORIENTATION" in coupled.keyword.options
-        if directions != "xyz" and (
-            oriented or not reader.turned.keys().isdisjoint(_nodes_of(deck, key))
-        ):
-            directions = ""  # of other axes than the mesh's
-        numbers = ((coupled.ref, 0), (coupled.rot, 3))
-        reader.points |= {n: (len(couplings), i) for n, i in numbers if n is not None}
-        weighted = coupled.kind == "distributed" and key in deck.weights
-        group = CoupledGroup(coupled.keyword.where, key, coupled.kind, point, weighted=weighted)
-        couplings.append(replace(group, directions=directions))
+        group = CoupledGroup(coupled.keyword.where, key, coupled.kind, point)
+        group.weighted = coupled.kind == "distributed" and key in deck.weights
+        group.directions = coupled.directions
+        if coupled.directions != "xyz":
+            is_turned = not reader.turned.keys().isdisjoint(_nodes_of(deck, key))
+            if is_turned or "ORIENTATION" in coupled.keyword.options:
+                group.directions = ""  # of other axes than the mesh's
+        number, first_freedoms = len(couplings), ((coupled.ref, 0), (coupled.rot, 3))
+        reader.points |= {n: (number, first) for n, first in first_freedoms if n is not None}
+        couplings.append(group)
     return couplings
 
 
@@ -582,6 +603,6 @@ def _nodes_of(deck: Deck, key: str) -> list[int]:
         block, row = deck.where[element]
         kind, cell = deck.kinds[block], deck.cells[block][row]
         corners = {int(c) - 1 for c in SOLID_FACES[kind.rstrip("0123456789")][int(face[1]) - 1]}
-        indices = next(each for each in FACES[kind] if corners <= set(each))
-        labels |= dict.fromkeys(cell[i] for i in indices)
+        face_nodes = next(nodes for nodes in FACES[kind] if corners <= set(nodes))
+        labels |= dict.fromkeys(cell[i] for i in face_nodes)
     return list(labels)

@@ -66,7 +66,7 @@ def read_ansys(text: str) -> Translated:
                 else:
                     _take_command(archive, word, fields)
             except (ValueError, LookupError, StopIteration) as error:
-                raise MeshFileError(f"line {number}: {word} cannot be read: {error}") from None
+                raise MeshFileError(f"line {number}: {word} cannot be read ({error})") from None
     if not archive.cases:
         archive.end_step("")
     for name, constants in archive.materials.items():

@@ -25,7 +25,7 @@ def take_equations(reader: Reader, deck: Deck, keyword: Keyword) -> None:
         nodes = [named(deck, deck.node_sets, name, keyword.frame) for name in terms[::3]]
         labels = [label for each in nodes for label in each]
         if not len(labels) == count == len(terms) / 3:
-            raise ValueError("an equation names sets or lacks some of its terms")
+            raise ValueError(f"an equation must have {count} terms of node, freedom and factor")
         factors = map(float, terms[2::3])
         _equate(reader, keyword, list(zip(labels, terms[1::3], factors, strict=True)))
 

@@ -47,7 +47,7 @@ def join_springs(reader: Reader, deck: Deck, step: Step, case: LoadCase) -> None
             name = keyword.options.get("ELSET", "")
             labels = {*named(deck, deck.element_sets, name, keyword.frame)}
             if not labels <= remaining.keys() or any(label in deck.where for label in labels):
-                raise ValueError("an element is not SPRING1 or SPRING2, or is defined twice")
+                raise ValueError("an element of its set is not SPRING1 or SPRING2, or is repeated")
             springs = [remaining.pop(label)[1] for label in sorted(labels)]
             springs = [_spring(reader, deck, case, held, keyword, nodes) for nodes in springs]
         except (ValueError, LookupError) as error:
@@ -95,7 +95,7 @@ def _spring(
             free.append(number)
             ways.add(freedom + first)
     if len(ways) > 1 or (way := max(ways, default=0)) > 5:
-        raise ValueError("its freedoms are of two kinds, or above 6")
+        raise ValueError("its ends have different freedoms, or freedoms above 6")
     if len(free) == 2:
         _check_between(case, [case.couplings[i] for i in free], axes[way % 3] * (way < 3))
     along = np.kron(np.eye(2)[way // 3], axes[way % 3])
@@ -108,7 +108,7 @@ def _constants(
     """Return the freedom from 0 at each node, the axes in rows, and the stiffness along one."""
     rows, axes = [row for row in keyword.rows if any(row)], np.eye(3)
     if keyword.options.keys() - {"ELSET", "ORIENTATION"} or len(rows) != 2:
-        raise ValueError("its stiffness is not one constant")
+        raise ValueError("its stiffness is not one constant; write one number")
     freedoms = [int(each) - 1 for each in rows[0] if each]
     if not 0 < (size := float(rows[1][0])) < math.inf:
         raise ValueError(f"its stiffness is {size:g}, but must be above 0 and finite")
@@ -132,9 +132,9 @@ def _check_between(case: LoadCase, ends: list[CoupledGroup], direction: Array) -
     if first is second or (first.kind, first.weighted) != (second.kind, second.weighted):
         raise ValueError("it joins couplings of two kinds, or a point with itself")
     if across > _ALONG * np.abs(points).max():
-        raise ValueError("its points are apart across it, so it would rotate them")
+        raise ValueError("its points are apart across its direction, so it would rotate them")
     if case.nonlinear:
-        raise ValueError("its direction stays fixed in space, that of [[spring]] rotates")
+        raise ValueError("its direction is fixed in space, but that of [[spring]] rotates")
 
 
 def _refuse(reader: Reader, keyword: Keyword, why: object) -> None:

@@ -148,7 +148,7 @@ class Joint:
     @damping.setter
     def damping(self, damping: float) -> None:
         if not (isinstance(damping, Real) and 0.0 <= damping < math.inf):
-            raise InvalidArgument(f"damping must be a fraction of critical from 0, not {damping!r}")
+            raise InvalidArgument(f"damping must be 0 or more (1 is critical), not {damping!r}")
         self._damping = float(damping)
 
     @property
@@ -252,9 +252,9 @@ class Joint:
         shown = " ".join(f"{share:+.2g} {load}" for share, load in shares if abs(share) >= SHOWN)
         return (
             f"{self._name}, method {self._packed.answers_by(self._method)!r}: at the wrench "
-            f"({', '.join(f'{load:.4g}' for load in wrench)}) N, N·m the part moves against a load "
-            f"along ({shown}, in fractions of the load range), so its compliance is not positive "
-            f"definite and a joint would be unstable; {self._more_rows()}"
+            f"({', '.join(f'{load:.4g}' for load in wrench)}) N, N·m the compliance is not "
+            f"positive definite, because the part moves against a load along ({shown}) (fractions "
+            f"of the load range); {self._more_rows()}"
         )
 
     def step(
@@ -407,7 +407,7 @@ class Joint:
             self._warned_beyond = True
             warn(
                 f"{self._name}: the pose is outside the load range or 20 degrees; the wrench is "
-                f"extrapolated linearly, up to {MAX_RANGES:g} times the range",
+                f"extrapolated linearly, up to {MAX_RANGES:g} times the range. {self._remedy}",
                 JointWarning,
             )
 

@@ -75,7 +75,9 @@ class LinearPart:
         packed, indices = table.packed, at[free]
         load = np.zeros(FREEDOMS) if wrench is None else np.asarray(wrench, dtype=float)
         if load.shape != (FREEDOMS,) or not np.isfinite(load).all():
-            raise InvalidArgument("a wrench must be 6 finite numbers: force, N, and moment, N·m")
+            raise InvalidArgument(
+                f"a wrench must be 6 finite numbers (N, N·m), not {load.tolist()}"
+            )
         further = further_inputs(table, inputs or {})
         centre = np.concatenate([np.zeros(packed.inputs - len(further)), further])
         centre[at] = load

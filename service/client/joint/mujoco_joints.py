@@ -59,7 +59,7 @@ class MujocoJoints(Joints):
         """
         batches, threads = (self, *others), max(threads, 0) or os.cpu_count() or 1
         if any(len(batch) != len(self) for batch in others):
-            raise InvalidArgument("joints of one step must have the same environments in one order")
+            raise InvalidArgument("joints of one step must have the same MjData in the same order")
         scenes = list(zip(*(batch.joints for batch in batches), strict=True))
         for joints in scenes:
             require_scene(joints)

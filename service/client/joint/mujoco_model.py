@@ -165,7 +165,7 @@ def _compiled(read: Callable[[], Spec], scene: str | Path) -> Spec:
         spec = read()
         spec.compile()
     except (ValueError, OSError) as error:
-        raise JointError(f"MuJoCo cannot read {scene}; correct it: {error}") from None
+        raise JointError(f"MuJoCo cannot read {scene} ({error}); correct this scene") from None
     return spec
 
 

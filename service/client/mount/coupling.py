@@ -54,9 +54,8 @@ RUNAWAY = 6  # residuals in a row that grow the same way: no overshoot, and no r
 STEP = 1.0  # tolerances: how far a scene is moved to see its stiffness
 
 REMEDY = (
-    "Use relaxation='aitken', a fixed factor below 2/(1 + G), or relaxation='newton' with the "
-    "scene's stiffness; or a softer contact, a stiffer component or a shorter sync. If G should be "
-    "small, check the sign of the wrench."
+    "Use relaxation='aitken', a factor below 2/(1 + G), or relaxation='newton' with stiffness=; or "
+    "correct the sign of the wrench."
 )
 
 
@@ -204,8 +203,8 @@ class ContractionWatch:
         if size > 1.0 and (records >= BURST or (steady >= CYCLE and size >= first)):
             growth = "grows" if records >= BURST else "does not decay"
             raise CouplingDiverged(
-                f"the coupling diverges: the pose has overshot its answer {max(steady, records)} "
-                f"times in a row, and their distance of {size:.3g} tolerances {growth}. {REMEDY}",
+                f"the coupling diverges: {max(steady, records)} times the pose has overshot its "
+                f"answer, and the distance of {size:.3g} tolerances {growth}. {REMEDY}",
                 (self.size, size),
             )
         if size > 1.0 and onward >= CYCLE:
@@ -253,9 +252,8 @@ class CycleWatch:
         if self._rows > SPANS:
             raise CouplingDiverged(
                 f"the coupling does not settle: for {self._rows * SPAN} syncs the answers have "
-                f"oscillated by {self._spread:.3g} tolerances, from a limit cycle or from loads "
-                "faster than the syncs. For parts in contact or motion use wrenchbook.MujocoJoint. "
-                f"{REMEDY}"
+                f"oscillated by {self._spread:.3g} tolerances. Use a shorter sync, or for parts in "
+                f"contact or motion wrenchbook.MujocoJoint. {REMEDY}"
             )
 
 
@@ -280,8 +278,8 @@ def _run_away(before: float, size: float) -> CouplingDiverged:
     """Return the error to raise where the distance, in tolerances, grows without turning round."""
     return CouplingDiverged(
         f"the coupling diverges: the answer moves away from the pose, now by {size:.3g} "
-        "tolerances. The scene tips or buckles on this component, or the wrench or stiffness= "
-        f"(dw/du, negative for a spring) has the wrong sign. {REMEDY}",
+        "tolerances. The scene tips or buckles: use a stiffer component, or correct the sign of "
+        "the wrench or of stiffness= (negative for springs)",
         (before, size),
     )
 

@@ -393,7 +393,7 @@ class Mount:
                 f"nothing moves in mode {self.mode!r}; settle with mode 'table' or 'solve'"
             )
         if not (accuracy > 0.0 and most >= 1):
-            raise InvalidArgument("accuracy (in tolerances) must be above 0 and most at least 1")
+            raise InvalidArgument(f"accuracy and most must be above 0, not {accuracy} and {most}")
 
         def read(displacement: Vector) -> Vector:
             before, self.displacement = self.displacement, within_limit(displacement)
@@ -458,9 +458,9 @@ class Mount:
             if self._unmeasured == "refuse":
                 names = ", ".join(np.array(OUTPUTS)[missing])
                 raise DisplacementUnknown(
-                    f"the table of {answer.component} has no value of {names} at this wrench, but "
-                    "a pose needs all six. Load a table with them, add them to the scene's "
-                    "outputs, or create the mount with unmeasured='rigid', which sets them to 0"
+                    f"the table of {answer.component} has no value of {names} at this wrench. Load "
+                    "a table with them, add them to the scene's outputs, or create the mount with "
+                    "unmeasured='rigid', which sets them to 0"
                 )
             target = np.where(missing, 0.0, target)
         self.coverage.add(answer, known=target is not None)

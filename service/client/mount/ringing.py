@@ -63,7 +63,8 @@ def warn_if_ringing(
             "server gives the frequency, give ramp_time alone"
         )
     if not (frequency > 0.0 and ramp_time > 0.0):
-        raise InvalidArgument("natural_frequency and ramp_time must be above 0")
+        given = f"{frequency} Hz and {ramp_time} s"
+        raise InvalidArgument(f"natural_frequency and ramp_time must be above 0, not {given}")
     periods = frequency * ramp_time
     if periods < QUASI_STATIC:
         warn(

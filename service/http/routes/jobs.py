@@ -51,7 +51,7 @@ CODE = pathlib.Path(__file__).parents[3]
 
 def _within(job_id: int) -> int:
     if job_id >= 2**63:  # the end of SQLite's integers
-        raise UnknownJobError("there is no job of this number; see GET /v1/jobs")
+        raise UnknownJobError(f"there is no job {str(job_id)[:30]}; see GET /v1/jobs")
     return job_id
 
 
@@ -182,10 +182,9 @@ def get_job_files(job_id: JobId, workspace: Opened) -> Response:
             why = f"Job {job.id} is {job.status} and has no files yet; ask again later."
             raise HttpProblemError(404, "no-files", "No files yet", why)
         why = (
-            f"Job {job.id} is {job.status} and the folder of its attempt {job.attempt}, "
-            f"jobs/{folder.parent.name}/{folder.name} in the data directory, is missing: it was "
-            "pruned (see serve --keep-days), deleted, or not copied with the ledger. The job's row "
-            "needs no files; to get them again, retry the job."
+            f"Job {job.id} is {job.status}, but its folder jobs/{folder.parent.name}/{folder.name} "
+            "in the data directory was pruned (serve --keep-days), deleted or not copied. The "
+            "job's row needs no files; retry the job to get them again."
         )
         raise HttpProblemError(404, "no-files", "The files are gone", why)
     name = f"job-{job_id}.zip"

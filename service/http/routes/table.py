@@ -341,7 +341,7 @@ async def reader_slot(caller: str) -> AsyncIterator[None]:
         async with asyncio.timeout(_READER_WAIT_S):
             await lock.acquire()
     except TimeoutError:
-        message = "Another table of this key is being read; send it again in a minute"
+        message = "Another table of this key is being read; send this table again in a minute"
         raise SandboxBusyError(message) from None
     try:
         yield

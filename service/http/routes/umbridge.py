@@ -185,7 +185,7 @@ async def evaluate(request: Request) -> Response:
         return _reply(outcome, [values.tolist()])
     lost = [name for name, value in zip(names, values, strict=True) if not np.isfinite(value)]
     why = reply.reason or "no row of the table has it; import or solve one"
-    raise UmBridgeError("InvalidOutput", f"{', '.join(lost)} unknown at this wrench: {why}")
+    raise UmBridgeError("InvalidOutput", f"{', '.join(lost)} has no value at this wrench: {why}")
 
 
 @_post("/Gradient", "transposed derivative times `sens`", _Vector, GradientBody)
@@ -211,7 +211,7 @@ async def _read(request: Request, kind: type[_Kind]) -> tuple[_Kind, Space]:
     """Return a body whose component exists, with vectors as its space has them, and that space."""
     fields = parsed_json(await read_limited(request.receive))
     if not isinstance(fields, dict):
-        raise UmBridgeError("InvalidInput", "the body must be a JSON object")
+        raise UmBridgeError("InvalidInput", 'the body must be a JSON object, {"name": ...}')
     workspace: Workspace = request.app.state.workspace
     name = fields.get("name")
     if not isinstance(name, str) or name not in workspace.library:
@@ -255,7 +255,7 @@ async def _product(
     outcome = await _outcome(request, body, derivatives=True)
     derivative = outcome.details["derivative"]
     if derivative is None or not np.isfinite(derivative).all():
-        message = "the derivative is unknown: the row that answers has no tangent"
+        message = "the derivative is unknown at this wrench; give another wrench, or add rows near"
         raise UmBridgeError("InvalidOutput", message)
     product = (derivative.T if name == "sens" else derivative) @ np.array(vector)
     if not np.isfinite(product).all():

@@ -234,7 +234,7 @@ def test_two_parts_that_only_look_joined_are_an_error_that_says_merge(tmp_path):
     assert "it can move in all six directions" in problem
     assert "At 21 of its nodes there are also nodes of another part; merge these" in problem
     (warning,) = messages(reported, "warnings")
-    assert warning.startswith("21 pairs of nodes of part 1 and part 2, which touch")
+    assert warning.startswith("21 pairs of nodes of part 1 and part 2 (one near (1, 0")
     assert reported["coincident_nodes"] == 21
     assert "part 2: 8 cells, 1000 x 1000 x 1000 mm" in as_text(reported)
 

@@ -149,7 +149,7 @@ REFUSED = {
     "a seventh freedom": ("ELSET=K1\n1\n", "ELSET=K1\n7\n", "freedoms 7 are not one of 1 to 6"),
     "a number twice": ("9202, 9100", "9201, 9100", "element 9201 is defined twice"),
     "a solid's number": ("9201, 9100", "1, 9100", "element 1 is defined twice"),
-    "two blocks": ("*SPRING, ELSET=K2", "*SPRING, ELSET=K1", "SPRING2, or is defined twice"),
+    "two blocks": ("*SPRING, ELSET=K2", "*SPRING, ELSET=K1", "SPRING2, or is repeated"),
     "a loaded point": (PULL, LOADED, "the point 9100 is loaded"),
     "another size": ("3000.0", "3500.0", 'has "A" on springs of 3.5e+06, 2e+06, 5e+06, 200, 300'),
 }

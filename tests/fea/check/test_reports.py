@@ -49,3 +49,9 @@ def test_what_the_check_reports(tmp_path, case):
         )
         near = expected if exact else pytest.approx(expected, rel=case.get("near", 1e-6))
         assert result == near, path
+
+
+def test_a_memory_of_a_hundred_gigabytes_is_written_out():
+    cost = {"linear_seconds": 1.0, "nonlinear_seconds": 2.0, "memory_bytes": 123_000_000_000}
+    text = as_text({"ok": True, "warnings": [], "problems": [], "estimate": cost | {"basis": "?"}})
+    assert "123 GB of memory" in text

@@ -318,7 +318,7 @@ def test_an_rbe3_spreads_a_wrench_by_its_weights_as_these_forces_do_in_calculix(
     [
         ('"deck"', '"equal"', 'by weights of its own; interface says weights = "equal"'),
         ('"distributed"', '"rigid"', "interface.weights: has no effect on a rigid coupling"),
-        ('"RBE3_80"\n', '"nodes_held_in_xyz"\n', "interface.weights: the deck has none"),
+        ('"RBE3_80"\n', '"nodes_held_in_xyz"\n', "interface.weights: the deck has no weights"),
         (
             f"{TIP[3]}, 1\n",
             f"{TIP[3]}, -99.\n",

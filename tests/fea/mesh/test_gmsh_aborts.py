@@ -79,7 +79,9 @@ def test_a_second_mesh_at_which_gmsh_aborts_leaves_the_bar_unknown_and_the_part_
     assert reported["ok"]
     assert reported["solver_error"]["mesh"] is None
     assert "no second mesh can be made" in reported["solver_error"]["mesh_basis"]
-    assert any("has an unknown error bar" in warning["message"] for warning in reported["warnings"])
+    assert any(
+        "discretisation error is unknown" in warning["message"] for warning in reported["warnings"]
+    )
 
 
 def test_memory_that_ends_in_gmsh_is_named(part, tmp_path, monkeypatch):

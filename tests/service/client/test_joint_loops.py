@@ -20,7 +20,7 @@ from wrenchbook.service.client.joint.mujoco_callback import joints_in_mj_step
 from wrenchbook.service.client.joint.mujoco_joint import MujocoJoint, pull_joints, step_joints
 
 TABLE, FULL = linear_table(), mujoco.mjtState.mjSTATE_FULLPHYSICS
-DOCS = Path(__file__).parents[3] / "data/docs/how-to/joint.md"
+DOCS = Path(__file__).parents[3] / "data/docs/how-to/joint-loops.md"
 FOOT_TIP = sphere(3, geom='solref="0.004 1"') + "<body/>"
 SCENES = {  # a stiff part at 1 ms, a foot on stiff contacts, a mass matrix that is diagonal
     "bar": (sphere(5, "0.02 0 0.03"), {}),

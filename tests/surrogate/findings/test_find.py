@@ -126,7 +126,7 @@ def test_the_message_of_a_lever_has_its_length():
     rows, lever = rig.measured(), np.array([0.12, -0.05, 0.08])
     rows.wrench[:, 3:] += np.cross(lever, rows.wrench[:, :3])
     (result,) = find(rows, rig.range)
-    length = float(result.message.split("reference points about ")[1].split(" m")[0])
+    length = float(result.message.split("and displacements are ")[1].split(" m")[0])
     assert abs(length - np.linalg.norm(lever)) < 0.02
 
 

@@ -122,7 +122,7 @@ def test_the_inverse_leaves_locked_loads_zero():
 
 
 def test_a_displacement_without_a_wrench_is_refused():
-    with pytest.raises(InverseError, match=r"not known|no inverse|no wrench"):
+    with pytest.raises(InverseError, match=r"not known|singular|no wrench"):
         packed_of("one row").inverse([1.0] * 6)
     with pytest.raises(InverseError):
         packed_of("solved").inverse([1e3] * 6)
