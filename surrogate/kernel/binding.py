@@ -22,7 +22,7 @@ from ..table.rows import NEAR
 from ..table.space import Space
 from ..table.spread import sample_of, weakest
 from .build import ready_library
-from .format import CHECKSUM, Packed, PackedTableError, SolverFlag, map_file, read
+from .format import CHECKSUM, SOLVER_BARS_COMPLETE, Packed, PackedTableError, map_file, read
 from .joint import JointSteps
 from .reasons import Reason, text_of
 from .replies import (
@@ -244,7 +244,7 @@ class PackedTable:
     @property
     def bars_are_complete(self) -> bool:
         """Whether the error bars have all their parts."""
-        return bool(self.arrays["solver/flags"][SolverFlag.BARS_COMPLETE])
+        return bool(self.arrays["solver/flags"][SOLVER_BARS_COMPLETE])
 
     @property
     def checksum(self) -> int:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from .binding import PackedTable
-from .format import GroupFlag
+from .format import GROUP_CAN_ANSWER
 from .replies import AxisPart, Reply
 
 # Of each axis the indices of its loads: a force and the moments about the other axes.
@@ -30,7 +30,7 @@ def explain(
     """
     explanations = []
     for number, group in enumerate(table.meta["groups"]):
-        can_answer = table.arrays[f"g{number}/flags"][GroupFlag.CAN_ANSWER]
+        can_answer = table.arrays[f"g{number}/flags"][GROUP_CAN_ANSWER]
         if (method or group["method"]) == "linear" and can_answer:
             parts = _linear(table, number, wrench, tolerance)
         else:

@@ -15,7 +15,6 @@ import stat
 import tempfile
 import zlib
 from collections.abc import Iterable, Mapping
-from enum import IntEnum
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,6 +27,9 @@ SUFFIX = ".wbt"
 ALIGNED = 64  # bytes: a cache line
 CHECKSUM = slice(16, 24)  # bytes of the header; the checksum is of all others
 BLOCK = 1 << 20  # bytes read at once for the checksum
+# Columns of the array ``solver/flags``, and of the array ``flags`` of a group: see `packed.arrays`.
+SOLVER_BY_TANGENT, SOLVER_BARS_COMPLETE = 0, 4
+GROUP_METHOD, GROUP_EXACT, GROUP_CAN_ANSWER = 0, 1, 2
 
 _BYTE_ORDER = 0x01020304
 _TYPES = {1: np.dtype("<f8"), 2: np.dtype("<i4"), 3: np.dtype("<i8"), 4: np.dtype("u1")}
@@ -56,25 +58,6 @@ _ENTRY = np.dtype(
         ("unused", "<u8"),
     ]
 )
-
-
-class SolverFlag(IntEnum):
-    """Columns of the array ``solver/flags``."""
-
-    BY_TANGENT = 0  # the discretisation error follows from an answer's tangent
-    MESH_KNOWN = 1
-    LINEAR = 2
-    LINEARITY_KNOWN = 3
-    BARS_COMPLETE = 4  # all parts of the error are known
-
-
-class GroupFlag(IntEnum):
-    """Columns of the array ``flags`` of a group of outputs."""
-
-    METHOD = 0  # the default, an index of `METHODS`
-    EXACT = 1  # the fit is
-    CAN_ANSWER = 2  # there are rows to answer from
-    IN_RANGE = 3  # rows lie in the load range
 
 
 class PackedTableError(ValueError):
