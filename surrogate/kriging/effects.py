@@ -455,10 +455,10 @@ def _posterior(
         for _ in range(2):
             posterior = normal + variance[:, None, None] * pull
             covariances = np.linalg.inv(posterior)
-            by = right - variance[:, None] * (pull @ along)
-            estimate = np.einsum("rab,rb->ra", covariances, by)
-            rest = square - (estimate * by).sum(axis=1) + variance * (along @ pull @ along)
-            variance = np.maximum(rest, TINY) / free
+            moment = right - variance[:, None] * (pull @ along)
+            estimate = np.einsum("rab,rb->ra", covariances, moment)
+            residual = square - (estimate * moment).sum(axis=1) + variance * (along @ pull @ along)
+            variance = np.maximum(residual, TINY) / free
         logarithms = np.linalg.slogdet(posterior)[1] - np.log(inverse).sum(axis=1)
         effects = (along + estimate) @ back.T
         spread = np.einsum("ea,rab,eb->re", back, covariances, back)
