@@ -143,6 +143,11 @@ class PackedTable:
     `size`: bytes of the file.
     `meta`: the table's JSON block: contract, space, interface, groups, sources, provenance.
     `arrays`: read-only views of the mapped file.
+    `load_range` (2, n), `load_scale` (n,), SI: the ends of the loads' range; half of it or the
+    larger end.
+    `locked` (n,): whether each load acts on a locked freedom.
+    `tolerance`: the component's, of a translation, m, and of a rotation, rad; None without.
+    `bars_are_complete`: whether the error bars have all their parts.
     `method`: what answers where no method is asked for; the table's default if None.
     """
 
@@ -152,6 +157,12 @@ class PackedTable:
         """Take an open handle, the file's views, and its buffer or path, and its bytes."""
         self._handle, self._packed, self._source, self.size = handle, packed, source, size
         self.arrays, self.meta = packed.arrays, packed.meta
+        arrays = packed.arrays
+        self.load_range, self.load_scale = arrays["space/range"], arrays["space/scale"]
+        self.locked = arrays["space/locked"] != 0
+        limits = arrays["space/tolerance"][[0, 3]].tolist()
+        self.tolerance = None if math.isnan(limits[0]) else (limits[0], limits[1])
+        self.bars_are_complete = bool(arrays["solver/flags"][SOLVER_BARS_COMPLETE])
         library = kernel().with_gil
         self._answer, self._release = library.wb_answer, library.wb_close
         self.inputs, self.outputs = library.wb_inputs(handle), library.wb_outputs(handle)
@@ -219,32 +230,6 @@ class PackedTable:
     def space(self) -> Space:
         """The table's inputs and outputs: names, units, interfaces."""
         return Space.read(self.meta["space"])
-
-    @property
-    def load_range(self) -> Floats:
-        """The ends of the range of the loads, (2, n), SI."""
-        return self.arrays["space/range"]
-
-    @property
-    def load_scale(self) -> Floats:
-        """Half the range of each load or its larger end, (n,), SI."""
-        return self.arrays["space/scale"]
-
-    @property
-    def locked(self) -> NDArray[np.bool_]:
-        """Whether each load acts on a locked freedom, (n,)."""
-        return self.arrays["space/locked"] != 0
-
-    @property
-    def tolerance(self) -> tuple[float, float] | None:
-        """The component's tolerance of a translation, m, and of a rotation, rad; None without."""
-        translation, rotation = self.arrays["space/tolerance"][[0, 3]].tolist()
-        return None if math.isnan(translation) else (translation, rotation)
-
-    @property
-    def bars_are_complete(self) -> bool:
-        """Whether the error bars have all their parts."""
-        return bool(self.arrays["solver/flags"][SOLVER_BARS_COMPLETE])
 
     @property
     def checksum(self) -> int:

@@ -11,8 +11,17 @@ import numpy as np
 from ..errors import InvalidArgument, JointError, JointWarning, warn
 from ..wrenches import Vector
 from .joint import FREEDOMS, Joint, quaternion
-from .mujoco_scene import OBJECT, Data, Model, block_positions, body_number, engine, refuse_rk4
-from .mujoco_tip import REMEDY, find_tip
+from .mujoco_scene import (
+    OBJECT,
+    REMEDY,
+    Data,
+    Model,
+    block_positions,
+    body_number,
+    engine,
+    find_tip,
+    refuse_rk4,
+)
 from .report import JointReport, report_of
 
 if TYPE_CHECKING:
