@@ -150,6 +150,10 @@ release-check: setup  ## install and try the wheel on Python 3.11 to 3.14
 licences: $(VENV)/.installed-dev $(VENV)/.installed-docs
 	$(BIN)/python -m data.docs.licences
 
+# the tables of commands, calls and names in data/docs/reference
+reference: $(VENV)/.installed-dev
+	$(BIN)/python -m data.docs.generated
+
 image:  ## build the container image (compose.yaml adds TLS and Dask workers)
 	docker build -t wrenchbook .
 

@@ -22,7 +22,7 @@ import pytest
 import typer
 
 import wrenchbook
-from data.docs import licences
+from data.docs import generated, licences
 from tests.service.live import served
 from wrenchbook.service.cli.local import PROGRAMS
 from wrenchbook.service.cli.main import app
@@ -179,6 +179,12 @@ def test_the_licences_are_those_of_the_locked_packages():
     )
     if sys.version_info[:2] == (3, 11):  # newer ones have other versions in the lock
         assert licences.page(before) == before, "write the page anew: make licences"
+
+
+@pytest.mark.parametrize("page", generated.TABLES)
+def test_the_tables_of_the_reference_are_those_of_the_program(page):
+    text = (DOCS / f"reference/{page}.md").read_text()
+    assert generated.with_table(page) == text, "write the page anew: make reference"
 
 
 def test_the_reference_has_every_public_name():

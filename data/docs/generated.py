@@ -1,4 +1,8 @@
-"""Generated Markdown: the reference of HTTP calls and commands, and the site's navigation."""
+"""Generated Markdown: the reference of HTTP calls and commands, and the site's navigation.
+
+``make reference`` writes the tables of commands, calls and names, which the repository has too; the
+site has all options, fields and docstrings.
+"""
 
 import json
 import re
@@ -10,12 +14,51 @@ from pathlib import Path
 import typer
 import typer.cli
 
+import wrenchbook
 from wrenchbook.service.cli.local import PROGRAMS
 from wrenchbook.service.cli.main import app as program
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.workspace import Settings
 
 FOLDER = Path(__file__).parent
+
+
+def commands() -> list[str]:
+    """Return the table of commands and their purposes."""
+    found = typer.main.get_command(program).commands.items()
+    purposes = [(name, (group.help or "").partition("\n\n")[0]) for name, group in found]
+    return _table(("command", "purpose"), [(f"`{name}`", text) for name, text in purposes])
+
+
+def calls() -> list[str]:
+    """Return the table of HTTP calls and their purposes."""
+    paths = sorted(_openapi()["paths"].items(), key=_place)
+    rows = [
+        (f"`{method.upper()} {path}`", call.get("summary", ""))
+        for path, methods in paths
+        for method, call in methods.items()
+    ]
+    return _table(("call", "purpose"), rows)
+
+
+def names() -> list[str]:
+    """Return the table of the public names and the first line of their docstrings."""
+    rows = []
+    for name in wrenchbook.__all__:
+        text = (getattr(wrenchbook, name).__doc__ or "").partition("\n")[0]
+        rows.append((f"`{name}`", text.replace("``", "`")))
+    return _table(("name", "purpose"), rows)
+
+
+TABLES = {"cli": commands, "http": calls, "python": names}
+"""The tables in the pages of the reference."""
+_TABLE = re.compile(r"^\| .*\n(?:\|.*\n)+", re.M)
+
+
+def with_table(page: str) -> str:
+    """Return the text of a page of the reference with its table written anew."""
+    table = "\n".join(TABLES[page]())
+    return _TABLE.sub(lambda _: table, (FOLDER / f"reference/{page}.md").read_text(), count=1)
 
 
 def cli() -> str:
@@ -35,8 +78,7 @@ def cli() -> str:
 
 def http() -> str:
     """Return the calls of the OpenAPI document: what each takes and replies, and the schemas."""
-    with tempfile.TemporaryDirectory() as folder:
-        document = create_app(Settings(Path(folder), solvers=0)).openapi()
+    document = _openapi()
     calls = [
         _call(method, path, call)
         for path, methods in sorted(document["paths"].items(), key=_place)
@@ -44,6 +86,11 @@ def http() -> str:
     ]
     schemas = [_schema(*pair) for pair in sorted(document["components"]["schemas"].items())]
     return "\n".join(["", "## Calls", "", *calls, "## Schemas", "", *schemas])
+
+
+def _openapi() -> dict:
+    with tempfile.TemporaryDirectory() as folder:
+        return create_app(Settings(Path(folder), solvers=0)).openapi()
 
 
 def _place(path: tuple[str, dict]) -> int:
@@ -151,3 +198,8 @@ PAGES = {
     "data/docs/reference/http": http,
 }
 """The pages that the functions' text is appended to."""
+
+
+if __name__ == "__main__":
+    for name in TABLES:
+        (FOLDER / f"reference/{name}.md").write_text(with_table(name))
