@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .answer import allowed_by
-from .build import Table, build
+from .build import Group, Table, build
 from .packed.writer import packed_of
 from .table.axes import AXES
 from .table.rows import LONGEST, ZERO_LOAD, Floats, LoadRange, Rows, Tolerance
@@ -154,29 +154,7 @@ def next_wrenches(
     # Of outputs that some rows lack, those that the fewest rows hold are the worst known.
     surrogate = table.groups[0]
     if surrogate.linear:
-        # One wrench, since any solve of a linear component brings all of its compliance. Where
-        # solves bring none (an expert's deck), the single loads, of those that the span has if it
-        # is a part of the load range.
-        if surrogate.fit.complete:
-            return Design(known.pending[:0], "met", "the compliance is known")
-        needed = np.ones(len(span.low), dtype=bool)
-        if span is not surrogate.load_range:
-            needed = (span.low != 0) | (span.high != 0)
-        if surrogate.fit.known[needed].all():
-            return Design(
-                known.pending[:0], "met", "the compliance is known in all loads that occur"
-            )
-        high, low = surrogate.load_range.high, surrogate.load_range.low
-        amounts = np.where(high > 0, high, low)
-        single = np.diag(np.where(amounts != 0, amounts, 1.0))[needed]
-        if not len(surrogate.rows):
-            single = single[:1]
-        fresh = known.new(single)
-        if len(known.pending) and not len(surrogate.rows):
-            fresh = fresh[:0]
-        return Design(
-            fresh[:budget], "first", "one solve gives the compliance of a linear component"
-        )
+        return _linear_design(surrogate, known, span, budget)
     if not (span.high > span.low).any():
         return _first(known.new(span.low[None])[:budget], "the scene has one wrench")
     remaining = first_count(span, surrogate.used) - len(surrogate.used) - len(known.pending)
@@ -191,6 +169,28 @@ def next_wrenches(
     limit = tolerance or surrogate.tolerance
     indices = np.delete(np.arange(len(outputs)), surrogate.locked) if for_joint else None
     return _Refinement(table, known, limit, span, list(outputs), indices).design(budget)
+
+
+def _linear_design(surrogate: Group, known: Known, span: LoadRange, budget: int) -> Design:
+    """Return one wrench: any solve of a linear component brings all of its compliance.
+
+    Where solves bring none (an expert's deck), the single loads, of those that the span has if it
+    is a part of the load range.
+    """
+    if surrogate.fit.complete:
+        return Design(known.pending[:0], "met", "the compliance is known")
+    needed = np.ones(len(span.low), dtype=bool)
+    if span is not surrogate.load_range:
+        needed = (span.low != 0) | (span.high != 0)
+    if surrogate.fit.known[needed].all():
+        return Design(known.pending[:0], "met", "the compliance is known in all loads that occur")
+    high, low = surrogate.load_range.high, surrogate.load_range.low
+    amounts = np.where(high > 0, high, low)
+    single = np.diag(np.where(amounts != 0, amounts, 1.0))[needed]
+    if not len(surrogate.rows):
+        single = known.pending[:0] if len(known.pending) else single[:1]
+    reason = "one solve gives the compliance of a linear component"
+    return Design(known.new(single)[:budget], "first", reason)
 
 
 def _first(wrenches: Floats, reason: str) -> Design:

@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from wrenchbook.surrogate.table.space import Input, Output, Space
 
 _PER_INTERFACE = len(LOADS)  # loads, or outputs, of one interface
-_ALL_PARTS = 4  # of the array solver/flags: whether all parts of the error are known
 
 
 class Table:
@@ -131,9 +130,8 @@ class Table:
     @property
     def tolerance(self) -> dict[str, float] | None:
         """The component's own tolerance, ``translation`` in m and ``rotation`` in rad, or None."""
-        translation, rotation = self.packed.arrays["space/tolerance"][[0, 3]].tolist()
-        known = translation == translation
-        return {"translation": translation, "rotation": rotation} if known else None
+        limits = self.packed.tolerance
+        return None if limits is None else {"translation": limits[0], "rotation": limits[1]}
 
     @property
     def plan(self) -> ComponentPlan | None:
@@ -306,7 +304,7 @@ class Table:
         except ValueError as error:
             raise InvalidArgument(str(error)) from error
         # Errors without the solver's part cannot be compared with a tolerance.
-        complete = packed.arrays["solver/flags"][_ALL_PARTS]
+        complete = packed.bars_are_complete
         allowed = (limit or self.allowed_errors(self.tolerance)) if complete else None
         return Displacements(
             component=self.name,
@@ -421,7 +419,7 @@ class Table:
         return self._now[0]
 
     def __repr__(self) -> str:
-        low, high = self.packed.arrays["space/range"]
+        low, high = self.packed.load_range
         spans = [
             f"{load.name} {a:g} to {b:g}"
             for load, a, b in zip(self.space.inputs, low, high, strict=True)
@@ -435,7 +433,7 @@ class Table:
         )
 
     def _repr_html_(self) -> str:
-        low, high = self.packed.arrays["space/range"]
+        low, high = self.packed.load_range
         rows = self.packed.meta["provenance"]["rows"]
         return html_table(
             f"{self.name}, table version {self.version}: {rows} rows, method {self.method}",

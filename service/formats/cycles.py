@@ -150,12 +150,9 @@ def _branch_mean(
         return rows.take(chosen[:0])
     widest = max(by_pass, key=lambda indices: np.ptp(rows.wrench[indices, main]))
     columns = np.hstack((rows.wrench, rows.displacement))
-    values = np.stack(
-        [
-            columns[widest] if at is widest else _interpolated(columns[at], columns[widest], main)
-            for at in by_pass
-        ]
-    )  # (passes, rows of the widest, inputs and outputs)
+    # (passes, rows of the widest, inputs and outputs)
+    values = np.stack([_interpolated(columns[at], columns[widest], main) for at in by_pass])
+    values[[at is widest for at in by_pass]] = columns[widest]
     counts = np.isfinite(values).sum(axis=0)
     mean = np.nansum(values, axis=0) / np.where(counts > 0, counts, np.nan)
     _require_same_loads(values[:, :, :inputs], size, rows.space.input_names)
@@ -164,12 +161,10 @@ def _branch_mean(
     scatter = np.sqrt(squares / np.where(freedom > 0, freedom, np.nan))
     half_width = stdtrit(np.maximum(freedom, 1), 0.975) * scatter
     half_width = half_width / np.sqrt(np.maximum(counts[:, inputs:], 1))
-    return replace(
-        rows.take(widest),
-        wrench=mean[:, :inputs],
-        displacement=mean[:, inputs:],
-        uncertainty=np.fmax(half_width, rows.uncertainty[widest]),
-    )
+    wrench, displacement = mean[:, :inputs], mean[:, inputs:]
+    stated = np.fmax(half_width, rows.uncertainty[widest])
+    rows = rows.take(widest)
+    return replace(rows, wrench=wrench, displacement=displacement, uncertainty=stated)
 
 
 def _interpolated(columns: Array, at: Array, main: int) -> Array:

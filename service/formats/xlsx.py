@@ -41,16 +41,12 @@ class SheetFullError(ValueError):
     """The table has more rows than a sheet."""
 
 
-class ZipBoundsError(ContentError):
-    """The archive is damaged, or unpacks to more than the limit; see the message."""
-
-
 def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
     """Yield the good rows of a sheet piece by piece; `report` gets the mistakes."""
     try:
         for entry, size in entry_sizes(path, MAX_UNPACKED).items():
             if size > MAX_IN_MEMORY and not entry.startswith("xl/worksheets/"):
-                raise ZipBoundsError(f"has over {MAX_IN_MEMORY >> 20} MiB in {entry}; send parts")
+                raise ContentError(f"has over {MAX_IN_MEMORY >> 20} MiB in {entry}; send parts")
         # Opened here, because openpyxl checks the ending of a name.
         with path.open("rb") as values, path.open("rb") as formulas, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of styles and extensions
@@ -234,21 +230,21 @@ def unescape(text: str) -> str:
 
 
 def entry_sizes(path: Path, most: int) -> dict[str, int]:
-    """Return the bytes of each member, unpacked once since directories lie; ZipBoundsError."""
+    """Return the bytes of each member, unpacked once since directories lie; ContentError."""
     too_large = f"unpacks to more than {most >> 20} MiB; send the table in parts"
     try:
         with zipfile.ZipFile(path) as archive:
             entries = archive.infolist()
             if len(entries) > MAX_MEMBERS:
-                raise ZipBoundsError(f"has {len(entries)} members, over {MAX_MEMBERS}; resave it")
+                raise ContentError(f"has {len(entries)} members, over {MAX_MEMBERS}; resave it")
             if len({entry.filename for entry in entries}) < len(entries):
-                raise ZipBoundsError("has two members of one name; save it again")
+                raise ContentError("has two members of one name; save it again")
             if any(entry.compress_type not in _METHODS or entry.flag_bits & 1 for entry in entries):
-                raise ZipBoundsError(
+                raise ContentError(
                     "is encrypted or has an unknown compression; save it without a password"
                 )
             if sum(entry.file_size for entry in entries) > most:
-                raise ZipBoundsError(too_large)
+                raise ContentError(too_large)
             sizes: dict[str, int] = {}
             for entry in entries:
                 size, remaining = 0, most - sum(sizes.values())
@@ -256,10 +252,10 @@ def entry_sizes(path: Path, most: int) -> dict[str, int]:
                     while size <= remaining and (block := content.read(_BLOCK)):
                         size += len(block)
                 if size > remaining:
-                    raise ZipBoundsError(too_large)
+                    raise ContentError(too_large)
                 sizes[entry.filename] = size
             return sizes
-    except ZipBoundsError:
+    except ContentError:
         raise
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, RuntimeError) as error:
-        raise ZipBoundsError(f"is a damaged zip file ({error}); save it again") from error
+        raise ContentError(f"is a damaged zip file ({error}); save it again") from error

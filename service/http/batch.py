@@ -20,14 +20,7 @@ from starlette.responses import Response, StreamingResponse
 
 from wrenchbook.fea.spec.schema import LARGEST_LOAD
 from wrenchbook.service.contract import COVERAGE, MAX_BATCH, OUTPUTS
-from wrenchbook.service.http.bodies import (
-    BatchBody,
-    Body,
-    Method,
-    OnThin,
-    Seconds,
-    query_of,
-)
+from wrenchbook.service.http.bodies import BatchBody, Body, Method, OnThin, Seconds, query_of
 from wrenchbook.service.http.body import (
     Spooled,
     both_tolerances,

@@ -168,13 +168,7 @@ Span = Annotated[
 
 
 MAX_VALUES = 64  # inputs, outputs of a table
-Outputs = Annotated[
-    list[str] | None,
-    Field(
-        min_length=1,
-        max_length=MAX_VALUES,
-    ),
-]
+Outputs = Annotated[list[str] | None, Field(min_length=1, max_length=MAX_VALUES)]
 Spans = Annotated[list[Span], Field(min_length=3, max_length=3)]
 
 

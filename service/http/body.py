@@ -25,13 +25,7 @@ from starlette.responses import Response
 from starlette.types import Message, Receive
 
 from wrenchbook.fea.spec.schema import LARGEST_LOAD
-from wrenchbook.service.http.bodies import (
-    BatchBody,
-    BlockBody,
-    Body,
-    DisplacementBody,
-    LoadsBody,
-)
+from wrenchbook.service.http.bodies import BatchBody, BlockBody, Body, DisplacementBody, LoadsBody
 from wrenchbook.service.http.problems import HttpProblemError, bad_body, plain_errors
 from wrenchbook.service.query import Query, plain_query
 from wrenchbook.surrogate.table.rows import Tolerance

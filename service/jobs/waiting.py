@@ -48,23 +48,16 @@ def why_waiting(ledger: Ledger, job: JobRecord, slots: int, trouble: str | None)
     means = {part.component: part.seconds for part in ahead}
     for name in {run.component for run in attempts} - means.keys():
         means[name] = ledger.solve_seconds(name)
-    # Remaining time of those that run: 0 for one that takes longer than the mean.
-    remaining = [
-        max(0.0, mean - max(0.0, now - (now if run.is_queued else run.began or run.started or now)))
-        if (mean := means[run.component]) is not None
-        else None
-        for run in attempts
-    ]
-    work = [part.waiting * part.seconds if part.seconds is not None else None for part in ahead]
-    known = [time for time in (*remaining, *work) if time is not None]
+    # Remaining time of attempts, s: 0 for one that takes longer than the mean.
+    remaining: list[float | None] = []
+    for run in attempts:
+        mean, began = means[run.component], run.began or run.started or now
+        elapsed = 0.0 if run.is_queued else max(0.0, now - began)
+        remaining.append(None if mean is None else max(0.0, mean - elapsed))
+    work = [None if part.seconds is None else part.waiting * part.seconds for part in ahead]
     expected = None
-    if not slots or trouble:
-        pass
-    elif not any(work) and None not in work and len(remaining) < slots:
-        expected = pause
-    elif len(known) == len(remaining) + len(work):
-        soonest = min((time for time in remaining if time is not None), default=0.0)
-        expected = max(pause, sum(known) / slots if any(work) else soonest)
+    if slots and not trouble:
+        expected = _expected_start(remaining, work, slots, pause)
     if trouble:
         reason = f"jobs do not run: {trouble}"
     elif pause:
@@ -79,6 +72,22 @@ def why_waiting(ledger: Ledger, job: JobRecord, slots: int, trouble: str | None)
         reason = "it is the next and starts now"
     seconds = ledger.solve_seconds(job.component)
     return Waiting(reason, before, running, slots, seconds, expected)
+
+
+def _expected_start(
+    remaining: Sequence[float | None], work: Sequence[float | None], slots: int, pause: float
+) -> float | None:
+    """Return when a job is expected to start, s from now; None where a time ahead is not known.
+
+    `remaining` are the times of attempts, `work` those of the jobs ahead by component, s.
+    """
+    if not any(work) and None not in work and len(remaining) < slots:
+        return pause
+    known = [seconds for seconds in (*remaining, *work) if seconds is not None]
+    if len(known) < len(remaining) + len(work):
+        return None
+    soonest = min(known[: len(remaining)], default=0.0)  # an attempt ends, and frees its slot
+    return max(pause, sum(known) / slots if any(work) else soonest)
 
 
 MAX_WAITERS: Final = 4096

@@ -84,63 +84,11 @@ def advice_of(report: dict[str, Any]) -> str:
 
 def sections_of(report: dict[str, Any]) -> list[ReportSection]:
     """Return a report's figures."""
-    default, outputs, meshes = report["default"], tuple(report["outputs"]), report["fea"]
-    complete = [entry for entry in report["tables"] if entry["rows"] == report["rows"]]
-    star = dict.fromkeys(report["pareto"], STAR)
+    default, outputs = report["default"], tuple(report["outputs"])
     omitted = tuple((name, f"{error:.2e}") for name, error in default["errors_left_out"].items())
-    fea = tuple(
-        (
-            entry["level"] + " (reference)" * (entry is meshes[-1]) + star.get(entry["name"], ""),
-            f"{entry['unknowns']:,}",
-            f"{entry['setup_s']:.2f}",
-            *_each((entry["seconds_p50"], entry["seconds_p95"]), ".3f"),
-            *_each(entry["error"]["rms_relative"], ".2%"),
-        )
-        for entry in meshes
-    )
-    by_error = sorted(
-        report["tables"],
-        key=lambda e: (e["rows"], e["largest_interpolation_error"] or float("inf")),
-    )
-    tables = tuple(
-        (
-            entry["method"] + star.get(entry["name"], ""),
-            str(entry["rows"]),
-            f"{entry['fea_s']:.0f}",
-            f"{entry['build_s']:.2f}",
-            f"{entry['query_us_p50']:.0f}",
-            f"{entry['query_us_p99']:.0f}",
-            f"{entry['memory_bytes'] / 1e6:.1f}",
-            *_each(entry["lookup_error"]["rms_relative"], ".2%"),
-            f"{entry['covered']:.0%}",
-        )
-        for entry in by_error
-    )
-    failed = "".join(map(_failures_in, meshes))
+    failed = "".join(map(_failures_in, report["fea"]))
     unsolved = " Failed solves: see Finite elements." if failed else ""
     of_tables = ("method", "rows", "FEA spent, s", "build, s", "p50, µs", "p99, µs", "MB")
-    measured = [(entry, entry["lookup_error"]) for entry in complete]
-    measured += [(entry, entry["error"]) for entry in meshes[:-1]]
-    tolerance = report["tolerance"] and ("tolerance", *_each(report["tolerance"], ".2e"))
-    absolute = tuple(
-        (f"{entry['name']}, {word}", *_each(errors[key], ".2e"))
-        for entry, errors in measured
-        for key, word in (("rms", "RMS"), ("p95", "95 %"), ("max", "largest"))
-    )
-    inside = tuple(
-        (
-            entry["name"],
-            *(
-                share if ratio == "-" else f"{share}, {ratio}x"
-                for share, ratio in zip(
-                    _each(entry["inside_error_bar"], ".0%"),
-                    _each(entry["bar_over_error"], ".1f"),
-                    strict=True,
-                )
-            ),
-        )
-        for entry in complete
-    )
     return [
         ReportSection(
             "Which method answers, and why",
@@ -154,14 +102,14 @@ def sections_of(report: dict[str, Any]) -> list[ReportSection]:
             f"Direct solves, one thread; processor times.{STAR}: no other entry is both better and "
             f"faster.{failed}",
             ("mesh", "unknowns", "set-up, s", "solve p50, s", "p95, s", *outputs),
-            fea,
+            _mesh_lines(report),
         ),
         ReportSection(
             "Tables",
             f"Errors against solves on the table's own mesh.{STAR}: no other entry is both better, "
             "against the finest mesh, and faster.",
             (*of_tables, *outputs, "covered"),
-            tables,
+            _table_lines(report),
         ),
         ReportSection(
             "Absolute errors against the tolerance",
@@ -169,16 +117,76 @@ def sections_of(report: dict[str, Any]) -> list[ReportSection]:
             "whose range is below a thousandth of the largest of its kind counts as near zero: its "
             f"relative error is taken over that floor.{unsolved}",
             ("", *outputs),
-            (tolerance, *absolute) if tolerance else absolute,
+            _error_lines(report),
         ),
         ReportSection(
             "Error bars",
             "Share of true errors within the error bar (against the table's own mesh), and the "
             "median error bar over the median error.",
             ("method", *outputs),
-            inside,
+            tuple(map(_bar_line, _complete_tables(report))),
         ),
     ]
+
+
+def _complete_tables(report: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the entries of the tables that have all rows."""
+    return [entry for entry in report["tables"] if entry["rows"] == report["rows"]]
+
+
+def _star(report: dict[str, Any], entry: dict[str, Any]) -> str:
+    return STAR if entry["name"] in report["pareto"] else ""
+
+
+def _mesh_lines(report: dict[str, Any]) -> tuple[tuple[str, ...], ...]:
+    finest = report["fea"][-1]
+    return tuple(
+        (
+            entry["level"] + " (reference)" * (entry is finest) + _star(report, entry),
+            f"{entry['unknowns']:,}",
+            f"{entry['setup_s']:.2f}",
+            *_each((entry["seconds_p50"], entry["seconds_p95"]), ".3f"),
+            *_each(entry["error"]["rms_relative"], ".2%"),
+        )
+        for entry in report["fea"]
+    )
+
+
+def _table_lines(report: dict[str, Any]) -> tuple[tuple[str, ...], ...]:
+    def by_rows_and_error(entry: dict[str, Any]) -> tuple[int, float]:
+        return entry["rows"], entry["largest_interpolation_error"] or float("inf")
+
+    return tuple(
+        (
+            entry["method"] + _star(report, entry),
+            str(entry["rows"]),
+            f"{entry['fea_s']:.0f}",
+            f"{entry['build_s']:.2f}",
+            f"{entry['query_us_p50']:.0f}",
+            f"{entry['query_us_p99']:.0f}",
+            f"{entry['memory_bytes'] / 1e6:.1f}",
+            *_each(entry["lookup_error"]["rms_relative"], ".2%"),
+            f"{entry['covered']:.0%}",
+        )
+        for entry in sorted(report["tables"], key=by_rows_and_error)
+    )
+
+
+def _error_lines(report: dict[str, Any]) -> tuple[tuple[str, ...], ...]:
+    """Return the tolerance, if there is one, then three errors of each table and coarser mesh."""
+    lines = [("tolerance", *_each(report["tolerance"], ".2e"))] if report["tolerance"] else []
+    measured = [(entry["name"], entry["lookup_error"]) for entry in _complete_tables(report)]
+    measured += [(entry["name"], entry["error"]) for entry in report["fea"][:-1]]
+    for name, errors in measured:
+        for key, label in (("rms", "RMS"), ("p95", "95 %"), ("max", "largest")):
+            lines.append((f"{name}, {label}", *_each(errors[key], ".2e")))
+    return tuple(lines)
+
+
+def _bar_line(entry: dict[str, Any]) -> tuple[str, ...]:
+    inside, ratios = _each(entry["inside_error_bar"], ".0%"), _each(entry["bar_over_error"], ".1f")
+    pairs = zip(inside, ratios, strict=True)
+    return entry["name"], *(part if x == "-" else f"{part}, {x}x" for part, x in pairs)
 
 
 def _failures_in(level: dict[str, Any]) -> str:

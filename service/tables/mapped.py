@@ -29,7 +29,6 @@ from wrenchbook.surrogate.kriging import Hyperparameters
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.compliance import ComplianceFit
 from wrenchbook.surrogate.table.rows import Floats, LoadRange, Rows, Tolerance
-from wrenchbook.surrogate.table.space import Space
 
 log = logging.getLogger(__name__)
 
@@ -44,7 +43,6 @@ START_S = 30.0  # for a start to wait for the builder: a table that comes later 
 SWITCH_S = 0.0005
 ROW = "row"  # the method of an answer by one row
 ROW_DETAIL = "the displacement that a row of the table has at this wrench"
-_ALL_PARTS = 4  # the index in the solver's flags of whether error bars have all their parts
 
 
 class TableBehindError(Exception):
@@ -89,14 +87,13 @@ class ServedTable:
         self.sources: dict[str, int] = provenance["sources"]
         self.linear: bool = provenance["linear"]
         self.default: str = packed.meta["groups"][0]["method"]
-        self.bars_are_complete = bool(packed.arrays["solver/flags"][_ALL_PARTS])
-        low, high = packed.arrays["space/range"]
-        self.load_range = LoadRange(low, high, Space.read(packed.meta["space"]))
+        self.bars_are_complete = packed.bars_are_complete
+        low, high = packed.load_range
+        self.load_range = LoadRange(low, high, packed.space)
         self.needs_compliance = self.linear and not self.fit.complete
-        self.locked = tuple(np.flatnonzero(packed.arrays["space/locked"]).tolist())
+        self.locked = tuple(np.flatnonzero(packed.locked).tolist())
         self.interfaces = self.load_range.space.several
-        limit = packed.arrays["space/tolerance"][[0, 3]].tolist()  # of a translation, a rotation
-        self.tolerance = Tolerance(*limit) if np.isfinite(limit).all() else None
+        self.tolerance = None if packed.tolerance is None else Tolerance(*packed.tolerance)
         self.solver_error = SolverError.read(packed.meta["solver_error"])
         # The server's method answers where the table's inputs have it.
         if method is not None and (self.load_range.space.is_default or method not in BY_AXES):

@@ -20,6 +20,7 @@ MAX_DISPLACEMENTS = 2_000  # displacements that are fitted, some 5 ms a fit
 GRID = 1 << 15  # steps of the time grid, at most
 PART = 0.25  # of the displacements' duration: the largest lag of the search
 ROUNDING = 1e-9  # of the displacements' variance: smaller residuals are written digits
+_RESOLUTION = 1e-9  # of the displacements' duration: smaller steps are lost in the clock's digits
 PEAKS = 5  # of the correlation that are fitted: turned by half a period, a load correlates as well
 EXPLAINED = 0.5  # of the displacements' variance: with less the logs do not belong together
 INTERPOLATED = 0.02  # of the loads' interval: exact logs of 0.1 to 4 Hz showed lags within 1.1 %
@@ -69,42 +70,27 @@ def estimate_lag(logs: Logs, applied: float = 0.0) -> Lag | None:
         return None
     moved = _clipped(logs.displacement[:, known])
     logs = Logs(logs.time, logs.wrench[:, loads], logs.when, moved)
-    # The step of the time grid, s, and the lags of the largest correlations, s. The part of the
-    # displacements' variance that loads explain is c' inv(G) c, with c their cross-correlations
-    # and G the covariance of the loads.
     duration = float(np.ptp(logs.when))
-    longest = PART * duration
     interval = min(float(np.median(np.diff(times))) for times in (logs.time, np.sort(logs.when)))
-    step = max(interval, (duration + 2 * longest) / GRID, duration * 1e-9)
-    grid = np.arange(logs.when.min() - longest, logs.when.max() + longest, step)
-    order = np.argsort(logs.when, kind="stable")
-    x = _on_grid(grid + applied, logs.time, logs.wrench)
-    y = _on_grid(grid, logs.when[order], logs.displacement[order])
-    size = 2 * len(grid)
-    shape = np.fft.rfft(x, size, axis=0), np.conj(np.fft.rfft(y, size, axis=0))
-    products = (shape[0] * spectrum[:, None] for spectrum in shape[1].T)
-    cross = np.stack([np.fft.irfft(product, size, axis=0) for product in products])
-    shifts = np.arange(-int(longest / step), int(longest / step) + 1)
-    inverse = np.linalg.pinv(x.T @ x, rcond=1e-6)
-    explained = np.einsum("ksi,ij,ksj->s", cross[:, shifts], inverse, cross[:, shifts])
-    inner = explained[1:-1]
-    peaks = 1 + np.flatnonzero((inner >= explained[:-2]) & (inner >= explained[2:]))
-    peaks = peaks[np.argsort(-explained[peaks])[:PEAKS]]
-    starts = [applied, *(applied + step * shifts[peaks]).tolist()]
+    step = max(interval, (duration + 2 * PART * duration) / GRID, duration * _RESOLUTION)
+    starts = [applied, *_correlated_lags(logs, applied, step)]
     fits = [fit for start in starts if (fit := _fitted(logs, (applied, start), step))]
     if not fits:
         return None
+
     # Periodic loads fit as well a period later: the lag nearest to the applied lag then.
     sizes = [max(float(fit.residual(lag).mean()), SMALL**2) for lag, fit in fits]
     alike = [fits[at] for at, size in enumerate(sizes) if AVERAGED * size <= min(sizes)]
-    alike.sort(key=lambda fit_at: abs(fit_at[0] - applied))
+    alike.sort(key=lambda lag_and_fit: abs(lag_and_fit[0] - applied))
     fit = alike[0][1]
-    (best, error), *more = (fit_at.vertex(lag) for lag, fit_at in alike)
+    (best, error), *more = (each.vertex(lag) for lag, each in alike)
     others = tuple(
         lag
-        for lag, wide in more
-        if abs(lag - best) > error + step + (wide if np.isfinite(wide) else 0.0)
+        for lag, its_error in more
+        if abs(lag - best) > error + step + (its_error if np.isfinite(its_error) else 0.0)
     )
+
+    # Another lag, another rate and a loop each must explain the residual better than the others.
     least, before, loop = fit.residual(best), fit.residual(applied), fit.with_loop(applied)
     rate, evened = fit.rate(best) if least.mean() > SMALL**2 else (0.0, least)
     drift = abs(rate) * float(np.ptp(logs.when))
@@ -149,6 +135,30 @@ def repeated(lag: Lag) -> str:
     """Return the remark that several lags fit."""
     others = " and ".join(f"{other:.4g}" for other in sorted(lag.others))
     return f"the loads repeat, and the logs fit as well with {others} s as with {lag.seconds:.4g} s"
+
+
+def _correlated_lags(logs: Logs, applied: float, step: float) -> list[float]:
+    """Return the lags of the `PEAKS` largest correlations of two logs on a grid of times, s.
+
+    The part of the displacements' variance that loads explain is c' inv(G) c, with c their
+    cross-correlations and G the covariance of the loads.
+    """
+    longest = PART * float(np.ptp(logs.when))
+    grid = np.arange(logs.when.min() - longest, logs.when.max() + longest, step)
+    order = np.argsort(logs.when, kind="stable")
+    x = _on_grid(grid + applied, logs.time, logs.wrench)
+    y = _on_grid(grid, logs.when[order], logs.displacement[order])
+    size = 2 * len(grid)
+    of_loads, of_moved = np.fft.rfft(x, size, axis=0), np.conj(np.fft.rfft(y, size, axis=0))
+    products = (of_loads * spectrum[:, None] for spectrum in of_moved.T)
+    cross = np.stack([np.fft.irfft(product, size, axis=0) for product in products])
+    shifts = np.arange(-int(longest / step), int(longest / step) + 1)
+    inverse = np.linalg.pinv(x.T @ x, rcond=1e-6)
+    explained = np.einsum("ksi,ij,ksj->s", cross[:, shifts], inverse, cross[:, shifts])
+    inner = explained[1:-1]
+    peaks = 1 + np.flatnonzero((inner >= explained[:-2]) & (inner >= explained[2:]))
+    peaks = peaks[np.argsort(-explained[peaks])[:PEAKS]]
+    return (applied + step * shifts[peaks]).tolist()
 
 
 def _clipped(moved: Floats) -> Floats:

@@ -91,7 +91,7 @@ def _averaged(x: Floats, y: Floats, columns: list[Floats]) -> tuple[Floats, Floa
     n, count = len(x), columns[0].shape[1]
     value, slopes = np.ones((n, 1), dtype=bool), np.ones((1, 7), dtype=bool)
     slopes[:, 0] = False
-    origin, picked = np.zeros((1, 6)), np.eye(count)[:12]
+    origin, picked = np.zeros((1, 6)), np.eye(count)[:12]  # E: the columns begin with these 12
     shape = len(KERNELS), len(RATIOS), y.shape[1]
     likelihood, means = np.empty(shape), np.empty((*shape, 12))
     squares = np.empty((*shape, 12, 12))
@@ -103,17 +103,17 @@ def _averaged(x: Floats, y: Floats, columns: list[Floats]) -> tuple[Floats, Floa
         across[:, :6] = vectors.T @ covariance(x, value, origin, slopes, kernel)
         prior[:6, :6] = covariance(origin, slopes, origin, slopes, kernel)
         for output, of_mean in enumerate(columns):
-            columns_and_data = np.column_stack(
-                (vectors.T @ of_mean, across, vectors.T @ y[:, output])
-            )
-            products = (columns_and_data[:, :, None] * columns_and_data[:, None]).reshape(n, -1)
-            weighted = (inverse @ products).reshape(len(RATIOS), *[columns_and_data.shape[1]] * 2)
+            # Products (B, k, U' y)' D (B, k, U' y) for every noise at once; `b`, `k` and -1 are
+            # the places of the three.
+            factors = np.column_stack((vectors.T @ of_mean, across, vectors.T @ y[:, output]))
+            products = (factors[:, :, None] * factors[:, None]).reshape(n, -1)
+            weighted = (inverse @ products).reshape(len(RATIOS), *[factors.shape[1]] * 2)
             b, k = slice(0, count), slice(count, count + 12)
             normal = weighted[:, b, b] + np.eye(count) / PRIOR**2
             covariances = np.linalg.inv(normal)
             estimate = np.einsum("rab,rb->ra", covariances, weighted[:, b, -1])
-            rest = weighted[:, -1, -1] - (estimate * weighted[:, b, -1]).sum(axis=1)
-            variance = np.maximum(rest, np.finfo(float).tiny) / max(n - count, 1)
+            residual = weighted[:, -1, -1] - (estimate * weighted[:, b, -1]).sum(axis=1)
+            variance = np.maximum(residual, np.finfo(float).tiny) / max(n - count, 1)
             logarithms = np.linalg.slogdet(normal)[1] - np.log(inverse).sum(axis=1)
             likelihood[at, :, output] = 0.5 * ((n - count) * np.log(variance) + logarithms)
             by_mean = picked - weighted[:, k, b]  # R'

@@ -6,6 +6,7 @@ A single answer keeps the interpreter (it takes microseconds); batches release i
 from __future__ import annotations
 
 import ctypes
+import math
 import os
 import struct
 from collections.abc import Sequence
@@ -21,7 +22,7 @@ from ..table.rows import NEAR
 from ..table.space import Space
 from ..table.spread import sample_of, weakest
 from .build import ready_library
-from .format import CHECKSUM, Packed, PackedTableError, map_file, read
+from .format import CHECKSUM, SOLVER_BARS_COMPLETE, Packed, PackedTableError, map_file, read
 from .joint import JointSteps
 from .reasons import Reason, text_of
 from .replies import (
@@ -142,6 +143,11 @@ class PackedTable:
     `size`: bytes of the file.
     `meta`: the table's JSON block: contract, space, interface, groups, sources, provenance.
     `arrays`: read-only views of the mapped file.
+    `load_range` (2, n), `load_scale` (n,), SI: the ends of the loads' range; half of it or the
+    larger end.
+    `locked` (n,): whether each load acts on a locked freedom.
+    `tolerance`: the component's, of a translation, m, and of a rotation, rad; None without.
+    `bars_are_complete`: whether the error bars have all their parts.
     `method`: what answers where no method is asked for; the table's default if None.
     """
 
@@ -151,6 +157,12 @@ class PackedTable:
         """Take an open handle, the file's views, and its buffer or path, and its bytes."""
         self._handle, self._packed, self._source, self.size = handle, packed, source, size
         self.arrays, self.meta = packed.arrays, packed.meta
+        arrays = packed.arrays
+        self.load_range, self.load_scale = arrays["space/range"], arrays["space/scale"]
+        self.locked = arrays["space/locked"] != 0
+        limits = arrays["space/tolerance"][[0, 3]].tolist()
+        self.tolerance = None if math.isnan(limits[0]) else (limits[0], limits[1])
+        self.bars_are_complete = bool(arrays["solver/flags"][SOLVER_BARS_COMPLETE])
         library = kernel().with_gil
         self._answer, self._release = library.wb_answer, library.wb_close
         self.inputs, self.outputs = library.wb_inputs(handle), library.wb_outputs(handle)
@@ -334,14 +346,14 @@ class PackedTable:
         shows, and an output that no row holds.
         `origin`: ``row``, a method, or ``none``.
         """
-        arrays, locked = self.arrays, self.arrays["space/locked"] != 0
+        arrays, locked = self.arrays, self.locked
         tangents = self.derivatives(np.zeros(self.inputs), without_rows=True)[0]
         row = np.full_like(tangents, np.nan)
         for group in range(len(self.meta["groups"])):
             outputs, name = arrays[f"g{group}/outputs"] != 0, f"g{group}/row/"
             unknown = (arrays[f"g{group}/fit/known"] == 0) & ~locked
             tangents[np.ix_(outputs, unknown)] = np.nan
-            distances = np.abs(arrays[f"{name}wrench"] / arrays["space/scale"]).max(axis=1)
+            distances = np.abs(arrays[f"{name}wrench"] / self.load_scale).max(axis=1)
             if len(distances) and distances.min() <= NEAR:
                 nearest = np.flatnonzero(distances == distances.min())
                 index = nearest[arrays[f"{name}number"][nearest].argmin()]
@@ -384,10 +396,7 @@ class PackedTable:
         return wrench, stiffness
 
     def joints(
-        self,
-        count: int,
-        method: str | None = None,
-        axes: Floats | None = None,
+        self, count: int, method: str | None = None, axes: Floats | None = None
     ) -> JointSteps:
         """Return the steps of joints of this table, with all its k interfaces that move.
 
@@ -414,7 +423,7 @@ class PackedTable:
 
     def sample(self, centre: Floats, indices: NDArray[np.intp]) -> Floats:
         """Return the corners of the load range and wrenches within it: see `sample_of`."""
-        return sample_of(self.arrays["space/range"], centre, indices)
+        return sample_of(self.load_range, centre, indices)
 
     @staticmethod
     def joint_rate(stiffness: Floats, inverse_mass: Floats, dt: float, damping: float) -> Floats:
@@ -456,8 +465,7 @@ class PackedTable:
             raise mistake(wrong, None, self._packed)
         values = AXIS.unpack_from(reply)
         reasons = [Reason(*values[14:])._replace(group=group)] if values[7] else []
-        locked = self.arrays["space/locked"].tolist()
-        acting = [0.0 if idle else load for load, idle in zip(wrench, locked, strict=True)]
+        acting = np.where(self.locked, 0.0, wrench).tolist()
         return AxisPart(
             outputs=values[8:14],
             coverage=NAMES[values[0]],

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from typing import Any
 
 from .binding import PackedTable
+from .format import GROUP_CAN_ANSWER
 from .replies import AxisPart, Reply
 
-_USED = 2  # index in a group's ``flags``: see `packed.writer`
+# Of each axis the indices of its loads: a force and the moments about the other axes.
 _AXES = tuple((axis, 3 + (axis + 1) % 3, 3 + (axis + 2) % 3) for axis in range(3))
 
 
@@ -29,7 +30,8 @@ def explain(
     """
     explanations = []
     for number, group in enumerate(table.meta["groups"]):
-        if (method or group["method"]) == "linear" and table.arrays[f"g{number}/flags"][_USED]:
+        can_answer = table.arrays[f"g{number}/flags"][GROUP_CAN_ANSWER]
+        if (method or group["method"]) == "linear" and can_answer:
             parts = _linear(table, number, wrench, tolerance)
         else:
             parts = [_axis(table, number, axis, wrench) for axis in range(3)]

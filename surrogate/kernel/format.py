@@ -27,6 +27,9 @@ SUFFIX = ".wbt"
 ALIGNED = 64  # bytes: a cache line
 CHECKSUM = slice(16, 24)  # bytes of the header; the checksum is of all others
 BLOCK = 1 << 20  # bytes read at once for the checksum
+# Columns of the array ``solver/flags``, and of the array ``flags`` of a group: see `packed.arrays`.
+SOLVER_BY_TANGENT, SOLVER_BARS_COMPLETE = 0, 4
+GROUP_METHOD, GROUP_EXACT, GROUP_CAN_ANSWER = 0, 1, 2
 
 _BYTE_ORDER = 0x01020304
 _TYPES = {1: np.dtype("<f8"), 2: np.dtype("<i4"), 3: np.dtype("<i8"), 4: np.dtype("u1")}

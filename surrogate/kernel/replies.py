@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import struct
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -81,10 +82,12 @@ class ReplyReader:
     """
 
     def __init__(self, packed: Packed, inputs: int, outputs: int) -> None:
-        self._packed, self.outputs = packed, outputs
+        self._packed = packed
         self._names = [output["name"] for output in packed.meta["space"]["outputs"]]
         self._texts: dict[bytes, str] = {}
         self._loads = struct.Struct(f"={inputs}d").unpack_from
+        ends = range(VALUES, VALUES + (FIELDS - 1) * outputs + 1, outputs)
+        self._fields = [slice(start, end) for start, end in pairwise(ends)]
         gap = 8 * (MAX_VALUES - outputs)
         fields = f"{outputs}d{gap}x" * (FIELDS - 1)  # after the inputs
         self._unpack = struct.Struct(f"{HEAD.format}{8 * MAX_VALUES}x{fields}").unpack_from
@@ -92,30 +95,14 @@ class ReplyReader:
     def read(self, reply: Buffer) -> Reply:
         """Return the reply in a buffer."""
         raw = self._unpack(reply)
-        if not (raw[0] or raw[6] or raw[10]) and raw[2] < len(METHODS):
-            # Covered, nothing unknown or missing, by a method: see HEAD.
-            m, first = self.outputs, VALUES
-            return Reply(
-                raw[first : first + m],
-                raw[first + m : first + 2 * m],
-                raw[first + 2 * m : first + 3 * m],
-                raw[first + 3 * m : first + 4 * m],
-                raw[first + 4 * m : first + 5 * m],
-                raw[first + 5 * m :],
-                "covered",
-                "",
-                WITHIN[raw[1]],
-                ANSWERED[raw[2]],
-                None,
-                False,
-                None,
-                (),
-            )
+        coverage, within, method, exact, count, group, unknown, _, row, index, missing = raw[
+            :VALUES
+        ]
+        fields: list[Any] = [raw[part] for part in self._fields]
+        if not (coverage or unknown or missing) and method < len(METHODS):  # most replies
+            known_by = "covered", "", WITHIN[within], ANSWERED[method]
+            return Reply._make((*fields, *known_by, None, False, None, ()))
         # Any reply: unknown values are None, reasons are texts.
-        coverage, within, method, exact, count, group, unknown = raw[:7]
-        row, index, missing = raw[8:VALUES]
-        m, values = self.outputs, raw[VALUES:]
-        fields: list[Any] = [values[start : start + m] for start in range(0, 6 * m, m)]
         if unknown:
             fields = [known(field) for field in fields]
         text = self._text(reply, count) if count else ""
@@ -127,9 +114,9 @@ class ReplyReader:
         if by_row:
             number = int(self._packed.arrays[f"g{group}/row/source"][index])
             source = ", ".join(self._packed.meta["sources"][number])
-        names_of_codes = NAMES[coverage], text, WITHIN[within], ANSWERED[method]
+        known_by = NAMES[coverage], text, WITHIN[within], ANSWERED[method]
         row, exact = (row, bool(exact)) if by_row else (None, False)
-        return Reply._make((*fields, *names_of_codes, row, exact, source, names))
+        return Reply._make((*fields, *known_by, row, exact, source, names))
 
     def _text(self, reply: Buffer, count: int) -> str:
         """Return a reply's reasons in words; those without loads in them are cached."""

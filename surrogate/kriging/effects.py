@@ -350,14 +350,14 @@ def _estimates(
     for _ in range(2):
         for known in np.unique(shown[pending], axis=0):
             outputs, used = np.flatnonzero(pending & (shown == known).all(axis=1)), good[known]
-            time, signed, gain = (
-                middle[used][:, :, None],
-                *np.stack((signs, readings.scaled))[:, used][:, :, None],
-            )
-            effects = np.concatenate((signed, time + 0 * gain, time * gain), axis=1)[..., outputs]
+            # Columns of the effects, (n, c, k): sign; time and session; both of the scale.
+            time = np.repeat(middle[used][:, :, None], len(outputs), axis=2)
+            signed = signs[used][:, None, outputs]
+            gains = time * readings.scaled[used][:, None, outputs]
+            columns = np.concatenate((signed, time, gains), axis=1)
             scale = SCALE * readings.largest[outputs]
             some = readings.rows.take(used)
-            results[:, :, outputs] = _estimated(some, load_range, outputs, effects, scale)
+            results[:, :, outputs] = _estimated(some, load_range, outputs, columns, scale)
         pending = np.abs(results[0, 1]) > results[2, 1]
         shown = np.where(pending[:, None], shown & (signs[good].T != 0), shown)
     return _Estimates(*results)
@@ -373,15 +373,17 @@ def _estimated(
     """
     moved = rows.displacement[:, outputs]
     size, offset = moved.std(axis=0), moved.mean(axis=0)
-    y, n = (moved - offset) / np.where(size > 0, size, 1.0), len(rows)
+    n, y = len(rows), (moved - offset) / np.where(size > 0, size, 1.0)
     x = (rows.wrench - load_range.space.zero) / load_range.scale
     linear = x[:, np.ptp(x, axis=0) > ZERO_LOAD]
+    # Coefficients are those of the loads, of the zero offset and of the columns. Effects are the
+    # contrasts of all but the loads' ones.
     first, sessions = linear.shape[1], columns.shape[1] // 4
     count = first + 1 + columns.shape[1]
     contrasts = np.eye(count)[first:]
-    for end in (count, count - 2 * sessions):  # off their mean
+    for end in (count, count - 2 * sessions):  # a session's offset and scale: off their mean
         contrasts[end - first - sessions : end - first, end - sessions : end] -= 1 / sessions
-    contrasts[0, first + 2 : first + 2 + sessions] = -0.5 / sessions  # at the beginning
+    contrasts[0, first + 2 : first + 2 + sessions] = -0.5 / sessions  # zero: as sessions begin
     free = n - first - 2 - np.count_nonzero(columns[:, 1:].any(axis=(0, 2)))
     if free < 1:
         none = np.zeros((len(contrasts), len(outputs)))
@@ -397,11 +399,11 @@ def _estimated(
     shape = len(spectra), len(RATIOS), len(outputs)
     values, means, squares = np.empty(shape), *np.empty((2, *shape, len(contrasts)))
     for output in range(len(outputs)):
-        b = np.column_stack((linear, np.ones(n), columns[:, :, output]))
-        at = slice(None), slice(None), output
-        values[at], means[at], squares[at] = _posterior(
-            b, y[:, output], contrasts, priors[output], spectra, free
+        all_columns = np.column_stack((linear, np.ones(n), columns[:, :, output]))
+        values[:, :, output], means[:, :, output], squares[:, :, output] = _posterior(
+            all_columns, y[:, output], contrasts, priors[output], spectra, free
         )
+    # The average over kernels and noises, by their likelihood.
     weights = np.exp(values.min(axis=(0, 1)) - values)
     weights /= weights.sum(axis=(0, 1))
     mean = np.einsum("kro,kroe->eo", weights, means)
@@ -439,8 +441,10 @@ def _posterior(
     # digits.
     basis, sizes, right = _directions(columns)
     parts = right.T / sizes
-    back, along, pull = contrasts @ parts, basis.T @ y, parts.T * prior @ parts
-    off, results = y - basis @ along, list[tuple[Floats, Floats, Floats]]()
+    back, along = contrasts @ parts, basis.T @ y
+    pull = parts.T * prior @ parts  # of the prior, towards coefficients of zero
+    off = y - basis @ along
+    results: list[tuple[Floats, Floats, Floats]] = []
     for vectors, inverse in spectra:
         b, data = vectors.T @ basis, vectors.T @ off
         products = b[:, :, None] * b[:, None]
@@ -451,10 +455,10 @@ def _posterior(
         for _ in range(2):
             posterior = normal + variance[:, None, None] * pull
             covariances = np.linalg.inv(posterior)
-            by = right - variance[:, None] * (pull @ along)
-            estimate = np.einsum("rab,rb->ra", covariances, by)
-            rest = square - (estimate * by).sum(axis=1) + variance * (along @ pull @ along)
-            variance = np.maximum(rest, TINY) / free
+            moment = right - variance[:, None] * (pull @ along)
+            estimate = np.einsum("rab,rb->ra", covariances, moment)
+            residual = square - (estimate * moment).sum(axis=1) + variance * (along @ pull @ along)
+            variance = np.maximum(residual, TINY) / free
         logarithms = np.linalg.slogdet(posterior)[1] - np.log(inverse).sum(axis=1)
         effects = (along + estimate) @ back.T
         spread = np.einsum("ea,rab,eb->re", back, covariances, back)
@@ -465,12 +469,7 @@ def _posterior(
 
 
 def _half_widths(
-    moved: Floats,
-    terms: Floats,
-    columns: Floats,
-    contrasts: Floats,
-    deviation: Floats,
-    free: int,
+    moved: Floats, terms: Floats, columns: Floats, contrasts: Floats, deviation: Floats, free: int
 ) -> tuple[Floats, Floats]:
     """Return half the interval to count by, (1 + c, k), and residuals, (k,), m and rad.
 

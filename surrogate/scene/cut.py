@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..answer import METHODS, allowed_by
 from ..kernel.binding import PackedTable
-from ..kernel.format import pieces
+from ..kernel.format import GROUP_EXACT, GROUP_METHOD, SOLVER_BY_TANGENT, pieces
 from ..packed.arrays import block_of, check, named
 from ..packed.axes_arrays import CELLS, DIMENSION, FIRST_CELL, AxesArrays, buckets_of
 from ..table.axes import AXES
@@ -18,9 +18,6 @@ from ..table.rows import Floats
 from .plan import Mask, Need
 
 Arrays = dict[str, NDArray[Any]]
-
-# Columns of the array ``flags`` of a group: see `packed.writer`.
-_METHOD, _EXACT = 0, 1
 
 
 def cut(table: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -> list[bytes]:
@@ -34,7 +31,7 @@ def cut(table: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -
     arrays = {name: array for name, array in table.arrays.items() if name[0] != "g"}
     outputs = list(need.outputs)
     # The solver's error needs all outputs, and their derivative by all loads.
-    needs_all = bool(table.arrays["solver/flags"][0])
+    needs_all = bool(table.arrays["solver/flags"][SOLVER_BY_TANGENT])
     read = [
         needs_all or bool(table.arrays[f"g{group}/outputs"][outputs].any())
         for group in range(len(table.meta["groups"]))
@@ -75,8 +72,8 @@ def _scene_arrays(table: PackedTable, need: Need, groups: int, slopes: Mask) -> 
 def _cut_group(group: Arrays, need: Need, needs_all: bool, slopes: Mask) -> Arrays:
     """Return a group's arrays; in `slopes` (n,) the loads without derivatives are crossed out."""
     flags = group["flags"]
-    method = METHODS[flags[_METHOD]]
-    needs_axes = not (method == "kriging" or (method == "linear" and flags[_EXACT]))
+    method = METHODS[flags[GROUP_METHOD]]
+    needs_axes = not (method == "kriging" or (method == "linear" and flags[GROUP_EXACT]))
     arrays = {name: array for name, array in group.items() if "/" not in name or name[:4] == "fit/"}
     is_read = np.isin(np.arange(len(group["outputs"])), need.outputs)
     if needs_all:

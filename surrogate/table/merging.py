@@ -225,22 +225,7 @@ def close_groups(points: Floats) -> NDArray[np.intp]:
     group = np.empty(len(keys), dtype=np.intp)
     group[order] = np.cumsum(new) - 1
     distinct = ordered[new]
-    # The points that another one may be near to, by what they are along a few directions. Points
-    # that are near each other are so along any direction; of others few are.
-    remaining, most = np.arange(len(distinct)), 0
-    directions = np.random.default_rng(0).uniform(0.5, 1.0, (DIRECTIONS, distinct.shape[1]))
-    for direction in directions:
-        along = distinct[remaining] @ direction
-        order = np.argsort(along)
-        extent = NEAR * direction.sum() * ALONG
-        ends = np.searchsorted(along[order], along[order] + extent, side="right")
-        after = ends - np.arange(1, len(order) + 1)  # points within the extent
-        most = 2 * after.sum()
-        is_close = np.zeros(len(remaining), dtype=bool)
-        is_close[order[after > 0]] = True
-        is_close[order[1:][after[:-1] > 0]] = True
-        remaining = remaining[is_close]
-    near, size = remaining, len(distinct)
+    near, most = _maybe_near(distinct)
     # Readings of a load that is held crowd: those of a cell are one, and the first of each stands
     # for it, in ever larger cells until the pairs that are left fit into memory.
     shown, cell, edge = np.arange(len(near)), np.arange(len(near)), NEAR
@@ -251,12 +236,34 @@ def close_groups(points: Floats) -> NDArray[np.intp]:
         tree, edge = KDTree(distinct[near[shown]]), 2 * edge
     pairs = near[shown[tree.query_pairs(NEAR, p=np.inf, output_type="ndarray")]]
     pairs = np.concatenate((pairs, np.stack((near, near[shown[cell.reshape(-1)]]), axis=1)))
-    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(size, size))
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(distinct),) * 2)
     label = np.asarray(connected_components(links, directed=False)[1])[group]
     _, first, number = np.unique(label, return_index=True, return_inverse=True)
     rank = np.empty(len(first), dtype=np.intp)
     rank[np.argsort(first)] = np.arange(len(first))
     return rank[number.reshape(-1)]
+
+
+def _maybe_near(points: Floats) -> tuple[NDArray[np.intp], int]:
+    """Return the points, (n, d), that another one may be near to, and the most pairs of such.
+
+    Points that are near each other are so along any direction; along a few directions of others few
+    are.
+    """
+    remaining, most = np.arange(len(points)), 0
+    directions = np.random.default_rng(0).uniform(0.5, 1.0, (DIRECTIONS, points.shape[1]))
+    for direction in directions:
+        along = points[remaining] @ direction
+        order = np.argsort(along)
+        extent = NEAR * direction.sum() * ALONG
+        ends = np.searchsorted(along[order], along[order] + extent, side="right")
+        after = ends - np.arange(1, len(order) + 1)  # points within the extent
+        most = 2 * int(after.sum())
+        is_close = np.zeros(len(remaining), dtype=bool)
+        is_close[order[after > 0]] = True
+        is_close[order[1:][after[:-1] > 0]] = True
+        remaining = remaining[is_close]
+    return remaining, most
 
 
 def _several(owner: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -124,7 +124,7 @@ class Joint:
         slopes = packed.derivatives(sample, None, method)[:, at[free]][:, :, at[free]]
         slopes[np.isnan(answers.outputs[:, at]).any(axis=1)] = np.nan  # beyond 20 degrees
         slopes[(slopes == 0.0).all(axis=(1, 2))] = np.nan  # of the nearest row: no spring
-        least, loads = packed.weakest(slopes, packed.arrays["space/scale"][at][free])
+        least, loads = packed.weakest(slopes, packed.load_scale[at][free])
         known, bad = int(np.isfinite(least).sum()), least < 0.0
         if not known:
             raise InvalidArgument(
@@ -415,7 +415,7 @@ class Joint:
         """Return `PackedTable.weakest` of stiffnesses (k, 6, 6): below zero a part gives energy."""
         packed, free = self._packed, self.free
         compliance = np.asarray(np.linalg.inv(stiffness[:, free][:, :, free]), dtype=float)
-        return packed.weakest(compliance, packed.arrays["space/scale"][self._at][free])
+        return packed.weakest(compliance, packed.load_scale[self._at][free])
 
     def _inputs(self, wrench: Vector) -> Vector:
         """Return the table's inputs with a wrench at the tip, shape (n,), SI."""
@@ -460,7 +460,7 @@ def further_inputs(table: Table, by_name: Mapping[str, float]) -> tuple[float, .
         values = space.vector({}, by_name)[len(space.inputs) - count :]
     except ValueError as error:
         raise InvalidArgument(f"{table.name}: {error}") from None
-    ends = table.packed.arrays["space/range"][:, len(space.inputs) - count :].T
+    ends = table.packed.load_range[:, len(space.inputs) - count :].T
     for load, value, (low, high) in zip(space.scalars, values, ends, strict=True):
         if not (isinstance(value, Real) and low <= value <= high):
             raise InvalidArgument(
@@ -478,7 +478,7 @@ def moving(
             f"a joint needs a Table of client.download(name) or Table.open(path), not {table!r}"
         )
     indices = np.arange(FREEDOMS * len(table.space.interfaces)).reshape(-1, FREEDOMS)
-    free = np.asarray(table.packed.arrays["space/locked"])[indices] == 0
+    free = ~table.packed.locked[indices]
     names = tuple(np.array(table.space.interfaces)[free.any(axis=1)].tolist())
     single = interface is not None or not several
     if not names or interface not in (None, *names) or (single and len(names) > 1):

@@ -81,7 +81,7 @@ class LinearPart:
         further = further_inputs(table, inputs or {})
         centre = np.concatenate([np.zeros(packed.inputs - len(further)), further])
         centre[at] = load
-        low, high = packed.arrays["space/range"][:, indices]
+        low, high = packed.load_range[:, indices]
         if not ((low <= load[free]) & (load[free] <= high)).all():
             ends = f"{low.tolist()} to {high.tolist()} N, N·m"
             raise InvalidArgument(f"{table.name}: give a load within its range, {ends}")

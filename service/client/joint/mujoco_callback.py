@@ -10,8 +10,8 @@ from weakref import WeakSet
 
 import numpy as np
 
-from ..errors import JointError, JointWarning, warn
-from .mujoco_joint import has_joints_elsewhere, joints_of, pull
+from ..errors import JointError
+from .mujoco_joint import joints_of, pull, warn_bare
 from .mujoco_scene import Data, Model, engine
 
 _NO_CONTROL = int(engine.mjtDisableBit.mjDSBL_ACTUATION)
@@ -43,7 +43,7 @@ def joints_in_mj_step() -> Iterator[None]:
         try:
             if not joints:
                 bare.add(data)
-                _warn_bare(model)
+                warn_bare(model)
                 return
             if passive:  # it comes before the bias
                 engine.mj_rne(model, data, False, data.qfrc_bias)
@@ -70,13 +70,3 @@ def joints_in_mj_step() -> Iterator[None]:
         raise errors[0]
     if exchanged:
         raise JointError("a callback set within joints_in_mj_step stops the joints; remove it")
-
-
-def _warn_bare(model: Model) -> None:
-    """Warn of a scene without joints whose model has some in another scene."""
-    if has_joints_elsewhere(model):
-        warn(
-            "an MjData steps without a joint, and others of its model have joints: nothing holds "
-            "its tip. Make a MujocoJoint for each MjData, and keep it",
-            JointWarning,
-        )

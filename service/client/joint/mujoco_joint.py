@@ -11,8 +11,17 @@ import numpy as np
 from ..errors import InvalidArgument, JointError, JointWarning, warn
 from ..wrenches import Vector
 from .joint import FREEDOMS, Joint, quaternion
-from .mujoco_scene import OBJECT, Data, Model, block_positions, body_number, engine, refuse_rk4
-from .mujoco_tip import REMEDY, find_tip
+from .mujoco_scene import (
+    OBJECT,
+    REMEDY,
+    Data,
+    Model,
+    block_positions,
+    body_number,
+    engine,
+    find_tip,
+    refuse_rk4,
+)
 from .report import JointReport, report_of
 
 if TYPE_CHECKING:
@@ -463,9 +472,14 @@ def joints_of(data: Data) -> list[MujocoJoint]:
     return list(dict.fromkeys(_by_tip(data).values()))
 
 
-def has_joints_elsewhere(model: Model) -> bool:
-    """Return whether a scene of a model has joints."""
-    return model.signature in {data.signature for data in [*_JOINTS] if _by_tip(data)}
+def warn_bare(model: Model) -> None:
+    """Warn of a scene without joints whose model has some in another scene."""
+    if model.signature in {data.signature for data in [*_JOINTS] if _by_tip(data)}:
+        warn(
+            "an MjData steps without a joint, and others of its model have joints: nothing holds "
+            "its tip. Make a MujocoJoint for each MjData, and keep it",
+            JointWarning,
+        )
 
 
 def _energy(joints: Collection[MujocoJoint]) -> float:

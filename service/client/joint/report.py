@@ -73,48 +73,77 @@ class JointReport:
 
 
 def report_of(joint: Joint, began: float = 0.0, energy_drift: float = np.nan) -> JointReport:
-    """Review a joint's steps, of which the first began at a time, s; J, or NaN if not known."""
-    history, free, arrays = joint._history, joint.free, joint._packed.arrays
-    count, outputs, loads, covered_at = int(history["steps"]), OUTPUTS, LOADS, {}
+    """Return the review of a joint's steps, of which the first began at the time `began`, s.
+
+    `energy_drift`, J, is NaN where it is not known.
+    """
+    history, count = joint._history, int(joint._history["steps"])
+    outputs, loads, covered_at = OUTPUTS, LOADS, {}
     if len(joint.interfaces) > 1:
         space = joint._table.space
-        outputs, loads = (
-            tuple(names[k] for k in joint._at) for names in (space.output_names, space.input_names)
-        )
-        shares = (history["covered_at"] / max(count, 1)).tolist()
-        covered_at = dict(zip(joint.interfaces, shares, strict=True)) if count else {}
+        outputs = tuple(space.output_names[index] for index in joint._at)
+        loads = tuple(space.input_names[index] for index in joint._at)
+        if count:
+            parts = (history["covered_at"] / count).tolist()
+            covered_at = dict(zip(joint.interfaces, parts, strict=True))
 
     def largest(kind: str, names: tuple[str, ...]) -> dict[str, LargestError | None]:
-        columns = (history[kind][of].ravel().tolist() for of in ("value", "step", "time"))
-        rows = zip(*columns, strict=True)
-        all_of = [LargestError(v, int(step), began + t) if step else None for v, step, t in rows]
-        return {names[int(k)]: all_of[k] for k in free}
+        values, steps, times = (history[kind][of].ravel() for of in ("value", "step", "time"))
+        return {
+            names[k]: LargestError(float(values[k]), int(steps[k]), began + float(times[k]))
+            if steps[k]
+            else None
+            for k in joint.free.tolist()
+        }
 
-    scale, tolerance = (arrays[f"space/{of}"][joint._at] for of in ("scale", "tolerance"))
-    moved, pulled = (history[kind]["value"].ravel() for kind in ("pose_error", "wrench_error"))
-    # By the stiffness of the last step: the displacement that adds most to a load's error bar.
-    most = np.nan_to_num(np.abs(joint._stiffness) * moved)
-    most += np.finfo(float).tiny * np.eye(len(moved))
-    stiff = []
-    for load in free:
-        error, allowed, output = pulled[load], FORCE_ERROR * scale[load], int(most[load].argmax())
-        if error > allowed:
-            needed, limit = float(moved[output] * allowed / error), float(tolerance[output])
-            limits = outputs[output], needed, None if np.isnan(limit) else limit
-            stiff.append(StiffAxis(loads[load], float(error), float(allowed), *limits))
     covered = float(history["covered"]) / count if count else None
-    uncovered = covered is not None and covered < 1.0
-    remedy, packed = joint._more_rows(), joint._packed
-    if joint._method is None and packed.answers_by() == "linear":
-        remedy = "more solves do not help a linear component; use a finer mesh or nonlinear = true"
-    if joint._warned_beyond:
-        remedy = f"widen the load range, which a pose of the steps exceeds; {remedy}"
+    stiff, remedy = _stiff_axes(joint, outputs, loads), ""
+    if stiff or (covered is not None and covered < 1.0):
+        remedy = joint._more_rows()
+        if joint._method is None and joint._packed.answers_by() == "linear":
+            remedy = "more solves do not help a linear component"
+            remedy += "; use a finer mesh or nonlinear = true"
+        if joint._warned_beyond:
+            remedy = f"widen the load range, which a pose of the steps exceeds; {remedy}"
     return JointReport(
-        *(joint._name, count, float(history["time"]), covered),
-        *(largest("pose_error", outputs), largest("wrench_error", loads)),
-        float(history["stored"]) if count else None,
-        energy_drift if np.isfinite(energy_drift) else None,
-        tuple(stiff),
-        remedy=remedy if stiff or uncovered else "",
+        component=joint._name,
+        steps=count,
+        time=float(history["time"]),
+        covered=covered,
+        pose_error=largest("pose_error", outputs),
+        wrench_error=largest("wrench_error", loads),
+        stored=float(history["stored"]) if count else None,
+        energy_drift=energy_drift if np.isfinite(energy_drift) else None,
+        stiff=stiff,
+        remedy=remedy,
         covered_at=covered_at,
     )
+
+
+def _stiff_axes(
+    joint: Joint, outputs: tuple[str, ...], loads: tuple[str, ...]
+) -> tuple[StiffAxis, ...]:
+    """Return the loads whose error bar exceeds the part `FORCE_ERROR` of half their range."""
+    history, packed = joint._history, joint._packed
+    allowed = FORCE_ERROR * packed.load_scale[joint._at]
+    tolerance = packed.arrays["space/tolerance"][joint._at]
+    moved, pulled = (history[kind]["value"].ravel() for kind in ("pose_error", "wrench_error"))
+    # By the stiffness of the last step: what each displacement adds to a load's error bar.
+    added = np.nan_to_num(np.abs(joint._stiffness) * moved)
+    added += np.finfo(float).tiny * np.eye(len(moved))  # if nothing is known, the load's own
+    axes = []
+    for load in joint.free.tolist():
+        if pulled[load] > allowed[load]:
+            output = int(added[load].argmax())
+            limit = float(tolerance[output])
+            axes.append(
+                StiffAxis(
+                    load=loads[load],
+                    error=float(pulled[load]),
+                    allowed=float(allowed[load]),
+                    output=outputs[output],
+                    needed=float(moved[output] * allowed[load] / pulled[load]),
+                    tolerance=None if np.isnan(limit) else limit,
+                )
+            )
+    return tuple(axes)

@@ -11,13 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...contract import OUTPUTS
-from ..errors import (
-    DisplacementUnknown,
-    InvalidArgument,
-    MountWarning,
-    SensorError,
-    warn,
-)
+from ..errors import DisplacementUnknown, InvalidArgument, MountWarning, SensorError, warn
 from ..recorder import Recorder
 from ..recording import Started
 from ..replies import Displacement

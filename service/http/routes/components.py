@@ -107,11 +107,7 @@ def get_component(name: str, workspace: Opened, _: Newest) -> dict[str, Any]:
     | refused(409, 422),
     openapi_extra=takes(TableOnlyComponent, {"multipart/form-data": {"schema": _BUNDLE}}),
 )
-async def add_component(
-    request: Request,
-    workspace: Opened,
-    faces: bool = False,
-) -> Response:
+async def add_component(request: Request, workspace: Opened, faces: bool = False) -> Response:
     kind = content_type(request)
     if kind == "multipart/form-data":
         # The archive may be as large as a bundle, and its form has a head.

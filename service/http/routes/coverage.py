@@ -97,8 +97,7 @@ def compliance(name: str, table: Newest) -> Response:
 
 
 @router.get(
-    "/glance",
-    summary="Covered, thin and outside fractions of the load range, and error bars",
+    "/glance", summary="Covered, thin and outside fractions of the load range, and error bars"
 )
 def glance(name: str, workspace: Opened) -> Response:
     table = workspace.tables.surrogate(name)
@@ -188,9 +187,7 @@ def _meshed(workspace: Workspace, name: str) -> tuple[Path, str]:
 
 
 @router.get(
-    "/drawing",
-    summary="Rows for a plot, and the coverage of a grid",
-    responses=refused(409),
+    "/drawing", summary="Rows for a plot, and the coverage of a grid", responses=refused(409)
 )
 def drawing(
     name: str,
@@ -238,9 +235,7 @@ def _spread(positions: Positions, count: int) -> Positions:
 
 
 @router.get(
-    "/response",
-    summary="Displacement along one load, with error bars",
-    responses=refused(409),
+    "/response", summary="Displacement along one load, with error bars", responses=refused(409)
 )
 def response(
     name: str,

@@ -21,9 +21,7 @@ TableState = Literal["ready", "building", "degraded", "broken"]
 
 
 @router.get(
-    "/health/live",
-    summary="Liveness of the server; needs no key",
-    openapi_extra={"security": []},
+    "/health/live", summary="Liveness of the server; needs no key", openapi_extra={"security": []}
 )
 async def live() -> dict[str, str]:
     return {"status": "live"}
@@ -36,10 +34,7 @@ async def live() -> dict[str, str]:
     | answers(dict[str, Any], "not ready; see faults", 503)
     | refused(404, 422),
 )
-def ready(
-    workspace: Opened,
-    component: str | None = None,
-) -> JSONResponse:
+def ready(workspace: Opened, component: str | None = None) -> JSONResponse:
     faults, broken, tables = workspace.faults(), workspace.broken(), table_states(workspace)
     names, present = set(workspace.library.names()), workspace.tables.present().items()
     counts = {name: workspace.unbuilt(name, table)[0] for name, table in present if name in names}

@@ -23,11 +23,7 @@ from wrenchbook.service.http.routes import Opened, json_reply
 from wrenchbook.service.http.routes.components import component_body
 from wrenchbook.service.http.routes.rows import file_fields
 from wrenchbook.service.ledger import ImportOrigin, UnknownImportError
-from wrenchbook.service.messages import (
-    ImportFinding,
-    Message,
-    Six,
-)
+from wrenchbook.service.messages import ImportFinding, Message, Six
 from wrenchbook.service.tables.comparison import (
     Comparison,
     Disagreement,
