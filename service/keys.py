@@ -50,9 +50,8 @@ _MAX_PATTERNS: Final = 100
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}")
 _WITHOUT_KEYS: Final = (
     "other machines can reach {host}, but {folder} has no keys, so anybody there could change "
-    "tables and run solves. Create a key with: wrenchbook keys add NAME --scope admin --data "
-    "{folder}; or start with --first-key, which creates one and prints it once. To serve this "
-    "machine only, leave --host out."
+    "tables. Create a key (wrenchbook keys add NAME --scope admin --data {folder}), start with "
+    "--first-key, or leave --host out."
 )
 
 

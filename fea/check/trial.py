@@ -283,7 +283,9 @@ def _first_order_stresses(solver: Solver) -> list[LargestStress]:
     component = solver.component
     corners, count = component.bundle.acting.corners(), len(component.bundle.range.low)
     if len(corners) > _MAX_CORNERS * 2 ** len(component.further):
-        raise ValueError("three interfaces or more have too many corners; give one the range 0")
+        raise ValueError(
+            f"[range] has {len(corners)} corners, too many; give some loads the range 0"
+        )
     unit, loads = solver.unit_stresses(), corners
     if component.analysis.gravity or component.bolts:  # a load that is always there
         sag = small_stress(solver.body, solver.at_rest[1][:, :, None])

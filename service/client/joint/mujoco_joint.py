@@ -90,7 +90,9 @@ class MujocoJoint(Joint):
     ) -> None:
         if not (isinstance(model, engine.MjModel) and isinstance(data, engine.MjData)):
             kinds = f"{type(model)} and {type(data)}"
-            raise InvalidArgument(f"model and data are MjModel and MjData of mujoco, not {kinds}")
+            raise InvalidArgument(
+                f"model and data must be MjModel and MjData of mujoco, not {kinds}"
+            )
         super().__init__(table, damping, **options)
         refuse_rk4(model)
         self._model, self._data = model, data
@@ -339,9 +341,9 @@ class MujocoJoint(Joint):
         self._unmoved = 0
         name = engine.mj_id2name(self._model, OBJECT.mjOBJ_BODY, body) or f"#{body}"
         warn(
-            f"{self._name}: base {self._base!r} follows the mocap body {name!r}, which has no "
-            "velocity in MuJoCo, so the tip does not feel the motion. Give the base joints of its "
-            'own (slides or a free joint), and hold it to the mocap body by <weld torquescale="10" '
+            f"{self._name}: base {self._base!r} follows the mocap body {name!r}, whose motion the "
+            "tip does not feel. Give the base slides or a free joint, and "
+            'hold it to the mocap body by <weld torquescale="10" '
             f'solref="{2 * float(self._model.opt.timestep):g} 1" solimp="0.9999 0.9999 0.001"/>',
             JointWarning,
         )
