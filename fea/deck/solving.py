@@ -59,7 +59,7 @@ def solve_deck(
     started = time.perf_counter()
     loads = checked_wrench(wrench)
     if bundle.deck is None:
-        raise ValueError("the bundle has no [deck]; write one")
+        raise ValueError("component.toml has no [deck]; add a [deck]")
     report = progress or (lambda fraction, message: None)
     with _work_folder(folder) as work_folder:
         runs = _Runs(bundle.deck, work_folder, report, accept)

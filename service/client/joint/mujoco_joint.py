@@ -394,7 +394,7 @@ def pull_joints(*joints: MujocoJoint) -> None:
 def require_scene(joints: Sequence[MujocoJoint]) -> None:
     """Raise JointError if joints are not all those of one scene, or its step is not above zero."""
     if len({joint._data for joint in joints}) != 1:
-        raise JointError("step_joints needs one or more joints with the same data; pass those")
+        raise JointError("step_joints needs one or more joints; pass those of one MjData")
     refuse_rk4(joints[0]._model)  # it may have been chosen since
     stepped = [start for joint in joints for start in joint._starts]
     of_scene = _by_tip(joints[0]._data)
