@@ -74,7 +74,9 @@ def _retained_rows(rows: ParsedTable, options: Options, report: ReadReport) -> P
     main = int(np.argmax(np.ptp(rows.wrench[:, :loads], axis=0) / size[:loads]))
     name, passes = options.columns.wrench[main], passes_of(rows.wrench[:, main])
     if (count := int(passes.number[-1]) // 2) < options.skip_cycles:
-        message = f"the main load {name} has only {count} cycles; give at most {count}"
+        message = (
+            f"only {count} cycles of the main load {name} can be skipped; give at most {count}"
+        )
         raise _CycleError("skip_cycles", message)
     retained, omitted = passes.number >= 2 * options.skip_cycles, report.omitted
     load = rows.wrench[:, main]
@@ -84,7 +86,8 @@ def _retained_rows(rows: ParsedTable, options: Options, report: ReadReport) -> P
         side = np.sign(load[passes.number == 0][-1] - first)
         retained &= (passes.number > 2 * options.skip_cycles) | (side * (load - first) >= 0)
         if not retained.any():
-            message = f"the test has {count} cycles of main load {name}; give less than {count}"
+            most = options.skip_cycles - 1
+            message = f"the test has {count} cycles of main load {name}; give at most {most}"
             raise _CycleError("skip_cycles", message)
     omitted["skipped"] = int((~retained).sum())
     if options.branch:

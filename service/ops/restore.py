@@ -76,7 +76,7 @@ def restore(
         ) from error
     except OSError as error:
         raise BackupError(
-            f"{folder} cannot be written ({error}); make it writable. {state}"
+            f"{folder} cannot be written ({error}); make room or make it writable. {state}"
         ) from error
     finally:
         shutil.rmtree(draft, ignore_errors=True)

@@ -430,6 +430,6 @@ def warning_of(component: Component, table: ServedTable) -> str:
         return note_on_other_rows(component.name, table)
     return (
         f"{table.other_rows} rows belong to another setup of {component.name!r}, which has no "
-        "finite-element setup now. Put its files back, or export the rows and load them as "
-        "measured, without a fingerprint"
+        "finite-element setup now, so they are not in its table. Put its files back, or export the "
+        "rows and load them as measured, without a fingerprint"
     )
