@@ -135,7 +135,7 @@ class CalculixDat:
         last = {key: _last(path, name, options[key]) for key in self.keys}
         times = {time for time, _ in last.values()}
         if len(times) > 1:
-            raise OutputError(f"{name} has the two sets at different times: {sorted(times)}.")
+            raise OutputError(f"{name} must print both sets at one time, not at {sorted(times)}.")
         (_, translation), (_, rotation) = last["point"], last["rotation"]
         counts = _UNKNOWNS.findall(_text(run.printed))
         return Reading((*translation, *rotation), int(counts[-1]) if counts else 0)

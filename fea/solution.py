@@ -109,7 +109,8 @@ def checked_wrench(
             f"the inputs must be {count} finite numbers: {which}, then {', '.join(further)}"
         )
     if len(names) == 1:
-        raise ValueError("a wrench must be six finite numbers: force (N) and moment (N·m)")
+        given = str(inputs.tolist())[:100]
+        raise ValueError(f"a wrench must be six finite numbers (force, moment), not {given}")
     raise ValueError(
         f"the loads of {len(names)} interfaces must be {count} finite numbers: force (N) and "
         f"moment (N·m) of {', '.join(names)}"

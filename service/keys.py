@@ -50,9 +50,8 @@ _MAX_PATTERNS: Final = 100
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}")
 _WITHOUT_KEYS: Final = (
     "other machines can reach {host}, but {folder} has no keys, so anybody there could change "
-    "tables and run solves. Create a key with: wrenchbook keys add NAME --scope admin --data "
-    "{folder}; or start with --first-key, which creates one and prints it once. To serve this "
-    "machine only, leave --host out."
+    "tables. Create a key (wrenchbook keys add NAME --scope admin --data {folder}), start with "
+    "--first-key, or leave --host out."
 )
 
 
@@ -178,7 +177,7 @@ class Keyring:
         secret = PREFIX + secrets.token_urlsafe(32)
         with self._changing() as keys:
             if len(keys) >= MAX_KEYS:
-                raise KeysError(f"there are already {MAX_KEYS} keys; revoke some")
+                raise KeysError(f"there are {MAX_KEYS} keys, the limit; run wrenchbook keys revoke")
             if any(key.name == name for key in keys.values()):
                 raise KeysError(f"there is a key {name!r}; revoke it or choose another name")
             fields = {"name": name, "scope": scope, "digest": digest_of(secret)}
@@ -202,7 +201,7 @@ class Keyring:
             if not 0.0 <= overlap_s < 1e9:
                 raise KeysError(f"the overlap must be 0 or more hours, not {overlap_s / 3600.0:g}")
             if len(keys) >= MAX_KEYS:
-                raise KeysError(f"there are already {MAX_KEYS} keys; revoke some")
+                raise KeysError(f"there are {MAX_KEYS} keys, the limit; run wrenchbook keys revoke")
             newest, now = max(known, key=lambda key: key.created), time.time()
             for old in known:
                 del keys[old.digest]

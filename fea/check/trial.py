@@ -238,9 +238,9 @@ def weight_warnings(solver: Solver) -> list[BundleProblem]:
     down = -np.sign(direction[np.abs(direction).argmax()]) * direction * _STANDARD_GRAVITY
     gravity = ", ".join(f"{number + 0.0:.3g}" for number in np.round(down, 6))
     message = (
-        f"is missing, but self-weight moves the interface by up to {moved:.2g} m and "
-        f"{turned:.2g} rad, more than the tolerance, under gravity = [{gravity}] m/s^2. Write it "
-        "under [analysis], or [inputs.acceleration] for a part that rotates"
+        f"is missing: self-weight moves the interface by up to {moved:.2g} m and {turned:.2g} rad "
+        f"(worst under [{gravity}] m/s^2), more than the tolerance. Write gravity = [0, 0, -9.81] "
+        "under [analysis], or [inputs.acceleration] for a rotating part"
     )
     return [BundleProblem("analysis.gravity", message)]
 
@@ -283,7 +283,9 @@ def _first_order_stresses(solver: Solver) -> list[LargestStress]:
     component = solver.component
     corners, count = component.bundle.acting.corners(), len(component.bundle.range.low)
     if len(corners) > _MAX_CORNERS * 2 ** len(component.further):
-        raise ValueError("three interfaces or more have too many corners; give one the range 0")
+        raise ValueError(
+            f"[range] has {len(corners)} corners, too many; give some loads the range 0"
+        )
     unit, loads = solver.unit_stresses(), corners
     if component.analysis.gravity or component.bolts:  # a load that is always there
         sag = small_stress(solver.body, solver.at_rest[1][:, :, None])

@@ -59,7 +59,7 @@ def solve_deck(
     started = time.perf_counter()
     loads = checked_wrench(wrench)
     if bundle.deck is None:
-        raise ValueError("the bundle has no [deck]; write one")
+        raise ValueError("component.toml has no [deck]; add a [deck]")
     report = progress or (lambda fraction, message: None)
     with _work_folder(folder) as work_folder:
         runs = _Runs(bundle.deck, work_folder, report, accept)
@@ -152,7 +152,7 @@ def _require_reciprocity(compliance: Array, sizes: Array) -> None:
     floor = _ZERO_WORK * float(np.abs(works).max())
     if (works < -floor).any():
         freedom = FREEDOMS[int(np.argmin(works))]
-        raise not_reciprocal(f"The load on {freedom} moves it the opposite way.")
+        raise not_reciprocal(f"A load along {freedom} moves {freedom} in the opposite direction.")
     works = np.maximum(works, 0.0)
     gap = np.abs(exchange - exchange.T) - _RECIPROCAL_GAP * np.sqrt(np.outer(works, works))
     i, j = np.unravel_index(int(np.argmax(gap)), gap.shape)

@@ -131,7 +131,7 @@ def _sides(
     ]
     outside = np.intersect1d(nodes, _nodes_of(mesh, [~inside for inside in chosen]))
     if not triangles:
-        message = "has no connected cells on both sides; correct its point or axis"
+        message = "has no connected cells on both sides of its cut; move point into the shank"
     elif not by_region and not np.array_equal(nodes, mesh.facet_groups[name].node_ids):
         message = f'"{name}" does not cut through the shank; name all facets across it'
     elif outside.size:

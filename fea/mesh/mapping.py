@@ -82,7 +82,7 @@ def cell_problems(mesh: Mesh) -> list[BundleProblem]:
         if bad.size:
             at = point_text(mesh.points[block.nodes[bad[0]]].mean(axis=0))
             message = (
-                f"{bad.size} of {len(block)} {block.kind} cells are inverted or flat, one of them "
+                f"{bad.size} of {len(block)} {block.kind} cells are inverted or flat, one "
                 f"near {at} m. Mesh more finely there, with nodes in the format's order and "
                 "midside nodes in the middle; write collapsed cells as wedges"
             )

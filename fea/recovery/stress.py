@@ -136,11 +136,10 @@ def yielding(component: ComponentModel, body: ElasticBody, solution: Solution) -
     percent = 100 * volumes[used > 1.0].sum() / volumes.sum()
     material = component.materials[materials[worst]]
     return (
-        f"{percent:.3g} % of the part's volume is above its yield strength at this wrench: the "
-        f'stress in "{material.region}" is {used[worst]:.3g} times its '
-        f"{material.yield_strength:.4g} Pa. "
-        "The solver does not model yielding, so this answer is too stiff. Narrow [range] or "
-        "strengthen the part."
+        f"{percent:.3g} % of the part's volume is above its yield strength, up to "
+        f'{used[worst]:.3g} times {material.yield_strength:.4g} Pa in "{material.region}". '
+        "Yielding is not modelled, so this answer is too stiff. Narrow [range] or strengthen the "
+        "part."
     )
 
 

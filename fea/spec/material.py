@@ -34,8 +34,9 @@ _LARGEST_EXPANSION = 1e-2  # 1/K: rubber has 2e-4; a number without its 1e-6 is 
 
 
 def _small(expansion: tuple[float, float, float]) -> tuple[float, float, float]:
-    if max(map(abs, expansion)) > _LARGEST_EXPANSION:
-        raise ValueError(f"must be at most {_LARGEST_EXPANSION:g} 1/K (aluminium has 23e-6)")
+    if (most := max(map(abs, expansion))) > _LARGEST_EXPANSION:
+        end = f"{_LARGEST_EXPANSION:g} 1/K, not {most:g}"
+        raise ValueError(f"must be at most {end} (aluminium has 23e-6)")
     return expansion
 
 
@@ -70,7 +71,7 @@ _Moduli = tuple[Modulus, Modulus, Modulus]
 
 def _direction(axis: tuple[float, float, float]) -> tuple[float, float, float]:
     if not 1e-6 < np.sqrt(sum(x * x for x in axis)) < 1e6:
-        raise ValueError("must be a direction: three numbers, of a length from 1e-6 to 1e6")
+        raise ValueError(f"must be a direction of a length from 1e-6 to 1e6, not {list(axis)}")
     return unit_vector(axis)
 
 

@@ -129,7 +129,7 @@ class FaceSelector(Selector):
             raise MistakesError(("plane", message))
         for name, of in (("radius", "cylinder"), ("normal", "angle")):
             if getattr(self, name) is None and getattr(self, of) is not None:
-                raise MistakesError((name, f'is missing; "{of}" has no effect without it'))
+                raise MistakesError((name, f'is missing; write it, or leave "{of}" out'))
         super().__post_init__()
         if self.plane is not None and self.at is None:
             raise MistakesError(("at", "is missing; write a number in m"))

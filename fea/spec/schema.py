@@ -275,7 +275,8 @@ class Joint(Attached):
 
     def __post_init__(self) -> None:
         if self.rigid == (self.stiffness is not None):
-            raise MistakesError(("stiffness", "is missing; write it, or rigid = true"))
+            message = "must be given, or rigid = true, but not both; write one of the two"
+            raise MistakesError(("stiffness", message))
         if self.rigid and self.coupling != "rigid":
             raise MistakesError(("coupling", 'must be "rigid" if rigid = true'))
 

@@ -112,7 +112,7 @@ def _moving(name: str, facts: dict[str, Any], interface: str | None = None) -> t
                 f"{name} has one interface without a name; leave out --interface"
             )
         ends = ", ".join(moving)
-        raise typer.BadParameter(f"{name} moves at {ends}; name the tip's with --interface")
+        raise typer.BadParameter(f"{name} moves at {ends}; name the one of the tip: --interface")
     of = slice(first := FREEDOMS * [*parts].index(at), first + FREEDOMS)
     matrix = (facts.get("vibration") or {}).get("condensed_mass") or []
     return parts[at], [row[of] for row in matrix[of]] or None

@@ -267,8 +267,8 @@ def _compiled(
         return fmu.content, f"{file} written: FMI 2.0, {built}, method {fmu.method}."
     return fmu.content, (
         f"{file} written: FMI 2.0, method {fmu.method}, sources only, since this machine has no C "
-        "compiler for a platform of FMI 2.0. Tools that compile sources can use it; or install "
-        "gcc, or name a compiler with CC=..., and export again."
+        "compiler. Use a tool that compiles sources; or install gcc or name a compiler with "
+        "CC=..., and export again."
     )
 
 

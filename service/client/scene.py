@@ -186,7 +186,7 @@ def _checked(name: str, need: Json) -> Document:
 
 def _named(where: str, value: Json) -> Mapping[str, Json]:
     if not isinstance(value, Mapping):
-        raise SceneError(f"{where}: must be a table by name, not {value!r}")
+        raise SceneError(f"{where}: must be a table, NAME = value, not {value!r}")
     return value
 
 

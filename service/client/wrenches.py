@@ -112,7 +112,7 @@ def wrench_of(body: Mapping[str, Json]) -> Vector:
 
 def _mapping(name: str, values: Mapping[str, T]) -> Mapping[str, T]:
     if not isinstance(values, Mapping):
-        raise InvalidArgument(f"{name} must be a mapping by name, not {values!r}")
+        raise InvalidArgument(f"{name} must be a mapping from names to values, not {values!r}")
     return values
 
 

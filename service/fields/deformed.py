@@ -51,11 +51,9 @@ class NoFieldsError(Exception):
     def __init__(self, component: Component, why: str) -> None:
         name = component.name
         text = (
-            f"{name!r} has no deformed surface yet: {why}. Each solve by the embedded solver "
-            "leaves one (a deck's own solver leaves none): POST this wrench to "
-            f"/v1/components/{name}/solve, or ask for several by /v1/components/{name}/fill. A row "
-            "without a surface gets one by being solved again: DELETE it from the table, then POST "
-            "its wrench to /solve."
+            f"{name!r} has no deformed surface yet: {why}. The embedded solver makes surfaces: "
+            f"POST this wrench to /v1/components/{name}/solve, or several to .../fill. To give a "
+            "row a surface, DELETE it first."
         )
         if not component.has_fea:
             text = (
@@ -128,7 +126,7 @@ class DeformedSurfaces:
         try:
             row = self._store.linear(component.name, component.fingerprint)
             if row is None:
-                raise NoFieldsError(component, "no solve has stored its six unit fields; run one")
+                raise NoFieldsError(component, "no solve has stored fields of unit loads; run one")
             geometry = self._geometry(component, row)
         except DamagedFieldsError as error:
             raise NoFieldsError(component, str(error)) from error
@@ -265,7 +263,9 @@ class DeformedSurfaces:
         for place, row_wrench in enumerate(near.wrench):
             read += [(place, row) for row in self._readable(component, row_wrench[None])]
         if not read:
-            raise NoFieldsError(component, "files nearby are damaged; see wrenchbook doctor")
+            raise NoFieldsError(
+                component, "files of rows nearby are damaged; see wrenchbook doctor"
+            )
         digest = read[-1][1].meta["geometry"]  # a mesher of another version makes another mesh
         like = [(place, row) for place, row in read if row.meta["geometry"] == digest]
         used = near.take([place for place, _ in like])

@@ -104,8 +104,8 @@ def _after_first_cycles(load: Array, passes: Passes, count: int, name: str) -> N
     """Return the mask, (n,), of the rows after the first `count` cycles of the main load, (n,)."""
     complete = int(passes.number[-1]) // 2
     if complete < count:
-        message = f"the main load {name} has only {complete} cycles; give at most {complete}"
-        raise _CycleError("skip_cycles", message)
+        message = f"only {complete} cycles of the main load {name} can be skipped"
+        raise _CycleError("skip_cycles", f"{message}; give at most {complete}")
     retained = passes.number >= 2 * count
     first, margin = load[0], TURN * np.ptp(load)
     if count and load.min() + margin < first < load.max() - margin:
@@ -113,7 +113,7 @@ def _after_first_cycles(load: Array, passes: Passes, count: int, name: str) -> N
         direction = np.sign(load[passes.number == 0][-1] - first)
         retained &= (passes.number > 2 * count) | (direction * (load - first) >= 0)
         if not retained.any():
-            message = f"the test has {complete} cycles of load {name}; give less than {complete}"
+            message = f"the test has {complete} cycles of load {name}; give at most {count - 1}"
             raise _CycleError("skip_cycles", message)
     return retained
 

@@ -218,7 +218,7 @@ def read_wrenches(
         row, load = bad[0].tolist()
         value = wrenches[row, load]
         why = f"beyond {largest:g}" if np.isfinite(value) else "not finite"
-        message = f"{space.input_names[load]} is {value}, which is {why}; correct it"
+        message = f"{space.input_names[load]} is {value}, which is {why}; write a smaller number"
         raise bad_body([{"loc": f"wrenches.{row}.{load}", "msg": message}])
     return wrenches
 

@@ -168,8 +168,8 @@ async def form_of(request: Request, most: int, most_files: int) -> AsyncIterator
     except (HTTPException, MultiPartException) as error:
         if isinstance(error, HttpProblemError):
             raise
-        why = str(getattr(error, "detail", error))
-        raise bad_body([{"loc": "body", "msg": f"cannot be read as a form ({why})"}]) from None
+        why = f"cannot be read as a form ({getattr(error, 'detail', error)})"
+        raise bad_body([{"loc": "body", "msg": f"{why}; send multipart/form-data"}]) from None
     try:
         yield form
     finally:

@@ -203,7 +203,7 @@ class Ledger:
         tangent is infinite.
         """
         if np.isnan(rows.displacement[rows.source == "fea"]).any():
-            raise ValueError("the displacement of a solve must be finite")
+            raise ValueError("the displacement of a solve must be finite, not NaN; solve it again")
         notes = [note] * len(rows) if isinstance(note, str) else note
         block = NotedRows(rows, notes)
         # Before the lock is taken: other writers wait for the insertion alone.

@@ -150,9 +150,8 @@ class Acknowledged:
                 ]
                 sentence = (
                     f"{' and '.join(parts)} were acknowledged but are no longer in the ledger "
-                    f"(noticed {when} UTC), because its -wal file was cut or removed, or an older "
-                    "copy was put back. Rows in table files come back by themselves; ask for the "
-                    "other wrenches again"
+                    f"(noticed {when} UTC): its -wal file was cut, or an older copy was put back. "
+                    "Rows in table files come back; ask for the others again"
                 )
                 losses.append((sentence, loss))
         return losses

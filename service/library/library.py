@@ -236,7 +236,7 @@ class Library:
         name = read_bundle(folder).name
         if not CALLER.get().touches(name):
             patterns = ", ".join(CALLER.get().components)
-            raise NotPermittedError(f"the key allows {patterns}, not {name!r}; use another key")
+            raise NotPermittedError(f"the key allows {patterns}, not {name!r}; use a key for that")
         final = self._local / name
         with self._lock:
             # On the disk too: another process may have added it, or its files may be damaged.

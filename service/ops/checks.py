@@ -81,7 +81,8 @@ def check_side_files(folder: Path, *, repair: bool) -> Iterator[DataFinding]:
     try:
         tomllib.loads(path.read_text(encoding="utf-8") if path.exists() else "")
     except (OSError, ValueError) as error:
-        yield DataFinding("fault", f"{path.name} cannot be read as TOML: {error}", "correct it")
+        remedy = "correct the file, or move it away"
+        yield DataFinding("fault", f"{path.name} cannot be read as TOML: {error}", remedy)
     surface = "its row still answers; its surface comes from the others until it is solved anew"
     geometry = "surfaces come back with further solves"
     for path in sorted(folder.glob("fields/*/*/*")):

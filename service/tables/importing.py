@@ -24,8 +24,8 @@ from wrenchbook.surrogate.table.compliance import fit_compliance
 SAME = 1e-12  # of a number: what an export in other units and its import may lose
 TWICE = (
     "import {0.id} already has the rows of this file ({0.filename}), read with other options, so "
-    "each test counts twice. Unless the rows differ, as on another sheet, withdraw this import or "
-    "the earlier one: wrenchbook withdraw {0.component} {0.id}"
+    "each test counts twice. Unless the rows differ, withdraw one of the two imports: "
+    "wrenchbook withdraw {0.component} {0.id}"
 )
 _MAX_TRIED = 16  # stored rows of nearly one sum that a row is compared with; others hardly occur
 _DISPLACEMENT_WEIGHT = 1e6  # they are of 1e-6 to 1e-3 m and rad, loads of 1 to 1000 N and N·m

@@ -363,7 +363,7 @@ class MappedTables:
         try:
             packed = PackedTable.open(file.path)
             if not is_of(packed, name, self._store.origin(component, file.version)):
-                raise PackedTableError(f"{file.path} is not of version {file.version} of {name}")
+                raise PackedTableError(f"{file.path} is not version {file.version} of table {name}")
             rows_of = partial(self._store.rows, component, file.version)
             table = ServedTable(packed, rows_of, method=self._method)
         except (PackedTableError, KeyError) as error:
@@ -426,7 +426,7 @@ def warning_of(component: Component, table: ServedTable) -> str:
     if component.has_fea or not table.other_rows:
         return note_on_other_rows(component.name, table)
     return (
-        f"{table.other_rows} rows belong to another setup of {component.name!r} and are not in its "
-        "table, because it has no finite-element setup now. Put its files back, or export the rows "
-        "and load them as measured, without a fingerprint"
+        f"{table.other_rows} rows belong to another setup of {component.name!r}, which has no "
+        "finite-element setup now, so they are not in its table. Put its files back, or export the "
+        "rows and load them as measured, without a fingerprint"
     )

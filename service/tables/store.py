@@ -39,9 +39,8 @@ ROW_MB = 0.013  # of a numpy table, a row: measured with 20,000 single-axis and 
 LARGE = 3000  # rows: a table of more takes over a second to build
 ROW_BYTES = 450  # of a row in an HDF5 file, about
 _UNKNOWN_WITHDRAWALS = (
-    "the ledger is not the one that its table file was written from, and the file does not list "
-    "withdrawn rows: those may be in the table again. Look through its rows, or restore the newer "
-    "ledger"
+    "the table file was written from another ledger and does not list withdrawn rows, which may be "
+    "in the table again. Look through its rows, or restore the newer ledger"
 )
 
 

@@ -113,7 +113,7 @@ def clock_findings(lag: Lag | None, applied: float) -> list[RigFinding]:
     if lag is not None and lag.rate:
         message = (
             f"the clock of the displacement log runs {abs(lag.rate):.3%} "
-            f"{'slower' if lag.rate > 0 else 'faster'} than that of the load log. In the file, "
+            f"{'slower' if lag.rate > 0 else 'faster'} than the load log's. In the file, "
             f"multiply the times of the displacements by {1 + lag.rate:.6g} (misfit "
             f"{lag.misfit_rate:.1%} instead of {lag.misfit:.1%}), and import again with lag=auto"
         )

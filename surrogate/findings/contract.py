@@ -236,9 +236,9 @@ def symmetry_findings(fit: Fit, load_range: LoadRange) -> list[RigFinding]:
     if is_sure and (np.diag(fit.matrix @ moved) > 0).all():
         load_point, moved_point = (",".join(f"{x:.4g}" for x in by * lever) for by in (-1, 1))
         message = (
-            f"the reference points of moments and displacements are {np.linalg.norm(lever):.4g} m "
-            f"apart: with one point the compliance is unsymmetric by {after.size:.1%}, not "
-            f"{size:.0%}. Import again with --load-point {load_point} or --displacement-point "
+            f"reference points of moments and displacements are {np.linalg.norm(lever):.4g} m "
+            f"apart (asymmetry {size:.0%}). If the displacements are of the interface's point, "
+            f"import again with --load-point {load_point}, else with --displacement-point "
             f"{moved_point} (m, added to an earlier point)"
         )
         return [RigFinding("lever", message, (), {"lever": lever.tolist(), "asymmetry": size})]

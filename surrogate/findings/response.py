@@ -215,6 +215,6 @@ def _outliers(rows: Rows, response: RobustFit, flagged: NDArray[np.bool_]) -> li
     message = (
         f"{len(at)} of {len(rows)} rows differ from those around them; the worst is row "
         f"{rows.seq[row]}, whose {OUTPUTS[output]} is off by {residual[row, output]:.1%} of its "
-        "range. Check these rows, and withdraw the wrong ones, because each widens the error bars"
+        "range. Check these rows, and withdraw the wrong ones"
     )
     return [RigFinding("outlier", message, tuple(rows.seq[order].tolist()))]

@@ -382,7 +382,10 @@ class PackedTable:
         target = np.ascontiguousarray(outputs, dtype=float)
         wrench = np.zeros(self.inputs) if start is None else np.array(start, dtype=float)
         if target.shape != (self.outputs,) or wrench.shape != (self.inputs,):
-            raise ValueError(f"give {self.outputs} displacements and {self.inputs} loads")
+            raise ValueError(
+                f"give {self.outputs} displacements and {self.inputs} loads, not {target.size} and "
+                f"{wrench.size}"
+            )
         shape = (self.inputs, self.outputs)
         stiffness = np.zeros(shape) if near is None else np.array(near, dtype=float).reshape(shape)
         work = self._work()

@@ -22,7 +22,7 @@ UNKNOWN_TOGETHER = (
     "nor the error is known; solve or import such rows"
 )
 UNKNOWN_ERROR = "the rows do not show the error of this answer; solve or import rows near it"
-LEAVES_LIMITS = "no estimate is given beyond a table's 20 degrees or 10 m; give a smaller load"
+LEAVES_LIMITS = "no estimate is given beyond a table's limits, 20 degrees or 10 m; reduce the load"
 ERRORS_UNKNOWN = (
     "the error between the rows is not known: the rows are too few, too close together or along "
     "one motion; solve or import rows spread over the load range"

@@ -168,7 +168,7 @@ def mistake(code: int, method: str | None, packed: Packed) -> Exception:
         1: ValueError("wrenches and displacements must be finite numbers; leave out NaN and inf"),
         NO_METHOD: UnknownMethodError(method or "(default)"),
         3: MemoryError("there is no memory for this batch; send fewer wrenches"),
-        4: InverseError("only a table without further inputs has an inverse; use such a table"),
+        4: InverseError("an inverse needs a table with as many loads as outputs; use such a table"),
         5: InverseError("the derivative is unknown or singular here; solve or import rows nearby"),
         6: InverseError("no wrench of the table gives this displacement; give a smaller one"),
     }[code]

@@ -312,9 +312,9 @@ def test_fill_until_stops_when_a_whole_round_fails(stub: Stub, client: Client):
         (lambda client: client.component(5), "name must be a text, not 5"),
         (
             lambda client: client.displacement("plate", loads=[1] * 6),
-            "loads must be a mapping by name",
+            "loads must be a mapping from names",
         ),
-        (lambda client: client.displacement("plate", inputs=3), "inputs must be a mapping by name"),
+        (lambda client: client.displacement("plate", inputs=3), "inputs must be a mapping from"),
         (lambda _: Client("127.0.0.1:99999"), "not a server address"),
         (lambda _: Client("http://127.0.0.1:x"), "not a server address"),
         (lambda _: Client(None), "None is not a server address"),

@@ -208,7 +208,7 @@ def test_a_linear_components_unit_fields_answer_every_wrench(tmp_path, store, sh
     folder = write_bundle(tmp_path, nonlinear=False)
     component = sheet(folder)
     asked = wrenches(component, 3)
-    with pytest.raises(NoFieldsError, match="unit fields"):
+    with pytest.raises(NoFieldsError, match="fields of unit loads"):
         shapes.answer(component, Rows.empty(), asked[0])
     keep(store, component, asked[0], solved(folder, asked[:1])[0][0])
     for wrench, true in zip(asked, solved(folder, asked)[0], strict=True):

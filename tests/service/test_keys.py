@@ -122,7 +122,7 @@ def test_a_server_that_others_reach_does_not_start_without_keys_and_says_how(
     tmp_path, monkeypatch, host
 ):
     monkeypatch.setattr(supervisor, "bind_to", lambda *_: pytest.fail("it listens"))
-    with pytest.raises(KeysNeededError, match=r"wrenchbook keys add .* or start with --first-key"):
+    with pytest.raises(KeysNeededError, match=r"wrenchbook keys add .*, start with --first-key"):
         app(
             ["serve", "--data", str(tmp_path), "--host", host, "--port", "0"], standalone_mode=False
         )

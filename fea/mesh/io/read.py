@@ -162,7 +162,7 @@ def _refuse_outside(path: Path) -> None:
     for item in items:
         kind, text = item.get("Format"), (item.text or "").strip()
         if kind == "Binary":
-            raise MeshFileError('has its numbers as bytes elsewhere; write it with Format="HDF"')
+            raise MeshFileError('has its numbers in a binary file; write it with Format="HDF"')
         folder, name = path.parent.resolve(), text.partition(":")[0]
         beside = Path(name).name == name and (folder / name).resolve().parent == folder  # no link
         if kind == "HDF" and not beside:

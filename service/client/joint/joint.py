@@ -253,8 +253,8 @@ class Joint:
         return (
             f"{self._name}, method {self._packed.answers_by(self._method)!r}: at the wrench "
             f"({', '.join(f'{load:.4g}' for load in wrench)}) N, N·m the compliance is not "
-            f"positive definite, because the part moves against a load along ({shown}) (fractions "
-            f"of the load range); {self._more_rows()}"
+            f"positive definite, because the part moves against a load along ({shown}, in "
+            f"fractions of the load range); {self._more_rows()}"
         )
 
     def step(

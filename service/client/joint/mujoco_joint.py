@@ -92,7 +92,9 @@ class MujocoJoint(Joint):
     ) -> None:
         if not (isinstance(model, engine.MjModel) and isinstance(data, engine.MjData)):
             kinds = f"{type(model)} and {type(data)}"
-            raise InvalidArgument(f"model and data are MjModel and MjData of mujoco, not {kinds}")
+            raise InvalidArgument(
+                f"model and data must be MjModel and MjData of mujoco, not {kinds}"
+            )
         super().__init__(table, damping, **options)
         refuse_rk4(model)
         self._model, self._data = model, data
@@ -292,9 +294,9 @@ class MujocoJoint(Joint):
         self._unmoved = 0
         name = engine.mj_id2name(self._model, OBJECT.mjOBJ_BODY, body) or f"#{body}"
         warn(
-            f"{self._name}: base {self._base!r} follows the mocap body {name!r}, which has no "
-            "velocity in MuJoCo, so the tip does not feel the motion. Give the base joints of its "
-            'own (slides or a free joint), and hold it to the mocap body by <weld torquescale="10" '
+            f"{self._name}: base {self._base!r} follows the mocap body {name!r}, whose motion the "
+            "tip does not feel. Give the base slides or a free joint, and "
+            'hold it to the mocap body by <weld torquescale="10" '
             f'solref="{2 * float(self._model.opt.timestep):g} 1" solimp="0.9999 0.9999 0.001"/>',
             JointWarning,
         )
@@ -345,7 +347,7 @@ def pull_joints(*joints: MujocoJoint) -> None:
 def require_scene(joints: Sequence[MujocoJoint]) -> None:
     """Raise JointError if joints are not all those of one scene, or its step is not above zero."""
     if len({joint._data for joint in joints}) != 1:
-        raise JointError("step_joints needs one or more joints with the same data; pass those")
+        raise JointError("step_joints needs one or more joints; pass those of one MjData")
     refuse_rk4(joints[0]._model)  # it may have been chosen since
     stepped = [start for joint in joints for start in joint._starts]
     of_scene = _by_tip(joints[0]._data)

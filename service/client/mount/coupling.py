@@ -277,7 +277,7 @@ def require_within_limit(displacement: Vector, component: str) -> None:
 def _run_away(before: float, size: float) -> CouplingDiverged:
     """Return the error to raise where the distance, in tolerances, grows without turning round."""
     return CouplingDiverged(
-        f"the coupling diverges: the answer moves away from the pose, now by {size:.3g} "
+        f"the coupling diverges: the answer moves away from the pose, by {size:.3g} "
         "tolerances. The scene tips or buckles: use a stiffer component, or correct the sign of "
         "the wrench or of stiffness= (negative for springs)",
         (before, size),

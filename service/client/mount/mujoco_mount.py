@@ -325,7 +325,7 @@ def _floating(model: Model, division: _Division, gravcomp: str | None) -> Vector
     if model.opt.integrator == engine.mjtIntegrator.mjINT_RK4:
         raise InvalidArgument(
             "gravcomp='float' needs the positions at the sensor reading, which RK4 overwrites; use "
-            "another integrator"
+            "the integrator Euler, implicit or implicitfast"
         )
     return borne
 

@@ -68,10 +68,9 @@ def warn_if_ringing(
     periods = frequency * ramp_time
     if periods < QUASI_STATIC:
         warn(
-            f"{component} rings: its loads build up in {ramp_time:g} s, only {periods:.3g} periods "
-            f"of its first natural frequency, {frequency:g} Hz. Below about {QUASI_STATIC:g} "
-            "periods static answers are wrong by a factor of 2 or more; use slower ramps or a "
-            "stiffer component",
+            f"{component} rings: loads build up in {ramp_time:g} s, {periods:.3g} periods of its "
+            f"first natural frequency, {frequency:g} Hz. Below {QUASI_STATIC:g} periods answers "
+            "are wrong by a factor of 2 or more; use slower ramps or a stiffer component",
             MountWarning,
         )
 

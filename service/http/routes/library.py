@@ -274,7 +274,9 @@ def get_stiffness(
     if number is not None:
         spans = [s for s in workspace.ledger.import_spans(name) if s[2].id == number]
         if not spans:
-            raise UnknownImportError(f"{name!r} has no import {number}; see GET .../imports")
+            raise UnknownImportError(
+                f"{name!r} has no import {number} with rows; see GET .../imports"
+            )
         rows = rows.take(np.any([(a <= rows.seq) & (rows.seq <= b) for a, b, _ in spans], axis=0))
     part = np.ptp(rows.wrench, axis=0) / span.scale if len(rows) else span.scale
     axis = axis or loads[int(np.argmax(part[: len(loads)]))]

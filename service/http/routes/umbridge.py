@@ -259,7 +259,7 @@ async def _product(
         raise UmBridgeError("InvalidOutput", message)
     product = (derivative.T if name == "sens" else derivative) @ np.array(vector)
     if not np.isfinite(product).all():
-        message = f"{name} is too large for its product with the derivative; scale it"
+        message = f"{name} times the derivative is too large; give {name} with smaller numbers"
         raise UmBridgeError("InvalidInput", message)
     return _reply(outcome, product.tolist())
 

@@ -265,7 +265,7 @@ CALLS = [
     (lambda on: on.place(2 * np.eye(3), POINT), "rotation"),
     (lambda on: on.place(np.diag([1.0, 1.0, -1.0]), POINT), "right-handed"),
     (lambda on: on.place(np.full((3, 3), np.nan), POINT), "finite"),
-    (lambda on: on.settle(lambda R, p: WEIGHT, most=0), "most at least 1"),
+    (lambda on: on.settle(lambda R, p: WEIGHT, most=0), "most must be above 0"),
     (lambda on: on.settle(lambda R, p: WEIGHT, accuracy=0.0), "must be above 0"),
     (lambda on: on.wrench_of([0, 0, 1, 2], [0, 0, 0], [0, 0, 1]), "three numbers"),
     (lambda on: on.step(MASKED), "masked"),
