@@ -27,6 +27,7 @@ from wrenchbook.fea.spec.mesh_source import Generator, MeshFile, MeshSource
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem, MeshFileError, suggest
 from wrenchbook.fea.spec.schema import (
     ACCELERATIONS,
+    ALL_INPUTS,
     FREEDOMS,
     MAX_INPUTS,
     TEMPERATURE,
@@ -172,6 +173,10 @@ class _Reader:
         self.check_inputs(further, materials, interfaces)
         # A range whose corners are too many to look at each.
         if loads is not None:
+            count = len(loads.low) + len(further)
+            if count > ALL_INPUTS:
+                message = f"has {count} inputs with the other interfaces, at most {ALL_INPUTS} fit"
+                self.wrong("interface", f"{message}; leave out interfaces")
             vary = len(further) + int((loads.low < loads.high).sum())
             if vary > MAX_INPUTS:
                 message = f"{vary} inputs vary, at most {MAX_INPUTS} may; give some the range 0"

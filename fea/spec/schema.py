@@ -46,6 +46,7 @@ FREEDOMS = ("ux", "uy", "uz", "rx", "ry", "rz")
 """The interface's six degrees of freedom, in the order of the wrench contract."""
 
 MAX_INPUTS = 18  # that vary, the loads of three interfaces: 2^18 corners of 18 loads are 38 MB
+ALL_INPUTS = 24  # also those that do not vary: the loads of four interfaces, as a joint has at most
 # Tables square loads and divide by them; the square root of the largest double, 1e154, is too near
 # since sums of such squares must be numbers too.
 LARGEST_LOAD = 1e100

@@ -112,11 +112,11 @@ def _keys(component: Component, piece: ParsedTable) -> list[bytes]:
 def _count_rows(
     ledger: Ledger, component: Component, pieces: Iterator[ParsedTable]
 ) -> tuple[int, int]:
-    """Return how many rows of a file the ledger would insert, and how many it already has."""
+    """Return how many rows of a file would be inserted, and how many equal another or a stored one."""
     keys = [key for piece in pieces for key in _keys(component, piece)]
-    distinct = set(keys)  # a row that stands twice in the file is loaded once
-    known = ledger.known_rows(distinct)
-    return len(distinct - known), sum(key in known for key in keys)
+    distinct = set(keys)
+    inserted = len(distinct - ledger.known_rows(distinct))
+    return inserted, len(keys) - inserted
 
 
 def _findings_by_key(
