@@ -112,7 +112,7 @@ def _keys(component: Component, piece: ParsedTable) -> list[bytes]:
 def _count_rows(
     ledger: Ledger, component: Component, pieces: Iterator[ParsedTable]
 ) -> tuple[int, int]:
-    """Return how many rows of a file would be inserted, and how many equal another or a stored one."""
+    """Return how many rows of a file would be inserted, and how many equal one before or stored."""
     keys = [key for piece in pieces for key in _keys(component, piece)]
     distinct = set(keys)
     inserted = len(distinct - ledger.known_rows(distinct))
