@@ -337,7 +337,7 @@ def _material_numbers(
             continue
         cells = mesh.regions[material.region]
         if any((block[chosen] >= 0).any() for block, chosen in zip(numbers, cells, strict=True)):
-            message = f'"{material.region}" overlaps another material\'s region; separate them'
+            message = f'"{material.region}" has cells of another material; give each cell one'
             problems.append(BundleProblem(key, message))
         for block, chosen in zip(numbers, cells, strict=True):
             block[chosen] = i

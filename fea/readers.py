@@ -135,7 +135,10 @@ class CalculixDat:
         last = {key: _last(path, name, options[key]) for key in self.keys}
         times = {time for time, _ in last.values()}
         if len(times) > 1:
-            raise OutputError(f"{name} must print both sets at one time, not at {sorted(times)}.")
+            ends = ", ".join(f"{options[key]} at {time:g}" for key, (time, _) in last.items())
+            raise OutputError(
+                f"{name} ends with the sets {ends}; give both *NODE PRINT cards the same FREQUENCY"
+            )
         (_, translation), (_, rotation) = last["point"], last["rotation"]
         counts = _UNKNOWNS.findall(_text(run.printed))
         return Reading((*translation, *rotation), int(counts[-1]) if counts else 0)

@@ -286,7 +286,8 @@ def _checked(fields: dict[str, Any]) -> Key:
     try:
         key = Key(**{**fields, "components": tuple(fields.get("components", ANY))})
     except TypeError as error:
-        raise ValueError(f"the fields of a key are wrong: {error}") from None
+        wrong = str(error).removeprefix("Key.__init__() ")
+        raise ValueError(f"the key {fields.get('name')!r} {wrong}; restore keys.json") from None
     if not isinstance(key.name, str) or not _NAME.fullmatch(key.name):
         raise ValueError(
             f"{key.name!r} is not a valid key name; use 1 to 64 letters, digits, '.', '_', '@' and "

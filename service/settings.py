@@ -179,7 +179,8 @@ def check_copies(settings: Settings) -> None:
         if scheme == "file" and path and (inside or (folder / "ledger.sqlite").exists()):
             raise SettingsError(f"{name}: {folder} is in a data directory; name another folder")
     if settings.read_only and (settings.replicate or settings.backup_every):
-        raise SettingsError("read_only: a server of a replica makes no copies; remove this option")
+        copying = "replicate" if settings.replicate else "backup_every"
+        raise SettingsError(f"{copying}: a server with read_only makes no copies; remove {copying}")
 
 
 def as_file(settings: Settings, origins: Mapping[str, str]) -> str:

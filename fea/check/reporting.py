@@ -108,7 +108,7 @@ def report(
             summary["deck"], warnings = deck_report(bundle.deck)
             summary["warnings"] += warnings
             if riding is not None:
-                message = "gives no natural frequency, so the mass has no effect; leave it out"
+                message = "gives no natural frequency, so a mass has no effect; leave the mass out"
                 summary["warnings"].append(BundleProblem("deck", message))
         elif bundle.mesh is not None:
             if bundle.mesh.geometry is not None:

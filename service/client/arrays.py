@@ -268,8 +268,10 @@ def jax_joint(
     joint, turned = Joint(table, damping, **options), None if axes is None else np.array(axes) + 0.0
     first = joint.new_steps(1, None)
     square = shape_of(first.interfaces, 3, 3)
-    if not 0.0 < dt < np.inf or (turned is not None and turned.shape != square):
-        raise InvalidArgument(f"dt must be above 0 s and axes {square}, not {dt} s and {axes}")
+    if not 0.0 < dt < np.inf:
+        raise InvalidArgument(f"dt must be a finite number above 0 s, not {dt}")
+    if turned is not None and turned.shape != square:
+        raise InvalidArgument(f"axes must have the shape {square}, not {turned.shape}")
     size, shapes = first.memory.shape[1], {n: first.replies[n].shape[1:] for n in REPLIED}
     buffers = first.memory, first.poses, first.velocities, first.inverse_masses
     entered = [place.shape[1:] for place in buffers]

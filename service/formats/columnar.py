@@ -180,7 +180,8 @@ def _vectors(values: dict[str, Any]) -> dict[str, Array]:
     if wrong or len(lengths) != 1:
         each = "save each column as a variable of its own, such as fx_N = A(:, 1)"
         no_vector = f"{wrong[0]} is not a numeric vector; {each}" if wrong else ""
-        why = no_vector or f"their lengths are {sorted(lengths)}"
+        listed = ", ".join(f"{name} {len(column)}" for name, column in list(columns.items())[:9])
+        why = no_vector or f"their lengths are {listed or 'unknown'}"
         form = "needs numeric vectors of one length, one a column"
         raise ContentError(f"{form}: {why}")
     return columns

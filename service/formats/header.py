@@ -392,7 +392,7 @@ def _add_column(
         header.ignored.append(bare.label)
         return
     if sign < 0 and name not in (*columns.loads, *columns.displacement):
-        raise UnitError("only loads and displacements may have a - before the name; leave it out")
+        raise UnitError(f"{name} may have no minus sign, as loads have; write {text}")
     if name in header.columns:
         message = f"{name} is there twice; keep one"
         header.mistakes.append(FileMistake(line, bare.label, message))

@@ -135,7 +135,7 @@ def _pairs(text: str) -> dict[str, str]:
     if not isinstance(pairs, dict) or not all(isinstance(name, str) for name in pairs.values()):
         raise ValueError('must have the form {"column in the file": "fz [N]"}')
     if len(pairs) > _MAX_COLUMNS:
-        raise ValueError(f"names more than {_MAX_COLUMNS} columns; remove some")
+        raise ValueError(f"names {len(pairs)} columns, at most {_MAX_COLUMNS} fit; leave some out")
     return pairs
 
 

@@ -253,7 +253,8 @@ def withdraw(db: Connection, component: str, seq: int, *, withdrawn: bool = True
     if not any(record.component == component for _, record in containing(db, [seq])):
         raise UnknownRowError(f"the table of {component!r} has no row {seq}; see its export")
     if is_withdrawn(db, seq) == withdrawn:
-        raise RowStatusError(f"row {seq} is already {'withdrawn' if withdrawn else 'in the table'}")
+        state = "withdrawn" if withdrawn else "in the table"
+        raise RowStatusError(f"row {seq} of {component!r} is already {state}; nothing was changed")
     edit(db, component, [seq], withdrawn=withdrawn, now=time.time())
     note_edit(db, "row", seq, component, withdrawn=withdrawn)
 

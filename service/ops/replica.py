@@ -119,7 +119,10 @@ class Replica:
             if name != _name(fields["number"], content):
                 raise ValueError("it was changed after it was written")
             if fields["format"] != FORMAT or fields["ledger_schema"] > VERSION:
-                raise BackupError(f"{self.url} is of a newer wrenchbook; install that version")
+                raise BackupError(
+                    f"{self.url} has ledger format {fields['ledger_schema']}, but this wrenchbook "
+                    f"reads up to {VERSION}; install the version that wrote it"
+                )
             numbers = fields["interval"], fields["created"], fields["ledger"][0]
             if not all(0.0 < number < 1e11 for number in numbers):
                 raise ValueError("its interval, its time or its ledger is invalid")
@@ -202,7 +205,7 @@ class Shipper:
         names, newest = replica.manifests(), None
         if again and not names:
             raise ReplicaError(
-                f"{replica.url} is now empty; mount it, or restart the server to ship everything "
+                f"{replica.url} is now empty; mount it, or restart the server to copy everything "
                 "again"
             )
         try:

@@ -312,8 +312,8 @@ def _check_contained(file: h5py.File) -> None:
                 raise TableFileError(f"has chunks over {MAX_CHUNK_BYTES >> 20} MiB; write smaller")
             if name != "note" and (dataset.dtype.hasobject or size > MAX_STRING_BYTES):
                 raise TableFileError(
-                    f"has texts in {folder}/{name}, unlike a wrenchbook table; send a file that "
-                    "wrenchbook wrote"
+                    f"has text of variable length, or over {MAX_STRING_BYTES} bytes, in "
+                    f"{folder}/{name}; send a file that wrenchbook wrote"
                 )
             room -= dataset.nbytes
     if room < 0:

@@ -157,7 +157,7 @@ def test_an_earlier_program_does_not_restore_the_state_before_an_upgrade(
     path.unlink()
     (tmp_path / "replica" / replica._name(2, content)).write_bytes(content)
     monkeypatch.undo()
-    with pytest.raises(BackupError, match="of a newer wrenchbook"):
+    with pytest.raises(BackupError, match="install the version that wrote it"):
         restore(shipped.url, tmp_path / "again")
 
 

@@ -244,7 +244,7 @@ def radial_axes(axis: Array, out: Array) -> Array:
     """Return the radial, circumferential and axial directions at a point off an axis, in rows."""
     around, size = np.cross(axis, out), np.linalg.norm(axis)
     if not np.linalg.norm(around) > _ON_AXIS * size * max(size, np.linalg.norm(out)):
-        raise ValueError("a node on the cylinder's axis has no radial direction")
+        raise ValueError("a node on the cylinder's axis has no radial direction; use other axes")
     return axes_through(np.zeros(3), np.cross(around, axis), around)
 
 
@@ -435,7 +435,7 @@ def _take_surface(deck: Deck, keyword: Keyword) -> None:
             continue
         face = fields[0].upper() if fields else ""
         if not re.fullmatch(r"S\d", face):
-            raise MeshFileError(f'has the face "{face}"; faces of solids must be S1 to S6')
+            raise MeshFileError(f'has the face "{face}"; a face of a solid must be S1 to S6')
         entries = [(e, face) for e in named(deck, deck.element_sets, name, keyword.frame)]
         deck.entries += len(entries)
         _few(range(deck.entries))
@@ -548,7 +548,7 @@ def _faces(deck: Deck, row: dict[int, int], faces: list[tuple[int, str]]) -> lis
     for element, face in faces:
         if element not in deck.where:
             raise MeshFileError(
-                f"has a surface on element {element % STRIDE}, which is not defined; add it"
+                f"has a surface on element {element % STRIDE}, but no *ELEMENT has it; add that"
             )
         block, cell = deck.where[element]
         shape = deck.kinds[block].rstrip("0123456789")

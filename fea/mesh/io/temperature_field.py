@@ -36,7 +36,7 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
     with field.open(encoding="utf-8", errors="replace") as file:
         names = [name.strip().strip('"').lower()[:1] for name in file.readline().split(",")]
     if names[:3] != ["x", "y", "z"]:
-        raise _wrong("must have a first line of names; write x, y, z and the temperature")
+        raise _wrong("must begin with a line of names with commas, such as x,y,z,temperature")
     try:
         table = np.loadtxt(field, delimiter=",", skiprows=1, ndmin=2)
     except (ValueError, UnicodeDecodeError) as error:
