@@ -42,6 +42,9 @@ def rotation_matrix(rotation: ArrayLike) -> Vector:
     )
 
 
+_SINGLE_PRECISION = 1e-6  # of a pose; the displacement is exact to the square of it
+
+
 def checked_pose(R0: ArrayLike, p0: ArrayLike) -> tuple[Vector, Vector]:
     """Return a pose, axes as columns (3, 3) and point (3,), m; InvalidArgument if it is none."""
     try:
@@ -54,8 +57,8 @@ def checked_pose(R0: ArrayLike, p0: ArrayLike) -> tuple[Vector, Vector]:
         )
     if not (np.isfinite(axes).all() and np.isfinite(point).all()):
         raise InvalidArgument(f"R0 and p0 must be finite, not {axes.tolist()} and {point.tolist()}")
-    # 1e-6 rad is a pose in single precision; the displacement is exact to the square of it.
-    if not np.allclose(axes.T @ axes, np.eye(3), atol=1e-6) or np.linalg.det(axes) < 0.0:
+    skew = np.abs(axes.T @ axes - np.eye(3)).max()
+    if skew > _SINGLE_PRECISION or np.linalg.det(axes) < 0.0:
         raise InvalidArgument(
             "R0 must be a right-handed rotation matrix, whose columns are the axes of the "
             "undeformed interface frame"
@@ -64,5 +67,5 @@ def checked_pose(R0: ArrayLike, p0: ArrayLike) -> tuple[Vector, Vector]:
 
 
 def sinc(angle: float) -> float:
-    """Return sin(a)/a, 1 at zero; exact in floats for small angles, where sin(a) = a."""
+    """Return sin(a)/a of an angle a of 0 or more, rad; exact for small angles, where sin(a) = a."""
     return math.sin(angle) / angle if angle > 0.0 else 1.0

@@ -11,7 +11,6 @@ import importlib
 import json
 import re
 import shutil
-import struct
 import zipfile
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
@@ -47,7 +46,7 @@ _CANNOT_UNPACK: Final = (
 _TOO_LARGE: Final = "The unpacked zip is larger than the limit of {} MiB. Leave large files out."
 _NO_REPORT: Final = "The mesh check stopped ({why}). Check it with: wrenchbook check FOLDER"
 # Of a component.toml: the first table, below the top-level keys; the lines of these keys.
-_TOP_LEVEL = re.compile(r"^\s*\[", re.MULTILINE)
+_FIRST_TABLE = re.compile(r"^\s*\[", re.MULTILINE)
 _LINE = {key: re.compile(rf"^[ \t]*{key}[ \t]*=.*$", re.MULTILINE) for key in ("name", "title")}
 # Slots apart from those of `run`: a check may take minutes. It imports 75 MB, so none stays.
 _checks: Final = Sandbox(keep=False)
@@ -141,7 +140,7 @@ def copy_bundle(component: Component, name: str, title: str | None, folder: Path
     shutil.copytree(component.folder, folder, symlinks=False, dirs_exist_ok=False)
     file = folder / "component.toml"
     text = file.read_text(encoding="utf-8")
-    begins = _TOP_LEVEL.search(text)
+    begins = _FIRST_TABLE.search(text)
     end = begins.start() if begins else len(text)
     head = text[:end]
     for key, value in (("name", name), ("title", title)):
@@ -157,6 +156,8 @@ def copy_bundle(component: Component, name: str, title: str | None, folder: Path
 
 def toml_value(value: Any) -> str:
     """Return a text, a number, a list or a mapping as a value of TOML, on one line."""
+    if isinstance(value, bool):
+        return str(value).lower()
     if isinstance(value, Mapping):
         return f"{{{', '.join(f'{key} = {toml_value(entry)}' for key, entry in value.items())}}}"
     if isinstance(value, list):
@@ -263,7 +264,7 @@ def extract(archive: Path, target: Path) -> Path:
             raise
         why = error.strerror or "it is damaged"
         raise problem_at("bundle", _CANNOT_UNPACK.format(why=why)) from None
-    except (Exception, struct.error) as error:  # whatever zipfile comes to in a damaged archive
+    except Exception as error:  # whatever zipfile comes to in a damaged archive
         raise problem_at("bundle", _CANNOT_UNPACK.format(why=str(error)[:200])) from None
     folders = sorted(path.parent for path in target.rglob("component.toml"))
     if len(folders) != 1:

@@ -8,7 +8,7 @@ import numpy as np
 
 from .rows import ZERO_LOAD, Floats
 
-ROWS_A_TERM = 5  # rows that a term of the polynomial needs at least
+ROWS_A_TERM = 5  # with fewer rows a term, the fit follows the noise of single rows
 
 
 def terms_of(scaled: Floats, distinct_rows: int | None = None) -> Floats:
@@ -17,11 +17,12 @@ def terms_of(scaled: Floats, distinct_rows: int | None = None) -> Floats:
     The terms are 1 and each load; then, as long as there are `ROWS_A_TERM` rows for each term, the
     squares, the cubes and the products of two loads.
 
-    `scaled` (n, 6): loads over the load range, dimensionless.
+    `scaled` (n, inputs): loads over the load range, dimensionless.
     `distinct_rows`: how many rows count, if some repeat others; n if None.
     """
     used = np.flatnonzero(np.abs(scaled).max(axis=0, initial=0.0) > ZERO_LOAD)
-    loads, count = scaled[:, used], len(scaled) if distinct_rows is None else distinct_rows
+    loads = scaled[:, used]
+    count = len(scaled) if distinct_rows is None else distinct_rows
     parts = [np.ones((len(scaled), 1)), loads]
     pairs = [loads[:, i] * loads[:, j] for i, j in combinations(range(len(used)), 2)]
     products = np.stack(pairs, axis=1) if pairs else np.empty((len(scaled), 0))

@@ -57,7 +57,7 @@ async def events(
 ) -> Response:
     watched: Events = request.app.state.events
     if component is not None:
-        _ = workspace.library[component]
+        workspace.library[component]  # UnknownComponentError: 404
     listener = await watched.listen(component, last_event_id)
     request.app.state.access.end_with_key(listener, permission_of(request.scope))
     return EventStream(watched.feed, listener)

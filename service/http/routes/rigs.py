@@ -16,6 +16,7 @@ from wrenchbook.service.http.problems import bad_body
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.library.rigs import profiles, remove_rig, rig_of, store_rig
 
+_UTF8 = 4  # bytes of a character at most
 router = APIRouter(prefix="/v1/rigs", tags=["rigs"], responses=refused(404, 422))
 
 RigName = Annotated[str, Path(pattern=f"^{NAME.pattern}$")]
@@ -26,9 +27,11 @@ _READ: Any = {200: {"description": "the stored profile, or else the program's", 
 
 @router.get("", summary="List rig profiles")
 def list_rigs(workspace: Opened) -> dict[str, list[dict[str, str]]]:
-    known = profiles(workspace.ledger).items()
-    titles = {name: text.partition("\n")[0].partition("#")[2].strip() for name, (text, _) in known}
-    return {"rigs": [{"name": k, "origin": kind, "title": titles[k]} for k, (_, kind) in known]}
+    rigs = []
+    for name, (text, origin) in profiles(workspace.ledger).items():
+        comment = text.partition("\n")[0].partition("#")[2]  # of the first line
+        rigs.append({"name": name, "origin": origin, "title": comment.strip()})
+    return {"rigs": rigs}
 
 
 @router.get("/{name}", summary="Show a rig profile", response_class=Response, responses=_READ)
@@ -38,12 +41,12 @@ def get_rig(name: RigName, workspace: Opened) -> Response:
 
 @router.put("/{name}", summary="Store or replace a rig profile", openapi_extra=_SENT)
 async def put_rig(name: RigName, request: Request, workspace: Opened) -> dict[str, str]:
-    content = await read_limited(request.receive, 4 * MAX_RIG)
+    content = await read_limited(request.receive, _UTF8 * MAX_RIG)
     text = content.decode("utf-8-sig", "replace")
     if len(text) > MAX_RIG or "\ufffd" in text:
         message = f"must be UTF-8 text of at most {MAX_RIG} characters"
         raise bad_body([{"loc": "body", "msg": message}])
-    profile_of(text)
+    profile_of(text)  # refuses a text that is no profile
     await run_in_threadpool(store_rig, workspace.ledger, name, text)
     return {"stored": name}
 
