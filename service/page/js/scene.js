@@ -87,7 +87,7 @@ function planned(name, one, about, need) {
       ["Axes", Object.entries(one.axes).map(([axis, held]) => `${axis}: ${held.inputs.map(label).join(", ")} (${held.dimensions}-D)`).join("; ")],
       ["Outputs", one.outputs.map(label).join(", ")],
       ["First solves", about.has_fea ? `${count(one.solves.scene)} of ${count(one.solves.whole)}` : ""],
-      [`Saves, against the table of the whole load range, version ${one.table_version}`, [saved.build_s > 0 ? `${saved.build_s < 1 ? quantity(saved.build_s, "s") : seconds(saved.build_s)} of building` : "", saved.memory_bytes > 0 ? saved.memory_bytes < 1e6 ? `${number(saved.memory_bytes / 1e3, 3)} kB` : `${number(saved.memory_bytes / 1e6, 3)} MB` : "", saved.us_per_answer > 0 ? `${number(saved.us_per_answer, 3)} µs an answer` : ""].filter(Boolean).join(", ")],
+      ["Saves", [saved.build_s > 0 ? `${saved.build_s < 1 ? quantity(saved.build_s, "s") : seconds(saved.build_s)} of building` : "", saved.memory_bytes > 0 ? saved.memory_bytes < 1e6 ? `${number(saved.memory_bytes / 1e3, 3)} kB` : `${number(saved.memory_bytes / 1e6, 3)} MB` : "", saved.us_per_answer > 0 ? `${number(saved.us_per_answer, 3)} µs an answer` : ""].filter(Boolean).join(", ").replace(/.$/, `$& against the table of the whole load range, version ${one.table_version}`)],
     ]),
     el("details", {}, el("summary", {}, "Largest displacements"), facts(bound)),
     about.has_fea && one.decision !== "rigid" ? fillButton(name, need, Math.max(1, one.solves.scene)) : null,
