@@ -145,6 +145,7 @@ Imported = TypedDict(
     {
         "inserted": int,
         "existing": int,
+        "beyond_range": int,
         "errors": list[RowMistake],
         "causes": list[RowMistakes],
         "findings": list[ImportFinding],

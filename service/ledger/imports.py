@@ -9,9 +9,12 @@ from __future__ import annotations
 import json
 import os
 import time
+from bisect import bisect_right
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass, replace
 from itertools import islice
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -261,6 +264,16 @@ def import_spans(db: Connection, component: str) -> list[tuple[int, int, ImportR
     where = "import_parts.component = ? AND hidden = 0 ORDER BY first"
     records = db.execute(f"SELECT first, last, {_QUALIFIED} {_PARTS} {where}", (component,))
     return [(first, last, ImportRecord(*record)) for first, last, *record in records]
+
+
+def withdrawn_counts(db: Connection, component: str) -> Counter[int]:
+    """Return how many rows of each import of a component are withdrawn, by its number."""
+    spans, counts = import_spans(db, component), Counter[int]()
+    for seq in rows.withdrawn(db, component):
+        at = bisect_right(spans, seq, key=itemgetter(0)) - 1
+        if at >= 0 and seq <= spans[at][1]:
+            counts[spans[at][2].id] += 1
+    return counts
 
 
 def findings(db: Connection, component: str) -> list[dict[str, Any]]:

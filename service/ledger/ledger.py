@@ -177,6 +177,7 @@ class Ledger:
     stored_numbers = _reads(import_sql.stored_numbers)
     import_of = _reads(import_sql.import_of)
     import_spans = _reads(import_sql.import_spans)
+    withdrawn_counts = _reads(import_sql.withdrawn_counts)
     findings = _reads(import_sql.findings)
     audit = _reads(audit_sql.entries)
 

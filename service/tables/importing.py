@@ -78,6 +78,8 @@ def import_files(
     if earlier is not None and not refused:
         report["findings"].append(RigFinding("twice", TWICE.format(earlier)).body())
     inserted, existing, number = 0, 0, None
+    held = component.load_range.holds
+    beyond = sum(int((~held(piece.wrench)).sum()) for piece in read.pieces())
     if not refused and dry_run:
         inserted, existing = _count_rows(ledger, component, pieces())
     elif not refused:
@@ -95,6 +97,7 @@ def import_files(
     return {
         "inserted": inserted,
         "existing": existing,
+        "beyond_range": beyond,
         "dry_run": dry_run,
         "partial": partial,
         "import": number,

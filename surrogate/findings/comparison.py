@@ -55,20 +55,23 @@ def scale_factor(
 
     Least squares through zero, weighted by stated uncertainties where all rows have them. The half
     width is that of independent rows or of blocks of consecutive rows, the larger one, plus the
-    error that the answers may have in common. NaN where unknown.
+    error that the answers may have in common; fewer than `MIN_COMPARED_ROWS` have none. NaN where
+    unknown.
 
     `moved`, `expected`, `bars`, `uncertainty` (n,), m or rad: of one output, in the order of the
     measurement; NaN where unknown.
     """
     known = np.isfinite(moved) & np.isfinite(expected)
     y, x, bar, stated = (values[known] for values in (moved, expected, bars, uncertainty))
-    if len(x) < MIN_COMPARED_ROWS or not x.any():
+    if not x.any():
         return np.nan, np.nan, np.nan
     weights = np.ones(len(x))
     if (stated > 0).all():
         weights = (stated.min() / stated) ** 2
     total = weights @ x**2
     factor = weights @ (x * y) / total
+    if len(x) < MIN_COMPARED_ROWS:
+        return float(factor), np.nan, np.nan
     off = y - factor * x
     blocks = [part.sum() for part in np.array_split(weights * x * off, min(BLOCKS, len(x)))]
     deviations = np.array(

@@ -71,6 +71,7 @@ class FileImport(Message):
 class Import(FileImport):
     when: str
     rows: int
+    withdrawn: int
     table_version: int | None
     findings: Sequence[ImportFinding]
 
@@ -160,6 +161,7 @@ def list_imports(name: str, workspace: Opened) -> Response:
     records = workspace.ledger.imports(workspace.library[name].name)
     versions = {record.id: last for _, last, record in workspace.ledger.import_spans(name)}
     findings: list[Any] = workspace.ledger.findings(name)
+    withdrawn = workspace.ledger.withdrawn_counts(name)
     return json_reply(
         Imports(
             imports=[
@@ -167,6 +169,7 @@ def list_imports(name: str, workspace: Opened) -> Response:
                     **file_fields(record),
                     when=iso_time(record.created),
                     rows=record.rows,
+                    withdrawn=withdrawn[record.id],
                     table_version=versions.get(record.id),
                     findings=[item for item in findings if item["import"] == record.id],
                 )

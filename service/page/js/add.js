@@ -3,6 +3,7 @@
 import { post, send, trouble } from "./api.js";
 import { el, field, put, working } from "./dom.js";
 import { facesIn } from "./faces.js";
+import { sentence } from "./format.js";
 
 export async function show(root, _, signal) {
   document.title = "Add a component · wrenchbook";
@@ -41,19 +42,35 @@ function bundle(root, signal) {
 
 function tableOnly(signal) {
   const state = el("div", { "aria-live": "polite" });
-  const name = el("input", { required: true, id: "new-name", autocomplete: "off" });
+  const wrong = el("span", { class: "note outside", id: "name-error", "aria-live": "polite", hidden: true });
+  const name = el("input", { required: true, id: "new-name", autocomplete: "off", "aria-describedby": "name-rule name-error" });
+  const mark = (message) => { // stands at the field until its name is changed
+    wrong.hidden = !message;
+    put(wrong, message);
+    name.setAttribute("aria-invalid", String(Boolean(message)));
+    if (message) name.focus();
+  };
+  name.addEventListener("input", () => mark(""));
   const title = el("input", { id: "new-title", autocomplete: "off" });
   const size = (label) => el("input", { type: "number", step: "any", min: 0, required: true, "aria-label": label });
   const force = ["x", "y", "z"].map((axis) => size(`Largest force ${axis}`)), moment = ["x", "y", "z"].map((axis) => size(`Largest moment ${axis}`));
   const add = async (event) => {
     event.preventDefault();
+    put(state);
     const range = { force: force.map((one) => Number(one.value)), moment: moment.map((one) => Number(one.value)) };
     try {
       goTo((await post("v1/components", { name: name.value.trim(), title: title.value.trim() || name.value.trim(), range }, signal)).name);
-    } catch (error) { if (!signal.aborted) put(state, trouble(error)); }
+    } catch (error) {
+      if (signal.aborted) return;
+      const { errors = [], type = "" } = error.body || {};
+      const ofName = type.endsWith(":component-exists") ? error.message : errors.find((one) => one.loc === "name")?.msg;
+      mark(ofName ? sentence(ofName) : "");
+      if (!ofName || errors.length > 1) put(state, trouble(error)); // further mistakes are listed
+    }
   };
   const three = (inputs) => el("div", { class: "three" }, inputs.map((one, place) => field("xyz"[place], one)));
-  return el("form", { class: "stack", onsubmit: add }, field("Name", name), field("Title", title),
+  return el("form", { class: "stack", onsubmit: add },
+    el("div", { class: "stack tight" }, field("Name", name), el("span", { class: "muted small", id: "name-rule" }, "1 to 64 of a-z, 0-9, _ and -, beginning with a letter or digit"), wrong), field("Title", title),
     el("fieldset", {}, el("legend", {}, "Largest force either way, N"), three(force)),
     el("fieldset", {}, el("legend", {}, "Largest moment either way, N·m"), three(moment)),
     el("div", {}, el("button", { class: "first" }, "Add the table")), state);

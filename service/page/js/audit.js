@@ -26,7 +26,7 @@ export async function show(root, _, signal) {
     const page = await get(path, signal);
     if (fresh) put(body);
     for (const one of page.entries) {
-      const cells = [time(one.time), actorOf(one.actor) || "–", actionOf(one.action), one.component, one.object];
+      const cells = [time(one.time), actorOf(one.actor) || "–", actionOf(one.action), one.component ? el("a", { href: `#/c/${encodeURIComponent(one.component)}` }, one.component) : "", objectOf(one)];
       body.append(el("tr", { id: `entry-${one.id}` }, cells.map((text) => el("td", {}, text)), el("td", { class: "small whole" }, states(one))));
     }
     next = page.next;
@@ -51,6 +51,12 @@ function actionOf(name) {
   return verb ? `${kind} ${DONE[verb] || verb.replaceAll("_", " ")}` : name;
 }
 
+// An object with its word, as "row 67"; a job is a link. Of a component's own writes the word alone: its name is beside it.
+function objectOf({ action, component, object }) {
+  const kind = action.split(".")[0], words = [component, "None"].includes(object) ? kind : kind === action ? object : `${kind} ${object}`; // None: an import of known rows alone
+  return kind === "job" ? el("a", { href: `#/jobs/${object}` }, words) : words;
+}
+
 // A state as words: "status waiting, priority 0".
 function wordsOf(state) {
   if (state === null || typeof state !== "object") return String(state).replace(/^([0-9a-f]{12})[0-9a-f]{52}$/, "$1"); // a digest, shortened
@@ -60,6 +66,6 @@ function wordsOf(state) {
 // Of two states what differs, else the one there is.
 function states({ before, after }) {
   if (![before, after].every((one) => one && typeof one === "object")) return [before, after].filter((one) => one !== null).map(wordsOf).join(" → ");
-  const changed = [...new Set([...Object.keys(before), ...Object.keys(after)])].filter((name) => JSON.stringify(before[name]) !== JSON.stringify(after[name]));
+  const changed = [...new Set([...Object.keys(before), ...Object.keys(after)])].filter((name) => JSON.stringify(before[name] ?? null) !== JSON.stringify(after[name] ?? null));
   return changed.map((name) => `${name.replaceAll("_", " ")} ${wordsOf(before[name] ?? "none")} → ${wordsOf(after[name] ?? "none")}`).join(", ");
 }

@@ -74,15 +74,17 @@ function varying(reply, kind) {
 // Why the plots would be empty, though rows are compared.
 const nothing = (reply) => (Object.values(reply.outputs).some((one) => one.compared) ? "" : "no measured row lies where the reference has an answer. Choose another reference, or solve or import rows at these loads");
 
+const are = (value) => `${count(value)} ${value === 1 ? "is" : "are"}`;
+
 function words(reply, about) {
   const { reference, coverages } = reply, unanswered = Math.max(...Object.values(reply.outputs).map((one) => one.unanswered));
   if (reply.reason) return empty(`Nothing is compared: ${reply.reason}.`, linkTo(about, "table", "Import rows"));
   const by = reference.import === null ? "the answer of the solves alone" : `a ${reference.method} of the rows of import ${reference.import}`;
   const parts = [
-    `${count(reply.compared)} of ${count(reply.measured)} measured rows${reply.compared < reply.measured - reply.beyond_range ? ", evenly chosen," : ""} beside ${by} (${count(reference.rows)}${reference.rows < reference.of ? ` of ${count(reference.of)}` : ""} rows).`,
-    unanswered ? `${count(unanswered)} are outside its rows and have no answer.` : "",
-    coverages.thin ? `${count(coverages.thin)} are where its rows are thin.` : "",
-    reply.beyond_range ? `${count(reply.beyond_range)} are outside the load range.` : "",
+    `${count(reply.compared)} of ${count(reply.measured)} measured ${reply.measured === 1 ? "row" : "rows"}${reply.compared < reply.measured - reply.beyond_range ? ", evenly chosen," : ""} beside ${by} (${count(reference.rows)}${reference.rows < reference.of ? ` of ${count(reference.of)}` : ""} ${reference.of === 1 ? "row" : "rows"}).`,
+    unanswered ? `${are(unanswered)} outside its rows and ${unanswered === 1 ? "has" : "have"} no answer.` : "",
+    coverages.thin ? `${are(coverages.thin)} where its rows are thin.` : "",
+    reply.beyond_range ? `${are(reply.beyond_range)} outside the load range.` : "",
     reference.bars_are_complete ? "" : "Its bars are not known, since the solver's own error is not.",
     "A residual within the bars of reference and reading is no difference.",
   ];

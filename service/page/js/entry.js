@@ -3,7 +3,8 @@
 import { get, of, post, send, trouble } from "./api.js";
 import { el, field, note, put, table } from "./dom.js";
 import { empty, linkTo } from "./empty.js";
-import { count, time } from "./format.js";
+import { editImport } from "./findings.js";
+import { actorOf, count, time } from "./format.js";
 
 const goTo = (name) => { location.hash = `#/c/${encodeURIComponent(name)}/entry`; };
 
@@ -18,7 +19,7 @@ export async function show(root, { name }, signal) {
         el("section", { class: "card" }, el("h2", {}, "Notes"), notes(about, signal)),
         el("section", { class: "card" }, el("h2", {}, about.archived ? "Archived" : "Archive"), away(about, signal, again))),
       el("section", { class: "card" }, el("h2", {}, "Name"), naming(about, signal))),
-    el("section", { class: "card" }, el("h2", {}, "Imports and versions"), history(about, imports)));
+    el("section", { class: "card" }, el("h2", {}, "Imports and versions"), history(about, imports, signal, again)));
 }
 
 const link = (name) => el("a", { href: `#/c/${encodeURIComponent(name)}/entry` }, name);
@@ -71,11 +72,42 @@ function away(about, signal, again) {
   });
 }
 
-function history(about, imports) {
+function history(about, imports, signal, again) {
   const now = el("p", { class: "muted small" }, `The table is at version ${about.table_version}, which answers. To keep it, save the packed table (.wbt) under Import & export.`);
   if (!imports.length) return [now, empty("Nothing was imported.", linkTo(about, "table", "Import rows"))];
-  const lines = imports.slice(0, 100).map((one) => [
-    one.table_version === null ? "–" : String(one.table_version), count(one.rows), one.filename || one.format, time(one.when), one.who || "–", one.note || "", one.rig ? el("details", {}, el("summary", {}, "rig"), el("pre", {}, one.rig)) : "",
-  ]);
-  return [now, table(["#version", "#rows", "file", "when", "who", "note", "rig"], lines, { scrolls: true, class: "imports" })];
+  const shown = imports.slice(0, 100);
+  const columns = [
+    ["#version", (one) => (one.table_version === null ? "–" : String(one.table_version))],
+    ["#rows", (one) => `${count(one.rows)}${one.withdrawn ? `, ${one.withdrawn < one.rows ? `${count(one.withdrawn)} ` : ""}withdrawn` : ""}`],
+    ["file", (one) => one.filename || one.format], ["when", (one) => time(one.when)], ["who", (one) => actorOf(one.who || "(anonymous)")],
+    ["note", (one) => one.note, shown.some((one) => one.note)],
+    ["rig", (one) => (one.rig ? el("details", {}, el("summary", {}, "rig"), el("pre", {}, one.rig)) : ""), shown.some((one) => one.rig)],
+    ["", (one) => edits(about, one, signal, again)],
+  ].filter(([, , used = true]) => used);
+  return [now, table(columns.map(([head]) => head), shown.map((one) => columns.map(([, cell]) => cell(one))), { scrolls: true, class: "imports" })];
+}
+
+// Buttons that withdraw an import's rows, and restore those that are withdrawn.
+function edits(about, one, signal, again) {
+  const button = (text, restored, rows) => el("button", { type: "button", class: "small", "aria-label": `${text} import ${one.id}`, onclick: () => ask(text, restored, rows) }, text);
+  const ask = (text, restored, rows) => {
+    const what = `${count(rows)} ${rows === 1 ? "row" : "rows"} of ${one.filename || `import ${one.id}`}`;
+    const state = el("div", { "aria-live": "polite" });
+    const confirmed = async (event) => {
+      event.preventDefault();
+      try {
+        await editImport(about.name, one.id, { restored }, signal);
+        dialog.close();
+        await again();
+      } catch (error) { if (!signal.aborted) put(state, trouble(error)); }
+    };
+    const dialog = el("dialog", { "aria-label": `${text} import ${one.id}`, onclose: () => dialog.remove() },
+      el("form", { class: "stack", onsubmit: confirmed }, el("h2", {}, `${text} ${what}?`),
+        el("p", {}, restored ? "The table answers from them again." : "The table no longer answers from them. They stay in the ledger and can be restored here."),
+        el("div", { class: "line" }, el("button", { class: "first" }, text), el("button", { type: "button", class: "quiet", onclick: () => dialog.close() }, "Cancel")), state));
+    document.body.append(dialog);
+    dialog.showModal();
+  };
+  const left = one.rows - one.withdrawn;
+  return el("div", { class: "line" }, left > 0 ? button("Withdraw", false, left) : null, one.withdrawn ? button("Restore", true, one.withdrawn) : null);
 }

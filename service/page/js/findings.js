@@ -6,14 +6,21 @@ import { count, sentence } from "./format.js";
 
 const NAMED = 20; // rows that are named; the button withdraws all
 
+// Withdraws the rows of an import, or restores them; of one finding where its cause is given.
+export async function editImport(name, number, { restored = false, finding }, signal) {
+  const path = `${of(name)}/imports/${number}${restored ? "/restore" : ""}${finding ? `?finding=${encodeURIComponent(finding)}` : ""}`;
+  const { rows } = await (await send(restored ? "POST" : "DELETE", path, { signal })).json();
+  const changed = `${count(rows)} ${rows === 1 ? "row is" : "rows are"}`;
+  notify(restored ? `${changed} in the table again.` : `${changed} withdrawn; ${rows === 1 ? "it stays" : "they stay"} in the ledger and can be restored.`);
+}
+
 // `number` is that of the import, none before it is loaded; `done()` is called after a withdrawal.
 export function findingNote(name, one, number, signal, done = () => {}) {
   const state = el("div", { "aria-live": "polite" });
   const withdraw = async (event) => {
     event.target.disabled = true;
     try {
-      const reply = await send("DELETE", `${of(name)}/imports/${number}?finding=${encodeURIComponent(one.cause)}`, { signal });
-      notify(`${count((await reply.json()).rows)} rows are withdrawn; they stay in the ledger and can be restored.`);
+      await editImport(name, number, { finding: one.cause }, signal);
       put(state, "Withdrawn.");
       await done();
     } catch (error) {

@@ -9,6 +9,7 @@ import { importOptions } from "./import_options.js";
 
 const MENDED = 50; // bad rows that are offered for mending at a time
 const SHOWN = 5; // good rows that are shown before an import
+const ZERO = "set missing_loads=zero (--missing-loads-zero)"; // of the server's message on loads without a column; the page has a button
 const TYPES = { csv: "text/csv", txt: "text/csv", tsv: "text/csv", json: "application/json", h5: "application/x-hdf5", hdf5: "application/x-hdf5" };
 
 export function importForm(about, signal) {
@@ -80,13 +81,17 @@ async function check(state) {
 
 function ready(state, result) {
   return [
-    note("covered", el("strong", {}, `${state.file.name}: all rows are correct.`), tallies(result)),
-    ...findings(state, result.findings), preview(result), state.options.columns.draw(result), el("div", { class: "line" }, importButton(state, result), again(state)),
+    note("covered", el("strong", {}, `${state.file.name}: ${count(result.rows.read)} ${result.rows.read === 1 ? "row" : "rows"} read without mistakes.`), tallies(result)),
+    ...findings(state, result.findings), preview(result), state.options.columns.draw(result), beyondRange(result), el("div", { class: "line" }, importButton(state, result), again(state)),
   ];
 }
 
+function beyondRange({ beyond_range: rows }) {
+  return rows ? note("thin", el("span", {}, `${rows === 1 ? "1 row is" : `${count(rows)} rows are`} outside the load range of the component. Answers there are flagged as outside: check the units of the loads, or widen the range.`)) : null;
+}
+
 function importButton(state, result) {
-  const button = el("button", { type: "button", class: "first", id: "import", onclick: () => load(state, result) }, `Import ${count(result.inserted)} rows`);
+  const button = el("button", { type: "button", class: "first", id: "import", onclick: () => load(state, result) }, `Import ${count(result.inserted)} ${result.inserted === 1 ? "row" : "rows"}`);
   button.disabled = result.inserted === 0;
   return button;
 }
@@ -151,9 +156,10 @@ function mistakes(state, errors, result) {
     causes(result.causes || []),
     el("div", { class: "stack", id: "mistakes" }, shown.map(([row, list]) => mistake(mended && state.text, row, list, edits))),
     result.columns || byRow.has(1) || byRow.has(0) ? state.options.columns.draw(result, errors) : null,
+    errors.some((one) => one.message.includes(ZERO)) ? el("div", {}, el("button", { type: "button", class: "first", id: "zero-loads", onclick: state.options.countAsZero }, "Count missing loads as zero")) : null,
     edits.size ? null : el("p", { class: "muted" }, "Correct them in the file and drop it again, or change the options here."),
     again(state, mend),
-    result.partial && result.inserted ? [preview(result), el("div", {}, importButton(state, result))] : null,
+    result.partial && result.inserted ? [preview(result), beyondRange(result), el("div", {}, importButton(state, result))] : null,
   ];
 }
 
@@ -174,7 +180,7 @@ function alike(list) {
 }
 
 function mistake(text, row, list, edits) {
-  const words = el("ul", {}, alike(list).map((group) => el("li", {}, group.flatMap((one, k) => (one.field ? [k ? ", " : "", el("code", {}, one.field)] : [])), group[0].field ? ": " : "", group[0].message)));
+  const words = el("ul", {}, alike(list).map((group) => el("li", {}, group.flatMap((one, k) => (one.field ? [k ? ", " : "", el("code", {}, one.field)] : [])), group[0].field ? ": " : "", group[0].message.replace(ZERO, "count them as zero"))));
   const title = el("strong", {}, row === 0 ? "The file" : text ? `Line ${row}` : `Row ${row}`);
   if (!text || row === 0) return el("div", { class: "note" }, title, words);
   const line = lineOf(text, row); // wrapped: its last cell is seen too

@@ -59,7 +59,8 @@ export function importOptions(name, changed, signal) {
     logs.open = true;
     changed();
   } }, `Use a lag of ${Number(seconds.toPrecision(4))} s`));
-  return { root: [logs, root, rig.root, cycles.root], query, columns, rig, displacements, correction };
+  const countAsZero = () => { zero.checked = root.open = true; changed(); };
+  return { root: [logs, root, rig.root, cycles.root], query, columns, rig, displacements, correction, countAsZero };
 }
 
 // One input a column of the file: empty is as the file says.

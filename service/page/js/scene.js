@@ -1,7 +1,7 @@
 // Scene plan: what one simulation needs of its components, and what that saves.
 
-import { listed, post, trouble } from "./api.js";
-import { el, facts, field, note, pill, put } from "./dom.js";
+import { listed, of, post, trouble } from "./api.js";
+import { el, facts, field, note, notify, pill, put } from "./dom.js";
 import { count, number, quantity, seconds, unitOfOutput } from "./format.js";
 import { inputsOf, label, mark, named, outputsOf, spansOf } from "./inputs.js";
 
@@ -22,7 +22,7 @@ export async function show(root, _, signal) {
     try {
       const body = { components: Object.fromEntries([...chosen].map(([name, form]) => [name, form.read()])) };
       const reply = await post("v1/scenes/plan", body, signal);
-      put(plan, Object.entries(reply.components).map(([name, one]) => planned(name, one, components.find((other) => other.name === name))));
+      put(plan, Object.entries(reply.components).map(([name, one]) => planned(name, one, components.find((other) => other.name === name), body.components[name])));
     } catch (error) { if (!signal.aborted) put(plan, trouble(error)); }
   };
   put(root,
@@ -60,7 +60,21 @@ function needForm(one) {
   return { root, read };
 }
 
-function planned(name, one, about) {
+// Queues the first solves of the table that a scene needs, and shows the jobs.
+function fillButton(name, { outputs, tolerance, ...range }, budget) {
+  const fill = async (event) => {
+    event.target.disabled = true;
+    try {
+      const reply = await post(`${of(name)}/fill`, { range, outputs, tolerance, budget });
+      notify(reply.jobs.length ? `${reply.jobs.length} ${reply.jobs.length === 1 ? "solve is" : "solves are"} queued. ${reply.reason || ""}` : reply.reason || "Nothing to solve.");
+      if (reply.jobs.length) location.hash = `#/c/${encodeURIComponent(name)}/jobs`;
+    } catch (error) { notify(error.message, "wrong"); }
+    event.target.disabled = false;
+  };
+  return el("div", {}, el("button", { type: "button", "aria-label": `Fill ${name} for this scene`, onclick: fill }, "Fill for this scene"));
+}
+
+function planned(name, one, about, need) {
   const outputs = outputsOf(about), unit = (output) => unitOfOutput(output.split(".").at(-1));
   const bound = one.displacement_bound.map((value, place) => [label(outputs[place]), value === null ? "not known" : quantity(value, unit(outputs[place]))]);
   const kinds = { rigid: "covered", linear: "covered", table: "running" };
@@ -73,8 +87,9 @@ function planned(name, one, about) {
       ["Axes", Object.entries(one.axes).map(([axis, held]) => `${axis}: ${held.inputs.map(label).join(", ")} (${held.dimensions}-D)`).join("; ")],
       ["Outputs", one.outputs.map(label).join(", ")],
       ["First solves", about.has_fea ? `${count(one.solves.scene)} of ${count(one.solves.whole)}` : ""],
-      ["Saves", [saved.build_s > 0 ? `${saved.build_s < 1 ? quantity(saved.build_s, "s") : seconds(saved.build_s)} of building` : "", saved.memory_bytes > 0 ? saved.memory_bytes < 1e6 ? `${number(saved.memory_bytes / 1e3, 3)} kB` : `${number(saved.memory_bytes / 1e6, 3)} MB` : "", saved.us_per_answer > 0 ? `${number(saved.us_per_answer, 3)} µs an answer` : ""].filter(Boolean).join(", ")],
+      ["Saves", [saved.build_s > 0 ? `${saved.build_s < 1 ? quantity(saved.build_s, "s") : seconds(saved.build_s)} of building` : "", saved.memory_bytes > 0 ? saved.memory_bytes < 1e6 ? `${number(saved.memory_bytes / 1e3, 3)} kB` : `${number(saved.memory_bytes / 1e6, 3)} MB` : "", saved.us_per_answer > 0 ? `${number(saved.us_per_answer, 3)} µs an answer` : ""].filter(Boolean).join(", ").replace(/.$/, `$& against the table of the whole load range, version ${one.table_version}`)],
     ]),
     el("details", {}, el("summary", {}, "Largest displacements"), facts(bound)),
+    about.has_fea && one.decision !== "rigid" ? fillButton(name, need, Math.max(1, one.solves.scene)) : null,
     one.decision === "rigid" ? note("covered", "Leave it out: the bound is below the tolerance.") : null);
 }

@@ -545,3 +545,49 @@ def test_measured_rows_are_drawn_beside_the_solves_and_beside_another_import(bro
     )
     browser.named("p", f"rows of import {number - 1}")
     browser.named("td", "1.1")
+
+
+def test_an_import_is_withdrawn_and_restored_under_entry_after_a_confirmation(browser, client):
+    measured(client, "edited", 100, 200)
+    browser.visit("#/c/edited/entry")
+    for verb, rows in (("Withdraw", 0), ("Restore", 2)):
+        browser.named("table.imports button", verb).click()
+        browser.named("dialog button", verb).click()
+        browser.until(lambda: not browser.all("dialog"), "the end of the dialog")
+        assert client.component("edited")["rows"] == rows
+        browser.one("#notices button").click()
+    assert "no key" in browser.named("table.imports tr", "Withdraw").text
+    assert browser.mistakes() == []
+
+
+def test_missing_loads_are_counted_as_zero_by_a_button(browser, rig):
+    browser.visit("#/c/unmeasured/table")
+    browser.drop(".drop", "pull.csv", "fz [N],uz [mm]\n100,0.1\n")
+    browser.one("#zero-loads").click()
+    browser.named(".note", "1 row read without mistakes")
+
+
+def test_a_row_outside_the_load_range_is_told_before_the_import(browser, rig):
+    browser.visit("#/c/unmeasured/table")
+    browser.drop(".drop", "far.csv", f"{LOADS},uz [mm]\n0,0,100,0,0,0,0.1\n0,0,700,0,0,0,0.7\n")
+    browser.named(".note.thin", "1 row is outside the load range")
+    assert browser.one("#import").text == "Import 2 rows"
+
+
+def test_the_error_of_a_bad_name_stands_at_its_field(browser, client):
+    browser.visit("#/add")
+    browser.type("#new-name", "Bad Name!")
+    for size in browser.all("form input[type=number]"):
+        size.send_keys("10")
+    browser.named("form button", "Add the table").click()
+    assert "cannot be used" in browser.one("#name-error").text
+    assert browser.run("return document.activeElement.id") == "new-name"
+
+
+def test_a_component_is_filled_for_a_planned_scene(browser, client):
+    browser.visit("#/scene")
+    browser.named("label", "spring").click()
+    browser.named("form button", "Plan").click()
+    browser.named(".cards button", "Fill for this scene").click()
+    browser.named("#notices", "queued")
+    assert client.call_json("GET", "/v1/jobs?component=spring")["jobs"]

@@ -116,3 +116,10 @@ def test_a_factor_without_a_bar_of_its_answers_has_no_interval():
     factor, half_width, of_answers = scale_factor(y, x, bars, stated)
     assert factor == pytest.approx(1.03, abs=0.02)
     assert np.isnan([half_width, of_answers]).all()
+
+
+def test_a_factor_of_two_rows_has_no_interval():
+    y, x, bars, stated = (values[:2] for values in readings(2, "noise"))
+    factor, half_width, _ = scale_factor(y, x, bars, stated)
+    assert factor == pytest.approx(1.03, abs=0.1)
+    assert np.isnan(half_width)
