@@ -25,6 +25,13 @@ from wrenchbook.service.formats.cells import UnitError
 from wrenchbook.service.formats.rig import RigError
 from wrenchbook.service.formats.xlsx import SheetFullError
 from wrenchbook.service.jobs.waiting import TooManyPollsError
+from wrenchbook.service.keys import (
+    InvalidKeyError,
+    KeysBusyError,
+    KeysFullError,
+    KeysUnavailableError,
+    UnknownKeyError,
+)
 from wrenchbook.service.ledger import (
     AppendError,
     BlockKeyError,
@@ -80,6 +87,10 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     ImportRunningError: (503, "importing", "Another table is being imported"),
     UnknownRowError: (404, "unknown-row", "No such row"),
     UnknownImportError: (404, "unknown-import", "No such import"),
+    UnknownKeyError: (404, "unknown-key", "No such key"),
+    KeysBusyError: (503, "busy", "The keys are being changed"),
+    KeysFullError: (409, "keys-full", "The server has as many keys as it can"),
+    KeysUnavailableError: (507, "disk", "The keys cannot be read or written; nothing was changed"),
     UnknownRigError: (404, "unknown-rig", "No such rig"),
     RigError: (422, "rig", "The rig cannot be read"),
     NoFieldsError: (409, "no-surface", "No row has a deformed surface"),
@@ -180,6 +191,8 @@ def problem_of(error: Exception) -> HttpProblemError:
         return error
     if isinstance(error, ValidationError | RequestValidationError):
         return bad_body(plain_errors(error))
+    if isinstance(error, InvalidKeyError):
+        return bad_body([{"loc": "body", "msg": str(error)}])
     if isinstance(error, BundleError):
         errors = [{"loc": p.where, "msg": p.message} for p in error.problems[:MAX_ERRORS]]
         detail = f"Nothing was added. {error}"
@@ -236,8 +249,8 @@ def install(app: FastAPI) -> None:
     def gone(_: Request, __: Exception) -> Response:
         return Response(status_code=CLIENT_GONE)  # no caller reads it
 
-    named = (BundleError, ValidationError, RequestValidationError, SolveFailedError, *_NAMED)
-    for kind in (HttpProblemError, OSError, *named):
+    bodies = BundleError, InvalidKeyError, ValidationError, RequestValidationError
+    for kind in (HttpProblemError, OSError, SolveFailedError, *bodies, *_NAMED):
         app.add_exception_handler(kind, answer)
     app.add_exception_handler(HTTPException, http_answer)
     app.add_exception_handler(ClientDisconnect, gone)
