@@ -72,6 +72,7 @@ _PLAIN = {
     "extra_forbidden": "is unknown; correct its name, or leave it out (see the fields at /docs)",
     "missing": "is missing; add it (see the fields at /docs)",
 }
+# Status, kind and title of each error; a subclass that is not here has those of its base.
 _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     UnknownComponentError: (404, "unknown-component", "No such component"),
     ComponentExistsError: (409, "component-exists", "The name is taken"),
@@ -212,14 +213,20 @@ def problem_of(error: Exception) -> HttpProblemError:
         detail = f"{error.strerror}, on the disk of the data directory or of temporary files "
         detail += "(TMPDIR). Make room there, then send the request again."
         return HttpProblemError(507, "disk", "The disk is full", detail)
-    for kind, (status, slug, title) in _NAMED.items():
-        if isinstance(error, kind):
-            facts = getattr(error, "facts", {})
-            again = {"Retry-After": _BUILT_S} if kind is TableBehindError else None
-            if isinstance(error, QuotaError):
-                again = {"Retry-After": str(ceil(error.retry_s))}
-            return HttpProblemError(status, slug, title, str(error), headers=again, **facts)
-    raise error
+    kind = next((kind for kind in type(error).__mro__ if kind in _NAMED), None)
+    if kind is None:
+        raise error
+    facts = getattr(error, "facts", {})
+    return HttpProblemError(*_NAMED[kind], str(error), headers=_retry_after(error), **facts)
+
+
+def _retry_after(error: Exception) -> dict[str, str] | None:
+    """Return the header that says when to repeat the request, of errors that end by themselves."""
+    if isinstance(error, TableBehindError):
+        return {"Retry-After": _BUILT_S}
+    if isinstance(error, QuotaError):
+        return {"Retry-After": str(ceil(error.retry_s))}
+    return None
 
 
 def install(app: FastAPI) -> None:
