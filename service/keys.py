@@ -57,11 +57,7 @@ _WITHOUT_KEYS: Final = (
 
 
 class KeysError(ValueError):
-    """The keys cannot be read or changed; nothing was changed."""
-
-
-class InvalidKeyError(KeysError):
-    """A value of a key is not valid, or its name is taken."""
+    """No key was changed; of this class itself: a value is not valid, or a name is taken."""
 
 
 class UnknownKeyError(KeysError, LookupError):
@@ -193,30 +189,26 @@ class Keyring:
     def add(self, name: str, scope: Scope, **limits: Any) -> str:
         """Make a key and return its secret, which is not stored; `limits` are fields of `Key`.
 
-        Raises InvalidKeyError if the name is taken or a value is invalid, KeysFullError.
+        Raises KeysError if the name is taken or a value is invalid, KeysFullError.
         """
         secret = PREFIX + secrets.token_urlsafe(32)
         with self._changing() as keys:
             if len(keys) >= MAX_KEYS:
                 raise KeysFullError(_FULL)
             if any(key.name == name for key in keys.values()):
-                raise InvalidKeyError(f"there is a key {name!r}; revoke it or choose another name")
+                raise KeysError(f"there is a key {name!r}; revoke it or choose another name")
             fields = {"name": name, "scope": scope, "digest": digest_of(secret)}
             try:
                 key = _checked({**fields, "created": time.time(), **limits})
             except ValueError as error:
-                raise InvalidKeyError(str(error)) from None
+                raise KeysError(str(error)) from None
             if not key.is_valid():
-                message = "the key would already have expired; give an end in the future"
-                raise InvalidKeyError(message)
+                raise KeysError("the key would already have expired; give an end in the future")
             keys[key.digest] = key
         return secret
 
     def rotate(self, name: str, overlap_s: float) -> str:
-        """Make a new secret of a key and return it; the old one is valid for `overlap_s` more.
-
-        Raises UnknownKeyError, InvalidKeyError or KeysFullError.
-        """
+        """Make a new secret of a key and return it; the old one is valid for `overlap_s` more."""
         secret = PREFIX + secrets.token_urlsafe(32)
         with self._changing() as keys:
             known = [key for key in keys.values() if key.name == name and key.is_valid()]
@@ -224,8 +216,7 @@ class Keyring:
                 message = f"there is no valid key {name!r}; create one with: "
                 raise UnknownKeyError(f"{message}wrenchbook keys add {name}")
             if not 0.0 <= overlap_s < 1e9:
-                hours = f"{overlap_s / 3600.0:g}"
-                raise InvalidKeyError(f"the overlap must be 0 or more hours, not {hours}")
+                raise KeysError(f"the overlap must be 0 or more hours, not {overlap_s / 3600.0:g}")
             if len(keys) >= MAX_KEYS:
                 raise KeysFullError(_FULL)
             newest, now = max(known, key=lambda key: key.created), time.time()
@@ -250,10 +241,7 @@ class Keyring:
 
     @contextmanager
     def _changing(self) -> Iterator[dict[str, Key]]:
-        """Give the present keys to be changed, and replace the file of all keys afterwards.
-
-        Raises KeysBusyError or KeysUnavailableError.
-        """
+        """Give the present keys to be changed, and replace the file of all keys afterwards."""
         self._path.parent.mkdir(parents=True, exist_ok=True)
         descriptor = take(self._path.with_name(f"{FILE}.lock"))
         if descriptor is None:

@@ -25,7 +25,7 @@ PLACES = {
     "SolveFailed": SOLVE,
     "BundleError": BUNDLE,
     "BundleProblem": BUNDLE,
-    "InvalidKeyError": BODY,
+    "KeysError": BODY,
     "bad_body": BODY,
 }
 

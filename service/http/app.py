@@ -207,8 +207,7 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
         **openapi.OPTIONS,
     )
     app.state.counts = counts
-    keyring = Keyring(settings.data)
-    app.state.access = AccessControl(keyring, security or SecuritySettings(), rates)
+    app.state.access = AccessControl(Keyring(settings.data), security or SecuritySettings(), rates)
     problems.install(app)
     app.include_router(umbridge.router)  # a protocol with errors of its own form
     app.include_router(health.router, responses=openapi.refused(403, 500))

@@ -17,6 +17,7 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 
 from wrenchbook.fea.bundle.read import BundleError
+from wrenchbook.service import keys
 from wrenchbook.service.actors import NotPermittedError
 from wrenchbook.service.events import TooManyListenersError
 from wrenchbook.service.fields.deformed import NoFieldsError, TooFarError
@@ -25,13 +26,6 @@ from wrenchbook.service.formats.cells import UnitError
 from wrenchbook.service.formats.rig import RigError
 from wrenchbook.service.formats.xlsx import SheetFullError
 from wrenchbook.service.jobs.waiting import TooManyPollsError
-from wrenchbook.service.keys import (
-    InvalidKeyError,
-    KeysBusyError,
-    KeysFullError,
-    KeysUnavailableError,
-    UnknownKeyError,
-)
 from wrenchbook.service.ledger import (
     AppendError,
     BlockKeyError,
@@ -88,10 +82,10 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     ImportRunningError: (503, "importing", "Another table is being imported"),
     UnknownRowError: (404, "unknown-row", "No such row"),
     UnknownImportError: (404, "unknown-import", "No such import"),
-    UnknownKeyError: (404, "unknown-key", "No such key"),
-    KeysBusyError: (503, "busy", "The keys are being changed"),
-    KeysFullError: (409, "keys-full", "The server has as many keys as it can"),
-    KeysUnavailableError: (507, "disk", "The keys cannot be read or written; nothing was changed"),
+    keys.UnknownKeyError: (404, "unknown-key", "No such key"),
+    keys.KeysBusyError: (503, "busy", "The keys are being changed"),
+    keys.KeysFullError: (409, "keys-full", "The server has as many keys as it can"),
+    keys.KeysUnavailableError: (507, "disk", "The keys cannot be read or written"),
     UnknownRigError: (404, "unknown-rig", "No such rig"),
     RigError: (422, "rig", "The rig cannot be read"),
     NoFieldsError: (409, "no-surface", "No row has a deformed surface"),
@@ -192,23 +186,15 @@ def problem_of(error: Exception) -> HttpProblemError:
         return error
     if isinstance(error, ValidationError | RequestValidationError):
         return bad_body(plain_errors(error))
-    if isinstance(error, InvalidKeyError):
+    if type(error) is keys.KeysError:
         return bad_body([{"loc": "body", "msg": str(error)}])
     if isinstance(error, BundleError):
         errors = [{"loc": p.where, "msg": p.message} for p in error.problems[:MAX_ERRORS]]
-        detail = f"Nothing was added. {error}"
-        return HttpProblemError(
-            422, "bad-bundle", "The component bundle has mistakes", detail, errors=errors
-        )
+        title, detail = "The component bundle has mistakes", f"Nothing was added. {error}"
+        return HttpProblemError(422, "bad-bundle", title, detail, errors=errors)
     if isinstance(error, SolveFailedError):
-        return HttpProblemError(
-            424,
-            "solve-failed",
-            f"The solve failed: {error.kind}",
-            str(error),
-            job=job_link(error.job),
-            **error.facts,
-        )
+        title, link = f"The solve failed: {error.kind}", job_link(error.job)
+        return HttpProblemError(424, "solve-failed", title, str(error), job=link, **error.facts)
     if isinstance(error, OSError) and error.errno in _FULL:
         detail = f"{error.strerror}, on the disk of the data directory or of temporary files "
         detail += "(TMPDIR). Make room there, then send the request again."
@@ -222,11 +208,9 @@ def problem_of(error: Exception) -> HttpProblemError:
 
 def _retry_after(error: Exception) -> dict[str, str] | None:
     """Return the header that says when to repeat the request, of errors that end by themselves."""
-    if isinstance(error, TableBehindError):
-        return {"Retry-After": _BUILT_S}
     if isinstance(error, QuotaError):
         return {"Retry-After": str(ceil(error.retry_s))}
-    return None
+    return {"Retry-After": _BUILT_S} if isinstance(error, TableBehindError) else None
 
 
 def install(app: FastAPI) -> None:
@@ -256,7 +240,7 @@ def install(app: FastAPI) -> None:
     def gone(_: Request, __: Exception) -> Response:
         return Response(status_code=CLIENT_GONE)  # no caller reads it
 
-    bodies = BundleError, InvalidKeyError, ValidationError, RequestValidationError
+    bodies = BundleError, keys.KeysError, ValidationError, RequestValidationError
     for kind in (HttpProblemError, OSError, SolveFailedError, *bodies, *_NAMED):
         app.add_exception_handler(kind, answer)
     app.add_exception_handler(HTTPException, http_answer)
