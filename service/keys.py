@@ -48,6 +48,7 @@ MEGABYTES: Final = 512
 _PATTERN: Final = re.compile(r"[A-Za-z0-9_*?-]{1,64}")  # the same to fnmatch and to SQLite's GLOB
 _MAX_PATTERNS: Final = 100
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}")
+_FULL: Final = f"there are {MAX_KEYS} keys, the limit; run wrenchbook keys revoke"
 _WITHOUT_KEYS: Final = (
     "other machines can reach {host}, but {folder} has no keys, so anybody there could change "
     "tables. Create a key (wrenchbook keys add NAME --scope admin --data {folder}), start with "
@@ -56,7 +57,23 @@ _WITHOUT_KEYS: Final = (
 
 
 class KeysError(ValueError):
-    """The keys cannot be read or changed; nothing was changed."""
+    """No key was changed; of this class itself: a value is not valid, or a name is taken."""
+
+
+class UnknownKeyError(KeysError, LookupError):
+    """No key has this name."""
+
+
+class KeysBusyError(KeysError):
+    """Another process is changing the keys."""
+
+
+class KeysFullError(KeysError):
+    """There are as many keys as there can be."""
+
+
+class KeysUnavailableError(KeysError):
+    """The file of the keys cannot be read or written."""
 
 
 class KeysNeededError(RuntimeError):
@@ -172,12 +189,12 @@ class Keyring:
     def add(self, name: str, scope: Scope, **limits: Any) -> str:
         """Make a key and return its secret, which is not stored; `limits` are fields of `Key`.
 
-        Raises KeysError if the name is taken or a value is invalid.
+        Raises KeysError if the name is taken or a value is invalid, KeysFullError.
         """
         secret = PREFIX + secrets.token_urlsafe(32)
         with self._changing() as keys:
             if len(keys) >= MAX_KEYS:
-                raise KeysError(f"there are {MAX_KEYS} keys, the limit; run wrenchbook keys revoke")
+                raise KeysFullError(_FULL)
             if any(key.name == name for key in keys.values()):
                 raise KeysError(f"there is a key {name!r}; revoke it or choose another name")
             fields = {"name": name, "scope": scope, "digest": digest_of(secret)}
@@ -197,11 +214,11 @@ class Keyring:
             known = [key for key in keys.values() if key.name == name and key.is_valid()]
             if not known:
                 message = f"there is no valid key {name!r}; create one with: "
-                raise KeysError(f"{message}wrenchbook keys add {name}")
+                raise UnknownKeyError(f"{message}wrenchbook keys add {name}")
             if not 0.0 <= overlap_s < 1e9:
                 raise KeysError(f"the overlap must be 0 or more hours, not {overlap_s / 3600.0:g}")
             if len(keys) >= MAX_KEYS:
-                raise KeysError(f"there are {MAX_KEYS} keys, the limit; run wrenchbook keys revoke")
+                raise KeysFullError(_FULL)
             newest, now = max(known, key=lambda key: key.created), time.time()
             for old in known:
                 del keys[old.digest]
@@ -213,12 +230,12 @@ class Keyring:
         return secret
 
     def revoke(self, name: str) -> None:
-        """Revoke a key, which servers notice within a second; KeysError if there is none."""
+        """Revoke a key, which servers notice within a second; UnknownKeyError if there is none."""
         with self._changing() as keys:
             digests = [digest for digest, key in keys.items() if key.name == name]
             if not digests:
                 names = ", ".join(sorted(key.name for key in keys.values())) or "none"
-                raise KeysError(f"there is no key {name!r}; name one of: {names}")
+                raise UnknownKeyError(f"there is no key {name!r}; name one of: {names}")
             for digest in digests:
                 del keys[digest]
 
@@ -228,7 +245,7 @@ class Keyring:
         self._path.parent.mkdir(parents=True, exist_ok=True)
         descriptor = take(self._path.with_name(f"{FILE}.lock"))
         if descriptor is None:
-            raise KeysError("another command is changing the keys; repeat yours")
+            raise KeysBusyError("another command is changing the keys; repeat yours")
         try:
             with self._lock:
                 self._read()
@@ -238,7 +255,7 @@ class Keyring:
                 try:
                     write_atomically(self._path, content.encode(), mode=0o600)
                 except OSError as error:
-                    raise KeysError(
+                    raise KeysUnavailableError(
                         f"{self._path} cannot be written ({error}); make it writable. No key "
                         "changed"
                     ) from error
@@ -252,7 +269,7 @@ class Keyring:
             entries = [] if stamp is None else json.loads(self._path.read_bytes())["keys"]
             keys = [_checked(entry) for entry in entries]
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise KeysError(
+            raise KeysUnavailableError(
                 f"{self._path} cannot be read ({error}). Repair it, or move it away and create new "
                 "keys with: wrenchbook keys add NAME --scope admin"
             ) from error

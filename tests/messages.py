@@ -25,6 +25,7 @@ PLACES = {
     "SolveFailed": SOLVE,
     "BundleError": BUNDLE,
     "BundleProblem": BUNDLE,
+    "KeysError": BODY,
     "bad_body": BODY,
 }
 

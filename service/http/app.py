@@ -119,7 +119,9 @@ class Application(FastAPI):
             nonlocal status
             if message["type"] == "http.response.start":
                 status = message["status"]
-                if sent_id != b"" or status != 200 or not scope["path"].endswith("/displacement"):
+                is_displacement = status == 200 and scope["path"].endswith("/displacement")
+                is_fast_reply = is_displacement and sent_id == b""
+                if not is_fast_reply:
                     fields = [*message.get("headers", ()), (HEADER, request_id)]
                     message = {**message, "headers": fields}
             await send(message)
@@ -167,7 +169,7 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
 
     Without `security` there are no keys unless some are stored, and any host name is allowed.
     """
-    counts = Counts()
+    counts, rates = Counts(), Rates()
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -205,9 +207,7 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
         **openapi.OPTIONS,
     )
     app.state.counts = counts
-    rates = Rates()
-    keyring = Keyring(settings.data)
-    app.state.access = AccessControl(keyring, security or SecuritySettings(), rates)
+    app.state.access = AccessControl(Keyring(settings.data), security or SecuritySettings(), rates)
     problems.install(app)
     app.include_router(umbridge.router)  # a protocol with errors of its own form
     app.include_router(health.router, responses=openapi.refused(403, 500))

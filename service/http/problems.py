@@ -17,6 +17,7 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 
 from wrenchbook.fea.bundle.read import BundleError
+from wrenchbook.service import keys
 from wrenchbook.service.actors import NotPermittedError
 from wrenchbook.service.events import TooManyListenersError
 from wrenchbook.service.fields.deformed import NoFieldsError, TooFarError
@@ -65,6 +66,7 @@ _PLAIN = {
     "extra_forbidden": "is unknown; correct its name, or leave it out (see the fields at /docs)",
     "missing": "is missing; add it (see the fields at /docs)",
 }
+# Status, kind and title of each error; a subclass that is not here has those of its base.
 _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     UnknownComponentError: (404, "unknown-component", "No such component"),
     ComponentExistsError: (409, "component-exists", "The name is taken"),
@@ -80,6 +82,10 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     ImportRunningError: (503, "importing", "Another table is being imported"),
     UnknownRowError: (404, "unknown-row", "No such row"),
     UnknownImportError: (404, "unknown-import", "No such import"),
+    keys.UnknownKeyError: (404, "unknown-key", "No such key"),
+    keys.KeysBusyError: (503, "busy", "The keys are being changed"),
+    keys.KeysFullError: (409, "keys-full", "The server has as many keys as it can"),
+    keys.KeysUnavailableError: (507, "disk", "The keys cannot be read or written"),
     UnknownRigError: (404, "unknown-rig", "No such rig"),
     RigError: (422, "rig", "The rig cannot be read"),
     NoFieldsError: (409, "no-surface", "No row has a deformed surface"),
@@ -180,33 +186,31 @@ def problem_of(error: Exception) -> HttpProblemError:
         return error
     if isinstance(error, ValidationError | RequestValidationError):
         return bad_body(plain_errors(error))
+    if type(error) is keys.KeysError:
+        return bad_body([{"loc": "body", "msg": str(error)}])
     if isinstance(error, BundleError):
         errors = [{"loc": p.where, "msg": p.message} for p in error.problems[:MAX_ERRORS]]
-        detail = f"Nothing was added. {error}"
-        return HttpProblemError(
-            422, "bad-bundle", "The component bundle has mistakes", detail, errors=errors
-        )
+        title, detail = "The component bundle has mistakes", f"Nothing was added. {error}"
+        return HttpProblemError(422, "bad-bundle", title, detail, errors=errors)
     if isinstance(error, SolveFailedError):
-        return HttpProblemError(
-            424,
-            "solve-failed",
-            f"The solve failed: {error.kind}",
-            str(error),
-            job=job_link(error.job),
-            **error.facts,
-        )
+        title, link = f"The solve failed: {error.kind}", job_link(error.job)
+        return HttpProblemError(424, "solve-failed", title, str(error), job=link, **error.facts)
     if isinstance(error, OSError) and error.errno in _FULL:
         detail = f"{error.strerror}, on the disk of the data directory or of temporary files "
         detail += "(TMPDIR). Make room there, then send the request again."
         return HttpProblemError(507, "disk", "The disk is full", detail)
-    for kind, (status, slug, title) in _NAMED.items():
-        if isinstance(error, kind):
-            facts = getattr(error, "facts", {})
-            again = {"Retry-After": _BUILT_S} if kind is TableBehindError else None
-            if isinstance(error, QuotaError):
-                again = {"Retry-After": str(ceil(error.retry_s))}
-            return HttpProblemError(status, slug, title, str(error), headers=again, **facts)
-    raise error
+    kind = next((kind for kind in type(error).__mro__ if kind in _NAMED), None)
+    if kind is None:
+        raise error
+    facts = getattr(error, "facts", {})
+    return HttpProblemError(*_NAMED[kind], str(error), headers=_retry_after(error), **facts)
+
+
+def _retry_after(error: Exception) -> dict[str, str] | None:
+    """Return the header that says when to repeat the request, of errors that end by themselves."""
+    if isinstance(error, QuotaError):
+        return {"Retry-After": str(ceil(error.retry_s))}
+    return {"Retry-After": _BUILT_S} if isinstance(error, TableBehindError) else None
 
 
 def install(app: FastAPI) -> None:
@@ -236,8 +240,8 @@ def install(app: FastAPI) -> None:
     def gone(_: Request, __: Exception) -> Response:
         return Response(status_code=CLIENT_GONE)  # no caller reads it
 
-    named = (BundleError, ValidationError, RequestValidationError, SolveFailedError, *_NAMED)
-    for kind in (HttpProblemError, OSError, *named):
+    bodies = BundleError, keys.KeysError, ValidationError, RequestValidationError
+    for kind in (HttpProblemError, OSError, SolveFailedError, *bodies, *_NAMED):
         app.add_exception_handler(kind, answer)
     app.add_exception_handler(HTTPException, http_answer)
     app.add_exception_handler(ClientDisconnect, gone)

@@ -12,11 +12,11 @@ import time
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import islice
 from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -35,15 +35,17 @@ from wrenchbook.service.ledger.records import (
 if TYPE_CHECKING:
     from wrenchbook.service.ledger.ledger import Ledger
 
-# Of one transaction, some 20 ms: so long others wait for the ledger.
-ROWS_AT_ONCE = 50_000
-KEYS_AT_ONCE = 20_000
-RECORDS_DELETED = 5
+# Of one transaction, for which others wait: processor times in a ledger of 700,000 rows.
+ROWS_AT_ONCE = 50_000  # 26 ms
+KEYS_AT_ONCE = 20_000  # 13 to 18 ms: sorted, they share pages of the index
+RECORDS_DELETED = 5  # 42 ms: of 1,000 rows each, whose keys are on as many pages of the index
 APPENDED = "append"  # the format of an import that rows are appended to
 _PATIENCE_SECONDS = 120.0  # that an import waits for another one
 _COLUMNS = "component, created, who, filename, format, digest, note, rig, rows"
-_INSERT = f"INSERT INTO imports ({_COLUMNS}, findings) VALUES (?, ?, ?, ?, ?, ?, ?, ?, 0, ?)"
-_QUALIFIED = f"imports.id, {', '.join(f'imports.{name}' for name in _COLUMNS.split(', '))}"
+_NAMES = "id", *_COLUMNS.split(", ")
+_VALUES = f":{', :'.join(_COLUMNS.split(', '))}, :findings"  # named as `ImportOrigin` names them
+_INSERT = f"INSERT INTO imports ({_COLUMNS}, findings) VALUES ({_VALUES})"
+_QUALIFIED = ", ".join(f"imports.{name}" for name in _NAMES)
 _ENDED = "NOT EXISTS (SELECT 1 FROM import_parts WHERE import = imports.id AND hidden = 1)"
 _ROWS = "FROM import_parts JOIN rows ON rows.seq BETWEEN first AND last WHERE import = ?"
 _PARTS = "FROM import_parts JOIN imports ON imports.id = import WHERE"
@@ -78,16 +80,23 @@ class ImportRecord:
     rows: int
 
 
+class Loaded(NamedTuple):
+    """How many rows were new and how many known; the import's number, None if it has no row."""
+
+    new: int
+    known: int
+    number: int | None
+
+
 def import_rows(
     ledger: Ledger, component: str, blocks: Iterable[NotedRows], origin: ImportOrigin
-) -> tuple[int, int, int | None]:
+) -> Loaded:
     """Insert the rows of a file, all or none.
 
     They are hidden first, in file order and without their keys; the keys follow, sorted,
     so that each page of the index is written once. If the process is killed in between, no row is
-    seen, and the next import or start deletes them. Returns how many rows were new and how many
-    known, and the number of the import, None if nothing was new. Raises ImportRunningError if
-    another import has been running for too long; nothing is loaded then.
+    seen, and the next import or start deletes them. Raises ImportRunningError if another import has
+    been running for too long; nothing is loaded then.
     """
     deadline = time.monotonic() + _PATIENCE_SECONDS
     while (lock := _take_lock(ledger)) is None:  # one import of this ledger, of all processes
@@ -98,7 +107,14 @@ def import_rows(
     try:
         _drop_hidden(ledger)  # of a killed process
         try:
-            return _import(ledger, component, blocks, origin)
+            with ledger.reading() as db:
+                start = sequences(db).get("rows", 0)
+            number, count, parts = _insert_hidden(ledger, component, blocks, origin)
+            if number is None:
+                return Loaded(0, count, None)
+            _enter_keys(ledger, parts)
+            new = _show(ledger, component, number, origin, start)
+            return Loaded(new, count - new, number if new else None)
         except BaseException:
             _drop_hidden(ledger)
             raise
@@ -106,15 +122,15 @@ def import_rows(
         os.close(lock)
 
 
-def _import(
+def _insert_hidden(
     ledger: Ledger, component: str, blocks: Iterable[NotedRows], origin: ImportOrigin
-) -> tuple[int, int, int | None]:
+) -> tuple[int | None, int, list[tuple[int, bytes]]]:
+    """Insert the new rows; return the import's number, the count of rows sent, and the parts."""
     number: int | None = None
-    count, now = 0, time.time()
-    import_keys: set[bytes] = set()
     parts: list[tuple[int, bytes]] = []  # the first seq and the keys of rows inserted at once
-    with ledger.reading() as db:
-        start = sequences(db).get("rows", 0)
+    count, now = 0, time.time()
+    values = {"component": component, "created": now, "rows": 0, **asdict(origin)}
+    import_keys: set[bytes] = set()
     for block in blocks:
         keys = row_keys(component, block)
         count += len(keys)
@@ -129,14 +145,17 @@ def _import(
             lot, named = rows.rows_at(block, some), [keys[at] for at in some]
             with ledger.writing(durable=False) as db:
                 if number is None:
-                    number = db.execute(_INSERT, (component, now, *astuple(origin))).lastrowid
+                    number = db.execute(_INSERT, values).lastrowid
                 first = rows.number(db, component, lot, named, now)
                 span = first, first + len(named) - 1, number, component
                 db.execute("INSERT INTO import_parts VALUES (?, ?, ?, ?, 1)", span)
             parts.append((first, b"".join(named)))
             ledger.sync()  # else the next durable commit waits until all is synced
-    if number is None:
-        return 0, count, None
+    return number, count, parts
+
+
+def _enter_keys(ledger: Ledger, parts: Sequence[tuple[int, bytes]]) -> None:
+    """Enter the keys of hidden rows, in the order of their hashes."""
     hashes = key_hashes(b"".join(named for _, named in parts))
     seqs = np.concatenate([first + np.arange(len(named) // KEY_BYTES) for first, named in parts])
     order = np.argsort(hashes)
@@ -145,10 +164,13 @@ def _import(
         with ledger.writing(durable=False) as db:
             rows.enter(db, zip(hashes[some].tolist(), seqs[some].tolist(), strict=True))
         ledger.sync()
+
+
+def _show(ledger: Ledger, component: str, number: int, origin: ImportOrigin, start: int) -> int:
+    """Show the rows that no other has inserted since seq `start`, and return their number."""
     with ledger.writing() as db:
         rows.yield_to_others(db, component, start)
-        select = f"SELECT coalesce(sum(count), 0) {_ROWS}"
-        new = db.execute(select, (number,)).fetchone()[0]
+        (new,) = db.execute(f"SELECT coalesce(sum(count), 0) {_ROWS}", (number,)).fetchone()
         db.execute("UPDATE imports SET rows = ? WHERE id = ?", (new, number))
         db.execute("UPDATE import_parts SET hidden = 0 WHERE import = ?", (number,))
         if new:
@@ -157,24 +179,24 @@ def _import(
             db.execute("DELETE FROM import_parts WHERE import = ?", (number,))
             db.execute("DELETE FROM imports WHERE id = ?", (number,))
         db.rows += new
-    return new, count - new, number if new else None
+    return new
 
 
 def append_rows(
     db: Connection, component: str, blocks: Iterable[NotedRows], origin: ImportOrigin
-) -> tuple[int, int, int | None]:
+) -> Loaded:
     """Append rows to the import of this sender, component and file name; the first call makes it.
 
-    Returns as `import_rows`. A block that is sent again changes nothing. Raises AppendError if the
-    import has readings of another rig, or all of its rows are withdrawn.
+    A block that is sent again changes nothing. Raises AppendError if the import has readings of
+    another rig, or all of its rows are withdrawn.
     """
     origin = replace(origin, format=APPENDED)
     names = "component = ? AND format = ? AND filename = ? AND who = ?"
     which = component, origin.format, origin.filename, origin.who
     select = f"SELECT id, rig, created FROM imports WHERE {names} ORDER BY id DESC LIMIT 1"
-    known = db.execute(select, which).fetchone()
     # Rows of one time are one session of the measurement.
-    number, rig, now = known or (None, origin.rig, time.time())
+    number, rig, now = db.execute(select, which).fetchone() or (None, origin.rig, time.time())
+    values = {"component": component, "created": now, "rows": 0, **asdict(origin)}
     if rig != origin.rig:
         raise AppendError(
             f"import {number}, {origin.filename!r}, has readings of another rig, frame or point; "
@@ -191,7 +213,7 @@ def append_rows(
         total, known = total + new, known + old
         if not new:
             continue
-        number = number or db.execute(_INSERT, (component, now, *astuple(origin))).lastrowid
+        number = number or db.execute(_INSERT, values).lastrowid
         db.execute("UPDATE imports SET rows = rows + ? WHERE id = ?", (new, number))
         last = sequences(db)["rows"]
         first = last - new + 1
@@ -201,7 +223,7 @@ def append_rows(
             db.execute("INSERT INTO import_parts VALUES (?, ?, ?, ?, 0)", part)
     if total:
         _note(db, "import.append", number, component, total, origin)
-    return total, known, number
+    return Loaded(total, known, number)
 
 
 def drop_abandoned(ledger: Ledger) -> None:
@@ -235,19 +257,16 @@ def stored_numbers(db: Connection, component: str, inputs: int, outputs: int) ->
 
 def imports(db: Connection, component: str, most: int = 1000) -> list[ImportRecord]:
     """Return the imports of a component that have ended, newest first."""
-    select = (
-        f"SELECT id, {_COLUMNS} FROM imports WHERE component = ? AND {_ENDED}"
-        " ORDER BY id DESC LIMIT ?"
-    )
-    return [ImportRecord(*record) for record in db.execute(select, (component, most))]
+    where = f"component = ? AND {_ENDED} ORDER BY id DESC LIMIT ?"
+    records = db.execute(f"SELECT {_QUALIFIED} FROM imports WHERE {where}", (component, most))
+    return [_record(values) for values in records]
 
 
 def same_file(db: Connection, component: str, digest: str) -> ImportRecord | None:
-    """Return the newest import of a file with this SHA-256 whose rows are not all withdrawn."""
-    for record in imports(db, component):
-        if record.digest == digest and _chosen(
-            db, component, record.id, (), withdrawn=False, most=1
-        ):
+    """Return the newest import of this SHA-256 with a row in use, among the newest 1,000."""
+    same = [record for record in imports(db, component) if record.digest == digest]
+    for record in same:
+        if _chosen(db, component, record.id, (), withdrawn=False, most=1):
             return record
     return None
 
@@ -256,14 +275,14 @@ def import_of(db: Connection, seq: int) -> ImportRecord | None:
     """Return the import that brought a row; None if it was solved."""
     where = "first <= ? AND last >= ? ORDER BY first DESC LIMIT 1"
     record = db.execute(f"SELECT {_QUALIFIED} {_PARTS} {where}", (seq, seq)).fetchone()
-    return ImportRecord(*record) if record else None
+    return _record(record) if record else None
 
 
 def import_spans(db: Connection, component: str) -> list[tuple[int, int, ImportRecord]]:
     """Return which rows each import of a component brought: first, last, and the import."""
     where = "import_parts.component = ? AND hidden = 0 ORDER BY first"
     records = db.execute(f"SELECT first, last, {_QUALIFIED} {_PARTS} {where}", (component,))
-    return [(first, last, ImportRecord(*record)) for first, last, *record in records]
+    return [(first, last, _record(values)) for first, last, *values in records]
 
 
 def withdrawn_counts(db: Connection, component: str) -> Counter[int]:
@@ -313,8 +332,8 @@ def edit_import(
     if record is None:
         listed = "SELECT id FROM imports WHERE component = ? ORDER BY id DESC LIMIT 10"
         last = ", ".join(str(known) for (known,) in db.execute(listed, (component,)))
-        known = f"the last are {last}" if last else "import a file first"
-        raise UnknownImportError(f"{component!r} has no import {number}; {known}")
+        remedy = f"the last are {last}" if last else "import a file first"
+        raise UnknownImportError(f"{component!r} has no import {number}; {remedy}")
     lists = [finding["keys"] for finding in _stored(record[0]) if finding.get("cause") == cause]
     if cause is not None and not lists:
         causes = ", ".join(str(finding.get("cause")) for finding in _stored(record[0])) or "none"
@@ -328,6 +347,10 @@ def edit_import(
         more = {"withdrawn": withdrawn, "rows": len(seqs), "finding": cause}
         rows.note_edit(db, "import", number, component, **more)
     return len(seqs)
+
+
+def _record(values: Iterable[Any]) -> ImportRecord:
+    return ImportRecord(**dict(zip(_NAMES, values, strict=True)))
 
 
 def _note(
@@ -375,14 +398,11 @@ def _drop_hidden(ledger: Ledger) -> None:
     """Delete hidden rows, the last first, and imports without rows; numbers are not used again."""
     while True:
         with ledger.writing(durable=False) as db:
-            part = db.execute(
-                "SELECT first, last FROM import_parts WHERE hidden = 1 ORDER BY first DESC LIMIT 1"
-            ).fetchone()
+            last_part = "FROM import_parts WHERE hidden = 1 ORDER BY first DESC LIMIT 1"
+            part = db.execute(f"SELECT first, last {last_part}").fetchone()
             if part is None:
-                db.execute(
-                    "DELETE FROM imports WHERE rows = 0"
-                    " AND id NOT IN (SELECT import FROM import_parts)"
-                )
+                without_parts = "id NOT IN (SELECT import FROM import_parts)"
+                db.execute(f"DELETE FROM imports WHERE rows = 0 AND {without_parts}")
                 return
             first, last = part
             start = rows.delete(db, first, last, RECORDS_DELETED)

@@ -231,4 +231,4 @@ def copy_rows(ledger: Ledger, source: Component, target: Component, origin: Impo
     """
     setup = {"space": source.space, "fingerprint": source.fingerprint}
     with ledger.table_at(source.name, **setup) as table:
-        return ledger.import_rows(target.name, table.lots, origin)[0]
+        return ledger.import_rows(target.name, table.lots, origin).new

@@ -2,16 +2,19 @@
 
 import errno
 import io
+import os
 import zipfile
 from pathlib import Path
 
 import pytest
 from starlette.testclient import TestClient
 
+from wrenchbook.service import keys
 from wrenchbook.service.client import Client
+from wrenchbook.service.files.lock import take
 from wrenchbook.service.http.access import Permission, Rates, SecuritySettings, security_settings
 from wrenchbook.service.http.app import create_app
-from wrenchbook.service.keys import Key, Keyring, digest_of, is_loopback
+from wrenchbook.service.keys import FILE, Key, Keyring, digest_of, is_loopback
 from wrenchbook.service.workspace import Settings
 
 TABLE_ONLY = {"name": "rig", "title": "rig", "range": {"force": [1, 2, 3], "moment": [1, 1, 1]}}
@@ -174,6 +177,40 @@ def test_keys_are_made_listed_and_revoked_over_http_and_the_secret_is_told_once(
     assert locked.delete("/v1/keys/eve", headers=admin).status_code == 200
     assert locked.get("/v1/jobs", headers=eve).status_code == 401
     assert locked.delete("/v1/keys/eve", headers=admin).status_code == 404
+
+
+@pytest.mark.parametrize(
+    ("call", "body"),
+    [("POST", {"name": "tom"}), ("POST /reader/rotate", {}), ("DELETE /reader", None)],
+)
+def test_a_busy_or_damaged_file_of_keys_is_no_unknown_key(place, locked, secrets_, call, body):
+    method, _, path = call.partition(" ")
+    arguments = {"json": body, "headers": bearer(secrets_["admin"])}
+    lock, file = take(place / f"{FILE}.lock"), place / FILE
+    try:
+        busy = locked.request(method, f"/v1/keys{path}", **arguments)
+    finally:
+        os.close(lock)
+    assert busy.status_code == 503, busy.text
+    assert "another command is changing the keys; repeat yours" in busy.json()["detail"]
+    content = file.read_text()
+    file.write_text("{")
+    try:
+        damaged = locked.request(method, f"/v1/keys{path}", **arguments)
+    finally:
+        file.write_text(content)
+    assert damaged.status_code == 507, damaged.text
+    assert "cannot be read" in damaged.json()["detail"]
+
+
+def test_more_keys_than_there_can_be_are_a_conflict(locked, secrets_, monkeypatch):
+    monkeypatch.setattr(keys, "MAX_KEYS", len(SCOPES))
+    admin = bearer(secrets_["admin"])
+    for path, body in (("", {"name": "tom"}), ("/reader/rotate", {})):
+        reply = locked.post(f"/v1/keys{path}", json=body, headers=admin)
+        assert reply.status_code == 409
+        assert reply.json()["type"].endswith(":keys-full")
+        assert "run wrenchbook keys revoke" in reply.json()["detail"]
 
 
 def test_a_private_servers_own_key_is_good_for_all(locked):

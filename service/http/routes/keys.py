@@ -12,15 +12,15 @@ from wrenchbook.service.actors import ANY
 from wrenchbook.service.http.bodies import Body
 from wrenchbook.service.http.body import JsonRoute
 from wrenchbook.service.http.openapi import answers, refused
-from wrenchbook.service.http.problems import HttpProblemError, bad_body
+from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.routes import Opened, json_reply
-from wrenchbook.service.keys import MEGABYTES, OVERLAP_HOURS, RATE, Keyring, KeysError
+from wrenchbook.service.keys import MEGABYTES, OVERLAP_HOURS, RATE, Keyring
 from wrenchbook.service.ledger import noted
 
 router = APIRouter(
     prefix="/v1/keys",
     tags=["keys"],
-    responses=refused(s409="the server has no keys"),
+    responses=refused(s409="the server has no keys, or as many as there can be"),
     route_class=JsonRoute,
 )
 
@@ -55,11 +55,8 @@ def list_keys(request: Request) -> dict[str, Any]:
 )
 def add_key(request: Request, workspace: Opened, body: KeyBody) -> Response:
     keyring, fields = _keyring(request), body.model_dump()
-    try:
-        with noted(workspace.ledger, "key.add", body.name, after=fields):
-            secret = keyring.add(**fields)
-    except KeysError as error:
-        raise bad_body([{"loc": "body", "msg": str(error)}]) from None
+    with noted(workspace.ledger, "key.add", body.name, after=fields):
+        secret = keyring.add(**fields)
     return json_reply({"name": body.name, "scope": body.scope, "key": secret}, 201)
 
 
@@ -71,22 +68,16 @@ def add_key(request: Request, workspace: Opened, body: KeyBody) -> Response:
 )
 def rotate_key(name: str, request: Request, workspace: Opened, body: RotateBody) -> Response:
     keyring, after = _keyring(request), body.model_dump()
-    try:
-        with noted(workspace.ledger, "key.rotate", name, after=after):
-            secret = keyring.rotate(name, 3600.0 * body.overlap_hours)
-    except KeysError as error:
-        raise HttpProblemError(404, "unknown-key", "No such key", str(error)) from None
+    with noted(workspace.ledger, "key.rotate", name, after=after):
+        secret = keyring.rotate(name, 3600.0 * body.overlap_hours)
     return json_reply({"name": name, "key": secret, **after}, 201)
 
 
 @router.delete("/{name}", summary="Revoke a key", responses=refused(404, 422))
 def revoke_key(name: str, request: Request, workspace: Opened) -> dict[str, Any]:
     keyring = _keyring(request)
-    try:
-        with noted(workspace.ledger, "key.revoke", name):
-            keyring.revoke(name)
-    except KeysError as error:
-        raise HttpProblemError(404, "unknown-key", "No such key", str(error)) from None
+    with noted(workspace.ledger, "key.revoke", name):
+        keyring.revoke(name)
     return {"revoked": name}
 
 

@@ -10,7 +10,7 @@ from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Final, Literal, NamedTuple
+from typing import Annotated, Any, Final, Literal, NamedTuple
 from weakref import WeakValueDictionary
 
 from fastapi import APIRouter, Header, Query, Request
@@ -40,8 +40,9 @@ from wrenchbook.surrogate.kernel.format import SUFFIX
 router = APIRouter(
     prefix="/v1/components/{name}/table", tags=["table"], responses=refused(404, 422)
 )
-_READER_WAIT_S: Final = 60.0
-MAX_TABLE_BYTES: Final = 512 * 1024 * 1024
+_READER_WAIT_S: Final = 60.0  # the processor time that reading a file may take
+MAX_TABLE_BYTES: Final = 512 * 1024 * 1024  # 5,000,000 rows (`MAX_ROWS`) of 107 characters
+_MAX_APPENDED_BYTES: Final = 1 << 20  # a block: 1,000 rows of 1 KiB as JSON
 _FORM_BYTES: Final = 64 * 1024  # of a form, around its files
 _reader_locks: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
 
@@ -97,7 +98,6 @@ _TAKEN = frozenset(
         "multipart/form-data",
     }
 )
-_MAX_APPENDED_BYTES = 1 << 20
 
 
 @router.get(
@@ -202,26 +202,14 @@ async def import_table(
     name: str, request: Request, workspace: Opened, query: Annotated[ImportQuery, Query()]
 ) -> Response:
     component = workspace.library[name]
-    kind = content_type(request)
-    if kind and kind not in _TAKEN:
-        raise HttpProblemError(
-            415,
-            "media-type",
-            "Not a form of table this call takes",
-            f"The content type is {kind}. Send {', '.join(MEDIA_TYPES.values())} or "
-            "application/octet-stream, gzipped or not; the content decides the format.",
-        )
+    _check_content_type(content_type(request))
     table = workspace.tables.surrogate(name)
     solved = await run_in_threadpool(solved_compliance, component, table)
     rig = await run_in_threadpool(rig_of, workspace.ledger, query.rig)
     options = replace(query.options(rig), solved=solved, linear=component.linear)
     most = _MAX_APPENDED_BYTES if query.append else MAX_TABLE_BYTES
     async with received(request, most) as sent:
-        if len(sent.files) == 1 and (
-            alone := query.model_fields_set & {"time_offset_s", "max_gap_s"}
-        ):
-            message = "needs two logs; send the second one (--displacements FILE), or leave it out"
-            raise bad_body([{"loc": f"query.{min(alone)}", "msg": message}])
+        _check_logs(query, len(sent.files))
         key = permission_of(request.scope).key
         origin = ImportOrigin(
             who=key.name if key else "",
@@ -246,32 +234,7 @@ async def import_table(
             )
     loaded = reply.pop("loaded")
     if reply["errors"] and not (query.dry_run or loaded):
-        errors = reply["errors"]
-        first = errors[0]
-        reply["errors"] = [
-            {**error, "loc": f"row {error['row']}.{error['field']}", "msg": error["message"]}
-            for error in errors
-        ]
-        sent, others = "block" if query.append else "complete file", reply["sheets"][1:]
-        sheet = (
-            f" of sheet {reply['sheet']} (--sheet reads another)"
-            if others and reply["sheet"]
-            else ""
-        )
-        place = f"row {first['row']}, " * bool(first["row"])  # 0: of the file, or of a column
-        cure = ""
-        rows = reply["rows"]  # none are read under a header with mistakes
-        if rows["read"] > rows["refused"] and all(error["row"] for error in errors):
-            cure = ", or add --partial (over HTTP partial=true) to load only the good rows"
-        raise HttpProblemError(
-            422,
-            "bad-rows",
-            "The table has mistakes",
-            f"Nothing was loaded; {len(errors)} mistake(s){sheet}, the first in "
-            f"{place}{first['field']}: {first['message']}. Correct them and send the {sent} "
-            f"again{cure}.",
-            **reply,
-        )
+        raise _bad_rows(reply, "block" if query.append else "complete file")
     wait_s = query.wait_s if loaded else 0.0  # rows that were there may wait for the next table
     if query.append and "wait_s" not in query.model_fields_set:
         wait_s = 0.0  # the next row comes soon
@@ -279,6 +242,51 @@ async def import_table(
     reply["in_use"] = caught_up and (loaded or not reply["inserted"])
     reply["table_version"] = workspace.ledger.last_seq(component.name)
     return json_reply(reply)
+
+
+def _check_content_type(kind: str) -> None:
+    """Raise 415 if a content type is not that of a table; a request may have none."""
+    if kind and kind not in _TAKEN:
+        raise HttpProblemError(
+            415,
+            "media-type",
+            "Not a form of table this call takes",
+            f"The content type is {kind}. Send {', '.join(MEDIA_TYPES.values())} or "
+            "application/octet-stream, gzipped or not; the content decides the format.",
+        )
+
+
+def _check_logs(query: ImportQuery, files: int) -> None:
+    """Raise 422 if an option of two logs comes with one file."""
+    alone = query.model_fields_set & {"time_offset_s", "max_gap_s"}
+    if files == 1 and alone:
+        message = "needs two logs; send the second one (--displacements FILE), or leave it out"
+        raise bad_body([{"loc": f"query.{min(alone)}", "msg": message}])
+
+
+def _bad_rows(reply: dict[str, Any], unit: str) -> HttpProblemError:
+    """Describe a table with mistakes, of which nothing was loaded; `unit` is to be sent again."""
+    errors, rows, first = reply["errors"], reply["rows"], reply["errors"][0]
+    places = [
+        {**error, "loc": f"row {error['row']}.{error['field']}", "msg": error["message"]}
+        for error in errors
+    ]
+    has_others = reply["sheet"] and reply["sheets"][1:]
+    sheet = f" of sheet {reply['sheet']} (--sheet reads another)" if has_others else ""
+    place = f"row {first['row']}, " if first["row"] else ""  # 0: of the file, or of a column
+    # No rows are read under a header with mistakes.
+    has_good = rows["read"] > rows["refused"] and all(error["row"] for error in errors)
+    partial = ", or add --partial (over HTTP partial=true) to load only the good rows"
+    cure = partial if has_good else ""
+    return HttpProblemError(
+        422,
+        "bad-rows",
+        "The table has mistakes",
+        f"Nothing was loaded; {len(errors)} mistake(s){sheet}, the first in "
+        f"{place}{first['field']}: {first['message']}. Correct them and send the {unit} "
+        f"again{cure}.",
+        **{**reply, "errors": places},
+    )
 
 
 class Received(NamedTuple):
