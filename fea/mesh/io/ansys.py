@@ -12,15 +12,12 @@ from wrenchbook.fea.spec.problems import MeshFileError
 
 # SOLID elements by number: hexahedra, which may be collapsed, and tetrahedra.
 _HEX, _TET = ("45", "185", "95", "186"), ("92", "187", "285")
-# Commands that are counted and not taken over: constraints, and axes of nodes,
-_SKIPPED = {"CE", "CEINTF", "CERIG", "CP", "CPINTF", "DSYM", "NROTAT", "RBE3"}
-# supports and forces on the geometry, loads on faces, temperatures and other body loads,
-_SKIPPED |= {"DA", "DK", "DL", "FK", "SF", "SFA", "SFE", "SFGRAD", "SFL"}
-_SKIPPED |= {"BF", "BFA", "BFE", "BFK", "BFL", "BFUNIF", "BFV", "TUNIF"}
-# loads by acceleration and rotation, factors of later loads,
-_SKIPPED |= {"ACEL", "CMACEL", "CMOMEGA", "DOMEGA", "OMEGA", "DCUM", "DSCALE", "FCUM", "FSCALE"}
-# further laws of materials, initial stresses, and elements without stiffness.
-_SKIPPED |= {"TB", "INISTATE", "EKILL"}
+_SKIPPED = {"CE", "CEINTF", "CERIG", "CP", "CPINTF", "DSYM", "NROTAT", "RBE3"}  # constraints, axes
+_SKIPPED |= {"DA", "DK", "DL", "FK", "SF", "SFA", "SFE", "SFGRAD", "SFL"}  # on geometry and faces
+_SKIPPED |= {"BF", "BFA", "BFE", "BFK", "BFL", "BFUNIF", "BFV", "TUNIF"}  # temperature, body loads
+_SKIPPED |= {"ACEL", "CMACEL", "CMOMEGA", "DOMEGA", "OMEGA"}  # acceleration and rotation
+_SKIPPED |= {"DCUM", "DSCALE", "FCUM", "FSCALE"}  # factors of later loads
+_SKIPPED |= {"EKILL", "INISTATE", "TB"}  # no stiffness, initial stresses, further laws
 _SELECTIONS = {"NSEL", "NSLE", "NSLA", "NSLL", "NSLK", "NSLV", "CMSEL", "ALLSEL"}
 _CONSTANTS = {"EX": "E", "NUXY": "NU", "PRXY": "NU", "DENS": "DENSITY", "ALPX": "EXPANSION"}
 _FREEDOMS = {"UX": "1", "UY": "2", "UZ": "3", "ROTX": "4", "ROTY": "5", "ROTZ": "6"}
@@ -37,10 +34,8 @@ _MATERIAL, _TYPE, _NODE_COUNT, _ELEMENT, _FIRST_NODE = 0, 1, 8, 10, 11
 
 
 class _Type(NamedTuple):
-    """An element type: its number in the library, such as 186, and its option 2."""
-
-    kind: str
-    is_full: bool  # full integration
+    name: str  # in the library of elements, such as 186
+    is_full: bool  # by its option 2: full integration
 
 
 @dataclass
@@ -109,6 +104,18 @@ def _take_command(archive: _Archive, word: str, fields: list[str]) -> None:
         _take_constant(archive, word, values)
     elif word in ("D", "F", "DDELE", "FDELE"):
         _take_on_nodes(archive, word, values)
+    else:
+        _take_control(archive, word, fields)
+
+
+def _take_control(archive: _Archive, word: str, fields: list[str]) -> None:
+    """Take a command of load steps, conditions or selections; count commands that are skipped."""
+    if word == "LSCLEAR" and fields[:1] in (["FE"], ["ALL"]):  # LSCLEAR,Lab
+        archive.held, archive.forces = {}, {}
+    elif word == "*IF":  # *IF,VAL1,Oper1,VAL2,THEN; without THEN no *ENDIF follows
+        archive.branches += "THEN" in fields
+    elif word == "*ENDIF":
+        archive.branches -= 1
     elif word in ("LSWRITE", "SOLVE"):
         archive.end_step(f"LOAD STEP {len(archive.cases) + 1}")
     elif word in _SELECTIONS:  # NSEL,Type,...; CMSEL,Type,...; of Type ALL nothing is left out
@@ -160,8 +167,8 @@ def _take_elements(archive: _Archive, fields: list[str], rows: Iterator[str]) ->
         if numbers[_TYPE] not in archive.types:
             known = ", ".join(archive.types) or "none"
             raise ValueError(f"no ET above defines the type {numbers[_TYPE]}; there are {known}")
-        region = f"MAT_{numbers[_MATERIAL]}"
-        _take_cell(archive, archive.types[numbers[_TYPE]], region, numbers[_ELEMENT], nodes)
+        kind, region = archive.types[numbers[_TYPE]], f"MAT_{numbers[_MATERIAL]}"
+        _take_cell(archive, kind, region, numbers[_ELEMENT], nodes)
 
 
 def _fixed(row: str, width: int) -> list[str]:
@@ -169,17 +176,13 @@ def _fixed(row: str, width: int) -> list[str]:
     return [row[i : i + width].strip() for i in range(0, len(row.rstrip()), width)]
 
 
-def _take_cell(
-    archive: Translated, of_type: _Type, region: str, number: str, nodes: list[str]
-) -> None:
+def _take_cell(archive: _Archive, kind: _Type, region: str, number: str, nodes: list[str]) -> None:
     """Take a cell; a hexahedron with nodes of the same number is a cell with fewer nodes."""
-    kind = of_type.kind
-    if kind not in (*_HEX, *_TET):
-        archive.skipped[f"elements of type {kind}"] += 1
+    if kind.name not in (*_HEX, *_TET):
+        archive.skipped[f"elements of type {kind.name}"] += 1
         return
     archive.sections[region] = region
-    collapsed = (nodes[2] == nodes[3], nodes[4] == nodes[5]) if kind in _HEX else (False, False)
-    if any(collapsed):
+    if kind.name in _HEX and any(collapsed := (nodes[2] == nodes[3], nodes[4] == nodes[5])):
         indices = {(True, True): _TETRAHEDRON, (True, False): _WEDGE}.get(collapsed, _PYRAMID)
         nodes = [nodes[i] for i in indices if i < len(nodes)]
     corners = {10: 4, 13: 5, 15: 6, 20: 8}.get(len(nodes), len(nodes))
@@ -187,7 +190,7 @@ def _take_cell(
         raise ValueError(f"element {number} has too few corners")
     if set(nodes[corners:]) == {"0"}:
         nodes = nodes[:corners]
-    integration = "R" if len(nodes) == 20 and not of_type.is_full else ""
+    integration = "R" if len(nodes) == 20 and not kind.is_full else ""
     archive.elements[f"C3D{len(nodes)}{integration}", region].append([number, *nodes])
 
 
@@ -233,10 +236,7 @@ def _take_on_nodes(archive: _Archive, word: str, fields: list[str]) -> None:
         raise ValueError("it is inside *IF; write the lines that apply, without the condition")
     node, label, *values = (*fields, *[""] * 9)
     removes, acting = word.endswith("DELE"), archive.held if word[0] == "D" else archive.forces
-    if removes:
-        (last, step, *_), value, further = values, "", []
-    else:
-        value, _, last, step, *further = values
+    value, _, last, step, *further = ("", "", *values) if removes else values
     nodes = archive.groups.get(node, [])
     if node.isdigit():
         nodes = [str(i) for i in range(int(node), int(last or node) + 1, int(step or 1))]
@@ -256,25 +256,7 @@ def _take_on_nodes(archive: _Archive, word: str, fields: list[str]) -> None:
         archive.skipped["D with a motion that is not 0"] += 1
 
 
-# LSCLEAR,Lab: SOLID, FE or ALL
-def _clear(archive: _Archive, fields: list[str], _: Iterator[str]) -> None:
-    if fields[:1] in (["FE"], ["ALL"]):
-        archive.held, archive.forces = {}, {}
-
-
-# *IF,VAL1,Oper1,VAL2,THEN; without THEN no *ENDIF follows
-def _begin_branch(archive: _Archive, fields: list[str], _: Iterator[str]) -> None:
-    archive.branches += "THEN" in fields
-
-
-def _end_branch(archive: _Archive, _fields: list[str], _rows: Iterator[str]) -> None:
-    archive.branches -= 1
-
-
 _BLOCKS = {
-    "LSCLEAR": _clear,
-    "*IF": _begin_branch,
-    "*ENDIF": _end_branch,
     "ETBLOCK": _take_types,
     "NBLOCK": _take_nodes,
     "EBLOCK": _take_elements,
