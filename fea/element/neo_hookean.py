@@ -12,10 +12,8 @@ at small strains: with C = I + 2 E
     S = 2 mu J^(-2/3) C^-1 dev(E) + p J C^-1,        p = kappa (J - 1).
 
 Third derivatives along strains E_a: with X_a = C^-1 E_a, t_a = tr X_a, p_ab = tr(X_a X_b) and
-q_abc = tr(X_a X_b X_c), ln J has t_a, -2 p_ab and 8 q_abc; so J has J_a = J t_a,
-J_ab = J (t_a t_b - 2 p_ab), J_abc = J (t_a t_b t_c - 2 sum p_ab t_c + 8 q_abc), J^(-2/3) likewise
-with ln J times -2/3, and tr C has 2 tr E_a alone. W's are those of its two products, with
-sum J_ab kappa J_c + p J_abc of the second.
+q_abc = tr(X_a X_b X_c), ln J has t_a, -2 p_ab and 8 q_abc, from which those of J and J^(-2/3)
+follow, and tr C has 2 tr E_a alone. `third_of_law` has those of W.
 
 Cells that project (`fea.element.pressure_projection`) take the projection of J - 1 in lambda's part
 of kappa = lambda + 2 mu/3, as isotropic cells do with tr(E): the mean dilatation of Simo, Taylor
@@ -54,13 +52,11 @@ class NeoHookeanStiffness(IsotropicStiffness):
 
 
 class _State(DenseState):
-    """Strains and stresses of a few cells at one displacement; see `CellState` for H, F, E and wS.
+    """Strains and stresses of a few cells; see `CellState` for H, F, E and wS.
 
-    shear, first_lame: shape (cells, 1), Pa. modes: as of `IsotropicStiffness.modes_of`.
-    growth, J, mean_C: shape (cells, points): J - 1 with all its digits, J, and tr C / 3.
-    inverse: shape (cells, points, 3, 3): C^-1.
-    scale, pressure: shape (cells, points), Pa times m^3: mu J^(-2/3) and p, times the weights.
-    deviatoric: shape (cells, points, 3, 3), Pa times m^3: the part of `wS` without pressure.
+    growth, J, mean_C, inverse: J - 1 with all its digits, J, tr C / 3 and C^-1, dimensionless.
+    scale, pressure, deviatoric: mu J^(-2/3), p and S without p, times the weights, Pa m^3.
+    Shapes: (cells, points), with (3, 3) of matrices; shear and first_lame (cells, 1), Pa.
     """
 
     def __init__(self, cells: NeoHookeanStiffness, part: Which, displacement: Array) -> None:
@@ -109,7 +105,6 @@ class _State(DenseState):
 
         With g = mu J^(-2/3), m = tr C / 3, s_a = tr E_a, P_a = J kappa J t_a and the module's t_a,
         p_ab and q_abc they are, integrated, with sums over the three choices of c:
-
             8 (p J - g m) q_abc + sum t_a t_b ((p J - 4/9 g m) t_c / 3 + 4/9 g s_c + P_c)
             + sum p_ab (4/3 g (s_c - m t_c) - 2 (p J t_c + P_c))
         """
