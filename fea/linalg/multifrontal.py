@@ -19,7 +19,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Callable
 from functools import cached_property, partial
-from itertools import pairwise, starmap
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,7 +45,6 @@ _ONE_THREAD = ThreadpoolController().wrap(limits=1, user_api="blas")
 Leaf = Callable[[int], Array]
 """Gives the matrix of a leaf by its number, its unknowns in the order of the substructure's."""
 
-
 _WIDTH = 256
 """Unknowns in a block column, about; wide enough for BLAS (measured level from 192 to 384)."""
 
@@ -69,9 +68,8 @@ class Condensed(NamedTuple):
         return self.starts[column], self.blocks[column]
 
 
-class Stretch(NamedTuple):
-    """Unknowns with consecutive indices, in one block column of the child and one of the parent."""
-
+class _Stretch(NamedTuple):
+    # Unknowns with consecutive indices, in one block column of the child and one of the parent.
     low: int  # first unknown of the child
     high: int  # last + 1
     to: int  # index of the first in the parent
@@ -82,7 +80,7 @@ class Route(NamedTuple):
 
     indices: Array  # shape (n,), ascending: of the child's unknowns among the m + b of the parent
     pivots: int  # number of those eliminated in the parent
-    stretches: list[Stretch]  # in their order
+    stretches: list[_Stretch]  # in their order
 
 
 def columns_of(unknowns: int) -> list[int]:
@@ -130,8 +128,7 @@ def route(part: Condensed, indices: Array, eliminated: int, boundary: int) -> Ro
         bounds.update(indices.searchsorted([eliminated + column for column in columns]).tolist())
     ordered = sorted(bounds)
     firsts = indices[ordered[:-1]].tolist()
-    stretches = starmap(Stretch, zip(ordered, ordered[1:], firsts, strict=False))
-    return Route(indices, pivots, list(stretches))
+    return Route(indices, pivots, list(map(_Stretch, ordered, ordered[1:], firsts)))
 
 
 def add_to_pivots(A: Array, B: Array, part: Condensed, way: Route) -> None:
@@ -185,17 +182,13 @@ class NotDefinite(ArithmeticError):  # noqa: N818 - a finding about the matrix
 class MultifrontalFactor:
     """A factorised stiffness matrix.
 
-    Parameters
-    ----------
     dissection: the order of elimination.
     leaf: gives the matrix of each leaf, N/m; called when the leaf is due, so that few are in
     memory.
     single: in half the memory; solves are to be refined. Raises NotDefinite if the matrix is not
     definite or a pivot ratio is below _SINGLE_PIVOT.
 
-    Attributes
-    ----------
-    unknowns: their number.
+    Its attributes:
     definite: whether the matrix is positive definite.
     pivot_ratio: the least ratio of a pivot to the diagonal entry it came from: what elimination
     left of the stiffness there. Near roundoff it says that some motion has no stiffness. 0 if the
