@@ -22,6 +22,7 @@ _SELECTIONS = {"NSEL", "NSLE", "NSLA", "NSLL", "NSLK", "NSLV", "CMSEL", "ALLSEL"
 _CONSTANTS = {"EX": "E", "NUXY": "NU", "PRXY": "NU", "DENS": "DENSITY", "ALPX": "EXPANSION"}
 _FREEDOMS = {"UX": "1", "UY": "2", "UZ": "3", "ROTX": "4", "ROTY": "5", "ROTZ": "6"}
 _FREEDOMS |= {"ALL": "123456", "FX": "1", "FY": "2", "FZ": "3", "MX": "4", "MY": "5", "MZ": "6"}
+_MATERIAL, _TYPE, _NODE_COUNT, _ELEMENT, _FIRST_NODE = 0, 1, 8, 10, 11  # fields of EBLOCK's rows
 
 # Indices of a collapsed hexahedron's nodes, by which of its corners are one node.
 _WEDGE = [0, 1, 2, 4, 5, 6, 8, 9, 11, 12, 13, 15, 16, 17, 18]
@@ -29,12 +30,8 @@ _PYRAMID = [*range(5), *range(8, 12), *range(16, 20)]
 _TETRAHEDRON = [0, 1, 2, 4, 8, 9, 11, 16, 17, 18]
 
 
-# Fields of a row of EBLOCK, from 0.
-_MATERIAL, _TYPE, _NODE_COUNT, _ELEMENT, _FIRST_NODE = 0, 1, 8, 10, 11
-
-
 class _Type(NamedTuple):
-    name: str  # in the library of elements, such as 186
+    name: str  # such as 186
     is_full: bool  # by its option 2: full integration
 
 
@@ -69,8 +66,7 @@ def read_ansys(text: str) -> Translated:
     """
     archive = _Archive(nonlinear=bool(re.search(r"^\s*NLGEOM\s*,\s*(ON|1)", text, re.I | re.M)))
     lines = enumerate(text.splitlines(), start=1)
-    # The parser of a block takes its rows from the iterator of the loop, which goes on behind them.
-    rows = (row for _, row in lines)
+    rows = (row for _, row in lines)  # the loop's iterator: it goes on behind the rows of a block
     for number, line in lines:
         for command in line.split("!")[0].split("$"):
             word, *fields = (each.strip().upper() for each in command.split(","))
@@ -112,10 +108,8 @@ def _take_control(archive: _Archive, word: str, fields: list[str]) -> None:
     """Take a command of load steps, conditions or selections; count commands that are skipped."""
     if word == "LSCLEAR" and fields[:1] in (["FE"], ["ALL"]):  # LSCLEAR,Lab
         archive.held, archive.forces = {}, {}
-    elif word == "*IF":  # *IF,VAL1,Oper1,VAL2,THEN; without THEN no *ENDIF follows
-        archive.branches += "THEN" in fields
-    elif word == "*ENDIF":
-        archive.branches -= 1
+    elif word in ("*IF", "*ENDIF"):  # *IF,VAL1,Oper1,VAL2,THEN; without THEN no *ENDIF follows
+        archive.branches += -1 if word == "*ENDIF" else "THEN" in fields
     elif word in ("LSWRITE", "SOLVE"):
         archive.end_step(f"LOAD STEP {len(archive.cases) + 1}")
     elif word in _SELECTIONS:  # NSEL,Type,...; CMSEL,Type,...; of Type ALL nothing is left out
@@ -150,9 +144,8 @@ def _take_types(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
         archive.types[number] = _Type(fields[0], fields[2:3] == ["1"])
 
 
-# EBLOCK,19,SOLID,MAX,NUM; a format such as (19i8); rows of material, type, real constants, section,
-# axes, birth, geometry, shape, count of nodes, a field not in use, element, and up to eight nodes;
-# further nodes in a second row; -1
+# EBLOCK,19,SOLID,MAX,NUM; a format such as (19i8); rows of eleven fields, among them the named, and
+# up to eight nodes, further nodes in a second row; -1
 def _take_elements(archive: _Archive, fields: list[str], rows: Iterator[str]) -> None:
     if fields[:2] != ["19", "SOLID"]:
         raise ValueError("it must have the form 19,SOLID; write the archive with CDWRITE,DB")
@@ -210,12 +203,9 @@ def _take_component(archive: _Archive, fields: list[str], rows: Iterator[str]) -
         members += map(str, range(first, abs(number) + 1))
 
 
-# MP,Lab,MAT,C0,C1,...,C4
-# MPDATA,R5.0,LENGTH,Lab,MAT,STLOC,VAL1,VAL2,VAL3, STLOC the position of VAL1 in a table
+# MP,Lab,MAT,C0,C1,... and MPDATA,R5.0,LENGTH,Lab,MAT,STLOC,VAL1,..., STLOC the position of VAL1
 def _take_constant(archive: _Archive, word: str, fields: list[str]) -> None:
-    position = ["1"]
-    if word == "MPDATA":
-        position, fields = fields[4:5], [*fields[2:4], *fields[5:]]
+    position, fields = (["1"], fields) if word == "MP" else (fields[4:5], fields[2:4] + fields[5:])
     label, number, value, *more = fields
     constants = archive.materials.setdefault(f"MAT_{int(number)}", {})
     if label in _CONSTANTS:
