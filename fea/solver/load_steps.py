@@ -228,11 +228,7 @@ class LoadPath:
         return float(self._direction @ tangent.conjugate_rate(self._wrench))
 
     def _advance(self, equilibrium: Equilibrium) -> float:
-        """Work of constant inputs `_direction` in a step, J.
-
-        They do work on translations, m, and spins, rad; where they are inputs the temperature on
-        the loss of strain energy per kelvin, J/K, and accelerations on moments of mass, kg·m.
-        """
+        """Work of inputs `_direction` in a step, J; see `Linearisation.conjugate_rate`."""
         ends = (self._balance.state.interface, equilibrium.balance.state.interface)
         advance: list[Array] = []
         for before, after in zip(*(each_interface(end) for end in ends), strict=True):
@@ -269,8 +265,7 @@ def hang(
     check: as of `LoadPath.follow`.
     cause: the weight's name in messages.
     start: the equilibrium without the weight, of bolts that are tightened; None without.
-    Raises SolveFailed as `LoadPath.follow` does, the weight in place of the wrench; with the load
-    factor and the nodes, (n, 3), m, of `LoadPath.last_state`.
+    Raises SolveFailed as `LoadPath.follow` does, the weight in place of the wrench; it has `last`.
     """
     assert system.weight is not None
     further = system.weight[:, :, None]
