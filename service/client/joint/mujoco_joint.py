@@ -35,11 +35,9 @@ _Registered: TypeAlias = "WeakValueDictionary[tuple[int, int], MujocoJoint]"
 _JOINTS: WeakKeyDictionary[Data, _Registered] = WeakKeyDictionary()
 
 
-class _Law(NamedTuple):
-    """Wrench of a step on the free freedoms (f,), N and N·m: force + slope @ velocity."""
-
-    force: Vector
-    slope: Vector  # (f, f), N and N·m per m/s and rad/s
+class _Law(NamedTuple):  # of f free freedoms in a step: the wrench is force + slope @ velocity
+    force: Vector  # (f,), N and N·m
+    slope: Vector  # (f, f), these per m/s and rad/s
     velocity: Vector  # (f,), m/s and rad/s: after the step
 
 
@@ -282,7 +280,6 @@ class MujocoJoint(Joint):
         super().restart()
 
     def _lose_wrench(self) -> None:
-        """Make the last step's wrench NaN."""
         self._law = self._law._replace(force=np.full(len(self.free), np.nan))
 
     def _last_wrench(self) -> Vector:
@@ -341,7 +338,8 @@ def advance(joints: Sequence[MujocoJoint]) -> None:
     """Advance a scene whose joints pull."""
     engine.mj_step2(joints[0]._model, joints[0]._data)
     for joint in joints:
-        joint._law = joint._law._replace(velocity=joint._velocities[joint._dofs].copy())
+        law, velocity = joint._law, joint._velocities[joint._dofs].copy()
+        joint._law = _Law(law.force, law.slope, velocity)  # faster than _replace
         joint._mass[joint._at_pairs], joint._with_part = joint._own_mass, None
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
@@ -29,20 +29,11 @@ class MujocoJoints(Joints):
     """
 
     def __init__(
-        self,
-        model: Model,
-        datas: Sequence[Data],
-        table: Table,
-        base: str = "base",
-        tip: str = "tip",
-        damping: float = 0.02,
-        *,
-        bodies: Mapping[str, str] | None = None,
-        **options: Any,
+        self, model: Model, datas: Sequence[Data], table: Table, *bodies: Any, **options: Any
     ) -> None:
         if not len(datas) or len({id(data) for data in datas}) < len(datas):
             raise InvalidArgument("datas must be one or more MjData, one for each environment")
-        first = MujocoJoint(model, datas[0], table, base, tip, damping, bodies=bodies, **options)
+        first = MujocoJoint(model, datas[0], table, *bodies, **options)
         self.joints = [first, *(copy.copy(first) for _ in datas[1:])]
         self._model, self._pool = model, ThreadPoolExecutor()
         self._hold(first, len(datas), first._spin_axes)
