@@ -17,9 +17,7 @@ ALL_CORNERS = 12  # inputs: 4,096 corners; of more inputs so many corners, evenl
 # Of each load's half range: the error of a joint's wrench, stiffness times error bars, that a fill
 # for a joint allows. A stiff freedom asks more of its bar than the tolerance does.
 FORCE_ERROR = 0.05
-# Fixed-point steps to the root in `_spread`: each leaves at most 0.31 of the error (one dimension),
-# so that 30 reach the last bit of a double; twice as many.
-_ROOT_STEPS = 60
+_ROOT_STEPS = 60  # 30 reach the last bit: each leaves at most 0.31 of the error (one dimension)
 SLOPE_ROUNDING = 1e-10  # of the largest eigenvalue: a kriging's slopes are right to some 1e-11
 
 
@@ -44,8 +42,7 @@ def spread_wrenches(span: LoadRange, count: int, start: int = 1) -> Floats:
 def sample_of(ends: Floats, centre: Floats, indices: NDArray[np.intp]) -> Floats:
     """Return corners of a load range and `INSIDE` wrenches within it, shape (count, n), SI.
 
-    `ends`, shape (2, n), are the low and the high loads. The inputs at `indices` vary; the others
-    are those of `centre`, shape (n,).
+    `ends`, (2, n), are low and high loads; inputs at other indices are those of `centre`, (n,).
     """
     low, high = ends
     count = len(indices)
