@@ -28,57 +28,65 @@ _WORTH_A_MESH = 30.0
 def over_tolerance(
     solver_error: Mapping[str, Any] | None, translation: float, rotation: float
 ) -> list[BundleProblem]:
-    """Return warnings where `fea.accuracy.estimate.accuracy_of` is over a tolerance, m and rad.
+    """Return warnings where a solver error is over a tolerance, m and rad.
 
     No solve lowers it: a component whose mesh alone is over its tolerance has covered answers
     beyond it, each with a bar that says so. At the full range, all loads at once, by the compliance
     at small loads.
+
+    solver_error: of `accuracy_of`: ``loads`` (k,), SI; or None or missing ``mesh`` (6 i, k), m and
+    rad per unit load; ``linearity`` (6 i,), m and rad; ``buckling``, a factor; ``cell_size``, m.
     """
     if solver_error is None:
         return []
-    loads = np.array(solver_error["loads"])
     allowed = np.repeat([translation, rotation], 3)
-    problems = []
-    if solver_error.get("mesh") is not None:
-        errors = np.array(solver_error["mesh"]) @ loads
-        cell_size = solver_error.get("cell_size")
-        worst, excess = _worst(errors, allowed)
-        if worst > 1.0:
-            # Edges and corners where supports end make displacements converge with about the
-            # square. Rounded up to a tenth: a cell "1 times smaller" would help nobody.
-            finer = float(np.ceil(np.round(10.0 * np.sqrt(worst), 6)) / 10.0)
-            sized = ""
-            if cell_size is not None:
-                size = cell_size / finer
-                sized = f", about {1e3 * size:.2g} mm" if size < 1.0 else f", about {size:.2g} m"
-                sized += " each"
-            remedy = f"Make cells about {finer:.2g} times smaller{sized}"
-            if finer > _WORTH_A_MESH:
-                remedy = "Make cells much smaller"
-            message = (
-                "the mesh is too coarse for the tolerance: at the full range its error may be "
-                f"{excess}, and more solves do not reduce it. {remedy}, widen [tolerance], or "
-                "narrow [range]"
-            )
-            problems += [BundleProblem(WHERE, message)]
-    if solver_error.get("linearity") is not None:
-        worst, excess = _worst(np.array(solver_error["linearity"]), allowed)
-        if worst > 1.0:
-            message = (
-                "the linear solver (nonlinear = false) neglects large displacements: at the full "
-                f"range this error may be {excess}, and more solves do not reduce it. Set "
-                "nonlinear = true in [analysis], or narrow [range]"
-            )
-            problems += [BundleProblem(WHERE, message)]
-    factor = solver_error.get("buckling")
-    if factor is not None and factor < 1.0:
-        message = (
-            f"the part buckles at {factor:.3g} of the loads at a corner of the range; answers of "
-            "the linear solver are wrong beyond that load. Narrow [range], or set nonlinear = true "
-            "in [analysis]"
-        )
-        problems += [BundleProblem(WHERE, message)]
-    return problems
+    checks = _mesh_too_coarse, _large_displacements, _buckles
+    messages = [check(solver_error, allowed) for check in checks]
+    return [BundleProblem(WHERE, message) for message in messages if message]
+
+
+def _mesh_too_coarse(solver_error: Mapping[str, Any], allowed: Array) -> str:
+    if solver_error.get("mesh") is None:
+        return ""
+    errors = np.array(solver_error["mesh"]) @ np.array(solver_error["loads"])
+    worst, excess = _worst(errors, allowed)
+    if not worst > 1.0:
+        return ""
+    # Edges and corners where supports end make displacements converge with about the square.
+    # Rounded up to a tenth: a cell "1 times smaller" would help nobody.
+    finer = float(np.ceil(np.round(10.0 * np.sqrt(worst), 6)) / 10.0)
+    remedy = f"Make cells about {finer:.2g} times smaller"
+    if finer > _WORTH_A_MESH:
+        remedy = "Make cells much smaller"
+    elif solver_error.get("cell_size") is not None:
+        size = solver_error["cell_size"] / finer
+        remedy += f", about {1e3 * size:.2g} mm" if size < 1.0 else f", about {size:.2g} m"
+        remedy += " each"
+    start = "the mesh is too coarse for the tolerance: at the full range its error may be"
+    actions = f"{remedy}, widen [tolerance], or narrow [range]"
+    return f"{start} {excess}, and more solves do not reduce it. {actions}"
+
+
+def _large_displacements(solver_error: Mapping[str, Any], allowed: Array) -> str:
+    if solver_error.get("linearity") is None:
+        return ""
+    worst, excess = _worst(np.array(solver_error["linearity"]), allowed)
+    message = (
+        "the linear solver (nonlinear = false) neglects large displacements: at the full range "
+        f"this error may be {excess}, and more solves do not reduce it. Set nonlinear = true in "
+        "[analysis], or narrow [range]"
+    )
+    return message if worst > 1.0 else ""
+
+
+def _buckles(solver_error: Mapping[str, Any], _: Array) -> str:
+    if (factor := solver_error.get("buckling")) is None or not factor < 1.0:
+        return ""
+    return (
+        f"the part buckles at {factor:.3g} of the loads at a corner of the range; answers of "
+        "the linear solver are wrong beyond that load. Narrow [range], or set nonlinear = true "
+        "in [analysis]"
+    )
 
 
 def straight_edges(solver_error: Mapping[str, Any]) -> list[BundleProblem]:
@@ -97,7 +105,5 @@ def _worst(errors: Array, allowed: Array) -> tuple[float, str]:
     interface, freedom = divmod(output, len(_OUTPUTS))
     worst, unit = float(ratios[output]), "m" if freedom < 3 else "rad"
     where = f" of interface {interface + 1}" if len(errors) > len(_OUTPUTS) else ""
-    return worst, (
-        f"{errors[output]:.2g} {unit} in {_OUTPUTS[freedom]}{where}, {float(f'{worst:.2g}'):g} "
-        "times the tolerance"
-    )
+    text = f"{errors[output]:.2g} {unit} in {_OUTPUTS[freedom]}{where}"
+    return worst, f"{text}, {float(f'{worst:.2g}'):g} times the tolerance"

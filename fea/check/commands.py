@@ -30,6 +30,7 @@ from wrenchbook.fea.spec.mesh_source import UNITS
 from wrenchbook.fea.spec.problems import BundleError
 
 _SHOWN = 5  # frequencies that `condense` prints; the file has all
+_MAX_FIRST_NODE = 89_999_999  # of eight digits in Nastran: 10 million are left for frames and modes
 
 Reply = tuple[int, Mapping[str, Any], str]
 """The exit status, the line of JSON, and the text in its place."""
@@ -40,7 +41,8 @@ def check(options: argparse.Namespace) -> Reply:
     if options.schema:
         schema = json_schema()
         return 0, schema, json.dumps(schema, indent=2, ensure_ascii=False)
-    folder = options.folder or options.usage_error("name the FOLDER, or give --schema")
+    if not options.folder:
+        options.usage_error("name the FOLDER, or give --schema")
     riding = None
     try:
         if options.mass is not None:
@@ -49,11 +51,9 @@ def check(options: argparse.Namespace) -> Reply:
             raise ValueError("--inertia and --centre need --mass KG; add it")
     except ValueError as error:
         options.usage_error(str(error))
-    if options.plot is not None:
-        wanted = f"--plot {options.plot}: name a file that ends in .html"
-        _check_output(options, options.plot, (".html", ".htm"), wanted)
-    surface = surface_in(folder) if options.faces or options.plot else None
-    summary = report(folder, riding, options.nonlinear, surface)
+    _check_plot(options)
+    surface = surface_in(options.folder) if options.faces or options.plot else None
+    summary = report(options.folder, riding, options.nonlinear, surface)
     if surface is not None and options.plot is not None:
         figure = faces_figure(surface, summary["faces"])
         figure.write_html(options.plot, include_plotlyjs=True, post_script=_CLICK)
@@ -108,7 +108,7 @@ def condense(options: argparse.Namespace) -> Reply:
     """Write a part as stiffness and mass of its frames and modes."""
     wanted = f"{options.out}: name a file that ends in .npz, .pch (Nastran) or .mtx (Abaqus)"
     _check_output(options, options.out, (".npz", ".pch", ".mtx"), wanted)
-    if not (0 <= options.damping < 1 and 0 < options.first < 90_000_000):  # Nastran: eight digits
+    if not (0 <= options.damping < 1 and 0 < options.first <= _MAX_FIRST_NODE):
         options.usage_error("--damping must be a ratio such as 0.01, --first a number from 1")
     part = Solver(read_bundle(options.folder)).craig_bampton(options.modes)
     content = reduced.arrays(part, options.damping)
@@ -130,34 +130,32 @@ def condense(options: argparse.Namespace) -> Reply:
 
 def converge(options: argparse.Namespace) -> Reply:
     """Solve a part on finer meshes and write the study beside its component."""
-    if options.plot is not None:
-        wanted = f"--plot {options.plot}: name a file that ends in .html"
-        _check_output(options, options.plot, (".html", ".htm"), wanted)
+    _check_plot(options)
     bundle = read_bundle(options.folder)
     file = write(bundle, studied(bundle, options.finer))
     study = json.loads(file.read_text(encoding="utf-8"))
     if options.plot is not None:
         write_plot(study, options.plot)
-    # A line a mesh, the order, and what the component's mesh lacks of each response.
+    text = f"{_study_text(study)}\n{file}: error bars of this component take it from here"
+    return 0, {"file": str(file)} | study, text
+
+
+def _study_text(study: dict[str, Any]) -> str:
+    """Return a line a mesh, the order, and what the component's mesh lacks of each response."""
     rows = [("response, SI", study["outputs"])]
     for count, size, values in zip(study["nodes"], study["sizes"], study["values"], strict=True):
         rows.append((f"{count} nodes, {1e3 * size:.4g} mm", [f"{value:.6g}" for value in values]))
     if len(study["nodes"]) > 2:
-        for label, key, digits in (
-            ("order", "order", ".2g"),
-            ("at cells without size", "extrapolated", ".6g"),
-        ):
-            texts = ["none" if value is None else format(value, digits) for value in study[key]]
-            rows.append((label, texts))
+        order = ["none" if value is None else f"{value:.2g}" for value in study["order"]]
+        limit = ["none" if value is None else f"{value:.6g}" for value in study["extrapolated"]]
+        rows += [("order", order), ("at cells without size", limit)]
     else:
         rows.append(("two meshes do not show the order; give a third with --finer", []))
     pairs = zip(study["first_lacks"], study["values"][0], strict=True)
     rows.append(("the first mesh lacks", [f"{100 * lack / value:.2g} %" for lack, value in pairs]))
-    lines = [
+    return "\n".join(
         f"{label:<26}{''.join(f'{text:>13}' for text in texts)}".rstrip() for label, texts in rows
-    ]
-    lines.append(f"{file}: error bars of this component take it from here")
-    return 0, {"file": str(file)} | study, "\n".join(lines)
+    )
 
 
 def write_plot(study: dict[str, Any], page: Path) -> None:
@@ -173,6 +171,12 @@ def write_plot(study: dict[str, Any], page: Path) -> None:
     figure.update_xaxes(type="log", title="cell size, mm")
     figure.update_yaxes(type="log", title="off its limit, or the finest mesh, %")
     figure.write_html(page, include_plotlyjs=True)
+
+
+def _check_plot(options: argparse.Namespace) -> None:
+    if options.plot is not None:
+        wanted = f"--plot {options.plot}: name a file that ends in .html"
+        _check_output(options, options.plot, (".html", ".htm"), wanted)
 
 
 def _check_output(
@@ -226,13 +230,8 @@ def _parser() -> argparse.ArgumentParser:
 
     text = "Solve a part on finer meshes: order, limit, and the error of its mesh."
     add = command(converge, text, ValueError)
-    add(
-        "--finer",
-        type=Path,
-        action="append",
-        default=[],
-        help="a finer mesh with the same groups; once or twice, the finest last",
-    )
+    text = "a finer mesh with the same groups; once or twice, the finest last"
+    add("--finer", type=Path, action="append", default=[], help=text)
     add("--plot", type=Path, help="write errors over cell sizes as a page, .html")
     add("folder", type=Path, help="folder of the component bundle")
 

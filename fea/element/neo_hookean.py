@@ -12,10 +12,8 @@ at small strains: with C = I + 2 E
     S = 2 mu J^(-2/3) C^-1 dev(E) + p J C^-1,        p = kappa (J - 1).
 
 Third derivatives along strains E_a: with X_a = C^-1 E_a, t_a = tr X_a, p_ab = tr(X_a X_b) and
-q_abc = tr(X_a X_b X_c), ln J has t_a, -2 p_ab and 8 q_abc; so J has J_a = J t_a,
-J_ab = J (t_a t_b - 2 p_ab), J_abc = J (t_a t_b t_c - 2 sum p_ab t_c + 8 q_abc), J^(-2/3) likewise
-with ln J times -2/3, and tr C has 2 tr E_a alone. W's are those of its two products, with
-sum J_ab kappa J_c + p J_abc of the second.
+q_abc = tr(X_a X_b X_c), ln J has t_a, -2 p_ab and 8 q_abc, from which those of J and J^(-2/3)
+follow, and tr C has 2 tr E_a alone. `third_of_law` has those of W.
 
 Cells that project (`fea.element.pressure_projection`) take the projection of J - 1 in lambda's part
 of kappa = lambda + 2 mu/3, as isotropic cells do with tr(E): the mean dilatation of Simo, Taylor
@@ -54,6 +52,13 @@ class NeoHookeanStiffness(IsotropicStiffness):
 
 
 class _State(DenseState):
+    """Strains and stresses of a few cells; see `CellState` for H, F, E and wS.
+
+    growth, J, mean_C, inverse: J - 1 with all its digits, J, tr C / 3 and C^-1, dimensionless.
+    scale, pressure, deviatoric: mu J^(-2/3), p and S without p, times the weights, Pa m^3.
+    Shapes: (cells, points), with (3, 3) of matrices; shear and first_lame (cells, 1), Pa.
+    """
+
     def __init__(self, cells: NeoHookeanStiffness, part: Which, displacement: Array) -> None:
         super().__init__(cells.gradients, part, displacement)
         self._cells, self._part = cells, part
@@ -65,6 +70,7 @@ class _State(DenseState):
         self.growth = trace + minors + np.linalg.det(self.H)  # J - 1
         self.J = 1.0 + self.growth
         self.inverse = np.linalg.inv(np.eye(3) + 2.0 * self.E)
+        self.mean_C = 1.0 + 2.0 / 3.0 * np.trace(self.E, axis1=-2, axis2=-1)
         # A cell turned inside out has no energy: not a number, which Newton's method takes as such.
         with np.errstate(invalid="ignore", divide="ignore"):
             self.scale = self.weights * self.shear * np.exp(-2.0 / 3.0 * np.log1p(self.growth))
@@ -95,19 +101,28 @@ class _State(DenseState):
         return self._at_pressure(strain) + _times(self._pressure(growth) * self.J, self.inverse)
 
     def third_of_law(self, fields: Array, strain: Array) -> Array:
-        """Return the third derivatives of W along strains, see the module: shape (k, k, k), J."""
+        """Return the third derivatives of W along strains: shape (k, k, k), J.
+
+        With g = mu J^(-2/3), m = tr C / 3, s_a = tr E_a, P_a = J kappa J t_a and the module's t_a,
+        p_ab and q_abc they are, integrated, with sums over the three choices of c:
+            8 (p J - g m) q_abc + sum t_a t_b ((p J - 4/9 g m) t_c / 3 + 4/9 g s_c + P_c)
+            + sum p_ab (4/3 g (s_c - m t_c) - 2 (p J t_c + P_c))
+        """
+        # X_a, X_a X_b, and the traces t_a, s_a and p_ab
         count, X = len(fields), self.inverse @ strain
         rows = X.swapaxes(-1, -2).reshape(count, -1)
         XX = X[:, None] @ X
         t, s, p = (np.trace(tensor, axis1=-2, axis2=-1) for tensor in (X, strain, XX))
-        third = self.scale * (1.0 + 2.0 / 3.0 * np.trace(self.E, axis1=-2, axis2=-1))  # tr C / 3
-        pressed, P = self.pressure * self.J, self.J * self._pressure(self.J * t)
-        along = (pressed - 4.0 / 9.0 * third) / 3.0 * t + 4.0 / 9.0 * self.scale * s + P
-        twice = 4.0 / 3.0 * (self.scale * s - third * t) - 2.0 * (pressed * t + P)
-        local = _times(8.0 * (pressed - third), XX).reshape(count, count, -1) @ rows.T
+        # g m, p J and P_c times the weights, and the factors of t_a t_b and of p_ab
+        gm, pJ = self.scale * self.mean_C, self.pressure * self.J
+        P = self.J * self._pressure(self.J * t)
+        of_tt = (pJ - 4.0 / 9.0 * gm) / 3.0 * t + 4.0 / 9.0 * self.scale * s + P
+        of_p = 4.0 / 3.0 * (self.scale * s - gm * t) - 2.0 * (pJ * t + P)
+        # The term of q_abc, which is symmetric, and the sums over the points of the other two
+        of_q = _times(8.0 * (pJ - gm), XX).reshape(count, count, -1) @ rows.T
         pairs = np.stack([t[:, None] * t, p]).reshape(2, count, count, -1)
-        sums = pairs @ np.stack([along, twice]).reshape(2, 1, count, -1).swapaxes(-1, -2)
-        return local + symmetrised(np.asarray(sums.sum(axis=0)))
+        sums = pairs @ np.stack([of_tt, of_p]).reshape(2, 1, count, -1).swapaxes(-1, -2)
+        return of_q + symmetrised(np.asarray(sums.sum(axis=0)))
 
     def _pressure(self, growth: Array) -> Array:
         """Return the pressure of J - 1, shape (..., cells, points), times the weights."""
@@ -128,20 +143,17 @@ class _State(DenseState):
         """Return the change with E of the stress that keeps no volume."""
         inside = self.inverse @ strain @ self.inverse
         along = np.sum(self.inverse * strain, axis=(-2, -1))
-        third = 1.0 + 2.0 / 3.0 * np.trace(self.E, axis1=-2, axis2=-1)  # tr C / 3
         trace = np.trace(strain, axis1=-2, axis2=-1)
-        deviatoric = _times(third, inside) - _times(along / 3.0, np.eye(3))
-        deviatoric += _times(third * along / 3.0 - trace / 3.0, self.inverse)
+        deviatoric = _times(self.mean_C, inside) - _times(along / 3.0, np.eye(3))
+        deviatoric += _times(self.mean_C * along / 3.0 - trace / 3.0, self.inverse)
         return 2.0 * _times(self.scale, deviatoric)
 
     def moduli(self) -> Array:
         strains = np.broadcast_to(UNIT_STRAINS[:, None, None], (6, *self.E.shape))
-        if self.modes is None:
-            changes = self.weighted_change(strains)
-        else:  # a projected pressure has no modulus at a point: see `tangent`
-            growth = self.J * np.sum(self.inverse * strains, axis=(-2, -1))
-            pressed = _times(self._local_pressure(growth) * self.J, self.inverse)
-            changes = self._at_pressure(strains) + pressed
+        # A projected pressure has no modulus at a point: see `tangent`.
+        pressure = self._pressure if self.modes is None else self._local_pressure
+        growth = self.J * np.sum(self.inverse * strains, axis=(-2, -1))
+        changes = self._at_pressure(strains) + _times(pressure(growth) * self.J, self.inverse)
         return np.moveaxis(changes[..., ROWS, COLUMNS], 0, -1)
 
     def tangent(self, out: Array) -> None:
@@ -157,8 +169,7 @@ class _State(DenseState):
 
         J^(-2/3) tr C / 3 = det(I + 2 e)^(-1/3), and det(I + 2 e) = 1 - 2 e:e + 8 det e.
         """
-        third = 1.0 + 2.0 / 3.0 * np.trace(self.E, axis1=-2, axis2=-1)
-        e = _times(1.0 / third, _deviator(self.E))
+        e = _times(1.0 / self.mean_C, _deviator(self.E))
         less = 8.0 * np.linalg.det(e) - 2.0 * np.sum(e * e, axis=(-2, -1))
         density = 1.5 * self.shear * np.expm1(-np.log1p(less) / 3.0)
         density = np.where(self.J > 0.0, density, np.nan)

@@ -45,7 +45,6 @@ _ONE_THREAD = ThreadpoolController().wrap(limits=1, user_api="blas")
 Leaf = Callable[[int], Array]
 """Gives the matrix of a leaf by its number, its unknowns in the order of the substructure's."""
 
-
 _WIDTH = 256
 """Unknowns in a block column, about; wide enough for BLAS (measured level from 192 to 384)."""
 
@@ -69,14 +68,19 @@ class Condensed(NamedTuple):
         return self.starts[column], self.blocks[column]
 
 
+class _Stretch(NamedTuple):
+    # Unknowns with consecutive indices, in one block column of the child and one of the parent.
+    low: int  # first unknown of the child
+    high: int  # last + 1
+    to: int  # index of the first in the parent
+
+
 class Route(NamedTuple):
     """Where what a child hands on goes in its parent."""
 
     indices: Array  # shape (n,), ascending: of the child's unknowns among the m + b of the parent
     pivots: int  # number of those eliminated in the parent
-    # First, last + 1 and index of the first: unknowns with consecutive indices, in one block column
-    # of the child and one of the parent, in their order.
-    stretches: list[tuple[int, int, int]]
+    stretches: list[_Stretch]  # in their order
 
 
 def columns_of(unknowns: int) -> list[int]:
@@ -124,7 +128,7 @@ def route(part: Condensed, indices: Array, eliminated: int, boundary: int) -> Ro
         bounds.update(indices.searchsorted([eliminated + column for column in columns]).tolist())
     ordered = sorted(bounds)
     firsts = indices[ordered[:-1]].tolist()
-    return Route(indices, pivots, list(zip(ordered, ordered[1:], firsts, strict=False)))
+    return Route(indices, pivots, list(map(_Stretch, ordered, ordered[1:], firsts)))
 
 
 def add_to_pivots(A: Array, B: Array, part: Condensed, way: Route) -> None:
@@ -137,20 +141,20 @@ def add_to_pivots(A: Array, B: Array, part: Condensed, way: Route) -> None:
     B: shape (m, b), N/m: the same with the boundary.
     part, way: of the child.
     """
-    indices, count, stretches = way
+    indices, pivots, stretches = way
     across = [
-        (slice(low - count, high - count), slice(to - len(A), to - len(A) + high - low))
+        (slice(low - pivots, high - pivots), slice(to - len(A), to - len(A) + high - low))
         for low, high, to in stretches
-        if low >= count
+        if low >= pivots
     ]
     for low, high, to in stretches:
-        if low >= count:
+        if low >= pivots:
             break
         a, block = part.holding(low)
         target = slice(to, to + high - low)
         update = block[low - a :, low - a : high - a]
-        A[indices[low:count], target] -= update[: count - low]
-        below = update[count - low :]
+        A[indices[low:pivots], target] -= update[: pivots - low]
+        below = update[pivots - low :]
         for source, column in across:
             B[target, column] -= below[source].T
 
@@ -172,7 +176,7 @@ _SINGLE_PIVOT = 5e-3
 
 
 class NotDefinite(ArithmeticError):  # noqa: N818 - a finding about the matrix
-    """A pivot block is not positive definite."""
+    """A pivot block is not positive definite, or its pivot ratio too small for single precision."""
 
 
 class MultifrontalFactor:
@@ -181,14 +185,16 @@ class MultifrontalFactor:
     dissection: the order of elimination.
     leaf: gives the matrix of each leaf, N/m; called when the leaf is due, so that few are in
     memory.
-    single: in half the memory; solves are to be refined. Raises NotDefinite where a pivot ratio is
-    below _SINGLE_PIVOT.
+    single: in half the memory; solves are to be refined. Raises NotDefinite if the matrix is not
+    definite or a pivot ratio is below _SINGLE_PIVOT.
+
+    Its attributes:
     definite: whether the matrix is positive definite.
     pivot_ratio: the least ratio of a pivot to the diagonal entry it came from: what elimination
     left of the stiffness there. Near roundoff it says that some motion has no stiffness. 0 if the
     matrix is not definite.
     weakest: position of the unknown with that ratio.
-    diagonal: shape (unknowns,): that of the matrix.
+    diagonal: shape (unknowns,), N/m: that of the matrix.
     """
 
     @_ONE_THREAD
@@ -225,12 +231,11 @@ class MultifrontalFactor:
         """
         scale = np.abs(loads).max(axis=0, initial=1e-300) if self._single else 1.0  # less range
         x = np.array(loads / scale, dtype=np.float32 if self._single else float, order="C")
-        for part, front in zip(self._dissection.substructures, self._fronts, strict=True):
+        fronts = list(zip(self._dissection.substructures, self._fronts, strict=True))
+        for part, front in fronts:
             if part.eliminated:
                 front.forward(x, part)
-        for part, front in zip(
-            self._dissection.substructures[::-1], self._fronts[::-1], strict=True
-        ):
+        for part, front in reversed(fronts):
             if part.eliminated:
                 front.backward(x, part)
         return x * scale

@@ -56,7 +56,7 @@ class LoadPath:
     progress: called with the fraction done and a message.
     unloaded: the equilibrium at no wrench, under self-weight (`hang`); None without.
     history: all iterations, those of steps taken back as well.
-    work: External work so far, J.
+    work: external work so far, J.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class LoadPath:
         self._system = system
         self._wrench = wrench
         self._size = float(np.abs(wrench).max())
-        self._direction = wrench / self._size  # its squares do not overflow
+        self._direction = wrench / self._size  # in its units; its squares do not overflow
         self._progress = progress
         self.history: list[Iteration] = []
         self.work = 0.0
@@ -83,19 +83,21 @@ class LoadPath:
     ) -> Equilibrium:
         """Step to the full wrench.
 
-        check: called with each converged balance; raises SolveFailed to stop.
+        check: called once with each converged balance on the path; raises SolveFailed to stop.
         guess: a state near the equilibrium, such as that of a nearby wrench. What it leads to must
         pass as one step from no load to the full; else it is as if there were no guess.
-        Raises SolveFailed: ``not_converged``, ``snap_through`` or ``ill_conditioned``, or what
-        `check` raises; with the history and the last state.
+        Raises SolveFailed: ``not_converged``, ``snap_through``, ``inverted_elements`` or
+        ``ill_conditioned``; ``mechanism`` if the interface moves freely; or what `check` raises.
+        The caller attaches `history` and `last_state` to it.
         """
         try:
             equilibrium = None if guess is None else self._try_guess(guess)
+            if equilibrium is not None:  # at the full load
+                check(equilibrium.balance)
             while equilibrium is None or self._factor < 1.0:
                 equilibrium = self._try_step()
                 if equilibrium is not None:
                     check(equilibrium.balance)
-            check(equilibrium.balance)
             return equilibrium
         except _Refused as refused:
             failure = refused.failure
@@ -170,9 +172,8 @@ class LoadPath:
             )
         except Stuck as stuck:
             if stuck.at_roundoff:
-                raise SolveFailed(
-                    "ill_conditioned", f"At load factor {target:.3g}, {stuck}."
-                ) from None
+                message = f"At load factor {target:.3g}, {stuck}."
+                raise SolveFailed("ill_conditioned", message) from None
             self._halve(str(stuck))
             return None
         if equilibrium.balance.least_stretch <= 0:
@@ -199,11 +200,8 @@ class LoadPath:
         # The factor as a cubic in the advance, by its values and slopes at both ends, integrated.
         mean = 0.5 * (self._factor + target) + advance * (1 / start - 1 / end) / 12
         self.work += self._size * advance * mean
-        self._balance, self._tangent, self._factor = (
-            equilibrium.balance,
-            equilibrium.tangent,
-            target,
-        )
+        self._balance, self._tangent = equilibrium.balance, equilibrium.tangent
+        self._factor = target
         if equilibrium.iterations <= _FEW_ITERATIONS:
             self._step *= GROWTH
 
@@ -226,11 +224,11 @@ class LoadPath:
         return self._slope(self._tangent) / self._slope(self._system.undeformed)
 
     def _slope(self, tangent: Linearisation) -> float:
-        """Advance of the interface along the wrench's direction per unit of the load factor."""
+        """Rate of `_advance` by the load factor, J."""
         return float(self._direction @ tangent.conjugate_rate(self._wrench))
 
     def _advance(self, equilibrium: Equilibrium) -> float:
-        """Advance in a step, conjugate to the wrench: translation and spin along its direction."""
+        """Work of inputs `_direction` in a step, J; see `Linearisation.conjugate_rate`."""
         ends = (self._balance.state.interface, equilibrium.balance.state.interface)
         advance: list[Array] = []
         for before, after in zip(*(each_interface(end) for end in ends), strict=True):
@@ -267,7 +265,7 @@ def hang(
     check: as of `LoadPath.follow`.
     cause: the weight's name in messages.
     start: the equilibrium without the weight, of bolts that are tightened; None without.
-    Raises SolveFailed as `LoadPath.follow` does, the weight in place of the wrench.
+    Raises SolveFailed as `LoadPath.follow` does, the weight in place of the wrench; it has `last`.
     """
     assert system.weight is not None
     further = system.weight[:, :, None]

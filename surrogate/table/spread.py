@@ -17,20 +17,21 @@ ALL_CORNERS = 12  # inputs: 4,096 corners; of more inputs so many corners, evenl
 # Of each load's half range: the error of a joint's wrench, stiffness times error bars, that a fill
 # for a joint allows. A stiff freedom asks more of its bar than the tolerance does.
 FORCE_ERROR = 0.05
+_ROOT_STEPS = 60  # 30 reach the last bit: each leaves at most 0.31 of the error (one dimension)
 SLOPE_ROUNDING = 1e-10  # of the largest eigenvalue: a kriging's slopes are right to some 1e-11
 
 
 def _spread(count: int, dimensions: int, start: int = 0) -> Floats:
-    """Return points of the unit cube, shape (count, dimensions)."""
+    """Return points of the unit cube, shape (count, dimensions), from number `start` on."""
     root = 2.0  # the root of x^(d + 1) = x + 1, by which the recurrence steps
-    for _ in range(60):
+    for _ in range(_ROOT_STEPS):
         root = (1 + root) ** (1 / (dimensions + 1))
     step = root ** -np.arange(1.0, dimensions + 1)
     return (0.5 + np.arange(start, start + count)[:, None] * step) % 1.0
 
 
 def spread_wrenches(span: LoadRange, count: int, start: int = 1) -> Floats:
-    """Return `count` evenly spread wrenches of a span, shape (count, 6), N and N·m."""
+    """Return evenly spread wrenches of a span of n inputs, shape (count, n), SI."""
     vary = np.flatnonzero(span.high > span.low)
     fraction = _spread(count, len(vary), start)
     wrenches = np.tile(span.low, (count, 1))
@@ -39,11 +40,12 @@ def spread_wrenches(span: LoadRange, count: int, start: int = 1) -> Floats:
 
 
 def sample_of(ends: Floats, centre: Floats, indices: NDArray[np.intp]) -> Floats:
-    """Return corners of a load range, shape (2, n), and wrenches within it, shape (m, n).
+    """Return corners of a load range and `INSIDE` wrenches within it, shape (count, n), SI.
 
-    Inputs at other indices are those of `centre`, shape (n,).
+    `ends`, (2, n), are low and high loads; inputs at other indices are those of `centre`, (n,).
     """
-    (low, high), count = ends, len(indices)
+    low, high = ends
+    count = len(indices)
     corners = np.array(list(product((0.0, 1.0), repeat=min(count, ALL_CORNERS))))
     if count > ALL_CORNERS:
         corners = np.round(_spread(len(corners), count))
@@ -56,8 +58,8 @@ def sample_of(ends: Floats, centre: Floats, indices: NDArray[np.intp]) -> Floats
 def weakest(compliances: Floats, scale: Floats) -> tuple[Floats, Floats]:
     """Return the least eigenvalue (k,), J, of compliances (k, n, n), SI, and its loads (k, n).
 
-    Loads are over `scale`, (n,), the largest 1. Below zero the part moves against them; NaN where a
-    compliance is not known.
+    Compliances are scaled by `scale`, (n,), SI; the loads are over it, the largest 1. Below zero
+    the part moves against them; NaN where a compliance is not known.
     """
     least, loads = np.full(len(compliances), np.nan), np.full(compliances.shape[:2], np.nan)
     known = np.isfinite(compliances).all(axis=(1, 2))

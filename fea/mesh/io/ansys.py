@@ -5,20 +5,24 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from wrenchbook.fea.mesh.io.raw import Case, Translated
 from wrenchbook.fea.spec.problems import MeshFileError
 
 # SOLID elements by number: hexahedra, which may be collapsed, and tetrahedra.
 _HEX, _TET = ("45", "185", "95", "186"), ("92", "187", "285")
-_SKIPPED = {"CE", "CP", "SFE", "SF", "BF", "BFE", "TB", "ACEL", "RBE3", "CERIG", "OMEGA"}
-_SKIPPED |= {"DA", "DK", "DL", "FK", "SFA", "SFL", "SFGRAD", "BFA", "BFK", "BFL", "BFV", "BFUNIF"}
-_SKIPPED |= {"TUNIF", "CMACEL", "CMOMEGA", "DOMEGA", "INISTATE"}
-_SKIPPED |= {"CEINTF", "CPINTF", "DSYM", "EKILL", "FCUM", "DCUM", "FSCALE", "DSCALE", "NROTAT"}
+_SKIPPED = {"CE", "CEINTF", "CERIG", "CP", "CPINTF", "DSYM", "NROTAT", "RBE3"}  # constraints, axes
+_SKIPPED |= {"DA", "DK", "DL", "FK", "SF", "SFA", "SFE", "SFGRAD", "SFL"}  # on geometry and faces
+_SKIPPED |= {"BF", "BFA", "BFE", "BFK", "BFL", "BFUNIF", "BFV", "TUNIF"}  # temperature, body loads
+_SKIPPED |= {"ACEL", "CMACEL", "CMOMEGA", "DOMEGA", "OMEGA"}  # acceleration and rotation
+_SKIPPED |= {"DCUM", "DSCALE", "FCUM", "FSCALE"}  # factors of later loads
+_SKIPPED |= {"EKILL", "INISTATE", "TB"}  # no stiffness, initial stresses, further laws
 _SELECTIONS = {"NSEL", "NSLE", "NSLA", "NSLL", "NSLK", "NSLV", "CMSEL", "ALLSEL"}
 _CONSTANTS = {"EX": "E", "NUXY": "NU", "PRXY": "NU", "DENS": "DENSITY", "ALPX": "EXPANSION"}
 _FREEDOMS = {"UX": "1", "UY": "2", "UZ": "3", "ROTX": "4", "ROTY": "5", "ROTZ": "6"}
 _FREEDOMS |= {"ALL": "123456", "FX": "1", "FY": "2", "FZ": "3", "MX": "4", "MY": "5", "MZ": "6"}
+_MATERIAL, _TYPE, _NODE_COUNT, _ELEMENT, _FIRST_NODE = 0, 1, 8, 10, 11  # fields of EBLOCK's rows
 
 # Indices of a collapsed hexahedron's nodes, by which of its corners are one node.
 _WEDGE = [0, 1, 2, 4, 5, 6, 8, 9, 11, 12, 13, 15, 16, 17, 18]
@@ -26,16 +30,20 @@ _PYRAMID = [*range(5), *range(8, 12), *range(16, 20)]
 _TETRAHEDRON = [0, 1, 2, 4, 8, 9, 11, 16, 17, 18]
 
 
+class _Type(NamedTuple):
+    name: str  # such as 186
+    is_full: bool  # by its option 2: full integration
+
+
 @dataclass
 class _Archive(Translated):
     """A deck in the making, and the state of an archive that is read.
 
-    `types` are the name and whether full integration is asked for by the number of a type; `held`
-    and `forces` are values by node and freedom; `selected` is whether nodes are selected that the
-    archive does not list, `branches` the number of open *IF.
+    `types` are by number, `held` and `forces` values by node and freedom; `selected` is whether
+    nodes are selected that the archive does not list, `branches` the number of open *IF.
     """
 
-    types: dict[str, tuple[str, bool]] = field(default_factory=dict)
+    types: dict[str, _Type] = field(default_factory=dict)
     materials: dict[str, dict[str, str]] = field(default_factory=dict)
     parameters: dict[str, str] = field(default_factory=dict)
     held: dict[tuple[str, str], float] = field(default_factory=dict)
@@ -58,7 +66,7 @@ def read_ansys(text: str) -> Translated:
     """
     archive = _Archive(nonlinear=bool(re.search(r"^\s*NLGEOM\s*,\s*(ON|1)", text, re.I | re.M)))
     lines = enumerate(text.splitlines(), start=1)
-    rows = (row for _, row in lines)
+    rows = (row for _, row in lines)  # the loop's iterator: it goes on behind the rows of a block
     for number, line in lines:
         for command in line.split("!")[0].split("$"):
             word, *fields = (each.strip().upper() for each in command.split(","))
@@ -82,37 +90,50 @@ def _take_command(archive: _Archive, word: str, fields: list[str]) -> None:
     if assigned := re.fullmatch(r"(\w+)\s*=\s*(.+)", word):
         word, fields = "*SET", [assigned[1], assigned[2]]
     values = [archive.parameters.get(each, each) for each in fields]
-    if word == "*SET":
+    if word == "*SET":  # *SET,Par,VALUE
         archive.parameters[fields[0]] = "".join(values[1:2])
-    elif word == "ET":
-        archive.types[values[0]] = re.sub(r"\D", "", values[1]), values[3:4] == ["1"]
-    elif word.startswith("KEYOP") and values[1:3] == ["2", "1"]:  # option 2: full integration
-        archive.types[values[0]] = archive.types[values[0]][0], True
+    elif word == "ET":  # ET,ITYPE,Ename,KOP1,KOP2,...
+        archive.types[values[0]] = _Type(re.sub(r"\D", "", values[1]), values[3:4] == ["1"])
+    elif word.startswith("KEYOP") and values[1:3] == ["2", "1"]:  # KEYOPT,ITYPE,KNUM,VALUE
+        archive.types[values[0]] = archive.types[values[0]]._replace(is_full=True)
     elif word in ("MP", "MPDATA"):
         _take_constant(archive, word, values)
     elif word in ("D", "F", "DDELE", "FDELE"):
         _take_on_nodes(archive, word, values)
+    else:
+        _take_control(archive, word, fields)
+
+
+def _take_control(archive: _Archive, word: str, fields: list[str]) -> None:
+    """Take a command of load steps, conditions or selections; count commands that are skipped."""
+    if word == "LSCLEAR" and fields[:1] in (["FE"], ["ALL"]):  # LSCLEAR,Lab
+        archive.held, archive.forces = {}, {}
+    elif word in ("*IF", "*ENDIF"):  # *IF,VAL1,Oper1,VAL2,THEN; without THEN no *ENDIF follows
+        archive.branches += -1 if word == "*ENDIF" else "THEN" in fields
     elif word in ("LSWRITE", "SOLVE"):
         archive.end_step(f"LOAD STEP {len(archive.cases) + 1}")
-    elif word in _SELECTIONS:
+    elif word in _SELECTIONS:  # NSEL,Type,...; CMSEL,Type,...; of Type ALL nothing is left out
         archive.selected = word != "ALLSEL" and fields[:1] != ["ALL"]
     elif word in _SKIPPED:
         archive.skipped[word] += 1
 
 
+# NBLOCK,NUMFIELD,Solkey,NDMAX,NDSEL; a format such as (3i9,6e21.13e3); rows of number, two fields
+# of the geometry, x, y, z and three angles, zeros at the end left out; -1 or N,R5.3,LOC,-1
 def _take_nodes(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
-    """Take nodes by a format such as (3i9,6e21.13e3): number, coordinates, angles of axes."""
     ints, width, size = map(int, re.findall(r"(\d+)[iI](\d+),\d+[eE](\d+)", next(rows))[0])
     for row in rows:
         if not row[:width].strip().isdigit():
             return
         start = ints * width
         values = [row[start + i * size : start + (i + 1) * size].strip() or "0" for i in range(6)]
-        archive.nodes.append(f"{row[:width].strip()}, {', '.join(values[:3])}")
-        if any(map(float, values[3:])):
+        x, y, z, *angles = values
+        archive.nodes.append(f"{row[:width].strip()}, {x}, {y}, {z}")
+        if any(map(float, angles)):
             archive.skipped["nodes with local axes"] += 1
 
 
+# ETBLOCK,NUM,MAX; a format such as (2i9,19a9); rows of ITYPE, Ename, KOP1, KOP2, ...; -1
 def _take_types(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
     """Take element types with their options, of newer archives."""
     widths = re.findall(r"i(\d+),\d+a(\d+)", next(rows).lower())[0]
@@ -120,25 +141,27 @@ def _take_types(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
         number, *fields = _fixed(row, int(widths[0]))
         if number == "-1":
             return
-        archive.types[number] = fields[0], fields[2:3] == ["1"]
+        archive.types[number] = _Type(fields[0], fields[2:3] == ["1"])
 
 
+# EBLOCK,19,SOLID,MAX,NUM; a format such as (19i8); rows of eleven fields, among them the named, and
+# up to eight nodes, further nodes in a second row; -1
 def _take_elements(archive: _Archive, fields: list[str], rows: Iterator[str]) -> None:
     if fields[:2] != ["19", "SOLID"]:
         raise ValueError("it must have the form 19,SOLID; write the archive with CDWRITE,DB")
     width = int(re.findall(r"[iI](\d+)", next(rows))[0])
-    for row in rows:  # 0 the material, 1 the type, 8 the count of nodes, 10 the element, 11 nodes
+    for row in rows:
         numbers = _fixed(row, width)
         if numbers[0] == "-1":
             return
-        nodes = numbers[11:]
-        while len(nodes) < int(numbers[8]):
+        nodes = numbers[_FIRST_NODE:]
+        while len(nodes) < int(numbers[_NODE_COUNT]):
             nodes += _fixed(next(rows), width)
-        if numbers[1] not in archive.types:
+        if numbers[_TYPE] not in archive.types:
             known = ", ".join(archive.types) or "none"
-            raise ValueError(f"no ET above defines the type {numbers[1]}; there are {known}")
-        kind, is_full = archive.types[numbers[1]]
-        _take_cell(archive, kind, is_full, f"MAT_{numbers[0]}", [numbers[10], *nodes])
+            raise ValueError(f"no ET above defines the type {numbers[_TYPE]}; there are {known}")
+        kind, region = archive.types[numbers[_TYPE]], f"MAT_{numbers[_MATERIAL]}"
+        _take_cell(archive, kind, region, numbers[_ELEMENT], nodes)
 
 
 def _fixed(row: str, width: int) -> list[str]:
@@ -146,17 +169,13 @@ def _fixed(row: str, width: int) -> list[str]:
     return [row[i : i + width].strip() for i in range(0, len(row.rstrip()), width)]
 
 
-def _take_cell(
-    archive: Translated, kind: str, is_full: bool, region: str, numbers: list[str]
-) -> None:
-    """Take a cell by the numbers of it and its nodes; a collapsed hexahedron is a cell of fewer."""
-    number, *nodes = numbers
-    if kind not in (*_HEX, *_TET):
-        archive.skipped[f"elements of type {kind}"] += 1
+def _take_cell(archive: _Archive, kind: _Type, region: str, number: str, nodes: list[str]) -> None:
+    """Take a cell; a hexahedron with nodes of the same number is a cell with fewer nodes."""
+    if kind.name not in (*_HEX, *_TET):
+        archive.skipped[f"elements of type {kind.name}"] += 1
         return
     archive.sections[region] = region
-    collapsed = (nodes[2] == nodes[3], nodes[4] == nodes[5]) if kind in _HEX else (False, False)
-    if any(collapsed):
+    if kind.name in _HEX and any(collapsed := (nodes[2] == nodes[3], nodes[4] == nodes[5])):
         indices = {(True, True): _TETRAHEDRON, (True, False): _WEDGE}.get(collapsed, _PYRAMID)
         nodes = [nodes[i] for i in indices if i < len(nodes)]
     corners = {10: 4, 13: 5, 15: 6, 20: 8}.get(len(nodes), len(nodes))
@@ -164,30 +183,33 @@ def _take_cell(
         raise ValueError(f"element {number} has too few corners")
     if set(nodes[corners:]) == {"0"}:
         nodes = nodes[:corners]
-    integration = "R" if len(nodes) == 20 and not is_full else ""
+    integration = "R" if len(nodes) == 20 and not kind.is_full else ""
     archive.elements[f"C3D{len(nodes)}{integration}", region].append([number, *nodes])
 
 
+# CMBLOCK,Cname,Entity,NUMITEMS; a format such as (8i10); rows of numbers, a negative ends a range
 def _take_component(archive: _Archive, fields: list[str], rows: Iterator[str]) -> None:
-    """Take a component of nodes; a negative number ends a range."""
     width, count = int(re.findall(r"[iI](\d+)", next(rows))[0]), int(fields[2])
     numbers: list[int] = []
     while len(numbers) < count:
         numbers += map(int, _fixed(next(rows), width))
-    if not fields[1].startswith("NODE"):
-        archive.skipped[f"component {fields[0]} of elements"] += 1
+    name, entity, *_ = fields
+    if not entity.startswith("NODE"):
+        archive.skipped[f"component {name} of elements"] += 1
         return
-    members = archive.groups[fields[0]]
+    members = archive.groups[name]
     for number in numbers:
         first = number if number > 0 else int(members[-1]) + 1
         members += map(str, range(first, abs(number) + 1))
 
 
+# MP,Lab,MAT,C0,C1,... and MPDATA,R5.0,LENGTH,Lab,MAT,STLOC,VAL1,..., STLOC the position of VAL1
 def _take_constant(archive: _Archive, word: str, fields: list[str]) -> None:
-    label, name, value, *more = fields if word == "MP" else (*fields[2:4], *fields[5:])
-    constants = archive.materials.setdefault(f"MAT_{int(name)}", {})
+    position, fields = (["1"], fields) if word == "MP" else (fields[4:5], fields[2:4] + fields[5:])
+    label, number, value, *more = fields
+    constants = archive.materials.setdefault(f"MAT_{int(number)}", {})
     if label in _CONSTANTS:
-        if word == "MP" or int(fields[4]) == 1:  # else a table's later rows
+        if int(position[0]) == 1:  # else a table's later rows
             constants[_CONSTANTS[label]] = value
         first = constants.get(_CONSTANTS[label], "")
         if any(each != first for each in (value, *more) if each):
@@ -196,13 +218,15 @@ def _take_constant(archive: _Archive, word: str, fields: list[str]) -> None:
         archive.skipped["orthotropic constants"] += 1
 
 
+# D,NODE,Lab,VALUE,VALUE2,NEND,NINC,Lab2,...,Lab6 and F,NODE,Lab,VALUE,VALUE2,NEND,NINC
+# DDELE,NODE,Lab,NEND,NINC and FDELE,NODE,Lab,NEND,NINC
 def _take_on_nodes(archive: _Archive, word: str, fields: list[str]) -> None:
     """Set or remove (DDELE, FDELE) what acts on a node, on each from it to NEND, or on a group."""
     if archive.branches:
         raise ValueError("it is inside *IF; write the lines that apply, without the condition")
     node, label, *values = (*fields, *[""] * 9)
     removes, acting = word.endswith("DELE"), archive.held if word[0] == "D" else archive.forces
-    last, step = values[:2] if removes else values[2:4]
+    value, _, last, step, *further = ("", "", *values) if removes else values
     nodes = archive.groups.get(node, [])
     if node.isdigit():
         nodes = [str(i) for i in range(int(node), int(last or node) + 1, int(step or 1))]
@@ -210,35 +234,19 @@ def _take_on_nodes(archive: _Archive, word: str, fields: list[str]) -> None:
         nodes = [row.partition(",")[0] for row in archive.nodes]
     elif not nodes:
         raise ValueError(f"{node} names nodes that are not listed; write their numbers")
-    labels = [label or "ALL", *filter(None, values[4:] if word == "D" else ())]
+    labels = [label or "ALL", *filter(None, further if word == "D" else ())]
     if not _FREEDOMS.keys() >= {*labels}:
         archive.skipped[f"{word} of {', '.join(labels)}"] += 1
     ways = "".join(_FREEDOMS.get(each, "") for each in labels)
     for target in ((each, way) for each in nodes for way in ways):
         acting.pop(target, None)
         if not removes:
-            acting[target] = float(values[0] or 0)
-    if word == "D" and ways and float(values[0] or 0) != 0.0:
+            acting[target] = float(value or 0)
+    if word == "D" and ways and float(value or 0) != 0.0:
         archive.skipped["D with a motion that is not 0"] += 1
 
 
-def _clear(archive: _Archive, fields: list[str], _: Iterator[str]) -> None:
-    if fields[:1] in (["FE"], ["ALL"]):
-        archive.held, archive.forces = {}, {}
-
-
-def _begin_branch(archive: _Archive, fields: list[str], _: Iterator[str]) -> None:
-    archive.branches += "THEN" in fields
-
-
-def _end_branch(archive: _Archive, _fields: list[str], _rows: Iterator[str]) -> None:
-    archive.branches -= 1
-
-
 _BLOCKS = {
-    "LSCLEAR": _clear,
-    "*IF": _begin_branch,
-    "*ENDIF": _end_branch,
     "ETBLOCK": _take_types,
     "NBLOCK": _take_nodes,
     "EBLOCK": _take_elements,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 from weakref import WeakKeyDictionary, WeakValueDictionary
 
 import numpy as np
@@ -33,6 +33,12 @@ _PGS = int(engine.mjtSolver.mjSOL_PGS)  # to compare with an enumeration takes 0
 # The joints of each MjData by the first freedom of each tip and their id: a step is of all tips.
 _Registered: TypeAlias = "WeakValueDictionary[tuple[int, int], MujocoJoint]"
 _JOINTS: WeakKeyDictionary[Data, _Registered] = WeakKeyDictionary()
+
+
+class _Law(NamedTuple):  # of f free freedoms in a step: the wrench is force + slope @ velocity
+    force: Vector  # (f,), N and N·m
+    slope: Vector  # (f, f), these per m/s and rad/s
+    velocity: Vector  # (f,), m/s and rad/s: after the step
 
 
 class MujocoJoint(Joint):
@@ -245,7 +251,7 @@ class MujocoJoint(Joint):
     def _pull(self, force: Vector, slope: Vector, dt: float) -> None:
         """Apply a wrench that changes with the velocity after the step."""
         velocity = self._velocities[self._dofs]
-        self._law = force.copy(), slope.copy(), velocity
+        self._law = _Law(force.copy(), slope.copy(), velocity)
         self._applied[self._dofs] = -force - slope.dot(velocity)  # faster than @
         # What the velocity after the step changes.
         self._own_mass = self._mass.take(self._at_pairs)
@@ -267,11 +273,14 @@ class MujocoJoint(Joint):
     def restart(self) -> None:
         """Forget the state of the last step."""
         count = len(self.free)
-        self._law = np.zeros(count), np.zeros((count, count)), np.zeros(count)
+        self._law = _Law(np.zeros(count), np.zeros((count, count)), np.zeros(count))
         self._began: tuple[float, float] | None = None  # time, s, and energy, J, of the scene
         self._times = (0.0, 0.0)  # of the scene before and after the last step, s
         self._with_part = None
         super().restart()
+
+    def _lose_wrench(self) -> None:
+        self._law = self._law._replace(force=np.full(len(self.free), np.nan))
 
     def _last_wrench(self) -> Vector:
         """Return the wrench of the last step, by the velocity after it."""
@@ -329,8 +338,8 @@ def advance(joints: Sequence[MujocoJoint]) -> None:
     """Advance a scene whose joints pull."""
     engine.mj_step2(joints[0]._model, joints[0]._data)
     for joint in joints:
-        force, slope, _ = joint._law
-        joint._law = force, slope, joint._velocities[joint._dofs].copy()
+        law, velocity = joint._law, joint._velocities[joint._dofs].copy()
+        joint._law = _Law(law.force, law.slope, velocity)  # faster than _replace
         joint._mass[joint._at_pairs], joint._with_part = joint._own_mass, None
 
 

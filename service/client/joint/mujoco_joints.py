@@ -69,8 +69,8 @@ class MujocoJoints(Joints):
             batch._check_status()
         failed = np.any([batch.failed for batch in batches], axis=0)
         for batch in batches:
-            for joint in (batch.joints[at] for at in np.flatnonzero(batch.failed).tolist()):
-                joint._law = np.full(len(joint.free), np.nan), *joint._law[1:]
+            for at in np.flatnonzero(batch.failed).tolist():
+                batch.joints[at]._lose_wrench()
         advanced = [joints for joints, stays in zip(scenes, failed, strict=True) if not stays]
         self._in_threads(self._end, advanced, threads)
 
