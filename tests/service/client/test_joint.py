@@ -323,7 +323,7 @@ def test_two_joints_of_one_tip_or_of_two_scenes_are_refused():
     one, other = (MujocoJoint(*scene(sphere(3)), TABLE) for _ in range(2))
     for joints, text in (
         ((one, one), "two joints have the same tip"),
-        ((one, other), "with the same data"),
+        ((one, other), "pass those of one MjData"),
     ):
         with pytest.raises(JointError, match=text):
             step_joints(*joints)
