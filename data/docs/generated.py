@@ -4,11 +4,13 @@
 site has all options, fields and docstrings.
 """
 
+import inspect
 import json
 import re
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import typer
@@ -42,12 +44,39 @@ def calls() -> list[str]:
 
 
 def names() -> list[str]:
-    """Return the table of the public names and the first line of their docstrings."""
+    """Return the table of the public names and calls, and the first line of their docstrings."""
     rows = []
     for name in wrenchbook.__all__:
-        text = (getattr(wrenchbook, name).__doc__ or "").partition("\n")[0]
-        rows.append((f"`{name}`", text.replace("``", "`")))
+        value = getattr(wrenchbook, name)
+        rows.append((f"`{name}`", _purpose(value)))
+        if name in _WITH_CALLS:
+            methods = inspect.getmembers(value, inspect.isfunction)
+            public = [(call, method) for call, method in methods if not call.startswith("_")]
+            rows.append((f"`{name}{_arguments(value)}`", "make one"))
+            rows += [
+                (f"`{name}.{call}{_arguments(method)}`", _purpose(method))
+                for call, method in public
+            ]
     return _table(("name", "purpose"), rows)
+
+
+_WITH_CALLS = ("Client", "Displacement", "Mount", "MujocoJoint", "MujocoMount", "Table")
+"""The classes that most programs use: their calls are in the table, with arguments and defaults."""
+
+
+def _purpose(value: object) -> str:
+    return (value.__doc__ or "").partition("\n")[0].replace("``", "`")
+
+
+def _arguments(call: Callable) -> str:
+    """Return the arguments of a call with their defaults, without types."""
+    signature = inspect.signature(call)
+    plain = [
+        argument.replace(annotation=argument.empty)
+        for argument in signature.parameters.values()
+        if argument.name != "self"
+    ]
+    return str(signature.replace(parameters=plain, return_annotation=signature.empty))
 
 
 TABLES = {"cli": commands, "http": calls, "python": names}

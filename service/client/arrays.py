@@ -73,7 +73,7 @@ class Host:
         """Return wrenches (..., n), SI, and the stiffness there (..., n, m); NaN where none."""
         shape, n, m = moved.shape[:-1], self.packed.inputs, self.packed.outputs
         targets = np.asarray(moved, dtype=float).reshape(-1, m)
-        starts = np.asarray(start, dtype=float).reshape(-1, n)
+        starts = np.broadcast_to(np.asarray(start, dtype=float), (*shape, n)).reshape(-1, n)
         wrenches = np.full((len(targets), n), np.nan)
         stiffness = np.full((len(targets), n, m), np.nan)
         for row, (target, begin) in enumerate(zip(targets, starts, strict=True)):

@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import fields, replace
 from typing import Any
 
-from wrenchbook.service.actors import ANY, CALLER, NotPermittedError
+from wrenchbook.service.actors import ANY, CALLER, NotPermittedError, acting_as
 from wrenchbook.service.ledger import rows
 from wrenchbook.service.ledger.audit import note
 from wrenchbook.service.ledger.connection import Connection
@@ -291,7 +291,8 @@ def renew(db: Connection, job_id: int, attempt: int, fingerprint: str) -> JobRec
     job = _check_attempt(get(db, job_id), attempt)
     key = job.component, fingerprint, pack_vector(job.wrench)
     if _select(db, "WHERE component = ? AND fingerprint = ? AND wrench = ?", key):
-        accept(db, *key, priority=job.priority, asked_by=job.asked_by)
+        with acting_as(job.actor):
+            accept(db, *key, priority=job.priority, asked_by=job.asked_by)
         return _moved(db, job, "cancel", owner=None, finished=time.time())
     db.execute("UPDATE jobs SET fingerprint = ? WHERE id = ?", (fingerprint, job_id))
     return _moved(db, get(db, job_id), "release", **_UNSTARTED)

@@ -31,7 +31,7 @@ _MAX_TRIED = 16  # stored rows of nearly one sum that a row is compared with; ot
 _DISPLACEMENT_WEIGHT = 1e6  # they are of 1e-6 to 1e-3 m and rad, loads of 1 to 1000 N and N·m
 
 # By component: its setup and number of solves, and their compliance.
-_solved: dict[str, tuple[tuple[str, int], list[list[float]]]] = {}
+_solved: dict[str, tuple[tuple[str, bytes], list[list[float]]]] = {}
 
 
 def import_files(
@@ -167,12 +167,13 @@ def _compared(
 
 def solved_compliance(component: Component, table: ServedTable) -> list[list[float]] | None:
     """Return the compliance (outputs, inputs), SI, of a component's solves, zero where unknown."""
-    if not component.has_fea or not (count := table.sources.get("fea")):
+    if not component.has_fea or not table.sources.get("fea"):
         return None
-    setup, cached = (component.fingerprint, count), _solved.get(component.name)
+    rows = table.rows
+    at = np.flatnonzero(rows.source == "fea")[:MAX_ROWS]
+    setup, cached = (component.fingerprint, rows.seq[at].tobytes()), _solved.get(component.name)
     if cached is None or cached[0] != setup:  # appended rows come often, solves do not
-        rows = table.rows
-        solved = rows.take(np.flatnonzero(rows.source == "fea")[:MAX_ROWS])
+        solved = rows.take(at)
         fit = fit_compliance(solved, component.load_range, linear=component.linear)
         cached = _solved[component.name] = setup, np.where(fit.known, fit.matrix, 0.0).tolist()
     return cached[1]

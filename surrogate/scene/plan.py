@@ -52,8 +52,9 @@ class Need:
 
     @property
     def occurring(self) -> Mask:
-        """Which loads, N and N·m, can be other than zero, shape (n,)."""
-        return (self.span.low != 0) | (self.span.high != 0)
+        """Which inputs can have an effect, shape (n,): other than 0, or a reference temperature."""
+        zero = self.span.space.zero
+        return (self.span.low != zero) | (self.span.high != zero)
 
     @property
     def varying(self) -> Mask:
@@ -240,7 +241,7 @@ def _bound(table: Table, need: Need) -> tuple[Floats, str]:
         solver = solver + sum(np.array(part) for part in parts if part is not None)
     if not table.linear and not need.span.space.is_default:
         return bound, LOOKED_UP  # many inputs have too many corners
-    sample = _sample(need)
+    sample = np.zeros((0, len(largest_loads))) if table.linear else _sample(need)
     answers = None if table.linear else packed_of(table).batch(sample)
     for surrogate in table.groups:
         outputs, fit = list(surrogate.outputs), surrogate.fit

@@ -185,6 +185,17 @@ def test_entries_of_the_audit_are_only_added(ledger):
     assert [entry.actor for entry in ledger.audit()] == ["ann"]
 
 
+def test_a_job_of_an_earlier_setup_that_waits_anew_keeps_its_actor(ledger):
+    with acting_as("ann"):
+        other = ledger.accept("bar", "new", [0.0] * 6)[0]
+        ledger.cancel(other.id)
+        ledger.accept("bar", "old", [0.0] * 6)
+    claimed = ledger.claim("d")
+    ledger.renew(claimed.id, claimed.attempt, "new")
+    again = ledger.job(other.id)
+    assert (again.status, again.actor) == ("waiting", "ann")
+
+
 def test_a_write_that_fails_leaves_no_entry(ledger):
     with pytest.raises(OSError, match="full"), noted(ledger, "key.add", "ann"):
         raise OSError("full")

@@ -19,7 +19,8 @@ from wrenchbook.surrogate.packed.writer import pack
 from wrenchbook.surrogate.scene.cut import cut
 from wrenchbook.surrogate.scene.plan import Need, need_of
 from wrenchbook.surrogate.solver_error import SolverError
-from wrenchbook.surrogate.table.rows import Rows, Tolerance
+from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
+from wrenchbook.surrogate.table.space import Input, space_of
 
 PLANAR = (0, 2, 4)  # fx, fz, my
 MESH = SolverError(
@@ -264,3 +265,11 @@ def test_only_rotations_of_a_rig_that_measured_none_are_nothing() -> None:
         result = part.answer(wrench)
         assert (result.outputs, result.coverage) == (None, "outside")
         assert result.reason == "not measured in any row: rx, ry, rz"
+
+
+@pytest.mark.parametrize(("temperature", "loads"), [(0.0, ["temperature"]), (20.0, [])])
+def test_a_temperature_other_than_its_reference_occurs_in_a_scene(temperature, loads):
+    space = space_of(("left", "right"), [Input("temperature", "degC", "scalar", zero=20.0)])
+    ends = np.array([[0.0, 0.0]] * 12 + [[temperature, temperature]])
+    wanted = need_of(LoadRange([-1.0] * 12 + [0.0], [1.0] * 12 + [40.0], space), ends)
+    assert wanted.loads == loads
