@@ -284,10 +284,14 @@ def _read(descriptor: int) -> tuple[list[Part], dict[str, Any]]:
                 return parts, dict(head["end"])
             arrays = {str(name): _read_array(content) for name in head["arrays"]}
             parts.append(Part(dict(head["fields"]), arrays))
-        raise ValueError(f"it has more than {MAX_PARTS} parts")
+        raise SandboxError(
+            "crash", f"The file gives more than {MAX_PARTS} blocks of rows; send it in parts."
+        )
+    except SandboxError:
+        raise
     except (ValueError, KeyError, TypeError) as error:
         raise SandboxError(
-            "crash", f"The file's reader failed ({error}); send the file again."
+            "crash", f"The file's reader failed ({error}); save it by another program."
         ) from None
 
 

@@ -58,8 +58,13 @@ def moved(
     force, moment = checked[:3], checked[3:]
     if rotation is not None:
         axes = np.asarray(rotation, dtype=float)
-        if axes.shape != (3, 3) or not np.allclose(axes @ axes.T, np.eye(3), atol=1e-6):
-            raise InvalidArgument("rotation must be an orthogonal matrix of shape (3, 3)")
+        is_square = axes.shape == (3, 3)
+        is_rotation = is_square and np.allclose(axes @ axes.T, np.eye(3), atol=1e-6)
+        if not is_rotation or np.linalg.det(axes) < 0.0:  # a mirror turns the sign of moments
+            raise InvalidArgument(
+                "rotation must be a right-handed rotation matrix of shape (3, 3), not "
+                f"{axes.tolist()}; of a quaternion it is Rotation.from_quat(q).as_matrix() of scipy"
+            )
         force, moment = axes @ force, axes @ moment
     if point is not None:
         moment = moment + np.cross(np.asarray(point, dtype=float), force)

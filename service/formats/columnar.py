@@ -95,7 +95,7 @@ def _values(column: Any) -> Array | list[Any]:
         texts = column.dictionary.to_pylist()
         return [None if at is None else texts[at] for at in column.indices.to_pylist()]
     if types.is_nested(kind):
-        raise ContentError(f"a column holds {kind}; write numbers or texts only")
+        raise ContentError(f"a column holds {kind}; write each of its parts as a column of its own")
     if types.is_floating(kind) or types.is_integer(kind):
         return column.to_numpy(zero_copy_only=False)
     return column.to_pylist()

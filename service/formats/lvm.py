@@ -117,7 +117,9 @@ def _segment(
         return [names[0], *labels[1:]], None
     labels[0] = f"{_X} [{next(iter(values('X_Unit_Label').values()), 's')}]"
     clocks = set(zip(values("X0").values(), values("Delta_X").values(), strict=False))
-    if len(clocks) > 1 or not (clocks or has_x):
+    if len(clocks) > 1:
         raise ValueError("X0 and Delta_X differ between its channels; resample them to one time")
+    if not (clocks or has_x):
+        raise ValueError("it has no X column, nor X0 and Delta_X; export it with one X column")
     start, step = (float(text.replace(",", ".")) for text in next(iter(clocks), ("0", "0")))
     return labels, None if has_x else (start, step)

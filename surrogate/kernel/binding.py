@@ -212,7 +212,7 @@ class PackedTable:
             return cls(handle, packed, source, size)
         except (LookupError, TypeError, ValueError) as error:
             raise PackedTableError(
-                f"the table is damaged ({error!r}); download it again"
+                f"the table is damaged, or of another version ({error!r}); download it again"
             ) from error
 
     def __reduce__(self) -> tuple[Any, ...]:

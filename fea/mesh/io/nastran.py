@@ -141,8 +141,10 @@ def read_nastran(text: DeckText) -> Translated:
             elif name not in (*_QUIET, *_SYSTEMS):
                 data.skipped[name] += 1
         except (ValueError, LookupError) as error:
+            undefined = isinstance(error, KeyError)
+            why = f"the file does not define {error.args[0]}" if undefined else str(error)
             raise MeshFileError(
-                f"line {text.place(number)}: {name} cannot be read ({error}); correct it"
+                f"line {text.place(number)}: {name} cannot be read ({why}); correct it"
             ) from None
     _take_springs(data)
     _take_cases(data, control)

@@ -481,10 +481,15 @@ def moving(
     free = ~table.packed.locked[indices]
     names = tuple(np.array(table.space.interfaces)[free.any(axis=1)].tolist())
     single = interface is not None or not several
-    if not names or interface not in (None, *names) or (single and len(names) > 1):
+    if not names:
+        raise InvalidArgument(f"{table.name} has no interface that moves; all of it is locked")
+    listed = ", ".join(map(repr, names))
+    if names != ("",) and interface not in (None, *names):
+        message = f"{table.name} has no interface {interface!r} that moves, only {listed}"
+        raise InvalidArgument(f"{message}; name one of these")
+    if interface not in (None, *names) or (single and len(names) > 1):
         raise InvalidArgument(
             f"a joint or springs need exactly one interface that moves, but {table.name} moves at "
-            f"{', '.join(map(repr, names)) or 'none'}; "
-            + ("leave out interface" if names == ("",) else "hold the others")
+            f"{listed}; " + ("leave out interface" if names == ("",) else "hold the others")
         )
     return indices[free.any(axis=1)].ravel(), np.flatnonzero(free[free.any(axis=1)]), names

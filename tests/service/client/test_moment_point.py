@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from tests.column import LENGTH, MESH, TIP, column_table, deflection, slope
 from tests.service.client.scenes import SENSORS, mujoco
 from wrenchbook.service.client import conventions
+from wrenchbook.service.client.errors import InvalidArgument
 from wrenchbook.service.client.mount import Mount
 from wrenchbook.service.client.mount.mujoco_mount import MujocoMount
 
@@ -159,3 +160,8 @@ def test_a_reading_belongs_to_the_pose_in_which_mujoco_took_it(column):
     data.mocap_pos[0] += [0.0, 0.0, 0.2]  # after the sensors were read
     mount.step()
     np.testing.assert_allclose(mount.wrench, [-100, 0, FORCE, 0, 0, 0], rtol=0, atol=1e-9)
+
+
+def test_a_mirrored_sensor_frame_is_refused():
+    with pytest.raises(InvalidArgument, match="right-handed rotation matrix"):
+        conventions.moved(np.ones(6), rotation=np.diag([1.0, 1.0, -1.0]))
