@@ -135,7 +135,7 @@ class CalculixDat:
         last = {key: _last(path, name, options[key]) for key in self.keys}
         times = {time for time, _ in last.values()}
         if len(times) > 1:
-            ends = ", ".join(f"{options[key]} at {time:g}" for key, (time, _) in last.items())
+            ends = ", ".join(f"{options[key]} at {time}" for key, (time, _) in last.items())
             raise OutputError(
                 f"{name} ends with the sets {ends}; give both *NODE PRINT cards the same FREQUENCY"
             )
