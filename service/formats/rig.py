@@ -76,8 +76,8 @@ _ONE_INTERFACE = (
 )
 _WHICH_POINT = (
     "translation x force exceeds 1 % of the moment's range{more} in {count} of {rows} rows (row "
-    "{row}: {share:.2g} %). Check the translations' unit. For moments about the moved point set "
-    "load_cell=moving (--load-cell moving), else load_cell=fixed"
+    "{row}: {value:.3g} N*m, {share:.2g} %). Check the translations' unit. For moments about the "
+    "moved point set load_cell=moving (--load-cell moving), else load_cell=fixed"
 )
 
 
@@ -222,7 +222,7 @@ def with_known_point(
         yield from pieces
         return
     size = largest_loads(span) / LOAD_LIMIT
-    count, rows, row, worst = np.zeros(len(size) + 1), 0, 0, 0.0
+    count, rows, row, value, worst = np.zeros(len(size) + 1), 0, 0, 0.0, 0.0
     for piece in pieces:
         yield piece
         asked, names = np.ones(len(piece), dtype=bool), {name for _, name, _ in report.columns}
@@ -237,12 +237,19 @@ def with_known_point(
             count[-1] += (effect > piece.uncertainty[asked]).any(axis=1).sum()
         if share.max(initial=0.0) > worst:
             at, load = np.unravel_index(share.argmax(), share.shape)
-            worst = float(share[at, load])
+            worst, value = float(share[at, load]), float(np.abs(shift[at, load]))
             row = int(piece.seq[asked][at])
     if (count > _FEW_ROWS * rows).any():
         more = " or the row's stated uncertainty" if count[-1] > _FEW_ROWS * rows else ""
-        numbers = {"count": int(count.max()), "rows": rows, "row": row, "more": more}
-        report.mistakes.ruin(0, "load_cell", _WHICH_POINT.format(share=100.0 * worst, **numbers))
+        message = _WHICH_POINT.format(
+            more=more,
+            count=int(count.max()),
+            rows=rows,
+            row=row,
+            value=value,
+            share=100.0 * worst,
+        )
+        report.mistakes.ruin(0, "load_cell", message)
 
 
 def _shift(wrench: Array, displacement: Array) -> Array:

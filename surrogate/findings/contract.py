@@ -238,7 +238,7 @@ def symmetry_findings(fit: Fit, load_range: LoadRange) -> list[RigFinding]:
         message = (
             f"reference points of moments and displacements are {np.linalg.norm(lever):.4g} m "
             f"apart (asymmetry {size:.0%}). If the displacements are of the interface's point, "
-            f"import again with --load-point {load_point}, else with --displacement-point "
+            f"import again with --load-point {load_point}; otherwise with --displacement-point "
             f"{moved_point} (m, added to an earlier point)"
         )
         return [RigFinding("lever", message, (), {"lever": lever.tolist(), "asymmetry": size})]

@@ -313,7 +313,7 @@ def test_data_in_another_file_is_refused(tmp_path: Path):
 @pytest.mark.parametrize(
     ("content", "says"),
     [
-        ({"a": [1.0, 2.0], "b": [1.0, 2.0, 3.0]}, "their lengths are [2, 3]"),
+        ({"a": [1.0, 2.0], "b": [1.0, 2.0, 3.0]}, "their lengths are a 2, b 3"),
         ({"a": np.zeros((2, 2))}, "a is not a numeric vector"),
         ({"a": np.array([1, "x"], dtype=object)}, "a is not a numeric vector"),
         ({"a": "1"}, "needs numeric vectors"),
