@@ -141,7 +141,7 @@ def test_a_wrench_moves_to_another_frame_and_point():
     quarter = rotation_matrix([0, 0, math.pi / 2])
     moved = conv.moved([1, 0, 0, 0, 0, 2], rotation=quarter, point=[0.5, 0, 0])
     assert np.allclose(moved, [0, 1, 0, 0, 0, 2.5], rtol=0, atol=1e-15)
-    with pytest.raises(ValueError, match="orthogonal"):
+    with pytest.raises(ValueError, match="right-handed"):
         conv.moved(WRENCH, rotation=np.ones((3, 3)))
 
 
