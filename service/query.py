@@ -275,10 +275,8 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
         )
     else:
         (placement,), limit = submission.queue(name, wrench), submission.queue_limit
-        why = (
-            f"no solve is queued: {limit} jobs of queries are already open (serve --queue-limit), "
-        )
-        why += "or the caller's quota is used up; ask again when jobs have ended"
+        why = f"no solve is queued: {limit} jobs of queries are open (serve --queue-limit), or the "
+        why += "caller's quota is used up; ask again when jobs have ended"
     outcome.job = placement.job
     if placement.job is None:
         reason = "" if outcome.reply.reason == beyond else outcome.reply.reason
