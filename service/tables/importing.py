@@ -30,7 +30,7 @@ TWICE = (
 _MAX_TRIED = 16  # stored rows of nearly one sum that a row is compared with; others hardly occur
 _DISPLACEMENT_WEIGHT = 1e6  # they are of 1e-6 to 1e-3 m and rad, loads of 1 to 1000 N and N·m
 
-# By component: its setup and number of solves, and their compliance.
+# By component: its setup and the numbers of its solves, and their compliance.
 _solved: dict[str, tuple[tuple[str, bytes], list[list[float]]]] = {}
 
 
@@ -169,11 +169,14 @@ def solved_compliance(component: Component, table: ServedTable) -> list[list[flo
     """Return the compliance (outputs, inputs), SI, of a component's solves, zero where unknown."""
     if not component.has_fea or not table.sources.get("fea"):
         return None
-    rows = table.rows
-    at = np.flatnonzero(rows.source == "fea")[:MAX_ROWS]
-    setup, cached = (component.fingerprint, rows.seq[at].tobytes()), _solved.get(component.name)
-    if cached is None or cached[0] != setup:  # appended rows come often, solves do not
-        solved = rows.take(at)
+    # Appended rows come often, solves do not: these are known by their numbers in the packed table.
+    packed = table.packed
+    fea = [number for number, names in enumerate(packed.meta["sources"]) if "fea" in names]
+    solves = packed.arrays["g0/row/seq"][np.isin(packed.arrays["g0/row/source"], fea)]
+    setup, cached = (component.fingerprint, solves.tobytes()), _solved.get(component.name)
+    if cached is None or cached[0] != setup:
+        rows = table.rows
+        solved = rows.take(np.flatnonzero(rows.source == "fea")[:MAX_ROWS])
         fit = fit_compliance(solved, component.load_range, linear=component.linear)
         cached = _solved[component.name] = setup, np.where(fit.known, fit.matrix, 0.0).tolist()
     return cached[1]
