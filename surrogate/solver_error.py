@@ -37,8 +37,11 @@ class SolverError:
     the error over each load's size, without a tangent. ``loads``: (6,), N and N·m, largest of the
     range. ``zero``: (6,), from where inputs count; optional. ``mesh_stiffness``: (6, 6), N/m and so
     on, what the mesh adds to the stiffness; missing of estimates of older versions. Of a linear
-    component ``linearity``: (6,), m and rad, at such loads, growing with their square; None where
-    it is not known. Further entries are words for people.
+    component ``linearity``: (6,), m and rad, at such loads; None where it is not known. It grows
+    with the square of the largest of them over its range. With ``second_derivatives``: (6, 6, 6),
+    m and rad over the units of two inputs, symmetric in these, it is half of their product with the
+    wrench twice, and ``linearity_rest``: (6,), m and rad, which grows with the cube. Further
+    entries are words for people.
     Raises ValueError if it is not of that form.
     """
 
@@ -51,6 +54,11 @@ class SolverError:
         self.zero = _shaped(values.get("zero", [0.0] * n), (n,), "zero")
         linearity = values.get("linearity")
         self.linearity = None if linearity is None else _numbers(linearity, (m,), "linearity")
+        self.second, self._rest = None, self.linearity
+        if self.linearity is not None and "second_derivatives" in values:
+            of = values["second_derivatives"]
+            self.second = _shaped(of, (m, n, n), "second_derivatives")
+            self._rest = _numbers(values.get("linearity_rest"), (m,), "linearity_rest")
         self.stiffness = None
         if self.mesh is not None and "mesh_stiffness" in values:
             self.stiffness = _shaped(values["mesh_stiffness"], (n, m), "mesh_stiffness")
@@ -72,10 +80,11 @@ class SolverError:
         arrays = {
             "mesh": mesh,
             "stiffness": np.zeros((n, m)) if self.stiffness is None else self.stiffness,
-            "linearity": np.zeros(m) if self.linearity is None else self.linearity,
+            "linearity": np.zeros(m) if self._rest is None else self._rest,
             "one_over": np.divide(1.0, self._loads, out=np.zeros(n), where=self._loads > 0),
         }
-        return arrays | ({"zero": self.zero} if self.zero.any() else {})
+        optional = {} if self.second is None else {"second": self.second}
+        return arrays | optional | ({"zero": self.zero} if self.zero.any() else {})
 
     @classmethod
     def read(cls, values: Mapping[str, Any] | None) -> SolverError | None:
@@ -88,17 +97,26 @@ class SolverError:
         Of ``mesh``, without a tangent, and of a linear component ``linearity``; None where it is
         not known.
         """
-        sizes = np.abs(np.array(wrench, dtype=float) - self.zero)
+        acting = np.array(wrench, dtype=float) - self.zero
+        sizes = np.abs(acting)
         components = {"mesh": None if self.mesh is None else (self.mesh @ sizes).tolist()}
         if "linearity" in self.values:
+            components["linearity"] = None
+        if self._rest is not None:
             most = np.max(sizes * self.packed["one_over"], initial=0.0)
-            of = self.linearity
-            components["linearity"] = None if of is None else (of * most**2).tolist()
+            if self.second is None:
+                linearity = self._rest * most**2
+            else:
+                linearity = 0.5 * np.abs(self.second @ acting @ acting) + self._rest * most**3
+            components["linearity"] = linearity.tolist()
         return components
 
     def at_full_range(self) -> dict[str, list[float] | None]:
-        """Return `parts` at the largest loads of the range, all at once."""
-        return self.parts(self.zero + self._loads)
+        """Return `parts` at the worst signs of the largest loads of the range, all at once."""
+        at_largest = self.parts(self.zero + self._loads)
+        if self.linearity is not None:
+            at_largest["linearity"] = self.linearity.tolist()
+        return at_largest
 
 
 def _numbers(value: Any, shape: tuple[int, ...], name: str) -> Floats:
