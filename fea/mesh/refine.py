@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 from annotated_types import Ge
@@ -60,7 +60,7 @@ def refined(bundle: Bundle, factor: float) -> Bundle | None:
 def _fewest(mesh: Generator, name: str) -> int:
     """Return the least number of cells that a generator's parameter may have."""
     bounds = keys_of(type(mesh))[name].metadata
-    return next(bound.ge for bound in bounds if isinstance(bound, Ge))
+    return next(cast("int", bound.ge) for bound in bounds if isinstance(bound, Ge))
 
 
 # The cell, or facet, of first order with the same corners as one of second order.
