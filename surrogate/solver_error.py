@@ -40,7 +40,7 @@ class SolverError:
     component ``linearity``: (6,), m and rad, at such loads; None where it is not known. It grows
     with the square of the largest of them over its range. With ``second_derivatives``: (6, 6, 6),
     m and rad over the units of two inputs, symmetric in these, it is half of their product with the
-    wrench twice, and ``linearity_rest``: (6,), m and rad, which grows with the cube. Further
+    wrench twice, and ``linearity_remainder``: (6,), m and rad, which grows with the cube. Further
     entries are words for people.
     Raises ValueError if it is not of that form.
     """
@@ -54,11 +54,13 @@ class SolverError:
         self.zero = _shaped(values.get("zero", [0.0] * n), (n,), "zero")
         linearity = values.get("linearity")
         self.linearity = None if linearity is None else _numbers(linearity, (m,), "linearity")
-        self.second, self._rest = None, self.linearity
+        self.second, self._remainder = None, self.linearity
         if self.linearity is not None and "second_derivatives" in values:
             of = values["second_derivatives"]
             self.second = _shaped(of, (m, n, n), "second_derivatives")
-            self._rest = _numbers(values.get("linearity_rest"), (m,), "linearity_rest")
+            self._remainder = _numbers(
+                values.get("linearity_remainder"), (m,), "linearity_remainder"
+            )
         self.stiffness = None
         if self.mesh is not None and "mesh_stiffness" in values:
             self.stiffness = _shaped(values["mesh_stiffness"], (n, m), "mesh_stiffness")
@@ -80,7 +82,7 @@ class SolverError:
         arrays = {
             "mesh": mesh,
             "stiffness": np.zeros((n, m)) if self.stiffness is None else self.stiffness,
-            "linearity": np.zeros(m) if self._rest is None else self._rest,
+            "linearity": np.zeros(m) if self._remainder is None else self._remainder,
             "one_over": np.divide(1.0, self._loads, out=np.zeros(n), where=self._loads > 0),
         }
         optional = {} if self.second is None else {"second": self.second}
@@ -102,12 +104,12 @@ class SolverError:
         components = {"mesh": None if self.mesh is None else (self.mesh @ sizes).tolist()}
         if "linearity" in self.values:
             components["linearity"] = None
-        if self._rest is not None:
+        if self._remainder is not None:
             most = np.max(sizes * self.packed["one_over"], initial=0.0)
             if self.second is None:
-                linearity = self._rest * most**2
+                linearity = self._remainder * most**2
             else:
-                linearity = 0.5 * np.abs(self.second @ acting @ acting) + self._rest * most**3
+                linearity = 0.5 * np.abs(self.second @ acting @ acting) + self._remainder * most**3
             components["linearity"] = linearity.tolist()
         return components
 

@@ -1,12 +1,15 @@
 """Estimate of the solver's error, as stored with a table: discretisation and linearity.
 
 The answers of a linear component are the first term of a series in the wrench. The second term is
-known by its derivatives, which need no further solve. The size of all later terms is that at the
-corner of the range where the interface turns most, by a nonlinear solve: they begin with the cube,
-so bar(w) = |w H w| / 2 + rest(corner) s(w)^3 with the second derivatives H, and s the largest load
-over its range. The wrench opposite is solved too, since what pulls stiffens and what pushes
-buckles. A part that its weight or bolts move at no load, or that has more than eight inputs, has no
-H: the rest begins with the square.
+known by its derivatives, which need no further solve. Nonlinear solves show the size of all later
+terms, which begin with the cube: at the corner of the range where the interface turns most, and at
+its opposite, since what pulls stiffens and what pushes buckles. So
+
+    error bar(w) = |w H w| / 2 + remainder(corner) s(w)^3
+
+with the second derivatives H, and s the largest load over its range. A part that its weight or
+bolts move at no load, or that has more than eight inputs, has no H. The remainder is then all of
+it, and begins with the square.
 """
 
 from __future__ import annotations
@@ -36,7 +39,7 @@ _STEEP = 1.25
 """Buckling factor below which the corner itself is not tried: half the buckling load is."""
 
 _SAFETY = 1.5
-"""On the larger rest of two corners, for all other wrenches (`make bench NAME=linearity`)."""
+"""On the larger remainder of two corners, for all other wrenches (`make bench NAME=linearity`)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +48,7 @@ class BeyondLinear:
 
     # Shape (6 i,), m and rad: at a load as large as its range, growing with the load's cube, or
     # square without second derivatives; NaN where no nonlinear solve gave an answer.
-    rest: Array
+    remainder: Array
     # The part of a corner's wrench at which the component buckles or snaps through, at or below 10;
     # None beyond that. It is that of linear buckling (`fea.solver.vibration`), or where a nonlinear
     # solve ended if that is less.
@@ -69,7 +72,7 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
     other.component = replace(
         solver.component, analysis=replace(solver.component.analysis, nonlinear=True)
     )
-    rest, why = np.full(len(compliance), np.nan), ""
+    remainder, why = np.full(len(compliance), np.nan), ""
     # The corner that turns, or else moves, the interface most, and its opposite.
     corners = loads.corners()
     moved = (corners @ compliance.T).reshape(len(corners), -1, PER_INTERFACE)
@@ -83,15 +86,15 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
         factors[1] = solver.buckling(corners[1] + zero)[0]
     for corner, factor in zip(corners, tuple(factors), strict=True):
         at_corner, ends, reason = _at_corner(other, corner, factor)
-        rest = np.fmax(rest, at_corner)
+        remainder = np.fmax(remainder, at_corner)
         factors += ends
         why = why or reason
     lowest = float(min(factors))
-    return BeyondLinear(_SAFETY * rest, lowest if lowest <= _MAX_REPORTED else None, why)
+    return BeyondLinear(_SAFETY * remainder, lowest if lowest <= _MAX_REPORTED else None, why)
 
 
 def _at_corner(solver: Solver, wrench: Array, buckling: float) -> tuple[Array, list[float], str]:
-    """Return rest, factors and reason of `BeyondLinear` at one corner, or at a part of it.
+    """Return remainder, factors and reason of `BeyondLinear` at one corner, or at a part of it.
 
     The factors are parts of the wrench at which solves ended.
     """
@@ -114,8 +117,8 @@ def _at_corner(solver: Solver, wrench: Array, buckling: float) -> tuple[Array, l
         if second is not None:
             expected += 0.5 * second @ acting @ acting
             order = 3
-        rest = np.abs(solution.displacement - expected) / part**order
-        return np.repeat(rest.reshape(-1, 3).max(axis=1), 3), ends, why
+        remainder = np.abs(solution.displacement - expected) / part**order
+        return np.repeat(remainder.reshape(-1, 3).max(axis=1), 3), ends, why
     return np.full(len(solver.linear.compliance), np.nan), ends, why
 
 
@@ -157,7 +160,7 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
     edges, m. ``loads``: the largest of the range, k numbers, SI, 0 on locked freedoms. Of a linear
     component also ``linearity`` (6 i numbers, m and rad, at the worst corner of the range, or None)
     and ``buckling`` (or None): see the module; ``linearity_basis``. Where they are known,
-    ``second_derivatives`` (6 i, k, k), and beside them ``linearity_rest`` (6 i,), m and rad.
+    ``second_derivatives`` (6 i, k, k), and beside them ``linearity_remainder`` (6 i,), m and rad.
     Raises SolveFailed if the component cannot be solved for small loads.
     """
     bundle = solver.component.bundle
@@ -188,15 +191,15 @@ def linearity_of(solver: Solver, coarse: Solver, loads: DeclaredRange) -> dict[s
     if beyond.why:
         basis += f", a part of them since {beyond.why}"
     result = {"linearity": None, "linearity_basis": basis, "buckling": beyond.buckling}
-    if not np.isfinite(beyond.rest).all():
+    if not np.isfinite(beyond.remainder).all():
         return result
     if second is None:
-        return result | {"linearity": beyond.rest.tolist()}
+        return result | {"linearity": beyond.remainder.tolist()}
     corners = loads.corners()
     at_corners = 0.5 * np.einsum("jkl,ck,cl->cj", second, corners, corners, optimize=True)
     return result | {
-        "linearity": (np.abs(at_corners).max(axis=0) + beyond.rest).tolist(),
-        "linearity_rest": beyond.rest.tolist(),
+        "linearity": (np.abs(at_corners).max(axis=0) + beyond.remainder).tolist(),
+        "linearity_remainder": beyond.remainder.tolist(),
         "second_derivatives": second.tolist(),
         "linearity_basis": f"second derivatives at no load, and {basis}",
     }

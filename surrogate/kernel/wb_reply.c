@@ -126,7 +126,7 @@ static void keep(const wb_table *t, wb_reply *reply) {
 }
 
 /* What a linear analysis neglects of an output: half the second derivatives times the loads twice,
- * and the rest, which grows with the cube of the largest load; without these with its square. */
+ * and the remainder, which grows with the cube of the largest load; without these with its square. */
 static double neglected(const wb_table *t, int q, const double *acting, double largest) {
     const wb_solver *s = &t->solver;
     int n = t->inputs;

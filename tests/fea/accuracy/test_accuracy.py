@@ -277,7 +277,7 @@ def test_a_range_beyond_the_buckling_load_is_told_with_its_factor(bar):
     result = beyond_linear(coarse, DeclaredRange(-most, most))
     assert result.buckling == pytest.approx(6908.7 / 2e4, rel=0.05)
     assert "it buckles at" in result.why
-    assert np.isfinite(result.rest).all()
+    assert np.isfinite(result.remainder).all()
 
 
 @pytest.mark.parametrize(("push", "pull"), [(1000.0, 1000.0), (1000.0, 900.0), (900.0, 1000.0)])
