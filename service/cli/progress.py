@@ -92,8 +92,9 @@ def follow(
                     break
             if time.monotonic() > deadline:
                 raise RuntimeError(
-                    f"{len(jobs) - len(done)} solves have not ended after {seconds:g} s and "
-                    "continue on the server. See: wrenchbook jobs"
+                    f"{len(jobs) - len(done)} of {len(jobs)} solves have not ended after "
+                    f"{seconds:g} s; they continue while a server is up. See: wrenchbook jobs "
+                    f"--component {jobs[0].component}"
                 )
     return list(done.values())
 
@@ -107,7 +108,10 @@ def follow_report(out: Console, client: Client, name: str) -> None:
             state = client.report_state(name)
             progress.update(task, completed=state["fraction"], note=state["message"])
             if state["state"] == "failed":
-                raise RuntimeError(f"the report could not be made: {state['message']}")
+                raise RuntimeError(
+                    f"the report of {name} could not be made: {state['message']}. Correct this, "
+                    f"and run again: wrenchbook report {name}"
+                )
             if state["state"] != "running":
                 return
             time.sleep(POLL_S)
@@ -144,8 +148,10 @@ def fill(
         for job in failed:
             plain(out, f"job {job.id} failed: {job_state(job)}", style="red")
         if len(failed) == len(ended):
-            message = "every solve of this round failed; see: wrenchbook jobs --status failed"
-            raise RuntimeError(message)
+            raise RuntimeError(
+                f"all {len(failed)} solves of this round failed, with the causes above; to list "
+                f"them: wrenchbook jobs --component {name} --status failed"
+            )
     now = client.component(name)
     out.print(f"{spent} solves; {name} has {now['rows']} rows.")
     for warning in now.get("warnings", ()):

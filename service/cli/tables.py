@@ -20,6 +20,7 @@ from wrenchbook.service.cli.connect import (
     Server,
     connected,
     in_folder,
+    refuse_alone,
 )
 from wrenchbook.service.cli.render import Screen, comparison_shown, plain, print_json, show
 from wrenchbook.service.client.errors import mistake_line
@@ -166,7 +167,10 @@ def _mapping(columns: Sequence[str], units: Sequence[str]) -> dict[str, str]:
     for text in columns:
         label, mark, meaning = text.rpartition("=")
         if not mark:
-            raise typer.BadParameter(f"'{text}' must have the form 'column in the file=fz [N]'")
+            raise typer.BadParameter(
+                f"--column '{text}' has no =; write the file's column, =, and its meaning: "
+                f"--column '{text}=fz [N]'"
+            )
         mapping[label.strip()] = meaning.strip()
     bare = [label for label, meaning in mapping.items() if "[" not in meaning]
     if units and len(units) != len(bare):
@@ -220,14 +224,17 @@ def export_table(
     A .zip holds the C library that answers from the table: sources, example and CMakeLists.txt.
     """
     printed, ending = str(file) == "-", file.suffix.lower()
-    if ending != ".fmu" and (method is not None or platforms is not None):
-        raise typer.BadParameter("--method and --platforms are for .fmu files only; leave them out")
+    if ending != ".fmu":
+        refuse_alone("a file that ends in .fmu", {"--method": method, "--platforms": platforms})
     format_ = "csv" if printed else "packed" if ending in (".fmu", ".zip") else table_format(file)
     units = {"force": force, "moment": moment, "translation": translation, "rotation": rotation}
     units = {quantity: unit for quantity, unit in units.items() if unit is not None}
     curves = {"others": bushing} if bushing else {}
-    if curves and (format_ != "csv" or units or table_version is not None):
-        raise typer.BadParameter("--bushing writes a .csv of the newest table in SI only")
+    if curves and format_ != "csv":
+        raise typer.BadParameter(f"--bushing writes a .csv file, but {file} is none; rename it")
+    if curves and (units or table_version is not None):
+        others = ", ".join(f"--{option}" for option in units) or "--table-version"
+        raise typer.BadParameter(f"--bushing is of the newest table, in SI; leave out {others}")
     format_ = "bushing" if curves else format_
     if printed and as_json:
         raise typer.BadParameter("--json describes a written file; name a file instead of -")
@@ -344,9 +351,13 @@ def rig(
     path = "/v1/rigs" if action == "list" else f"/v1/rigs/{quote(name, safe='')}"
     verb = {"list": "GET", "show": "GET", "add": "PUT", "remove": "DELETE"}[action]
     if (action == "list") == bool(name) or (action == "add") != (file is not None):
-        raise typer.BadParameter("write list, show NAME, add NAME FILE.toml or remove NAME")
+        form = {"list": "list", "add": "add NAME FILE.toml"}.get(action, f"{action} NAME")
+        raise typer.BadParameter(f"other arguments are needed: wrenchbook rig {form}")
     if name and not RIG_NAME.fullmatch(name):
-        raise typer.BadParameter(f"{name!r} must be at most 64 letters, digits and .-_")
+        raise typer.BadParameter(
+            f"the name {name!r} must begin with a letter or digit, and have at most 64 letters, "
+            "digits and .-_"
+        )
     content = None if file is None else file.read_bytes()
     with connected(server, data) as client:
         reply = client.call(verb, path, content, kind="application/toml")

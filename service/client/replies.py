@@ -168,14 +168,17 @@ class Displacement(messages.Displacement):
         if self.interfaces:
             name = next(iter(self.interfaces))
             raise InvalidArgument(
-                f"{self.component} has several interfaces; choose one with interfaces[{name!r}]"
+                f"{self.component} has several interfaces; use the answer at one of them, such as "
+                f"answer.interfaces[{name!r}]"
             )
         if self.translation is None or self.rotation is None:
-            remedy = (
-                f"wait for job {self.job.id}" if self.job else self.reason or "ask on_thin='queue'"
-            )
+            if self.job:
+                remedy = f"wait for its solve, client.wait({self.job.id}), and repeat the request"
+            else:
+                remedy = f"solve it with client.solve({self.component!r}, ...), or import rows"
+            why = f" ({self.reason})" if self.reason else ""
             raise InvalidArgument(
-                f"the displacement of {self.component} at this wrench is unknown ({remedy})"
+                f"the displacement of {self.component} at this wrench is unknown{why}; {remedy}"
             )
         orientation, point = checked_pose(R0, p0)
         rotated = orientation @ rotation_matrix(self.rotation)

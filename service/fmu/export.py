@@ -250,13 +250,15 @@ def make_fmu(
         raise UnknownMethodError(method)
     if not table.meta["provenance"]["rows"]:
         raise NotExportableError(
-            "the table has no rows; run wrenchbook fill or import a file, then export it"
+            f"the table of {component} has no rows; run wrenchbook fill {component}, or wrenchbook "
+            f"import {component} FILE, then export it"
         )
     low, high = table.arrays["space/ends"]
     rows = [table.arrays[f"g{k}/row/wrench"] for k in range(len(table.meta["groups"]))]
     if not all(((low <= loads) & (loads <= high)).all(axis=1).any() for loads in rows):
         raise NotExportableError(
-            "all rows of the table are outside its load range; fill the table, then export it"
+            f"all rows of the table of {component} are outside its load range; run wrenchbook fill "
+            f"{component}, or import rows within the range, then export it"
         )
     table.answer(table.space.zero.tolist(), None, method)  # raises if it cannot by this method
     methods = ", ".join(dict.fromkeys(method or group["method"] for group in table.meta["groups"]))

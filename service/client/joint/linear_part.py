@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...contract import LOADS, OUTPUTS
+from ...contract import LOAD_UNITS, LOADS, OUTPUTS
 from ..errors import Document, InvalidArgument
 from ..wrenches import Vector
 from .joint import FREEDOMS, further_inputs, moving
@@ -81,16 +81,25 @@ class LinearPart:
         further = further_inputs(table, inputs or {})
         centre = np.concatenate([np.zeros(packed.inputs - len(further)), further])
         centre[at] = load
-        low, high = packed.load_range[:, indices]
-        if not ((low <= load[free]) & (load[free] <= high)).all():
-            ends = f"{low.tolist()} to {high.tolist()} N, N·m"
-            raise InvalidArgument(f"{table.name}: give a load within its range, {ends}")
+        for place, low, high in zip(free, *packed.load_range[:, indices], strict=True):
+            if not low <= load[place] <= high:
+                raise InvalidArgument(
+                    f"{table.name}: {LOADS[place]} must be within the load range, {low:g} to "
+                    f"{high:g} {LOAD_UNITS[place]}, not {load[place]:g}"
+                )
         slope = packed.derivative(centre.tolist())[np.ix_(indices, indices)]
         compliance = 0.5 * (slope + slope.T)
-        if not np.isfinite(compliance).all() or np.linalg.eigvalsh(compliance).min() <= 0.0:
+        remedy = f"run wrenchbook fill {table.name} --for-joint, or give another load"
+        if not np.isfinite(compliance).all():
             raise InvalidArgument(
-                f"{table.name} has no stiffness at this load, because its derivative is unknown or "
-                "is not positive definite; fill the table, or give another load"
+                f"{table.name} has no stiffness at this load, because its derivative is unknown; "
+                f"{remedy}"
+            )
+        smallest = float(np.linalg.eigvalsh(compliance)[0])
+        if smallest <= 0.0:
+            raise InvalidArgument(
+                f"{table.name} has no stiffness at this load, because its compliance is not "
+                f"positive definite (smallest eigenvalue {smallest:.3g}); {remedy}"
             )
         loads = packed.sample(centre, indices)
         answers = packed.batch(np.vstack([centre, loads]))

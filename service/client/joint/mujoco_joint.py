@@ -12,11 +12,10 @@ from ..errors import InvalidArgument, JointError, JointWarning, warn
 from ..wrenches import Vector
 from .joint import FREEDOMS, Joint, quaternion
 from .mujoco_scene import (
-    OBJECT,
-    REMEDY,
     Data,
     Model,
     block_positions,
+    body_name,
     body_number,
     engine,
     find_tip,
@@ -59,9 +58,9 @@ class MujocoJoint(Joint):
     bodies : mapping of str, optional
         In the place of `tip`: the tips by interface, ``{"left": "wheel_l", "right": "wheel_r"}``.
     damping : float
-        Share of critical damping of each mode of the part between the two bodies.
-    **options
-        Of `Joint`.
+        Damping ratio of each mode of the part between the two bodies: 1 is critical damping.
+    interface, method, inputs
+        As of `Joint`.
 
     Raises
     ------
@@ -82,6 +81,7 @@ class MujocoJoint(Joint):
     contacts within the step, and those of the others with the step after.
     """
 
+    _mass_remedy = f"{Joint._mass_remedy}, and call mj_step1 before pull_joints"
     _others_copied: Mapping[int, Sequence[str]] = {}  # of the scene of which this is a copy: tips
 
     def __init__(
@@ -94,22 +94,28 @@ class MujocoJoint(Joint):
         damping: float = 0.02,
         *,
         bodies: Mapping[str, str] | None = None,
-        **options: Any,
+        interface: str | None = None,
+        method: str | None = None,
+        inputs: Mapping[str, float] | None = None,
     ) -> None:
         if not (isinstance(model, engine.MjModel) and isinstance(data, engine.MjData)):
-            kinds = f"{type(model)} and {type(data)}"
             raise InvalidArgument(
-                f"model and data must be MjModel and MjData of mujoco, not {kinds}"
+                "model and data must be a mujoco.MjModel and a mujoco.MjData, not "
+                f"{type(model).__name__} and {type(data).__name__}"
             )
-        super().__init__(table, damping, **options)
+        super().__init__(table, damping, interface=interface, method=method, inputs=inputs)
         refuse_rk4(model)
         self._model, self._data = model, data
         self._base, self._tips = base, self._bodies(tip, bodies)
         self._name = f"{table.name} at tip{'s' * self._several} " + ", ".join(map(repr, self._tips))
         parent = body_number(model, base)
         for name in self._tips:
-            if model.body_parentid[body_number(model, name)] != parent:
-                raise JointError(f"body {name!r} must be a child of body {base!r}; {REMEDY}")
+            actual = int(model.body_parentid[body_number(model, name)])
+            if actual != parent:
+                raise JointError(
+                    f"body {name!r} must be a child of body {base!r}, but it is one of "
+                    f"{body_name(model, actual)!r}; name its parent as base="
+                )
         # The last body towards the base that no freedom moves: a mocap body, or the world.
         while model.body_dofnum[top := int(model.body_weldid[parent])]:
             parent = int(model.body_parentid[top])
@@ -185,7 +191,9 @@ class MujocoJoint(Joint):
         They stay: a scene's arrays are where they were made, and so are the kernel's.
         """
         if data.signature != self._model.signature:
-            raise InvalidArgument("data belongs to another model; give the data of this model")
+            raise InvalidArgument(
+                "data belongs to another model; give the data of this one: mujoco.MjData(model)"
+            )
         self._use(steps, at)
         before = _JOINTS.get(self._data, {})
         self._data, self._pose, reply, self._scene = data, None, self._reply, self._model.opt
@@ -301,7 +309,7 @@ class MujocoJoint(Joint):
         if before is None or pose[0] <= before[0] or pose[1:] == before[1:]:
             return
         self._unmoved = 0
-        name = engine.mj_id2name(self._model, OBJECT.mjOBJ_BODY, body) or f"#{body}"
+        name = body_name(self._model, body)
         warn(
             f"{self._name}: base {self._base!r} follows the mocap body {name!r}, whose motion the "
             "tip does not feel. Give the base slides or a free joint, and "
@@ -355,13 +363,21 @@ def pull_joints(*joints: MujocoJoint) -> None:
 
 def require_scene(joints: Sequence[MujocoJoint]) -> None:
     """Raise JointError if joints are not all those of one scene, or its step is not above zero."""
-    if len({joint._data for joint in joints}) != 1:
-        raise JointError("step_joints needs one or more joints; pass those of one MjData")
+    scenes = len({joint._data for joint in joints})
+    if scenes != 1:
+        raise JointError(
+            f"a step needs one or more joints of one MjData, not {len(joints)} of {scenes}; step "
+            "the joints of each MjData apart"
+        )
     refuse_rk4(joints[0]._model)  # it may have been chosen since
     stepped = [start for joint in joints for start in joint._starts]
     of_scene = _by_tip(joints[0]._data)
     if len(set(stepped)) < len(stepped):
-        raise JointError("two joints have the same tip, which would feel only one; leave one out")
+        tips = ", ".join(repr(tip) for joint in joints for tip in joint._tips)
+        raise JointError(
+            f"two of the joints at {tips} have the same tip, which would feel only one; leave one "
+            "out"
+        )
     for joint in joints:
         for start, tips in joint._others_copied.items():
             if start not in of_scene:

@@ -16,7 +16,7 @@ from ..errors import JointError
 from ..wrenches import Vector
 from .joint import FREEDOMS
 from .linear_part import LinearPart
-from .mujoco_scene import engine
+from .mujoco_scene import engine, refuse_one_locked_rotation
 
 Spec: TypeAlias = Any  # mujoco.MjSpec, and its bodies
 
@@ -46,8 +46,7 @@ def scene_with_joint(
     base or has joints.
     """
     free = [name for name in OUTPUTS if name not in locked]
-    if sum(name[0] == "r" for name in free) not in (0, 1, 3):
-        raise JointError("the part locks one rotation, which MuJoCo cannot do; lock none or two")
+    refuse_one_locked_rotation("the part", free)
     return str(_with_freedoms(scene, base, tip, free, site, mass, ball=True).to_xml())
 
 
@@ -115,7 +114,10 @@ def _with_freedoms(
         missing = tip if body is None else base
         raise JointError(f"the scene has no body {missing!r}; it has {_names(spec.bodies)}")
     if body.parent.name != base:
-        raise JointError(f"body {tip!r} must be a child of body {base!r}; move it")
+        raise JointError(
+            f"body {tip!r} must be a child of body {base!r}, but it is one of "
+            f"{body.parent.name!r}; move it in the scene, or name its parent with --base"
+        )
     if body.joints:
         raise JointError(
             f"body {tip!r} has joints, but the part holds the tip; move them to a child body"
@@ -175,7 +177,10 @@ def _add_mass(body: Spec, mass: Vector) -> None:
     The mass of a rigid body is the same in all directions: the mean of the three.
     """
     if mass.shape != (FREEDOMS, FREEDOMS) or not np.isfinite(mass).all():
-        raise JointError("the condensed mass must be a 6 x 6 matrix of finite numbers")
+        raise JointError(
+            "the condensed mass must be a 6 x 6 matrix of finite numbers, not "
+            f"{mass.tolist() if mass.shape == (FREEDOMS, FREEDOMS) else mass.shape}"
+        )
     total = float(np.trace(mass[:3, :3])) / 3.0
     if total <= 0.0:
         return

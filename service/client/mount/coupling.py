@@ -346,7 +346,8 @@ class Loop:
         if len(self.residuals) >= self.most:
             raise CouplingDiverged(
                 f"the coupling has not settled after {self.most} answers: pose and answer are "
-                f"{self.residuals[-1]:.3g} tolerances apart, above {self.accuracy:g}. {REMEDY}",
+                f"{self.residuals[-1]:.3g} tolerances apart, above {self.accuracy:g}. If they "
+                f"still approach, raise most=. {REMEDY}",
                 self.residuals,
             )
         wrench = self.read(displacement)

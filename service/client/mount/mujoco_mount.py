@@ -334,13 +334,14 @@ def _check_forces(model: Model, body: int, mounted: int) -> None:
     """Refuse equality constraints at the mocap body; warn of forces that no sensor reads."""
     kinds = [int(kind) for kind in (engine.mjtEq.mjEQ_WELD, engine.mjtEq.mjEQ_CONNECT)]
     for number in np.flatnonzero(np.isin(model.eq_type, kinds)).tolist():
+        name = _name(model, number, _OBJECT.mjOBJ_EQUALITY)
         ends = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
         if model.eq_objtype[number] == _OBJECT.mjOBJ_SITE:
             ends = [int(model.site_bodyid[end]) for end in ends]
         if body in ends:
             raise SensorError(
-                "an equality constraint holds the scene to the mocap body, but it yields, and its "
-                f"load is wrong by several per cent or more; {_REMEDY}"
+                f"the equality constraint {name!r} holds the scene to the mocap body, but it "
+                f"yields, and its load is wrong by several per cent or more; {_REMEDY}"
             )
     hanging, unfelt = _hangs_on(model, mounted), []
     for number in range(model.nu):
@@ -388,7 +389,8 @@ def _sensor(model: Model, name: str, kind: int, word: str) -> tuple[slice, int]:
 
 def _named(model: Model, kind: int, name: str, word: str) -> int:
     """Return the number of a named thing, or say which names there are."""
-    number = engine.mj_name2id(model, kind, name)
+    # MuJoCo ends the process at a name that is None.
+    number = engine.mj_name2id(model, kind, name) if isinstance(name, str) else -1
     if number < 0:
         count = model.nbody if kind == _OBJECT.mjOBJ_BODY else model.nsensor
         names = [text for k in range(count) if (text := engine.mj_id2name(model, kind, k))]

@@ -131,7 +131,7 @@ def test_a_joint_without_a_wrench_is_named_and_does_not_stop_the_others():
         ({"poses": np.zeros((3, 6))}, r"of 3 joints must have shapes \(3, 7\).*not \(3, 6\)"),
         ({"velocities": np.zeros(6)}, r"not \(3, 7\), \(6,\)"),
         ({"inverse_masses": np.zeros((2, 6, 6))}, r"and \(2, 6, 6\)$"),
-        *(({"dt": dt}, "dt must be a number above 0") for dt in (0.0, "1")),
+        *(({"dt": dt}, "dt must be a finite number above 0") for dt in (0.0, "1")),
     ],
 )
 def test_a_batch_that_is_none_is_refused_by_name(changed, words):
