@@ -89,9 +89,7 @@ def by_name(option: str, form: str, values: list[str] | None) -> list[tuple[str,
         if not (name and equals):
             raise InvalidArgument(f"{option} {text!r} must have the form {option} {form}")
         if name in pairs:
-            raise InvalidArgument(
-                f"{option} {name} is given twice, as {pairs[name]} and {rest}; keep one"
-            )
+            raise InvalidArgument(f"{option} {name} is given twice; keep one")
         pairs[name] = rest
     return list(pairs.items())
 

@@ -87,8 +87,8 @@ def joint(
         sys.stderr.write(f"{springs.error}\n")
     if mass is not None:
         total, moving = facts["vibration"]["mass"], sum(mass[k][k] for k in range(3)) / 3
-        shares = f"{moving:.4g} kg of the part's {total:.4g} kg move with {tip!r}"
-        sys.stderr.write(f"{shares}. Add the mass that moves with no tip to the base's body\n")
+        masses = f"{moving:.4g} kg of the part's {total:.4g} kg move with {tip!r}"
+        sys.stderr.write(f"{masses}. Add the mass that moves with no tip to the base's body\n")
     elif not massless:
         sys.stderr.write(f"{name} has no known mass; give its materials a density\n")
     if out is not None:
@@ -102,7 +102,11 @@ def joint(
 
 
 def _moving(name: str, facts: dict[str, Any], interface: str | None = None) -> tuple[Any, Any]:
-    """Return the facts of an interface that moves, and its condensed mass, (6, 6) or None."""
+    """Return the facts of an interface that moves, and its condensed mass.
+
+    The mass is (6, 6), kg to kg·m^2, or None where it is not known. BadParameter if the interface
+    does not move, or several do and none is named.
+    """
     parts = facts.get("interfaces") or {"": facts.get("interface") or {}}
     moving = [end for end, part in parts.items() if not part.get("held")]
     at = moving[0] if interface is None and len(moving) == 1 else interface

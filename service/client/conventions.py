@@ -217,10 +217,7 @@ def quaternion_xyzw(rotation: ArrayLike) -> Vector:
 def _on(component: Side, parent_to_child: Vector) -> Vector:
     """Turn what the parent does to the child into what acts on the component, and back."""
     if component not in ("parent", "child"):
-        raise InvalidArgument(
-            "component must be 'parent' or 'child', the deformable component's side of the joint, "
-            f"not {component!r}"
-        )
+        raise InvalidArgument(f"component must be 'parent' or 'child', not {component!r}")
     # Adding zero turns the -0.0 of an unloaded direction into 0.0.
     return (-parent_to_child if component == "parent" else parent_to_child) + 0.0
 

@@ -83,10 +83,7 @@ def loads_body(
     body: Document = {}
     is_wrench = force is not None or moment is not None
     if is_wrench and loads is not None:
-        raise InvalidArgument(
-            "force or moment is given beside loads; give all of them in loads, by interface, and "
-            "leave force and moment out"
-        )
+        raise InvalidArgument("loads by interface have both; leave force= and moment= out")
     if is_wrench:
         body = _parts(single_wrench(np.zeros(3) if force is None else force, moment))
     elif loads is not None:
@@ -179,10 +176,7 @@ def tolerance_body(tolerance: Tolerance) -> dict[str, float]:
             f"'rotation': 1e-5}}, not {tolerance!r}"
         ) from None
     if not (0.0 < translation < np.inf and 0.0 < rotation < np.inf):
-        raise InvalidArgument(
-            "both numbers of a tolerance must be above 0 and finite, not "
-            f"translation {translation:g} m, rotation {rotation:g} rad"
-        )
+        raise InvalidArgument(f"a tolerance must be above 0 and finite, not {tolerance!r}")
     return {"translation": translation, "rotation": rotation}
 
 

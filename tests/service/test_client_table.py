@@ -185,7 +185,7 @@ def test_an_answer_of_several_interfaces_is_by_name_with_its_wrench(link: Table)
         ({"loads": LOADS}, "inputs.temperature: missing; give its value in degC"),
         ({"loads": LOADS, "inputs": {"pressure": 1, "temperature": 0}}, "no such input"),
         ({"loads": LOADS, "inputs": {"temperature": np.nan}}, "finite"),
-        ({"force": [0, 0, 1], "loads": LOADS}, "force or moment is given beside loads"),
+        ({"force": [0, 0, 1], "loads": LOADS}, "leave force= and moment= out"),
         ({}, r"no load is given; give force=\[Fx, Fy, Fz\] in N"),
         ({"loads": {"left": [1, 2]}}, r"loads\['left'\]: force must be three numbers"),
         ({"loads": {"left": {"torque": 1}}}, r"loads\['left'\] can have .* only, not 'torque'"),

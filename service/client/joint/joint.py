@@ -33,8 +33,9 @@ from wrenchbook.surrogate.kernel.joint import (
 )
 
 from ...contract import COVERAGE, LOAD_UNITS
+from ..conventions import quaternion_wxyz as quaternion
 from ..errors import InvalidArgument, JointError, JointRangeError, JointWarning, warn
-from ..rotation import checked_rotation, sinc
+from ..rotation import checked_rotation
 from ..wrenches import Vector, floats_of
 from .report import JointReport, report_of
 
@@ -470,13 +471,6 @@ def rotation_vector(R: ArrayLike) -> Vector:
     if size == 0.0 and angle > 1.0:
         raise InvalidArgument("R rotates by 180 degrees, so its axis is ambiguous; rotate less")
     return sine * (angle / size if size > 0.0 else 1.0)
-
-
-def quaternion(rotation: ArrayLike) -> Vector:
-    """Return the quaternion (4,), w first, of a rotation vector (3,), rad."""
-    vector = np.asarray(rotation, dtype=float)
-    half = 0.5 * math.sqrt(float(vector @ vector))
-    return np.array([math.cos(half), *(0.5 * sinc(half) * vector)])
 
 
 def further_inputs(table: Table, by_name: Mapping[str, float]) -> tuple[float, ...]:

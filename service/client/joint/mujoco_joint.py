@@ -34,7 +34,9 @@ _Registered: TypeAlias = "WeakValueDictionary[tuple[int, int], MujocoJoint]"
 _JOINTS: WeakKeyDictionary[Data, _Registered] = WeakKeyDictionary()
 
 
-class _Law(NamedTuple):  # of f free freedoms in a step: the wrench is force + slope @ velocity
+class _Law(NamedTuple):
+    """The wrench of f free freedoms in a step, as force + slope @ velocity."""
+
     force: Vector  # (f,), N and N·m
     slope: Vector  # (f, f), these per m/s and rad/s
     velocity: Vector  # (f,), m/s and rad/s: after the step
@@ -152,11 +154,11 @@ class MujocoJoint(Joint):
 
     def _find(self) -> None:
         """Find the tips' freedoms in the scene, and their pairs in its mass matrix."""
-        # Of a pose: tip, place in it, place in qpos and count; of a hinge tip, axis and place.
-        self._runs: list[tuple[int, int, int, int]] = []
-        self._hinges: list[tuple[int, Vector, int]] = []
-        # Blocks are the freedoms of tips of which the matrix has pairs.
-        self._starts, self._blocks, pairs, dofs, ball_axes = [], [], [], [], []
+        self._runs: list[tuple[int, int, int, int]] = []  # number of a tip, then as `Tip.runs`
+        self._hinges: list[tuple[int, Vector, int]] = []  # number of a tip, then as `Tip.hinge`
+        self._starts: list[int] = []  # each tip's first freedom in MuJoCo's arrays
+        self._blocks: list[slice] = []  # freedoms of tips whose pairs the mass matrix has
+        pairs, dofs, ball_axes = [], [], []
         for k, name in enumerate(self._tips):
             free, first = self.free[self.free // FREEDOMS == k] % FREEDOMS, len(dofs)
             tip = find_tip(self._model, name, free, self._table.name)
@@ -167,14 +169,15 @@ class MujocoJoint(Joint):
                 self._hinges.append((k, *tip.hinge))
             block = tip.dof + np.arange(len(free))
             rows, columns, positions = block_positions(self._model, block)
-            if not len(rows) == len(block) > 1:
+            is_diagonal = len(rows) == len(block) > 1  # MuJoCo stores no pair of two freedoms
+            if not is_diagonal:
                 self._blocks.append(slice(first, first + len(block)))
                 pairs.append([len(self.free) * (first + rows) + first + columns, positions])
             dofs += block.tolist()
         self._pairs, self._at_pairs = np.hstack([np.empty((2, 0), dtype=int), *pairs])
         self._dofs: Any = np.array(dofs) if self._several else slice(dofs[0], dofs[-1] + 1)
         self._units = np.eye(self._model.nv)[self._dofs]
-        # Where the kernel's arrays (freedoms,) and (freedoms, freedoms) have the free freedoms.
+        # Indices of the free freedoms in the kernel's arrays, (6 k,) and (6 k, 6 k).
         self._moving, self._square = self.free, np.ix_(self.free, self.free)
         if len(self.free) == self._size:  # slices are faster
             self._moving = self._square = slice(None)
@@ -191,9 +194,7 @@ class MujocoJoint(Joint):
         They stay: a scene's arrays are where they were made, and so are the kernel's.
         """
         if data.signature != self._model.signature:
-            raise InvalidArgument(
-                "data belongs to another model; give the data of this one: mujoco.MjData(model)"
-            )
+            raise InvalidArgument("data belongs to another model; give a MjData of this model")
         self._use(steps, at)
         before = _JOINTS.get(self._data, {})
         self._data, self._pose, reply, self._scene = data, None, self._reply, self._model.opt

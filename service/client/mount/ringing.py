@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InvalidArgument, MountWarning, warn
-from ..wrenches import Vector
+from ..wrenches import Vector, floats_of
 
 if TYPE_CHECKING:
     from .. import Client, Table
@@ -87,13 +87,11 @@ def _known_frequency(
     unknown = f"{component}: it is unknown whether loads build up slowly enough."
     matrix, compliance = None, None
     if carried is not None:
-        mass = np.asarray(carried, dtype=float)
-        matrix = np.diag([float(mass)] * 3 + [0.0] * 3) if mass.ndim == 0 else mass
-        if matrix.shape != (6, 6) or not np.isfinite(matrix).all() or (np.diag(matrix) < 0.0).any():
-            raise InvalidArgument(
-                "carried must be a mass, kg, or a mass matrix of shape (6, 6), finite and without "
-                f"a negative mass, not {mass.tolist()}"
-            )
+        is_mass = np.ndim(carried) == 0
+        mass = floats_of("carried, a mass or its matrix,", carried, () if is_mass else (6, 6))
+        matrix = np.diag([float(mass)] * 3 + [0.0] * 3) if is_mass else mass
+        if (np.diag(matrix) < 0.0).any():
+            raise InvalidArgument(f"carried must have no negative mass, not {mass.tolist()} kg")
         facts = client.compliance(component)
         # At zero load, where there is one: a part that stiffens under load swings slower there.
         compliance = np.array(facts.get("tangent") or facts["matrix"], dtype=float)

@@ -226,7 +226,7 @@ def test_links_of_many_environments_have_the_bits_of_each_alone():
     assert [scene.qpos.tobytes() for scene in many] == [scene.qpos.tobytes() for scene in alone]
     np.testing.assert_array_equal(joints.wrenches, [joint.wrench for joint in single])
     assert single[0].report().covered_at == {"left": 1.0, "right": 1.0}
-    with pytest.raises(JointError, match="two of the joints at .* have the same tip"):
+    with pytest.raises(JointError, match="have the same tip"):
         step_joints(single[0], single[0])
 
 

@@ -183,7 +183,7 @@ def test_a_step_in_jax_has_the_bits_of_joints_in_one_call_of_the_kernel(in_float
         step(memory[0], poses[0], velocities[0], np.eye(5))
     with pytest.raises(InvalidArgument, match="dt must be a finite number above 0 s, not 0"):
         arrays.jax_joint(table(), dt=0.0)
-    with pytest.raises(InvalidArgument, match=r"axes must have the shape \(3, 3\), not \(2, 2\)"):
+    with pytest.raises(InvalidArgument, match=r"axes must have shape \(3, 3\), not \(2, 2\)"):
         arrays.jax_joint(table(), dt=1e-3, axes=np.eye(2))
 
 
