@@ -33,8 +33,12 @@ class Pace:
         if solves < 1 or seconds <= 0:
             return ""
         remaining = max(0.0, self._budget - solves) * seconds / solves
-        text = f"{remaining / 60:.0f} min" if remaining < 5400 else f"{remaining / 3600:.1f} h"
-        text = f"{remaining:.0f} s" if remaining < 90 else text
+        if remaining < 90.0:
+            text = f"{remaining:.0f} s"
+        elif remaining < 90.0 * 60.0:
+            text = f"{remaining / 60:.0f} min"
+        else:
+            text = f"{remaining / 3600:.1f} h"
         return f"{60 * solves / seconds:.0f} solves/min, at most {text} left"
 
 

@@ -35,6 +35,8 @@ _ONE_WRITE = 65_536  # bytes that are worth copying to be sent at once: any requ
 # What a call raises when the other side has closed an idle connection.
 _CLOSED = (http.client.RemoteDisconnected, ConnectionError, http.client.BadStatusLine)
 _ENOUGH = 65_536  # bytes of one read: all but large batches come in one piece
+_MOST = 1 << 20  # bytes of a further read: what the socket has at once
+_SHOWN = 200  # bytes of an answer that is no JSON: the text of a proxy's error page
 _BLANK_LINE = b"\r\n\r\n"
 _LENGTH = b"\r\ncontent-length:"
 # Fields that say what has to be done with a connection or a body: http.client knows how.
@@ -400,7 +402,7 @@ def receive(sock: socket.socket, method: str) -> Response:
     ):
         pieces, missing = [content], int(length) - len(content)
         while missing:
-            piece = sock.recv(min(missing, 1 << 20))
+            piece = sock.recv(min(missing, _MOST))
             if not piece:
                 raise http.client.IncompleteRead(b"".join(pieces), missing)
             pieces.append(piece)
@@ -457,7 +459,7 @@ def problem(response: Response) -> ProblemError:
         title, detail = str(body.get("title") or reason), str(body.get("detail") or "")
         error = ProblemError(status, title, detail, listed, body)
     else:
-        error = ProblemError(status, reason, content[:200].decode(errors="replace").strip())
+        error = ProblemError(status, reason, content[:_SHOWN].decode(errors="replace").strip())
     seconds = response.headers.get("Retry-After", "")
     error.retry_after = float(seconds) if seconds.isdigit() else None
     return error

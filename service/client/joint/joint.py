@@ -120,8 +120,11 @@ class Joint:
         self._further = further_inputs(table, inputs or {})
         self._warned_beyond = self._warned_uncovered = False
         self._remedy = "Check masses, units and steps (all with the joint), or widen the range"
-        self._begin(None)
-        self._require_stiffness()
+        try:
+            self._begin(None)
+            self._require_stiffness()
+        except UnknownMethodError as error:
+            raise InvalidArgument(f"{self._name}: {error}") from error
 
     def _require_stiffness(self) -> None:
         """Refuse a table without stiffness; warn where in its range no joint can invert it."""
@@ -222,14 +225,8 @@ class Joint:
         self.restart()
 
     def new_steps(self, count: int, axes: Vector | None) -> JointSteps:
-        """Return the kernel's arrays for `count` joints of these options; `axes` as in `_begin`.
-
-        InvalidArgument if there is no such method.
-        """
-        try:
-            steps = self._packed.joints(count, self._method, axes)
-        except UnknownMethodError as error:
-            raise InvalidArgument(f"{self._name}: {error}") from error
+        """Return the kernel's arrays for `count` joints of these options; `axes` as in `_begin`."""
+        steps = self._packed.joints(count, self._method, axes)
         steps.inputs[:] = self._inputs(np.zeros(self._size))
         return steps
 

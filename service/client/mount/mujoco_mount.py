@@ -30,6 +30,8 @@ _REMEDY = (
     '<body name="mounted"> <site name="mount"/> ... </body> </body>, with <force site="mount"/> '
     'and <torque site="mount"/> sensors'
 )
+_ROUNDING = 1e-3  # relative: a sync of one step may be written with fewer digits than the step
+_NAMED = 5  # bodies that a message names
 _UNSTABLE = (
     engine.mjtWarning.mjWARN_BADQPOS,
     engine.mjtWarning.mjWARN_BADQVEL,
@@ -104,7 +106,7 @@ class MujocoMount:
         **options: Any,
     ) -> None:
         step = float(model.opt.timestep)
-        if sync is not None and not sync >= 0.999 * step:
+        if sync is not None and not sync >= (1.0 - _ROUNDING) * step:
             raise InvalidArgument(f"sync, {sync:g} s, must not be shorter than a step, {step:g} s")
         self._model, self._data, self._sync = model, data, sync or 0.0
         cut = _division(model, mocap, force, torque)
@@ -316,7 +318,9 @@ def _floating(model: Model, division: _Division, gravcomp: str | None) -> Vector
     if not borne.any() or gravcomp == "motors":
         return None
     if gravcomp is None:
-        names = ", ".join(repr(_name(model, body)) for body in np.flatnonzero(borne)[:5].tolist())
+        names = ", ".join(
+            repr(_name(model, body)) for body in np.flatnonzero(borne)[:_NAMED].tolist()
+        )
         raise SensorError(
             f"gravcomp is set on {names}, but the sensors read the full weight. Write "
             "gravcomp='motors' if joints carry the weight and the mount feels it, or "

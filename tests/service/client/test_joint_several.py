@@ -261,6 +261,7 @@ UNFIT = [
         lambda: Joint(link()).state([0, 0, 1e-3], [0, 0, 0]),
         "translation must have shape (2, 3), not (3,)",
     ),
+    (lambda: Joint(link(), method="additive"), "needs one wrench at one interface"),
     (lambda: LinearPart.of(link()), "springs need a part that moves at one interface, but"),
     (
         lambda: Joint(link()).step(np.eye(3), 0, 0, 0, 1e-3),
