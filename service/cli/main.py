@@ -347,9 +347,12 @@ def main() -> None:
             plain(out, f"  {mistake_line(cause)}")
         sys.exit(1)
     except (ServerUnreachable, ImportError, OSError, RuntimeError, ValueError) as error:
+        detail = str(error)
+        if isinstance(error, OSError) and error.filename is not None:
+            detail = f"{error.filename}: {error.strerror}"  # without the number of the error
         if "--json" in sys.argv:
-            print_json({"error": {"title": type(error).__name__, "detail": str(error)}})
-        plain(Screen(stderr=True), str(error), style="red")
+            print_json({"error": {"title": type(error).__name__, "detail": detail}})
+        plain(Screen(stderr=True), detail, style="red")
         sys.exit(1)
 
 

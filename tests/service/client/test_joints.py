@@ -266,13 +266,17 @@ def test_an_environment_whose_part_is_torn_stays_and_the_others_go_on():
     assert [data.time for data in datas] == [2e-3, 1e-3, 2e-3]
     other = mujoco.MjData(mujoco.MjModel.from_xml_string("<mujoco/>"))
     for wrong, text in (
-        (datas[0], "one for each environment"),
+        (datas[0], "datas has one MjData twice"),
         (other, "belongs to another model"),
     ):
         with pytest.raises(InvalidArgument, match=text):
             MujocoJoints(model, [datas[0], wrong], linear_table())
     with pytest.raises(InvalidArgument, match="belongs to another model"):
         MujocoJoint(model, other, linear_table())
+    with pytest.raises(InvalidArgument, match=r"a list .* \[mujoco\.MjData\(model\)\]"):
+        MujocoJoints(model, datas[0], linear_table())
+    with pytest.raises(InvalidArgument, match="a step of 3 environments cannot take joints of 1"):
+        joints.step(MujocoJoints(model, [mujoco.MjData(model)], linear_table()))
 
 
 def test_tensors_of_pytorch_give_a_tensor_of_their_type():
