@@ -234,7 +234,7 @@ def export_table(
     units = {quantity: unit for quantity, unit in units.items() if unit is not None}
     curves = {"others": bushing} if bushing else {}
     if curves and format_ != "csv":
-        raise typer.BadParameter(f"--bushing writes a .csv file, but {file} is none; rename it")
+        raise typer.BadParameter(f"--bushing writes CSV; name a file that ends in .csv, not {file}")
     if curves and (units or table_version is not None):
         others = ", ".join(f"--{option}" for option in units) or "--table-version"
         raise typer.BadParameter(f"--bushing is of the newest table, in SI; leave out {others}")

@@ -145,7 +145,7 @@ class JobCalls(Connection):
             if time.monotonic() >= deadline:
                 raise ServerTimeout(
                     f"job {now.id} of {now.component} is still {now.status} after {timeout:g} s "
-                    f"and continues on the server; wait again: client.wait({now.id}, timeout=...)"
+                    f"and continues on the server; wait again: client.wait({now.id}, {timeout:g})"
                 )
             if time.monotonic() - began < SHORTEST_POLL_S:
                 time.sleep(SHORTEST_POLL_S)

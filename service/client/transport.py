@@ -348,7 +348,7 @@ class Connection:
             )
         elif isinstance(error, http.client.HTTPException):
             text = (
-                f"the answer from {self.url} is no HTTP ({type(error).__name__}: {why}); correct "
+                f"the answer from {self.url} is not HTTP ({type(error).__name__}: {why}); correct "
                 "host and port"
             )
         else:

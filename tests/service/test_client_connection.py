@@ -75,7 +75,7 @@ def test_nothing_listening_says_how_to_start_a_server():
     [
         (socket.gaierror(-2, "unknown"), r"no host has the name 'lab'.*correct the address"),
         (ssl.SSLError("wrong version"), "no encrypted connection to .*write http://"),
-        (http.client.BadStatusLine("SSH-2.0"), "is no HTTP .*correct host and port"),
+        (http.client.BadStatusLine("SSH-2.0"), "is not HTTP .*correct host and port"),
         (OSError(113, "no route"), "no answer from .*wrenchbook serve"),
     ],
 )

@@ -101,7 +101,7 @@ def report_of(joint: Joint, began: float = 0.0, energy_drift: float = np.nan) ->
     if stiff or (covered is not None and covered < 1.0):
         remedy = joint._more_rows()
         if joint._method is None and joint._packed.answers_by() == "linear":
-            remedy = "use a finer mesh or nonlinear = true: more solves do not help a linear part"
+            remedy = "more solves do not help a linear part; use a finer mesh or nonlinear = true"
         if joint._warned_beyond:
             remedy = f"widen the load range, which a pose of the steps exceeds; {remedy}"
     return JointReport(
