@@ -302,7 +302,7 @@ class JobCalls(Connection):
 def _path(job: Job | int | Answer) -> str:
     """Return the path of a job, by itself, its number, or an answer that has it."""
     number: Any = job if isinstance(job, Job) else getattr(job, "job", job)
-    if number is None and job is not None:
+    if number is None:
         raise InvalidArgument(
             "this answer has no job: it is complete, or no solve was queued (its `reason` says "
             "why); there is nothing to wait for"

@@ -25,10 +25,12 @@ class TolerancePair(Protocol):
     @property
     def translation(self) -> float:
         """Metres."""
+        ...
 
     @property
     def rotation(self) -> float:
         """Radians."""
+        ...
 
 
 Tolerance = Mapping[str, float] | Sequence[float] | TolerancePair
