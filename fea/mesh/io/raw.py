@@ -72,17 +72,24 @@ def to_mesh(raw: RawMesh, metres: float) -> Mesh:
         there = ", ".join(dict.fromkeys(kinds)) or "no cells at all"
         raise MeshFileError(f"has no solid cells (it has {there}); export the volume mesh too")
     # Refuse cells and sets of points that there are not: -1 would else be taken for the last.
-    for numbers in (*(nodes for _, nodes in raw.blocks), *raw.node_sets.values()):
-        if numbers.size and not (numbers.min() >= 0 and numbers.max() < len(raw.points)):
+    users = [(f"{kind} cells", nodes) for kind, nodes in raw.blocks]
+    users += [(f'the group "{name}"', nodes) for name, nodes in raw.node_sets.items()]
+    for user, numbers in users:
+        if (bad := numbers[(numbers < 0) | (numbers >= len(raw.points))]).size:
             raise MeshFileError(
-                f"has cells on points that are not among its {len(raw.points)}; export it again"
+                f"has {user} on point {bad[0]}, but its points are 0 to {len(raw.points) - 1}; "
+                "export it again"
             )
     solids = [i for i, (kind, _) in enumerate(raw.blocks) if kind in NODES_PER_CELL]
     used = np.unique(np.concatenate([raw.blocks[i][1].ravel() for i in solids]))
     number = np.full(len(raw.points), -1, dtype=np.int64)
     number[used] = np.arange(len(used))
-    if not (np.abs(raw.points[used]) < _LARGEST).all():
-        raise MeshFileError(f"has coordinates above {_LARGEST:g} or not finite; export it again")
+    if (huge := ~(np.abs(raw.points[used]) < _LARGEST).all(axis=1)).any():
+        at = ", ".join(f"{x:g}" for x in raw.points[used][huge][0])
+        raise MeshFileError(
+            f"has a point at ({at}); coordinates must be finite and below {_LARGEST:g}, so export "
+            "it again"
+        )
     kinds = list(dict.fromkeys(raw.blocks[i][0] for i in solids))
     cells = {k: number[np.concatenate([b for kind, b in raw.blocks if kind == k])] for k in kinds}
     once = {kind: _without_twins(nodes) for kind, nodes in cells.items()}
@@ -119,7 +126,8 @@ def _dependents(raw: RawMesh, number: Array, points: Array) -> Dependents:
         return Dependents.of(len(points), (number[nodes], number[masters], weights))
     except CircularError as error:
         at = point_text(points[error.node])
-        raise MeshFileError(f"has a circular equation of the node at {at} m; remove it") from None
+        message = f"has equations by which the node at {at} m follows itself; remove one of them"
+        raise MeshFileError(message) from None
 
 
 def _without_twins(nodes: Array) -> tuple[Array, Array]:
