@@ -132,8 +132,8 @@ def _linear(runs: _Runs, wrench: Array, sizes: Array) -> tuple[Array, Array]:
         gap = float((gaps / np.maximum(largest, 1e-300)).max())
         raise SolveFailed(
             "not_linear",
-            f"The deck's answer to this wrench differs by {gap:.1e} from the sum of its "
-            "answers to single loads.",
+            f"The deck's answer to this wrench differs by {gap:.1e} of its size from the sum of "
+            f"its answers to single loads; at most {_LINEAR_GAP:g} is roundoff.",
             "Set nonlinear = true in [analysis], or remove what is nonlinear from the "
             "deck: NLGEOM, contact, plasticity, loads other than the wrench.",
         )
@@ -151,8 +151,11 @@ def _require_reciprocity(compliance: Array, sizes: Array) -> None:
     works = np.diagonal(exchange)
     floor = _ZERO_WORK * float(np.abs(works).max())
     if (works < -floor).any():
-        freedom = FREEDOMS[int(np.argmin(works))]
-        raise not_reciprocal(f"A load along {freedom} moves {freedom} in the opposite direction.")
+        i = int(np.argmin(works))
+        raise not_reciprocal(
+            f"A unit load along {FREEDOMS[i]} moves {FREEDOMS[i]} by {compliance[i, i]:.6e}, in "
+            "the opposite direction."
+        )
     works = np.maximum(works, 0.0)
     gap = np.abs(exchange - exchange.T) - _RECIPROCAL_GAP * np.sqrt(np.outer(works, works))
     i, j = np.unravel_index(int(np.argmax(gap)), gap.shape)
@@ -198,8 +201,8 @@ def _nonlinear(runs: _Runs, wrench: Array) -> Array:
     runs.accept(displacement)
     raise SolveFailed(
         "not_converged",
-        f"After {_MAX_RUNS} runs the deck's moment still differs by {gap / size:.1e} from the "
-        "required one.",
+        f"After {_MAX_RUNS} runs the deck's moment still differs by {gap / size:.1e} of its size "
+        f"from the required one; at most {_MOMENT_GAP:g} is allowed.",
         'If the deck applies moments about fixed axes, write moment = "spatial" in [deck]; '
         "otherwise lower the load range, because the part rotates too much.",
     )

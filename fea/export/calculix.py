@@ -68,11 +68,13 @@ def deck_of(component: ComponentModel, comments: Iterable[str] = ()) -> str:
             )
             problems.append(BundleProblem(f"{interface.key}.coupling", message))
         if not np.array_equal(interface.axes, component.axes):
-            message = "must equal those of the first interface, because a deck has one frame only"
+            message = "must equal those of the first interface, since a deck has one; write them"
             problems.append(BundleProblem(f"{interface.key}.axes", message))
     for bushing in component.frames:
         if bushing.coupling != "rigid":
-            message = 'cannot be exported, since a deck has no such spring; write "rigid"'
+            message = (
+                'cannot be exported, since a deck has no such spring; write coupling = "rigid"'
+            )
             problems.append(BundleProblem(f"{bushing.key}.coupling", message))
     if component.temperature_rise is not None:
         message = "cannot be exported; leave the field out and write *TEMPERATURE into the deck"
@@ -352,7 +354,8 @@ def main(arguments: list[str] | None = None) -> int:
         units = "Metres, newtons, pascals; the axes are those of the interface frame."
         sys.stdout.write(deck_of(component, (component.bundle.title, origin, units)))
     except (BundleError, OSError, tomllib.TOMLDecodeError) as error:
-        print(error, file=sys.stderr)
+        place = "" if isinstance(error, BundleError) else f"{path}: "
+        print(f"{place}{error}", file=sys.stderr)
         return 1
     return 0
 

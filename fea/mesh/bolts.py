@@ -15,9 +15,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from wrenchbook.fea.mesh.dependents import Dependents
-from wrenchbook.fea.mesh.facets import TRIANGLES, faces_of, facets_within, missing
+from wrenchbook.fea.mesh.facets import TRIANGLES, faces_of, facets_within, missing, no_facets
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
-from wrenchbook.fea.spec.problems import BundleProblem
+from wrenchbook.fea.spec.problems import BundleProblem, point_text
 from wrenchbook.fea.spec.schema import Bolt
 
 Array = np.ndarray
@@ -91,19 +91,22 @@ def _sides(
     """
     by_region, name = bolt.region is not None, bolt.region or bolt.group or ""
     key, message = f"{key}.{'region' if by_region else 'group'}", ""
-    kind, groups = ("cell", mesh.regions) if by_region else ("facet", mesh.facet_groups)
-    if name not in groups:
-        problems.append(missing(key, name, f"{kind} group", [*groups]))
+    if by_region and name not in mesh.regions:
+        problems.append(missing(key, name, "cell group", [*mesh.regions]))
+        return None
+    if not by_region and name not in mesh.facet_groups:
+        problems.append(no_facets(mesh, key, name))
         return None
     heights, chosen = mesh.points @ bolt.axis, list[Array]()
+    span, place = heights, 0.0  # heights of the region's nodes, and of its cut, m
     if by_region:
         chosen = [
             np.isin(np.arange(len(block)), cells)
             for block, cells in zip(mesh.blocks, mesh.regions[name], strict=True)
         ]
         span = heights[_nodes_of(mesh, chosen)]
-        level = 0.5 * (span.min() + span.max()) if bolt.point is None else bolt.point @ bolt.axis
-        levels = [np.full(len(block), level - _LEVEL * np.ptp(span)) for block in mesh.blocks]
+        place = 0.5 * (span.min() + span.max()) if bolt.point is None else bolt.point @ bolt.axis
+        levels = [np.full(len(block), place - _LEVEL * np.ptp(span)) for block in mesh.blocks]
     else:
         # Each cell against those of its own nodes that are in the group, which may be curved.
         group = mesh.facet_groups[name].node_ids
@@ -130,14 +133,23 @@ def _sides(
         for kind, facets in facets_within(faces, nodes).blocks
     ]
     outside = np.intersect1d(nodes, _nodes_of(mesh, [~inside for inside in chosen]))
-    if not triangles:
-        message = "has no connected cells on both sides of its cut; move point into the shank"
+    if not triangles and not by_region:
+        message = f'"{name}" has cells on one side only; name facets inside the shank, across it'
+    elif not triangles:
+        message = (
+            f"has no connected cells on both sides of its cut, {place:.4g} m along axis, where the "
+            f"region reaches from {span.min():.4g} to {span.max():.4g} m; move point into the shank"
+        )
     elif not by_region and not np.array_equal(nodes, mesh.facet_groups[name].node_ids):
-        message = f'"{name}" does not cut through the shank; name all facets across it'
+        message = (
+            f'"{name}" does not cut through the shank: cells on both sides share {len(nodes)} of '
+            f"its {len(mesh.facet_groups[name].node_ids)} nodes; name all facets across the shank"
+        )
     elif outside.size:
         message = (
-            f"shares {outside.size} nodes of its cut with cells outside the region, which support "
-            "the shank there; move point to where the shank is free"
+            f"shares {outside.size} nodes of its cut, such as the one at "
+            f"{point_text(mesh.points[outside[0]])} m, with cells outside the region, which "
+            "support the shank there; move point to where the shank is free"
         )
     elif (count := _pieces(mesh, above, nodes)) > 1:
         message = f"has {count} separate shanks at its cut; write a [[bolt]] for each"

@@ -177,19 +177,25 @@ def group_nodes(mesh: Mesh, key: str, name: str, problems: list[BundleProblem]) 
         return mesh.facet_groups[name].node_ids
     if name in mesh.node_groups:
         return np.unique(mesh.node_groups[name])
-    groups = [*mesh.facet_groups, *mesh.node_groups]
-    if name in mesh.regions:
-        message = f'"{name}" is a group of cells; name a group of facets or nodes{_listed(groups)}'
-        problems.append(BundleProblem(key, message))
-    else:
-        problems.append(missing(key, name, "facet or node group", groups))
+    problems.append(no_facets(mesh, key, name, or_nodes=True))
     return np.empty(0, dtype=np.int64)
+
+
+def no_facets(mesh: Mesh, key: str, name: str, *, or_nodes: bool = False) -> BundleProblem:
+    """Return the problem of a name that is no facet group, nor a node group if these will do."""
+    kind = "facet or node group" if or_nodes else "facet group"
+    groups = [*mesh.facet_groups, *(mesh.node_groups if or_nodes else ())]
+    for what, others in (("cells", mesh.regions), ("nodes", mesh.node_groups)):
+        if name in others:
+            message = f'"{name}" is a group of {what}; name a {kind}{_listed(groups)}'
+            return BundleProblem(key, message)
+    return missing(key, name, kind, groups)
 
 
 def missing(key: str, name: str, kind: str, groups: list[str]) -> BundleProblem:
     """Return the problem of a group that is not there, with the nearest and all that are."""
-    message = f'the mesh has no {kind} "{name}"{suggest(name, groups)}{_listed(groups)}'
-    return BundleProblem(key, message)
+    listed = _listed(groups, _NO_CELLS if kind == "cell group" else _NO_FACETS)
+    return BundleProblem(key, f'the mesh has no {kind} "{name}"{suggest(name, groups)}{listed}')
 
 
 def near_message(
@@ -201,15 +207,23 @@ def near_message(
         return f"({at}) m is {distance:.3g} m from the nearest {kind} ({nearest[0]}); correct it"
     if len(nearest) > 1:
         named = ", ".join(map(str, nearest))
-        return f"({at}) m lies on the edge between {kind} {named}; move it off the edge"
+        return f"({at}) m lies on the edge between {kind} {named}; move it into one of them"
     return None
 
 
-_NONE = (
+_NO_FACETS = (
     " (it has none at all: choose facets by [mesh.groups.NAME]; "
     "`wrenchbook check FOLDER --faces` lists the faces with the lines to write)"
 )
+_NO_CELLS = (
+    " (it has none at all: make a cell group in the mesher, or, with a STEP file, "
+    "[mesh.regions.NAME])"
+)
+_MAX_LISTED = 30  # names of groups in a message: about three lines of a terminal
 
 
-def _listed(groups: list[str]) -> str:
-    return f" (it has {', '.join(groups)})" if groups else _NONE
+def _listed(groups: list[str], if_none: str = _NO_FACETS) -> str:
+    if not groups:
+        return if_none
+    more = f" and {len(groups) - _MAX_LISTED} more" if len(groups) > _MAX_LISTED else ""
+    return f" (it has {', '.join(groups[:_MAX_LISTED])}{more})"

@@ -29,7 +29,9 @@ def too_many(cells: float, key: str) -> list[tuple[str, str]]:
     """Return the mistake of too many cells, if so, at the `key` that makes most of them."""
     if cells <= MAX_CELLS:
         return []
-    return [(key, f"makes {cells:.3g} cells, more than {MAX_CELLS // 10**6} million; write fewer")]
+    remedy = "write a larger size" if key == "mesh.size" else "write fewer"
+    limit = f"{MAX_CELLS // 10**6} million"
+    return [(key, f"makes {cells:.3g} cells, more than {limit}; {remedy}")]
 
 
 @dataclass(frozen=True, eq=False)
@@ -431,13 +433,13 @@ class Spring(Generator):
         layers = self.cells_per_turn * self.active_turns
         problems = too_many(layers * (self.core**2 + 4.0 * self.core), name)
         if self.wire_diameter >= self.mean_diameter:
-            problems.append(
-                ("wire_diameter", "must be smaller than mean_diameter; write a thinner wire")
-            )
-        if self.free_length <= self.active_turns * self.wire_diameter:
-            problems.append(
-                ("free_length", "must be above active_turns x wire_diameter; write a larger one")
-            )
+            limit = f"mean_diameter, {self.mean_diameter:g} m"
+            message = f"must be below {limit}, not {self.wire_diameter:g}; write a thinner wire"
+            problems.append(("wire_diameter", message))
+        if self.free_length <= (solid := self.active_turns * self.wire_diameter):
+            limit = f"active_turns x wire_diameter, {solid:g} m"
+            message = f"must be above {limit}, not {self.free_length:g}; write a longer spring"
+            problems.append(("free_length", message))
         return problems
 
     def mesh(self) -> Mesh:

@@ -46,7 +46,6 @@ _FIT = 1e-12  # relative, of these numbers: roundoff
 _FIT_STEPS = 50  # evaluations of such a fit at most
 _OPPOSED = -0.99  # cosine of the normals of two sides of a wall: 8 degrees
 _ALIGNED = 1 - 1e-6  # cosine of a normal with a plane's: 0.08 degrees
-_NO_AREA = "a face of the surface has no area: its cells have no volume; mesh the part again"
 _UNKNOWN = Face(0, "Curved", 0.0, (0.0, 0.0, 0.0), None, None)
 
 
@@ -142,7 +141,8 @@ class Surface:
         """Return the plane, cylinder or curved face of facets, by their indices (k,)."""
         x, areas = self.mesh.points[np.unique(self.corners[members])], self.areas[members]
         if not areas.any():
-            raise BundleError([BundleProblem("mesh", _NO_AREA)])
+            at = point_text(x.mean(axis=0))
+            _refuse("mesh", f"has cells without volume at the surface near {at} m; mesh it again")
         centre = _three(np.average(self.middles[members], axis=0, weights=areas))
         mean = _unit(areas[None] @ self.normals[members])[0]
         face = Face(0, "Curved", float(areas.sum()), centre, None, None)
@@ -297,9 +297,10 @@ class Surface:
         if not level.any():
             square = [f for f in self.faces if f.normal and abs(normal @ f.normal) > _ALIGNED]
             positions = sorted({round(float(normal @ face.centre), 9) for face in square})
-            listed = ", ".join(f"{place:g}" for place in positions) or "none anywhere"
+            listed = ", ".join(f"{place:g}" for place in positions)
             along = plane if isinstance(plane, str) else f"x . {point_text(normal)}"
-            _refuse(where, f"there is no plane face at {along} = {at:g} m; choose one at: {listed}")
+            remedy = f"choose one at: {listed}" if listed else "none is parallel; use near or faces"
+            _refuse(where, f"there is no plane face at {along} = {at:g} m; {remedy}")
         return level
 
     def _round(self, choice: FaceSelector, where: str) -> Array:
@@ -310,8 +311,8 @@ class Surface:
             chosen = [n for n, other in radii.items() if abs(other - radius) < _NEAR * radius]
             if not chosen:
                 listed = ", ".join(dict.fromkeys(f"{r:.6g}" for r in sorted(radii.values())))
-                message = f"there is no cylinder of this radius; radii here: {listed or 'none'}"
-                _refuse(where, message)
+                remedy = f"choose one of {listed}" if listed else "none is round; use near or faces"
+                _refuse(where, f"there is no cylinder of radius {radius:g} m; {remedy}")
             return np.isin(self.numbers, chosen)
         axis = np.array(choice.cylinder.axis)
         arms = np.cross(self.mesh.points[self.corners] - choice.cylinder.point, axis)

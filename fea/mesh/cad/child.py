@@ -152,7 +152,7 @@ def opened(path: Path) -> Iterator[Any]:
             gmsh.model.occ.synchronize()
         except Exception as error:
             why = " ".join(str(error).split())[:200] or type(error).__name__
-            message = f'"{path.name}" cannot be read as a STEP file ({why}); export it anew'
+            message = f'"{path.name}" cannot be read as a STEP file ({why}); export it again'
             raise BundleError([BundleProblem("mesh.file", message)]) from None
         if not gmsh.model.getEntities(3):
             there = "surfaces only" if gmsh.model.getEntities(2) else "no shapes"

@@ -132,11 +132,15 @@ def _in_child(
         why = next((line.strip() for line in reversed(lines) if line.strip()), "no message")
         limit = -process.returncode in (signal.SIGKILL, signal.SIGXCPU)
         if limit or re.search("bad_alloc|MemoryError", why):  # another attempt reaches it too
-            why = "gmsh exceeds its limit of memory or time; write a larger size"
+            of = "time" if -process.returncode == signal.SIGXCPU else "memory"
+            why = f'gmsh exceeds its limit of {of} on "{path.name}"'
+            if geometry is None:
+                why += "; leave threads and small rounds out of the geometry"
+                raise BundleError([BundleProblem("mesh.file", why)])
+            why += f" with cells of {geometry.size:g} m; write a larger size"
             raise BundleError([BundleProblem("mesh.size", why)])
-        why = f'gmsh fails on "{path.name}" ({why[:200]})' + (
-            "" if geometry else "; export it anew"
-        )
+        remedy = "" if geometry else "; export it again from the CAD program"
+        why = f'gmsh fails on "{path.name}" ({why[:200]}){remedy}'
         raise _GmshError([BundleProblem("mesh.file", why)])
     with np.load(io.BytesIO(output), allow_pickle=False) as answer:
         arrays = {name: answer[name] for name in answer.files}
