@@ -17,7 +17,7 @@ _HEX_EDGES = (
     *((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4)),
     *((0, 4), (1, 5), (2, 6), (3, 7)),
 )
-# VTK numbers the face middles of hex27 x-, x+, y-, y+, z-, z+; in the order of _HEX_FACES:
+# Nodes of hex27 in the middle of each of _HEX_FACES; VTK numbers these x-, x+, y-, y+, z-, z+.
 _HEX_MIDDLES = (24, 25, 22, 21, 23, 20)
 _TET_FACES = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3))
 _TET_EDGES = ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3))
@@ -35,13 +35,11 @@ def _with_midsides(
 ) -> tuple[tuple[int, ...], ...]:
     """Append to each face the midside nodes of its edges, in their order round the face."""
     middle = {frozenset(edge): corners + i for i, edge in enumerate(edges)}
-    return tuple(
-        (
-            *face,
-            *(middle[frozenset((a, b))] for a, b in zip(face, face[1:] + face[:1], strict=True)),
-        )
-        for face in faces
-    )
+    complete = []
+    for face in faces:
+        sides = zip(face, face[1:] + face[:1], strict=True)
+        complete.append((*face, *(middle[frozenset(side)] for side in sides)))
+    return tuple(complete)
 
 
 EDGES: dict[str, tuple[tuple[int, int], ...]] = {
@@ -85,7 +83,7 @@ TRIANGLES: dict[str, tuple[tuple[int, int, int], ...]] = {
 class Face:
     """A face of a geometry file, or a connected smooth part of a mesh's surface."""
 
-    number: int  # what ``faces = [...]`` names it by
+    number: int  # its name in ``faces = [...]``
     kind: str  # gmsh's, such as "Plane", "Cylinder" or "BSpline surface"; "Curved" of a mesh
     area: float  # m^2
     centre: tuple[float, float, float]  # area centre, m
@@ -131,8 +129,7 @@ def facets_within(surface: FacetGroup, node_ids: Array) -> FacetGroup:
 class FaceFinder:
     """Finds the face of a cell that has given corners.
 
-    So a group may be drawn with 4-node facets, or 9-node ones, on 20-node hexahedra: it gets the
-    faces of the cells it lies on.
+    A group may have 4-node or 9-node facets on 20-node hexahedra; it gets the faces of the cells.
 
     blocks: the solid cells.
     """
@@ -223,6 +220,7 @@ _MAX_LISTED = 30  # names of groups in a message: about three lines of a termina
 
 
 def _listed(groups: list[str], if_none: str = _NO_FACETS) -> str:
+    """Return the names of groups in brackets, or how to make one if there is none."""
     if not groups:
         return if_none
     more = f" and {len(groups) - _MAX_LISTED} more" if len(groups) > _MAX_LISTED else ""

@@ -195,44 +195,23 @@ class Case:
 
 @dataclass
 class Translated:
-    """A deck in the making; all entries are text as it goes into the deck.
+    """A deck in the making; all entries are text as it goes into the deck."""
 
-    Attributes
-    ----------
-    nodes
-        Rows of ``*NODE``.
-    elements
-        By type and region, numbers of element and nodes; a midside node may be "0".
-    constants
-        By material, rows by keyword.
-    sections
-        Material by region.
-    groups
-        Nodes by name.
-    transforms
-        Nodes by the row of their ``*TRANSFORM``.
-    couplings
-        Lines of couplings.
-    cases
-        Each a step.
-    skipped
-        How often each thing occurs that is not in the deck.
-    decide
-        What the file leaves open.
-    """
-
-    nodes: list[str] = field(default_factory=list)
+    nodes: list[str] = field(default_factory=list)  # rows of *NODE
+    # By type and region, numbers of element and nodes; a midside node may be "0".
     elements: dict[tuple[str, str], list[list[str]]] = field(
         default_factory=lambda: defaultdict(list)
     )
+    # By material, the row of each keyword
     constants: dict[str, dict[str, str]] = field(default_factory=lambda: defaultdict(dict))
-    sections: dict[str, str] = field(default_factory=dict)
-    groups: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
+    sections: dict[str, str] = field(default_factory=dict)  # material by region
+    groups: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))  # of nodes
+    # Nodes by the row of their *TRANSFORM
     transforms: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
-    couplings: list[str] = field(default_factory=list)
-    cases: list[Case] = field(default_factory=list)
-    skipped: Counter[str] = field(default_factory=Counter)
-    decide: list[str] = field(default_factory=list)
+    couplings: list[str] = field(default_factory=list)  # lines of couplings and springs
+    cases: list[Case] = field(default_factory=list)  # each a step
+    skipped: Counter[str] = field(default_factory=Counter)  # contents that are not in the deck
+    decide: list[str] = field(default_factory=list)  # what the file leaves open
     nonlinear: bool = False
 
     def _set_middles(self) -> None:
