@@ -30,6 +30,8 @@ _MAX_RUNS = 12  # of a nonlinear deck; a rotation of 20 degrees takes half of th
 _LINEAR_GAP = 1e-5
 _RECIPROCAL_GAP = 1e-4
 _ZERO_WORK = 1e-9  # relative to the largest work; smaller ones are roundoff
+_TINY = 1e-300  # in place of a displacement of 0, by which nothing can be divided
+_LEAST_CHANGE = 1e-3  # of a step: by less, Broyden's update would divide by next to nothing
 
 
 def solve_deck(
@@ -129,7 +131,7 @@ def _linear(runs: _Runs, wrench: Array, sizes: Array) -> tuple[Array, Array]:
     largest = (np.abs(compliance) @ np.abs(wrench)).reshape(2, 3).max(axis=1)
     gaps = np.abs(compliance @ wrench - displacement).reshape(2, 3).max(axis=1)
     if (gaps > _LINEAR_GAP * largest).any():
-        gap = float((gaps / np.maximum(largest, 1e-300)).max())
+        gap = float((gaps / np.maximum(largest, _TINY)).max())
         raise SolveFailed(
             "not_linear",
             f"The deck's answer to this wrench differs by {gap:.1e} of its size from the sum of "
@@ -194,7 +196,7 @@ def _nonlinear(runs: _Runs, wrench: Array) -> Array:
             change = excess - before
             row = step @ inverse
             scale = float(row @ change)
-            if abs(scale) >= 1e-3 * float(step @ step):
+            if abs(scale) >= _LEAST_CHANGE * float(step @ step):
                 inverse = inverse + np.outer(step - inverse @ change, row) / scale
         step, before = -inverse @ excess, excess
         acting = acting + step

@@ -59,7 +59,7 @@ class Frame:
         if not self.shift:
             return point
         r = np.array(self.rotation).reshape(3, 3)
-        return (r @ (np.array(point)) + self.shift).tolist()
+        return (r @ np.array(point) + self.shift).tolist()
 
 
 @dataclass(frozen=True)
@@ -132,6 +132,7 @@ def read_keywords(text: DeckText) -> Iterator[Keyword]:
 
 
 def _without_instances(text: DeckText) -> Iterator[Keyword]:
+    """Yield the blocks of a deck of one part at most."""
     first = None
     for keyword in _blocks(text):
         if keyword.word == "PART":
@@ -145,6 +146,7 @@ def _without_instances(text: DeckText) -> Iterator[Keyword]:
 
 
 def _blocks(text: DeckText) -> Iterator[Keyword]:
+    """Yield the keywords with their data lines; a line that ends with a comma goes on."""
     head: Keyword | None = None
     open_head = ""
     for number, line in enumerate(text.splitlines(), start=1):
@@ -226,21 +228,23 @@ _MAX_MEMBERS = 20_000_000
 class Deck:
     """The mesh read so far; sets are keyed by their name in capitals, as solvers do."""
 
-    nodes: dict[int, list[float]] = field(default_factory=dict)
-    kinds: list[str] = field(default_factory=list)
-    cells: list[list[list[int]]] = field(default_factory=list)
+    nodes: dict[int, list[float]] = field(default_factory=dict)  # points by label
+    kinds: list[str] = field(default_factory=list)  # of each *ELEMENT
+    cells: list[list[list[int]]] = field(default_factory=list)  # labels of its elements' nodes
+    # By element, the numbers of its *ELEMENT and of its row there
     where: dict[int, tuple[int, int]] = field(default_factory=dict)
     node_sets: dict[str, list[int]] = field(default_factory=dict)
     element_sets: dict[str, list[int]] = field(default_factory=dict)
-    surfaces: dict[str, list[tuple[int, str]]] = field(default_factory=dict)
-    names: dict[str, str] = field(default_factory=dict)
-    frames: dict[str, Frame] = field(default_factory=dict)
+    surfaces: dict[str, list[tuple[int, str]]] = field(default_factory=dict)  # element and face
+    names: dict[str, str] = field(default_factory=dict)  # of sets, as the deck spells them
+    frames: dict[str, Frame] = field(default_factory=dict)  # instances by their names in capitals
+    # Of each *NODE, the number of nodes before it and its line; of each *ELEMENT, its line
     node_lines: list[tuple[int, str]] = field(default_factory=list)
     element_lines: list[str] = field(default_factory=list)
     systems: dict[int, tuple[Array, Array]] = field(default_factory=dict)  # axes in rows, origin
     # Of couplings, by node set and label; those that come twice add up
     weights: dict[str, Counter[int]] = field(default_factory=lambda: defaultdict(Counter))
-    entries: int = 0
+    entries: int = 0  # members of all sets
 
 
 def axes_through(origin: Array, first: Array, second: Array) -> Array:

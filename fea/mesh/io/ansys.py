@@ -11,7 +11,7 @@ from wrenchbook.fea.mesh.io.abaqus import real, whole
 from wrenchbook.fea.mesh.io.raw import Case, Translated
 from wrenchbook.fea.spec.problems import MeshFileError
 
-# SOLID elements by number: hexahedra, which may be collapsed, and tetrahedra.
+# SOLID elements by number: hexahedra, which may be collapsed, and tetrahedra
 _HEX, _TET = ("45", "185", "95", "186"), ("92", "187", "285")
 _SKIPPED = {"CE", "CEINTF", "CERIG", "CP", "CPINTF", "DSYM", "NROTAT", "RBE3"}  # constraints, axes
 _SKIPPED |= {"DA", "DK", "DL", "FK", "SF", "SFA", "SFE", "SFGRAD", "SFL"}  # on geometry and faces
@@ -38,19 +38,16 @@ class _Type(NamedTuple):
 
 @dataclass
 class _Archive(Translated):
-    """A deck in the making, and the state of an archive that is read.
+    """A deck in the making, and the state of an archive that is read."""
 
-    `types` are by number, `held` and `forces` values by node and freedom; `selected` is whether
-    nodes are selected that the archive does not list, `branches` the number of open *IF.
-    """
-
-    types: dict[str, _Type] = field(default_factory=dict)
+    types: dict[str, _Type] = field(default_factory=dict)  # by number
+    # By name, constants by the words of the deck ("E" and "NU" make *ELASTIC)
     materials: dict[str, dict[str, str]] = field(default_factory=dict)
     parameters: dict[str, str] = field(default_factory=dict)
-    held: dict[tuple[str, str], float] = field(default_factory=dict)
-    forces: dict[tuple[str, str], float] = field(default_factory=dict)
-    selected: bool = False
-    branches: int = 0
+    held: dict[tuple[str, str], float] = field(default_factory=dict)  # by node and freedom
+    forces: dict[tuple[str, str], float] = field(default_factory=dict)  # by node and freedom
+    selected: bool = False  # whether nodes are selected that the archive does not list
+    branches: int = 0  # number of open *IF
 
     def type_of(self, number: str) -> _Type:
         """Return the element type of a number; raises MeshFileError if no ET defines it."""

@@ -45,17 +45,16 @@ _SELECTION = re.compile(r"(SPC|LOAD)\b\s*(?:\([^)]*\))?\s*=?\s*(\w+)")
 
 @dataclass
 class _Bulk(Translated):
-    """A deck in the making, and what case control selects, by kind ("SPC", "LOAD") and number.
+    """A deck in the making, and the content of the file that later cards refer to."""
 
-    `sets` have rows of node, freedom and value, `sums` factors and numbers of sets; what nodes hold
-    themselves is the set ("GRID", ""). `mass_factor` is of all densities.
-    """
-
+    # By kind ("SPC", "LOAD") and number: rows of node, freedom and value; the set ("GRID", "") is
+    # what GRID cards hold themselves.
     sets: dict[tuple[str, str], list[tuple[str, str, float]]] = field(
         default_factory=lambda: defaultdict(list)
     )
+    # By kind and number of an SPCADD or LOAD: factors and numbers of sets
     sums: dict[tuple[str, str], list[tuple[float, str]]] = field(default_factory=dict)
-    mass_factor: float = 1.0
+    mass_factor: float = 1.0  # of all densities: PARAM,WTMASS
     # Fields of coordinate systems and of nodes by number; systems by number: kind, axes, origin
     cards: dict[str, tuple[str, list[str]]] = field(default_factory=dict)
     grids: dict[str, list[str]] = field(default_factory=dict)
