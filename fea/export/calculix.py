@@ -68,7 +68,7 @@ def deck_of(component: ComponentModel, comments: Iterable[str] = ()) -> str:
             )
             problems.append(BundleProblem(f"{interface.key}.coupling", message))
         if not np.array_equal(interface.axes, component.axes):
-            message = "must equal those of the first interface, since a deck has one; write them"
+            message = "must equal those of the first interface, as a deck has one frame; copy them"
             problems.append(BundleProblem(f"{interface.key}.axes", message))
     for bushing in component.frames:
         if bushing.coupling != "rigid":

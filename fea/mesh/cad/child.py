@@ -183,7 +183,7 @@ def choose_bodies(
     for name, choice in regions.items():
         where = f"mesh.regions.{name}"
         for number in set(choice.bodies) - set(there):
-            message = f"there is no body {number}; the geometry has 1 to {len(there)}"
+            message = f"there is no body {number}; write numbers from 1 to {len(there)}"
             problems.append(BundleProblem(f"{where}.bodies", message))
         numbers = set(choice.bodies)
         for point in choice.near:

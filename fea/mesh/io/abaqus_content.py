@@ -367,9 +367,7 @@ def _target(deck: Deck, name: str, frame: Frame) -> tuple[str, list[int]]:
     labels = named(deck, deck.node_sets, name, frame)
     single = name.rpartition(".")[2].isdigit()
     if single and labels[0] not in deck.nodes:
-        raise MeshFileError(
-            f"names a node {name} that is not defined above it; add its *NODE there"
-        )
+        raise MeshFileError(f"names a node {name} that is not defined above; add its *NODE there")
     return "" if single else set_key(deck, deck.node_sets, name, frame), labels
 
 

@@ -77,7 +77,8 @@ class _Bulk(Translated):
             return "R", np.eye(3), np.zeros(3)
         if number not in self.systems:
             if number not in self.cards:
-                raise MeshFileError(f"needs coordinate system {number}, which no CORD card defines")
+                message = f"needs coordinate system {number}, which no CORD card defines; add it"
+                raise MeshFileError(message)
             name, fields = self.cards[number]
             if not fields:
                 raise MeshFileError(f"needs {name} {number}, which needs itself; correct its RID")
