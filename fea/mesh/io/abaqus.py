@@ -336,9 +336,7 @@ def parsed(path: Path, take: Callable[[Deck, Keyword], None]) -> Deck:
 def _take_nodes(deck: Deck, keyword: Keyword) -> None:
     kind = keyword.options.get("SYSTEM", "R").upper()
     if kind not in ("R", "C"):
-        raise MeshFileError(
-            f"has SYSTEM={kind}; write its nodes in SYSTEM=R (Cartesian) or C (cylindrical)"
-        )
+        raise MeshFileError(f"has SYSTEM={kind}; write R (Cartesian) or C (cylindrical)")
     axes, origin = deck.systems.get(keyword.frame.number, (np.eye(3), np.zeros(3)))
     moved = kind == "C" or keyword.frame.number in deck.systems
     deck.node_lines.append((len(deck.nodes), keyword.at))
@@ -474,9 +472,7 @@ def _members(deck: Deck, sets: dict[str, list[int]], keyword: Keyword) -> list[i
 def _few(entries: Sequence[int]) -> Sequence[int]:
     """Return a set's members if a mesh can have so many: a line of text may name any number."""
     if len(entries) > _MAX_MEMBERS:
-        raise MeshFileError(
-            f"names {len(entries)} nodes or elements, more than {_MAX_MEMBERS}; correct the range"
-        )
+        raise MeshFileError(f"names {len(entries)} members; name at most {_MAX_MEMBERS}")
     return entries
 
 
@@ -515,9 +511,7 @@ def _take_surface(deck: Deck, keyword: Keyword) -> None:
             continue
         face = fields[0].upper() if fields else ""
         if not re.fullmatch(r"S\d", face):
-            raise MeshFileError(
-                f'has the face "{face}" of "{name}"; name a face of a solid, S1 to S6'
-            )
+            raise MeshFileError(f'has the face "{face}" of {name}; write S1 to S6 of a solid')
         entries = [(e, face) for e in named(deck, deck.element_sets, name, keyword.frame)]
         deck.entries += len(entries)
         _few(range(deck.entries))

@@ -33,20 +33,7 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
     Raises BundleError if the file has not four finite numbers a line below a line of names, gives a
     point two temperatures or lies far from the part, or if nothing is heated.
     """
-    head, *lines = field.read_text(encoding="utf-8", errors="replace").splitlines() or [""]
-    names = [name.strip().strip('"').lower()[:1] for name in head.split(",")]
-    if names[:3] != ["x", "y", "z"]:
-        example = "such as x,y,z,temperature"
-        raise _wrong(f'must begin with a line of names, {example}, but begins with "{head[:60]}"')
-    try:
-        table = np.loadtxt(field, delimiter=",", skiprows=1, ndmin=2)
-        is_complete = table.shape[1:] == (_COLUMNS,) and table.size and np.isfinite(table).all()
-    except (ValueError, UnicodeDecodeError):
-        is_complete = False
-    if not is_complete:
-        bad = (f'"{line[:60]}" in line {i}' for i, line in enumerate(lines, 2) if _is_bad(line))
-        found = next(bad, "no such line")
-        raise _wrong(f"must have four finite numbers a line, x, y, z (m) and T, but has {found}")
+    table = _table(field)
     points, rise = table[:, :3], table[:, 3] - reference
     largest = float(rise[np.abs(rise).argmax()])
     if largest == 0.0:
@@ -80,6 +67,28 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
             inside = np.asarray(LinearNDInterpolator(here, values)(there))
         shape[between] = np.where(np.isnan(inside), shape[between], inside)
     return shape
+
+
+def _table(field: Path) -> Array:
+    """Return x, y, z and temperature of each point of a file, (p, 4); raises BundleError."""
+    with field.open(encoding="utf-8", errors="replace") as file:
+        head = file.readline().strip()
+    names = [name.strip().strip('"').lower()[:1] for name in head.split(",")]
+    if names[:3] != ["x", "y", "z"]:
+        example = "such as x,y,z,temperature"
+        raise _wrong(f'must begin with a line of names, {example}, but begins with "{head[:60]}"')
+    try:
+        table = np.loadtxt(field, delimiter=",", skiprows=1, ndmin=2)
+        is_complete = table.shape[1:] == (_COLUMNS,) and table.size and np.isfinite(table).all()
+    except (ValueError, UnicodeDecodeError):
+        is_complete = False
+    if not is_complete:
+        with field.open(encoding="utf-8", errors="replace") as file:
+            lines = ((number, line.strip()) for number, line in enumerate(file, 1) if number > 1)
+            bad = (f'"{line[:60]}" in line {number}' for number, line in lines if _is_bad(line))
+            found = next(bad, "no such line")
+        raise _wrong(f"must have four finite numbers a line, x, y, z (m) and T, but has {found}")
+    return table
 
 
 def _is_bad(line: str) -> bool:
