@@ -4,8 +4,8 @@ Plain first-order cells lock. A cantilever of 10x10x100 mm with 2x2x10 cells ben
 0.67 (wedge6) and 0.35 (tet4) of the right displacement (Timoshenko); a bonded block of 40x40x10 mm
 with nu = 0.49 and 4x4x2 cells deforms by 0.47, 0.47 and 0.43 of it. Such a part looks healthy, so
 these cells are refused. With ``order = 2`` under ``[mesh]`` each edge gets a node in its middle:
-the cantilever bends by 0.98 or more, the block deforms by 0.95 or more. Edges stay straight: a curved
-surface is better meshed in second order by the mesher itself.
+the cantilever bends by 0.98 or more, the block deforms by 0.95 or more. Edges stay straight: a
+curved surface is better meshed in second order by the mesher itself.
 """
 
 from __future__ import annotations
