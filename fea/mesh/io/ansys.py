@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from wrenchbook.fea.mesh.io.abaqus import real, whole
 from wrenchbook.fea.mesh.io.raw import Case, Translated
+from wrenchbook.fea.mesh.mesh import NODES_PER_CELL
 from wrenchbook.fea.spec.problems import MeshFileError
 
 # SOLID elements by number: hexahedra, which may be collapsed, and tetrahedra
@@ -135,9 +136,9 @@ def _take_nodes(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
             return
         start = ints * width
         values = [row[start + i * size : start + (i + 1) * size].strip() or "0" for i in range(6)]
-        x, y, z, *angles = values
-        archive.nodes.append(f"{row[:width].strip()}, {x}, {y}, {z}")
-        if any(map(float, angles)):
+        *_, first, second, third = (real(each) for each in values)  # the last three are angles
+        archive.nodes.append(", ".join([row[:width].strip(), *values[:3]]))
+        if first or second or third:
             archive.skipped["nodes with local axes"] += 1
 
 
@@ -184,6 +185,8 @@ def _take_cell(archive: _Archive, kind: _Type, region: str, number: str, nodes: 
     if kind.name in _HEX and any(collapsed := (nodes[2] == nodes[3], nodes[4] == nodes[5])):
         indices = {(True, True): _TETRAHEDRON, (True, False): _WEDGE}.get(collapsed, _PYRAMID)
         nodes = [nodes[i] for i in indices if i < len(nodes)]
+    if len(nodes) not in NODES_PER_CELL.values():
+        raise MeshFileError(f"has element {number} with {len(nodes)} nodes; write 20 at most")
     corners = {10: 4, 13: 5, 15: 6, 20: 8}.get(len(nodes), len(nodes))
     if "0" in nodes[:corners]:
         raise MeshFileError(f"has node 0 at a corner of element {number}; write its node")

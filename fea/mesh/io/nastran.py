@@ -306,6 +306,7 @@ def _real(field: str) -> float:
 
 def _grid(data: _Bulk, _: str, fields: list[str]) -> None:
     coordinates = ", ".join(f"{x:.12g}" for x in data.point(fields).tolist())
+    whole(fields[0])  # raises if the number is none
     data.nodes.append(f"{fields[0]}, {coordinates}")
     _hold(data, ("GRID", ""), fields[0], fields[6])
 
