@@ -136,9 +136,9 @@ def _take_nodes(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
             return
         start = ints * width
         values = [row[start + i * size : start + (i + 1) * size].strip() or "0" for i in range(6)]
-        *_, first, second, third = (real(each) for each in values)  # the last three are angles
+        angles = [real(each) for each in values][3:]
         archive.nodes.append(", ".join([row[:width].strip(), *values[:3]]))
-        if first or second or third:
+        if any(angles):
             archive.skipped["nodes with local axes"] += 1
 
 

@@ -81,7 +81,7 @@ def _table(field: Path) -> Array:
         table = np.loadtxt(field, delimiter=",", skiprows=1, ndmin=2)
         is_complete = table.shape[1:] == (_COLUMNS,) and table.size and np.isfinite(table).all()
     except (ValueError, UnicodeDecodeError):
-        is_complete = False
+        table, is_complete = np.empty(0), False
     if not is_complete:
         with field.open(encoding="utf-8", errors="replace") as file:
             lines = ((number, line.strip()) for number, line in enumerate(file, 1) if number > 1)
