@@ -88,6 +88,7 @@ def run_deck(deck: Deck, wrench: Array, folder: Path, progress: Progress) -> tup
 
 
 def _run(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress) -> Reading:
+    """Run the command of a deck in its folder and read its output; raises as `run_deck`."""
     command = [word.replace("{job}", run.job) for word in deck.command]
     program = command[0]
 
@@ -133,6 +134,7 @@ def _run(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress) -> Re
 
 
 def _ending(code: int) -> str:
+    """Return how a program ended, by its exit code or minus the signal that ended it."""
     if code == 0:
         return "reported an error"
     if code > 0:
@@ -147,7 +149,7 @@ def _ending(code: int) -> str:
 
 _GRACE = 2.0  # seconds between asking to end and killing; engines wait 5 s for us
 _POLL_EVERY = 0.25  # seconds
-# Reads until this program writes a line (all is well) or is gone, even by SIGKILL.
+# Waits until this program writes a line (all is well) or is gone, even by SIGKILL.
 _GUARD = 'read -r _ || kill -s KILL -- "-$0"'
 
 
@@ -222,20 +224,19 @@ def _guarded(group: int) -> Iterator[None]:
 
 
 def _signal(group: int, number: int) -> None:
-    # Nobody left in it: gone; macOS says "not permitted" of a group of zombies.
+    """Send a signal to a process group; one without processes is no error."""
+    # macOS refuses the signal ("not permitted") to a group of zombies.
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.killpg(group, number)
 
 
 def deck_report(deck: Deck) -> tuple[dict[str, Any], list[BundleProblem]]:
-    """Return a summary of a deck, and warnings.
+    """Return a summary of a deck, and warnings of what may keep a solve from working.
 
-    A program that is not installed here is a warning and no mistake of the bundle: solves may run
-    elsewhere, and one that does not says so.
+    The summary: ``file``, ``program`` (its path, None if not found), ``reader``, ``moment``,
+    ``unit`` and ``timeout`` (s). A program that is not installed here is a warning, not an error,
+    because solves may run elsewhere.
 
-    Result: its ``file``, ``program`` (the path found, or None), ``reader``, ``moment``, ``unit``
-    and ``timeout`` (s).
-    Result: what may keep a solve from working.
     Raises BundleError if the deck lacks a placeholder, or what its reader depends on.
     """
     content = deck.file.read_bytes()

@@ -30,6 +30,8 @@ _MAX_RUNS = 12  # of a nonlinear deck; a rotation of 20 degrees takes half of th
 _LINEAR_GAP = 1e-5
 _RECIPROCAL_GAP = 1e-4
 _ZERO_WORK = 1e-9  # relative to the largest work; smaller ones are roundoff
+_TINY = 1e-300  # in place of a displacement of 0, by which nothing can be divided
+_LEAST_CHANGE = 1e-3  # of a step: by less, Broyden's update would divide by next to nothing
 
 
 def solve_deck(
@@ -129,11 +131,11 @@ def _linear(runs: _Runs, wrench: Array, sizes: Array) -> tuple[Array, Array]:
     largest = (np.abs(compliance) @ np.abs(wrench)).reshape(2, 3).max(axis=1)
     gaps = np.abs(compliance @ wrench - displacement).reshape(2, 3).max(axis=1)
     if (gaps > _LINEAR_GAP * largest).any():
-        gap = float((gaps / np.maximum(largest, 1e-300)).max())
+        gap = float((gaps / np.maximum(largest, _TINY)).max())
         raise SolveFailed(
             "not_linear",
-            f"The deck's answer to this wrench differs by {gap:.1e} from the sum of its "
-            "answers to single loads.",
+            f"The deck's answer to this wrench differs by {gap:.1e} of its size from the sum of "
+            f"its answers to single loads; at most {_LINEAR_GAP:g} is roundoff.",
             "Set nonlinear = true in [analysis], or remove what is nonlinear from the "
             "deck: NLGEOM, contact, plasticity, loads other than the wrench.",
         )
@@ -151,8 +153,11 @@ def _require_reciprocity(compliance: Array, sizes: Array) -> None:
     works = np.diagonal(exchange)
     floor = _ZERO_WORK * float(np.abs(works).max())
     if (works < -floor).any():
-        freedom = FREEDOMS[int(np.argmin(works))]
-        raise not_reciprocal(f"A load along {freedom} moves {freedom} in the opposite direction.")
+        i = int(np.argmin(works))
+        raise not_reciprocal(
+            f"A unit load along {FREEDOMS[i]} moves {FREEDOMS[i]} by {compliance[i, i]:.6e}, in "
+            "the opposite direction."
+        )
     works = np.maximum(works, 0.0)
     gap = np.abs(exchange - exchange.T) - _RECIPROCAL_GAP * np.sqrt(np.outer(works, works))
     i, j = np.unravel_index(int(np.argmax(gap)), gap.shape)
@@ -191,15 +196,15 @@ def _nonlinear(runs: _Runs, wrench: Array) -> Array:
             change = excess - before
             row = step @ inverse
             scale = float(row @ change)
-            if abs(scale) >= 1e-3 * float(step @ step):
+            if abs(scale) >= _LEAST_CHANGE * float(step @ step):
                 inverse = inverse + np.outer(step - inverse @ change, row) / scale
         step, before = -inverse @ excess, excess
         acting = acting + step
     runs.accept(displacement)
     raise SolveFailed(
         "not_converged",
-        f"After {_MAX_RUNS} runs the deck's moment still differs by {gap / size:.1e} from the "
-        "required one.",
+        f"After {_MAX_RUNS} runs the deck's moment still differs by {gap / size:.1e} of its size "
+        f"from the required one; at most {_MOMENT_GAP:g} is allowed.",
         'If the deck applies moments about fixed axes, write moment = "spatial" in [deck]; '
         "otherwise lower the load range, because the part rotates too much.",
     )

@@ -68,11 +68,13 @@ def deck_of(component: ComponentModel, comments: Iterable[str] = ()) -> str:
             )
             problems.append(BundleProblem(f"{interface.key}.coupling", message))
         if not np.array_equal(interface.axes, component.axes):
-            message = "must equal those of the first interface, because a deck has one frame only"
+            message = "must equal those of the first interface, as a deck has one frame; copy them"
             problems.append(BundleProblem(f"{interface.key}.axes", message))
     for bushing in component.frames:
         if bushing.coupling != "rigid":
-            message = 'cannot be exported, since a deck has no such spring; write "rigid"'
+            message = (
+                'cannot be exported, since a deck has no such spring; write coupling = "rigid"'
+            )
             problems.append(BundleProblem(f"{bushing.key}.coupling", message))
     if component.temperature_rise is not None:
         message = "cannot be exported; leave the field out and write *TEMPERATURE into the deck"
@@ -128,6 +130,7 @@ def _springs(component: ComponentModel) -> Iterator[str]:
     """
     if component.joints and component.analysis.nonlinear:
         yield "** The axes of springs between two groups do not turn here."
+    # Two nodes of each interface and frame, for translation and rotation, follow the mesh's.
     node = len(component.mesh.points) + 2 * len(component.interfaces) + 1
     element = sum(len(block) for block in component.mesh.blocks) + 1
     first = node
@@ -146,12 +149,12 @@ def _springs(component: ComponentModel) -> Iterator[str]:
         for size, motion in zip(sizes, motions.T, strict=True):
             if size <= 0:
                 continue
-            terms = [
-                (first + 2 * end + j // 3, j % 3 + 1, sign * x)
-                for end, sign in zip(ends, signs, strict=True)
-                for j, x in enumerate(motion @ rotation)
-            ]
-            terms = [term for term in terms if abs(term[2]) > _ZERO]
+            terms = []
+            for end, sign in zip(ends, signs, strict=True):
+                for freedom, x in enumerate(sign * (motion @ rotation)):
+                    half, axis = divmod(freedom, 3)  # half 1: the frame's second node, of rotations
+                    if abs(x) > _ZERO:
+                        terms.append((first + 2 * end + half, axis + 1, x))
             yield f"*NODE\n{node}, {at}\n*BOUNDARY\n{node}, 2, 3"
             yield from _equation([(node, 1, -1.0), *terms])
             yield f"*ELEMENT, TYPE=SPRING1, ELSET=K{element}\n{element}, {node}"
@@ -178,6 +181,7 @@ def _equation(terms: list[tuple[int, int, float]]) -> Iterator[str]:
 
 
 def _materials(component: ComponentModel) -> Iterator[str]:
+    """Yield materials M0, M1, ... with the sections of the element sets E0, E1, ..."""
     for i, material in enumerate(component.materials):
         yield f"*MATERIAL, NAME=M{i}"
         if isinstance(material, Orthotropic):
@@ -209,6 +213,7 @@ def _materials(component: ComponentModel) -> Iterator[str]:
 
 
 def _set(kind: str, interface: AttachedInterface) -> str:
+    """Return a set's name: REF, ROT or SECTION, with the interface's name if it has one."""
     return f"{kind}_{interface.name}".upper() if interface.name else kind
 
 
@@ -321,10 +326,12 @@ def further_placeholder(name: str) -> str:
 
 
 def _freedom_set(freedom: str, interface: AttachedInterface) -> str:
+    """Return the set of the node that moves along a freedom such as "ux" or "rz"."""
     return _set("REF" if freedom.startswith("u") else "ROT", interface)
 
 
 def _axis(freedom: str) -> int:
+    """Return the number 1 to 3 of a freedom's axis."""
     return "xyz".index(freedom[1]) + 1
 
 
@@ -352,7 +359,8 @@ def main(arguments: list[str] | None = None) -> int:
         units = "Metres, newtons, pascals; the axes are those of the interface frame."
         sys.stdout.write(deck_of(component, (component.bundle.title, origin, units)))
     except (BundleError, OSError, tomllib.TOMLDecodeError) as error:
-        print(error, file=sys.stderr)
+        place = "" if isinstance(error, BundleError) else f"{path}: "
+        print(f"{place}{error}", file=sys.stderr)
         return 1
     return 0
 

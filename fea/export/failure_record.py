@@ -14,7 +14,11 @@ from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.io.read import MESHIO_KINDS
 
-HISTORY, LAST_STATE = "history.json", "last_state.vtu"
+Array = np.ndarray
+
+HISTORY, LAST_STATE = "history.json", "last_state.vtu"  # files in the attempt's folder
+_COLUMNS = ("load_factor", "iteration", "residual_norm")  # of each iteration of the history
+_NAMES = {kind: name for name, kind in MESHIO_KINDS.items()}
 
 
 def keep(folder: Path, failure: SolveFailed, component: ComponentModel) -> None:
@@ -39,14 +43,6 @@ def keep(folder: Path, failure: SolveFailed, component: ComponentModel) -> None:
         write_state(folder / LAST_STATE, component, nodes)
     except OSError as error:
         print(f"the last state was not kept: {error}", file=sys.stderr)
-
-
-_COLUMNS = ("load_factor", "iteration", "residual_norm")
-
-
-Array = np.ndarray
-
-_NAMES = {kind: name for name, kind in MESHIO_KINDS.items()}
 
 
 def write_state(path: Path, component: ComponentModel, displacements: Array) -> None:

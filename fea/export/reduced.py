@@ -12,18 +12,22 @@ from scipy.spatial.transform import Rotation
 from wrenchbook.fea.solver.vibration import CraigBampton
 
 _NAMES = {"stiffness": "K", "mass": "M", "damping": "B"}  # in Nastran's case control
+_RIGID_MOTIONS = 6  # of a free part: its lowest modes
+_WIDTH = 16  # characters of a large field of Nastran
 
 
 def arrays(part: CraigBampton, damping: float = 0.0) -> dict[str, Any]:
     """Return a part's fields, ``quaternions`` (f, 4), w first, of its frames, and ``damping``.
 
-    damping: ratio of each elastic mode of the free part; 0 leaves the matrix (N·s/m) out.
+    damping: ratio of each elastic mode of the free part; 0 leaves the matrix (N·s/m) out. The
+    matrix is the sum over modes of 2 damping omega p p^T, with p the mode's momentum, M times its
+    shape of unit modal mass.
     """
     content: dict[str, Any] = dict(vars(part))
     content["quaternions"] = Rotation.from_matrix(part.rotations).as_quat(scalar_first=True)
     if damping:
         squares, motions = eigh(part.stiffness, part.mass)
-        squares[:6] = 0.0  # the rigid motions
+        squares[:_RIGID_MOTIONS] = 0.0  # omega^2, rad^2/s^2
         momenta = part.mass @ motions * (2 * damping) ** 0.5 * squares**0.25
         content["damping"] = momenta @ momenta.T
     return content
@@ -72,4 +76,4 @@ def _number(value: float) -> str:
     """Return a number in a field of 16 characters, with the digits that it holds: 9 to 13."""
     parts = (f"{value:.{digits}e}".split("e") for digits in range(12, 7, -1))
     texts = (f"{mantissa}D{int(exponent)}" for mantissa, exponent in parts)
-    return next(f"{text:>16}" for text in texts if len(text) <= 16)
+    return next(text.rjust(_WIDTH) for text in texts if len(text) <= _WIDTH)

@@ -15,9 +15,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from wrenchbook.fea.mesh.dependents import Dependents
-from wrenchbook.fea.mesh.facets import TRIANGLES, faces_of, facets_within, missing
+from wrenchbook.fea.mesh.facets import TRIANGLES, faces_of, facets_within, missing, no_facets
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
-from wrenchbook.fea.spec.problems import BundleProblem
+from wrenchbook.fea.spec.problems import BundleProblem, point_text
 from wrenchbook.fea.spec.schema import Bolt
 
 Array = np.ndarray
@@ -87,32 +87,19 @@ def _sides(
 ) -> tuple[list[Array], Array, float] | None:
     """Return which cells are above a cut at it, (m,) bool of each block, its nodes, and its area.
 
-    The nodes, (k,), are sorted. The area, m^2, is projected on the plane across the axis.
+    The nodes, (k,), are sorted. The area, m^2, is projected on the plane across the axis. A shank
+    that cannot be cut is None, with a problem at `key`, such as "bolt[0]".
     """
     by_region, name = bolt.region is not None, bolt.region or bolt.group or ""
-    key, message = f"{key}.{'region' if by_region else 'group'}", ""
-    kind, groups = ("cell", mesh.regions) if by_region else ("facet", mesh.facet_groups)
-    if name not in groups:
-        problems.append(missing(key, name, f"{kind} group", [*groups]))
+    key = f"{key}.{'region' if by_region else 'group'}"
+    if by_region and name not in mesh.regions:
+        problems.append(missing(key, name, "cell group", [*mesh.regions]))
         return None
-    heights, chosen = mesh.points @ bolt.axis, list[Array]()
-    if by_region:
-        chosen = [
-            np.isin(np.arange(len(block)), cells)
-            for block, cells in zip(mesh.blocks, mesh.regions[name], strict=True)
-        ]
-        span = heights[_nodes_of(mesh, chosen)]
-        level = 0.5 * (span.min() + span.max()) if bolt.point is None else bolt.point @ bolt.axis
-        levels = [np.full(len(block), level - _LEVEL * np.ptp(span)) for block in mesh.blocks]
-    else:
-        # Each cell against those of its own nodes that are in the group, which may be curved.
-        group = mesh.facet_groups[name].node_ids
-        touched = [np.isin(block.nodes, group) for block in mesh.blocks]
-        chosen = [touch.sum(axis=1) > 0 for touch in touched]
-        levels = [
-            (touch * heights[block.nodes]).sum(axis=1) / np.maximum(touch.sum(axis=1), 1)
-            for touch, block in zip(touched, mesh.blocks, strict=True)
-        ]
+    if not by_region and name not in mesh.facet_groups:
+        problems.append(no_facets(mesh, key, name))
+        return None
+    heights = mesh.points @ bolt.axis
+    chosen, levels = (_of_region if by_region else _of_group)(mesh, bolt, heights)
     above = [
         inside & (heights[block.nodes].mean(axis=1) > level)
         for inside, block, level in zip(chosen, mesh.blocks, levels, strict=True)
@@ -130,14 +117,25 @@ def _sides(
         for kind, facets in facets_within(faces, nodes).blocks
     ]
     outside = np.intersect1d(nodes, _nodes_of(mesh, [~inside for inside in chosen]))
-    if not triangles:
-        message = "has no connected cells on both sides of its cut; move point into the shank"
+    message = ""
+    if not triangles and not by_region:
+        message = f'"{name}" has cells on one side only; name facets inside the shank, across it'
+    elif not triangles:
+        span, level = heights[_nodes_of(mesh, chosen)], np.concatenate(levels)[0]
+        message = (
+            f"has no connected cells on both sides of its cut, {level:.4g} m along axis; "
+            f"the region is from {span.min():.4g} to {span.max():.4g} m, so move point into it"
+        )
     elif not by_region and not np.array_equal(nodes, mesh.facet_groups[name].node_ids):
-        message = f'"{name}" does not cut through the shank; name all facets across it'
+        message = (
+            f'"{name}" does not cut through the shank: cells on both sides share {len(nodes)} of '
+            f"its {len(mesh.facet_groups[name].node_ids)} nodes; name all facets across the shank"
+        )
     elif outside.size:
         message = (
-            f"shares {outside.size} nodes of its cut with cells outside the region, which support "
-            "the shank there; move point to where the shank is free"
+            f"shares {outside.size} nodes of its cut, such as the one at "
+            f"{point_text(mesh.points[outside[0]])} m, with cells outside the region, which "
+            "support the shank there; move point to where the shank is free"
         )
     elif (count := _pieces(mesh, above, nodes)) > 1:
         message = f"has {count} separate shanks at its cut; write a [[bolt]] for each"
@@ -150,9 +148,37 @@ def _sides(
     return above, nodes, float(abs(vector @ bolt.axis))
 
 
+def _of_region(mesh: Mesh, bolt: Bolt, heights: Array) -> tuple[list[Array], list[Array]]:
+    """Return the region's cells, (m,) bool of each block, and the height of the cut at each, m.
+
+    heights: shape (n,), m: of the nodes along the axis.
+    """
+    chosen = [
+        np.isin(np.arange(len(block)), cells)
+        for block, cells in zip(mesh.blocks, mesh.regions[bolt.region or ""], strict=True)
+    ]
+    span = heights[_nodes_of(mesh, chosen)]
+    level = 0.5 * (span.min() + span.max()) if bolt.point is None else bolt.point @ bolt.axis
+    return chosen, [np.full(len(block), level - _LEVEL * np.ptp(span)) for block in mesh.blocks]
+
+
+def _of_group(mesh: Mesh, bolt: Bolt, heights: Array) -> tuple[list[Array], list[Array]]:
+    """Return the cells at the group's facets and the height of the cut at each, as `_of_region`.
+
+    It is that of the cell's own nodes in the group, which may be curved.
+    """
+    group = mesh.facet_groups[bolt.group or ""].node_ids
+    touched = [np.isin(block.nodes, group) for block in mesh.blocks]
+    levels = [
+        (touch * heights[block.nodes]).sum(axis=1) / np.maximum(touch.sum(axis=1), 1)
+        for touch, block in zip(touched, mesh.blocks, strict=True)
+    ]
+    return [touch.sum(axis=1) > 0 for touch in touched], levels
+
+
 def _pieces(mesh: Mesh, chosen: Sequence[Array], nodes: Array) -> int:
-    """Return into how many pieces some cells fall that hang together by some nodes."""
-    pairs, first = [], len(mesh.points)
+    """Return the number of pieces of cells, (m,) bool of each block, connected by some nodes."""
+    pairs, first = [], len(mesh.points)  # numbers of cells follow those of nodes
     for block, cells in zip(mesh.blocks, chosen, strict=True):
         cell, corner = np.nonzero(np.isin(block.nodes, nodes) & cells[:, None])
         pairs.append(np.stack([first + cell, block.nodes[cell, corner]]))
@@ -164,5 +190,6 @@ def _pieces(mesh: Mesh, chosen: Sequence[Array], nodes: Array) -> int:
 
 
 def _nodes_of(mesh: Mesh, chosen: Sequence[Array]) -> Array:
+    """Return the nodes of cells, (m,) bool of each block, sorted, (k,)."""
     parts = [block.nodes[cells].ravel() for block, cells in zip(mesh.blocks, chosen, strict=True)]
     return np.unique(np.concatenate(parts))

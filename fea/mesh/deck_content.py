@@ -143,34 +143,19 @@ class LoadCase:
 
 @dataclass
 class DeckContent:
-    """Content of a deck besides its mesh.
+    """Content of a deck besides its mesh; sections and cases are in the order of the deck."""
 
-    Attributes
-    ----------
-    materials
-        Constants of each, by the keys of ``[[material]]``; three of an orthotropic one.
-    sections
-        In the order of the deck; they name groups of the mesh.
-    cases
-        In the order of the deck, at least one; what precedes the first step acts in all of them.
-    elements
-        The number of elements of each type.
-    taken, ignored
-        Lines of each keyword that is read or compared, and that is neither.
-    missing
-        By line and keyword, what counts and cannot be taken over, and what to do.
-    ties
-        Each with its line and keyword, lengths in the deck's unit.
-    """
-
+    # Constants of each by the keys of ``[[material]]``, three of an orthotropic one
     materials: dict[str, dict[str, Constant]] = field(default_factory=dict)
     sections: list[SolidSection] = field(default_factory=list)
+    # At least one; what precedes the first step acts in all of them.
     cases: list[LoadCase] = field(default_factory=list)
-    elements: dict[str, int] = field(default_factory=dict)
-    taken: dict[str, list[int]] = field(default_factory=dict)
-    ignored: dict[str, list[int]] = field(default_factory=dict)
+    elements: dict[str, int] = field(default_factory=dict)  # number of elements of each type
+    taken: dict[str, list[int]] = field(default_factory=dict)  # lines of keywords that are used
+    ignored: dict[str, list[int]] = field(default_factory=dict)  # lines of all other keywords
+    # By line and keyword, contents that count and cannot be imported, and what to do
     missing: dict[str, str] = field(default_factory=dict)
-    ties: list[tuple[str, Tie]] = field(default_factory=list)
+    ties: list[tuple[str, Tie]] = field(default_factory=list)  # with line and keyword, deck's unit
 
     @property
     def notes(self) -> list[str]:

@@ -17,7 +17,7 @@ _HEX_EDGES = (
     *((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4)),
     *((0, 4), (1, 5), (2, 6), (3, 7)),
 )
-# VTK numbers the face middles of hex27 x-, x+, y-, y+, z-, z+; in the order of _HEX_FACES:
+# Nodes of hex27 in the middle of each of _HEX_FACES; VTK numbers these x-, x+, y-, y+, z-, z+.
 _HEX_MIDDLES = (24, 25, 22, 21, 23, 20)
 _TET_FACES = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3))
 _TET_EDGES = ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3))
@@ -35,13 +35,11 @@ def _with_midsides(
 ) -> tuple[tuple[int, ...], ...]:
     """Append to each face the midside nodes of its edges, in their order round the face."""
     middle = {frozenset(edge): corners + i for i, edge in enumerate(edges)}
-    return tuple(
-        (
-            *face,
-            *(middle[frozenset((a, b))] for a, b in zip(face, face[1:] + face[:1], strict=True)),
-        )
-        for face in faces
-    )
+    complete = []
+    for face in faces:
+        sides = zip(face, face[1:] + face[:1], strict=True)
+        complete.append((*face, *(middle[frozenset(side)] for side in sides)))
+    return tuple(complete)
 
 
 EDGES: dict[str, tuple[tuple[int, int], ...]] = {
@@ -85,7 +83,7 @@ TRIANGLES: dict[str, tuple[tuple[int, int, int], ...]] = {
 class Face:
     """A face of a geometry file, or a connected smooth part of a mesh's surface."""
 
-    number: int  # what ``faces = [...]`` names it by
+    number: int  # its name in ``faces = [...]``
     kind: str  # gmsh's, such as "Plane", "Cylinder" or "BSpline surface"; "Curved" of a mesh
     area: float  # m^2
     centre: tuple[float, float, float]  # area centre, m
@@ -131,8 +129,7 @@ def facets_within(surface: FacetGroup, node_ids: Array) -> FacetGroup:
 class FaceFinder:
     """Finds the face of a cell that has given corners.
 
-    So a group may be drawn with 4-node facets, or 9-node ones, on 20-node hexahedra: it gets the
-    faces of the cells it lies on.
+    A group may have 4-node or 9-node facets on 20-node hexahedra; it gets the faces of the cells.
 
     blocks: the solid cells.
     """
@@ -177,19 +174,25 @@ def group_nodes(mesh: Mesh, key: str, name: str, problems: list[BundleProblem]) 
         return mesh.facet_groups[name].node_ids
     if name in mesh.node_groups:
         return np.unique(mesh.node_groups[name])
-    groups = [*mesh.facet_groups, *mesh.node_groups]
-    if name in mesh.regions:
-        message = f'"{name}" is a group of cells; name a group of facets or nodes{_listed(groups)}'
-        problems.append(BundleProblem(key, message))
-    else:
-        problems.append(missing(key, name, "facet or node group", groups))
+    problems.append(no_facets(mesh, key, name, or_nodes=True))
     return np.empty(0, dtype=np.int64)
+
+
+def no_facets(mesh: Mesh, key: str, name: str, *, or_nodes: bool = False) -> BundleProblem:
+    """Return the problem of a name that is no facet group, nor a node group if these will do."""
+    kind = "facet or node group" if or_nodes else "facet group"
+    groups = [*mesh.facet_groups, *(mesh.node_groups if or_nodes else ())]
+    for what, others in (("cells", mesh.regions), ("nodes", mesh.node_groups)):
+        if name in others:
+            message = f'"{name}" is a group of {what}; name a {kind}{_listed(groups)}'
+            return BundleProblem(key, message)
+    return missing(key, name, kind, groups)
 
 
 def missing(key: str, name: str, kind: str, groups: list[str]) -> BundleProblem:
     """Return the problem of a group that is not there, with the nearest and all that are."""
-    message = f'the mesh has no {kind} "{name}"{suggest(name, groups)}{_listed(groups)}'
-    return BundleProblem(key, message)
+    listed = _listed(groups, _NO_CELLS if kind == "cell group" else _NO_FACETS)
+    return BundleProblem(key, f'the mesh has no {kind} "{name}"{suggest(name, groups)}{listed}')
 
 
 def near_message(
@@ -201,15 +204,24 @@ def near_message(
         return f"({at}) m is {distance:.3g} m from the nearest {kind} ({nearest[0]}); correct it"
     if len(nearest) > 1:
         named = ", ".join(map(str, nearest))
-        return f"({at}) m lies on the edge between {kind} {named}; move it off the edge"
+        return f"({at}) m lies on the edge between {kind} {named}; move it into one of them"
     return None
 
 
-_NONE = (
+_NO_FACETS = (
     " (it has none at all: choose facets by [mesh.groups.NAME]; "
     "`wrenchbook check FOLDER --faces` lists the faces with the lines to write)"
 )
+_NO_CELLS = (
+    " (it has none at all: make a cell group in the mesher, or, with a STEP file, "
+    "[mesh.regions.NAME])"
+)
+_MAX_LISTED = 30  # names of groups in a message: about three lines of a terminal
 
 
-def _listed(groups: list[str]) -> str:
-    return f" (it has {', '.join(groups)})" if groups else _NONE
+def _listed(groups: list[str], if_none: str = _NO_FACETS) -> str:
+    """Return the names of groups in brackets, or how to make one if there is none."""
+    if not groups:
+        return if_none
+    more = f" and {len(groups) - _MAX_LISTED} more" if len(groups) > _MAX_LISTED else ""
+    return f" (it has {', '.join(groups[:_MAX_LISTED])}{more})"

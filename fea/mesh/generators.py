@@ -21,6 +21,10 @@ from wrenchbook.fea.spec.mesh_source import Generator
 Array = np.ndarray
 
 
+_LEAST_CORE = 0.6  # of the radius: gave a core of one or two cells the most exact torsion of a wire
+_RING = 1.7  # cells of a fine core that the ring about it is as wide as
+_SPACE = 1.1  # least space for a round patch, in its diameters, so that its rings have a width
+_ROUNDOFF = 1e-9  # of a number of layers, which may be a product of decimal fractions
 MAX_CELLS = 2_000_000
 """More cells than any machine that runs this solves; a slip of the keyboard, refused."""
 
@@ -29,7 +33,9 @@ def too_many(cells: float, key: str) -> list[tuple[str, str]]:
     """Return the mistake of too many cells, if so, at the `key` that makes most of them."""
     if cells <= MAX_CELLS:
         return []
-    return [(key, f"makes {cells:.3g} cells, more than {MAX_CELLS // 10**6} million; write fewer")]
+    remedy = "write a larger size" if key == "mesh.size" else "write fewer"
+    limit = f"{MAX_CELLS // 10**6} million"
+    return [(key, f"makes {cells:.3g} cells, more than {limit}; {remedy}")]
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,15 +104,13 @@ def round_corners(radius: float, core: int) -> tuple[Array, Array]:
     The last 4 `core` nodes are those of the circle, counter-clockwise from -135 degrees, and the
     last 4 `core` quadrilaterals those along it, each with its second side there.
     """
-    # The core's nodes are halfway between a square and a disc. Its fraction of the radius makes the
-    # ring about as wide as the cells of a fine core; for a core of one or two cells it is the
-    # fraction that gave the most exact torsion of a wire.
+    # The core's nodes are halfway between a square and a disc.
     line = np.linspace(-1.0, 1.0, core + 1)
     s, t = np.meshgrid(line, line, indexing="ij")
     square = np.stack([s, t], axis=-1) / np.sqrt(2.0)
     # The elliptical map of a square to a disc; it keeps the four corners on the circle.
     round_ = np.stack([s * np.sqrt(1.0 - t**2 / 2.0), t * np.sqrt(1.0 - s**2 / 2.0)], axis=-1)
-    fraction = max(0.6, core / (core + 1.7))
+    fraction = max(_LEAST_CORE, core / (core + _RING))
     inner = fraction * radius * (0.5 * (square + round_)).reshape(-1, 2)
     arcs = 4 * core
     angles = -0.75 * np.pi + 2.0 * np.pi * np.arange(arcs) / arcs
@@ -172,7 +176,7 @@ def directions(angles: Array) -> Array:
     return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
 
-PointMap = Callable[[Array, Array], Array]
+PointMap = Callable[[Array, Array], Array]  # see `sweep`
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,6 +255,7 @@ def _stride(section: PlaneMesh) -> int:
 
 
 def _each_layer(columns: list[Array], stride: int, layers: int) -> Array:
+    """Return the nodes of all layers by those of the first, k columns of (q,): (layers q, k)."""
     first = np.stack(columns, axis=-1).astype(np.int64)
     shifts = stride * np.arange(layers, dtype=np.int64)
     return (first + shifts[:, None, None]).reshape(-1, first.shape[-1])
@@ -330,7 +335,7 @@ class Plate(Generator):
     def mistakes(self) -> list[tuple[str, str]]:
         """Return (key, message) for what does not fit together, or makes too many cells."""
         side = min(self.length, self.width)
-        if 1.1 * self.patch + 2.0 * self.corner < side:
+        if _SPACE * self.patch + 2.0 * self.corner < side:
             lines = self.cells + 2.0 * self.corner_cells
             plan = lines**2 + 4.0 * self.cells * (self.rings + 1)
             counts = ("cells", "rings", "corner_cells", "layers")
@@ -417,7 +422,7 @@ class Spring(Generator):
     """spring: from cut to cut"""
     cells_per_turn: Integer = key("cells", "12", default=26, ge=6)
     """spring: layers of cells in one turn"""
-    # The section has core^2 + 4 core cells
+    # The section has core^2 + 4 core cells.
     core: Integer = key("cells", "2", default=1, ge=1)
     """spring: across the core of the wire's section"""
     generator: Literal["spring"] = key(
@@ -431,18 +436,18 @@ class Spring(Generator):
         layers = self.cells_per_turn * self.active_turns
         problems = too_many(layers * (self.core**2 + 4.0 * self.core), name)
         if self.wire_diameter >= self.mean_diameter:
-            problems.append(
-                ("wire_diameter", "must be smaller than mean_diameter; write a thinner wire")
-            )
-        if self.free_length <= self.active_turns * self.wire_diameter:
-            problems.append(
-                ("free_length", "must be above active_turns x wire_diameter; write a larger one")
-            )
+            limit = f"mean_diameter, {self.mean_diameter:g} m"
+            message = f"must be below {limit}, not {self.wire_diameter:g}; write a thinner wire"
+            problems.append(("wire_diameter", message))
+        if self.free_length <= (solid := self.active_turns * self.wire_diameter):
+            limit = f"active_turns x wire_diameter, {solid:g} m"
+            message = f"must be above {limit}, not {self.free_length:g}; write a longer spring"
+            problems.append(("free_length", message))
         return problems
 
     def mesh(self) -> Mesh:
         """Return the mesh, of 20-node hexahedra."""
-        layers = int(np.ceil(self.cells_per_turn * self.active_turns - 1e-9))
+        layers = int(np.ceil(self.cells_per_turn * self.active_turns - _ROUNDOFF))
         wire = sweep(disc(self.wire_diameter / 2.0, self.core), layers, self._to_space)
         groups = {"bottom": wire.start(), "top": wire.end(), "side": wire.side()}
         return Mesh(wire.points, (wire.cells,), facet_groups=groups)

@@ -72,6 +72,10 @@ _MASS_SIMPLEX_DEGREES = {**_SIMPLEX_DEGREES, "tet4": 2, "tet10": 4}
 _MASS_WEDGE_RULES = {"wedge6": (2, 2), "wedge15": (4, 3)}
 
 
+_ROUNDOFF = 1e-12  # of reference coordinates, which are 0, 1/2 and 1
+_TINY = 1e-30  # in place of the height below a pyramid's apex, by which it divides
+
+
 @dataclass(frozen=True, eq=False)
 class ReferenceElement:
     """Shape functions tabulated at quadrature points, all dimensionless."""
@@ -138,7 +142,7 @@ def tabulate(kind: str, points: Array) -> tuple[Array, Array]:
     coordinates = node_coordinates(kind)
     distance = np.abs(coordinates[:, None, :] - np.asarray(element.doflocs)[None, :, :]).max(axis=2)
     order = distance.argmin(axis=1)
-    if distance.min(axis=1).max() > 1e-12 or len(set(order.tolist())) != len(coordinates):
+    if distance.min(axis=1).max() > _ROUNDOFF or len(set(order.tolist())) != len(coordinates):
         raise AssertionError("scikit-fem moved the nodes of a reference element")
     values, slopes = zip(*(element.lbasis(points.T, int(i)) for i in order), strict=True)
     return np.stack(values, axis=1), np.moveaxis(np.stack(slopes), (0, 1, 2), (1, 2, 0)).copy()
@@ -157,7 +161,8 @@ _PRODUCTS = {
 
 def _products(kind: str, points: Array) -> tuple[Array, Array]:
     """Return values and slopes of the shape functions of `_PRODUCTS` at points; see `tabulate`."""
-    factors, slopes = (_wedge_factors if kind == "wedge15" else _pyramid_factors)(*points.T)
+    factors_at = _wedge_factors if kind == "wedge15" else _pyramid_factors
+    factors, slopes = factors_at(*points.T)
     products, ones = _PRODUCTS[kind].split(), np.ones(len(points))
     N, dN = np.zeros((len(products), len(points))), np.zeros((len(products), len(points), 3))
     for product, value, slope in zip(products, N, dN, strict=True):
@@ -166,7 +171,8 @@ def _products(kind: str, points: Array) -> tuple[Array, Array]:
             others = product[:i] + product[i + 1 :]
             cofactor = np.prod([ones, *(factors[other] for other in others)], axis=0)
             slope += cofactor[:, None] * np.stack(np.broadcast_arrays(*slopes[letter]), axis=1)
-    corners = len(products) if len(products) < 10 else int(np.max(EDGES[kind])) + 1
+    corners = min(len(products), int(np.max(EDGES[kind])) + 1)
+    # A midside function is four times its product; corner functions lose half of those beside them.
     for table in (N, dN):
         table[corners:] *= 4
         for edge, middle in zip(EDGES[kind], table[corners:], strict=False):
@@ -191,7 +197,7 @@ def _pyramid_factors(x: Array, y: Array, h: Array) -> tuple[dict[str, Array], di
     h is the height and d = 1 - h; p = x/d, q = 1 - p, r = y/d and s = 1 - r, so that the faces are
     those of hexahedra and tetrahedra. At the apex slopes are those on the line p = r = 1/2.
     """
-    ones, d = np.ones_like(h), np.maximum(1 - h, 1e-30)  # no division by zero at the apex
+    ones, d = np.ones_like(h), np.maximum(1 - h, _TINY)
     p, r = (np.where(h < 1, each / d, 0.5) for each in (x, y))
     factors = {"d": d, "h": h, "p": p, "q": 1 - p, "r": r, "s": 1 - r}
     slopes = {"d": (0, 0, -ones), "h": (0, 0, ones)}
@@ -207,11 +213,13 @@ def _gauss(count: int) -> tuple[Array, Array]:
 
 
 def _simplex(dimension: int, degree: int) -> tuple[Array, Array]:
+    """Points (q, dimension) and weights (q,) of a triangle or tetrahedron, exact to a degree."""
     points, weights = get_quadrature(RefTet if dimension == 3 else RefTri, degree)
     return np.ascontiguousarray(points.T), np.asarray(weights)
 
 
 def _wedge(degree: int, count: int) -> tuple[Array, Array]:
+    """Points (q, 3) and weights (q,): a triangle's of a degree at `count` heights of a wedge."""
     flat, flat_weights = _simplex(2, degree)
     positions, weight = _gauss(count)
     points = [[*point, height] for height in positions for point in flat]

@@ -80,6 +80,9 @@ _DENOMINATOR = 64
 """Of the corners' weights: the nodes of children lie at quarters along three directions, 4^3."""
 
 
+_ZERO = 1e-9  # of a shape function at a point of a pattern, where it is a multiple of 1/64
+
+
 class _Pattern(NamedTuple):
     """The children of one kind of cell or facet: their nodes are points in the parent."""
 
@@ -92,6 +95,7 @@ class _Pattern(NamedTuple):
 
 @cache
 def _pattern(kind: str) -> _Pattern:
+    """Return the children of a kind of cell or facet."""
     linear = _CORNERS.get(kind, kind)
     inside = tabulate(linear, node_coordinates(kind))[0]
     nodes = np.array([inside @ corners for corners in _children(linear)])
@@ -211,7 +215,7 @@ def _split_nodes(mesh: Mesh, group: Array, finer: _FinerNodes) -> Array:
     """Return the finer nodes, sorted, that depend on nodes of the group only."""
     inside = []
     for block, numbers in zip(mesh.blocks, finer.numbers, strict=True):
-        matters = np.abs(_pattern(block.kind).values) > 1e-9  # values are multiples of 1/64
+        matters = np.abs(_pattern(block.kind).values) > _ZERO
         outside = ~np.isin(block.nodes, group)
         inside.append(numbers[outside.astype(int) @ matters.T.astype(int) == 0])
     return np.unique(np.concatenate(inside))

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from graphlib import CycleError, TopologicalSorter
 from itertools import combinations
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -41,19 +41,34 @@ _MAX_RADIUS = 10.0  # of a face's size; a flatter arc shows no radius to three d
 _ANGLE = 10.0  # degrees, of `normal` without `angle`
 _THIN = 0.5  # of the side of a square of the chosen area: a thinner wall has two sides in a box
 _TINY = 1e-300  # in place of a length or an area of 0, by which nothing can be divided
-_FIT_POINTS = 2000  # of a face: enough for the five numbers of a cylinder
+_MIN_FIT_POINTS = 6  # one more than the five numbers of a cylinder, so that a misfit shows
+_FIT_POINTS = 2000  # of a face: enough for these five
 _FIT = 1e-12  # relative, of these numbers: roundoff
 _FIT_STEPS = 50  # evaluations of such a fit at most
+_LEAST_SQUARE = 1e-30  # of a radius over a face's size, where roundoff makes it negative
+_ACROSS = 0.5  # cosine of a cylinder's axis and a facet's normal: ends of it have 1, its side 0
 _OPPOSED = -0.99  # cosine of the normals of two sides of a wall: 8 degrees
+_ROUNDOFF = 1e-9  # of a direction or a place, which bundles write to about so many digits
 _ALIGNED = 1 - 1e-6  # cosine of a normal with a plane's: 0.08 degrees
-_NO_AREA = "a face of the surface has no area: its cells have no volume; mesh the part again"
 _UNKNOWN = Face(0, "Curved", 0.0, (0.0, 0.0, 0.0), None, None)
 
 
-class Surface:
-    """The facets of a mesh's surface, each with the number of its face.
+class _Restriction(NamedTuple):
+    """Facets that a key allows."""
 
-    group, numbers, faces: facets, their faces' numbers, and these faces, of a geometry file.
+    allowed: Array  # shape (f,), bool
+    excess: Array  # shape (f,): how far each facet is from being allowed
+    unit: str  # unit and meaning of `excess`
+
+
+class Surface:
+    """The f facets of a mesh's surface, each with the number of its face.
+
+    group, numbers, faces: facets, their faces' numbers, (f,), and these faces, of a geometry file;
+    without these, the outer surface and its smooth parts.
+
+    Attributes: `corners` (f, 4) and `triangles` (t, 3) nodes; `owners` (t,) the facet of each
+    triangle; `areas` (f,), m^2; unit `normals` and `middles`, m, (f, 3); `sizes` (f,), m.
     """
 
     def __init__(
@@ -94,35 +109,33 @@ class Surface:
         parts = zip(self.blocks, np.split(chosen, ends[:-1]), strict=True)
         return FacetGroup(tuple(FacetBlock(k, n[part]) for (k, n), part in parts if part.any()))
 
-    def _smooth_parts(self) -> tuple[Array, tuple[Face, ...]]:
-        """Split the surface at sharp edges, and smooth parts that are no cylinder at planes."""
-        count, normals = len(self.corners), _unit(self._vectors)
+    def _smooth_pairs(self) -> tuple[Array, Array]:
+        """Return pairs of facets with a common edge that is not sharp, (p,) and (p,)."""
+        normals = _unit(self._vectors)
         edges = np.sort(self.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
         order = np.lexsort(edges.T)
         same = np.concatenate([[False], (np.diff(edges[order], axis=0) == 0).all(axis=1), [False]])
         at = np.flatnonzero(same[1:-1] & ~same[:-2] & ~same[2:])  # edges of two triangles
         facet, neighbour = order[at] // 3, order[at + 1] // 3
         smooth = np.einsum("ij,ij->i", normals[facet], normals[neighbour]) > _SMOOTH
-        first, second = self.owners[facet[smooth]], self.owners[neighbour[smooth]]
+        return self.owners[facet[smooth]], self.owners[neighbour[smooth]]
+
+    def _smooth_parts(self) -> tuple[Array, tuple[Face, ...]]:
+        """Split the surface at sharp edges, and smooth parts that are no cylinder at planes.
+
+        Return the number of each facet's face, (f,), from 1 on, and the faces.
+        """
+        count, (first, second) = len(self.corners), self._smooth_pairs()
 
         def parts(joined: Array) -> Array:
+            """Return the part of each facet, (f,), if some of the pairs hang together."""
             pair = first[joined], second[joined]
             graph = coo_array((np.ones(len(pair[0])), pair), shape=(count, count))
             return connected_components(graph, directed=False)[1]
 
         turn = np.linalg.norm(np.cross(self.normals[first], self.normals[second]), axis=1)
-        smooth_parts, flat = parts(turn < 2), parts(turn < _FLAT)
-        # A plane in a smooth part has a node of two facets or more, all of them in that plane; a
-        # strip of a round face has none.
-        nodes = len(self.mesh.points)
-        keys = np.unique(np.arange(count).repeat(4) * nodes + self.corners.ravel())
-        facets = keys // nodes
-        keys = smooth_parts[facets].astype(np.int64) * nodes + keys % nodes
-        _, index, times = np.unique(keys, return_inverse=True, return_counts=True)
-        low, high = np.full(len(times), count), np.zeros(len(times), dtype=np.int64)
-        np.minimum.at(low, index, flat[facets])
-        np.maximum.at(high, index, flat[facets])
-        plane = np.isin(flat, low[(low == high) & (times > 1)])
+        smooth_parts, flat = parts(np.ones(len(turn), dtype=bool)), parts(turn < _FLAT)
+        plane = self._in_planes(smooth_parts, flat)
         split = np.zeros(count, dtype=bool)
         for part in _members(smooth_parts):
             mixed = plane[part].any() and len(np.unique(flat[part])) > 1
@@ -138,11 +151,29 @@ class Surface:
             numbers[members[i]] = number
         return numbers, tuple(replace(faces[i], number=n) for n, i in enumerate(ranked, 1))
 
+    def _in_planes(self, smooth: Array, flat: Array) -> Array:
+        """Return which facets are in a plane of more than a strip, a mask of shape (f,).
+
+        smooth, flat: the smooth part and the flat part of each facet, (f,). A plane in a smooth
+        part has a node of two facets or more, all of them in that plane; a strip of a round face
+        has none.
+        """
+        count, nodes = len(self.corners), len(self.mesh.points)
+        keys = np.unique(np.arange(count).repeat(4) * nodes + self.corners.ravel())
+        facets = keys // nodes
+        keys = smooth[facets].astype(np.int64) * nodes + keys % nodes
+        _, index, times = np.unique(keys, return_inverse=True, return_counts=True)
+        low, high = np.full(len(times), count), np.zeros(len(times), dtype=np.int64)
+        np.minimum.at(low, index, flat[facets])
+        np.maximum.at(high, index, flat[facets])
+        return np.asarray(np.isin(flat, low[(low == high) & (times > 1)]))
+
     def _face(self, members: Array) -> Face:
         """Return the plane, cylinder or curved face of facets, by their indices (k,)."""
         x, areas = self.mesh.points[np.unique(self.corners[members])], self.areas[members]
         if not areas.any():
-            raise BundleError([BundleProblem("mesh", _NO_AREA)])
+            at = point_text(x.mean(axis=0))
+            _refuse("mesh", f"has cells without volume at the surface near {at} m; mesh it again")
         centre = _three(np.average(self.middles[members], axis=0, weights=areas))
         mean = _unit(areas[None] @ self.normals[members])[0]
         face = Face(0, "Curved", float(areas.sum()), centre, None, None)
@@ -151,7 +182,10 @@ class Surface:
         return self.cylinder(members, face) or face
 
     def cylinder(self, members: Array, face: Face = _UNKNOWN) -> Face | None:
-        """Return `face` with the axis and radius of the cylinder that facets lie on, or None."""
+        """Return `face` with the axis and radius of the cylinder that facets lie on, or None.
+
+        members: indices of the facets, (k,). A radius that `face` has already stays.
+        """
         x = self.mesh.points[np.unique(self.corners[members])]
         middle, size = x.mean(axis=0), float(np.linalg.norm(np.ptp(x, axis=0)))
         vectors = self.normals[members] * self.areas[members, None] / size**2
@@ -162,18 +196,21 @@ class Surface:
         from scipy.optimize import least_squares  # here: 50 ms of a solve's imports
 
         # The axis by the point (0, b, c) and the direction (1, d, e) of the frame; and the radius.
-        def off(values: Array, at: Array) -> Array:
+        def misfit(values: Array, at: Array) -> Array:
+            """Return distances of points (k, 3) from the cylinder b, c, d, e, radius, (k,)."""
             arms = np.cross(at - [0, *values[:2]], _unit(np.array([[1, *values[2:4]]])))
             return np.linalg.norm(arms, axis=1) - values[4]
 
         # Start from the circle that fits best across the first direction.
         ones = np.column_stack([2 * some[:, 1:], np.ones(len(some))])
         b, c, rest = np.linalg.lstsq(ones, (some[:, 1:] ** 2).sum(axis=1))[0]
-        start = np.array([b, c, 0, 0, np.sqrt(max(rest + b**2 + c**2, 1e-30))])
-        if len(some) < 6 or np.abs(off(start, some)).max() > start[4]:
+        start = np.array([b, c, 0, 0, np.sqrt(max(rest + b**2 + c**2, _LEAST_SQUARE))])
+        if len(some) < _MIN_FIT_POINTS or np.abs(misfit(start, some)).max() > start[4]:
             return None
-        fit = least_squares(off, start, args=(some,), xtol=_FIT, ftol=_FIT, max_nfev=_FIT_STEPS).x
-        if fit[4] > _MAX_RADIUS or np.abs(off(fit, local)).max() > _NEAR * min(fit[4], 1.0):
+        fit = least_squares(
+            misfit, start, args=(some,), xtol=_FIT, ftol=_FIT, max_nfev=_FIT_STEPS
+        ).x
+        if fit[4] > _MAX_RADIUS or np.abs(misfit(fit, local)).max() > _NEAR * min(fit[4], 1.0):
             return None
         axis = _unit((frame @ [1, *fit[2:4]])[None])[0]
         axis *= np.sign(axis[np.abs(axis).argmax()])
@@ -237,19 +274,21 @@ class Surface:
         adding += [] if choice.plane is None else [self._in_plane(choice, f"{where}.plane")]
         adding += [] if choice.radius is None else [self._round(choice, f"{where}.radius")]
         chosen = np.any(adding, axis=0) if adding else np.ones(len(self.areas), dtype=bool)
-        # Each restriction: the facets it keeps, and how far each one is from that.
-        keeps: dict[str, tuple[Array, Array, str]] = {}
+        restrictions: dict[str, _Restriction] = {}
         if choice.box is not None:
             x, (low, high) = self.mesh.points[self.corners], np.array(choice.box)
             outside = np.maximum(low - x, x - high).max(axis=(1, 2))
-            keeps["box"] = outside <= _NEAR * self.sizes, outside, "m out of it by a corner"
+            inner = outside <= _NEAR * self.sizes
+            restrictions["box"] = _Restriction(inner, outside, "m out of it by a corner")
         if choice.normal is not None:
             angles = np.degrees(np.arccos(np.clip(self.normals @ choice.normal, -1, 1)))
-            keeps["normal"] = angles <= (choice.angle or _ANGLE), angles, "degrees from it"
+            aligned = angles <= (choice.angle or _ANGLE)
+            restrictions["normal"] = _Restriction(aligned, angles, "degrees from it")
         if inside is not None:
             apart = np.linalg.norm(self.middles - self.middles[inside].mean(axis=0), axis=1)
-            keeps["inside"] = inside, apart, f"m from the middle of {choice.inside}"
-        for key, (allowed, excess, unit) in keeps.items():
+            unit = f"m from the middle of {choice.inside}"
+            restrictions["inside"] = _Restriction(inside, apart, unit)
+        for key, (allowed, excess, unit) in restrictions.items():
             if not (chosen & allowed).any():
                 index = np.flatnonzero(chosen)[excess[chosen].argmin()]
                 message = (
@@ -297,9 +336,10 @@ class Surface:
         if not level.any():
             square = [f for f in self.faces if f.normal and abs(normal @ f.normal) > _ALIGNED]
             positions = sorted({round(float(normal @ face.centre), 9) for face in square})
-            listed = ", ".join(f"{place:g}" for place in positions) or "none anywhere"
+            listed = ", ".join(f"{place:g}" for place in positions)
             along = plane if isinstance(plane, str) else f"x . {point_text(normal)}"
-            _refuse(where, f"there is no plane face at {along} = {at:g} m; choose one at: {listed}")
+            remedy = f"choose one at: {listed}" if listed else "none is parallel; use near or faces"
+            _refuse(where, f"there is no plane face at {along} = {at:g} m; {remedy}")
         return level
 
     def _round(self, choice: FaceSelector, where: str) -> Array:
@@ -310,13 +350,13 @@ class Surface:
             chosen = [n for n, other in radii.items() if abs(other - radius) < _NEAR * radius]
             if not chosen:
                 listed = ", ".join(dict.fromkeys(f"{r:.6g}" for r in sorted(radii.values())))
-                message = f"there is no cylinder of this radius; radii here: {listed or 'none'}"
-                _refuse(where, message)
+                remedy = f"choose one of {listed}" if listed else "none is round; use near or faces"
+                _refuse(where, f"there is no cylinder of radius {radius:g} m; {remedy}")
             return np.isin(self.numbers, chosen)
         axis = np.array(choice.cylinder.axis)
         arms = np.cross(self.mesh.points[self.corners] - choice.cylinder.point, axis)
         off = np.abs(np.linalg.norm(arms, axis=2) - radius).max(axis=1)
-        on = (off < _NEAR * radius) & (np.abs(self.normals @ axis) < 0.5)  # no end of it
+        on = (off < _NEAR * radius) & (np.abs(self.normals @ axis) < _ACROSS)
         if not on.any():
             message = (
                 f"no facet lies on the cylinder of radius {radius:g} m about this axis; the "
@@ -345,7 +385,7 @@ class Surface:
         """Return the TOML that selects a face alone, the plainest there is."""
         members, middle = self.numbers == face.number, _short(*face.centre)
         at = self.middles[members]
-        ways: list[dict[str, Any]] = [
+        ways: list[dict[str, Any]] = [  # keys of a `FaceSelector`, the plainest first
             {"near": _short(*at[np.linalg.norm(at - face.centre, axis=1).argmin()])},
             {"faces": [face.number]},
         ]
@@ -353,7 +393,7 @@ class Surface:
             ways.insert(0, {"radius": float(f"{face.radius:.6g}")})
         if face.normal is not None:
             axis = int(np.abs(face.normal).argmax())
-            even = abs(face.normal[axis]) > 1 - 1e-9
+            even = abs(face.normal[axis]) > 1 - _ROUNDOFF
             square = {"plane": "xyz"[axis], "at": middle[axis]}
             ways.insert(0, square if even else {"plane": _short(*face.normal), "at": middle})
         for way in ways:
@@ -380,6 +420,7 @@ def _members(labels: Array) -> list[Array]:
 
 
 def _three(values: Array) -> Point:
+    """Return three numbers as plain floats; + 0.0 makes -0.0 a plain 0."""
     x, y, z = (float(value) + 0.0 for value in values)
     return x, y, z
 

@@ -10,9 +10,9 @@ plane of the secondary facet.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -20,7 +20,7 @@ from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTri
 
 from wrenchbook.fea.mesh.dependents import CircularError, Dependents
-from wrenchbook.fea.mesh.facets import TRIANGLES, corners_of, missing
+from wrenchbook.fea.mesh.facets import TRIANGLES, corners_of, no_facets
 from wrenchbook.fea.mesh.mesh import FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.mesh.reference_cell import node_coordinates, reference_element, tabulate
 from wrenchbook.fea.spec.problems import BundleProblem, point_text
@@ -28,19 +28,19 @@ from wrenchbook.fea.spec.schema import Tie
 
 Array = np.ndarray
 
-_DISTANCE = 0.1  # of the mean edge: straight edges, eight round a circle, are 0.097 off it
+_GAP = 0.1  # of the mean edge: straight edges, eight round a circle, are 0.097 off it
 _ALPHA = 0.2  # any in (0, 1/3) makes the integrals positive; Popp's choice
-_COVER = 1 / 3
+_MIN_COVERED = 1 / 3
 """Of a facet: less is not tied. Of 24 plates and blocks, lapped or on plates with cells as large as
 the block, half was up to 36 % too soft and a third 13 %; less makes most of them stiffer."""
 
-_NODE = 0.1  # of its integral over the tied facets: less is an extrapolation from a strip
-_EDGE = 0.02  # of a facet, covered or not: roundoff, and what curved facets leave uncovered
-_COMPLETE = 0.9  # of a main facet: on a round surface its projection is as little, at 25 degrees
+_MIN_INTEGRAL = 0.1  # of a node's over the tied facets: less is an extrapolation from a strip
+_UNSURE = 0.02  # of a facet, covered or not: roundoff, and what curved facets leave uncovered
+_WHOLE = 0.9  # of a main facet: on a round surface its projection is as little, at 25 degrees
 _PAIRS = 10_000  # triangles that are cut at a time: about 50 MB
-_STEPS = 20  # of Newton's method for a point in a facet, which takes three to five
-_EXACT = 1e-12  # relative to the size of a facet
-_NEAR = 8  # main nodes beside a sliding node, some on its plane of symmetry if the surface is
+_MAX_STEPS = 20  # of Newton's method for a point in a facet, which takes three to five
+_EXACT = 1e-12  # relative to the size of a facet: roundoff
+_NEIGHBOURS = 8  # main nodes beside a sliding node, some on its plane of symmetry if the surface is
 _SAME = 1e-9  # of a projector: axes are written to about so many digits
 _PARALLEL = 1e-9  # rad between sides: roundoff would put their crossing anywhere along both
 _RULE = get_quadrature(RefTri, 6)  # two serendipity functions have together this degree
@@ -74,35 +74,38 @@ def joined(
 
     held: projectors on the directions in which nodes are held, (n, 3, 3).
     sections: keys of the bundle, and nodes that follow a frame of each.
+    problems: gets what is wrong; a tie with a problem is left out.
     """
-    entries, done, free = [], [], np.trace(held, axis1=1, axis2=2) < 3 - _SAME
+    entries, done = [], []
+    follows = np.zeros(len(mesh.points), dtype=bool)
     if mesh.dependents is not None:
         entries.append(mesh.dependents.entries)
-        free[mesh.dependents.nodes] = False
-        do = "remove them from the deck's constraint, or name fewer nodes"
-        others = [("[supports]", np.flatnonzero(held.any(axis=(1, 2)))), *sections]
-        problems += [
-            BundleProblem("mesh", f"{count} nodes of {where} follow others (*EQUATION); {do}")
-            for where, nodes in others
-            if (count := np.isin(nodes, mesh.dependents.nodes).sum())
-        ]
+        follows[mesh.dependents.nodes] = True
+        used = [("[supports]", np.flatnonzero(held.any(axis=(1, 2)))), *sections]
+        problems += _constrained(mesh, mesh.dependents.nodes, used)
     for i, pair in enumerate(ties):
-        key, names = f"tie[{i}]", list(mesh.facet_groups)
-        sides = {"secondary": pair.secondary, "main": pair.main}
-        if lost := [side for side, name in sides.items() if name not in names]:
-            at = ((f"{key}.{side}", sides[side], "facet group", names) for side in lost)
-            problems += [missing(*each) for each in at]
+        key, sides = f"tie[{i}]", {"secondary": pair.secondary, "main": pair.main}
+        if lost := {side: name for side, name in sides.items() if name not in mesh.facet_groups}:
+            problems += [no_facets(mesh, f"{key}.{side}", name) for side, name in lost.items()]
             continue
-        secondary, main = (mesh.facet_groups[name] for name in sides.values())
-        nodes, others, may = secondary.node_ids, main.node_ids, free.copy()
-        tree: Any = KDTree(mesh.points[others])
-        gaps, number = tree.query(mesh.points[nodes], range(1, 1 + min(_NEAR, others.size)))
-        loose = held[nodes][:, None] @ (np.eye(3) - held[others[number]])
-        may[nodes[(np.abs(loose).max(axis=(2, 3)) > _SAME).all(axis=1)]] = False
-        may[others] = False  # a common node holds the two together as it is
-        tied, follow = tied_nodes(mesh.points, secondary, main, pair.distance, may)
+        secondary, main = mesh.facet_groups[pair.secondary], mesh.facet_groups[pair.main]
+        nodes = secondary.node_ids
+        tree: Any = KDTree(mesh.points[main.node_ids])
+        nearest = range(1, 1 + min(_NEIGHBOURS, main.node_ids.size))
+        gaps, neighbours = tree.query(mesh.points[nodes], nearest)
+        # Directions in which a node is held, but its neighbours are not.
+        loose = held[nodes][:, None] @ (np.eye(3) - held[main.node_ids[neighbours]])
+        bound = {
+            f'are in "{pair.main}"': np.isin(nodes, main.node_ids),  # which holds the two together
+            "are fixed": np.trace(held[nodes], axis1=1, axis2=2) >= 3 - _SAME,
+            "already follow others": follows[nodes],
+            "slide where it does not": (np.abs(loose).max(axis=(2, 3)) > _SAME).all(axis=1),
+        }
+        may_follow = np.zeros(len(mesh.points), dtype=bool)
+        may_follow[nodes] = ~np.any([*bound.values()], axis=0)
+        tied, follow = tied_nodes(mesh.points, secondary, main, pair.distance, may_follow)
         if not tied.nodes.size:
-            message = _why_untied(pair, tied, float(gaps.min()), bool(may[nodes].any()))
+            message = _why_untied(pair, tied, float(gaps.min()), bound)
             problems.append(BundleProblem(key, message))
         for where, attached in sections:
             if (shared := np.intersect1d(tied.nodes, attached)).size:
@@ -112,7 +115,7 @@ def joined(
                     "can follow one only. Swap secondary and main, or leave cells between the two"
                 )
                 problems.append(BundleProblem(key, message))
-        free[tied.nodes] = False
+        follows[tied.nodes] = True
         entries.append(follow)
         done.append(tied)
     if not done:
@@ -130,25 +133,48 @@ def joined(
     return replace(mesh, points=points, dependents=dependents), tuple(done)
 
 
-def _why_untied(pair: Tie, tied: TiedNodes, gap: float, any_free: bool) -> str:
-    """Return why no node is tied; `gap` is the least distance of nodes of the two surfaces, m."""
-    if not any_free:
+def _constrained(
+    mesh: Mesh, followers: Array, used: Sequence[tuple[str, Array]]
+) -> Iterator[BundleProblem]:
+    """Yield a problem for each use, key and nodes, of nodes that follow others by the deck."""
+    for where, nodes in used:
+        if (shared := np.intersect1d(nodes, followers)).size:
+            message = (
+                f"{shared.size} nodes of {where}, such as the one at "
+                f"{point_text(mesh.points[shared[0]])} m, follow others by *EQUATION or *MPC of "
+                f"the deck; remove them from that constraint, or from {where}"
+            )
+            yield BundleProblem("mesh", message)
+
+
+def _why_untied(pair: Tie, tied: TiedNodes, gap: float, bound: Mapping[str, Array]) -> str:
+    """Return why no node is tied.
+
+    gap: the least distance of nodes of the two surfaces, m.
+    bound: why secondary nodes may not follow, each with a mask of shape (k,) of them.
+    """
+    free, reasons = np.ones(len(next(iter(bound.values()))), dtype=bool), []
+    for why, mask in bound.items():
+        if count := int((free & mask).sum()):
+            reasons.append(f"{count} {why}")
+        free &= ~mask
+    if not free.any():
         return (
-            f'no node of "{pair.secondary}" is free to follow: all are fixed, are in '
-            f'"{pair.main}", or already follow others. Leave the tie out, or name other '
-            "nodes"
+            f'no node of "{pair.secondary}" is free to follow "{pair.main}": {", ".join(reasons)}. '
+            "Leave the tie out, or name other facets"
         )
+    is_largest = pair.distance is not None and pair.distance > tied.distance
+    remedy = "move the surfaces together in the mesh" if is_largest else "write a larger distance"
+    limit = f"{tied.distance:.3g} m" + " (the facets' mean edge, the most)" * is_largest
     if gap > tied.distance:
         return (
-            f'no facet of "{pair.secondary}" with free nodes faces "{pair.main}" within '
-            f"{tied.distance:.3g} m; their nearest nodes are {gap:.3g} m apart. "
-            "Correct the groups, or write a larger distance"
+            f'no facet of "{pair.secondary}" with free nodes faces "{pair.main}" within {limit}; '
+            f"their nearest nodes are {gap:.3g} m apart. Correct the groups, or {remedy}"
         )
     if tied.beyond:
         return (
             f'the facets of "{pair.secondary}" are up to {tied.beyond:.3g} m off '
-            f'"{pair.main}", beyond the distance of {tied.distance:.3g} m; write a larger '
-            "one"
+            f'"{pair.main}", beyond the distance of {limit}; {remedy}'
         )
     return (
         f'"{pair.main}" covers at most a third of each facet of "{pair.secondary}". '
@@ -165,39 +191,31 @@ def tied_nodes(
     distance: facets farther from each other are not tied, m; None for a tenth of the mean edge.
     free: shape (n,), bool: nodes that may follow others.
     """
-    corners = [points[n[:, : corners_of(k)]] for k, n in (*secondary.blocks, *main.blocks)]
+    blocks = *secondary.blocks, *main.blocks
+    corners = [points[nodes[:, : corners_of(kind)]] for kind, nodes in blocks]
     edges = [np.linalg.norm(at - np.roll(at, 1, axis=1), axis=2).ravel() for at in corners]
     edge = float(np.concatenate(edges).mean())
-    distance = min(distance or _DISTANCE * edge, edge)  # to close more would fold cells over
+    distance = min(distance or _GAP * edge, edge)  # to close more would fold cells over
+    # Areas of the main facets, m^2, and how much of each is tied.
+    across = (np.cross(at, np.roll(at, -1, axis=1)) for at in corners[len(secondary.blocks) :])
+    main_areas = [np.linalg.norm(each.sum(axis=1), axis=1) / 2 for each in across]
+    main_covered = [np.zeros(len(each)) for each in main_areas]
     # Integrals of the transformed functions where the surfaces meet, and over all of tied facets.
     covered, complete = np.zeros((2, len(points)))
-    ends, entries, gap, cut, beyond = np.full((len(points), 2), -1), [], 0.0, 0, 0.0
-    across = (np.cross(at, np.roll(at, -1, axis=1)) for at in corners[len(secondary.blocks) :])
-    sizes = [np.linalg.norm(each.sum(axis=1), axis=1) / 2 for each in across]
-    covers = [np.zeros(len(each)) for each in sizes]
+    ends = np.full((len(points), 2), -1)  # of the edge in whose middle a node is
+    entries, gap, cut, beyond = [], 0.0, 0, 0.0
     for kind, nodes in secondary.blocks:
-        # Nodal values by transformed unknowns, and both ends of each edge's node.
-        size, count = nodes.shape[1], corners_of(kind)
-        corner = np.arange(count if size > count else 0)
-        pairs = np.stack([corner, (corner + 1) % count], axis=1)
-        transform = np.eye(size)
-        transform[count + corner, count + corner] = 1 - 2 * _ALPHA
-        transform[count + corner[:, None], pairs] = _ALPHA
-        ends[nodes[:, count + corner]] = nodes[:, pairs]
-        # The mean plane of each facet, and the areas of its points there.
-        at, element = points[nodes], reference_element(kind)
-        arms = at[:, :count] - at[:, :count].mean(axis=1)[:, None]
-        normal = np.cross(arms, np.roll(arms, -1, axis=1)).sum(axis=1)
-        plane = np.linalg.qr(np.stack([normal, arms[:, 0], arms[:, 1]], axis=2)).Q[:, :, 1:]
-        areas = np.einsum("fki,qkj->fqij", at @ plane, element.slopes)
-        areas = np.abs(np.linalg.det(areas)) * element.weights
+        transform, middles, edge_ends = _transform(kind, nodes.shape[1])
+        ends[nodes[:, middles]] = nodes[:, edge_ends]
+        plane, areas = _mean_planes(points, kind, nodes)
         # Integrals over overlaps of products of functions: of this facet's, and with the main's.
-        mass, mixed, off = np.zeros((len(nodes), size, size)), [], np.zeros(len(nodes))
-        for other, cover in zip(main.blocks, covers, strict=True):
-            overlaps = _overlaps(points, FacetBlock(kind, nodes), other, plane, edge)
-            for facing in overlaps:
-                near = (farthest := facing[-1].max(axis=1)) <= distance
-                np.maximum.at(off, facing[0][~near], farthest[~near])
+        mass, mixed = np.zeros((len(nodes), *transform.shape)), []
+        off = np.zeros(len(nodes))  # largest distance of a facet from what is too far from it, m
+        for other, cover in zip(main.blocks, main_covered, strict=True):
+            for facing in _overlaps(points, FacetBlock(kind, nodes), other, plane, edge):
+                farthest = facing.gaps.max(axis=1)
+                near = farthest <= distance
+                np.maximum.at(off, facing.first[~near], farthest[~near])
                 of, to, weights, here, there, far = (part[near] for part in facing)
                 functions = here @ transform
                 weighted = (weights[..., None] * functions).swapaxes(1, 2)
@@ -207,10 +225,11 @@ def tied_nodes(
         # Facets that are covered enough are tied, by dual functions on them.
         integrals = mass.sum(axis=2)  # the transformed functions sum to one
         ratio = integrals.sum(axis=1) / areas.sum(axis=1)
-        taken, cut = ratio > _COVER, cut + int((np.abs(ratio - 0.5) < 0.5 - _EDGE).sum())
-        beyond = max(beyond, float(off[ratio < 1 - _EDGE].max(initial=0.0)))
-        np.add.at(complete, nodes[taken], (areas @ element.values @ transform)[taken])
-        mass[~taken], integrals[~taken] = np.eye(size), 0.0
+        taken, cut = ratio > _MIN_COVERED, cut + int((np.abs(ratio - 0.5) < 0.5 - _UNSURE).sum())
+        beyond = max(beyond, float(off[ratio < 1 - _UNSURE].max(initial=0.0)))
+        values = reference_element(kind).values
+        np.add.at(complete, nodes[taken], (areas @ values @ transform)[taken])
+        mass[~taken], integrals[~taken] = np.eye(len(transform)), 0.0
         np.add.at(covered, nodes, integrals)
         dual = integrals[:, :, None] * np.linalg.inv(mass)
         for of, to, products, far, cover, facet, area in mixed:
@@ -219,33 +238,81 @@ def tied_nodes(
             weights = dual[of] @ products
             triples = np.broadcast_arrays(nodes[of][:, :, None], to[:, None], weights)
             entries.append([part[taken[of]].ravel() for part in triples])
-    tied = free & (covered > _NODE * complete)
-    none = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0)
-    rows, masters, weights = (np.concatenate(each) for each in zip(none, *entries, strict=True))
-    rows, masters, weights = rows[tied[rows]], masters[tied[rows]], weights[tied[rows]]
-    # From the transformed unknown of an edge to its node's displacement.
-    halved = ends[:, 0] >= 0
-    weights = weights / covered[rows] * np.where(halved[rows], 1 - 2 * _ALPHA, 1.0)
-    edges = np.flatnonzero(tied & halved)
-    follow = (
-        np.append(rows, np.repeat(edges, 2)),
-        np.append(masters, ends[edges]),
-        np.append(weights, np.full(2 * len(edges), _ALPHA)),
-    )
+    tied = free & (covered > _MIN_INTEGRAL * complete)
+    follow = _followed(entries, tied, covered, ends)
     loose = len(secondary.node_ids) - int(tied.sum())
-    size, cover = np.concatenate(sizes), np.concatenate(covers)
-    part = size[(_EDGE * size < cover) & (cover < _COMPLETE * size)].max(initial=0.0)
+    size, cover = np.concatenate(main_areas), np.concatenate(main_covered)
+    part = size[(_UNSURE * size < cover) & (cover < _WHOLE * size)].max(initial=0.0)
     within = float(np.sqrt(2 * part / cover.sum())) if part else 0.0  # a square's diagonal
     return TiedNodes(np.flatnonzero(tied), loose, gap, distance, cut, beyond, within), follow
 
 
+def _transform(kind: str, size: int) -> tuple[Array, Array, Array]:
+    """Return nodal values by transformed unknowns, (k, k), of a facet of k = `size` nodes.
+
+    Also the local numbers of nodes in the middle of an edge, (e,), and of both ends of it, (e, 2).
+    """
+    count = corners_of(kind)
+    corner = np.arange(count if size > count else 0)
+    ends = np.stack([corner, (corner + 1) % count], axis=1)
+    transform = np.eye(size)
+    transform[count + corner, count + corner] = 1 - 2 * _ALPHA
+    transform[count + corner[:, None], ends] = _ALPHA
+    return transform, count + corner, ends
+
+
+def _mean_planes(points: Array, kind: str, nodes: Array) -> tuple[Array, Array]:
+    """Return two directions in the mean plane of each facet, (f, 3, 2), unit vectors in columns.
+
+    Also the areas, m^2, that the facet's quadrature points stand for in that plane, (f, q).
+    """
+    at, element, count = points[nodes], reference_element(kind), corners_of(kind)
+    arms = at[:, :count] - at[:, :count].mean(axis=1)[:, None]
+    normal = np.cross(arms, np.roll(arms, -1, axis=1)).sum(axis=1)
+    plane = np.linalg.qr(np.stack([normal, arms[:, 0], arms[:, 1]], axis=2)).Q[:, :, 1:]
+    areas = np.einsum("fki,qkj->fqij", at @ plane, element.slopes)
+    return plane, np.abs(np.linalg.det(areas)) * element.weights
+
+
+def _followed(
+    entries: list[list[Array]], tied: Array, covered: Array, ends: Array
+) -> tuple[Array, Array, Array]:
+    """Return nodes, masters and weights of the tied nodes from those of transformed unknowns.
+
+    entries: nodes, masters and products of dual and main functions, m^2, (e,) each.
+    tied, covered: shape (n,): which nodes are tied, and the integrals of their functions, m^2.
+    ends: shape (n, 2): ends of the edge in whose middle a node is, -1 for a corner.
+    """
+    none = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0)
+    rows, masters, weights = (np.concatenate(each) for each in zip(none, *entries, strict=True))
+    rows, masters, weights = rows[tied[rows]], masters[tied[rows]], weights[tied[rows]]
+    halved = ends[:, 0] >= 0
+    weights = weights / covered[rows] * np.where(halved[rows], 1 - 2 * _ALPHA, 1.0)
+    edges = np.flatnonzero(tied & halved)
+    return (
+        np.append(rows, np.repeat(edges, 2)),
+        np.append(masters, ends[edges]),
+        np.append(weights, np.full(2 * len(edges), _ALPHA)),
+    )
+
+
+class _Overlaps(NamedTuple):
+    """Triangles in which facets of two surfaces overlap, on the planes of the first."""
+
+    first: Array  # shape (s,), int64: facet of the first surface
+    second: Array  # shape (s,), int64: facet of the second
+    weights: Array  # shape (s, q), m^2, of q quadrature points
+    here: Array  # shape (s, q, k): shape functions of the first facet there
+    there: Array  # shape (s, q, l): those of the second
+    gaps: Array  # shape (s, q), m: distance between both
+
+
 def _overlaps(
     points: Array, first: FacetBlock, second: FacetBlock, plane: Array, distance: float
-) -> Iterator[tuple[Array, ...]]:
-    """Yield overlaps of facets on the planes of the first, (f, 3, 2), s triangles at a time.
+) -> Iterator[_Overlaps]:
+    """Yield overlaps of facets of two surfaces within a distance, m, some triangles at a time.
 
-    Each: the facets (s,), (s,), weights at q points (s, q), m^2, the shape functions of the first
-    (s, q, k) and the second (s, q, l) there, and the distance between both, (s, q), m.
+    plane: shape (f, 3, 2): directions in the plane of each of the first facets.
     """
     triangles = []
     for kind, nodes in (first, second):
@@ -273,7 +340,7 @@ def _overlaps(
         across, located_too = _located(second.kind, there[1] @ flat, at)
         far = np.linalg.norm(here @ there[0] - across @ there[1], axis=2)
         met = located & located_too & (far.max(axis=1) <= distance)
-        yield of[met], to[met], weights[met], here[met], across[met], far[met]
+        yield _Overlaps(of[met], to[met], weights[met], here[met], across[met], far[met])
 
 
 def _located(kind: str, nodes: Array, at: Array) -> tuple[Array, Array]:
@@ -284,7 +351,7 @@ def _located(kind: str, nodes: Array, at: Array) -> tuple[Array, Array]:
     local = np.broadcast_to(node_coordinates(kind).mean(axis=0), at.shape).copy()
     size = np.ptp(nodes, axis=1).max(axis=1)[:, None]
     values, converged = np.empty(0), np.zeros((1, 1), dtype=bool)
-    for _ in range(_STEPS):
+    for _ in range(_MAX_STEPS):
         values, slopes = tabulate(kind, local.reshape(-1, 2))
         values = values.reshape(*at.shape[:2], -1)
         off = at - values @ nodes
@@ -338,4 +405,5 @@ def _intersections(*pairs: Array) -> tuple[Array, Array]:
 
 
 def _cross(a: Array, b: Array) -> Array:
+    """Return the cross products of vectors in a plane, (..., 2) each."""
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

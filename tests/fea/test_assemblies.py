@@ -322,7 +322,12 @@ def test_a_cut_or_a_joint_that_will_not_do_is_refused_by_name():
     joint = {"groups": ["z1", "x0"], "coupling": "rigid", "rigid": True}
     for mesh, tables, text in (
         (bar, {"bolt": [bolt()], "supports": {"fixed": ["x0"]}}, "are fixed along its axis"),
-        (bar, {"bolt": [bolt(point=[0, 0, 9.0])]}, "no connected cells on both sides"),
+        (
+            bar,
+            {"bolt": [bolt(point=[0, 0, 9.0])]},
+            "sides of its cut, 9 m along axis; the region is from 0 to 1 m",
+        ),
+        (bar, {"bolt": [bolt(region=None, group="z0")]}, '"z0" has cells on one side only'),
         (bar, {"bolt": [bolt(region="half")]}, "with cells outside the region"),
         (bar, {"bolt": [bolt(region=None, group="x0")]}, "does not cut through"),
         (frame(), {"bolt": [bolt(region="legs")]}, "2 separate shanks"),

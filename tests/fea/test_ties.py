@@ -136,7 +136,9 @@ def test_facets_beyond_the_distance_of_a_tie_are_named_with_their_distance():
     part = tied(tubes(straight=True), near, fixed="a_x0", section="b_x1")
     text = tie_warnings(part)[0].message
     assert "facets up to 0.0338 m off are beyond the distance, 0.025 m: 6 secondary nodes" in text
-    with pytest.raises(BundleError, match=r"are up to 0.0338 m off .* 0.005 m; write a larger one"):
+    with pytest.raises(
+        BundleError, match=r"are up to 0.0338 m off .* 0.005 m; write a larger distance"
+    ):
         tied(tubes(straight=True), far, fixed="a_x0", section="b_x1")
 
 
@@ -219,6 +221,7 @@ SPRING = {"groups": ["b_x0", "a_x1"], "coupling": "distributed", "stiffness": [1
     ("changes", "tables", "words"),
     [
         ({"main": "a_z0"}, {}, "nearest nodes are 2 m apart. Correct the groups, or write"),
+        ({"main": "a_z0", "distance": 9}, {}, r"mean edge, the most\); .* or move the surfaces"),
         ({"main": "a_z2"}, {}, r'tie\[0\].main: the mesh has no facet group "a_z2"'),
         ({"distance": -1}, {}, r"tie\[0\].distance: must be above 0"),
         (
@@ -232,7 +235,11 @@ SPRING = {"groups": ["b_x0", "a_x1"], "coupling": "distributed", "stiffness": [1
             r"belong to supports.bushing\[0\].group, but a node",
         ),
         ({}, {"spring": [SPRING]}, r"belong to spring\[0\].groups, but a node"),
-        ({}, {"fixed": "b_z0"}, 'no node of "b_z0" is free to follow'),
+        (
+            {},
+            {"fixed": "b_z0"},
+            'no node of "b_z0" is free to follow "a_z1": [0-9]+ are fixed. Leave',
+        ),
     ],
 )
 def test_a_tie_that_cannot_be_is_refused(changes, tables, words):

@@ -152,7 +152,7 @@ def opened(path: Path) -> Iterator[Any]:
             gmsh.model.occ.synchronize()
         except Exception as error:
             why = " ".join(str(error).split())[:200] or type(error).__name__
-            message = f'"{path.name}" cannot be read as a STEP file ({why}); export it anew'
+            message = f'"{path.name}" cannot be read as a STEP file ({why}); export it again'
             raise BundleError([BundleProblem("mesh.file", message)]) from None
         if not gmsh.model.getEntities(3):
             there = "surfaces only" if gmsh.model.getEntities(2) else "no shapes"
@@ -183,7 +183,7 @@ def choose_bodies(
     for name, choice in regions.items():
         where = f"mesh.regions.{name}"
         for number in set(choice.bodies) - set(there):
-            message = f"there is no body {number}; the geometry has 1 to {len(there)}"
+            message = f"there is no body {number}; write numbers from 1 to {len(there)}"
             problems.append(BundleProblem(f"{where}.bodies", message))
         numbers = set(choice.bodies)
         for point in choice.near:

@@ -66,26 +66,8 @@ def surface_of_geometry(path: Path, geometry: GeometryMeshing) -> Surface:
         except _GmshError as error:
             failure = failure or error.problems[0].message
             continue
-        points = arrays.pop("points")
-        nodes = [arrays[str(i)] for i in range(len(arrays))]
-        blocks = [("tet10" if rows.shape[1] == 10 else "tri6", rows) for rows in nodes]
-        sets = {
-            name: [np.arange(len(rows) if i in chosen else 0) for i, rows in enumerate(nodes)]
-            for name, chosen in fields["sets"].items()
-        }
-        faces = [Face(**face) for face in fields["faces"]]
-        facets = [block for block in blocks if block[0] == "tri6"]
-        raw = RawMesh(points, blocks, sets, facet_sets={_SURFACE: facets})
-        mesh = to_mesh(raw, METRES)
-        # The faces of cells in the place of gmsh's facets, in the order of the cells.
-        group = mesh.facet_groups[_SURFACE]
-        owners = np.repeat([face.number for face in faces], [len(rows) for _, rows in facets])
-        used = np.unique(np.concatenate([rows for kind, rows in blocks if kind == "tet10"]))
-        drawn = np.searchsorted(used, np.concatenate([rows for _, rows in facets]))
-        numbers = np.zeros(len(owners), dtype=np.int64)
-        numbers[_order(group.blocks[0].nodes)] = owners[_order(drawn)]
-        surface = Surface(replace(mesh, facet_groups={}), group, numbers, tuple(faces))
-        if not cell_problems(mesh):
+        surface = _surface(fields, arrays)
+        if not cell_problems(surface.mesh):
             return surface
         folded = folded or surface
     if folded is not None:
@@ -98,7 +80,30 @@ def surface_of_geometry(path: Path, geometry: GeometryMeshing) -> Surface:
     raise BundleError([BundleProblem("mesh.size", message)])
 
 
+def _surface(fields: dict[str, Any], arrays: dict[str, Array]) -> Surface:
+    """Return the mesh, and the number of the face of each facet, of the answer of `child`."""
+    points = arrays.pop("points")
+    nodes = [arrays[str(i)] for i in range(len(arrays))]
+    blocks = [("tet10" if rows.shape[1] == 10 else "tri6", rows) for rows in nodes]
+    sets = {
+        name: [np.arange(len(rows) if i in chosen else 0) for i, rows in enumerate(nodes)]
+        for name, chosen in fields["sets"].items()
+    }
+    faces = [Face(**face) for face in fields["faces"]]
+    facets = [block for block in blocks if block[0] == "tri6"]
+    mesh = to_mesh(RawMesh(points, blocks, sets, facet_sets={_SURFACE: facets}), METRES)
+    # The faces of cells in the place of gmsh's facets, in the order of the cells.
+    group = mesh.facet_groups[_SURFACE]
+    owners = np.repeat([face.number for face in faces], [len(rows) for _, rows in facets])
+    used = np.unique(np.concatenate([rows for kind, rows in blocks if kind == "tet10"]))
+    drawn = np.searchsorted(used, np.concatenate([rows for _, rows in facets]))
+    numbers = np.zeros(len(owners), dtype=np.int64)
+    numbers[_order(group.blocks[0].nodes)] = owners[_order(drawn)]
+    return Surface(replace(mesh, facet_groups={}), group, numbers, tuple(faces))
+
+
 def _order(facets: Array) -> Array:
+    """Return the order of facets (f, k) by their corners, which start at any of them, (f,)."""
     return np.lexsort(np.sort(facets[:, :3], axis=1).T)
 
 
@@ -132,11 +137,15 @@ def _in_child(
         why = next((line.strip() for line in reversed(lines) if line.strip()), "no message")
         limit = -process.returncode in (signal.SIGKILL, signal.SIGXCPU)
         if limit or re.search("bad_alloc|MemoryError", why):  # another attempt reaches it too
-            why = "gmsh exceeds its limit of memory or time; write a larger size"
+            of = "time" if -process.returncode == signal.SIGXCPU else "memory"
+            why = f'gmsh exceeds its limit of {of} on "{path.name}"'
+            if geometry is None:
+                why += "; leave threads and small rounds out of the geometry"
+                raise BundleError([BundleProblem("mesh.file", why)])
+            why += f" with cells of {geometry.size:g} m; write a larger size"
             raise BundleError([BundleProblem("mesh.size", why)])
-        why = f'gmsh fails on "{path.name}" ({why[:200]})' + (
-            "" if geometry else "; export it anew"
-        )
+        remedy = "" if geometry else "; export it again from the CAD program"
+        why = f'gmsh fails on "{path.name}" ({why[:200]}){remedy}'
         raise _GmshError([BundleProblem("mesh.file", why)])
     with np.load(io.BytesIO(output), allow_pickle=False) as answer:
         arrays = {name: answer[name] for name in answer.files}

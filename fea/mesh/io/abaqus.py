@@ -19,7 +19,7 @@ import numpy as np
 from wrenchbook.fea.mesh.io.raw import NODES_PER_LINE, Block, RawMesh
 from wrenchbook.fea.mesh.mesh import NODES_PER_CELL, NODES_PER_FACET
 from wrenchbook.fea.spec.deck_text import DeckText, deck_text
-from wrenchbook.fea.spec.problems import MeshFileError
+from wrenchbook.fea.spec.problems import MeshFileError, point_text, suggest
 from wrenchbook.fea.tensors import rotation as turned
 
 Array = np.ndarray
@@ -45,9 +45,9 @@ class Frame:
 
     def label(self, text: str) -> int:
         """Return the number of a node or element of this instance, unlike all others'."""
-        number = int(text)
+        number = whole(text)
         if not 0 <= number < STRIDE:
-            raise MeshFileError(f"has the number {number}; write numbers from 1 to {STRIDE}")
+            raise MeshFileError(f"has a node or element {number}; write 1 to {STRIDE - 1}")
         return number + self.number * STRIDE
 
     def key(self, name: str) -> str:
@@ -59,7 +59,7 @@ class Frame:
         if not self.shift:
             return point
         r = np.array(self.rotation).reshape(3, 3)
-        return (r @ (np.array(point)) + self.shift).tolist()
+        return (r @ np.array(point) + self.shift).tolist()
 
 
 @dataclass(frozen=True)
@@ -81,6 +81,12 @@ class Keyword:
         """The line and the word."""
         return f"line {self.at}: *{self.word}"
 
+    def option(self, name: str) -> str:
+        """Return the value of an option; raises MeshFileError if the keyword has none."""
+        if not (value := self.options.get(name)):
+            raise MeshFileError(f"has no {name}; write *{self.word}, {name}=...")
+        return value
+
     def wrong(self, message: object) -> MeshFileError:
         """Return the error that names the line."""
         return MeshFileError(f"{self.where} {message}")
@@ -101,14 +107,18 @@ def read_keywords(text: DeckText) -> Iterator[Keyword]:
         if keyword.word == "PART":
             name = keyword.options.get("NAME", "").upper()
             if name in parts:
-                raise keyword.wrong(f'defines the part "{name}" again; rename one')
+                raise keyword.wrong(f'defines the part "{name}" again; rename one of the two')
             part = parts.setdefault(name, [])
         elif keyword.word == "INSTANCE":
             count += 1
             frame = _frame(keyword, count)
             name = keyword.options.get("PART", "").upper()
             if name not in parts:
-                raise keyword.wrong(f'names the part "{name}", not defined above; define it first')
+                known = f"the parts above are {', '.join(parts)}" if parts else "no *PART is above"
+                raise keyword.wrong(
+                    f'names the part "{name}", not defined above ({known}); move its *PART up, or '
+                    "correct the name"
+                )
             yield replace(keyword, frame=frame)
             yield from (replace(part, frame=frame) for part in parts[name])
         elif keyword.word == "END PART":
@@ -122,19 +132,21 @@ def read_keywords(text: DeckText) -> Iterator[Keyword]:
 
 
 def _without_instances(text: DeckText) -> Iterator[Keyword]:
+    """Yield the blocks of a deck of one part at most."""
     first = None
     for keyword in _blocks(text):
         if keyword.word == "PART":
             if first is not None:
                 raise keyword.wrong(
-                    f"is defined twice (also in line {first.at}), and no *INSTANCE places it; "
-                    "write the assembly too, or one flat deck"
+                    f"is a second part (the first is in line {first.at}), but no *INSTANCE places "
+                    "them; write the deck with its *ASSEMBLY, or as one part"
                 )
             first = keyword
         yield keyword
 
 
 def _blocks(text: DeckText) -> Iterator[Keyword]:
+    """Yield the keywords with their data lines; a line that ends with a comma goes on."""
     head: Keyword | None = None
     open_head = ""
     for number, line in enumerate(text.splitlines(), start=1):
@@ -159,20 +171,26 @@ def _blocks(text: DeckText) -> Iterator[Keyword]:
 
 def _frame(keyword: Keyword, number: int) -> Frame:
     """Return where an instance is: moved by its first line, then turned by its second."""
-    name = keyword.options.get("NAME", "")
-    if not name:
-        raise keyword.wrong("has no NAME; write NAME=...")
     try:
-        rows = [[float(x or 0.0) for x in row] for row in keyword.rows]
-        if not rows:
+        name = keyword.option("NAME")
+        if not keyword.rows:
             return Frame(name, number)
-        shift, rotation = np.array((rows[0] + [0.0] * 3)[:3]), np.eye(3)
-        if len(rows) > 1:
-            a, b, angle = np.array(rows[1][:3]), np.array(rows[1][3:6]), np.radians(rows[1][6])
-            rotation = turned(angle * (b - a) / np.linalg.norm(b - a))
+        shift, rotation = numbers(keyword, 0, 3), np.eye(3)
+        if len(keyword.rows) > 1:
+            if (count := len(keyword.rows[1])) < 7:
+                raise MeshFileError(
+                    f"has {count} numbers in its second line; write seven: two points of the axis, "
+                    "and the angle in degrees"
+                )
+            a, b, (angle,) = np.split(numbers(keyword, 1, 7), [3, 6])
+            if np.array_equal(a, b):
+                raise MeshFileError(
+                    f"turns about an axis through {point_text(a)} twice; write two different points"
+                )
+            rotation = turned(np.radians(angle) * (b - a) / np.linalg.norm(b - a))
             shift = rotation @ (shift - a) + a
-    except (ValueError, IndexError) as error:
-        raise keyword.wrong(f"cannot be read ({error}); correct it") from None
+    except MeshFileError as error:
+        raise keyword.wrong(error) from None
     return Frame(name, number, tuple(rotation.ravel().tolist()), tuple(shift.tolist()))
 
 
@@ -196,12 +214,10 @@ SOLID_FACES = {"hex": _HEX_FACES, "tet": _TET_FACES, "wedge": _WEDGE_FACES}
 SOLID_FACES["pyramid"] = ("1234", "152", "253", "354", "451")
 
 _REFUSED = {
-    "NGEN": "write the nodes out",
-    "NFILL": "write the nodes out",
-    "NCOPY": "write the nodes out",
-    "ELGEN": "write the elements out",
-    "ELCOPY": "write the elements out",
+    **dict.fromkeys(("NGEN", "NFILL", "NCOPY"), "*NODE"),
+    **dict.fromkeys(("ELGEN", "ELCOPY"), "*ELEMENT"),
 }
+"""Keywords that generate nodes or elements, and the keyword that lists these instead."""
 
 
 # Of all sets together, counted with repetition: several for each node of the largest mesh solved.
@@ -212,39 +228,49 @@ _MAX_MEMBERS = 20_000_000
 class Deck:
     """The mesh read so far; sets are keyed by their name in capitals, as solvers do."""
 
-    nodes: dict[int, list[float]] = field(default_factory=dict)
-    kinds: list[str] = field(default_factory=list)
-    cells: list[list[list[int]]] = field(default_factory=list)
+    nodes: dict[int, list[float]] = field(default_factory=dict)  # points by label
+    kinds: list[str] = field(default_factory=list)  # of each *ELEMENT
+    cells: list[list[list[int]]] = field(default_factory=list)  # labels of its elements' nodes
+    # By element, the numbers of its *ELEMENT and of its row there
     where: dict[int, tuple[int, int]] = field(default_factory=dict)
     node_sets: dict[str, list[int]] = field(default_factory=dict)
     element_sets: dict[str, list[int]] = field(default_factory=dict)
-    surfaces: dict[str, list[tuple[int, str]]] = field(default_factory=dict)
-    names: dict[str, str] = field(default_factory=dict)
-    frames: dict[str, Frame] = field(default_factory=dict)
+    surfaces: dict[str, list[tuple[int, str]]] = field(default_factory=dict)  # element and face
+    names: dict[str, str] = field(default_factory=dict)  # of sets, as the deck spells them
+    frames: dict[str, Frame] = field(default_factory=dict)  # instances by their names in capitals
+    # Of each *NODE, the number of nodes before it and its line; of each *ELEMENT, its line
     node_lines: list[tuple[int, str]] = field(default_factory=list)
     element_lines: list[str] = field(default_factory=list)
     systems: dict[int, tuple[Array, Array]] = field(default_factory=dict)  # axes in rows, origin
     # Of couplings, by node set and label; those that come twice add up
     weights: dict[str, Counter[int]] = field(default_factory=lambda: defaultdict(Counter))
-    entries: int = 0
+    entries: int = 0  # members of all sets
 
 
 def axes_through(origin: Array, first: Array, second: Array) -> Array:
-    """Return right-handed axes in rows: 1 from `origin` to `first`, 2 towards `second`."""
+    """Return right-handed axes in rows: 1 from `origin` to `first`, 2 towards `second`.
+
+    All shapes (3,); raises MeshFileError if the three points lie on one line.
+    """
     x = first - origin
     z = np.cross(x, second - origin)
     lengths = np.linalg.norm(x), np.linalg.norm(z)
     if not min(lengths) > 0 or not np.isfinite(lengths).all():
-        raise ValueError("its three points lie on one line")
+        listed = ", ".join(map(point_text, (origin, first, second)))
+        raise MeshFileError(f"has three points on one line: {listed}; move one off it")
     x, z = x / lengths[0], z / lengths[1]
     return np.array([x, np.cross(z, x), z])
 
 
 def radial_axes(axis: Array, out: Array) -> Array:
-    """Return the radial, circumferential and axial directions at a point off an axis, in rows."""
+    """Return the radial, circumferential and axial directions at a point off an axis, in rows.
+
+    axis: its direction, of any length; out: from a point of it to the point; both of shape (3,).
+    Raises MeshFileError if the point lies on the axis.
+    """
     around, size = np.cross(axis, out), np.linalg.norm(axis)
     if not np.linalg.norm(around) > _ON_AXIS * size * max(size, np.linalg.norm(out)):
-        raise ValueError("a node on the cylinder's axis has no radial direction; use other axes")
+        raise MeshFileError("has a node on the axis of its cylinder; use rectangular axes for it")
     return axes_through(np.zeros(3), np.cross(around, axis), around)
 
 
@@ -261,7 +287,28 @@ def cartesian(kind: str, point: Array) -> Array:
 def numbers(keyword: Keyword, row: int, count: int) -> Array:
     """Return numbers of a row, those that are not there 0, shape (count,)."""
     fields = keyword.rows[row] if row < len(keyword.rows) else []
-    return np.array([float(each or 0.0) for each in (*fields, *[""] * count)[:count]])
+    return np.array([real(each or "0") for each in (*fields, *["0"] * count)[:count]])
+
+
+def real(text: str) -> float:
+    """Return the number of a field; raises MeshFileError."""
+    try:
+        return float(text)
+    except ValueError:
+        raise MeshFileError(f'has "{text}" in the place of a number; write a number') from None
+
+
+def whole(text: str) -> int:
+    """Return the whole number of a field; raises MeshFileError."""
+    try:
+        return int(text)
+    except ValueError:
+        message = f'has "{text}" in the place of a whole number; write a whole number'
+        raise MeshFileError(message) from None
+
+
+UNREADABLE = "has a data line with too few or too large fields; complete its lines"
+"""Of a keyword whose lines do not have its form, where no message names the field."""
 
 
 def parsed(path: Path, take: Callable[[Deck, Keyword], None]) -> Deck:
@@ -274,14 +321,15 @@ def parsed(path: Path, take: Callable[[Deck, Keyword], None]) -> Deck:
     for keyword in read_keywords(deck_text(path)):
         try:
             if keyword.word in _REFUSED:
-                raise MeshFileError(f"cannot be read; {_REFUSED[keyword.word]}")
+                instead = _REFUSED[keyword.word]
+                raise MeshFileError(f"cannot be read; list what it generates under {instead}")
             if keyword.word in TAKERS:
                 TAKERS[keyword.word](deck, keyword)
             take(deck, keyword)
         except MeshFileError as error:
             raise keyword.wrong(error) from None
-        except (ValueError, KeyError, IndexError, OverflowError) as error:
-            raise keyword.wrong(f"cannot be read ({error}); correct it") from None
+        except (ValueError, LookupError, OverflowError):
+            raise keyword.wrong(UNREADABLE) from None
     return deck
 
 
@@ -295,7 +343,11 @@ def _take_nodes(deck: Deck, keyword: Keyword) -> None:
     labels = []
     for row in keyword.rows:
         label = keyword.frame.label(row[0])
-        point = [float(x or 0.0) for x in (*row[1:4], "", "", "")[:3]]
+        try:
+            point = [float(x or 0.0) for x in (*row[1:4], "", "", "")[:3]]
+        except ValueError:
+            at = ", ".join(row[1:4])
+            raise MeshFileError(f"has node {row[0]} at ({at}); write three numbers") from None
         if moved:
             point = (cartesian(kind, np.array(point)) @ axes + origin).tolist()
         point = keyword.frame.transformed(point)
@@ -328,25 +380,29 @@ def _take_system(deck: Deck, keyword: Keyword) -> None:
 
 
 def _take_elements(deck: Deck, keyword: Keyword) -> None:
-    kind = kind_of(keyword.options["TYPE"].upper())
+    kind = kind_of(keyword.option("TYPE").upper())
     if kind is None:  # masses, springs, gaps: nothing of the mesh
         return
     columns = 1 + {**NODES_PER_CELL, **NODES_PER_FACET, **NODES_PER_LINE}[kind]
-    numbers, ends = list[int](), {0}
+    numbers, ends = list[int](), set[int]()  # `ends`: numbers up to the end of each data line
     for row in keyword.rows:
         numbers += [keyword.frame.label(each) for each in row if each]
         ends.add(len(numbers))
-    if not ends.issuperset(range(0, len(numbers) + columns, columns)):
-        text = f"has rows with another number of nodes than the {columns - 1} of {kind} elements"
-        raise MeshFileError(f"{text}; complete the rows, or write another TYPE")
-    table = [numbers[i : i + columns] for i in range(0, len(numbers), columns)]
+    starts = range(0, len(numbers), columns)
+    if (bad := next((i for i in starts if i + columns not in ends), None)) is not None:
+        raise MeshFileError(
+            f"has rows with another number of nodes than the {columns - 1} of {kind} elements, "
+            f"from element {numbers[bad] % STRIDE} on; complete them, or write another TYPE"
+        )
+    table = [numbers[i : i + columns] for i in starts]
     if not table:
         return
     for i, row in enumerate(table):
         if row[0] in deck.where:
             line = [*deck.element_lines, keyword.at][deck.where[row[0]][0]]
             raise MeshFileError(
-                f"defines element {row[0] % STRIDE}, as line {line} does; renumber one"
+                f"defines element {row[0] % STRIDE}, as *ELEMENT in line {line} does; give one of "
+                "the two another number"
             )
         deck.where[row[0]] = (len(deck.kinds), i)
     deck.kinds.append(kind)
@@ -363,31 +419,47 @@ def kind_of(name: str) -> str | None:
     if solid:
         nodes = solid[1]
         if nodes not in _SOLIDS:
-            raise MeshFileError(f"has type {name}; write C3D{', C3D'.join(_SOLIDS)}")
+            raise MeshFileError(
+                f"has type {name}, which is not supported; mesh with C3D{', C3D'.join(_SOLIDS)}"
+            )
         return _SOLIDS[nodes]
     return next((kind for kind, pattern in _FLAT.items() if pattern.fullmatch(name)), None)
 
 
 def _take_set(deck: Deck, keyword: Keyword) -> None:
     sets = deck.node_sets if keyword.word == "NSET" else deck.element_sets
-    entries = _members(deck, sets, keyword)
+    name, entries = keyword.option(keyword.word), _members(deck, sets, keyword)
     if keyword.word == "NSET" and "ELSET" in keyword.options:
-        for element in named(deck, deck.element_sets, keyword.options["ELSET"], keyword.frame):
+        for element in named(deck, deck.element_sets, keyword.option("ELSET"), keyword.frame):
+            if element not in deck.where:
+                raise MeshFileError(
+                    f"needs the nodes of element {element % STRIDE}, which no *ELEMENT of solids, "
+                    "shells or beams above defines; remove it from the set"
+                )
             block, row = deck.where[element]
             entries += deck.cells[block][row]
-    add(deck, sets, keyword.frame, keyword.options[keyword.word], entries)
+    add(deck, sets, keyword.frame, name, entries)
 
 
 def _members(deck: Deck, sets: dict[str, list[int]], keyword: Keyword) -> list[int]:
     """Return the numbers a set names: as a list, as start-end-step, or by other sets."""
     members: list[int] = []
     frame = keyword.frame
-    if "INSTANCE" in keyword.options:
-        frame = deck.frames[keyword.options["INSTANCE"].upper()]
+    if (instance := keyword.options.get("INSTANCE")) is not None:
+        if instance.upper() not in deck.frames:
+            known = ", ".join(other.name for other in deck.frames.values()) or "none"
+            raise MeshFileError(
+                f'names the instance "{instance}" (instances above: {known}); correct the name'
+            )
+        frame = deck.frames[instance.upper()]
     for row in keyword.rows:
         fields = [each for each in row if each]
         if "GENERATE" in keyword.options:
-            first, last, step = (*(int(each) for each in fields), 1)[:3]
+            if len(fields) < 2 or fields[2:3] == ["0"]:
+                raise MeshFileError(
+                    f'generates from "{", ".join(fields)}"; write first, last and a step above 0'
+                )
+            first, last, step = (*(whole(each) for each in fields), 1)[:3]
             offset = frame.number * STRIDE
             members += _few(range(first + offset, last + 1 + offset, step))
         else:
@@ -400,7 +472,7 @@ def _members(deck: Deck, sets: dict[str, list[int]], keyword: Keyword) -> list[i
 def _few(entries: Sequence[int]) -> Sequence[int]:
     """Return a set's members if a mesh can have so many: a line of text may name any number."""
     if len(entries) > _MAX_MEMBERS:
-        raise MeshFileError(f"names {len(entries)} nodes or elements; name at most {_MAX_MEMBERS}")
+        raise MeshFileError(f"names {len(entries)} members; name at most {_MAX_MEMBERS}")
     return entries
 
 
@@ -423,19 +495,23 @@ def set_key(deck: Deck, sets: Mapping[str, object], name: str, frame: Frame) -> 
     for key in (in_frame.key(last) if in_frame else "", frame.key(name), name.upper()):
         if key in sets:
             return key
-    raise MeshFileError(f'names the set "{name}", which is not defined above; define it first')
+    names = [deck.names.get(key, key) for key in sets]
+    raise MeshFileError(
+        f'names the set "{name}", which is not defined above; move it up, or correct the name'
+        f"{suggest(name, names)}"
+    )
 
 
 def _take_surface(deck: Deck, keyword: Keyword) -> None:
     by_node = keyword.options.get("TYPE", "ELEMENT").upper() == "NODE"
-    surface = keyword.options["NAME"]
+    surface = keyword.option("NAME")
     for name, *fields in keyword.rows:
         if by_node:
             add_weighted(deck, keyword.frame, surface, name, *fields[:1])
             continue
         face = fields[0].upper() if fields else ""
         if not re.fullmatch(r"S\d", face):
-            raise MeshFileError(f'has the face "{face}"; a face of a solid must be S1 to S6')
+            raise MeshFileError(f'has the face "{face}" of {name}; write S1 to S6 of a solid')
         entries = [(e, face) for e in named(deck, deck.element_sets, name, keyword.frame)]
         deck.entries += len(entries)
         _few(range(deck.entries))
@@ -447,12 +523,13 @@ def add_weighted(deck: Deck, frame: Frame, name: str, target: str, weight: str =
     labels = named(deck, deck.node_sets, target, frame)
     add(deck, deck.node_sets, frame, name, list(labels))
     if weight and labels:
-        deck.weights[frame.key(name)].update(dict.fromkeys(labels, float(weight)))
+        deck.weights[frame.key(name)].update(dict.fromkeys(labels, real(weight)))
 
 
 def _take_instance(deck: Deck, keyword: Keyword) -> None:
     if keyword.frame.name.upper() in deck.frames:
-        raise MeshFileError(f'defines "{keyword.frame.name}" again; rename one of the two')
+        name = keyword.frame.name
+        raise MeshFileError(f'defines the instance "{name}" again; rename one of the two')
     deck.frames[keyword.frame.name.upper()] = keyword.frame
 
 
@@ -469,8 +546,6 @@ TAKERS: dict[str, Callable[[Deck, Keyword], None]] = {
 
 def _key(deck: Deck, frame: Frame, name: str) -> str:
     """Return a set's key; its name keeps the spelling of its first mention."""
-    if not name:
-        raise MeshFileError("has no name for its set; write NSET=NAME, ELSET=NAME or NAME=NAME")
     key = frame.key(name)
     deck.names.setdefault(key, f"{frame.name}.{name}" if frame.name else name)
     return key
@@ -482,7 +557,10 @@ def add(
     """Add members to a set, a new one or that of its name."""
     deck.entries += len(entries)
     if deck.entries > _MAX_MEMBERS:
-        raise MeshFileError(f"has sets of more than {_MAX_MEMBERS} members in all; remove sets")
+        raise MeshFileError(
+            f'brings all sets to {deck.entries} members with "{name}", more than {_MAX_MEMBERS}; '
+            "remove sets that the component does not name"
+        )
     sets.setdefault(_key(deck, frame, name), []).extend(entries)
 
 
@@ -511,8 +589,11 @@ def raw_mesh(deck: Deck) -> RawMesh:
         ]
     except KeyError as error:
         label = int(str(error))
+        pairs = deck.where.items()
+        element = next(each for each, (block, i) in pairs if label in deck.cells[block][i])
         raise MeshFileError(
-            f"has an element on node {label % STRIDE}, which is not defined; add this node"
+            f"has an element on node {label % STRIDE}, which no *NODE defines: element "
+            f"{element % STRIDE}; add this node, or correct the element"
         ) from None
     regions, groups, faces = (
         set_names(deck, sets) for sets in (deck.element_sets, deck.node_sets, deck.surfaces)
@@ -525,7 +606,7 @@ def raw_mesh(deck: Deck) -> RawMesh:
             groups[key]: np.array([row[node] for node in ids if node in row], dtype=np.int64)
             for key, ids in deck.node_sets.items()
         },
-        {faces[key]: _faces(deck, row, sides) for key, sides in deck.surfaces.items()},
+        {name: _faces(deck, row, name, deck.surfaces[key]) for key, name in faces.items()},
         node_weights={
             groups[key]: (np.array([row.get(node, -1) for node in of]), np.array([*of.values()]))
             for key, of in deck.weights.items()
@@ -543,20 +624,23 @@ def _by_block(deck: Deck, ids: list[int]) -> list[Array]:
     return [np.array(rows, dtype=np.int64) for rows in chosen]
 
 
-def _faces(deck: Deck, row: dict[int, int], faces: list[tuple[int, str]]) -> list[Block]:
+def _faces(deck: Deck, row: dict[int, int], name: str, faces: list[tuple[int, str]]) -> list[Block]:
+    """Return the facets of a surface, `row` the index of each node by its label."""
     by_kind: dict[str, list[list[int]]] = {}
     for element, face in faces:
         if element not in deck.where:
             raise MeshFileError(
-                f"has a surface on element {element % STRIDE}, but no *ELEMENT has it; add that"
+                f'has a surface on element {element % STRIDE} ("{name}"), which no *ELEMENT '
+                "defines; remove it from the surface, or add it"
             )
         block, cell = deck.where[element]
         shape = deck.kinds[block].rstrip("0123456789")
         table = SOLID_FACES.get(shape, ())
         if int(face[1]) > len(table):
+            there = f"has faces S1 to S{len(table)}" if table else "is no solid"
             raise MeshFileError(
-                f"has a surface on face {face} of element {element % STRIDE}, a {shape} with "
-                f"{len(table)} faces; write another face"
+                f"has a surface on face {face} of element {element % STRIDE}, a "
+                f'{deck.kinds[block]}, which {there}; correct the surface "{name}"'
             )
         corners = [row[deck.cells[block][cell][int(c) - 1]] for c in table[int(face[1]) - 1]]
         by_kind.setdefault("quad4" if len(corners) == 4 else "tri3", []).append(corners)

@@ -16,7 +16,9 @@ from wrenchbook.fea.mesh.deck_content import (
     SolidSection,
 )
 from wrenchbook.fea.mesh.io.abaqus import (
+    STRIDE,
     TAKERS,
+    UNREADABLE,
     Deck,
     Frame,
     Keyword,
@@ -29,8 +31,10 @@ from wrenchbook.fea.mesh.io.abaqus import (
     parsed,
     radial_axes,
     raw_mesh,
+    real,
     set_key,
     set_names,
+    whole,
 )
 from wrenchbook.fea.mesh.io.abaqus_supports import (
     GLOBAL,
@@ -43,7 +47,7 @@ from wrenchbook.fea.mesh.io.equations import following, take_constraints, take_e
 from wrenchbook.fea.mesh.io.raw import RawMesh
 from wrenchbook.fea.mesh.io.reader import Coupling, Motion, Motions, Reader, Step
 from wrenchbook.fea.mesh.io.springs import NODES, join_springs, take_elements
-from wrenchbook.fea.spec.problems import MeshFileError
+from wrenchbook.fea.spec.problems import MeshFileError, point_text
 from wrenchbook.fea.spec.schema import Tie
 
 _BOUNDARY_TYPES = {
@@ -107,13 +111,16 @@ def _take(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     """Take one keyword, after the deck has taken what is of the mesh."""
     taker = _TAKERS.get(keyword.word)
     if "INPUT" in keyword.options and (taker is not None or keyword.word in TAKERS):
-        message = "insert the lines of that file below the keyword"
-        raise MeshFileError(f"has its rows in {keyword.options['INPUT']}; {message}")
+        raise MeshFileError(
+            f"has its rows in {keyword.options['INPUT']}; insert that file's lines below it"
+        )
     try:
         if taker is not None:
             taker(reader, deck, keyword)
-    except (MeshFileError, ValueError, LookupError) as error:
-        reader.lack(keyword, f"is not imported, because it cannot be read ({error}); correct it")
+    except MeshFileError as error:
+        reader.lack(keyword, f"is not imported, because it {error}")
+    except (ValueError, LookupError):
+        reader.lack(keyword, f"is not imported, because it {UNREADABLE}")
     if keyword.word in _MISSING:
         reader.lack(keyword, _MISSING[keyword.word])
     if keyword.word not in _QUIET:
@@ -217,10 +224,11 @@ def _finish(
 
 
 def _take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
-    kind = keyword.options["TYPE"].upper()
+    kind = keyword.option("TYPE").upper()
     if kind == "DCOUP3D":  # its node as a set, by which *DISTRIBUTING COUPLING names it
-        ((_, node, *_),) = keyword.rows
-        add_weighted(deck, keyword.frame, keyword.options["ELSET"], node)
+        if len(keyword.rows) != 1 or len(keyword.rows[0]) < 2:
+            raise MeshFileError("of type DCOUP3D must have one line: its number and its node")
+        add_weighted(deck, keyword.frame, keyword.option("ELSET"), keyword.rows[0][1])
     elif kind in NODES:
         take_elements(reader, deck, keyword)
     elif kind_of(kind) is None:
@@ -234,18 +242,21 @@ def _take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 
 
 def _take_material(reader: Reader, _: Deck, keyword: Keyword) -> None:
-    reader.material = keyword.options["NAME"].upper()
+    reader.material = keyword.option("NAME").upper()
 
 
 def _take_constants(reader: Reader, _: Deck, keyword: Keyword) -> None:
     kind = keyword.options.get("TYPE", "ISO").upper().replace(" ", "")
     if keyword.word == "ELASTIC" and kind in ("ENGINEERINGCONSTANTS", "ORTHO"):
-        values = [float(each) for row in keyword.rows for each in row if each][:9]
+        values = [real(each) for row in keyword.rows for each in row if each][:9]
         if len(values) < 9:
-            raise ValueError(f"it has {len(values)} constants, but needs nine")
+            raise MeshFileError(f"has {len(values)} constants; write all nine")
         if kind == "ORTHO":  # stresses over strains, from which engineering constants follow
             c11, c12, c22, c13, c23, c33, *shears = values
-            compliance = np.linalg.inv([[c11, c12, c13], [c12, c22, c23], [c13, c23, c33]])
+            try:
+                compliance = np.linalg.inv([[c11, c12, c13], [c12, c22, c23], [c13, c23, c33]])
+            except np.linalg.LinAlgError:
+                raise MeshFileError("has a singular stiffness; correct D1111 to D3333") from None
             moduli = 1 / np.diag(compliance)
             nu_12_13_23 = -(compliance * moduli[:, None])[[0, 0, 1], [1, 2, 2]]
             values = [*moduli.tolist(), *nu_12_13_23.tolist(), *shears]
@@ -257,7 +268,7 @@ def _take_constants(reader: Reader, _: Deck, keyword: Keyword) -> None:
         reader.lack(keyword, f"has the type {kind}, not imported; write it in [[material]]")
         return
     pairs = zip(_CONSTANTS[keyword.word], keyword.rows[0], strict=False)
-    reader.constants.update({key: float(value) for key, value in pairs})
+    reader.constants.update({key: real(value) for key, value in pairs})
     if keyword.word == "PLASTIC":
         reader.lack(keyword, "is not solved; its first stress becomes a yield_strength")
     elif len(keyword.rows) > 1:
@@ -265,10 +276,10 @@ def _take_constants(reader: Reader, _: Deck, keyword: Keyword) -> None:
 
 
 def _take_section(reader: Reader, deck: Deck, keyword: Keyword) -> None:
-    key = set_key(deck, deck.element_sets, keyword.options["ELSET"], keyword.frame)
+    key = set_key(deck, deck.element_sets, keyword.option("ELSET"), keyword.frame)
     orientation = keyword.options.get("ORIENTATION", "")
     orientation = keyword.frame.key(orientation) if orientation else ""
-    material = keyword.options["MATERIAL"].upper()
+    material = keyword.option("MATERIAL").upper()
     reader.sections.append((keyword.where, key, material, orientation))
 
 
@@ -279,10 +290,16 @@ def _take_orientation(reader: Reader, _: Deck, keyword: Keyword) -> None:
     first, second, origin = numbers(keyword, 0, 9).reshape(3, 3)
     number, angle = numbers(keyword, 1, 2)
     if kind != "COORDINATES" or system not in ("RECTANGULAR", "CYLINDRICAL"):
-        raise ValueError(f"it is {system} by {kind}, but must be RECTANGULAR or CYLINDRICAL")
+        raise MeshFileError(
+            f"has SYSTEM={system} and DEFINITION={kind}; write RECTANGULAR or CYLINDRICAL, and "
+            "COORDINATES"
+        )
     if system == "CYLINDRICAL":
         if angle:
-            raise ValueError("it is a cylinder with an angle; leave the angle out")
+            raise MeshFileError(f"turns a cylinder by {angle:g} degrees; leave the angle out")
+        if np.array_equal(first, second):
+            at = point_text(first)
+            raise MeshFileError(f"has both points of its axis at {at}; write two different points")
         points = [keyword.frame.transformed(point.tolist()) for point in (first, second)]
         axis = np.subtract(points[1], points[0])
         axes = np.array([*points[0], *(axis / np.linalg.norm(axis))])
@@ -301,19 +318,21 @@ def _take_orientation(reader: Reader, _: Deck, keyword: Keyword) -> None:
 def _take_transform(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     """Take the axes of nodes, around a cylinder's axis those of each."""
     if (kind := keyword.options.get("TYPE", "R").upper()) not in ("R", "C"):
-        raise ValueError(f"its TYPE must be R or C, not {kind}")
+        raise MeshFileError(f"has TYPE={kind}; write R (rectangular) or C (cylindrical)")
     frame, (first, second) = keyword.frame, numbers(keyword, 0, 6).reshape(2, 3)
     rotation = np.reshape(frame.rotation or np.eye(3), (3, 3))
-    labels = named(deck, deck.node_sets, keyword.options["NSET"], frame)
+    labels = named(deck, deck.node_sets, keyword.option("NSET"), frame)
     if kind == "R":
         axes = [axes_through(np.zeros(3), first, second) @ rotation.T] * len(labels)
     else:
         start, axial = np.array(frame.transformed(first.tolist())), rotation @ (second - first)
         axes = []
         for label in labels:
+            if label not in deck.nodes:
+                raise MeshFileError(f"turns node {label % STRIDE}, not defined above; add *NODE")
             try:
                 axes.append(radial_axes(axial, deck.nodes[label] - start))
-            except ValueError:  # any direction across it will do, as in CalculiX
+            except MeshFileError:  # any direction across it will do, as in CalculiX
                 axes.append(radial_axes(axial, np.eye(3)[np.abs(axial).argmin()]))
                 reader.lack(keyword, _ON_AXIS)
     for label, matrix in zip(labels, axes, strict=True):
@@ -331,8 +350,13 @@ def _take_boundary(reader: Reader, deck: Deck, keyword: Keyword) -> None:
             held = set(_BOUNDARY_TYPES[word])
         else:
             first, last, value = (*fields, "", "", "")[:3]  # a field that is not there is empty
-            held = set(range(int(first) - 1, min(int(last or first), 6)))
-            if held and float(value or 0.0):
+            if not first.isdigit():
+                words = ", ".join(_BOUNDARY_TYPES)
+                raise MeshFileError(
+                    f'has "{first}" of {target}; write a freedom, 1 to 6, or {words}'
+                )
+            held = set(range(whole(first) - 1, min(whole(last or first), 6)))
+            if held and real(value or "0"):
                 reader.lack(keyword, "moves nodes by more than 0, here by 0; check them")
         key, labels = _target(deck, target, keyword.frame)
         step.motions.rows.append(Motion(keyword.where, key, labels, held))
@@ -343,21 +367,21 @@ def _target(deck: Deck, name: str, frame: Frame) -> tuple[str, list[int]]:
     labels = named(deck, deck.node_sets, name, frame)
     single = name.rpartition(".")[2].isdigit()
     if single and labels[0] not in deck.nodes:
-        raise MeshFileError(f"names a node {name} that is not defined above it")
+        raise MeshFileError(f"names a node {name} that is not defined above; add its *NODE there")
     return "" if single else set_key(deck, deck.node_sets, name, frame), labels
 
 
 def _take_coupling(reader: Reader, deck: Deck, keyword: Keyword) -> None:
-    name = keyword.options["SURFACE"]
+    name = keyword.option("SURFACE")
     sets = deck.surfaces if keyword.frame.key(name) in deck.surfaces else deck.node_sets
     key = set_key(deck, sets, name, keyword.frame)
-    radius = float(keyword.options.get("INFLUENCE RADIUS", "inf"))
+    radius = real(keyword.options.get("INFLUENCE RADIUS", "inf"))
     ref = _node(deck, keyword, "REF NODE")
     reader.couplings.append(Coupling(keyword, key, ref, radius=radius))
 
 
 def _take_coupling_kind(reader: Reader, _: Deck, keyword: Keyword) -> None:
-    rows = [[int(each) for each in row if each] for row in keyword.rows]
+    rows = [[whole(each) for each in row if each] for row in keyword.rows]
     freedoms = {freedom - 1 for row in rows for freedom in range(row[0], row[-1] + 1)}
     directions = directions_of(freedoms)
     if rows and keyword.word == "KINEMATIC":
@@ -373,9 +397,11 @@ def _take_coupling_kind(reader: Reader, _: Deck, keyword: Keyword) -> None:
 
 def _take_weighted(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     """Take the mean of nodes with weights that the point of a DCOUP3D follows."""
-    name = f"{keyword.options['ELSET']}_nodes"
-    for target, weight in keyword.rows:
-        add_weighted(deck, keyword.frame, name, target, weight)
+    name = f"{keyword.option('ELSET')}_nodes"
+    for target, *weights in keyword.rows:
+        if len(weights) != 1:
+            raise MeshFileError(f"has no weight of {target}; write a node or set, and its weight")
+        add_weighted(deck, keyword.frame, name, target, *weights)
     ref = _node(deck, keyword, "ELSET")
     reader.couplings.append(Coupling(keyword, keyword.frame.key(name), ref, kind="distributed"))
 
@@ -404,14 +430,14 @@ def _node(deck: Deck, keyword: Keyword, option: str) -> int | None:
 def _take_tie(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     """Take a tie of surfaces of faces."""
     if "CYCLIC SYMMETRY" in keyword.options:
-        raise ValueError("CYCLIC SYMMETRY is not supported")
-    distance = float(keyword.options.get("POSITION TOLERANCE", 0.0)) or None
+        raise MeshFileError("has CYCLIC SYMMETRY, which is not supported; model the whole part")
+    distance = real(keyword.options.get("POSITION TOLERANCE", "0")) or None
     for row in keyword.rows:
         if len(row) < 2:
-            raise ValueError("a row must name the secondary and the main surface")
+            raise MeshFileError(f'names "{row[0]}" alone; write secondary and main surface')
         keys = {keyword.frame.key(name) for name in row[:2]}
         if nodal := (keys & deck.node_sets.keys()) - deck.surfaces.keys():
-            raise ValueError(f"{', '.join(nodal)} consists of nodes; name a surface of faces")
+            raise MeshFileError(f'names "{min(nodal)}", a set of nodes; name a surface of faces')
         first, second = (set_key(deck, deck.surfaces, name, keyword.frame) for name in row[:2])
         reader.ties.append((keyword.where, first, second, distance))
 
@@ -423,15 +449,15 @@ def _take_force(reader: Reader, deck: Deck, keyword: Keyword) -> None:
         reader.lack(keyword, "has an amplitude, which is left out; check the values")
     for row in keyword.rows:
         if len(row) < 3:
-            raise ValueError(f"{', '.join(row)} needs a node or set, a freedom and a value")
+            raise MeshFileError(f'has "{", ".join(row)}"; write node or set, freedom and value')
         target, freedom, value = row[:3]
         key, labels = _target(deck, target, keyword.frame)
-        if not 1 <= int(freedom) <= 6:
-            raise ValueError(f"the freedom must be 1 to 6, not {freedom}")
+        if not 1 <= whole(freedom) <= 6:
+            raise MeshFileError(f"acts on freedom {freedom} of {target}; write a freedom 1 to 6")
         for label in labels:
-            entry = label, int(freedom) - 1
+            entry = label, whole(freedom) - 1
             before = step.forces[entry][1] if entry in step.begun else 0.0  # a step's forces add up
-            step.forces[entry] = key, before + float(value)
+            step.forces[entry] = key, before + real(value)
             step.begun.add(entry)
 
 

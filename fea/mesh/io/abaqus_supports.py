@@ -7,7 +7,7 @@ from collections import Counter, defaultdict
 
 from wrenchbook.fea.mesh.deck_content import CoupledGroup, HeldGroup
 from wrenchbook.fea.mesh.facets import FACES
-from wrenchbook.fea.mesh.io.abaqus import SOLID_FACES, Deck
+from wrenchbook.fea.mesh.io.abaqus import SOLID_FACES, STRIDE, Deck
 from wrenchbook.fea.mesh.io.reader import Motions, Reader
 
 GLOBAL: tuple[float, ...] = ()  # axes
@@ -58,8 +58,10 @@ def _held_freedoms_of_couplings(reader: Reader, motions: Motions, count: int) ->
                 threes = [three for three in ({0, 1, 2}, {3, 4, 5}) if three <= together]
                 usable = freedoms & set[int]().union(*threes)
             if usable != freedoms:
-                message = "fixes a coupled node along rotated axes; write axes and locked for it"
-                reader.content.missing[where] = message
+                reader.content.missing[where] = (
+                    f"fixes the coupled node {label % STRIDE} along rotated axes; write axes and "
+                    "locked under [interface]"
+                )
             number, first = reader.points[label]
             held[number] |= {first + i for i in usable if first + i < 6}
     return held
@@ -85,11 +87,13 @@ def couplings_of(reader: Reader, deck: Deck) -> list[CoupledGroup]:
     """Return the couplings whose reference nodes can be used, and note these in the reader."""
     couplings: list[CoupledGroup] = []
     for coupled in reader.couplings:
+        label = (coupled.ref or 0) % STRIDE
         if coupled.ref is not None and coupled.ref not in deck.nodes:
-            reader.lack(coupled.keyword, "has a reference node that is not defined; add this node")
+            reader.lack(coupled.keyword, f"has the reference node {label}, not defined; add it")
             continue
         if coupled.ref in reader.points:
-            reader.lack(coupled.keyword, "has another coupling's reference node; merge the two")
+            message = f"has the reference node {label} of another coupling; merge the two"
+            reader.lack(coupled.keyword, message)
             continue
         key, point = coupled.key, () if coupled.ref is None else tuple(deck.nodes[coupled.ref])
         if point and math.isfinite(coupled.radius):
@@ -98,7 +102,8 @@ def couplings_of(reader: Reader, deck: Deck) -> list[CoupledGroup]:
             if not near:
                 reader.lack(
                     coupled.keyword,
-                    f"has no node within its radius, {coupled.radius:g}; enlarge it",
+                    f"has no node within INFLUENCE RADIUS={coupled.radius:g} of its reference "
+                    f"node {label}; write a larger radius",
                 )
                 continue
             weights = deck.weights.get(key, {})

@@ -7,10 +7,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from wrenchbook.fea.mesh.io.abaqus import real, whole
 from wrenchbook.fea.mesh.io.raw import Case, Translated
+from wrenchbook.fea.mesh.mesh import NODES_PER_CELL
 from wrenchbook.fea.spec.problems import MeshFileError
 
-# SOLID elements by number: hexahedra, which may be collapsed, and tetrahedra.
+# SOLID elements by number: hexahedra, which may be collapsed, and tetrahedra
 _HEX, _TET = ("45", "185", "95", "186"), ("92", "187", "285")
 _SKIPPED = {"CE", "CEINTF", "CERIG", "CP", "CPINTF", "DSYM", "NROTAT", "RBE3"}  # constraints, axes
 _SKIPPED |= {"DA", "DK", "DL", "FK", "SF", "SFA", "SFE", "SFGRAD", "SFL"}  # on geometry and faces
@@ -37,19 +39,23 @@ class _Type(NamedTuple):
 
 @dataclass
 class _Archive(Translated):
-    """A deck in the making, and the state of an archive that is read.
+    """A deck in the making, and the state of an archive that is read."""
 
-    `types` are by number, `held` and `forces` values by node and freedom; `selected` is whether
-    nodes are selected that the archive does not list, `branches` the number of open *IF.
-    """
-
-    types: dict[str, _Type] = field(default_factory=dict)
+    types: dict[str, _Type] = field(default_factory=dict)  # by number
+    # By name, constants by the words of the deck ("E" and "NU" make *ELASTIC)
     materials: dict[str, dict[str, str]] = field(default_factory=dict)
     parameters: dict[str, str] = field(default_factory=dict)
-    held: dict[tuple[str, str], float] = field(default_factory=dict)
-    forces: dict[tuple[str, str], float] = field(default_factory=dict)
-    selected: bool = False
-    branches: int = 0
+    held: dict[tuple[str, str], float] = field(default_factory=dict)  # by node and freedom
+    forces: dict[tuple[str, str], float] = field(default_factory=dict)  # by node and freedom
+    selected: bool = False  # whether nodes are selected that the archive does not list
+    branches: int = 0  # number of open *IF
+
+    def type_of(self, number: str) -> _Type:
+        """Return the element type of a number; raises MeshFileError if no ET defines it."""
+        if number not in self.types:
+            known = ", ".join(self.types) or "none"
+            raise MeshFileError(f"needs type {number}, but ET above defines {known}; add its ET")
+        return self.types[number]
 
     def end_step(self, name: str) -> None:
         held = [f"{node}, {way}" for node, way in self.held]
@@ -75,8 +81,11 @@ def read_ansys(text: str) -> Translated:
                     _BLOCKS[word](archive, fields, rows)
                 else:
                     _take_command(archive, word, fields)
-            except (ValueError, LookupError, StopIteration) as error:
-                raise MeshFileError(f"line {number}: {word} cannot be read ({error})") from None
+            except MeshFileError as error:
+                raise MeshFileError(f"line {number}: {word} {error}") from None
+            except (ValueError, LookupError, StopIteration):
+                why = "is cut off, or not in the form of CDWRITE; write the archive by CDWRITE,DB"
+                raise MeshFileError(f"line {number}: {word} {why}") from None
     if not archive.cases:
         archive.end_step("")
     for name, constants in archive.materials.items():
@@ -95,7 +104,7 @@ def _take_command(archive: _Archive, word: str, fields: list[str]) -> None:
     elif word == "ET":  # ET,ITYPE,Ename,KOP1,KOP2,...
         archive.types[values[0]] = _Type(re.sub(r"\D", "", values[1]), values[3:4] == ["1"])
     elif word.startswith("KEYOP") and values[1:3] == ["2", "1"]:  # KEYOPT,ITYPE,KNUM,VALUE
-        archive.types[values[0]] = archive.types[values[0]]._replace(is_full=True)
+        archive.types[values[0]] = archive.type_of(values[0])._replace(is_full=True)
     elif word in ("MP", "MPDATA"):
         _take_constant(archive, word, values)
     elif word in ("D", "F", "DDELE", "FDELE"):
@@ -127,9 +136,9 @@ def _take_nodes(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
             return
         start = ints * width
         values = [row[start + i * size : start + (i + 1) * size].strip() or "0" for i in range(6)]
-        x, y, z, *angles = values
-        archive.nodes.append(f"{row[:width].strip()}, {x}, {y}, {z}")
-        if any(map(float, angles)):
+        angles = [real(each) for each in values][3:]
+        archive.nodes.append(", ".join([row[:width].strip(), *values[:3]]))
+        if any(angles):
             archive.skipped["nodes with local axes"] += 1
 
 
@@ -148,7 +157,8 @@ def _take_types(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
 # up to eight nodes, further nodes in a second row; -1
 def _take_elements(archive: _Archive, fields: list[str], rows: Iterator[str]) -> None:
     if fields[:2] != ["19", "SOLID"]:
-        raise ValueError("it must have the form 19,SOLID; write the archive with CDWRITE,DB")
+        form = ",".join(fields[:2])
+        raise MeshFileError(f'has "{form}", not 19,SOLID; write the archive by CDWRITE,DB')
     width = int(re.findall(r"[iI](\d+)", next(rows))[0])
     for row in rows:
         numbers = _fixed(row, width)
@@ -157,10 +167,7 @@ def _take_elements(archive: _Archive, fields: list[str], rows: Iterator[str]) ->
         nodes = numbers[_FIRST_NODE:]
         while len(nodes) < int(numbers[_NODE_COUNT]):
             nodes += _fixed(next(rows), width)
-        if numbers[_TYPE] not in archive.types:
-            known = ", ".join(archive.types) or "none"
-            raise ValueError(f"no ET above defines the type {numbers[_TYPE]}; there are {known}")
-        kind, region = archive.types[numbers[_TYPE]], f"MAT_{numbers[_MATERIAL]}"
+        kind, region = archive.type_of(numbers[_TYPE]), f"MAT_{numbers[_MATERIAL]}"
         _take_cell(archive, kind, region, numbers[_ELEMENT], nodes)
 
 
@@ -178,9 +185,11 @@ def _take_cell(archive: _Archive, kind: _Type, region: str, number: str, nodes: 
     if kind.name in _HEX and any(collapsed := (nodes[2] == nodes[3], nodes[4] == nodes[5])):
         indices = {(True, True): _TETRAHEDRON, (True, False): _WEDGE}.get(collapsed, _PYRAMID)
         nodes = [nodes[i] for i in indices if i < len(nodes)]
+    if len(nodes) not in NODES_PER_CELL.values():
+        raise MeshFileError(f"has element {number} with {len(nodes)} nodes; write 20 at most")
     corners = {10: 4, 13: 5, 15: 6, 20: 8}.get(len(nodes), len(nodes))
     if "0" in nodes[:corners]:
-        raise ValueError(f"element {number} has too few corners")
+        raise MeshFileError(f"has node 0 at a corner of element {number}; write its node")
     if set(nodes[corners:]) == {"0"}:
         nodes = nodes[:corners]
     integration = "R" if len(nodes) == 20 and not kind.is_full else ""
@@ -207,7 +216,7 @@ def _take_component(archive: _Archive, fields: list[str], rows: Iterator[str]) -
 def _take_constant(archive: _Archive, word: str, fields: list[str]) -> None:
     position, fields = (["1"], fields) if word == "MP" else (fields[4:5], fields[2:4] + fields[5:])
     label, number, value, *more = fields
-    constants = archive.materials.setdefault(f"MAT_{int(number)}", {})
+    constants = archive.materials.setdefault(f"MAT_{whole(number)}", {})
     if label in _CONSTANTS:
         if int(position[0]) == 1:  # else a table's later rows
             constants[_CONSTANTS[label]] = value
@@ -223,17 +232,20 @@ def _take_constant(archive: _Archive, word: str, fields: list[str]) -> None:
 def _take_on_nodes(archive: _Archive, word: str, fields: list[str]) -> None:
     """Set or remove (DDELE, FDELE) what acts on a node, on each from it to NEND, or on a group."""
     if archive.branches:
-        raise ValueError("it is inside *IF; write the lines that apply, without the condition")
+        raise MeshFileError("is inside *IF; write the lines that apply, without the condition")
     node, label, *values = (*fields, *[""] * 9)
     removes, acting = word.endswith("DELE"), archive.held if word[0] == "D" else archive.forces
     value, _, last, step, *further = ("", "", *values) if removes else values
     nodes = archive.groups.get(node, [])
     if node.isdigit():
-        nodes = [str(i) for i in range(int(node), int(last or node) + 1, int(step or 1))]
+        end = whole(last or node) + 1
+        nodes = [str(i) for i in range(int(node), end, whole(step or "1"))]
     elif node == "ALL" and not archive.selected:
         nodes = [row.partition(",")[0] for row in archive.nodes]
+    elif node == "ALL":
+        raise MeshFileError("acts on ALL of a selection, which is not evaluated; name a component")
     elif not nodes:
-        raise ValueError(f"{node} names nodes that are not listed; write their numbers")
+        raise MeshFileError(f'acts on "{node}", no number or component above; write node numbers')
     labels = [label or "ALL", *filter(None, further if word == "D" else ())]
     if not _FREEDOMS.keys() >= {*labels}:
         archive.skipped[f"{word} of {', '.join(labels)}"] += 1
@@ -241,8 +253,8 @@ def _take_on_nodes(archive: _Archive, word: str, fields: list[str]) -> None:
     for target in ((each, way) for each in nodes for way in ways):
         acting.pop(target, None)
         if not removes:
-            acting[target] = float(value or 0)
-    if word == "D" and ways and float(value or 0) != 0.0:
+            acting[target] = real(value or "0")
+    if word == "D" and ways and real(value or "0") != 0.0:
         archive.skipped["D with a motion that is not 0"] += 1
 
 

@@ -6,8 +6,9 @@ import math
 from collections import defaultdict
 
 from wrenchbook.fea.mesh.element_order import SECOND
-from wrenchbook.fea.mesh.io.abaqus import Deck, Keyword, named
+from wrenchbook.fea.mesh.io.abaqus import Deck, Keyword, named, real, whole
 from wrenchbook.fea.mesh.io.reader import Reader
+from wrenchbook.fea.spec.problems import MeshFileError
 
 _LOOSE = (
     "ties nodes in an unsupported way, so they move freely here. Write equal weights in all three "
@@ -20,13 +21,18 @@ def take_equations(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     """Take equations: the number of terms, then node, freedom and factor of each."""
     fields = [each for row in keyword.rows for each in row if each]
     while fields and "REMOVE" not in keyword.options:
-        count = int(fields[0])
+        count = whole(fields[0])
         terms, fields = fields[1 : 3 * count + 1], fields[3 * count + 1 :]
+        if count < 1 or len(terms) != 3 * count:
+            raise MeshFileError(
+                f"has an equation of {count} terms with {len(terms)} fields; write node, freedom "
+                "and factor of each term"
+            )
         nodes = [named(deck, deck.node_sets, name, keyword.frame) for name in terms[::3]]
+        if sizes := [len(each) for each in nodes if len(each) != 1]:
+            raise MeshFileError(f"equates a set of {sizes[0]} nodes; write one node in each term")
         labels = [label for each in nodes for label in each]
-        if not len(labels) == count == len(terms) / 3:
-            raise ValueError(f"an equation must have {count} terms of node, freedom and factor")
-        factors = map(float, terms[2::3])
+        factors = map(real, terms[2::3])
         _equate(reader, keyword, list(zip(labels, terms[1::3], factors, strict=True)))
 
 
@@ -46,8 +52,9 @@ def _equate(reader: Reader, keyword: Keyword, terms: list[tuple[int, str, float]
     for label, _, other in others:
         weights[label] -= other / factor if factor else math.nan
     if not all(map(math.isfinite, weights.values())):
-        raise ValueError("its factors must be numbers other than zero")
-    rows, axis = reader.equations.setdefault(node, {}), int(freedom) - 1
+        listed = ", ".join(f"{each:g}" for _, _, each in terms)
+        raise MeshFileError(f"has factors {listed}; write finite numbers, the first not 0")
+    rows, axis = reader.equations.setdefault(node, {}), whole(freedom) - 1
     alone = {other for _, other, _ in terms} == {freedom} and axis not in rows
     rows[axis if alone else None] = keyword, weights
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wrenchbook.fea.mesh.io.abaqus import axes_through, cartesian, radial_axes
+from wrenchbook.fea.mesh.io.abaqus import axes_through, cartesian, radial_axes, whole
 from wrenchbook.fea.mesh.io.raw import Case, Translated
 from wrenchbook.fea.spec.deck_text import DeckText
 from wrenchbook.fea.spec.problems import MeshFileError
@@ -45,17 +45,16 @@ _SELECTION = re.compile(r"(SPC|LOAD)\b\s*(?:\([^)]*\))?\s*=?\s*(\w+)")
 
 @dataclass
 class _Bulk(Translated):
-    """A deck in the making, and what case control selects, by kind ("SPC", "LOAD") and number.
+    """A deck in the making, and the content of the file that later cards refer to."""
 
-    `sets` have rows of node, freedom and value, `sums` factors and numbers of sets; what nodes hold
-    themselves is the set ("GRID", ""). `mass_factor` is of all densities.
-    """
-
+    # By kind ("SPC", "LOAD") and number: rows of node, freedom and value; the set ("GRID", "") is
+    # what GRID cards hold themselves.
     sets: dict[tuple[str, str], list[tuple[str, str, float]]] = field(
         default_factory=lambda: defaultdict(list)
     )
+    # By kind and number of an SPCADD or LOAD: factors and numbers of sets
     sums: dict[tuple[str, str], list[tuple[float, str]]] = field(default_factory=dict)
-    mass_factor: float = 1.0
+    mass_factor: float = 1.0  # of all densities: PARAM,WTMASS
     # Fields of coordinate systems and of nodes by number; systems by number: kind, axes, origin
     cards: dict[str, tuple[str, list[str]]] = field(default_factory=dict)
     grids: dict[str, list[str]] = field(default_factory=dict)
@@ -63,23 +62,38 @@ class _Bulk(Translated):
     # Cards of springs by number, and by name and number the stiffnesses of each property
     springs: dict[str, tuple[str, list[str]]] = field(default_factory=dict)
 
+    def index(self, name: str, fields: list[str]) -> None:
+        """Note a GRID or coordinate systems by number."""
+        if name == "GRID":
+            self.grids[fields[0]] = fields
+        elif name in _SYSTEMS:
+            self.cards[fields[0]] = name, fields
+            if name[4] == "1" and fields[4]:
+                self.cards[fields[4]] = name, fields[4:]
+
     def system(self, number: str) -> tuple[str, Array, Array]:
         """Return kind (R, C, S), axes in rows and origin of a coordinate system, in basic axes."""
         if number in ("", "0"):
             return "R", np.eye(3), np.zeros(3)
         if number not in self.systems:
             if number not in self.cards:
-                raise ValueError(f"the coordinate system {number} is undefined or circular")
-            name, fields = self.cards.pop(number)
+                message = f"needs coordinate system {number}, which no CORD card defines; add it"
+                raise MeshFileError(message)
+            name, fields = self.cards[number]
+            if not fields:
+                raise MeshFileError(f"needs {name} {number}, which needs itself; correct its RID")
+            self.cards[number] = name, []  # none while it is read: a system may not need itself
             try:
                 if name[4] == "1":
-                    points = np.array([self.point(self.grids[node]) for node in fields[1:4]])
+                    points = np.array([self.point(self.grid(node)) for node in fields[1:4]])
                 else:
                     numbers = np.array([_real(each) for each in fields[2:11]]).reshape(3, 3)
                     points = np.array([self.in_basic_axes(fields[1], each) for each in numbers])
                 z, x, y = axes_through(*points)  # its second point is on z, its third in xz
-            except (ValueError, LookupError) as error:  # the card that is read names the system
-                raise ValueError(f"{name} {number}: {error}") from None
+            except MeshFileError as error:  # the card that is read names the system
+                raise MeshFileError(f"needs {name} {number}, which {error}") from None
+            finally:
+                self.cards[number] = name, fields
             self.systems[number] = name[5], np.array([x, y, z]), points[0]
         return self.systems[number]
 
@@ -93,6 +107,22 @@ class _Bulk(Translated):
     def point(self, fields: list[str]) -> Array:
         """Return where the node of a GRID is, in basic axes, shape (3,)."""
         return self.in_basic_axes(fields[1], np.array([_real(each) for each in fields[2:5]]))
+
+    def grid(self, node: str) -> list[str]:
+        """Return the fields of a node's GRID; raises MeshFileError if there is none."""
+        if node not in self.grids:
+            raise MeshFileError(f"names node {node}, which no GRID defines; add it")
+        return self.grids[node]
+
+    def stiffnesses(self, name: str, number: str) -> list[float]:
+        """Return the stiffnesses of a spring; raises MeshFileError if its property is missing."""
+        _, fields = self.springs[number]
+        if name == "CELAS2":  # has its stiffness itself
+            return [_real(fields[1])]
+        kind, key = "PBUSH" if name == "CBUSH" else "PELAS", fields[1] or number
+        if kind + key not in self.springs:
+            raise MeshFileError(f"needs {kind} {key}, which is not defined")
+        return [_real(text) for text in self.springs[kind + key][1]]
 
     def oriented(self, name: str, axes: Array, kind: str = "R") -> str:
         """Add an orientation unless it is the basic one; return the option that names it."""
@@ -108,10 +138,16 @@ class _Bulk(Translated):
         kind, axes, origin = self.system(number)
         if kind == "R":
             return axes
-        out = self.point(self.grids[node]) - origin
-        if kind == "C":
-            return radial_axes(axes[2], out)
-        return axes_through(np.zeros(3), out, np.cross(np.cross(axes[2], out), out))
+        out = self.point(self.grid(node)) - origin
+        try:
+            if kind == "C":
+                return radial_axes(axes[2], out)
+            return axes_through(np.zeros(3), out, np.cross(np.cross(axes[2], out), out))
+        except MeshFileError:
+            raise MeshFileError(
+                f"has node {node} on the axis of coordinate system {number}, where its directions "
+                "are not defined; use a rectangular system (CORD2R) there"
+            ) from None
 
 
 def read_nastran(text: DeckText) -> Translated:
@@ -127,12 +163,7 @@ def read_nastran(text: DeckText) -> Translated:
     lines_before = text.count("\n") - bulk.count("\n")
     cards = list(_cards(bulk.splitlines(), text, lines_before))
     for _, name, fields in cards:  # nodes may stand after what needs them
-        if name == "GRID":
-            data.grids[fields[0]] = fields
-        elif name in _SYSTEMS:
-            data.cards[fields[0]] = name, fields
-            if name[4] == "1" and fields[4]:
-                data.cards[fields[4]] = name, fields[4:]
+        data.index(name, fields)
     for number, name, fields in cards:
         taker = _TAKERS.get(name)
         try:
@@ -140,12 +171,11 @@ def read_nastran(text: DeckText) -> Translated:
                 taker(data, name, fields)
             elif name not in (*_QUIET, *_SYSTEMS):
                 data.skipped[name] += 1
-        except (ValueError, LookupError) as error:
-            undefined = isinstance(error, KeyError)
-            why = f"the file does not define {error.args[0]}" if undefined else str(error)
-            raise MeshFileError(
-                f"line {text.place(number)}: {name} cannot be read ({why}); correct it"
-            ) from None
+        except MeshFileError as error:
+            raise MeshFileError(f"line {text.place(number)}: {name} {error}") from None
+        except (ValueError, LookupError):
+            why = "has a missing or too large field; complete the card"
+            raise MeshFileError(f"line {text.place(number)}: {name} {why}") from None
     _take_springs(data)
     _take_cases(data, control)
     return data
@@ -250,8 +280,10 @@ def _cards(lines: list[str], text: DeckText, skipped: int) -> Iterator[tuple[int
         if head.upper() == "ENDDATA":
             break
         if any(fields[count + 1 :]):
+            first = next(each for each in fields[count:] if each)
             raise MeshFileError(
-                f"line {text.place(number)}: has more than {count} fields; continue on a new line"
+                f"line {text.place(number)}: {head} has more than {count} fields; continue with "
+                f'"{first}" on a new line'
             )
         fields = (fields + [""] * count)[:count]
         if card is not None and head[:1] in ("", "+", "*"):
@@ -266,11 +298,15 @@ def _cards(lines: list[str], text: DeckText, skipped: int) -> Iterator[tuple[int
 
 def _real(field: str) -> float:
     """Return a number, whose exponent may have no letter: 2.1+5."""
-    return float(_EXPONENT.sub(r"e\1", field.upper().replace("D", "E") or "0"))
+    try:
+        return float(_EXPONENT.sub(r"e\1", field.upper().replace("D", "E") or "0"))
+    except ValueError:
+        raise MeshFileError(f'has "{field}" in the place of a number; write a number') from None
 
 
 def _grid(data: _Bulk, _: str, fields: list[str]) -> None:
     coordinates = ", ".join(f"{x:.12g}" for x in data.point(fields).tolist())
+    whole(fields[0])  # raises if the number is none
     data.nodes.append(f"{fields[0]}, {coordinates}")
     _hold(data, ("GRID", ""), fields[0], fields[6])
 
@@ -288,8 +324,10 @@ def _solid(data: _Bulk, name: str, fields: list[str]) -> None:
     if count > corners:
         count = max(count, most)
     nodes = [each or "0" for each in (*fields[2:], *[""] * most)[:count]]
-    if (kind := _SOLIDS[name].get(len(nodes))) is None or "0" in nodes[:corners]:
-        raise ValueError(f"it must have its {corners} corners and at most {most} nodes")
+    if (count := sum(node != "0" for node in nodes[:corners])) < corners:
+        raise MeshFileError(f"{fields[0]} has {count} of its {corners} corners; write all of them")
+    if (kind := _SOLIDS[name].get(len(nodes))) is None:
+        raise MeshFileError(f"{fields[0]} has {len(nodes)} nodes; write at most {most}")
     nodes = [nodes[i] for i in _ORDER.get(kind, range(len(nodes)))]
     data.elements[kind, f"PSOLID_{fields[1] or fields[0]}"].append([fields[0], *nodes])
 
@@ -342,13 +380,17 @@ def _listed(fields: list[str]) -> list[str]:
     """Return the numbers of a list, which may have first THRU last BY step."""
     fields = [each.upper() for each in fields if each]
     numbers: list[str] = []
-    while fields:
-        if fields[1:2] == ["THRU"]:
-            step, end = (int(fields[4]), 5) if fields[3:4] == ["BY"] else (1, 3)
-            numbers += map(str, range(int(fields[0]), int(fields[2]) + 1, step))
-        else:
-            numbers, end = [*numbers, str(int(fields[0]))], 1
-        fields = fields[end:]
+    try:
+        while fields:
+            if fields[1:2] == ["THRU"]:
+                step, end = (int(fields[4]), 5) if fields[3:4] == ["BY"] else (1, 3)
+                numbers += map(str, range(int(fields[0]), int(fields[2]) + 1, step))
+            else:
+                numbers, end = [*numbers, str(int(fields[0]))], 1
+            fields = fields[end:]
+    except (ValueError, IndexError):
+        message = f'lists "{", ".join(fields[:5])}"; write numbers, or first, THRU, last, BY, step'
+        raise MeshFileError(message) from None
     return numbers
 
 
@@ -409,33 +451,30 @@ def _spring(data: _Bulk, name: str, fields: list[str]) -> None:
         springs = {name + fields[0]: (name, [each or "0" for each in fields[row : row + 6]])}
     else:
         springs = {fields[0]: (name, [*fields, *[""] * 8])}
-    if data.springs.keys() & springs:
-        raise ValueError(f"{fields[0]} is defined twice")
+    if twice := data.springs.keys() & springs:
+        number = min(twice).removeprefix(name)
+        raise MeshFileError(f"{number} is defined again; renumber one of the two")
     data.springs |= springs
 
 
 def _take_springs(data: _Bulk) -> None:
     """Take each freedom of a spring as an element; the reader of the deck checks them."""
     numbers = itertools.count(_FIRST_SPRING)
+    refused = defaultdict[tuple[str, str], list[str]](list)  # numbers by card and reason
     for number, (name, fields) in data.springs.items():
         if name[0] == "P":
             continue
         is_bush = name == "CBUSH"
-        if name == "CELAS2":  # has its stiffness itself
-            texts = fields[1:2]
-        else:
-            key = f"{'PBUSH' if is_bush else 'PELAS'}{fields[1] or number}"
-            _, texts = data.springs.get(key, ("", []))
         # Both ends by node and first freedom, less a grounded end: its node is empty or 0.
         ends = [(fields[2], "1"), (fields[3], "1")] if is_bush else [fields[2:4], fields[4:6]]
         try:
-            ends = [(node, int(freedom or 0)) for node, freedom in ends if node.strip("0")]
-            sizes, nodes = [_real(text) for text in texts], [node for node, _ in ends]
-            if not any(sizes) or not nodes or not data.grids.keys() >= {*nodes}:
-                raise ValueError("its property or a GRID is missing, or its stiffness is 0")
+            ends = [(node, whole(freedom or "0")) for node, freedom in ends if node.strip("0")]
+            sizes, nodes = data.stiffnesses(name, number), [node for node, _ in ends]
+            if not nodes or not any(sizes):
+                raise MeshFileError("has a stiffness of 0" if nodes else "has no end on a node")
             axes = _spring_axes(data, fields if is_bush else [], nodes, sizes)
-        except (ValueError, LookupError) as error:
-            data.skipped[f"{name} ({error}): write [[supports.bushing]] or [[spring]]"] += 1
+        except MeshFileError as error:
+            refused[name, str(error)].append(number)
             continue
         option = data.oriented(f"{name}_{number}", axes)
         for i, size in enumerate(sizes):
@@ -445,20 +484,33 @@ def _take_springs(data: _Bulk) -> None:
                 data.couplings += [", ".join([str(next(numbers)), *nodes])]
                 data.couplings += [f"*SPRING, ELSET={element}{option}"]
                 data.couplings += [", ".join(str(way + i) for _, way in ends), f"{size:.12g}"]
+    for (name, why), (first, *others) in refused.items():
+        number = f"{first} and others" if others else first
+        note = f"{name} {number} (it {why}): write [[supports.bushing]] or [[spring]]"
+        data.skipped[note] += 1 + len(others)
 
 
 def _spring_axes(data: _Bulk, bush: list[str], nodes: list[str], sizes: list[float]) -> Array:
     """Return the axes of a spring, those of its nodes unless its fields are a CBUSH's, in rows."""
+    grids = [data.grid(node) for node in nodes]
     if not bush:
-        axes, *others = [data.axes_at(data.grids[node][5], node) for node in nodes]
+        axes, *others = [
+            data.axes_at(grid[5], node) for grid, node in zip(grids, nodes, strict=True)
+        ]
         if not all(np.allclose(axes, other) for other in others):
-            raise ValueError("its nodes have different axes")
+            raise MeshFileError("has nodes of different axes (CD)")
         return axes
-    kind, axes, _ = data.system(bush[7] or "none")
-    apart = data.point(data.grids[nodes[-1]]) - data.point(data.grids[nodes[0]])
+    if not bush[7]:
+        raise MeshFileError("has no CID")
+    kind, axes, _ = data.system(bush[7])
+    if kind != "R":
+        raise MeshFileError(f"has the CID {bush[7]}, which is not rectangular")
+    if bush[9] not in ("", "-1"):
+        raise MeshFileError(f"has the OCID {bush[9]}")
+    apart = data.point(grids[-1]) - data.point(grids[0])
     across = np.linalg.norm(np.cross(apart, axes), axis=1) > _ALONG * np.linalg.norm(apart)
-    if kind != "R" or bush[9] not in ("", "-1") or (across & (np.array(sizes[:3]) != 0)).any():
-        raise ValueError("it has a curved CID, an OCID, or shear between nodes apart")
+    if (across & (np.array(sizes[:3]) != 0)).any():
+        raise MeshFileError("has a stiffness across the line between its nodes")
     return axes
 
 

@@ -72,17 +72,24 @@ def to_mesh(raw: RawMesh, metres: float) -> Mesh:
         there = ", ".join(dict.fromkeys(kinds)) or "no cells at all"
         raise MeshFileError(f"has no solid cells (it has {there}); export the volume mesh too")
     # Refuse cells and sets of points that there are not: -1 would else be taken for the last.
-    for numbers in (*(nodes for _, nodes in raw.blocks), *raw.node_sets.values()):
-        if numbers.size and not (numbers.min() >= 0 and numbers.max() < len(raw.points)):
+    users = [(f"{kind} cells", nodes) for kind, nodes in raw.blocks]
+    users += [(f'the group "{name}"', nodes) for name, nodes in raw.node_sets.items()]
+    for user, numbers in users:
+        if (bad := numbers[(numbers < 0) | (numbers >= len(raw.points))]).size:
             raise MeshFileError(
-                f"has cells on points that are not among its {len(raw.points)}; export it again"
+                f"has {user} on point {bad[0]}, but its points are 0 to {len(raw.points) - 1}; "
+                "export it again"
             )
     solids = [i for i, (kind, _) in enumerate(raw.blocks) if kind in NODES_PER_CELL]
     used = np.unique(np.concatenate([raw.blocks[i][1].ravel() for i in solids]))
     number = np.full(len(raw.points), -1, dtype=np.int64)
     number[used] = np.arange(len(used))
-    if not (np.abs(raw.points[used]) < _LARGEST).all():
-        raise MeshFileError(f"has coordinates above {_LARGEST:g} or not finite; export it again")
+    if (huge := ~(np.abs(raw.points[used]) < _LARGEST).all(axis=1)).any():
+        at = ", ".join(f"{x:g}" for x in raw.points[used][huge][0])
+        raise MeshFileError(
+            f"has a point at ({at}); coordinates must be finite and below {_LARGEST:g}, so export "
+            "it again"
+        )
     kinds = list(dict.fromkeys(raw.blocks[i][0] for i in solids))
     cells = {k: number[np.concatenate([b for kind, b in raw.blocks if kind == k])] for k in kinds}
     once = {kind: _without_twins(nodes) for kind, nodes in cells.items()}
@@ -119,7 +126,8 @@ def _dependents(raw: RawMesh, number: Array, points: Array) -> Dependents:
         return Dependents.of(len(points), (number[nodes], number[masters], weights))
     except CircularError as error:
         at = point_text(points[error.node])
-        raise MeshFileError(f"has a circular equation of the node at {at} m; remove it") from None
+        message = f"has equations by which the node at {at} m follows itself; remove one of them"
+        raise MeshFileError(message) from None
 
 
 def _without_twins(nodes: Array) -> tuple[Array, Array]:
@@ -187,44 +195,23 @@ class Case:
 
 @dataclass
 class Translated:
-    """A deck in the making; all entries are text as it goes into the deck.
+    """A deck in the making; all entries are text as it goes into the deck."""
 
-    Attributes
-    ----------
-    nodes
-        Rows of ``*NODE``.
-    elements
-        By type and region, numbers of element and nodes; a midside node may be "0".
-    constants
-        By material, rows by keyword.
-    sections
-        Material by region.
-    groups
-        Nodes by name.
-    transforms
-        Nodes by the row of their ``*TRANSFORM``.
-    couplings
-        Lines of couplings.
-    cases
-        Each a step.
-    skipped
-        How often each thing occurs that is not in the deck.
-    decide
-        What the file leaves open.
-    """
-
-    nodes: list[str] = field(default_factory=list)
+    nodes: list[str] = field(default_factory=list)  # rows of *NODE
+    # By type and region, numbers of element and nodes; a midside node may be "0".
     elements: dict[tuple[str, str], list[list[str]]] = field(
         default_factory=lambda: defaultdict(list)
     )
+    # By material, the row of each keyword
     constants: dict[str, dict[str, str]] = field(default_factory=lambda: defaultdict(dict))
-    sections: dict[str, str] = field(default_factory=dict)
-    groups: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
+    sections: dict[str, str] = field(default_factory=dict)  # material by region
+    groups: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))  # of nodes
+    # Nodes by the row of their *TRANSFORM
     transforms: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
-    couplings: list[str] = field(default_factory=list)
-    cases: list[Case] = field(default_factory=list)
-    skipped: Counter[str] = field(default_factory=Counter)
-    decide: list[str] = field(default_factory=list)
+    couplings: list[str] = field(default_factory=list)  # lines of couplings and springs
+    cases: list[Case] = field(default_factory=list)  # each a step
+    skipped: Counter[str] = field(default_factory=Counter)  # contents that are not in the deck
+    decide: list[str] = field(default_factory=list)  # what the file leaves open
     nonlinear: bool = False
 
     def _set_middles(self) -> None:
@@ -251,6 +238,9 @@ class Translated:
         points = dict(row.split(", ", 1) for row in self.nodes)
         numbers = itertools.count(max(map(int, points)) + 1)
         lacking = dict.fromkeys(ends for _, _, ends in blank if ends not in middles)
+        if lost := {end for ends in lacking for end in ends} - points.keys():
+            node, number = min((end, row[0]) for row, _, ends in blank for end in ends & lost)
+            raise MeshFileError(f"has element {number} on node {node}, not defined; add this node")
         new = {str(next(numbers)): ends for ends in lacking}
         middles |= {ends: node for node, ends in new.items()}
         for row, i, ends in blank:

@@ -107,14 +107,20 @@ def _read_meshio(path: Path) -> RawMesh:
 
 def _read_silently(path: Path) -> meshio.Mesh:
     """Read by meshio, which prints its complaints and may end the interpreter."""
+    if not path.name.lower().endswith(tuple(meshio.extension_to_filetypes)):
+        raise MeshFileError(
+            f'has the ending "{path.suffix}" of no known mesh format; export the mesh as .msh '
+            "(gmsh), .vtu (VTK) or .inp (Abaqus, CalculiX)"
+        )
     output = io.StringIO()
     try:
         with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
             return meshio.read(path)
     except (Exception, SystemExit) as error:
-        details = " ".join(f"{output.getvalue()} {error}".split())
-        message = f"cannot be read as {path.suffix or 'a mesh'} ({details[:200]}); export it again"
-        raise MeshFileError(message) from None
+        plain = isinstance(error, (meshio.ReadError, OSError))  # others quote Python, no cause
+        details = " ".join(f"{output.getvalue()} {error if plain else ''}".split())[:200]
+        why = f" ({details})" if details else ": it is damaged, or of another format"
+        raise MeshFileError(f"cannot be read as {path.suffix}{why}; export it again") from None
 
 
 def _as_numbers(part: object) -> Array:

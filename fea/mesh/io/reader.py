@@ -68,16 +68,13 @@ class Step:
 
 @dataclass
 class Reader:
-    """Content read besides the mesh; groups are keys of the deck's sets until the end.
-
-    `steps` begins with what precedes the first; `sets` are keys of node sets by their labels, and
-    `points` the number of a coupling and the first freedom of each reference node. `turned` are the
-    axes of nodes, nine numbers, that are not the global ones.
-    """
+    """Content read besides the mesh; groups are keys of the deck's sets until the end."""
 
     content: DeckContent = field(default_factory=DeckContent)
+    # Of each *SOLID SECTION: line and keyword, key of its element set, material, orientation
     sections: list[tuple[str, str, str, str]] = field(default_factory=list)
     orientations: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    # Axes of nodes, nine numbers, that are not the global ones
     turned: dict[int, tuple[float, ...]] = field(default_factory=dict)
     couplings: list[Coupling] = field(default_factory=list)
     # Keyword and nodes of each element by label, and *SPRING
@@ -90,10 +87,11 @@ class Reader:
     equations: dict[int, dict[int | None, tuple[Keyword, dict[int, float]]]] = field(
         default_factory=dict
     )
-    steps: list[Step] = field(default_factory=lambda: [Step()])
-    sets: dict[frozenset[int], str] = field(default_factory=dict)
+    steps: list[Step] = field(default_factory=lambda: [Step()])  # first: what precedes all steps
+    sets: dict[frozenset[int], str] = field(default_factory=dict)  # keys of node sets by members
+    # By reference node, the number of its coupling and the freedom that is its first, 0 or 3
     points: dict[int, tuple[int, int]] = field(default_factory=dict)
-    material: str = ""
+    material: str = ""  # the last *MATERIAL
 
     def lack(self, keyword: Keyword, message: str) -> None:
         """Note contents that matter and cannot be imported."""

@@ -9,8 +9,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from wrenchbook.fea.mesh.deck_content import CoupledGroup, DeckSpring, LoadCase
-from wrenchbook.fea.mesh.io.abaqus import STRIDE, Deck, Keyword, add, named
+from wrenchbook.fea.mesh.io.abaqus import STRIDE, Deck, Keyword, add, named, real, whole
 from wrenchbook.fea.mesh.io.reader import Reader, Step
+from wrenchbook.fea.spec.problems import MeshFileError
 
 Array = np.ndarray
 
@@ -22,13 +23,14 @@ _ALONG = 1e-6  # of coordinates, which decks write to 7 digits
 
 
 def take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
-    """Take elements of springs; raise ValueError if one is there twice, or of other nodes."""
-    labels = list[int]()
+    """Take elements of springs; raises MeshFileError if one comes twice or lacks a node."""
+    labels, kind = list[int](), keyword.option("TYPE").upper()
     for row in keyword.rows:
         label, *nodes = (keyword.frame.label(each) for each in row if each)
-        expected = NODES[keyword.options["TYPE"].upper()]
-        if label in reader.springs or label in deck.where or len(nodes) != expected:
-            raise ValueError(f"element {row[0]} is defined twice, or has {len(nodes)} nodes")
+        if label in reader.springs or label in deck.where:
+            raise MeshFileError(f"defines element {row[0]} again; renumber one of the two")
+        if len(nodes) != NODES[kind]:
+            raise MeshFileError(f"has {len(nodes)} nodes in element {row[0]}; write {NODES[kind]}")
         reader.springs[label] = keyword, nodes
         labels.append(label)
     if "ELSET" in keyword.options:
@@ -45,27 +47,40 @@ def join_springs(reader: Reader, deck: Deck, step: Step, case: LoadCase) -> None
             held[node] |= motion.freedoms
     for keyword in reader.spring_sections:
         try:
-            name = keyword.options.get("ELSET", "")
-            labels = {*named(deck, deck.element_sets, name, keyword.frame)}
-            if not labels <= remaining.keys() or any(label in deck.where for label in labels):
-                raise ValueError("an element of its set is not SPRING1 or SPRING2, or is repeated")
-            nodes_of_each = [remaining.pop(label)[1] for label in sorted(labels)]
+            labels = _labels(reader, deck, keyword, remaining)
+            nodes_of_each = [remaining.pop(label)[1] for label in labels]
             springs = [_spring(reader, deck, case, held, keyword, nodes) for nodes in nodes_of_each]
-        except (ValueError, LookupError) as error:
+        except MeshFileError as error:
             _refuse(reader, keyword, error)
             continue
         for ends, stiffness in (spring for spring in springs if spring[0]):
             _, total = joined.setdefault(ends, (keyword, np.zeros((6, 6))))
             total += stiffness
-    for keyword, _ in remaining.values():
-        _refuse(reader, keyword, "an element has no *SPRING")
+    first = {keyword.where: label for label, (keyword, _) in reversed(remaining.items())}
+    for label in first.values():
+        _refuse(reader, remaining[label][0], f"element {label % STRIDE} has no *SPRING")
     used = Counter(number for ends in joined for number in ends)
     for ends, (keyword, stiffness) in joined.items():
-        if max(used[number] for number in ends) > 1:
-            _refuse(reader, keyword, "a point has springs to several others, or the ground too")
+        if used[number := max(ends, key=lambda number: used[number])] > 1:
+            group = case.couplings[number].group
+            why = f"the point of {deck.names[group]} has springs to {used[number]} different ends"
+            _refuse(reader, keyword, why)
         else:
             coupled = tuple(case.couplings[number] for number in ends)
             case.springs.append(DeckSpring(keyword.where, coupled, stiffness))
+
+
+def _labels(
+    reader: Reader, deck: Deck, keyword: Keyword, remaining: Mapping[int, object]
+) -> list[int]:
+    """Return the elements of a *SPRING; raises MeshFileError unless all are among `remaining`."""
+    members = named(deck, deck.element_sets, keyword.option("ELSET"), keyword.frame)
+    for label in (labels := sorted({*members})):
+        if label not in reader.springs or label in deck.where:
+            raise MeshFileError(f"element {label % STRIDE} is not SPRING1 or SPRING2")
+        if label not in remaining:
+            raise MeshFileError(f"element {label % STRIDE} has another *SPRING above")
+    return labels
 
 
 def _spring(
@@ -87,17 +102,22 @@ def _spring(
         if number is None:
             three = {0, 1, 2} if freedom < 3 else {3, 4, 5}
             if node not in deck.nodes or not three <= held[node]:
-                raise ValueError(
+                raise MeshFileError(
                     f"node {node % STRIDE} is neither the point of a coupling nor held"
                 )
         elif len((coupled := case.couplings[number]).held) < 6:
             if coupled.held or any(coupled.loads) or coupled.directions != "xyz":
-                why = "loaded, held in part, or of a coupling of some directions"
-                raise ValueError(f"the point {node % STRIDE} is {why}")
+                partly = "held in some freedoms only" if coupled.held else "coupled in part only"
+                why = "loaded" if any(coupled.loads) else partly
+                raise MeshFileError(f"the point {node % STRIDE} is {why}")
+            if freedom + first > 5:
+                raise MeshFileError(f"a rotation node has the freedoms 1 to 3, not {freedom + 1}")
             free.append(number)
             ways.add(freedom + first)
-    if len(ways) > 1 or (way := max(ways, default=0)) > 5:
-        raise ValueError("its ends have different freedoms, or freedoms above 6")
+    if len(ways) > 1:
+        both = " and ".join(str(way + 1) for way in sorted(ways))
+        raise MeshFileError(f"its ends have different freedoms, {both}")
+    way = max(ways, default=0)
     direction, is_rotation = axes[way % 3], way > 2
     if len(free) == 2:
         shift = np.zeros(3) if is_rotation else direction
@@ -111,20 +131,25 @@ def _constants(
 ) -> tuple[list[int], Array, float]:
     """Return the freedom from 0 at each node, the axes in rows, and the stiffness along one."""
     rows, axes = [row for row in keyword.rows if any(row)], np.eye(3)
-    if keyword.options.keys() - {"ELSET", "ORIENTATION"} or len(rows) != 2:
-        raise ValueError("its stiffness is not one constant; write one number")
-    freedoms = [int(each) - 1 for each in rows[0] if each]
-    if not 0 < (size := float(rows[1][0])) < math.inf:
-        raise ValueError(f"its stiffness is {size:g}, but must be above 0 and finite")
+    if further := sorted(keyword.options.keys() - {"ELSET", "ORIENTATION"}):
+        raise MeshFileError(f"it has {', '.join(further)}, but must have one constant stiffness")
+    if len(rows) != 2:
+        raise MeshFileError(f"it has {len(rows)} lines, but must have freedoms, then a stiffness")
+    freedoms = [whole(each) - 1 for each in rows[0] if each]
+    if not 0 < (size := real(rows[1][0])) < math.inf:
+        raise MeshFileError(f"its stiffness is {size:g}, but must be above 0 and finite")
     if len(freedoms) != len(nodes) or not {*freedoms} <= {*range(6)}:
-        raise ValueError(f"its freedoms {', '.join(rows[0])} are not one of 1 to 6 for each node")
+        raise MeshFileError(
+            f"its freedoms {', '.join(rows[0])} are not one of 1 to 6 for each node"
+        )
     if name := keyword.options.get("ORIENTATION", ""):
         values = reader.orientations.get(keyword.frame.key(name), ())
         if len(values) != 9:
-            raise ValueError(f'"{name}" is not a rectangular *ORIENTATION')
+            why = "cylindrical" if values else "not defined above"
+            raise MeshFileError(f'its *ORIENTATION "{name}" is {why}, but must be rectangular')
         axes = np.reshape(values, (3, 3))
     elif keyword.frame.rotation not in ((), _UPRIGHT) or not reader.turned.keys().isdisjoint(nodes):
-        raise ValueError("its nodes have rotated axes; name an ORIENTATION")
+        raise MeshFileError("its nodes have rotated axes; name an ORIENTATION")
     return freedoms, axes, size
 
 
@@ -136,12 +161,16 @@ def _check_between(case: LoadCase, ends: list[CoupledGroup], shift: Array) -> No
     first, second = ends
     points = np.array([first.point, second.point])
     across = np.linalg.norm(np.cross(points[1] - points[0], shift))
-    if first is second or (first.kind, first.weighted) != (second.kind, second.weighted):
-        raise ValueError("it joins couplings of two kinds, or a point with itself")
+    if first is second:
+        raise MeshFileError("it joins a point with itself")
+    if first.kind != second.kind:
+        raise MeshFileError("it joins a rigid with a distributed coupling")
+    if first.weighted != second.weighted:
+        raise MeshFileError("it joins a coupling with weights and one without")
     if across > _ALONG * np.abs(points).max():
-        raise ValueError("its points are apart across its direction, so it would rotate them")
+        raise MeshFileError(f"its points are {across:.3g} apart across its direction")
     if case.nonlinear:
-        raise ValueError("its direction is fixed in space, but that of [[spring]] rotates")
+        raise MeshFileError("with NLGEOM its direction stays, but that of [[spring]] rotates")
 
 
 def _refuse(reader: Reader, keyword: Keyword, why: object) -> None:

@@ -33,20 +33,11 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
     Raises BundleError if the file has not four finite numbers a line below a line of names, gives a
     point two temperatures or lies far from the part, or if nothing is heated.
     """
-    with field.open(encoding="utf-8", errors="replace") as file:
-        names = [name.strip().strip('"').lower()[:1] for name in file.readline().split(",")]
-    if names[:3] != ["x", "y", "z"]:
-        raise _wrong("must begin with a line of names with commas, such as x,y,z,temperature")
-    try:
-        table = np.loadtxt(field, delimiter=",", skiprows=1, ndmin=2)
-    except (ValueError, UnicodeDecodeError) as error:
-        raise _wrong(f"cannot be read ({error}); write four numbers a line") from None
-    if table.shape[1:] != (_COLUMNS,) or not table.size or not np.isfinite(table).all():
-        raise _wrong("must have four finite numbers a line: x, y, z (m) and the temperature")
+    table = _table(field)
     points, rise = table[:, :3], table[:, 3] - reference
     largest = float(rise[np.abs(rise).argmax()])
     if largest == 0.0:
-        raise _wrong("equals reference everywhere, so has no effect; correct one of the two")
+        raise _wrong(f"equals reference, {reference:g}, everywhere, so has no effect; correct one")
     order = np.lexsort(points.T)
     same = (points[order][1:] == points[order][:-1]).all(axis=1)
     if (rise[order][1:] != rise[order][:-1])[same].any():
@@ -76,6 +67,38 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
             inside = np.asarray(LinearNDInterpolator(here, values)(there))
         shape[between] = np.where(np.isnan(inside), shape[between], inside)
     return shape
+
+
+def _table(field: Path) -> Array:
+    """Return x, y, z and temperature of each point of a file, (p, 4); raises BundleError."""
+    with field.open(encoding="utf-8", errors="replace") as file:
+        head = file.readline().strip()
+    names = [name.strip().strip('"').lower()[:1] for name in head.split(",")]
+    if names[:3] != ["x", "y", "z"]:
+        example = "such as x,y,z,temperature"
+        raise _wrong(f'must begin with a line of names, {example}, but begins with "{head[:60]}"')
+    try:
+        table = np.loadtxt(field, delimiter=",", skiprows=1, ndmin=2)
+        is_complete = table.shape[1:] == (_COLUMNS,) and table.size and np.isfinite(table).all()
+    except (ValueError, UnicodeDecodeError):
+        table, is_complete = np.empty(0), False
+    if not is_complete:
+        with field.open(encoding="utf-8", errors="replace") as file:
+            lines = ((number, line.strip()) for number, line in enumerate(file, 1) if number > 1)
+            bad = (f'"{line[:60]}" in line {number}' for number, line in lines if _is_bad(line))
+            found = next(bad, "no such line")
+        raise _wrong(f"must have four finite numbers a line, x, y, z (m) and T, but has {found}")
+    return table
+
+
+def _is_bad(line: str) -> bool:
+    """Return whether a line, less its comment, has text other than four finite numbers."""
+    text = line.partition("#")[0].strip()
+    try:
+        numbers = [float(each) for each in text.split(",")]
+    except ValueError:
+        return bool(text)
+    return len(numbers) != _COLUMNS or not np.isfinite(numbers).all()
 
 
 def _wrong(message: str) -> BundleError:

@@ -141,7 +141,11 @@ def test_an_orientation_turns_nine_constants_as_in_calculix(tmp_path, name, cons
         ("135e3, 10e3", "135e3, 11e3", "1.1e+10, 9e+09 in SI; the component has 1.35e+11, 1e+10"),
         (PLY, "*ELASTIC\n70000., 0.3\n", "which is isotropic"),
         ("-1., 1., 0.\n", "2., 2., 0.6\n", "*ORIENTATION is not imported"),
-        ("NAME=Ply", "NAME=Ply, SYSTEM=SPHERICAL", "SPHERICAL by COORDINATES"),
+        (
+            "NAME=Ply",
+            "NAME=Ply, SYSTEM=SPHERICAL",
+            "it has SYSTEM=SPHERICAL and DEFINITION=COORDINATES; write",
+        ),
         ("ORIENTATION=PLY", "ORIENTATION=OTHER", 'orientation "OTHER", which is not imported'),
     ],
 )

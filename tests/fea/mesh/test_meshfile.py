@@ -188,8 +188,10 @@ def refusal(path):
 def test_a_file_that_meshio_cannot_read_is_a_mistake_and_prints_nothing(tmp_path, capsys):
     (tmp_path / "a.msh").write_text("$MeshFormat\n4.1 0 8\n")
     assert "cannot be read as .msh" in refusal(tmp_path / "a.msh")
+    (tmp_path / "c.vtu").write_text("hello")
+    assert "cannot be read as .vtu" in refusal(tmp_path / "c.vtu")
     (tmp_path / "b.xyz").write_text("hello")
-    assert "cannot be read as .xyz" in refusal(tmp_path / "b.xyz")
+    assert 'has the ending ".xyz" of no known mesh format; export' in refusal(tmp_path / "b.xyz")
     assert capsys.readouterr() == ("", "")
 
 
@@ -207,7 +209,9 @@ def test_a_cell_with_a_point_that_there_is_not_is_refused_and_not_given_another(
     points = np.vstack([np.zeros(3), np.eye(3)])
     cells = np.array([[0, 1, 2, wrong]])
     meshio.Mesh(points, [("tetra", cells)]).write(tmp_path / "a.vtk")
-    with pytest.raises(BundleError, match="points that are not"):
+    with pytest.raises(
+        BundleError, match=f"tet4 cells on point {wrong}, but its points are 0 to 3"
+    ):
         read_mesh(tmp_path / "a.vtk", "m")
 
 
