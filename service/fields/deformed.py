@@ -1,4 +1,4 @@
-"""The deformed surface of a component under any wrench, from the fields that its rows have."""
+"""The deformed surface of a component under any wrench, from the stored fields of its rows."""
 
 from __future__ import annotations
 
@@ -32,43 +32,56 @@ from wrenchbook.surrogate.table.rows import NEAR, Rows, why_beyond
 
 Floats = NDArray[np.float64]
 
-# Rows that a field is interpolated of: with slopes as good as all, and a factor of 0.02 s.
+# Rows of one interpolation: with their slopes as accurate as all rows; a factorisation of 0.02 s.
 MAX_ROWS = 60
 BLEND_BYTES = 128 << 20  # of one component's interpolation; larger surfaces take fewer rows
-MIN_LEFT_OUT = 4  # rows with a surface below which they show nothing of an error's size
-MIN_ROWS = 8  # however large their fields are: fewer give neither an answer nor an error
+MIN_LEFT_OUT = 4  # rows with a surface; fewer do not show the size of the error
+MIN_ROWS = 8  # of an interpolation, whatever the size of their fields
 MAX_BLENDS = 2  # components whose interpolation is in memory at once
 THREADS = 2  # surfaces at once: each may take a processor
 # Half ranges beyond an end of the load range: further out rows do not determine a surface.
 FARTHEST = 2.0
 # Of the largest displacement of any row: a vertex's error bar allowed without a tolerance.
 WITHOUT_TOLERANCE = 0.01
+_ARRAYS = 7  # of a row: its fields, and their slopes by each of six loads
+_FLOAT_BYTES = 8
 
 
 class NoFieldsError(Exception):
-    """No row of the component has a deformed surface; the message has the remedy."""
+    """No stored fields give a deformed surface; the message has the cause and the remedy."""
 
-    def __init__(self, component: Component, why: str) -> None:
+    @classmethod
+    def missing(cls, component: Component, why: str) -> NoFieldsError:
+        """Return the error of a component whose rows have no stored surface."""
         name = component.name
-        text = (
-            f"{name!r} has no deformed surface yet: {why}. The embedded solver makes surfaces: "
-            f"POST this wrench to /v1/components/{name}/solve, or several to .../fill. To give a "
-            "row a surface, DELETE it first."
-        )
         if not component.has_fea:
-            text = (
+            return cls(
                 f"{name!r} is a table without a finite-element setup, so it has no surface. Add "
                 "the component as a bundle with a mesh."
             )
-        super().__init__(text)
+        return cls(
+            f"{name!r} has no deformed surface yet: {why}. Solve wrenches that have no row: POST "
+            f"/v1/components/{name}/solve or .../fill. For the surface of a row, DELETE "
+            f"/v1/components/{name}/table/ROW first."
+        )
+
+    @classmethod
+    def damaged(cls, component: Component, why: str) -> NoFieldsError:
+        """Return the error of a component whose stored surfaces cannot be read."""
+        name = component.name
+        return cls(
+            f"the stored surfaces of {name!r} cannot be used: {why}. Solve a wrench that has no "
+            f"row, which stores a new surface: POST /v1/components/{name}/solve. The command "
+            "wrenchbook doctor --repair moves damaged files away."
+        )
 
 
 class TooFarError(ValueError):
-    """The wrench is so far beyond the load range that nothing is known there."""
+    """The wrench is over `FARTHEST` half ranges beyond the load range."""
 
 
 class DeformedSurfaces:
-    """Answers deformed surfaces, and keeps what the last ones were made of.
+    """Deformed surfaces of a data directory; caches the interpolations of `MAX_BLENDS` components.
 
     `threads` is for callers that must not block: `answer` may take a second.
     """
@@ -80,7 +93,7 @@ class DeformedSurfaces:
         self.threads = ThreadPoolExecutor(THREADS, thread_name_prefix="deformed")
 
     def close(self) -> None:
-        """Let go of the threads; questions that have not begun are dropped."""
+        """Shut the threads down; requests that have not begun are cancelled."""
         self.threads.shutdown(cancel_futures=True)
 
     def answer(
@@ -94,17 +107,28 @@ class DeformedSurfaces:
     ) -> Deformed:
         """Return the deformed surface under a wrench (6,), N and N·m, from all rows of the table.
 
-        It reads files and may take a second: nothing for an event loop. Without the solver's error,
-        and its error bars at the interface under that wrench (`SolverError.parts`), error bars are
-        the interpolation error alone, see `Deformed.parts`. Raises `NoFieldsError` if no row has
-        fields, `TooFarError` if a load is over `FARTHEST` of the range beyond it.
+        It reads files and may take a second: not for an event loop. `solver` is the solver's error,
+        `at_interface` its error bars at the interface under that wrench (`SolverError.parts`);
+        without them error bars are the interpolation error alone, see `Deformed.parts`. Raises
+        `NoFieldsError` if no row has usable fields, `TooFarError` if a load is over `FARTHEST`
+        half ranges beyond the load range.
         """
         acting = component.acting(np.asarray(wrench, dtype=float))
         loads = component.load_range
         room, beyond = FARTHEST * loads.scale, why_beyond(loads, acting)
         low, high = np.minimum(loads.low, 0.0) - room, np.maximum(loads.high, 0.0) + room
-        if ((acting < low) | (acting > high)).any():
-            raise TooFarError(f"{beyond}, too far away for a surface; ask nearer to the range")
+        too_far = (acting < low) | (acting > high)
+        if too_far.any():
+            farthest = ", ".join(
+                f"{name} {least:.6g} to {most:.6g}"
+                for name, least, most, out in zip(
+                    component.space.input_names, low, high, too_far, strict=True
+                )
+                if out
+            )
+            raise TooFarError(
+                f"{beyond}, too far away for a surface; ask for {farthest}, in N and N*m"
+            )
         if component.linear:
             shape = self._linear(component, rows, acting)
         else:
@@ -123,13 +147,14 @@ class DeformedSurfaces:
         return shape
 
     def _linear(self, component: Component, rows: Rows, wrench: Floats) -> Deformed:
+        """Return the surface of a linear component: its unit fields times the wrench (6,)."""
         try:
             row = self._store.linear(component.name, component.fingerprint)
             if row is None:
-                raise NoFieldsError(component, "no solve has stored fields of unit loads; run one")
+                raise NoFieldsError.missing(component, "no solve has stored fields of unit loads")
             geometry = self._geometry(component, row)
         except DamagedFieldsError as error:
-            raise NoFieldsError(component, str(error)) from error
+            raise NoFieldsError.damaged(component, str(error)) from error
         moved, stresses = row.displacement_slopes @ wrench, row.stress_slopes @ wrench
         if row.meta.get("weight"):
             solved = np.array(row.meta["wrench"])
@@ -137,7 +162,7 @@ class DeformedSurfaces:
             if len(stresses):
                 stresses += row.stress - row.stress_slopes @ solved
         stress = largest_stress(component, geometry, stresses, 0.0)
-        # It is the same of each row; NaN without any.
+        # All rows of a linear component have the same compliance; NaN if no row has one.
         compliances = rows.compliance[rows.fingerprint == component.fingerprint]
         known = compliances[np.isfinite(compliances).all(axis=(1, 2))]
         compliance = known[0] if len(known) else np.full((6, 6), np.nan)
@@ -162,7 +187,7 @@ class DeformedSurfaces:
                     geometry = self._geometry(component, row)
                 except DamagedFieldsError:
                     return None
-                # The row's fields, led by their slopes over the step from its wrench.
+                # The row's fields, extrapolated by their slopes from its wrench to this one.
                 step = wrench - np.array(row.meta["wrench"])
                 moved = row.displacement_slopes @ step
                 stress = stress_of_row(component, row)
@@ -193,14 +218,17 @@ class DeformedSurfaces:
     ) -> Deformed:
         """Return the interpolation of the rows that have fields, one for each wrench in range."""
         if not len(rows):
-            raise NoFieldsError(component, "its table has no rows; fill it")
+            raise NoFieldsError.missing(component, "its table has no rows")
         inside = component.load_range.holds(rows.wrench)
         solved = np.flatnonzero((rows.fingerprint == component.fingerprint) & inside)
         wrenches = rows.wrench[solved]
         having = self._store.has(component.name, component.fingerprint, wrenches.tolist())
         if not having:
-            why = f"none of its {len(rows)} rows has fields; solve some wrenches anew"
-            raise NoFieldsError(component, why)
+            raise NoFieldsError.missing(
+                component,
+                f"none of its {len(rows)} rows has fields ({len(solved)} are solves of its present "
+                "setup within the load range)",
+            )
         cells = np.rint(wrenches[having] / (2 * NEAR * component.load_range.scale))
         _, first = np.unique(cells, axis=0, return_index=True)
         chosen = solved[having][np.sort(first)]
@@ -245,12 +273,14 @@ class DeformedSurfaces:
         wrench: Floats,
         hyperparameters: Hyperparameters | None,
     ) -> Blend:
-        """Return the interpolation of the rows nearest to a wrench; the last one if it is that."""
+        """Return the interpolation of the rows nearest to a wrench, cached if they are the same."""
         first = next(self._readable(component, rows.wrench), None)
         if first is None:
-            raise NoFieldsError(component, "all files of rows are damaged; see wrenchbook doctor")
-        size = 7 * 8 * (first.displacement.size + first.stress.size)
-        limit = min(MAX_ROWS, max(MIN_ROWS, BLEND_BYTES // max(size, 1)))
+            raise NoFieldsError.damaged(
+                component, f"the files of all {len(rows)} solved rows with fields are damaged"
+            )
+        row_bytes = _ARRAYS * _FLOAT_BYTES * (first.displacement.size + first.stress.size)
+        limit = min(MAX_ROWS, max(MIN_ROWS, BLEND_BYTES // max(row_bytes, 1)))
         near = rows.take(nearest_rows(rows.wrench, wrench, component.load_range, limit))
         lengths = None if hyperparameters is None else hyperparameters.logarithms.tobytes()
         key = component.fingerprint, near.seq.tobytes(), lengths
@@ -258,30 +288,35 @@ class DeformedSurfaces:
         if cached is not None and cached[0] == key:
             self._blends.move_to_end(component.name)
             return cached[1]
-        self._blends.pop(component.name, None)  # before its like takes as much memory again
+        self._blends.pop(component.name, None)  # freed before the next takes as much memory
         read: list[tuple[int, RowFields]] = []
         for place, row_wrench in enumerate(near.wrench):
             read += [(place, row) for row in self._readable(component, row_wrench[None])]
         if not read:
-            raise NoFieldsError(
-                component, "files of rows nearby are damaged; see wrenchbook doctor"
+            raise NoFieldsError.damaged(
+                component, f"the files of the {len(near)} rows nearest to this wrench are damaged"
             )
         digest = read[-1][1].meta["geometry"]  # a mesher of another version makes another mesh
-        like = [(place, row) for place, row in read if row.meta["geometry"] == digest]
-        used = near.take([place for place, _ in like])
+        same_mesh = [(place, row) for place, row in read if row.meta["geometry"] == digest]
+        used = near.take([place for place, _ in same_mesh])
         try:
-            geometry = self._geometry(component, like[0][1])
+            geometry = self._geometry(component, same_mesh[0][1])
             weights = FieldWeights.of(used.wrench, component.load_range, hyperparameters)
-        except (DamagedFieldsError, SingularCovarianceError) as error:
-            raise NoFieldsError(component, str(error)) from error
-        blend = Blend.of(geometry, weights, [row for _, row in like], tuple(used.seq.tolist()))
+        except DamagedFieldsError as error:
+            raise NoFieldsError.damaged(component, str(error)) from error
+        except SingularCovarianceError as error:
+            raise NoFieldsError(
+                f"the surfaces of {component.name!r} cannot be interpolated: {error}"
+            ) from error
+        numbers = tuple(used.seq.tolist())
+        blend = Blend.of(geometry, weights, [row for _, row in same_mesh], numbers)
         self._blends[component.name] = key, blend
         while len(self._blends) > MAX_BLENDS:
             self._blends.popitem(last=False)
         return blend
 
     def _readable(self, component: Component, wrenches: Floats) -> Iterator[RowFields]:
-        """Yield the fields of rows; those whose file is gone or damaged have none."""
+        """Yield the fields of the rows of wrenches (n, 6) whose files can be read."""
         for wrench in wrenches.tolist():
             try:
                 yield self._store.row(component.name, component.fingerprint, wrench)
@@ -293,7 +328,7 @@ class DeformedSurfaces:
 
 
 class BlendedFields(NamedTuple):
-    """Fields at one wrench."""
+    """Interpolated fields at one wrench."""
 
     displacement: Floats  # (v, 3), m
     error: Floats | None  # (v,), m; None where too few rows give it
@@ -303,10 +338,10 @@ class BlendedFields(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Blend:
-    """An interpolation of complete fields.
+    """An interpolation of the fields of k rows, linear in them.
 
-    `values`, shape (k, 7, d), are of each row its fields, then their slopes by each load;
-    displacements first, then stresses.
+    `values`, shape (k, 7, d): of each row its fields, then their slopes by each of six loads. The d
+    columns are the displacements, 3 of each vertex, then the stresses, 6 of each point.
     """
 
     geometry: SurfaceGeometry
@@ -327,7 +362,7 @@ class Blend:
         numbers: tuple[int, ...],
     ) -> Blend:
         """Return the interpolation of rows that share a geometry."""
-        values = np.stack([_columns(row) for row in rows])
+        values = np.stack([_stacked_fields(row) for row in rows])
         moved = 3 * len(geometry.vertices)
         largest = float(np.abs(values[:, 0, :moved]).max(initial=0.0))
         blank = cls(geometry, weights, values, numbers, largest, None, 0.0, None)
@@ -361,10 +396,9 @@ class Blend:
         return BlendedFields(displacement, error, stress, stress_error)
 
     def nearest(self, wrench: Floats) -> tuple[int, Floats]:
-        """Return the row nearest to a wrench (6,), N and N·m, and its slopes.
+        """Return the number of the row nearest to a wrench (6,), N and N·m, and its slopes.
 
-        Its number, and the change of its vertices with the wrench: shape (v, 3, 6), m/N and
-        m/(N·m).
+        These are the change of its vertices with the wrench: shape (v, 3, 6), m/N and m/(N·m).
         """
         apart = (self.weights.wrenches - wrench) / self.weights.load_range.scale
         place = int(np.linalg.norm(apart, axis=1).argmin())
@@ -372,8 +406,13 @@ class Blend:
         return self.rows[place], np.moveaxis(moved.reshape(6, -1, 3), 0, -1)
 
 
-def _columns(row: RowFields) -> Floats:
-    """Return a row's fields and slopes, shape (7, d)."""
-    fields = (row.displacement, row.displacement_slopes), (row.stress, row.stress_slopes)
-    columns = (np.concatenate((field[..., None], slopes), axis=-1) for field, slopes in fields)
-    return np.concatenate([np.moveaxis(of, -1, 0).reshape(7, -1) for of in columns], axis=1)
+def _stacked_fields(row: RowFields) -> Floats:
+    """Return a row's fields and their slopes, shape (7, d), as in `Blend.values`."""
+    blocks = []
+    for field, slopes in (
+        (row.displacement, row.displacement_slopes),
+        (row.stress, row.stress_slopes),
+    ):
+        with_slopes = np.concatenate((field[..., None], slopes), axis=-1)
+        blocks.append(np.moveaxis(with_slopes, -1, 0).reshape(_ARRAYS, -1))
+    return np.concatenate(blocks, axis=1)
