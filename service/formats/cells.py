@@ -168,15 +168,18 @@ def text_problem(text: str) -> str | None:
     return None
 
 
-def cell_text(value: Any) -> str:
-    """Return a stored value as the text of a cell, empty for none."""
+def cell_text(value: Any, label: str) -> str:
+    """Return a stored value of a column as the text of a cell, empty for none; ContentError."""
     if value is None or value != value:
         return ""
     if isinstance(value, Decimal):
         return Digits(value)
     text = value.isoformat() if hasattr(value, "isoformat") else str(value)
     if len(text) > MAX_TEXT:
-        raise ContentError(f"a text is longer than {MAX_TEXT:,} characters; shorten it")
+        raise ContentError(
+            f"a text in the column {quoted(label)} has {len(text):,} characters, at most "
+            f"{MAX_TEXT:,} are read; shorten it"
+        )
     return text
 
 

@@ -271,6 +271,7 @@ def encoding_of(path: Path) -> str:
         if head.startswith(b"PK\x03\x04"):
             raise ContentError("this is a spreadsheet or zip file; save it as CSV first")
         utf16 = head.startswith((b"\xff\xfe", b"\xfe\xff"))
+        other = "UTF-16, as its mark says" if utf16 else "Windows-1252"
         for encoding in ("utf-16",) if utf16 else ("utf-8-sig", "cp1252"):
             content.seek(0)
             decoder = codecs.getincrementaldecoder(encoding)()
@@ -283,7 +284,9 @@ def encoding_of(path: Path) -> str:
             except UnicodeDecodeError:
                 continue
             return encoding
-    raise ContentError("has an unknown text encoding; save the file as UTF-8")
+    raise ContentError(
+        f"has an unknown text encoding: it is neither UTF-8 nor {other}; save the file as UTF-8"
+    )
 
 
 def lines_of(content: BinaryIO, encoding: str, number: int = 1) -> Iterator[str]:
