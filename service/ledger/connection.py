@@ -34,12 +34,16 @@ _log = logging.getLogger(__name__)
 USE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
-_READ_ONLY = "its disk is read-only: remount it writable (dmesg tells why the kernel changed it)"
 _REMEDIES = {
     **dict.fromkeys(_FULL, "make room on its disk"),
-    errno.EROFS: _READ_ONLY,
-    errno.EACCES: "make its folder and files writable for the user of the server",
-    errno.EPERM: "make its folder and files writable for the user of the server",
+    **dict.fromkeys(
+        (errno.EACCES, errno.EPERM),
+        "make its folder and files writable for the user of the server",
+    ),
+    errno.EROFS: "its disk is read-only: remount it writable (dmesg tells why the kernel changed "
+    "it), or make the file writable for the user of the server",
+    errno.EBUSY: "another program holds its lock: end that program (fuser FILE names it)",
+    errno.EISDIR: "move the folder away, or name another data directory",
     errno.EIO: "its disk fails: read dmesg, and make a backup on another disk",
     errno.ENOLCK: "its file system has no locks left: start the lock service of the file server "
     "(NFS), or move the data directory to a local disk",
@@ -173,10 +177,9 @@ def open_file(path: Path) -> Connection:
             connection.close()
             raise
     except (sqlite3.OperationalError, OSError) as error:
-        raise LedgerFileError(
-            f"the ledger {path} cannot be opened: {error}. Check that its folder is writable, its "
-            "disk has space and no program keeps it locked"
-        ) from error
+        number = errno.EISDIR if path.is_dir() else _errno_of(error)
+        remedy = _REMEDIES.get(number, "check that its folder is writable and its disk has space")
+        raise LedgerFileError(f"the ledger {path} cannot be opened: {error}; {remedy}") from error
     except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
         raise damaged_file(path, str(error)) from error
     sync(path.parent)
@@ -192,13 +195,13 @@ def _check_schema(connection: Connection, path: Path) -> int:
     tables = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
     if tables and owner != APPLICATION_ID:
         raise LedgerFileError(
-            f"{path} is a SQLite file of another program, not a ledger; "
-            "name another data directory, or move the file away"
+            f"{path} is a SQLite file of another program, not a ledger; name another data "
+            "directory (--data), or move the file away"
         )
     if version > VERSION:
         raise LedgerFileError(
             f"{path} was written by a newer wrenchbook (schema {version}; this program reads up to "
-            f"{VERSION}); install that version or name another data directory"
+            f"{VERSION}); install that version or name another data directory (--data)"
         )
     if tables and version != VERSION and version not in STEPS:
         raise LedgerFileError(
@@ -236,8 +239,8 @@ def check_integrity(connection: Connection, path: Path) -> None:
             _log.error("%s: keys of rows are damaged; they are written anew from the rows", path)
             _write_keys(connection)
             connection.execute("COMMIT")
-    except (TypeError, ValueError) as error:  # numbers that are none
-        raise damaged_file(path, f"rows: {error}") from error
+    except (TypeError, ValueError) as error:  # arithmetic with a text
+        raise damaged_file(path, "the number, count or key of a row is not a number") from error
     finally:
         if connection.in_transaction:
             connection.execute("ROLLBACK")
@@ -314,19 +317,25 @@ def is_damage(error: Exception) -> bool:
     )
 
 
-def unavailable(path: Path, error: Exception) -> LedgerUnavailableError:
-    """Return the error of the ledger for one of SQLite or the disk: its cause and remedy.
-
-    The one place that maps ENOSPC, EROFS, EIO, ENOLCK and their kin.
-    """
+def _errno_of(error: Exception) -> int:
+    """Return the number of a disk's error; of SQLite's errors the one with the same remedy."""
     code = getattr(error, "sqlite_errorcode", 0)
-    number = getattr(error, "errno", None) or 0
-    if code & 0xFF == sqlite3.SQLITE_FULL or code == sqlite3.SQLITE_IOERR_WRITE:
-        number = errno.ENOSPC
-    elif code & 0xFF == sqlite3.SQLITE_READONLY:
-        number = errno.EROFS
-    elif code & 0xFF == sqlite3.SQLITE_IOERR:
-        number = errno.EIO
+    if code == sqlite3.SQLITE_IOERR_WRITE:
+        return errno.ENOSPC
+    numbers = {
+        sqlite3.SQLITE_FULL: errno.ENOSPC,
+        sqlite3.SQLITE_READONLY: errno.EROFS,
+        sqlite3.SQLITE_IOERR: errno.EIO,
+        sqlite3.SQLITE_BUSY: errno.EBUSY,
+        sqlite3.SQLITE_CANTOPEN: errno.EACCES,
+    }
+    # The low byte is the error; the other bits tell where it was noticed.
+    return numbers.get(code & 0xFF, getattr(error, "errno", None) or 0)
+
+
+def unavailable(path: Path, error: Exception) -> LedgerUnavailableError:
+    """Return the error of the ledger for one of SQLite or the disk: its cause and remedy."""
+    number = _errno_of(error)
     remedy = _REMEDIES.get(number, "check that its disk has space and is writable")
     kind = LedgerFullError if number in _FULL else LedgerUnavailableError
     return kind(

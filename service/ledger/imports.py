@@ -102,7 +102,8 @@ def import_rows(
     while (lock := _take_lock(ledger)) is None:  # one import of this ledger, of all processes
         if time.monotonic() > deadline:
             raise ImportRunningError(
-                "another large table is being imported; nothing was loaded. Send this one later"
+                "another large table is still being imported after "
+                f"{_PATIENCE_SECONDS:.0f} s; nothing was loaded. Send this one later"
             )
     try:
         _drop_hidden(ledger)  # of a killed process
@@ -199,13 +200,13 @@ def append_rows(
     values = {"component": component, "created": now, "rows": 0, **asdict(origin)}
     if rig != origin.rig:
         raise AppendError(
-            f"import {number}, {origin.filename!r}, has readings of another rig, frame or point; "
-            "append under another name"
+            f"import {number} of {component!r}, {origin.filename!r}, has readings of another rig, "
+            "frame or point; send the same ones, or append under another name: append=NAME"
         )
     if number and not _chosen(db, component, number, (), withdrawn=False, most=1):
         raise AppendError(
-            f"import {number}, {origin.filename!r}, is withdrawn; restore it, or append under "
-            "another name"
+            f"import {number}, {origin.filename!r}, is withdrawn. Restore it with: wrenchbook "
+            f"withdraw {component} {number} --restore; or append under another name: append=NAME"
         )
     total = known = 0
     for block in blocks:

@@ -449,7 +449,8 @@ def _moved(db: Connection, job: JobRecord, event: str, **changes: Any) -> JobRec
         calls = [name for name in ("cancel", "retry") if (job.status, name) in TRANSITIONS]
         possible = f"possible now: {', '.join(calls)}"
         if job.status == "done":
-            possible = "withdraw its row to solve again"
+            row = f"DELETE /v1/components/{job.component}/table/{job.row}"
+            possible = f"withdraw its row to solve again: {row}"
         raise InvalidTransitionError(f"job {job.id} is {job.status}: cannot {event} it; {possible}")
     return _save(db, replace(job, status=status, **changes))
 

@@ -203,8 +203,13 @@ class Ledger:
         known. New rows get a seq above `above`. Raises ValueError if a solve lacks an output or a
         tangent is infinite.
         """
-        if np.isnan(rows.displacement[rows.source == "fea"]).any():
-            raise ValueError("the displacement of a solve must be finite, not NaN; solve it again")
+        unsolved = (rows.source == "fea") & np.isnan(rows.displacement).any(axis=1)
+        if unsolved.any():
+            at = int(unsolved.argmax())
+            raise ValueError(
+                f"row {at + 1} of {len(rows)} is a solve, but lacks an output: its displacement is "
+                f"{rows.displacement[at].tolist()}; solve its wrench again"
+            )
         notes = [note] * len(rows) if isinstance(note, str) else note
         block = NotedRows(rows, notes)
         # Before the lock is taken: other writers wait for the insertion alone.
@@ -452,7 +457,7 @@ class Ledger:
 
     def _check_open(self) -> None:
         if self._closed:
-            raise LedgerError("the ledger is closed")
+            raise LedgerError(f"the ledger {self.path} is closed: the server is stopping")
 
 
 def _numbers(connection: Connection) -> Numbers:

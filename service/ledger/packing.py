@@ -181,8 +181,12 @@ def row_keys(component: str, block: NotedRows) -> list[bytes]:
     still the same table.
     """
     rows = block.rows
-    if any(rows.compliance.strides) and np.isinf(rows.compliance).any():
-        raise ValueError("the compliance must be finite, or NaN where it is unknown")
+    if any(rows.compliance.strides) and (infinite := np.isinf(rows.compliance)).any():
+        at, output, load = np.argwhere(infinite)[0].tolist()
+        raise ValueError(
+            f"the compliance must be finite, or NaN where it is unknown, but row {at + 1} of "
+            f"{len(rows)} has {rows.compliance[at, output, load]} at [{output}][{load}]"
+        )
     texts = list(zip(rows.fingerprint.tolist(), rows.source.tolist(), strict=True))
     numbers = _plain(rows.wrench).tobytes(), _plain(rows.displacement).tobytes()
     return _keys(component, texts, *numbers, _known(rows.uncertainty, np.any))
@@ -280,8 +284,10 @@ def noted_rows(
         )
         if (loads, moves) != (inputs, outputs):
             raise ValueError(
-                f"row {record.seq} has {loads} loads and {moves} "
-                f"displacements; the component has {inputs} and {outputs}"
+                f"row {record.seq} of {record.component!r} has {loads} loads and {moves} "
+                f"displacements, but the component now has {inputs} and {outputs}. Put the "
+                f"component's earlier files back, or DELETE /v1/components/{record.component}"
+                f"/table/{record.seq}"
             )
 
     def numbers(name: str, width: int) -> np.ndarray:

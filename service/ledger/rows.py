@@ -223,9 +223,15 @@ def add_solved(
     for name, value in {"displacement": displacement, **columns}.items():
         finite = np.isfinite(np.asarray(value, dtype=float))
         if not (finite.any() if name == "uncertainty" else finite.all()):
-            raise ValueError(f"{name} must be finite, not {value}")
+            place = tuple(np.argwhere(~finite)[0].tolist())
+            raise ValueError(
+                f"{name} of job {job.id} must be finite, not {np.asarray(value)[place]} at {place}"
+            )
     if len(displacement) < MIN_NUMBERS:
-        raise ValueError(f"a displacement needs 6 or more numbers, not {len(displacement)}")
+        raise ValueError(
+            f"the displacement of job {job.id} needs {MIN_NUMBERS} or more numbers, not "
+            f"{len(displacement)}"
+        )
     inputs = (Input("", "", "scalar"),) * len(job.wrench)  # of the space only the counts matter
     space = Space(inputs, (Output("", ""),) * len(displacement))
     columns |= {"source": source, "fingerprint": job.fingerprint}
@@ -251,7 +257,9 @@ def withdraw(db: Connection, component: str, seq: int, *, withdrawn: bool = True
     Raises UnknownRowError if the component has no such row, RowStatusError if it is so already.
     """
     if not any(record.component == component for _, record in containing(db, [seq])):
-        raise UnknownRowError(f"the table of {component!r} has no row {seq}; see its export")
+        raise UnknownRowError(
+            f"the table of {component!r} has no row {seq}; see GET /v1/components/{component}/table"
+        )
     if is_withdrawn(db, seq) == withdrawn:
         state = "withdrawn" if withdrawn else "in the table"
         raise RowStatusError(f"row {seq} of {component!r} is already {state}; nothing was changed")
@@ -368,7 +376,7 @@ def get(db: Connection, seq: int) -> LedgerRow:
     if rows:
         return rows[seq]
     if not list(containing(db, [seq])):
-        raise UnknownRowError(f"there is no row {seq}; see the exports of the tables")
+        raise UnknownRowError(f"there is no row {seq}; see GET /v1/components/NAME/table")
     raise DamagedRowError(
         f"row {seq} is damaged on the disk and is not used; restore the ledger from a backup, or "
         "ask for its wrench again to have it solved anew"

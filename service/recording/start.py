@@ -87,8 +87,8 @@ def _solvable(workspace: Workspace, name: str) -> Component:
     if not component.has_fea:
         raise NoSetupError(
             f"{name!r} is a table of measured rows without a finite-element setup, so nothing was "
-            "queued. The recorded wrenches stay; GET them, measure or solve them, and load the "
-            f"rows: POST /v1/components/{name}/table."
+            f"queued. The recorded wrenches stay: GET /v1/components/{name}/recording (or "
+            f"/envelope), measure or solve them, and POST the rows to /v1/components/{name}/table."
         )
     return component
 

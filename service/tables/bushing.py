@@ -12,6 +12,7 @@ from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.surrogate.answer import NAMES
 from wrenchbook.surrogate.findings.find import loop_of
 from wrenchbook.surrogate.kernel.replies import InverseError
+from wrenchbook.surrogate.table.rows import why_beyond
 
 Others = Literal["displacement", "load"]
 HALVINGS = 40  # of the way to the end of a curve: to 1e-12 of it
@@ -41,7 +42,8 @@ def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
     """
     if not table.load_range.space.is_default:
         raise BushingError(
-            "a bushing needs one interface and no further inputs; use an FMU or the C library"
+            "a bushing needs one interface and no further inputs, but the table has the inputs "
+            f"{', '.join(table.load_range.space.input_names)}; use an FMU or the C library"
         )
     loop, hidden = loop_of(table.rows, table.load_range)
     lines, why = [_HEAD], ""
@@ -53,7 +55,10 @@ def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
             low, high = curve.end(-1), curve.end(1)
             loads = curve.at(high).load - curve.at(low).load
             if not abs(loads) > SHORT * (curve.high - curve.low):
-                raise BushingError("the rows cover only zero load; add rows under load")
+                raise BushingError(
+                    f"the rows cover {abs(loads):.3g} of its load range {curve.low:g} to "
+                    f"{curve.high:g}, under {SHORT:.1%} of it; add rows under load"
+                )
         except (InverseError, BushingError) as error:
             why = why or f"{OUTPUTS[axis]}: {error}"
             continue
@@ -82,7 +87,9 @@ class _Curve:
         self.unit = np.eye(len(LOADS))[axis]
         self.low, self.high = table.load_range.low[axis], table.load_range.high[axis]
         if not self.low < self.high:
-            raise BushingError("its load has no range; widen the load range")
+            raise BushingError(
+                f"the range of its load is {self.low:g} to {self.high:g}; give it a width"
+            )
         loads, rounding = table.rows.wrench[:, axis], 1e-9 * (self.high - self.low)
         self.rows = loads.min(initial=0.0) - rounding, loads.max(initial=0.0) + rounding
         self.rest = 0.0 if others == "displacement" else self._moved(0.0)
@@ -120,7 +127,10 @@ class _Curve:
         else:
             low, high = (self._moved(load) - d for load in (self.low, self.high))
             if not low * high <= 0:
-                raise BushingError("no load of the range has this displacement; widen the range")
+                raise BushingError(
+                    f"no load from {self.low:g} to {self.high:g} has the displacement {d:.4g}; "
+                    "widen the load range"
+                )
             span = self.low, self.high
             tight = 1e-15 * (self.high - self.low)
             load = root_scalar(lambda f: self._moved(f) - d, bracket=span, xtol=tight).root
@@ -130,8 +140,15 @@ class _Curve:
         reply = packed.batch(wrench[None], without_rows=True)
         coverage, errors = int(reply.coverage[0]), reply.errors[0]
         # Beyond its rows a thin table guesses, and a linear one answers.
-        beyond = coverage != _COVERED and not self.rows[0] <= wrench[axis] <= self.rows[1]
-        if beyond or not self.table.load_range.holds(wrench[None])[0] or coverage == _OUTSIDE:
-            raise BushingError("the load there is outside the range or the rows; fill the table")
+        load, loads = wrench[axis], self.table.load_range
+        if not loads.holds(wrench[None])[0]:
+            raise BushingError(f"at {d:.4g} {why_beyond(loads, wrench)}; widen the load range")
+        if coverage != _COVERED and not self.rows[0] <= load <= self.rows[1]:
+            raise BushingError(
+                f"at {d:.4g} its load {load:.4g} is beyond that of the rows, {self.rows[0]:.4g} to "
+                f"{self.rows[1]:.4g}; fill the table"
+            )
+        if coverage == _OUTSIDE:
+            raise BushingError(f"at {d:.4g} no rows surround its wrench; fill the table")
         bar = float(np.abs(row) @ np.where(row == 0, 0.0, errors))
         return _Point(wrench[axis], bar, abs(row[axis]), errors[axis], coverage)

@@ -220,7 +220,7 @@ def test_a_linear_components_unit_fields_answer_every_wrench(tmp_path, store, sh
         assert result.stress.at == pytest.approx(true.largest_at)
     (path,) = store._folder.glob("*/*/*.fields")
     path.write_bytes(path.read_bytes()[:-1])
-    with pytest.raises(NoFieldsError, match=r"cannot be used: linear.fields: its checksum is wrong"):
+    with pytest.raises(NoFieldsError, match=r"used: linear.fields: its checksum is wrong"):
         shapes.answer(component, Rows.empty(), asked[0])
 
 

@@ -432,6 +432,21 @@ def test_a_server_with_a_damaged_ledger_says_so_and_answers_from_its_table_file(
 
 
 @pytest.mark.parametrize(
+    ("code", "remedy"),
+    [
+        (sqlite3.SQLITE_BUSY, "another program holds its lock: end that program"),
+        (sqlite3.SQLITE_CANTOPEN, "make its folder and files writable"),
+        (sqlite3.SQLITE_IOERR_WRITE, "make room on its disk"),
+        (sqlite3.SQLITE_MISMATCH, "check that its disk has space"),
+    ],
+)
+def test_an_error_of_sqlite_has_the_remedy_of_its_cause(tmp_path, code, remedy):
+    error = sqlite3.OperationalError("as SQLite says")
+    error.sqlite_errorcode = code
+    assert remedy in str(connection.unavailable(tmp_path / "ledger.sqlite", error))
+
+
+@pytest.mark.parametrize(
     ("number", "status", "remedy"),
     [
         (errno.EROFS, 503, "remount it writable"),
