@@ -119,16 +119,9 @@ class DeformedSurfaces:
         low, high = np.minimum(loads.low, 0.0) - room, np.maximum(loads.high, 0.0) + room
         too_far = (acting < low) | (acting > high)
         if too_far.any():
-            farthest = ", ".join(
-                f"{name} {least:.6g} to {most:.6g}"
-                for name, least, most, out in zip(
-                    component.space.input_names, low, high, too_far, strict=True
-                )
-                if out
-            )
-            raise TooFarError(
-                f"{beyond}, too far away for a surface; ask for {farthest}, in N and N*m"
-            )
+            load = int(too_far.argmax())
+            ends = f"{component.space.input_names[load]} {low[load]:.6g} to {high[load]:.6g}"
+            raise TooFarError(f"{beyond}, too far away for a surface; ask for {ends}")
         if component.linear:
             shape = self._linear(component, rows, acting)
         else:
@@ -224,11 +217,9 @@ class DeformedSurfaces:
         wrenches = rows.wrench[solved]
         having = self._store.has(component.name, component.fingerprint, wrenches.tolist())
         if not having:
-            raise NoFieldsError.missing(
-                component,
-                f"none of its {len(rows)} rows has fields ({len(solved)} are solves of its present "
-                "setup within the load range)",
-            )
+            why = f"none of its {len(rows)} rows has fields"
+            why += f" ({len(solved)} are solves of its present setup within the load range)"
+            raise NoFieldsError.missing(component, why)
         cells = np.rint(wrenches[having] / (2 * NEAR * component.load_range.scale))
         _, first = np.unique(cells, axis=0, return_index=True)
         chosen = solved[having][np.sort(first)]
@@ -276,9 +267,8 @@ class DeformedSurfaces:
         """Return the interpolation of the rows nearest to a wrench, cached if they are the same."""
         first = next(self._readable(component, rows.wrench), None)
         if first is None:
-            raise NoFieldsError.damaged(
-                component, f"the files of all {len(rows)} solved rows with fields are damaged"
-            )
+            why = f"the files of all {len(rows)} solved rows with fields are damaged"
+            raise NoFieldsError.damaged(component, why)
         row_bytes = _ARRAYS * _FLOAT_BYTES * (first.displacement.size + first.stress.size)
         limit = min(MAX_ROWS, max(MIN_ROWS, BLEND_BYTES // max(row_bytes, 1)))
         near = rows.take(nearest_rows(rows.wrench, wrench, component.load_range, limit))
@@ -293,9 +283,8 @@ class DeformedSurfaces:
         for place, row_wrench in enumerate(near.wrench):
             read += [(place, row) for row in self._readable(component, row_wrench[None])]
         if not read:
-            raise NoFieldsError.damaged(
-                component, f"the files of the {len(near)} rows nearest to this wrench are damaged"
-            )
+            why = f"the files of the {len(near)} rows nearest to this wrench are damaged"
+            raise NoFieldsError.damaged(component, why)
         digest = read[-1][1].meta["geometry"]  # a mesher of another version makes another mesh
         same_mesh = [(place, row) for place, row in read if row.meta["geometry"] == digest]
         used = near.take([place for place, _ in same_mesh])
@@ -305,9 +294,8 @@ class DeformedSurfaces:
         except DamagedFieldsError as error:
             raise NoFieldsError.damaged(component, str(error)) from error
         except SingularCovarianceError as error:
-            raise NoFieldsError(
-                f"the surfaces of {component.name!r} cannot be interpolated: {error}"
-            ) from error
+            text = f"the surfaces of {component.name!r} cannot be interpolated: {error}"
+            raise NoFieldsError(text) from error
         numbers = tuple(used.seq.tolist())
         blend = Blend.of(geometry, weights, [row for _, row in same_mesh], numbers)
         self._blends[component.name] = key, blend
@@ -408,11 +396,10 @@ class Blend:
 
 def _stacked_fields(row: RowFields) -> Floats:
     """Return a row's fields and their slopes, shape (7, d), as in `Blend.values`."""
-    blocks = []
-    for field, slopes in (
-        (row.displacement, row.displacement_slopes),
-        (row.stress, row.stress_slopes),
-    ):
+
+    def stacked(field: Floats, slopes: Floats) -> Floats:
         with_slopes = np.concatenate((field[..., None], slopes), axis=-1)
-        blocks.append(np.moveaxis(with_slopes, -1, 0).reshape(_ARRAYS, -1))
-    return np.concatenate(blocks, axis=1)
+        return np.moveaxis(with_slopes, -1, 0).reshape(_ARRAYS, -1)
+
+    displacements = stacked(row.displacement, row.displacement_slopes)
+    return np.hstack((displacements, stacked(row.stress, row.stress_slopes)))

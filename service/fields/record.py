@@ -141,22 +141,16 @@ def _packed(name: str, column: Column) -> tuple[dict[str, Any], bytes]:
 
 def _unpacked(entry: Mapping[str, Any], payload: bytes) -> Array:
     """Return the array of a column from its header entry and compressed bytes."""
-    shape, kind = tuple(entry["shape"]), np.dtype(f"<{entry['kind']}")
+    name, shape, kind = entry["name"], tuple(entry["shape"]), np.dtype(f"<{entry['kind']}")
     size = int(np.prod(shape, dtype=object)) * kind.itemsize
     if not 0 <= size <= MAX_BYTES:
-        raise DamagedFieldsError(
-            f"its column {entry['name']} claims {size} bytes, more than {MAX_BYTES}"
-        )
+        raise DamagedFieldsError(f"its column {name} claims {size} bytes, more than {MAX_BYTES}")
     try:
         raw = zlib.decompressobj().decompress(payload, size) if size else b""
     except zlib.error as error:
-        raise DamagedFieldsError(
-            f"its column {entry['name']} cannot be unpacked: {error}"
-        ) from error
+        raise DamagedFieldsError(f"its column {name} cannot be unpacked: {error}") from error
     if len(raw) != size:
-        raise DamagedFieldsError(
-            f"its column {entry['name']} is cut off: {len(raw)} of {size} bytes"
-        )
+        raise DamagedFieldsError(f"its column {name} is cut off: {len(raw)} of {size} bytes")
     planes = np.frombuffer(raw, np.uint8).reshape(kind.itemsize, -1).T
     numbers = np.ascontiguousarray(planes).view(kind).reshape(shape)
     if "steps" not in entry:

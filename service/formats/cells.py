@@ -176,10 +176,8 @@ def cell_text(value: Any, label: str) -> str:
         return Digits(value)
     text = value.isoformat() if hasattr(value, "isoformat") else str(value)
     if len(text) > MAX_TEXT:
-        raise ContentError(
-            f"a text in the column {quoted(label)} has {len(text):,} characters, at most "
-            f"{MAX_TEXT:,} are read; shorten it"
-        )
+        problem = f"a text in the column {quoted(label)} has {len(text):,} characters"
+        raise ContentError(f"{problem}, at most {MAX_TEXT:,} are read; shorten it")
     return text
 
 

@@ -93,10 +93,8 @@ def write_parquet(
 def _check_unpacked(size: int) -> None:
     """Refuse a file of more than `MAX_UNPACKED` bytes in memory; raises ContentError."""
     if size > MAX_UNPACKED:
-        raise ContentError(
-            f"it unpacks to {size >> 20:,} MiB, over the limit of {MAX_UNPACKED >> 20:,} MiB; send "
-            "it in parts"
-        )
+        most = f"over the limit of {MAX_UNPACKED >> 20:,} MiB"
+        raise ContentError(f"it unpacks to {size >> 20:,} MiB, {most}; send it in parts")
 
 
 def _values(name: str, column: Any) -> Array | list[Any]:
@@ -108,10 +106,8 @@ def _values(name: str, column: Any) -> Array | list[Any]:
         texts = column.dictionary.to_pylist()
         return [None if at is None else texts[at] for at in column.indices.to_pylist()]
     if types.is_nested(kind):
-        raise ContentError(
-            f"the column {name!r} holds {str(kind)[:100]}; write each of its parts as a column of "
-            "its own"
-        )
+        remedy = "write each of its parts as a column of its own"
+        raise ContentError(f"the column {name!r} holds {str(kind)[:100]}; {remedy}")
     if types.is_floating(kind) or types.is_integer(kind):
         return column.to_numpy(zero_copy_only=False)
     return column.to_pylist()
@@ -150,16 +146,13 @@ def _stored_pieces(path: Path, columns: Columns) -> Iterator[Piece]:
 
 def _space_problem(sent: Space, own: Space) -> str:
     """Return the first difference of a file's inputs and outputs from the component's `own`."""
-    for kind in ("inputs", "outputs"):
-        pairs = zip_longest(getattr(sent, kind), getattr(own, kind))
-        for number, (item, wanted) in enumerate(pairs, start=1):
-            if item != wanted:
-                has, needs = (f"{x.name} [{x.unit}]" if x else "none" for x in (item, wanted))
-                return (
-                    f"is of a component with other {kind}: {kind[:-1]} {number} is {has}, but this "
-                    f"component has {needs}; export the rows as CSV and name the columns for it"
-                )
-    return "is of a component with other interfaces; export the rows as CSV and name the columns"
+    pairs = zip_longest((*sent.inputs, *sent.outputs), (*own.inputs, *own.outputs))
+    items = next((pair for pair in pairs if pair[0] != pair[1]), (None, None))
+    has, needs = (f"{item.name} [{item.unit}]" if item else "none" for item in items)
+    return (
+        f"is of another component: it has {has} where this one has {needs}; export the rows as CSV "
+        "and name the columns for this component"
+    )
 
 
 def read_mat(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
@@ -208,18 +201,15 @@ def _vectors(values: dict[str, Any]) -> dict[str, Array]:
     form = "needs numeric vectors of one length, one a column"
     each = "save each column as a variable of its own, such as fx_N = A(:, 1)"
     if not columns:
-        listed = ", ".join(list(values)[:_MAX_NAMED]) or "nothing"
-        raise ContentError(f"{form}: it has no numbers, only {listed}; {each}")
+        raise ContentError(f"{form}: it has no numbers; {each}")
     for name, column in columns.items():
         if column.ndim != 1 or column.dtype.kind not in "iufb":
             kind = f"shape {column.shape}, type {column.dtype}"
             raise ContentError(f"{form}: {name} is not a numeric vector ({kind}); {each}")
     if len({len(column) for column in columns.values()}) > 1:
-        lengths = [f"{name} {len(column)}" for name, column in columns.items()][:_MAX_NAMED]
-        raise ContentError(
-            f"{form}: their lengths are {', '.join(lengths)}; leave other variables out: "
-            "save('t.mat', 'fx_N', 'ux_mm')"
-        )
+        lengths = ", ".join([f"{n} {len(c)}" for n, c in columns.items()][:_MAX_NAMED])
+        only = "save those of the table alone: save('t.mat', 'fx_N', 'ux_mm')"
+        raise ContentError(f"{form}: their lengths are {lengths}; {only}")
     return columns
 
 
@@ -256,10 +246,8 @@ def _tdms_pieces(
     """Yield labels and channels, some rows at a time, with a time if only waveforms have one."""
     lengths, columns = {len(channel) for channel in channels}, options.columns
     if len(channels) > columns.most:
-        raise ContentError(
-            f"its group has {len(channels)} channels, but at most {columns.most} are read; leave "
-            "out those that the table does not need"
-        )
+        most = f"at most {columns.most} are read; leave some out"
+        raise ContentError(f"its group has {len(channels)} channels, but {most}")
     if len(lengths) != 1:
         sizes = ", ".join(f"{c.name} {len(c)}" for c in channels[:_MAX_NAMED])
         raise ContentError(f"the lengths of its channels differ: {sizes}; resample them to one")
@@ -273,11 +261,9 @@ def _tdms_pieces(
     if len(times) > 1:
         (one, name), (other, other_name) = list(times.items())[:2]
         trios = zip(waveform, one, other, strict=True)
-        differing = [f"wf_{key} {a} and {b}" for key, a, b in trios if a != b]
-        raise ContentError(
-            f"the waveforms of {name} and {other_name} have different times "
-            f"({', '.join(differing)}); resample them to one time"
-        )
+        differing = ", ".join(f"wf_{key} {a} and {b}" for key, a, b in trios if a != b)
+        problem = f"the waveforms of {name} and {other_name} have different times ({differing})"
+        raise ContentError(f"{problem}; resample them to one time")
     names = [name for label in labels for name, _, _ in readings_of(label, columns)]
     named = any(name.startswith("time") for name in (*names, *options.mapping.values()))
     _, start, step = next(iter(times), (None, None, 0.0))

@@ -284,9 +284,8 @@ def encoding_of(path: Path) -> str:
             except UnicodeDecodeError:
                 continue
             return encoding
-    raise ContentError(
-        f"has an unknown text encoding: it is neither UTF-8 nor {other}; save the file as UTF-8"
-    )
+    problem = f"it is neither UTF-8 nor {other}"
+    raise ContentError(f"has an unknown text encoding: {problem}; save the file as UTF-8")
 
 
 def lines_of(content: BinaryIO, encoding: str, number: int = 1) -> Iterator[str]:

@@ -53,9 +53,8 @@ def read_json(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
         try:
             text = path.read_bytes().decode("utf-8-sig")
         except UnicodeDecodeError as error:
-            raise JsonError(
-                f"is not JSON: its byte {error.start:,} is not UTF-8; save it as UTF-8"
-            ) from error
+            problem = f"is not JSON: its byte {error.start:,} is not UTF-8"
+            raise JsonError(f"{problem}; save it as UTF-8") from error
         if _ROW.match(text):
             text = f'{{"rows": [{text}]}}'
         if _RECORDS.match(text):
@@ -88,10 +87,8 @@ def _values(text: str, number: Callable[[str], Any]) -> Iterator[Any]:
         except RecursionError as error:
             raise JsonError("is nested too deeply for a table; write one object a row") from error
         except json.JSONDecodeError as error:
-            raise JsonError(
-                f"is not JSON at line {error.lineno}, column {error.colno} (character "
-                f"{error.pos:,}): {error.msg}; correct it there"
-            ) from error
+            place = f"line {error.lineno}, column {error.colno}"
+            raise JsonError(f"is not JSON at {place}: {error.msg}; correct it there") from error
         yield value
 
 

@@ -107,10 +107,8 @@ def _segment(
         texts = {at: cell.strip() for at, cell in enumerate(tags.get(tag, [])) if at}
         texts = {at: value for at, value in texts.items() if value}
         for at in sorted(texts.keys() - channels):
-            raise ValueError(
-                f"{tag} has the value {texts[at]!r} in column {at + 1}, which is none of the "
-                f"channels {', '.join(filter(None, names))}; remove it"
-            )
+            problem = f"{tag} has the value {texts[at]!r} in column {at + 1}, which is none of the"
+            raise ValueError(f"{problem} channels {', '.join(filter(None, names))}; remove it")
         return texts
 
     units, kind = values("Y_Unit_Label"), set(values("X_Dimension").values())
@@ -122,9 +120,8 @@ def _segment(
     clocks = set(zip(values("X0").values(), values("Delta_X").values(), strict=False))
     if len(clocks) > 1:
         pairs = " and ".join(f"{x0}, {step}" for x0, step in sorted(clocks)[:2])
-        raise ValueError(
-            f"X0 and Delta_X differ between its channels: {pairs}; resample them to one time"
-        )
+        problem = f"X0 and Delta_X differ between its channels: {pairs}"
+        raise ValueError(f"{problem}; resample them to one time")
     if not (clocks or has_x):
         raise ValueError("it has no X column, nor X0 and Delta_X; export it with one X column")
     if has_x:
@@ -133,6 +130,5 @@ def _segment(
     try:
         return labels, (float(x0.replace(",", ".")), float(delta_x.replace(",", ".")))
     except ValueError:
-        raise ValueError(
-            f"X0 is {x0!r} and Delta_X is {delta_x!r}, but both must be numbers; correct them"
-        ) from None
+        problem = f"X0 is {x0!r} and Delta_X is {delta_x!r}, but both must be numbers"
+        raise ValueError(f"{problem}; correct them") from None

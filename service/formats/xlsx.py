@@ -47,10 +47,8 @@ def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
     try:
         for entry, size in entry_sizes(path, MAX_UNPACKED).items():
             if size > MAX_IN_MEMORY and not entry.startswith("xl/worksheets/"):
-                raise ContentError(
-                    f"has {size >> 20} MiB in {entry}, over the limit of {MAX_IN_MEMORY >> 20} "
-                    "MiB; send the table in parts"
-                )
+                most = f"over the limit of {MAX_IN_MEMORY >> 20} MiB"
+                raise ContentError(f"has {size >> 20} MiB in {entry}, {most}; send it in parts")
         # Opened here, because openpyxl checks the ending of a name.
         with path.open("rb") as values, path.open("rb") as formulas, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of styles and extensions
@@ -199,10 +197,8 @@ def _records(sheet: Any, formulas: Callable[[], Any], most: int) -> Iterator[Rec
             )
         width = max((at for at, value in enumerate(row, start=1) if value is not None), default=0)
         if width > most:
-            raise ContentError(
-                f"row {number} of the sheet {sheet.title} has {width} columns, at most {most} are "
-                "read; remove some"
-            )
+            place = f"row {number} of the sheet {sheet.title}"
+            raise ContentError(f"{place} has {width} columns, at most {most} fit; remove some")
         cells = [_text(value) for value in row[:most]]
         if not any(cells):
             continue

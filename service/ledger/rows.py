@@ -412,11 +412,6 @@ def is_withdrawn(db: Connection, seq: int) -> bool:
     return bool(edited and edited[0])
 
 
-def is_usable(db: Connection, seq: int) -> bool:
-    """Return whether a row is undamaged, shown and not withdrawn."""
-    return bool(numbered(db, [seq])) and not is_withdrawn(db, seq)
-
-
 def first_hidden(db: Connection, component: str | None) -> int | None:
     """Return the number of the first hidden row (of one component); None if there is none."""
     where = "" if component is None else "AND component = :component"
