@@ -48,32 +48,20 @@ _FLOAT_BYTES = 8
 
 
 class NoFieldsError(Exception):
-    """No stored fields give a deformed surface; the message has the cause and the remedy."""
+    """No row gives a deformed surface: none has fields, or those stored are `unusable`."""
 
-    @classmethod
-    def missing(cls, component: Component, why: str) -> NoFieldsError:
-        """Return the error of a component whose rows have no stored surface."""
+    def __init__(self, component: Component, why: str, *, unusable: bool = False) -> None:
         name = component.name
-        if not component.has_fea:
-            return cls(
-                f"{name!r} is a table without a finite-element setup, so it has no surface. Add "
-                "the component as a bundle with a mesh."
-            )
-        return cls(
-            f"{name!r} has no deformed surface yet: {why}. Solve wrenches that have no row: POST "
-            f"/v1/components/{name}/solve or .../fill. For the surface of a row, DELETE "
-            f"/v1/components/{name}/table/ROW first."
-        )
-
-    @classmethod
-    def damaged(cls, component: Component, why: str) -> NoFieldsError:
-        """Return the error of a component whose stored surfaces cannot be read."""
-        name = component.name
-        return cls(
-            f"the stored surfaces of {name!r} cannot be used: {why}. Solve a wrench that has no "
-            f"row, which stores a new surface: POST /v1/components/{name}/solve. The command "
-            "wrenchbook doctor --repair moves damaged files away."
-        )
+        solve = f"Solve wrenches that have no row: POST /v1/components/{name}/solve"
+        if unusable:
+            text = f"the stored surfaces of {name!r} cannot be used: {why}. {solve}"
+        elif component.has_fea:
+            text = f"{name!r} has no deformed surface yet: {why}. {solve} or .../fill. For the "
+            text += f"surface of a row, DELETE /v1/components/{name}/table/ROW first"
+        else:
+            text = f"{name!r} is a table without a finite-element setup, so it has no surface. Add "
+            text += "the component as a bundle with a mesh"
+        super().__init__(text)
 
 
 class TooFarError(ValueError):
@@ -144,10 +132,10 @@ class DeformedSurfaces:
         try:
             row = self._store.linear(component.name, component.fingerprint)
             if row is None:
-                raise NoFieldsError.missing(component, "no solve has stored fields of unit loads")
+                raise NoFieldsError(component, "no solve has stored fields of unit loads")
             geometry = self._geometry(component, row)
         except DamagedFieldsError as error:
-            raise NoFieldsError.damaged(component, str(error)) from error
+            raise NoFieldsError(component, str(error), unusable=True) from error
         moved, stresses = row.displacement_slopes @ wrench, row.stress_slopes @ wrench
         if row.meta.get("weight"):
             solved = np.array(row.meta["wrench"])
@@ -211,7 +199,7 @@ class DeformedSurfaces:
     ) -> Deformed:
         """Return the interpolation of the rows that have fields, one for each wrench in range."""
         if not len(rows):
-            raise NoFieldsError.missing(component, "its table has no rows")
+            raise NoFieldsError(component, "its table has no rows")
         inside = component.load_range.holds(rows.wrench)
         solved = np.flatnonzero((rows.fingerprint == component.fingerprint) & inside)
         wrenches = rows.wrench[solved]
@@ -219,7 +207,7 @@ class DeformedSurfaces:
         if not having:
             why = f"none of its {len(rows)} rows has fields"
             why += f" ({len(solved)} are solves of its present setup within the load range)"
-            raise NoFieldsError.missing(component, why)
+            raise NoFieldsError(component, why)
         cells = np.rint(wrenches[having] / (2 * NEAR * component.load_range.scale))
         _, first = np.unique(cells, axis=0, return_index=True)
         chosen = solved[having][np.sort(first)]
@@ -268,7 +256,7 @@ class DeformedSurfaces:
         first = next(self._readable(component, rows.wrench), None)
         if first is None:
             why = f"the files of all {len(rows)} solved rows with fields are damaged"
-            raise NoFieldsError.damaged(component, why)
+            raise NoFieldsError(component, why, unusable=True)
         row_bytes = _ARRAYS * _FLOAT_BYTES * (first.displacement.size + first.stress.size)
         limit = min(MAX_ROWS, max(MIN_ROWS, BLEND_BYTES // max(row_bytes, 1)))
         near = rows.take(nearest_rows(rows.wrench, wrench, component.load_range, limit))
@@ -284,18 +272,15 @@ class DeformedSurfaces:
             read += [(place, row) for row in self._readable(component, row_wrench[None])]
         if not read:
             why = f"the files of the {len(near)} rows nearest to this wrench are damaged"
-            raise NoFieldsError.damaged(component, why)
+            raise NoFieldsError(component, why, unusable=True)
         digest = read[-1][1].meta["geometry"]  # a mesher of another version makes another mesh
         same_mesh = [(place, row) for place, row in read if row.meta["geometry"] == digest]
         used = near.take([place for place, _ in same_mesh])
         try:
             geometry = self._geometry(component, same_mesh[0][1])
             weights = FieldWeights.of(used.wrench, component.load_range, hyperparameters)
-        except DamagedFieldsError as error:
-            raise NoFieldsError.damaged(component, str(error)) from error
-        except SingularCovarianceError as error:
-            text = f"the surfaces of {component.name!r} cannot be interpolated: {error}"
-            raise NoFieldsError(text) from error
+        except (DamagedFieldsError, SingularCovarianceError) as error:
+            raise NoFieldsError(component, str(error), unusable=True) from error
         numbers = tuple(used.seq.tolist())
         blend = Blend.of(geometry, weights, [row for _, row in same_mesh], numbers)
         self._blends[component.name] = key, blend

@@ -126,10 +126,7 @@ def _positive(key: str, value: str) -> float:
     except ValueError:
         number = math.nan
     if not 0.0 < number < math.inf:
-        raise ValueError(
-            f"{key} above the header is '{value[:40]}', but must be a number above 0; correct the "
-            "line or remove it"
-        )
+        raise ValueError(f"{key} is '{value[:40]}', but must be a number above 0; correct it")
     return number
 
 
@@ -437,10 +434,8 @@ def _reading(
         return next(iter(fits.values()))
     if len(fits) > 1:
         names = sorted(fits)
-        raise UnitError(
-            f"can mean {' or '.join(names)}; name one by mapping, such as "
-            f"--column '{label}={names[0]} [{fits[names[0]][1]}]'"
-        )
+        example = f"--column '{label}={names[0]} [{fits[names[0]][1]}]'"
+        raise UnitError(f"can mean {' or '.join(names)}; name one by mapping, such as {example}")
     # With brackets, or as a bare name, the label names a column and its unit is the mistake.
     if problem and (split(label)[1] or any(not unit for _, unit, _ in meanings)):
         raise problem

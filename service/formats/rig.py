@@ -495,9 +495,6 @@ def with_loads(
             "differ, give --lag SECONDS (lag), which is added to the displacements' times"
         )
         if in_gaps:
-            message = (
-                f"{in_gaps} displacements lie between two loads more than {longest:g} s apart, and "
-                "no other within the times of the loads; send a denser log of the loads, or allow "
-                "longer gaps with the query parameter max_gap_s"
-            )
+            message = f"no displacement has a load near it: {in_gaps} lie between two loads more "
+            message += f"than {longest:g} s apart; send a denser log, or set max_gap_s"
         report.mistakes.ruin(0, "time", message)

@@ -206,10 +206,9 @@ class Ledger:
         unsolved = (rows.source == "fea") & np.isnan(rows.displacement).any(axis=1)
         if unsolved.any():
             at = int(unsolved.argmax())
-            raise ValueError(
-                f"row {at + 1} of {len(rows)} is a solve, but lacks an output: its displacement is "
-                f"{rows.displacement[at].tolist()}; solve its wrench again"
-            )
+            displacement = rows.displacement[at].tolist()
+            problem = f"row {at + 1} of {len(rows)} is a solve of the displacement {displacement}"
+            raise ValueError(f"{problem}, but all outputs must be finite; solve it again")
         notes = [note] * len(rows) if isinstance(note, str) else note
         block = NotedRows(rows, notes)
         # Before the lock is taken: other writers wait for the insertion alone.

@@ -224,14 +224,11 @@ def add_solved(
         finite = np.isfinite(np.asarray(value, dtype=float))
         if not (finite.any() if name == "uncertainty" else finite.all()):
             place = tuple(np.argwhere(~finite)[0].tolist())
-            raise ValueError(
-                f"{name} of job {job.id} must be finite, not {np.asarray(value)[place]} at {place}"
-            )
+            wrong = f"{np.asarray(value)[place]} at {place}"
+            raise ValueError(f"{name} of job {job.id} must be finite, not {wrong}")
     if len(displacement) < MIN_NUMBERS:
-        raise ValueError(
-            f"the displacement of job {job.id} needs {MIN_NUMBERS} or more numbers, not "
-            f"{len(displacement)}"
-        )
+        needs = f"needs {MIN_NUMBERS} or more numbers, not {len(displacement)}"
+        raise ValueError(f"the displacement of job {job.id} {needs}")
     inputs = (Input("", "", "scalar"),) * len(job.wrench)  # of the space only the counts matter
     space = Space(inputs, (Output("", ""),) * len(displacement))
     columns |= {"source": source, "fingerprint": job.fingerprint}

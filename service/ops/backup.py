@@ -135,9 +135,8 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
     except FileNotFoundError:
         raise BackupError(f"there is no file {source}; name a backup") from None
     except OSError as error:
-        remedy = "name a backup" if source.is_dir() else "make it readable for this user"
-        problem = f"{source} cannot be read: {error.strerror}; {remedy}"
-        raise BackupError(f"{problem}. Nothing was changed") from error
+        problem = f"{source} cannot be read: {error.strerror}"
+        raise BackupError(f"{problem}; name a backup that this user may read") from error
     except _UNREADABLE as error:
         raise BackupError(
             f"{source} is not a complete backup ({error}), because its writing or copying was cut "
@@ -185,9 +184,8 @@ def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
         fields: dict[str, Any] = json.loads(archive.read(MANIFEST))
         kind, schema = fields["format"], int(fields["schema"])
     except _UNREADABLE as error:
-        problem = "it has no backup.json"
-        if MANIFEST in archive.namelist():
-            problem = f"in its {MANIFEST} {reason_of(error)}"
+        there = MANIFEST in archive.namelist()
+        problem = f"in its {MANIFEST} {reason_of(error)}" if there else f"it has no {MANIFEST}"
         raise BackupError(f"{source} is a zip, but no backup: {problem}; name a backup") from error
     if kind != FORMAT:
         raise BackupError(f"{source} is a {str(kind)[:60]!r}, not a {FORMAT!r}; name a backup")

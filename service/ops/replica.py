@@ -39,6 +39,7 @@ PACKED = re.compile(rf"{backup.TABLES}/(?!\.)[^/]+\.wbt")  # mapped by read-only
 FILES_PART = 0.25  # of the interval, for files apart from the ledger in one round
 COLLECT_S = 600.0  # between removals of blocks that no manifest needs
 _MAX_NUMBER = 1e11  # of a valid manifest: s since the epoch, bytes of a ledger
+_INSTEAD = "restore an earlier time with --at, or use a backup"
 # Manifests that stay, by age and s apart: all of the last ten minutes, one an hour for a day, one a
 # day for a week.
 KEEP_S = ((600.0, 0.0), (86_400.0, 3600.0), (7 * 86_400.0, 86_400.0))
@@ -120,10 +121,8 @@ class Replica:
             if name != _name(fields["number"], content):
                 raise ValueError("its digest is not that of its name")
             if fields["format"] != FORMAT:
-                raise BackupError(
-                    f"{name} of {self.url} is a {str(fields['format'])[:60]!r}, but this "
-                    f"wrenchbook reads {FORMAT!r}; install the version that wrote it"
-                )
+                problem = f"{name} of {self.url} is a {str(fields['format'])[:60]!r}"
+                raise BackupError(f"{problem}, not a {FORMAT!r}; install the version that wrote it")
             if fields["ledger_schema"] > VERSION:
                 raise BackupError(
                     f"{self.url} has ledger format {fields['ledger_schema']}, but this wrenchbook "
@@ -135,10 +134,8 @@ class Replica:
             fields.update(_entries({name: fields[name] for name in ("ledger", "files")}))
             return Manifest(**fields)
         except _UNREADABLE as error:
-            raise ReplicaError(
-                f"{name} of {self.url} is damaged: {backup.reason_of(error)}; restore an earlier "
-                "time with --at, or use a backup"
-            ) from error
+            problem = f"{name} of {self.url} is damaged: {backup.reason_of(error)}"
+            raise ReplicaError(f"{problem}; {_INSTEAD}") from error
 
     def newest(self, until: float = float("inf")) -> Manifest:
         """Return the newest complete manifest that was created `until` then; raises BackupError."""
@@ -158,16 +155,12 @@ class Replica:
         try:
             files = _entries(json.loads(b"".join(map(self.block, manifest.files[1]))))
         except _UNREADABLE as error:
-            raise ReplicaError(
-                f"the list of files in manifest {manifest.number} of {self.url} is damaged: "
-                f"{backup.reason_of(error)}; restore an earlier time with --at, or use a backup"
-            ) from error
+            problem = f"the file list of manifest {manifest.number} of {self.url} is damaged"
+            raise ReplicaError(f"{problem}: {backup.reason_of(error)}; {_INSTEAD}") from error
         for name in files:
             if not is_held(name):
-                raise ReplicaError(
-                    f"{self.url} must not hold {name!r}, which no server ships, so it was changed; "
-                    "use a backup"
-                )
+                problem = f"{self.url} must not hold {name!r}, so it was changed"
+                raise ReplicaError(f"{problem}; {_INSTEAD}")
         return {**files, LEDGER: manifest.ledger}
 
     def block(self, digest: str) -> bytes:
@@ -284,10 +277,8 @@ class Shipper:
     def _check(self) -> None:
         """Raise ReplicaError unless the place is as it was left: blocks may be missing now."""
         if self._replica.place.get(LATEST, b"") != self._pointer:
-            raise ReplicaError(
-                f"another program changed {LATEST} in {self._replica.url}; stop that program: only "
-                "one server may ship there"
-            )
+            place = f"{LATEST} in {self._replica.url}"
+            raise ReplicaError(f"another program changed {place}; stop it: one server ships there")
 
     def collect(self) -> None:
         """Remove the manifests that need not stay, and the blocks that no manifest needs."""

@@ -55,10 +55,8 @@ def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
             low, high = curve.end(-1), curve.end(1)
             loads = curve.at(high).load - curve.at(low).load
             if not abs(loads) > SHORT * (curve.high - curve.low):
-                raise BushingError(
-                    f"the rows cover {abs(loads):.3g} of its load range {curve.low:g} to "
-                    f"{curve.high:g}, under {SHORT:.1%} of it; add rows under load"
-                )
+                span = f"{SHORT:.1%} of its load range {curve.low:g} to {curve.high:g}"
+                raise BushingError(f"the rows cover less than {span}; add rows under load")
         except (InverseError, BushingError) as error:
             why = why or f"{OUTPUTS[axis]}: {error}"
             continue
@@ -87,9 +85,7 @@ class _Curve:
         self.unit = np.eye(len(LOADS))[axis]
         self.low, self.high = table.load_range.low[axis], table.load_range.high[axis]
         if not self.low < self.high:
-            raise BushingError(
-                f"the range of its load is {self.low:g} to {self.high:g}; give it a width"
-            )
+            raise BushingError(f"its load range is {self.low:g} to {self.high:g}; widen it")
         loads, rounding = table.rows.wrench[:, axis], 1e-9 * (self.high - self.low)
         self.rows = loads.min(initial=0.0) - rounding, loads.max(initial=0.0) + rounding
         self.rest = 0.0 if others == "displacement" else self._moved(0.0)
@@ -127,10 +123,8 @@ class _Curve:
         else:
             low, high = (self._moved(load) - d for load in (self.low, self.high))
             if not low * high <= 0:
-                raise BushingError(
-                    f"no load from {self.low:g} to {self.high:g} has the displacement {d:.4g}; "
-                    "widen the load range"
-                )
+                span = f"{self.low:g} to {self.high:g}"
+                raise BushingError(f"no load in its range {span} displaces it by {d:.4g}; widen it")
             span = self.low, self.high
             tight = 1e-15 * (self.high - self.low)
             load = root_scalar(lambda f: self._moved(f) - d, bracket=span, xtol=tight).root
@@ -142,13 +136,11 @@ class _Curve:
         # Beyond its rows a thin table guesses, and a linear one answers.
         load, loads = wrench[axis], self.table.load_range
         if not loads.holds(wrench[None])[0]:
-            raise BushingError(f"at {d:.4g} {why_beyond(loads, wrench)}; widen the load range")
+            raise BushingError(f"{why_beyond(loads, wrench)}; widen the load range")
         if coverage != _COVERED and not self.rows[0] <= load <= self.rows[1]:
-            raise BushingError(
-                f"at {d:.4g} its load {load:.4g} is beyond that of the rows, {self.rows[0]:.4g} to "
-                f"{self.rows[1]:.4g}; fill the table"
-            )
+            ends = f"{self.rows[0]:.4g} to {self.rows[1]:.4g}"
+            raise BushingError(f"its load {load:.4g} is beyond the rows, {ends}; fill the table")
         if coverage == _OUTSIDE:
-            raise BushingError(f"at {d:.4g} no rows surround its wrench; fill the table")
+            raise BushingError(f"no rows surround its wrench at {d:.4g}; fill the table")
         bar = float(np.abs(row) @ np.where(row == 0, 0.0, errors))
         return _Point(wrench[axis], bar, abs(row[axis]), errors[axis], coverage)

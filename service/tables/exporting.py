@@ -73,10 +73,8 @@ def check_units(request: ExportRequest) -> None:
     """Raise UnitError for an unknown unit, and for any but SI in formats that programs read."""
     for quantity, (unit, _) in chosen_units(request.units).items():
         if request.format in IN_SI and unit != quantity.si:
-            raise UnitError(
-                f"{request.format} is always in SI, so the {quantity.name} cannot be in {unit}; "
-                "leave the units out, or use CSV"
-            )
+            remedy = "leave the units out, or use CSV"
+            raise UnitError(f"{request.format} is always in SI, not in {unit}; {remedy}")
 
 
 def _write_columns(

@@ -95,7 +95,7 @@ def test_displacements_in_gaps_of_the_loads_are_told_from_those_outside(tmp_path
     loads, moves = tmp_path / "loads", tmp_path / "moves"
     loads.write_text("time [s],fz [N]\n0,0\n1,10\n2,20\n")
     for times, words in (
-        ((0.5, 1.5), "2 displacements lie between two loads more than 0.1 s"),
+        ((0.5, 1.5), "2 lie between two loads more than 0.1 s apart"),
         ((7.0, 8.0), "0 to 2 s; the displacements' are 7 to 8 s"),
     ):
         moves.write_text("time [s],uz [mm]\n" + "".join(f"{t},0.1\n" for t in times))
