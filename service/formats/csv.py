@@ -85,8 +85,9 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
     def records(content: BinaryIO) -> Iterator[Record]:
         every = records_of(lines_of(content, encoding), 1, delimiter, width)
         for line, cells in islice(every, 1):  # spreadsheets put a line sep=; first
-            split_up = cells[0].lower() in ("sep=", '"sep=') and not any(cells[1:])
-            if not (_SEPARATOR_LINE.fullmatch(delimiter.join(cells)) or (split_up and cells[1:])):
+            is_whole = _SEPARATOR_LINE.fullmatch(delimiter.join(cells))
+            is_split = cells[0].lower() in ("sep=", '"sep=') and cells[1:] and not any(cells[1:])
+            if not (is_whole or is_split):
                 yield line, cells
         yield from every
 

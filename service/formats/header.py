@@ -305,12 +305,12 @@ def _is_units_row(labels: list[str], cells: list[str], options: Options) -> bool
     if any(is_number(cell) for cell in cells if cell.strip()):
         return False
     targets = _meanings(labels, options.mapping)
-    return any(
-        not (_parts(label)[1] if target else unit) and name not in TEXTS
-        for label, target, cell in zip(labels, targets, cells, strict=False)
-        if cell.strip()
-        for name, unit, _ in readings_of((target or label).removeprefix("-"), options.columns)
-    )
+    for label, target, cell in zip(labels, targets, cells, strict=False):
+        meanings = readings_of((target or label).removeprefix("-"), options.columns)
+        for name, unit, _ in meanings if cell.strip() else ():
+            if name not in TEXTS and not (_parts(label)[1] if target else unit):
+                return True
+    return False
 
 
 def _meanings(labels: Sequence[str], mapping: Mapping[str, str]) -> list[str]:

@@ -38,9 +38,10 @@ _CLOCK = 1e6  # s: clock times count from 1900 or 1970, elapsed ones from the be
 MAX_RIG = 8000  # characters of a TOML: it is sent in a URL, whose head has 64 KiB at most
 _MAX_NAME = 100  # characters
 _SKEW = 1e-3  # axes written as 0.707 are perpendicular unit vectors to 2e-4
+_ROUNDOFF = 1e-12  # of the nearest rotation, by a singular value decomposition
 _FARTHEST = 100.0  # m: a point given in mm is refused
 _KEYS = ("name", "frame", "load_point", "displacement_point", "load_cell")
-_OWN = "import"  # the table of the options of one import, which win
+_OWN = "import"  # the table of one import's options, which replace those of the profile
 OPTIONS = (
     *("columns", "ignore", "ignore_extra", "decimal", "missing_loads", "tare", "lag", "sheet"),
     *("skip_cycles", "branch", "thin", "mean_cycles"),
@@ -58,11 +59,11 @@ _DONE = (
     "is already in the interface frame, as a solve, a tangent or an earlier import with a rig; "
     "load such rows without frame, load_point, displacement_point, load_cell and rig"
 )
-_LOOSE = (
+_ROTATIONS_MISSING = (
     "is not measured, but a displacement_point needs all three rotations; measure them, or measure "
     "at the interface's point and leave displacement_point out"
 )
-_LOST = (
+_TRANSLATIONS_MISSING = (
     "is not measured, but in this frame all three are needed; measure them, or leave the frame out "
     "and name the columns by the interface's axes"
 )
@@ -293,9 +294,9 @@ def _problems(
         if done[at]:
             yield at, "source", _DONE
         elif loose[at]:
-            yield at, names[3 + int(missing[at, 3:].argmax())], _LOOSE
+            yield at, names[3 + int(missing[at, 3:].argmax())], _ROTATIONS_MISSING
         elif lost[at]:
-            yield at, names[int(missing[at].argmax())], _LOST
+            yield at, names[int(missing[at].argmax())], _TRANSLATIONS_MISSING
         else:
             first = int(np.isnan(shift[at]).argmax()) // PER_INTERFACE * PER_INTERFACE
             yield at, names[first + int(np.isnan(moved[at, first:]).argmax())], _NO_SHIFT
@@ -334,7 +335,9 @@ def _axes(value: Any) -> Array:
             f"off by {skew:.2g} (at most {_SKEW:g}); write x=-y,y=x,z=z, or nine numbers: the "
             "rig's x, y and z axes in the interface's frame"
         )
-    return axes if (axes == axes.round()).all() else np.where(np.abs(nearest) < 1e-12, 0.0, nearest)
+    if (axes == axes.round()).all():
+        return axes
+    return np.where(np.abs(nearest) < _ROUNDOFF, 0.0, nearest)
 
 
 def _numbers(name: str, value: Any, count: int) -> Array:

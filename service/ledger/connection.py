@@ -122,8 +122,8 @@ def _key_hash(key: object) -> int:
     return int(key_hashes(key)[0])
 
 
-def begin(connection: Connection) -> None:
-    """Begin a writing transaction as soon as no other process writes.
+def begin(connection: Connection, statement: str = "BEGIN IMMEDIATE") -> None:
+    """Begin a writing transaction, or execute another statement, once no other process writes.
 
     SQLite itself retries after up to 100 ms; the next transaction of an import begins earlier.
     """
@@ -132,7 +132,7 @@ def begin(connection: Connection) -> None:
     try:
         while True:
             try:
-                connection.execute("BEGIN IMMEDIATE")
+                connection.execute(statement)
                 return
             except sqlite3.OperationalError as error:
                 busy = error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_BUSY
@@ -346,15 +346,7 @@ def unavailable(path: Path, error: Exception) -> LedgerUnavailableError:
 
 def _use_wal(connection: Connection) -> None:
     # SQLite does not wait by itself when two processes switch the journal at the same time.
-    deadline = time.monotonic() + BUSY_SECONDS
-    while True:
-        try:
-            connection.execute("PRAGMA journal_mode = WAL")
-            return
-        except sqlite3.OperationalError:
-            if time.monotonic() > deadline:
-                raise
-            time.sleep(0.01)
+    begin(connection, "PRAGMA journal_mode = WAL")
 
 
 def _upgrade(connection: Connection) -> None:

@@ -142,15 +142,15 @@ def _insert_hidden(
             positions = [at for at in positions if keys[at] not in import_keys]
         import_keys.update(keys)
         for begin in range(0, len(positions), ROWS_AT_ONCE):
-            some = positions[begin : begin + ROWS_AT_ONCE]
-            lot, named = rows.rows_at(block, some), [keys[at] for at in some]
+            chosen = positions[begin : begin + ROWS_AT_ONCE]
+            part, part_keys = rows.rows_at(block, chosen), [keys[at] for at in chosen]
             with ledger.writing(durable=False) as db:
                 if number is None:
                     number = db.execute(_INSERT, values).lastrowid
-                first = rows.number(db, component, lot, named, now)
-                span = first, first + len(named) - 1, number, component
+                first = rows.number(db, component, part, part_keys, now)
+                span = first, first + len(part_keys) - 1, number, component
                 db.execute("INSERT INTO import_parts VALUES (?, ?, ?, ?, 1)", span)
-            parts.append((first, b"".join(named)))
+            parts.append((first, b"".join(part_keys)))
             ledger.sync()  # else the next durable commit waits until all is synced
     return number, count, parts
 
@@ -383,7 +383,10 @@ def _chosen(
     withdrawn: bool,
     most: int | None = None,
 ) -> list[int]:
-    """Return the rows with some keys, in their order, or all of an import, that are withdrawn."""
+    """Return the rows with these keys, in their order, or all of an import without keys.
+
+    Only withdrawn ones, or only others, and at most `most`.
+    """
     gone = rows.withdrawn(db, component)
     if keys:
         wanted = list(dict.fromkeys(map(bytes.fromhex, keys)))

@@ -330,10 +330,8 @@ def _keys(
     """Return the key of each row: of component, fingerprint and source, and its numbers."""
     if not texts:
         return []
-    name, width, size = (
-        _part(component.encode()),
-        *(len(numbers) // len(texts) for numbers in (wrenches, displacements)),
-    )
+    name = _part(component.encode())
+    width, size = len(wrenches) // len(texts), len(displacements) // len(texts)  # bytes a row
     middle, unknown = _length(size), _part(b"")
     hashers = {
         pair: blake2b(

@@ -180,7 +180,7 @@ def row_entries(record: Record) -> Iterator[tuple[int, int]]:
 
 
 def yield_to_others(db: Connection, component: str, after: int) -> None:
-    """Delete the hidden rows that others have brought too since a seq."""
+    """Delete the hidden rows that another import or solve has inserted since a seq."""
     where = f"component = ? AND seq > ? AND {SHOWN}"
     for record in list(_records(db, where, (component, after))):
         for seq in stored(db, record.keys(), hidden=True).values():
@@ -518,7 +518,7 @@ def _records(db: Connection, where: str, values: Any) -> Iterator[Record]:
 def containing(
     db: Connection, seqs: Iterable[int], condition: str = SHOWN
 ) -> Iterator[tuple[int, Record]]:
-    """Yield those of some rows that are there and shown, by number, each with its record."""
+    """Yield those of these rows that meet the condition, by number, each with its record."""
     record = None
     where = f"seq > ? AND seq <= ? AND {condition} ORDER BY seq DESC LIMIT 1"
     for seq in sorted(seqs):
@@ -543,9 +543,10 @@ def _read(
     space: Space,
     fingerprint: str | None,
 ) -> tuple[NotedRows, int | None]:
-    """Return the first `most` rows of the numbers `after` + 1 to `until`; see `noted_rows`.
+    """Return the first `most` rows of the numbers `after` + 1 to `until`, and the number to go on.
 
-    And the number of the last, None if there are no more.
+    Without the rows `gone`, damaged ones and those of another setup (see `noted_rows`). The second
+    value is the number of the last row read, None if there are no further ones.
     """
     values = {"component": component, "after": after, "until": until}
     records, count = [], 0

@@ -17,6 +17,8 @@ from wrenchbook.surrogate.table.rows import why_beyond
 Others = Literal["displacement", "load"]
 HALVINGS = 40  # of the way to the end of a curve: to 1e-12 of it
 SHORT = 1e-3  # of the load range: a shorter curve is none
+_ROUNDING = 1e-9  # of the load range: rows at an end of a curve count as on it
+_TIGHT = 1e-15  # of the load range: to the last digit of the load of a displacement
 _OUTSIDE, _COVERED = NAMES.index("outside"), NAMES.index("covered")
 _HEAD = "axis,displacement [m or rad],load [N or N*m],bar [N or N*m],loop [N or N*m],coverage\n"
 
@@ -78,7 +80,11 @@ def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
 
 
 class _Curve:
-    """The load of one axis over its displacement."""
+    """The load of one axis over its displacement; raises BushingError if there is none.
+
+    `rows` are the least and the largest load of the table's rows, `rest` the displacement at zero
+    load, m or rad.
+    """
 
     def __init__(self, table: ServedTable, axis: int, others: Others) -> None:
         self.table, self.axis, self.others = table, axis, others
@@ -86,7 +92,7 @@ class _Curve:
         self.low, self.high = table.load_range.low[axis], table.load_range.high[axis]
         if not self.low < self.high:
             raise BushingError(f"its load range is {self.low:g} to {self.high:g}; widen it")
-        loads, rounding = table.rows.wrench[:, axis], 1e-9 * (self.high - self.low)
+        loads, rounding = table.rows.wrench[:, axis], _ROUNDING * (self.high - self.low)
         self.rows = loads.min(initial=0.0) - rounding, loads.max(initial=0.0) + rounding
         self.rest = 0.0 if others == "displacement" else self._moved(0.0)
         self.at(self.rest)
@@ -126,7 +132,7 @@ class _Curve:
                 span = f"{self.low:g} to {self.high:g}"
                 raise BushingError(f"no load in its range {span} displaces it by {d:.4g}; widen it")
             span = self.low, self.high
-            tight = 1e-15 * (self.high - self.low)
+            tight = _TIGHT * (self.high - self.low)
             load = root_scalar(lambda f: self._moved(f) - d, bracket=span, xtol=tight).root
             wrench = load * self.unit + 0.0
             slope = packed.derivatives(wrench[None], without_rows=True)[0, axis, axis]
