@@ -148,4 +148,6 @@ def _content(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise DamagedFieldsError(f"{path.name} cannot be read: {error.strerror}") from error
+        raise DamagedFieldsError(
+            f"{path.name} cannot be read: {error.strerror or error}"
+        ) from error

@@ -56,7 +56,7 @@ LOG_BYTES = 16 * 1024 * 1024
 
 
 class Connection(sqlite3.Connection):
-    """SQLite's, with what its transaction has changed, for listeners of the ledger."""
+    """A connection of SQLite with the changes of its transaction, for the ledger's listeners."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
@@ -66,9 +66,9 @@ class Connection(sqlite3.Connection):
 
 
 def can_be_read_frozen(path: Path) -> bool:
-    """Return whether a ledger that cannot be opened for writing can be read as it is.
+    """Return whether a ledger that cannot be opened for writing can be read without its log.
 
-    SQLite then makes no files next to it, as a full disk requires, and ignores a WAL file.
+    SQLite then writes no files beside it, as a full disk requires; so the log must be empty.
     """
     wal = path.with_name(f"{path.name}-wal")
     try:
@@ -151,6 +151,8 @@ def open_file(path: Path) -> Connection:
     log = path.with_name(f"{path.name}-wal")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
         lost = not path.exists() or path.stat().st_size == 0
         if lost and log.exists() and log.stat().st_size:
             # SQLite would delete the log, and with it what it holds.
@@ -177,8 +179,8 @@ def open_file(path: Path) -> Connection:
             connection.close()
             raise
     except (sqlite3.OperationalError, OSError) as error:
-        number = errno.EISDIR if path.is_dir() else _errno_of(error)
-        remedy = _REMEDIES.get(number, "check that its folder is writable and its disk has space")
+        default = "check that its folder is writable and its disk has space"
+        remedy = _REMEDIES.get(_errno_of(error), default)
         raise LedgerFileError(f"the ledger {path} cannot be opened: {error}; {remedy}") from error
     except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
         raise damaged_file(path, str(error)) from error
@@ -247,26 +249,31 @@ def check_integrity(connection: Connection, path: Path) -> None:
 
 
 def _keys_fit(connection: Connection) -> bool:
-    """Whether `row_keys` has the keys of the rows, by sums: a row not found would come twice."""
+    """Return whether `row_keys` has the keys of all rows, by sums.
+
+    A row whose key is missing would be inserted again.
+    """
     # Rows of an import that has not ended have no entries yet.
     hidden = "SELECT 1 FROM import_parts WHERE hidden = 1"
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     if version != VERSION or connection.execute(hidden).fetchone():
         return True
-    sums = "count(*), sum(hash >> 32), sum(hash & 4294967295), sum(seq)"
+    # The halves of a hash apart: sums of 64-bit numbers would overflow.
+    low = 0xFFFF_FFFF
+    sums = f"count(*), sum(hash >> 32), sum(hash & {low}), sum(seq)"
     entered = connection.execute(f"SELECT {sums} FROM row_keys").fetchone()
     present = [0, 0, 0, 0]
     for hashes, seqs in _entries(connection):
-        of_hashes = (int(part.sum()) for part in (hashes >> 32, hashes & 4294967295))
-        parts = len(hashes), *of_hashes, int(seqs.sum())
+        halves = int((hashes >> 32).sum()), int((hashes & low).sum())
+        parts = len(hashes), *halves, int(seqs.sum())
         present = [total + part for total, part in zip(present, parts, strict=True)]
     return [number or 0 for number in entered] == present
 
 
 def _entries(connection: Connection) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield what `row_keys` should have, some records at a time: hashes and numbers.
+    """Yield the entries that `row_keys` should have, hashes (n,) and numbers (n,), in pieces.
 
-    Nothing of a record whose keys are not as many as its rows.
+    Without those of records that have more or fewer keys than rows.
     """
     records = connection.execute("SELECT seq, count, key FROM rows")
     while some := records.fetchmany(1000):

@@ -135,7 +135,7 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
     except FileNotFoundError:
         raise BackupError(f"there is no file {source}; name a backup") from None
     except OSError as error:
-        problem = f"{source} cannot be read: {error.strerror}"
+        problem = f"{source} cannot be read: {error.strerror or error}"
         raise BackupError(f"{problem}; name a backup that this user may read") from error
     except _UNREADABLE as error:
         raise BackupError(

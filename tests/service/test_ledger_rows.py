@@ -249,7 +249,7 @@ def database(path, *statements):
             lambda path: [Ledger(path).close(), database(path, "PRAGMA user_version = 99")],
             "newer w",
         ),
-        (lambda path: path.mkdir(), "cannot be opened"),
+        (lambda path: path.mkdir(), "Is a directory.*move the folder away"),
     ],
     ids=["of another program", "no database", "of a newer version", "a folder"],
 )
